@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -143,7 +143,9 @@ def measured_times(sampled: SampleTimes, event: Event, calibration: Calibration)
     }
 
 
-def align(times: SampleTimes, event: Event, oil_k: float, gaps_s: FloatArray) -> AlignedSignals:
+def align(
+    times: SampleTimes, event: Event, oil_k: float, gaps_s: FloatArray, other: AlignedSignals | None = None
+) -> AlignedSignals:
     """Return the signals of an event on the even grid that all of them reach.
 
     Parameters
@@ -156,23 +158,35 @@ def align(times: SampleTimes, event: Event, oil_k: float, gaps_s: FloatArray) ->
         Temperature of the oil [K].
     gaps_s : (n, 2) array
         Between which instants [s] samples are missing, on the clock of ``times``.
+    other
+        The same event as another calibration has it: what no calibration moves is taken over from there.
     """
     history_s = max(one[0] for one in times.values())
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     # Whole steps after the shift's start: a latency that is found more exactly must not move the points.
     grid_s = GRID_S * np.arange(math.ceil(history_s / GRID_S), math.ceil(duration_s / GRID_S), dtype=np.float64)
-    on_grid = {signal: Resampled.of(one, event.columns[signal].value, grid_s) for signal, one in times.items()}
+
+    def on_grid(signal: Signal) -> Resampled:
+        return Resampled.of(times[signal], event.columns[signal].value, grid_s)
+
+    engine_speed, engine_torque = on_grid(Signal.ENGINE_SPEED), on_grid(Signal.ENGINE_TORQUE)
+    pressure = (on_grid(Signal.CLUTCH1_PRESSURE), on_grid(Signal.CLUTCH2_PRESSURE))
+    is_seen = _is_seen(grid_s, gaps_s)
+    if other is not None and len(other.grid_s) == len(grid_s):  # the same grid: it ends where the event ends
+        return replace(
+            other, engine_speed=engine_speed, engine_torque=engine_torque, pressure=pressure, is_seen=is_seen
+        )
     commands = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
     return AlignedSignals(
         grid_s=grid_s,
-        engine_speed=on_grid[Signal.ENGINE_SPEED],
-        engine_torque=on_grid[Signal.ENGINE_TORQUE],
-        hub_speed=on_grid[Signal.HUB_SPEED],
-        input_speed=(on_grid[Signal.INPUT1_SPEED], on_grid[Signal.INPUT2_SPEED]),
-        pressure=(on_grid[Signal.CLUTCH1_PRESSURE], on_grid[Signal.CLUTCH2_PRESSURE]),
+        engine_speed=engine_speed,
+        engine_torque=engine_torque,
+        hub_speed=on_grid(Signal.HUB_SPEED),
+        input_speed=(on_grid(Signal.INPUT1_SPEED), on_grid(Signal.INPUT2_SPEED)),
+        pressure=pressure,
         expected_pa=both_clutches(_expected_pa(event, command, grid_s) for command in commands),
         oil_k=oil_k,
-        is_seen=_is_seen(grid_s, gaps_s),
+        is_seen=is_seen,
     )
 
 

@@ -7,9 +7,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from canlog.arrays import FloatArray
+from canlog.arrays import BoolArray, FloatArray
 from canlog.jit import array_kernel
 from canlog.series import Series
 from clutch_model.calibration import Calibration
@@ -77,7 +76,7 @@ def measure(event: Event, calibration: Calibration) -> ShiftIndices:
     )
 
 
-def _reslip(slip_rad_s: FloatArray, is_pressed: npt.NDArray[np.bool_]) -> float:
+def _reslip(slip_rad_s: FloatArray, is_pressed: BoolArray) -> float:
     """Return the largest slip under load after it had begun and ended once [rad/s]: stick-slip, if there is much.
 
     Slip has begun when it is as large as three quarters of the largest: as a clutch bites, its shaft swings. It has
@@ -85,33 +84,45 @@ def _reslip(slip_rad_s: FloatArray, is_pressed: npt.NDArray[np.bool_]) -> float:
     one that is let slip for long.
     """
     pressed_rad_s = np.where(is_pressed, slip_rad_s, 0.0)
-    begun = np.flatnonzero(pressed_rad_s > max(SLIP_RAD_S, 0.75 * float(pressed_rad_s.max())))
-    if not len(begun):
-        return 0.0
-    stuck = _runs(is_pressed[begun[0] :] & (slip_rad_s[begun[0] :] < STUCK_RAD_S), STUCK_ROWS)
-    if not len(stuck):
-        return 0.0
-    first = begun[0] + stuck[0]
-    let_go = _runs(~is_pressed[first:], LET_GO_ROWS)
-    rows = slice(first, first + let_go[0] if len(let_go) else None)
-    return _largest_swing(slip_rad_s[rows], pressed_rad_s[rows])
+    begun_rad_s = max(SLIP_RAD_S, 0.75 * float(pressed_rad_s.max()))
+    first, stop = _stuck_rows(pressed_rad_s, slip_rad_s, is_pressed, begun_rad_s)
+    return _largest_swing(slip_rad_s[first:stop], pressed_rad_s[first:stop]) if first < stop else 0.0
 
 
-def _runs(is_so: npt.NDArray[np.bool_], count: int) -> npt.NDArray[np.intp]:
-    """Return the rows at which something begins to be so for ``count`` rows at least."""
-    return np.flatnonzero(np.convolve(is_so, np.ones(count), "valid") > count - 0.5)
+@array_kernel
+def _stuck_rows(
+    pressed_rad_s: FloatArray, slip_rad_s: FloatArray, is_pressed: BoolArray, begun_rad_s: float
+) -> tuple[int, int]:
+    """Return the rows from where a clutch that had begun to slip sticks until it is let go; none if it never does."""
+    row, count = 0, len(slip_rad_s)
+    while row < count and pressed_rad_s[row] <= begun_rad_s:
+        row += 1
+    stuck = 0
+    while row < count and stuck < STUCK_ROWS:
+        stuck = stuck + 1 if is_pressed[row] and slip_rad_s[row] < STUCK_RAD_S else 0
+        row += 1
+    if stuck < STUCK_ROWS:
+        return count, count
+    first, let_go = row - STUCK_ROWS, 0
+    while row < count and let_go < LET_GO_ROWS:
+        let_go = 0 if is_pressed[row] else let_go + 1
+        row += 1
+    return first, row - LET_GO_ROWS if let_go == LET_GO_ROWS else row
 
 
 def _largest_swing(slip_rad_s: FloatArray, pressed_rad_s: FloatArray) -> float:
     """Return the largest slip under load [rad/s] of stretches of slip that end as soon as a driveline swings back."""
-    edged = np.concatenate(((False,), slip_rad_s >= STUCK_RAD_S, (False,)))
-    stretches = np.flatnonzero(edged[1:] != edged[:-1]).reshape(-1, 2).tolist()
-    swings = [float(pressed_rad_s[first:stop].max()) for first, stop in stretches
-              if stop - first <= SWING_ROWS and stop < len(slip_rad_s)]  # fmt: skip
+    slips = slip_rad_s >= STUCK_RAD_S
+    swings = []
+    if slips.any():
+        edged = np.concatenate(((False,), slips, (False,)))
+        stretches = np.flatnonzero(edged[1:] != edged[:-1]).reshape(-1, 2).tolist()
+        swings = [float(pressed_rad_s[first:stop].max()) for first, stop in stretches
+                  if stop - first <= SWING_ROWS and stop < len(slip_rad_s)]  # fmt: skip
     return max(swings, default=float(slip_rad_s.min(initial=STUCK_RAD_S)))
 
 
-def _pressed(grid: _Grid, calibration: Calibration) -> npt.NDArray[np.bool_]:
+def _pressed(grid: _Grid, calibration: Calibration) -> BoolArray:
     """Return where the clutch of the gear carries load, shape (n,); everywhere if nothing tells."""
     clutch = clutch_of_gear(grid.event.to_gear)
     is_first = clutch == 1
@@ -162,7 +173,7 @@ def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibrati
     return ratio, math.hypot(*parts)
 
 
-def _asked(grid: _Grid, slip_rad_s: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]] | None:
+def _asked(grid: _Grid, slip_rad_s: FloatArray) -> tuple[FloatArray, BoolArray] | None:
     """Return the torque asked of the on-coming clutch, signed as its slip, and where it alone carries the engine."""
     commands = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
     is_first = clutch_of_gear(grid.event.to_gear) == 1
@@ -204,6 +215,7 @@ def _fit_slopes(t_s: FloatArray, value: FloatArray, at_s: FloatArray, slopes: Fl
 def compile_indices() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     _fit_slopes(np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1))
+    _stuck_rows(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_), 0.0)
 
 
 def _since(series: Series, event: Event) -> FloatArray:

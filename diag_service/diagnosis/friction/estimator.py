@@ -180,7 +180,7 @@ class Estimator:
             point = displaced(self._calibration, at)
         except CalibrationError:  # no vehicle is like that
             return Reason.MISFIT
-        signals = aligned(samples, point)
+        signals = aligned(samples, point, earlier.balance.signals if earlier else None)
         if isinstance(signals, Reason):
             return signals
         empty = zeros_seen(signals, at, point)

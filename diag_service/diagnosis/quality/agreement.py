@@ -114,4 +114,4 @@ def _pressures(columns: Columns, limits: QualityLimits) -> float | None:
 def _at(series: Series, other: Series, lag_ns: int = 0) -> FloatArray:
     """Return one signal at the times of another, or ``lag_ns`` before them."""
     origin_ns = int(series.t_ns[0])
-    return read_at(series, (other.t_ns - origin_ns - lag_ns).astype(np.float64), origin_ns, 1.0)
+    return read_at(series, (other.t_ns - (origin_ns + lag_ns)).astype(np.float64), origin_ns, 1.0)

@@ -88,13 +88,12 @@ def _frames(numbered: Sequence[Series], limits: QualityLimits) -> float | None:
 
 def _protection(event: Event, mandatory: frozenset[str], limits: QualityLimits) -> float | None:
     """Judge the messages by their E2E state: one that the estimate needs and that is not valid is fatal."""
-    states = {**dict.fromkeys(mandatory, E2eState.NO_DATA), **event.e2e}
-    if not states:
+    if not mandatory and not event.e2e:
         return None
-    failed = [message for message, state in states.items() if state is not E2eState.VALID]
-    if mandatory.intersection(failed):
+    failed = [message for message, state in event.e2e.items() if state is not E2eState.VALID]
+    if not event.e2e.keys() >= mandatory or mandatory.intersection(failed):
         return 0.0
-    return float(limits.optional_message_ratio ** sum(states[message] is E2eState.INVALID for message in failed))
+    return float(limits.optional_message_ratio ** sum(event.e2e[message] is E2eState.INVALID for message in failed))
 
 
 def _time(numbered: Sequence[Series], limits: QualityLimits) -> float | None:

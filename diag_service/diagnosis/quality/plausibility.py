@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
-from canlog.jit import array_kernel, kernel
+from canlog.jit import array_kernel
 from canlog.series import Series
 from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
@@ -76,7 +76,6 @@ def compile_plausibility() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     one = np.zeros(2)
     _longest_run(one)
-    _noise_in_steps(one, 0, 1)
     _off_command(one, one, 0, np.ones(2, np.bool_), 0.0, 0.0, np.empty(2))
     _largest_sum(one, 1)
 
@@ -99,7 +98,7 @@ def is_frozen(series: Series, signal: Signal, limits: QualityLimits = LIMITS) ->
     return _noise_in_steps(value, first, first + longest) >= limits.least_noise_steps
 
 
-@kernel
+@array_kernel
 def _longest_run(value: FloatArray) -> tuple[int, int, int]:
     """Return how many runs of one value there are, where the first of the longest begins, and how long it is."""
     run_count, first, longest, begin = 1, 0, 1, 0
@@ -113,18 +112,13 @@ def _longest_run(value: FloatArray) -> tuple[int, int, int]:
     return run_count, first, longest
 
 
-@kernel
 def _noise_in_steps(value: FloatArray, first: int, stop: int) -> float:
     """Return the noise of all but some rows in steps of its resolution, by its second differences; inf if too few."""
-    rest = np.concatenate((value[:first], value[stop:]))
-    steps = rest[1:] - rest[:-1]
-    least = np.inf
-    for step in np.abs(steps):
-        if 0.0 < step < least:
-            least = step
-    if len(steps) < 3 or least == np.inf:
-        return np.inf
-    return float(np.median(np.abs(steps[1:] - steps[:-1])) * _STD_OF_SECOND_DIFFERENCE / least)
+    steps = np.diff(np.concatenate((value[:first], value[stop:])))
+    moved = np.abs(steps[steps != 0.0])
+    if len(steps) < 3 or not len(moved):
+        return math.inf
+    return median(np.abs(np.diff(steps))) * _STD_OF_SECOND_DIFFERENCE / float(moved.min())
 
 
 def speed_gap_rad_s(

@@ -33,7 +33,7 @@ class Samples:
 def usable_signals(event: Event, calibration: Calibration, limits: QualityLimits = LIMITS) -> AlignedSignals | Reason:
     """Return the signals of a shift or engine run-up on one clock, or why they cannot be used."""
     samples = usable_samples(event, limits)
-    return samples if isinstance(samples, Reason) else aligned(samples, calibration, limits)
+    return samples if isinstance(samples, Reason) else aligned(samples, calibration, limits=limits)
 
 
 def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Reason:
@@ -54,12 +54,17 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
     return Samples(event=event, times=sampled, oil_k=oil_k)
 
 
-def aligned(samples: Samples, calibration: Calibration, limits: QualityLimits = LIMITS) -> AlignedSignals | Reason:
-    """Return samples on one clock, latencies as a calibration has them, or why they cannot be."""
+def aligned(
+    samples: Samples, calibration: Calibration, other: AlignedSignals | None = None, *, limits: QualityLimits = LIMITS
+) -> AlignedSignals | Reason:
+    """Return samples on one clock, latencies as a calibration has them, or why they cannot be.
+
+    What no calibration moves is taken over from ``other``: the same samples as another calibration has them.
+    """
     times = measured_times(samples.times, samples.event, calibration)
     if min(_step_range_s(one)[0] for one in times.values()) <= 0.0:
         return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock cannot be believed
-    return align(times, samples.event, samples.oil_k, gaps_s(times, samples.event, limits))
+    return align(times, samples.event, samples.oil_k, gaps_s(times, samples.event, limits), other)
 
 
 def is_lost(times_s: FloatArray, period_ns: int, duration_s: float, limits: QualityLimits = LIMITS) -> bool:

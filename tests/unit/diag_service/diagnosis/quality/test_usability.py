@@ -1,17 +1,18 @@
 """Whether the signals of a shift can be put on one clock: a reason for each way in which they cannot."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
 
+from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.quality.limits import QualityLimits
-from diag_service.diagnosis.quality.usability import gaps_s, is_lost, usable_signals
+from diag_service.diagnosis.quality.usability import Samples, aligned, gaps_s, is_lost, usable_samples, usable_signals
 from diag_service.diagnosis.records import Reason
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, thinned, without
 
@@ -98,6 +99,29 @@ def test_a_gap_in_any_signal_is_told_on_the_grid() -> None:
     assert gap_s[1] - gap_s[0] == pytest.approx(0.03)
     inside = (signals.grid_s > gap_s[0]) & (signals.grid_s < gap_s[1])
     assert np.array_equal(signals.is_seen, ~inside)
+
+
+@pytest.mark.parametrize("latency_s", [0.013, -0.04])  # by the second one, torque begins later: a shorter grid
+def test_what_no_calibration_moves_need_not_be_aligned_again(latency_s: float) -> None:
+    samples = usable_samples(first_shifts()[0])
+    assert isinstance(samples, Samples)
+    before = aligned(samples, CALIBRATION)
+    point = replace(CALIBRATION, bias=replace(CALIBRATION.bias, torque_latency_s=latency_s, pressure_latency_s=0.002))
+    alone = aligned(samples, point)
+    assert isinstance(before, AlignedSignals)
+    assert isinstance(alone, AlignedSignals)
+    assert (len(alone.grid_s) < len(before.grid_s)) is (latency_s < 0.0)
+    for one, other in zip(numbers_of(alone), numbers_of(aligned(samples, point, before)), strict=True):
+        assert np.array_equal(one, other)
+
+
+def numbers_of(part: object) -> list[FloatArray]:
+    """Return all numbers and arrays of aligned signals, however deep."""
+    if isinstance(part, tuple):
+        return [number for one in part for number in numbers_of(one)]
+    if is_dataclass(part):
+        return [number for one in fields(part) for number in numbers_of(getattr(part, one.name))]
+    return [np.asarray(part, float)]
 
 
 def test_limits_are_an_argument() -> None:
