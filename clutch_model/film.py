@@ -11,6 +11,10 @@ from clutch_model.units import Quantity
 _CONTACT_SCALE = 4.4086e-5
 _CONTACT_EXPONENT = 6.804
 _CONTACT_END = 4.0
+_FLOW_RATE = -0.56  # of Patir-Cheng's pressure flow factor, 1978
+# Slopes over the film are taken over this ratio; a series is exact where the overlap is so many steps.
+_SLOPE_STEP = 1e-4
+_SERIES_SPAN = 1e3
 # Mean shear stress factor, Patir-Cheng 1979; (z^2 - 1)^3 * log cancels beyond z = 20, where phi_f is 1.
 _SHEAR_SPLIT = 3.0
 _SHEAR_FAR = 60.0
@@ -107,8 +111,14 @@ def film_mobility_m(film_m: float, law: FilmLaw) -> float:
     Beavers-Joseph slip at the permeable lining and the Gaussian mean-gap derivative g.
     """
     ratio = film_m / law.roughness_m
-    flow_factor = 1.0 - 0.9 * math.exp(-0.56 * ratio)
     gap_slope = 0.5 * (1.0 + math.erf(ratio * math.sqrt(0.5)))
+    return _mobility_m(film_m, math.exp(_FLOW_RATE * ratio), gap_slope, law)
+
+
+@kernel
+def _mobility_m(film_m: float, obstruction: float, gap_slope: float, law: FilmLaw) -> float:
+    """Return `film_mobility_m` by ``(1 - phi) / 0.9`` and g."""
+    flow_factor = 1.0 - 0.9 * obstruction
     depth = film_m / math.sqrt(law.permeability_m2)
     slip_gain = (depth + 2.0 * law.slip_coefficient) / (depth * (1.0 + law.slip_coefficient * depth))
     through_film = film_m * film_m * film_m * flow_factor * (1.0 + 3.0 * slip_gain)
@@ -119,8 +129,12 @@ def film_mobility_m(film_m: float, law: FilmLaw) -> float:
 @kernel
 def squeeze_rate_m_s(film_m: float, applied_pa: float, viscosity: float, law: FilmLaw) -> float:
     """Return the film's rate under a load [m/s], no separator springs; docs/model.md eq. (7)."""
-    net_pa = applied_pa - contact_pressure_pa(film_m, law)
-    return -net_pa * film_mobility_m(film_m, law) / viscosity
+    return _squeezed_m_s(applied_pa - contact_pressure_pa(film_m, law), film_mobility_m(film_m, law), viscosity)
+
+
+@kernel
+def _squeezed_m_s(net_pa: float, mobility_m: float, viscosity: float) -> float:
+    return -net_pa * mobility_m / viscosity
 
 
 @kernel
@@ -140,11 +154,26 @@ def film_rate_m_s(film_m: float, applied_pa: float, viscosity: float, is_closed:
     law : FilmLaw
         Numbers of the clutch.
     """
-    opening_m_s = (law.open_gap_m - film_m) / law.separation_time_s
     if not is_closed:
-        return opening_m_s
+        return _opening_m_s(film_m, law)
+    contact_pa, mobility_m = contact_pressure_pa(film_m, law), film_mobility_m(film_m, law)
+    return _closed_rate_m_s(film_m, contact_pa, mobility_m, applied_pa, viscosity, law)
+
+
+@kernel
+def _opening_m_s(film_m: float, law: FilmLaw) -> float:
+    """Return how fast an open pack drifts back to its gap [m/s]."""
+    return (law.open_gap_m - film_m) / law.separation_time_s
+
+
+@kernel
+def _closed_rate_m_s(
+    film_m: float, contact_pa: float, mobility_m: float, applied_pa: float, viscosity: float, law: FilmLaw
+) -> float:
+    """Return `film_rate_m_s` of a pack whose piston has taken up its stroke, by what its asperities carry."""
     springs_pa = law.separation_pressure_pa * (1.0 - film_m / law.open_gap_m)
-    return min(squeeze_rate_m_s(film_m, applied_pa - springs_pa, viscosity, law), opening_m_s)
+    squeezed_m_s = _squeezed_m_s(applied_pa - springs_pa - contact_pa, mobility_m, viscosity)
+    return min(squeezed_m_s, _opening_m_s(film_m, law))
 
 
 @kernel
@@ -152,6 +181,67 @@ def measured_film_rate_m_s(film_m: float, piston_pa: float, viscosity: float, la
     """Return the rate of the film [m/s] when only the piston pressure is known: closed above the touch point."""
     applied_pa = applied_pressure_pa(piston_pa, law)
     return film_rate_m_s(film_m, applied_pa, viscosity, applied_pa > 0.0, law)
+
+
+class FilmPoint(NamedTuple):
+    """What a film of some thickness answers to any pressure, and one that is a step thicker: for its slope."""
+
+    film_m: float
+    contact_pa: float
+    mobility_m: float
+    step_m: float
+    thicker_contact_pa: float
+    thicker_mobility_m: float
+
+
+@kernel
+def film_point(film_m: float, law: FilmLaw) -> FilmPoint:
+    """Return contact and mobility of a film, and of one a ten thousandth thicker.
+
+    The step is so small that a few terms of a series give what follows the step as exactly as `contact_pressure_pa`
+    and `film_mobility_m` would, which take most of the time of following a film.
+    """
+    ratio = film_m / law.roughness_m
+    step = _SLOPE_STEP * ratio
+    obstruction, gap_slope = math.exp(_FLOW_RATE * ratio), 0.5 * (1.0 + math.erf(ratio * math.sqrt(0.5)))
+    fall, density = _FLOW_RATE * step, math.exp(-0.5 * ratio * ratio) / math.sqrt(2.0 * math.pi)
+    thicker_obstruction = obstruction * (1.0 + fall * (1.0 + fall / 2.0 * (1.0 + fall / 3.0)))
+    rise = step * (1.0 - step / 2.0 * (ratio - step / 3.0 * (ratio * ratio - 1.0)))  # of a normal distribution
+    thicker_m = film_m + _SLOPE_STEP * film_m
+    contact_pa, overlap = contact_pressure_pa(film_m, law), _CONTACT_END - ratio
+    if overlap > _SERIES_SPAN * step:
+        lost, n = step / overlap, _CONTACT_EXPONENT
+        power = 1.0 - lost * n * (1.0 - lost * (n - 1.0) / 2.0 * (1.0 - lost * (n - 2.0) / 3.0 * (1.0 - lost * (n - 3.0) / 4.0)))
+        thicker_contact_pa = contact_pa * power
+    else:
+        thicker_contact_pa = contact_pressure_pa(thicker_m, law)
+    return FilmPoint(
+        film_m,
+        contact_pa,
+        _mobility_m(film_m, obstruction, gap_slope, law),
+        _SLOPE_STEP * film_m,
+        thicker_contact_pa,
+        _mobility_m(thicker_m, thicker_obstruction, gap_slope + density * rise, law),
+    )
+
+
+@kernel
+def point_rate_m_s(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw) -> float:
+    """Return `measured_film_rate_m_s` of a film whose contact and mobility are known already."""
+    applied_pa = applied_pressure_pa(piston_pa, law)
+    if applied_pa <= 0.0:
+        return _opening_m_s(point.film_m, law)
+    return _closed_rate_m_s(point.film_m, point.contact_pa, point.mobility_m, applied_pa, viscosity, law)
+
+
+@kernel
+def point_slope_1_s(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw) -> float:
+    """Return how much faster a thicker film moves, per thickness [1/s]."""
+    thicker = FilmPoint(
+        point.film_m + point.step_m, point.thicker_contact_pa, point.thicker_mobility_m, point.step_m, 0.0, 0.0
+    )
+    rate_m_s = point_rate_m_s(point, piston_pa, viscosity, law)
+    return (point_rate_m_s(thicker, piston_pa, viscosity, law) - rate_m_s) / point.step_m
 
 
 @kernel

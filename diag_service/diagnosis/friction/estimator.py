@@ -14,7 +14,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance, compile_balance
 from diag_service.diagnosis.friction.cold_oil import MOST_FILM_SHARE, film_share, own_variance
-from diag_service.diagnosis.friction.evidence import Evidence, Fusion, Knowledge, Measurement, fuse
+from diag_service.diagnosis.friction.evidence import Evidence, Fusion, Knowledge, Measurement, compile_evidence, fuse
 from diag_service.diagnosis.friction.film_tangents import compile_tangents
 from diag_service.diagnosis.friction.film_track import PressureDrive, compile_film
 from diag_service.diagnosis.friction.friction_values import friction, scale_free
@@ -60,9 +60,12 @@ class _Seen:
     before: Knowledge  # of everything, the friction of that clutch unknown
     balance: Balance
     measurements: tuple[Measurement, ...]
-    evidence: Evidence
-    zeros_pa: FloatArray  # (2,) of the pressure sensors, as the empty clutches show them
-    alone: Fusion  # with what was known before, the friction of its own clutch apart
+    empty: Sequence[Measurement]  # what empty clutches say of the zeros of their pressure sensors
+    evidence: Evidence  # of all of it
+
+    def alone(self) -> Fusion:
+        """Return what is known with what was known before, the friction of its own clutch apart."""
+        return fuse(self.before, self.evidence)
 
 
 class Estimator:
@@ -74,6 +77,7 @@ class Estimator:
 
     def prepare(self) -> None:
         """Have everything compiled before the first shift comes: it must not wait for it."""
+        compile_evidence()
         compile_alignment()
         compile_usability()
         compile_plausibility()
@@ -102,7 +106,7 @@ class Estimator:
         slipping = SlippingClutch(
             number=first.clutch,
             rows=first.balance.window.slip_rows,
-            pressure_zero_pa=float(first.zeros_pa[first.clutch - 1]),
+            pressure_zero_pa=float(self._zeros_of(first.empty, state.known)[first.clutch - 1]),
             touch_pressure_pa=self._calibration.clutches[first.clutch - 1].touch_pressure_pa,
         )
         if faults := plausibility_faults(event, first.balance.signals, slipping):
@@ -112,7 +116,7 @@ class Estimator:
         state = state.warmed(packs)
         is_misfit = _is_misfit(self._type, fuse(self._type, seen.evidence), seen.evidence.count)
         if is_misfit or is_described_only:
-            estimate = self._described(event, seen, state, seen.alone)
+            estimate = self._described(event, seen, state, seen.alone())
             return state, _rejected(estimate, Reason.MISFIT) if is_misfit else estimate
         return self._judged(event, seen, judged.warmed(packs))
 
@@ -147,7 +151,7 @@ class Estimator:
         event = samples.event
         at, judged = state.known.mean, state.with_event(_judged_event(event, seen))
         for _ in range(MAX_PASS_COUNT - 1):
-            after = judged.known if judged.is_used[-1] else seen.alone.knowledge
+            after = judged.known if judged.is_used[-1] else seen.alone().knowledge
             step = after.mean - at
             if np.max(np.abs(step) / after.std().clip(min=1e-30)) < CONVERGED:
                 break
@@ -159,9 +163,12 @@ class Estimator:
             seen, judged = attempt, state.with_event(_judged_event(event, attempt))
         return seen, judged
 
-    def _zeros_of(self, empty: Sequence[Measurement], at: FloatArray, known: Knowledge) -> FloatArray:
-        """Return the zeros of both pressure sensors [Pa] as an event shows them, otherwise as they are known."""
-        shown = _zeros(fuse(self._type, Evidence.of(empty, at)).knowledge)
+    def _zeros_of(self, empty: Sequence[Measurement], known: Knowledge) -> FloatArray:
+        """Return the zeros of both pressure sensors [Pa], linearised about what is known, as an event shows them.
+
+        Otherwise they are as they are known.
+        """
+        shown = _zeros(fuse(self._type, Evidence.of(empty, known.mean)).knowledge)
         is_shown = shown.variance_pa2 < 0.5 * _zeros(self._type).variance_pa2
         return np.where(is_shown, shown.mean_pa, _zeros(known).mean_pa)
 
@@ -185,7 +192,6 @@ class Estimator:
             return signals
         empty = zeros_seen(signals, at, point)
         near = earlier if is_near else None
-        zeros = near.zeros_pa if near else self._zeros_of(empty, at, state.known)
         drives = measured_drives(signals, at, state.packs, samples.event, point)
         found = _window(signals, drives, point, near)
         if found is None:
@@ -197,15 +203,13 @@ class Estimator:
             return Reason.NO_SLIP_WINDOW
         seen = measured(balance, near.measurements if near else ())
         evidence = Evidence.of((*seen, *empty), at).loosened(own_variance(balance, clutch))
-        alone = fuse(before, evidence)
         return _Seen(
             clutch=earlier.clutch if earlier else clutch,
             before=before,
             balance=balance,
             measurements=seen,
+            empty=empty,
             evidence=evidence,
-            zeros_pa=zeros,
-            alone=alone,
         )
 
     def _described(self, event: Event, seen: _Seen, state: Posterior, alone: Fusion) -> ShiftEstimate:

@@ -4,6 +4,7 @@ Evidence is chi-square as a function of the parameters, a paraboloid: linearised
 samples. Knowledge is a mean with its covariance; docs/model.md, section "Estimator".
 """
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, Self
@@ -11,9 +12,8 @@ from typing import Final, Self
 import numpy as np
 
 from canlog.arrays import FloatArray
+from canlog.jit import array_kernel
 from diag_service.diagnosis.friction.parameters import PARAMETER_COUNT
-
-_ONE: Final = np.eye(PARAMETER_COUNT)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,17 +133,76 @@ class Fusion:
 
 def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
     """Return what earlier knowledge and evidence say together; what was certain stays as it is."""
-    std = earlier.std()
-    scale = np.where(std > 0.0, std, 1.0)
-    units = scale[:, None] * scale
-    gradient = (evidence.vector - evidence.matrix @ earlier.mean) * scale
-    spread = earlier.covariance / units
-    left = np.linalg.inv(_ONE + spread @ (evidence.matrix * units))
-    covariance = left @ spread
-    step = covariance @ gradient
-    covariance *= std[:, None] * std  # rounding makes nothing uncertain that was certain
-    return Fusion(
-        knowledge=Knowledge(mean=earlier.mean + step * std, covariance=(covariance + covariance.T) / 2.0),
-        chi_square=evidence.chi_square(earlier.mean) - float(gradient @ step),
-        kept=left * (scale[:, None] / scale),
+    count = len(earlier.mean)
+    scale, gradient, (spread, inner) = np.empty(count), np.empty(count), np.empty((2, count, count))
+    moved = _prepare_fusion(
+        earlier.mean, earlier.covariance, evidence.matrix, evidence.vector, scale, spread, inner, gradient
     )
+    left = np.linalg.inv(inner)
+    mean, (covariance, kept) = np.empty(count), np.empty((2, count, count))
+    saved = _finish_fusion(left, earlier.mean, scale, spread, gradient, mean, covariance, kept)
+    return Fusion(
+        knowledge=Knowledge(mean=mean, covariance=covariance),
+        chi_square=evidence.constant + moved - saved,
+        kept=kept,
+    )
+
+
+@array_kernel
+def _prepare_fusion(
+    at: FloatArray, covariance: FloatArray, matrix: FloatArray, vector: FloatArray,
+    scale: FloatArray, spread: FloatArray, inner: FloatArray, gradient: FloatArray,
+) -> float:  # fmt: skip
+    """Fill ``1 + spread @ matrix`` and the gradient in earlier standard deviations; return chi-square less constant.
+
+    ``scale`` is negative for what was certain.
+    """
+    count, moved = len(at), 0.0
+    for j in range(count):
+        scale[j] = math.sqrt(covariance[j, j]) if covariance[j, j] > 0.0 else -1.0
+        slope = 0.0
+        for k in range(count):
+            slope += matrix[j, k] * at[k]
+        gradient[j] = (vector[j] - slope) * abs(scale[j])
+        moved += (slope - 2.0 * vector[j]) * at[j]
+    for j in range(count):
+        inner[j, :] = 0.0
+        inner[j, j] = 1.0
+        for k in range(count):
+            spread[j, k] = covariance[j, k] / abs(scale[j] * scale[k])
+            share = spread[j, k] * abs(scale[k])
+            for one in range(count):
+                inner[j, one] += share * matrix[k, one] * abs(scale[one])
+    return moved
+
+
+@array_kernel
+def _finish_fusion(
+    left: FloatArray, at: FloatArray, scale: FloatArray, spread: FloatArray, gradient: FloatArray,
+    mean: FloatArray, covariance: FloatArray, kept: FloatArray,
+) -> float:  # fmt: skip
+    """Fill what is known, and what is left of an earlier error; return what the step saves of chi-square."""
+    count, saved = len(at), 0.0
+    for j in range(count):
+        covariance[j, :] = 0.0
+        for k in range(count):
+            for one in range(count):
+                covariance[j, one] += left[j, k] * spread[k, one]
+        step = 0.0
+        for k in range(count):
+            step += covariance[j, k] * gradient[k]
+        saved += gradient[j] * step
+        mean[j] = at[j] + step * max(scale[j], 0.0)
+    for j in range(count):
+        for k in range(j + 1):  # rounding makes nothing uncertain that was certain
+            shared = 0.5 * (covariance[j, k] + covariance[k, j]) * max(scale[j], 0.0) * max(scale[k], 0.0)
+            covariance[j, k], covariance[k, j] = shared, shared
+        for k in range(count):
+            kept[j, k] = left[j, k] * abs(scale[j] / scale[k])
+    return saved
+
+
+def compile_evidence() -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    some = Evidence(matrix=np.eye(1), vector=np.zeros(1), constant=0.0, count=0)
+    fuse(Knowledge(mean=np.zeros(1), covariance=np.eye(1)), some)

@@ -8,22 +8,24 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import array_kernel, inlined_kernel
 from clutch_model.calibration import Calibration
 from clutch_model.film import (
     FilmLaw,
+    FilmPoint,
     applied_pressure_pa,
-    contact_pressure_pa,
     equilibrium_film_m,
     film_law,
-    measured_film_rate_m_s,
+    film_point,
+    point_rate_m_s,
+    point_slope_1_s,
     shear_factor_difference,
 )
 from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.film_track import COARSE, PressureDrive, open_and_whole_nm
 
-_FILM_STEP: Final = 1e-4  # ratio, for slopes over the film and the viscosity
+_VISCOSITY_STEP: Final = 1e-4  # ratio
 _PRESSURE_STEP_PA: Final = 10.0
 _MOST_REACH: Final = 50.0
 _QUIET: Final = 0.02  # of a film: what changes less in a step is followed in long ones
@@ -89,9 +91,9 @@ def film_tangents(
         clutch_k=np.ascontiguousarray(clutch_k[:stop]),
         open_drag_ratio=drive.open_drag_ratio,
     )
-    contact, viscous = (np.zeros((len(drive.piston_pa), len(FilmCause))) for _ in range(2))
+    contact, viscous = np.zeros((2, len(drive.piston_pa), len(FilmCause)))
     law = film_law(calibration.clutches[clutch - 1])
-    _follow(moved, law, _Oil(oil.a_pa_s, oil.b_k, oil.pole_k), contact, viscous)
+    _follow(moved, law, _Oil(oil.a_pa_s, oil.b_k, oil.pole_k), np.zeros(len(FilmCause)), contact, viscous)
     return FilmTangents(contact_pa=contact, viscous_nm=viscous)
 
 
@@ -102,72 +104,78 @@ def compile_tangents(calibration: Calibration) -> None:
     film_tangents(1, drive, warm, calibration, 2)
 
 
-@kernel
-def _follow(moved: _Moved, law: FilmLaw, oil: _Oil, contact: FloatArray, viscous: FloatArray) -> None:
+@array_kernel
+def _follow(
+    moved: _Moved, law: FilmLaw, oil: _Oil, by: FloatArray, contact: FloatArray, viscous: FloatArray
+) -> None:
+    """Fill the derivatives; ``by`` are those of the film itself [m], zero at first."""
     film_m = equilibrium_film_m(applied_pressure_pa(moved.piston_pa[0], law), law)
-    by = np.zeros(contact.shape[1])  # of the film [m]
+    point = film_point(film_m, law)
     count, k = len(moved.piston_pa), 0
     while k < count:
         viscosity = viscosity_pa_s(moved.clutch_k[k], oil.a_pa_s, oil.b_k, oil.pole_k)
-        _answer(moved, k, film_m, viscosity, law, by, contact[k], viscous[k])
+        _answer(moved, k, point, viscosity, law, by, contact[k], viscous[k])
         points = min(COARSE, count - 1 - k)
-        if points > 1 and not _is_quiet(moved, k, points, film_m, viscosity, law):
+        if points > 1 and not _is_quiet(moved, k, points, point, viscosity, law):
             points = 1
         for row in range(k + 1, k + points):
-            contact[row], viscous[row] = contact[k], viscous[k]
+            for cause in range(len(by)):
+                contact[row, cause], viscous[row, cause] = contact[k, cause], viscous[k, cause]
         if points > 0:
-            film_m = _step(moved, k, points, film_m, viscosity, law, by)
+            later_m = _step(moved, k, points, point, viscosity, law, by)
+            if later_m != point.film_m:
+                point = film_point(later_m, law)
         k += max(points, 1)
 
 
-@kernel
-def _is_quiet(moved: _Moved, k: int, points: int, film_m: float, viscosity: float, law: FilmLaw) -> bool:
+@inlined_kernel
+def _is_quiet(moved: _Moved, k: int, points: int, point: FilmPoint, viscosity: float, law: FilmLaw) -> bool:
     """Return whether a film hardly changes over some points: then one step follows it."""
     driving_pa = 0.5 * (moved.piston_pa[k] + moved.piston_pa[k + points])
-    rate = measured_film_rate_m_s(film_m, driving_pa, viscosity, law)
-    return abs(rate) * points * GRID_S < _QUIET * film_m
+    rate = point_rate_m_s(point, driving_pa, viscosity, law)
+    return abs(rate) * points * GRID_S < _QUIET * point.film_m
 
 
-@kernel
+@inlined_kernel
 def _answer(
-    moved: _Moved, k: int, film_m: float, viscosity: float, law: FilmLaw, by: FloatArray, contact: FloatArray,
+    moved: _Moved, k: int, point: FilmPoint, viscosity: float, law: FilmLaw, by: FloatArray, contact: FloatArray,
     viscous: FloatArray,
 ) -> None:  # fmt: skip
     """Set what contact and shear answer at one point."""
-    slip, drag_ratio, step_m = moved.slip_rad_s[k], moved.open_drag_ratio, _FILM_STEP * film_m
+    slip, drag_ratio, film_m, step_m = moved.slip_rad_s[k], moved.open_drag_ratio, point.film_m, point.step_m
     shear = shear_factor_difference(film_m / law.roughness_m)
     beside = shear_factor_difference((film_m + step_m) / law.roughness_m)
     _, whole_nm = open_and_whole_nm(slip, film_m, viscosity, shear, drag_ratio, law)
     _, thicker_nm = open_and_whole_nm(slip, film_m + step_m, viscosity, beside, drag_ratio, law)
-    _, stiffer_nm = open_and_whole_nm(slip, film_m, viscosity * (1.0 + _FILM_STEP), shear, drag_ratio, law)
-    pressure_pa = contact_pressure_pa(film_m, law)
-    by_film_pa_m = (contact_pressure_pa(film_m + step_m, law) - pressure_pa) / step_m
+    _, stiffer_nm = open_and_whole_nm(slip, film_m, viscosity * (1.0 + _VISCOSITY_STEP), shear, drag_ratio, law)
+    by_film_pa_m = (point.thicker_contact_pa - point.contact_pa) / step_m
     by_film_n = (thicker_nm - whole_nm) / step_m
     for j in range(len(by)):
         contact[j] = by_film_pa_m * by[j]
         viscous[j] = by_film_n * by[j]
-    contact[_STIFFNESS] += pressure_pa
-    viscous[_VISCOSITY] += (stiffer_nm - whole_nm) / _FILM_STEP
+    contact[_STIFFNESS] += point.contact_pa
+    viscous[_VISCOSITY] += (stiffer_nm - whole_nm) / _VISCOSITY_STEP
 
 
-@kernel
-def _step(moved: _Moved, k: int, points: int, film_m: float, viscosity: float, law: FilmLaw, by: FloatArray) -> float:
-    """Return the film some points later, and set its derivatives: the same rule, linearised."""
+@inlined_kernel
+def _step(
+    moved: _Moved, k: int, points: int, point: FilmPoint, viscosity: float, law: FilmLaw, by: FloatArray
+) -> float:
+    """Return the film some points later [m], and set its derivatives: the same rule, linearised."""
+    film_m = point.film_m
     before_pa, after_pa, step_s = moved.piston_pa[k], moved.piston_pa[k + points], points * GRID_S
     driving_pa = 0.5 * (before_pa + after_pa)
     if film_m >= law.open_gap_m and applied_pressure_pa(driving_pa, law) <= 0.0:
         by[:] = 0.0  # an open pack stays open
         return film_m
-    rate = measured_film_rate_m_s(film_m, driving_pa, viscosity, law)
-    step_m = _FILM_STEP * film_m
-    slope = (measured_film_rate_m_s(film_m + step_m, driving_pa, viscosity, law) - rate) / step_m
-    reach = min(slope * step_s, _MOST_REACH)
+    rate = point_rate_m_s(point, driving_pa, viscosity, law)
+    reach = min(point_slope_1_s(point, driving_pa, viscosity, law) * step_s, _MOST_REACH)
     stretch = step_s if abs(reach) < 1e-6 else step_s * (math.exp(reach) - 1.0) / reach
     later_m = film_m + rate * stretch
     if later_m < law.min_film_m or later_m > law.open_gap_m:
         by[:] = 0.0
         return min(max(later_m, law.min_film_m), law.open_gap_m)
-    pushed = measured_film_rate_m_s(film_m, driving_pa + _PRESSURE_STEP_PA, viscosity, law)
+    pushed = point_rate_m_s(point, driving_pa + _PRESSURE_STEP_PA, viscosity, law)
     by_pa = (pushed - rate) / _PRESSURE_STEP_PA  # zero where separators, not the piston, move the pack
     kept = math.exp(reach)
     for j in range(len(by)):
@@ -180,5 +188,5 @@ def _step(moved: _Moved, k: int, points: int, film_m: float, viscosity: float, l
         by[_VISCOSITY] -= faster_m
         by[_MOBILITY] += faster_m
         by_applied = by_pa * law.lining_area_m2 / law.piston_area_m2
-        by[_STIFFNESS] -= stretch * by_applied * contact_pressure_pa(film_m, law)
+        by[_STIFFNESS] -= stretch * by_applied * point.contact_pa
     return later_m

@@ -7,16 +7,18 @@ from typing import NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import array_kernel, kernel
 from clutch_model.calibration import Calibration
 from clutch_model.film import (
     FilmLaw,
+    FilmPoint,
     applied_pressure_pa,
-    contact_pressure_pa,
     equilibrium_film_m,
     film_law,
-    measured_film_rate_m_s,
+    film_point,
     piston_pressure_pa,
+    point_rate_m_s,
+    point_slope_1_s,
     shear_factor_difference,
     sheared_torque_nm,
 )
@@ -138,24 +140,26 @@ def compile_film(calibration: Calibration) -> None:
     integrate_film(1, still, calibration)
 
 
-@kernel
+@array_kernel
 def _integrate(driven: _Driven, law: FilmLaw, friction: FrictionLaw, heat: HeatLaw, rows: _Rows) -> float:
     piston_pa, slip_rad_s = driven.piston_pa, driven.slip_rad_s
     film_m = equilibrium_film_m(applied_pressure_pa(piston_pa[0], law), law)
-    shear = shear_factor_difference(film_m / law.roughness_m)
+    point, shear = film_point(film_m, law), shear_factor_difference(film_m / law.roughness_m)
     clutch_k, film_rate_1_s = driven.start_k, 0.0
     for k in range(len(piston_pa)):
         rows.clutch_k[k] = clutch_k
         viscosity = viscosity_pa_s(clutch_k, heat.a_pa_s, heat.b_k, heat.pole_k)
         slip = slip_rad_s[k]
-        contact_pa = contact_pressure_pa(film_m, law)
         open_nm, viscous_nm = open_and_whole_nm(slip, film_m, viscosity, shear, driven.open_drag_ratio, law)
-        rows.contact_pa[k], rows.viscous_nm[k], rows.open_nm[k] = contact_pa, viscous_nm, open_nm
+        rows.contact_pa[k], rows.viscous_nm[k], rows.open_nm[k] = point.contact_pa, viscous_nm, open_nm
         rows.doubt_nm[k] = _doubt(_openness(film_m, law), film_rate_1_s, piston_pa[k], law) * abs(viscous_nm - open_nm)
-        contact_nm = contact_torque_nm(1.0, kinetic_friction(slip, friction), contact_pa, law.contact_factor_m3)
-        power_w = (contact_nm + abs(viscous_nm)) * abs(slip)
-        if abs(slip) < 1.0:
-            power_w = 0.0  # locked, or as good as; the noise of the slip would heat it
+        power_w = 0.0
+        if abs(slip) >= 1.0:  # slower is locked, or as good as; the noise of the slip would heat it
+            contact_nm = 0.0
+            if point.contact_pa > 0.0:
+                mu = kinetic_friction(slip, friction)
+                contact_nm = contact_torque_nm(1.0, mu, point.contact_pa, law.contact_factor_m3)
+            power_w = (contact_nm + abs(viscous_nm)) * abs(slip)
         clutch_k += driven.step_s * clutch_heating_rate_k_s(
             power_w, clutch_k, heat.oil_k, heat.heat_capacity_j_k, heat.convection_w_k
         )
@@ -163,9 +167,9 @@ def _integrate(driven: _Driven, law: FilmLaw, friction: FrictionLaw, heat: HeatL
             driving_pa = 0.5 * (piston_pa[k] + piston_pa[k + 1])
             if film_m < law.open_gap_m or applied_pressure_pa(driving_pa, law) > 0.0:  # else an open pack stays open
                 before_m = film_m
-                film_m = _film_step(film_m, driving_pa, viscosity, law, driven.step_s)
+                film_m = _film_step(point, driving_pa, viscosity, law, driven.step_s)
                 film_rate_1_s = abs(film_m / before_m - 1.0) / driven.step_s
-                shear = shear_factor_difference(film_m / law.roughness_m)
+                point, shear = film_point(film_m, law), shear_factor_difference(film_m / law.roughness_m)
     return clutch_k
 
 
@@ -196,11 +200,9 @@ def _openness(film_m: float, law: FilmLaw) -> float:
 
 
 @kernel
-def _film_step(film_m: float, piston_pa: float, viscosity: float, law: FilmLaw, step_s: float) -> float:
+def _film_step(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw, step_s: float) -> float:
     """Return the film one step later by the exponential Rosenbrock-Euler rule, exact for a linear rate."""
-    rate = measured_film_rate_m_s(film_m, piston_pa, viscosity, law)
-    step_m = 1e-4 * film_m
-    slope = (measured_film_rate_m_s(film_m + step_m, piston_pa, viscosity, law) - rate) / step_m
-    reach = slope * step_s
+    reach = point_slope_1_s(point, piston_pa, viscosity, law) * step_s
     stretch = step_s if abs(reach) < 1e-6 else step_s * (math.exp(min(reach, 50.0)) - 1.0) / reach
-    return min(max(film_m + rate * stretch, law.min_film_m), law.open_gap_m)
+    later_m = point.film_m + point_rate_m_s(point, piston_pa, viscosity, law) * stretch
+    return min(max(later_m, law.min_film_m), law.open_gap_m)
