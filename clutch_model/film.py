@@ -15,6 +15,8 @@ _FLOW_RATE = -0.56  # of Patir-Cheng's pressure flow factor, 1978
 # Slopes over the film are taken over this ratio; a series is exact where the overlap is so many steps.
 _SLOPE_STEP = 1e-4
 _SERIES_SPAN = 1e3
+_THIRD = 1.0 / 3.0
+_POWER_SERIES = tuple((_CONTACT_EXPONENT - n) / (n + 1.0) for n in range(4))  # binomial
 # Mean shear stress factor, Patir-Cheng 1979; (z^2 - 1)^3 * log cancels beyond z = 20, where phi_f is 1.
 _SHEAR_SPLIT = 3.0
 _SHEAR_FAR = 60.0
@@ -205,14 +207,13 @@ def film_point(film_m: float, law: FilmLaw) -> FilmPoint:
     step = _SLOPE_STEP * ratio
     obstruction, gap_slope = math.exp(_FLOW_RATE * ratio), 0.5 * (1.0 + math.erf(ratio * math.sqrt(0.5)))
     fall, density = _FLOW_RATE * step, math.exp(-0.5 * ratio * ratio) / math.sqrt(2.0 * math.pi)
-    thicker_obstruction = obstruction * (1.0 + fall * (1.0 + fall / 2.0 * (1.0 + fall / 3.0)))
-    rise = step * (1.0 - step / 2.0 * (ratio - step / 3.0 * (ratio * ratio - 1.0)))  # of a normal distribution
+    thicker_obstruction = obstruction * (1.0 + fall * (1.0 + 0.5 * fall * (1.0 + _THIRD * fall)))
+    rise = step * (1.0 - 0.5 * step * (ratio - _THIRD * step * (ratio * ratio - 1.0)))  # of a normal distribution
     thicker_m = film_m + _SLOPE_STEP * film_m
     contact_pa, overlap = contact_pressure_pa(film_m, law), _CONTACT_END - ratio
     if overlap > _SERIES_SPAN * step:
-        lost, n = step / overlap, _CONTACT_EXPONENT
-        power = 1.0 - lost * n * (1.0 - lost * (n - 1.0) / 2.0 * (1.0 - lost * (n - 2.0) / 3.0 * (1.0 - lost * (n - 3.0) / 4.0)))
-        thicker_contact_pa = contact_pa * power
+        lost, (p1, p2, p3, p4) = step / overlap, _POWER_SERIES
+        thicker_contact_pa = contact_pa * (1.0 - lost * p1 * (1.0 - lost * p2 * (1.0 - lost * p3 * (1.0 - lost * p4))))
     else:
         thicker_contact_pa = contact_pressure_pa(thicker_m, law)
     return FilmPoint(

@@ -56,13 +56,15 @@ class Resampled:
         """
         left = self.left[rows]
         spread = np.zeros((len(weights), left[-1] + 2 - left[0]))
-        _spread(weights, left - left[0], self.share[rows], spread)
+        _spread(weights, left, self.share[rows], spread)
         return spread
 
     def around_samples(self, values: FloatArray, rows: slice) -> FloatArray:
         """Return values on rows of the grid as means around the samples of `to_samples`, shape (n,)."""
-        total, weight = self.to_samples(np.stack((values, np.ones_like(values))), rows)
-        return np.asarray(total / np.maximum(weight, _NO_WEIGHT))
+        left = self.left[rows]
+        means, weight = np.zeros((2, left[-1] + 2 - left[0]))
+        _average(values, left, self.share[rows], means, weight)
+        return means
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,7 +203,9 @@ def _is_seen(grid_s: FloatArray, gaps_s: FloatArray) -> BoolArray:
 def compile_alignment() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     ends, one = np.array([0.0, 1.0]), np.zeros((1, 2))
-    Resampled.of(ends, ends, ends).to_samples(one, slice(None))
+    signal = Resampled.of(ends, ends, ends)
+    signal.to_samples(one, slice(None))
+    signal.around_samples(ends, slice(None))
     _read_at(np.arange(2), ends, 0, 1.0, ends, np.empty(2))
     _free_of_jitter(np.arange(2), np.arange(2), 0, 1.0, np.empty(2))
     _lag_behind(ends, ends, ends, 1.0, np.empty(2))
@@ -287,16 +291,29 @@ def _resample(
         on_grid[row] = (1.0 - share[row]) * value[sample] + share[row] * value[sample + 1]
 
 
-@kernel
+@array_kernel
 def _spread(weights: FloatArray, left: Int64Array, share: FloatArray, spread: FloatArray) -> None:
+    first = left[0]
     for k in range(weights.shape[0]):
-        sample, at_left, at_right = left[0], 0.0, 0.0  # summed before they are stored: ten rows lie between two samples
+        sample, at_left, at_right = first, 0.0, 0.0  # summed before they are stored: ten rows lie between two samples
         for j in range(weights.shape[1]):
             if left[j] != sample:
-                spread[k, sample] += at_left
-                spread[k, sample + 1] += at_right
+                spread[k, sample - first] += at_left
+                spread[k, sample - first + 1] += at_right
                 sample, at_left, at_right = left[j], 0.0, 0.0
             at_right += weights[k, j] * share[j]
             at_left += weights[k, j] * (1.0 - share[j])
-        spread[k, sample] += at_left
-        spread[k, sample + 1] += at_right
+        spread[k, sample - first] += at_left
+        spread[k, sample - first + 1] += at_right
+
+
+@array_kernel
+def _average(values: FloatArray, left: Int64Array, share: FloatArray, means: FloatArray, weight: FloatArray) -> None:
+    for j in range(len(values)):
+        sample = left[j] - left[0]
+        means[sample] += values[j] * (1.0 - share[j])
+        means[sample + 1] += values[j] * share[j]
+        weight[sample] += 1.0 - share[j]
+        weight[sample + 1] += share[j]
+    for sample in range(len(means)):
+        means[sample] /= max(weight[sample], _NO_WEIGHT)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import array_kernel, kernel
 from clutch_model.calibration import Calibration
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, stribeck_weight
@@ -56,6 +56,11 @@ class Balance:
         That of these parameters.
     at : (PARAMETER_COUNT,) array
         The parameters.
+
+    Attributes
+    ----------
+    known_nms : (k,) array
+        Impulses of the hub and of the films' shear [N m s], with the sign of the balance.
     """
 
     def __init__(
@@ -82,18 +87,10 @@ class Balance:
         self.tracks = integrate_films(measured, calibration)
         self.contacts_nm = contacts_nm(measured, self.tracks, calibration, self.weights.rows)
         self._moments = weigh(self.weights, self.contacts_nm, self.tracks)
-
-    @property
-    def known_nms(self) -> FloatArray:
-        """Impulses of the hub and of the films' shear, with the sign of the balance, shape (k,)."""
-        side, weights, hub_rad_s = (
-            self.calibration.input_side,
-            self.weights,
-            self.signals.hub_speed.on_grid[self.weights.rows],
-        )
-        return np.asarray(
-            side.hub_inertia_kg_m2 * (weights.rate @ hub_rad_s)
-            - side.hub_damping_nms_rad * (weights.value @ hub_rad_s)
+        side, hub_rad_s = calibration.input_side, signals.hub_speed.on_grid[self.weights.rows]
+        self.known_nms = np.asarray(
+            side.hub_inertia_kg_m2 * (self.weights.rate @ hub_rad_s)
+            - side.hub_damping_nms_rad * (self.weights.value @ hub_rad_s)
             - sum(moments.viscous for moments in self._moments)
         )
 
@@ -119,8 +116,10 @@ class Balance:
     def slip_energy_j(self, clutch: int, mu: FloatArray) -> float:
         """Return the heat made in a clutch over the whole cut [J], for its ``(mu_c, mu_s)``."""
         drive, track = self.measured[clutch - 1], self.tracks[clutch - 1]
-        torque_nm = contact_nm(self.calibration.clutches[clutch - 1], drive, track, slice(None)) @ mu + track.viscous_nm
-        return float(np.sum(np.abs(torque_nm * drive.slip_rad_s)) * GRID_S)
+        nominal = self.calibration.clutches[clutch - 1]
+        law, factor_m3 = friction_law(nominal.friction), nominal.geometry.contact_factor_m3
+        slip_rad_s = np.ascontiguousarray(drive.slip_rad_s)
+        return GRID_S * _heat_w(slip_rad_s, track.contact_pa, track.viscous_nm, mu, law, factor_m3)
 
 
 def friction_pairs(at: FloatArray) -> FloatArray:
@@ -149,24 +148,20 @@ def weigh(
     weights: Weights, torques_nm: tuple[FloatArray, FloatArray], tracks: tuple[FilmTrack, FilmTrack]
 ) -> tuple[ClutchMoments, ClutchMoments]:
     """Return the weighted torques of both clutches, of which ``torques_nm`` are the `contacts_nm` on the same rows."""
-    return both_clutches(_moments_of(weights, *pair) for pair in zip(torques_nm, tracks, strict=True))
-
-
-def _moments_of(weights: Weights, torques_nm: FloatArray, track: FilmTrack) -> ClutchMoments:
-    rows = weights.rows
-    weighted = weights.value @ np.column_stack(
-        (
-            torques_nm,
-            torques_nm * (track.clutch_k[rows] - REFERENCE_K)[:, None],
-            track.viscous_nm[rows],
-            track.open_nm[rows],
+    rows, columns = weights.rows, np.empty((2, 6, weights.rows.stop - weights.rows.start))
+    for own, of_friction_nm, track in zip(columns, torques_nm, tracks, strict=True):
+        own[:2] = of_friction_nm.T
+        own[2:4] = own[:2] * (track.clutch_k[rows] - REFERENCE_K)
+        own[4], own[5] = track.viscous_nm[rows], track.open_nm[rows]
+    sums = weights.value @ columns.reshape(12, -1).T
+    return both_clutches(
+        ClutchMoments(
+            viscous=own[:, 4],
+            opened=own[:, 5],
+            by_friction=own[:, :2],
+            by_warm_friction=own[:, 2:4],
         )
-    )
-    return ClutchMoments(
-        viscous=weighted[:, 4],
-        opened=weighted[:, 5],
-        by_friction=weighted[:, :2],
-        by_warm_friction=weighted[:, 2:4],
+        for own in (sums[:, :6], sums[:, 6:])
     )
 
 
@@ -193,17 +188,38 @@ def contact_lever_m3(clutch: ClutchCalibration, slip_rad_s: FloatArray) -> Float
 
 def compile_balance(calibration: Calibration) -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
-    contact_lever_m3(calibration.clutches[0], np.zeros(2))
+    clutch, zeros = calibration.clutches[0], np.zeros(2)
+    contact_lever_m3(clutch, zeros)
+    _heat_w(zeros, zeros, zeros, zeros, friction_law(clutch.friction), clutch.geometry.contact_factor_m3)
+
+
+@array_kernel
+def _fill_lever(slip_rad_s: FloatArray, law: FrictionLaw, contact_factor_m3: float, lever_m3: FloatArray) -> None:
+    for row in range(len(slip_rad_s)):
+        lever_m3[row, 0], lever_m3[row, 1] = _levers_m3(slip_rad_s[row], law, contact_factor_m3)
 
 
 @kernel
-def _fill_lever(slip_rad_s: FloatArray, law: FrictionLaw, contact_factor_m3: float, lever_m3: FloatArray) -> None:
+def _levers_m3(slip_rad_s: float, law: FrictionLaw, contact_factor_m3: float) -> tuple[float, float]:
+    way = min(max(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0), 1.0)
+    full_m3, share = contact_torque_nm(way, 1.0, 1.0, contact_factor_m3), stribeck_weight(slip_rad_s, law)
+    return full_m3 * (1.0 - share), full_m3 * share
+
+
+@array_kernel
+def _heat_w(
+    slip_rad_s: FloatArray, contact_pa: FloatArray, viscous_nm: FloatArray, mu: FloatArray, law: FrictionLaw,
+    contact_factor_m3: float,
+) -> float:  # fmt: skip
+    """Return the sum of the heat made at each point [W]."""
+    total_w = 0.0
     for row in range(len(slip_rad_s)):
-        slip = slip_rad_s[row]
-        way = min(max(slip / SIGN_WIDTH_RAD_S, -1.0), 1.0)
-        full_m3, share = contact_torque_nm(way, 1.0, 1.0, contact_factor_m3), stribeck_weight(slip, law)
-        lever_m3[row, 0] = full_m3 * (1.0 - share)
-        lever_m3[row, 1] = full_m3 * share
+        torque_nm = viscous_nm[row]
+        if contact_pa[row] > 0.0:
+            by_mu_c, by_mu_s = _levers_m3(slip_rad_s[row], law, contact_factor_m3)
+            torque_nm += (by_mu_c * mu[0] + by_mu_s * mu[1]) * contact_pa[row]
+        total_w += abs(torque_nm * slip_rad_s[row])
+    return total_w
 
 
 def direction(slip_rad_s: FloatArray) -> FloatArray:

@@ -29,7 +29,7 @@ from diag_service.diagnosis.friction.parameters import (
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.preparation import PackTemperatures, measured_drives, slip_window, zeros_seen
 from diag_service.diagnosis.friction.sensitivity import measured
-from diag_service.diagnosis.friction.window import SlipWindow, on_other_grid, spans_of
+from diag_service.diagnosis.friction.window import SlipWindow, compile_window, on_other_grid, spans_of
 from diag_service.diagnosis.quality.plausibility import (
     PressureZeros,
     SlippingClutch,
@@ -81,6 +81,7 @@ class Estimator:
         compile_alignment()
         compile_usability()
         compile_plausibility()
+        compile_window()
         compile_balance(self._calibration)
         compile_film(self._calibration)
         compile_tangents(self._calibration)

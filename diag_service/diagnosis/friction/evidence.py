@@ -60,17 +60,18 @@ class Evidence:
     @classmethod
     def of(cls, measurements: Iterable[Measurement], at: FloatArray) -> Self:
         """Return what measurements say that were linearised about ``at``, shape (PARAMETER_COUNT,)."""
-        matrix, gradient = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT)), np.zeros(PARAMETER_COUNT)
-        chi_square, count = 0.0, 0
+        joint = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT + 1))  # of information, and the gradient
+        gradient, chi_square, count = joint[:, -1], 0.0, 0
         for seen in measurements:
-            scaled = np.linalg.solve(seen.noise, np.column_stack((seen.residual, seen.slope)))
-            matrix += seen.slope.T @ scaled[:, 1:]
-            gradient += seen.slope.T @ scaled[:, 0]
+            sides = np.empty((len(seen.residual), PARAMETER_COUNT + 1))
+            sides[:, :-1], sides[:, -1] = seen.slope, seen.residual
+            scaled = np.linalg.solve(seen.noise, sides)
+            joint += seen.slope.T @ scaled
             if seen.overlap is not None:
                 gradient -= seen.overlap
-            chi_square += float(seen.residual @ scaled[:, 0])
+            chi_square += float(seen.residual @ scaled[:, -1])
             count += len(seen.residual)
-        matrix = (matrix + matrix.T) / 2.0
+        matrix = (joint[:, :-1] + joint[:, :-1].T) / 2.0
         return cls(
             matrix=matrix,
             vector=matrix @ at + gradient,

@@ -58,7 +58,7 @@ class PressureDrive:
     open_drag_ratio: float = 1.0  # of the drag of an open pack to what is believed
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class FilmTrack:
     """Film of one clutch on the even grid."""
 
@@ -118,19 +118,19 @@ def integrate_film(
         open_drag_ratio=drive.open_drag_ratio,
         step_s=step * GRID_S,
     )
-    rows = _Rows(*(np.zeros(len(driven.piston_pa)) for _ in _Rows._fields))
-    final_k = _integrate(driven, law, friction_law(nominal.friction), heat, rows)
-    count = len(drive.piston_pa[:stop])
-    tracks = {name: filled(row, step, count, len(drive.piston_pa)) for name, row in rows._asdict().items()}
-    return FilmTrack(**tracks, final_clutch_k=final_k)
+    found = np.empty((len(_Rows._fields), len(driven.piston_pa)))
+    final_k = _integrate(driven, law, friction_law(nominal.friction), heat, _Rows(*found))
+    length = len(drive.piston_pa)
+    count = length if stop is None else min(stop, length)
+    return FilmTrack(*_filled(found, step, count, length), final_clutch_k=final_k)
 
 
-def filled(row: FloatArray, step: int, count: int, length: int) -> FloatArray:
-    """Return a row (or columns) of a coarse grid on the even grid, zero beyond ``count`` points."""
+def _filled(found: FloatArray, step: int, count: int, length: int) -> FloatArray:
+    """Return rows on a coarse grid, shape (rows, n), on the even grid, zero beyond ``count`` points."""
     if step == 1 and count == length:
-        return row
-    whole = np.zeros((length, *row.shape[1:]))
-    whole[:count] = np.repeat(row, step, axis=0)[:count]
+        return found
+    whole = np.zeros((len(found), length))
+    whole[:, :count] = np.repeat(found, step, axis=1)[:, :count]
     return whole
 
 

@@ -10,6 +10,7 @@ from statistics import NormalDist
 import numpy as np
 
 from canlog.arrays import FloatArray
+from diag_service.diagnosis.friction.evidence import Knowledge
 from diag_service.diagnosis.friction.parameters import (
     FRICTION_COUNT,
     PARAMETER_COUNT,
@@ -28,14 +29,10 @@ _AREAS = (STATE_COUNT + Considered.PISTON_AREA1, STATE_COUNT + Considered.PISTON
 
 def friction(state: Posterior, clutch: int) -> FrictionEstimate:
     """Return the friction of clutch 1 or 2 as now estimated."""
-    known, rows = state.known, friction_rows(clutch)
-    gain = state.torque_gain + known.mean[_GAIN]
-    mu = known.mean[rows] / gain
-    slope = np.zeros((2, PARAMETER_COUNT))
-    slope[:, rows] = np.eye(2) / gain
-    slope[:, _GAIN] = -mu / gain
-    total = slope @ known.covariance @ slope.T + np.diag((MODEL_STD_RATIO * mu) ** 2)
-    std, free = np.sqrt(np.diag(total)), scale_free(state, clutch)
+    known, gain = state.known, state.torque_gain + state.known.mean[_GAIN]
+    mu = known.mean[friction_rows(clutch)] / gain
+    total = _covariance(known, clutch, _GAIN, 1.0 / gain, -mu / gain) + np.diag((MODEL_STD_RATIO * mu) ** 2)
+    std, free = np.sqrt(total.diagonal()), scale_free(state, clutch)
     width = state.stribeck_speed_rad_s[clutch - 1] * (1.0 + float(known.mean[_WIDTH]))
     std_difference = float(np.sqrt(total[0, 0] + total[1, 1] - 2.0 * total[0, 1]))
     mu_c, mu_s = mu.tolist()
@@ -58,14 +55,11 @@ def scale_free(state: Posterior, clutch: int) -> ScaleFreeFriction:
 
     The area counts as a ratio to what the calibration says.
     """
-    known, rows, area = state.known, friction_rows(clutch), _AREAS[clutch - 1]
+    known, own, area = state.known, state.known.mean[friction_rows(clutch)], _AREAS[clutch - 1]
     area_ratio = 1.0 + known.mean[area]
-    mu = known.mean[rows] * area_ratio
-    slope = np.zeros((2, PARAMETER_COUNT))
-    slope[:, rows] = np.eye(2) * area_ratio
-    slope[:, area] = known.mean[rows]
-    covariance = slope @ known.covariance @ slope.T + np.diag((MODEL_STD_RATIO * mu) ** 2)
-    std = np.sqrt(np.diag(covariance))
+    mu = own * area_ratio
+    covariance = _covariance(known, clutch, area, area_ratio, own) + np.diag((MODEL_STD_RATIO * mu) ** 2)
+    std = np.sqrt(covariance.diagonal())
     return ScaleFreeFriction(
         mu_c=float(mu[0]),
         mu_s=float(mu[1]),
@@ -73,6 +67,18 @@ def scale_free(state: Posterior, clutch: int) -> ScaleFreeFriction:
         std_mu_s=float(std[1]),
         correlation=float(covariance[0, 1] / (std[0] * std[1])),
     )
+
+
+def _covariance(known: Knowledge, clutch: int, scale: int, by_friction: float, by_scale: FloatArray) -> FloatArray:
+    """Return the covariance of both coefficients of a clutch, shape (2, 2), by their slopes.
+
+    ``by_friction`` is the slope over each coefficient itself, ``by_scale`` those over the parameter that scales both,
+    shape (2,).
+    """
+    rows = friction_rows(clutch)
+    own, shared = known.covariance[rows, rows], np.outer(by_friction * known.covariance[rows, scale], by_scale)
+    scales = known.covariance[scale, scale] * np.outer(by_scale, by_scale)
+    return np.asarray(by_friction**2 * own + shared + shared.T + scales)
 
 
 def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalDist:

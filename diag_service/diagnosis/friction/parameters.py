@@ -1,7 +1,7 @@
 """What a shift depends on: the parameters that the estimator estimates and those that it only considers."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import IntEnum
 
@@ -12,6 +12,7 @@ from clutch_model.calibration import Calibration
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.errors import CalibrationError
 from clutch_model.gears import both_clutches
+from clutch_model.knowledge import SensorBias
 
 FRICTION_PRIOR_STD = 0.05  # a third of any lining's friction: weak against a single shift
 
@@ -145,28 +146,30 @@ def displaced(calibration: Calibration, mean: FloatArray) -> Calibration:
     mean : (len(NAMES),) array
         States, which a calibration holds as biases, and displacements of the considered parameters.
     """
-    at = moved(calibration, dict(zip(Considered, mean[STATE_COUNT:].tolist(), strict=True)))
     bias = replace(
-        at.bias,
+        calibration.bias,
         torque_offset_nm=float(mean[State.TORQUE_OFFSET]),
         touch_offsets_pa=(float(mean[State.TOUCH1]), float(mean[State.TOUCH2])),
         pressure_zeros_pa=(float(mean[State.ZERO1]), float(mean[State.ZERO2])),
     )
-    return replace(at, bias=bias)
+    return _moved(calibration, mean[STATE_COUNT:].tolist(), bias)
 
 
 def moved(calibration: Calibration, displacements: Mapping[Considered, float]) -> Calibration:
     """Return a calibration with some considered parameters displaced; the others stay as they are."""
-    by = dict.fromkeys(Considered, 0.0) | dict(displacements)
-    bias, side, oil = calibration.bias, calibration.input_side, calibration.viscosity
-    clutches = both_clutches(
-        _moved_clutch(clutch, by[area], by)
-        for clutch, area in zip(calibration.clutches, (Considered.PISTON_AREA1, Considered.PISTON_AREA2), strict=True)
-    )
+    return _moved(calibration, [displacements.get(one, 0.0) for one in Considered], calibration.bias)
+
+
+def _moved(calibration: Calibration, by: Sequence[float], bias: SensorBias) -> Calibration:
+    """Return a calibration with another bias, which is displaced with all the rest by each of `Considered`."""
+    side, oil, (first, second) = calibration.input_side, calibration.viscosity, calibration.clutches
     shafts_ratio = 1.0 + by[Considered.SHAFT_INERTIA]
     return replace(
         calibration,
-        clutches=clutches,
+        clutches=(
+            _moved_clutch(first, by[Considered.PISTON_AREA1], by),
+            _moved_clutch(second, by[Considered.PISTON_AREA2], by),
+        ),
         viscosity=replace(oil, a_pa_s=oil.a_pa_s * (1.0 + by[Considered.VISCOSITY])),
         input_side=replace(
             side,
@@ -183,7 +186,7 @@ def moved(calibration: Calibration, displacements: Mapping[Considered, float]) -
     )
 
 
-def _moved_clutch(clutch: ClutchCalibration, area_ratio: float, by: Mapping[Considered, float]) -> ClutchCalibration:
+def _moved_clutch(clutch: ClutchCalibration, area_ratio: float, by: Sequence[float]) -> ClutchCalibration:
     """Return a clutch with another piston and lining; its springs stay, so its touch pressure moves with the area."""
     curve, film, geometry = clutch.friction, clutch.film, clutch.geometry
     width_rad_s = curve.stribeck_speed_rad_s * (1.0 + by[Considered.STRIBECK_SPEED])

@@ -20,7 +20,6 @@ from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.balance import (
     Balance,
     contact_lever_m3,
-    contacts_nm,
     direction,
     friction_pairs,
     integrate_films,
@@ -112,7 +111,15 @@ class Sensitivity:
         self._tracks = both_clutches(  # a command shows how a clutch is filled less well than how it heats up
             replace(track, clutch_k=seen.clutch_k) for track, seen in zip(planned, balance.tracks, strict=True)
         )
-        self._contacts_nm = contacts_nm(self._planned, self._tracks, balance.calibration, balance.weights.rows)
+        rows = balance.weights.rows
+        self._levers_m3 = both_clutches(
+            contact_lever_m3(clutch, drive.slip_rad_s[rows])
+            for clutch, drive in zip(balance.calibration.clutches, self._planned, strict=True)
+        )
+        self._contacts_nm = both_clutches(
+            lever_m3 * track.contact_pa[rows, None]
+            for lever_m3, track in zip(self._levers_m3, self._tracks, strict=True)
+        )
         self._nominal = weigh(balance.weights, self._contacts_nm, self._tracks)
         self.noises = self._noises()
         self.slope = self._slope()
@@ -148,8 +155,7 @@ class Sensitivity:
         rows, considered = balance.weights.rows, slope[:, STATE_COUNT:]
         clutch_k, stop = balance.tracks[m].clutch_k, balance.window.stop
         tangents = film_tangents(m + 1, drive, clutch_k, balance.calibration, stop)
-        lever_m3 = contact_lever_m3(balance.calibration.clutches[m], drive.slip_rad_s[rows]) @ mu
-        torques_nm = lever_m3[:, None] * tangents.contact_pa[rows] + tangents.viscous_nm[rows]
+        torques_nm = (self._levers_m3[m] @ mu)[:, None] * tangents.contact_pa[rows] + tangents.viscous_nm[rows]
         answers = balance.weights.value @ torques_nm
         slope[:, State.TOUCH1 + m] = -answers[:, FilmCause.PRESSURE]
         slope[:, State.ZERO1 + m] = -answers[:, FilmCause.PRESSURE]

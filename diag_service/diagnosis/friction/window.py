@@ -1,5 +1,6 @@
 """The parts of an event that speak of friction, and the test functions and polynomials on them."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -8,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
+from canlog.jit import array_kernel
 from diag_service.diagnosis.alignment import GRID_S, Resampled
 
 SLIP_DEGREE = 5  # a controller's slip profile over one piece: smooth start, smooth end
@@ -86,26 +88,46 @@ def find_window(
     """
     if len(grid_s) < 2:
         return None
-    is_empty = over_touch_pa < RELEASED_PA
-    does_slip = np.abs(slip_rad_s) > SLIP_MIN_RAD_S
-    is_told = (is_empty | does_slip).all(axis=0) & (over_touch_pa > LOADED_PA).any(axis=0) & is_seen
-    for way, counts in zip(np.sign(slip_rad_s), ~is_empty & does_slip, strict=True):
-        is_told[_turns(way, counts)] = False
+    is_told, is_rest = np.empty((2, len(grid_s)), np.bool_)
+    _mark(grid_s, slip_rad_s, over_touch_pa, is_seen, np.zeros(2), is_told, is_rest)
     step_s = float(grid_s[1] - grid_s[0])
     fade, least = round(FADE_S / step_s), round(MIN_PIECE_S / step_s)
-    is_told &= grid_s >= 0.0
     stretches = [(first + fade, stop) for first, stop in _stretches(is_told) if stop - first >= fade + least]
     pieces = [piece for first, stop in stretches for piece in _pieces(first, stop, round(MAX_PIECE_S / step_s))]
-    is_rest = (over_touch_pa < RESTING_PA).all(axis=0) & is_seen & (grid_s < 0.0)
     rests = [rest for rest in _stretches(is_rest) if rest[1] - rest[0] >= round(MIN_REST_S / step_s)]
     rest = [Piece(first=first, stop=stop, is_rest=True) for first, stop in rests[-1:]]
     return SlipWindow(pieces=(*rest, *pieces)) if pieces else None
 
 
-def _turns(way: FloatArray, counts: BoolArray) -> Sequence[int]:
-    """Return the rows at which a sign is another than it was in the last row that counts."""
-    rows = np.flatnonzero(counts)
-    return [int(row) for row in rows[1:][np.diff(way[rows]) != 0.0]]
+@array_kernel
+def _mark(
+    grid_s: FloatArray, slip_rad_s: FloatArray, over_touch_pa: FloatArray, is_seen: BoolArray, way: FloatArray,
+    is_told: BoolArray, is_rest: BoolArray,
+) -> None:  # fmt: skip
+    """Fill where a clutch is loaded and each one slips as it did or carries nothing, and where both rest before.
+
+    ``way`` is the sign of the last slip under load of each clutch, zero at first.
+    """
+    for row in range(len(grid_s)):
+        is_loaded, is_open, do_slip = False, True, True
+        for m in range(2):
+            slip, over_pa = slip_rad_s[m, row], over_touch_pa[m, row]
+            is_loaded |= over_pa > LOADED_PA
+            is_open &= over_pa < RESTING_PA
+            if over_pa < RELEASED_PA:
+                continue
+            if abs(slip) > SLIP_MIN_RAD_S:
+                do_slip &= slip * way[m] >= 0.0
+                way[m] = math.copysign(1.0, slip)
+            else:
+                do_slip = False
+        is_told[row] = is_loaded and do_slip and is_seen[row] and grid_s[row] >= 0.0
+        is_rest[row] = is_open and is_seen[row] and grid_s[row] < 0.0
+
+
+def compile_window() -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    find_window(np.arange(2.0), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2, np.bool_))
 
 
 def _stretches(is_told: BoolArray) -> list[list[int]]:
