@@ -62,7 +62,7 @@ class Resampled:
     def around_samples(self, values: FloatArray, rows: slice) -> FloatArray:
         """Return values on rows of the grid as means around the samples of `to_samples`, shape (n,)."""
         left = self.left[rows]
-        means, weight = np.zeros((2, left[-1] + 2 - left[0]))
+        means, weight = (np.zeros(left[-1] + 2 - left[0]) for _ in range(2))
         _average(values, left, self.share[rows], means, weight)
         return means
 

@@ -7,7 +7,7 @@ samples. Knowledge is a mean with its covariance; docs/model.md, section "Estima
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 
@@ -139,7 +139,7 @@ def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
     moved = _prepare_fusion(
         earlier.mean, earlier.covariance, evidence.matrix, evidence.vector, scale, spread, inner, gradient
     )
-    left = np.linalg.inv(inner)
+    left = np.asarray(np.linalg.inv(inner))
     mean, (covariance, kept) = np.empty(count), np.empty((2, count, count))
     saved = _finish_fusion(left, earlier.mean, scale, spread, gradient, mean, covariance, kept)
     return Fusion(

@@ -105,9 +105,7 @@ def compile_tangents(calibration: Calibration) -> None:
 
 
 @array_kernel
-def _follow(
-    moved: _Moved, law: FilmLaw, oil: _Oil, by: FloatArray, contact: FloatArray, viscous: FloatArray
-) -> None:
+def _follow(moved: _Moved, law: FilmLaw, oil: _Oil, by: FloatArray, contact: FloatArray, viscous: FloatArray) -> None:
     """Fill the derivatives; ``by`` are those of the film itself [m], zero at first."""
     film_m = equilibrium_film_m(applied_pressure_pa(moved.piston_pa[0], law), law)
     point = film_point(film_m, law)

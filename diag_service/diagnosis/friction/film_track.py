@@ -58,7 +58,7 @@ class PressureDrive:
     open_drag_ratio: float = 1.0  # of the drag of an open pack to what is believed
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FilmTrack:
     """Film of one clutch on the even grid."""
 
@@ -122,7 +122,15 @@ def integrate_film(
     final_k = _integrate(driven, law, friction_law(nominal.friction), heat, _Rows(*found))
     length = len(drive.piston_pa)
     count = length if stop is None else min(stop, length)
-    return FilmTrack(*_filled(found, step, count, length), final_clutch_k=final_k)
+    contact_pa, viscous_nm, open_nm, doubt_nm, clutch_k = _filled(found, step, count, length)
+    return FilmTrack(
+        contact_pa=contact_pa,
+        viscous_nm=viscous_nm,
+        open_nm=open_nm,
+        doubt_nm=doubt_nm,
+        clutch_k=clutch_k,
+        final_clutch_k=final_k,
+    )
 
 
 def _filled(found: FloatArray, step: int, count: int, length: int) -> FloatArray:

@@ -1,7 +1,7 @@
 """What a shift depends on: the parameters that the estimator estimates and those that it only considers."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import IntEnum
 
@@ -12,7 +12,6 @@ from clutch_model.calibration import Calibration
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.errors import CalibrationError
 from clutch_model.gears import both_clutches
-from clutch_model.knowledge import SensorBias
 
 FRICTION_PRIOR_STD = 0.05  # a third of any lining's friction: weak against a single shift
 
@@ -146,22 +145,7 @@ def displaced(calibration: Calibration, mean: FloatArray) -> Calibration:
     mean : (len(NAMES),) array
         States, which a calibration holds as biases, and displacements of the considered parameters.
     """
-    bias = replace(
-        calibration.bias,
-        torque_offset_nm=float(mean[State.TORQUE_OFFSET]),
-        touch_offsets_pa=(float(mean[State.TOUCH1]), float(mean[State.TOUCH2])),
-        pressure_zeros_pa=(float(mean[State.ZERO1]), float(mean[State.ZERO2])),
-    )
-    return _moved(calibration, mean[STATE_COUNT:].tolist(), bias)
-
-
-def moved(calibration: Calibration, displacements: Mapping[Considered, float]) -> Calibration:
-    """Return a calibration with some considered parameters displaced; the others stay as they are."""
-    return _moved(calibration, [displacements.get(one, 0.0) for one in Considered], calibration.bias)
-
-
-def _moved(calibration: Calibration, by: Sequence[float], bias: SensorBias) -> Calibration:
-    """Return a calibration with another bias, which is displaced with all the rest by each of `Considered`."""
+    by, bias = mean[STATE_COUNT:].tolist(), calibration.bias
     side, oil, (first, second) = calibration.input_side, calibration.viscosity, calibration.clutches
     shafts_ratio = 1.0 + by[Considered.SHAFT_INERTIA]
     return replace(
@@ -182,6 +166,9 @@ def _moved(calibration: Calibration, by: Sequence[float], bias: SensorBias) -> C
             motoring_gain=bias.motoring_gain + by[Considered.MOTORING_GAIN],
             torque_latency_s=bias.torque_latency_s + by[Considered.TORQUE_LATENCY],
             pressure_latency_s=bias.pressure_latency_s + by[Considered.PRESSURE_LATENCY],
+            torque_offset_nm=float(mean[State.TORQUE_OFFSET]),
+            touch_offsets_pa=(float(mean[State.TOUCH1]), float(mean[State.TOUCH2])),
+            pressure_zeros_pa=(float(mean[State.ZERO1]), float(mean[State.ZERO2])),
         ),
     )
 

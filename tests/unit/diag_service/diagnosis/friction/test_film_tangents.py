@@ -12,7 +12,8 @@ from clutch_model.calibration import Calibration, nominal_calibration
 from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.film_tangents import FilmCause, film_tangents
 from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_film
-from diag_service.diagnosis.friction.parameters import Considered, moved
+from diag_service.diagnosis.friction.parameters import STATE_COUNT, Considered, displaced
+from diag_service.diagnosis.friction.posterior import Posterior
 
 CALIBRATION: Final = nominal_calibration()
 GRID: Final = GRID_S * np.arange(900.0)
@@ -32,7 +33,9 @@ def of_pressure(piston_pa: FloatArray) -> tuple[PressureDrive, Calibration]:
 
 
 def of_law(parameter: Considered) -> Change:
-    return lambda size: (PLAIN, moved(CALIBRATION, {parameter: size}))
+    at = Posterior.fresh(CALIBRATION).base.mean
+    place = np.arange(len(at)) == STATE_COUNT + parameter
+    return lambda size: (PLAIN, displaced(CALIBRATION, at + size * place))
 
 
 CHANGES: Final[dict[FilmCause, tuple[float, Change]]] = {
