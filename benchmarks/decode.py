@@ -131,7 +131,7 @@ def report_logs(count: int) -> None:
     """Print what a long log takes in both formats."""
     with TemporaryDirectory() as name:
         folder = Path(name)
-        drive = record_drive(folder, CYCLES)
+        drive = record_drive(folder, "--cycles", str(CYCLES))
         candump, blf = folder / "hour.log", folder / "hour.blf"
         duration_s = write_hour(drive, count, candump, blf)
         results_of(folder / "drive.log")  # compiles what is not compiled

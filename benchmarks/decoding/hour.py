@@ -19,10 +19,10 @@ NS_PER_S: Final = 1_000_000_000
 PAUSE_NS: Final = 2 * NS_PER_S  # bus time stands still between the drives: each is a segment of its own
 
 
-def record_drive(folder: Path, cycles: int) -> FrameBatch:
+def record_drive(folder: Path, *options: str) -> FrameBatch:
     """Return the frames of a drive with production scatter, as the emulator's users record them."""
     path = folder / "drive.log"
-    command = [sys.executable, "-m", "ecu_emulator", "record", str(path), "--cycles", str(cycles)]
+    command = [sys.executable, "-m", "ecu_emulator", "record", str(path), *options]
     subprocess.run(command, check=True, capture_output=True)
     return join(list(read_log(path)))
 

@@ -20,7 +20,7 @@ from diag_service.diagnosis.results import iso_utc, parse_shift, utc_from_bus_ns
 from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftStatistics, Summary, frames_line, with_new_fluid
 from diag_service.errors import ResultError, StoreFullError
 from diag_service.mapping.decoder import Decoder
-from diag_service.service.stages import Stages
+from diag_service.service.stages import Diagnosis, Stages
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore, VehicleState, Versions
 
@@ -64,7 +64,7 @@ class Session:
         self.statistics = ShiftStatistics()
         self.fluid = store.fluid_at(self.vehicle, utc_now()) if stream is None else None  # as far as its fill is known
         self._earlier = last_results(store, self.vehicle, self._versions) if stream is None else {}
-        self._pending: deque[tuple[ShiftResult, VehicleState]] = deque()  # what a full disk did not take yet
+        self._pending: deque[tuple[ShiftResult, VehicleState | None]] = deque()  # what a full disk did not take yet
         self._max_pending_count = max_pending_count
         self._is_disk_full = False
         self.given_up_count = 0  # results that never found room on the disk
@@ -184,7 +184,7 @@ class Session:
             return result
         return with_new_fluid(result)
 
-    def _diagnose(self, event: Event) -> tuple[ShiftResult, VehicleState]:
+    def _diagnose(self, event: Event) -> tuple[ShiftResult, VehicleState | None]:
         self._note_fluid(event)
         with self.progress.working(Stage.ESTIMATE):
             diagnosis = self.stages.conclude(event)
@@ -199,10 +199,12 @@ class Session:
             calibration_version=self._versions.calibration,
             produced_at=self._utc_now() if is_live else utc_from_bus_ns(event.end_ns),
         )
-        state = VehicleState(
+        return result, self._state_after(diagnosis) if self._store.keeps_state else None
+
+    def _state_after(self, diagnosis: Diagnosis) -> VehicleState:
+        return VehicleState(
             filter_state=diagnosis.state.to_json(), condition=diagnosis.memory.to_json(), versions=self._versions
         )
-        return result, state
 
 
 def versions_for(calibration: Calibration) -> Versions:

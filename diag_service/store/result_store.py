@@ -63,7 +63,10 @@ class ResultStore:
         lock_descriptor: int | None,
         where: str,
         budget_bytes: int | None = None,
+        *,
+        keeps_state: bool = True,
     ) -> None:
+        self.keeps_state = keeps_state
         self._connection = connection
         self._lock_descriptor = lock_descriptor
         self._budget_bytes = budget_bytes
@@ -90,9 +93,9 @@ class ResultStore:
         return store
 
     @classmethod
-    def in_memory(cls) -> Self:
-        """Return a store that ends with the process."""
-        return cls(connect_in_memory(), None, "memory")
+    def in_memory(cls, *, keeps_state: bool = False) -> Self:
+        """Return a store that ends with the process; nobody takes up a state in it unless a session follows another."""
+        return cls(connect_in_memory(), None, "memory", keeps_state=keeps_state)
 
     def close(self) -> None:
         """Close the store and let others have it; closing twice does no harm."""
@@ -116,13 +119,16 @@ class ResultStore:
         with self._transaction() as sql:
             return self._last_seq(sql) + 1
 
-    def add(self, result: ShiftResult, state: VehicleState) -> bool:
+    def add(self, result: ShiftResult, state: VehicleState | None) -> bool:
         """Store a result and the state after it, both or neither; False if the key is already there.
+
+        Without a state the one that is stored stays.
 
         Raises StoreError if the disk does not take it; nothing was stored then. Raises ResultError if the result holds
         a number that is not finite.
         """
-        text, filter_state, condition = dump(shift_record(result)), dump(state.filter_state), dump(state.condition)
+        text = dump(shift_record(result))
+        running = None if state is None else _state_row(result.vehicle, state)
         with self._transaction() as sql:
             inserted = sql.execute(
                 "INSERT OR IGNORE INTO result"
@@ -132,10 +138,8 @@ class ResultStore:
             )
             if inserted.rowcount == 0:
                 return False
-            sql.execute(
-                "INSERT OR REPLACE INTO state VALUES (?, ?, ?, ?, ?)",
-                (result.vehicle, filter_state, condition, state.versions.algorithm, state.versions.calibration),
-            )
+            if running is not None:
+                sql.execute("INSERT OR REPLACE INTO state VALUES (?, ?, ?, ?, ?)", running)
             if result.stream == self.stream:
                 last_seq = max(self._last_seq(sql), result.seq)
                 sql.execute("INSERT OR REPLACE INTO meta VALUES ('last_seq', ?)", (str(last_seq),))
@@ -307,6 +311,11 @@ def _mark(sql: sqlite3.Connection, changes: Iterable[tuple[int, str | None, int]
         "UPDATE result SET published = ?, refusal = ? WHERE position = ? AND published = ?",
         [(*change, WAITING) for change in changes],
     )
+
+
+def _state_row(vehicle: str, state: VehicleState) -> tuple[str, ...]:
+    versions = state.versions
+    return vehicle, dump(state.filter_state), dump(state.condition), versions.algorithm, versions.calibration
 
 
 def _stored_result(row: tuple[int, str, str, int, str, str, int, str, str]) -> StoredResult:

@@ -47,7 +47,7 @@ class DoomedStore(ResultStore):
 
     step = Step.NONE
 
-    def add(self, result: ShiftResult, state: VehicleState) -> bool:
+    def add(self, result: ShiftResult, state: VehicleState | None) -> bool:
         die_at(self.step, Step.BEFORE_INSERT)
         is_new = super().add(result, state)
         die_at(self.step, Step.AFTER_INSERT)

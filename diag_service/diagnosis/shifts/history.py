@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from canlog.e2e.e2e_state import E2eChange, E2eState
-from canlog.e2e.own_cycle import own_period_ns
+from canlog.e2e.own_cycle import compile_now, own_period_ns
 from canlog.frames import BEFORE_ALL_NS
 from canlog.series import Series
 from diag_service.diagnosis.columns import ColumnBatch, Columns, Signal
@@ -22,6 +22,7 @@ class History:
 
     def __init__(self) -> None:
         self._rings = SampleRings()
+        compile_now()
         self._bad_ns: list[Int64Array] = []
         self._e2e: dict[str, list[E2eChange]] = {}
         self.watermark_ns = BEFORE_ALL_NS  # all that happened before it has been seen
@@ -56,7 +57,7 @@ class History:
     def cut(self, start_ns: int, stop_ns: int) -> Columns:
         """Return the samples of all signals with ``start_ns <= t_ns < stop_ns``, each with the cycle that it keeps."""
         found = sorted(self._rings.cut(start_ns, stop_ns).items())
-        return {signal: replace(series, period_ns=own_period_ns(series)) for signal, series in found}
+        return {signal: _at_own_cycle(series) for signal, series in found}
 
     def bad_frame_count(self, start_ns: int, stop_ns: int) -> int:
         """Return how many frames were rejected or missing in ``start_ns <= t_ns < stop_ns``."""
@@ -81,6 +82,11 @@ class History:
         self._bad_ns.clear()
         self._e2e.clear()
         self.watermark_ns = self.walked_ns = BEFORE_ALL_NS
+
+
+def _at_own_cycle(series: Series) -> Series:
+    own_ns = own_period_ns(series)
+    return series if own_ns == series.period_ns else replace(series, period_ns=own_ns)
 
 
 def _worst(changes: list[E2eChange], start_ns: int, stop_ns: int) -> E2eState:

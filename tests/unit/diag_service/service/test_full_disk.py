@@ -27,7 +27,7 @@ class FillingStore(ResultStore):
 
     is_full = False
 
-    def add(self, result: ShiftResult, state: VehicleState) -> bool:
+    def add(self, result: ShiftResult, state: VehicleState | None) -> bool:
         if self.is_full:
             raise StoreFullError("cannot use store x: database or disk is full")
         return super().add(result, state)

@@ -85,7 +85,7 @@ def cut(batch: FrameBatch, size: int) -> list[FrameBatch]:
 
 @pytest.fixture(name="store")
 def _store() -> Iterator[ResultStore]:
-    with closing(ResultStore.in_memory()) as store:
+    with closing(ResultStore.in_memory(keeps_state=True)) as store:
         yield store
 
 

@@ -1,0 +1,87 @@
+"""An hour of a WLTC's bus from its file to results, beside the time of decoding it, now and before a change.
+
+3.6 million frames as candump text and as BLF. What is timed is what the program does for a log in a folder: reading,
+decoding, finding shifts and launches, estimating, and the records that are written. Beside it stand reading and
+decoding alone, and both with what finds the shifts. ``--before`` names a folder with another version of this project,
+which is timed in turns with this one:
+
+    git worktree add ../before COMMIT
+    python -m benchmarks.hour --before ../before
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+import benchmarks.decoding.timed_hour as program
+from benchmarks.decoding.hour import record_drive, write_hour
+from benchmarks.measuring import machine
+
+ROUNDS: Final = 3
+TARGET: Final = 2.5
+HERE: Final = Path(__file__).parents[1]
+DECODE, FIND, ANALYSE = "decode", "find_shifts", "analyse"
+
+Times = dict[str, float]
+
+
+def measured(tree: Path, log: Path) -> Times:
+    """Return the times of one version in a process of its own."""
+    command = [sys.executable, "-P", str(Path(program.__file__)), str(log.absolute())]
+    variables = {**os.environ, "PYTHONPATH": str(tree.absolute())}
+    said = subprocess.run(command, check=True, capture_output=True, text=True, env=variables, cwd=tree).stdout
+    times: Times = json.loads(said)
+    return times
+
+
+def least(rounds: Sequence[Times]) -> Times:
+    """Return the least time of each step."""
+    return {name: min(one[name] for one in rounds) for name in rounds[0]}
+
+
+def told(name: str, found: dict[str, Times]) -> str:
+    """Return what a format takes, a line for each version, and what results cost in times of decoding."""
+    lines = [f"{name}: processor time [s], the least of {ROUNDS} rounds"]
+    lines += [
+        f"  {version:7} decoded {times[DECODE]:6.2f}, to shifts {times[FIND]:6.2f}, to results {times[ANALYSE]:6.2f}"
+        f"   ({times['events']:.0f} events, {1e3 * (times[ANALYSE] - times[FIND]) / times['events']:.2f} ms each)"
+        for version, times in found.items()
+    ]
+    result_s = found["now"][ANALYSE]
+    lines += [
+        f"  results now over {what} {version}: {result_s / times[step]:.2f}   target <= {TARGET}"
+        for version, times in found.items()
+        for step, what in ((DECODE, "decoding alone"), (FIND, "decoding to shifts"))
+    ]
+    if "before" in found:
+        lines += [f"  results before over now: {found['before'][ANALYSE] / result_s:.2f}"]
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Make the hour once, measure in turns, print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--frames", type=int, default=3_600_000)
+    parser.add_argument("--drive", default="wltc")
+    parser.add_argument("--before", type=Path, metavar="FOLDER", help="of another version of this project")
+    options = parser.parse_args(arguments)
+    trees = {"now": HERE} if options.before is None else {"before": options.before, "now": HERE}
+    print(machine())
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        candump, blf = folder / "hour.log", folder / "hour.blf"
+        duration_s = write_hour(record_drive(folder, "--drive", options.drive), options.frames, candump, blf)
+        print(f"{options.frames} frames of {options.drive}, {duration_s:.0f} s of bus")
+        for log, shown in ((candump, "candump"), (blf, "BLF")):
+            rounds = [{version: measured(tree, log) for version, tree in trees.items()} for _ in range(ROUNDS)]
+            print(told(shown, {version: least([one[version] for one in rounds]) for version in trees}), flush=True)
+
+
+if __name__ == "__main__":
+    main()
