@@ -158,15 +158,15 @@ def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibrati
     if np.count_nonzero(use) * GRID_S < MIN_WINDOW_S:
         return None
     inertia_nm = calibration.input_side.engine_inertia_kg_m2 * _acceleration(grid.event, grid.t_s[use])
-    asked_nm = asked_nm[use]
-    transmitted_nm = engine_nm[use] - inertia_nm
+    asked_nm, engine_nm = asked_nm[use], engine_nm[use]
+    transmitted_nm = engine_nm - inertia_nm
     weight = asked_nm / float(asked_nm @ asked_nm)
     ratio = float(weight @ transmitted_nm)
     residual_nm = transmitted_nm - ratio * asked_nm
     spread = calibration.uncertainty
     parts = (
         math.sqrt(float(residual_nm @ residual_nm) / len(asked_nm) * float(weight @ weight) * CORRELATION_S / GRID_S),
-        spread.torque_gain_ratio * float(weight @ engine_nm[use]),
+        spread.torque_gain_ratio * float(weight @ engine_nm),
         spread.torque_offset_nm * float(weight.sum()),
         INERTIA_STD_RATIO * float(weight @ inertia_nm),
     )

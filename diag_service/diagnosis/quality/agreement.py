@@ -1,6 +1,7 @@
 """How well sensors agree that must, over the samples of a whole shift: no balance of torques is needed for it."""
 
 import math
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -36,7 +37,7 @@ def agreement(event: Event, limits: QualityLimits = LIMITS) -> float | None:
 def compile_agreement() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     one = Series(t_ns=np.zeros(1, np.int64), sequence=np.zeros(1, np.int64), value=np.zeros(1))
-    _ratio(one, one, _NEVER, LIMITS)
+    _divide(one.t_ns, one.value, _at(one, one), _NEVER, 0.0, 0.0, np.empty(1), 0)
 
 
 def _wheels(event: Event, limits: QualityLimits) -> float | None:
@@ -50,24 +51,23 @@ def _wheels(event: Event, limits: QualityLimits) -> float | None:
         return None
     changes_ns = _gear_changes_ns(columns)
     wheels = [columns[signal] for signal in _WHEELS if signal in columns]
-    ratios = [ratio for wheel in wheels if len(ratio := _ratio(wheel, output, changes_ns, limits))]
-    if not ratios:
+    ratios, ends = np.empty(sum(len(wheel.t_ns) for wheel in wheels)), [0]
+    least_m_s, ringing_s = limits.least_wheel_m_s, limits.ringing_s
+    for wheel in wheels:
+        turning = _at(output, wheel)
+        ends.append(_divide(wheel.t_ns, wheel.value, turning, changes_ns, least_m_s, ringing_s, ratios, ends[-1]))
+    found = ratios[: ends[-1]]
+    if not len(found):
         return None
-    middle = median(np.concatenate(ratios))
-    return limits.wheel_ratio.score(max(math.sqrt(mean((ratio / middle - 1.0) ** 2)) for ratio in ratios))
+    squares = (found / median(found) - 1.0) ** 2
+    worst = max(mean(squares[first:stop]) for first, stop in pairwise(ends) if first < stop)
+    return limits.wheel_ratio.score(math.sqrt(worst))
 
 
 def _gear_changes_ns(columns: Columns) -> Int64Array:
     """Return when a shaft says that it has a new gear, as far as one does."""
     gears = [columns[signal] for signal in SHAFT_GEARS if signal in columns]
     return np.concatenate([_NEVER, *(gear.t_ns[1:][np.diff(gear.value) != 0.0] for gear in gears)])
-
-
-def _ratio(wheel: Series, output: Series, changes_ns: Int64Array, limits: QualityLimits) -> FloatArray:
-    """Return the speed of a wheel over that of the output, sample by sample where both turn and no shaft rings."""
-    turning, ratio = _at(output, wheel), np.empty(len(wheel.t_ns))
-    count = _divide(wheel.t_ns, wheel.value, turning, changes_ns, limits.least_wheel_m_s, limits.ringing_s, ratio)
-    return ratio[:count]
 
 
 @array_kernel
@@ -78,18 +78,19 @@ def _divide(
     changes_ns: Int64Array,
     least_m_s: float,
     ringing_s: float,
-    ratio: FloatArray,
+    ratios: FloatArray,
+    first: int,
 ) -> int:
-    """Fill in the ratios of a wheel from the beginning, and return how many there are."""
-    count = 0
+    """Fill in a wheel's speed over that of the output where both turn and no shaft rings; return where it ends."""
+    stop = first
     for row in range(len(t_ns)):
         is_told = wheel_m_s[row] > least_m_s and output_rad_s[row] > 0.0
         for change_ns in changes_ns:
             is_told = is_told and abs(t_ns[row] - change_ns) * NS_TO_S > ringing_s
         if is_told:
-            ratio[count] = wheel_m_s[row] / output_rad_s[row]
-            count += 1
-    return count
+            ratios[stop] = wheel_m_s[row] / output_rad_s[row]
+            stop += 1
+    return stop
 
 
 def _hub(columns: Columns, limits: QualityLimits) -> float | None:
