@@ -13,7 +13,7 @@ from tests.support.fleet import fleet_result, row_of
 PER_DAY: Final = 150  # results of one clutch of a vehicle that is driven
 _NEW: Final = {
     "vehicle": "'h' || v",
-    "seq": "2 * round(extract(epoch FROM t - CAST(:first AS timestamptz)) / CAST(:step_s AS numeric))::bigint + c",
+    "seq": "2 * round(extract(epoch FROM t - CAST(:origin AS timestamptz)) / CAST(:step_s AS numeric))::bigint + c",
     "clutch": "c",
     "number": "1",
     "produced_at": "t",
@@ -42,8 +42,19 @@ def make_fleet(engine: Engine, vehicle_count: int) -> None:
         )
 
 
-def make_results(engine: Engine, vehicle_count: int, first: datetime, last: datetime, per_day: float = PER_DAY) -> int:
-    """Make results of all clutches from one moment to another, month by month; return how many."""
+def make_results(
+    engine: Engine,
+    vehicle_count: int,
+    first: datetime,
+    last: datetime,
+    per_day: float = PER_DAY,
+    *,
+    origin: datetime | None = None,
+) -> int:
+    """Make results of all clutches from one moment to another, month by month; return how many.
+
+    Positions count from ``origin`` (default: ``first``), so that a fleet without a past can have those of one with it.
+    """
     sample = row_of(fleet_result())
     names = list(sample)
     columns = ", ".join(names)
@@ -55,13 +66,22 @@ def make_results(engine: Engine, vehicle_count: int, first: datetime, last: date
         " generate_series(1, :count) AS v, generate_series(1, 2) AS c"
     )
     made, step_s = 0, 86400.0 / per_day
+    origin = first if origin is None else origin
     start = first.date().replace(day=1)
     for month in months_between(start, months_on(last.date().replace(day=1), 1)):
         begin = datetime(month.year, month.month, 1, tzinfo=UTC)
         begin = first + timedelta(seconds=step_s * max(0, ceil((begin - first).total_seconds() / step_s)))
         following = months_on(month, 1)
         end = min(last, datetime(following.year, following.month, 1, tzinfo=UTC)) - timedelta(milliseconds=1)
-        span = {"begin": begin, "end": end, "step": f"{step_s} seconds", "first": first, "last": last, "step_s": step_s}
+        span = {
+            "begin": begin,
+            "end": end,
+            "step": f"{step_s} seconds",
+            "first": first,
+            "origin": origin,
+            "last": last,
+            "step_s": step_s,
+        }
         with transaction(engine) as connection:
             connection.exec_driver_sql("SET LOCAL synchronous_commit = off")
             made += connection.execute(statement, {**fixed, **span, "count": vehicle_count}).rowcount

@@ -41,6 +41,7 @@ FIRST_SEQ = 1_000_001
 CALIBRATED = 20_000
 LOOK_S = 0.5
 RETRY_S = 1.0
+LONGEST_PAUSE_S = 60.0  # between attempts of a vehicle that is cut off
 GIVEN_UP = 2.0  # times the aim
 _PUBLISH, _SUBACK, _PUBACK = 3, 9, 0x40
 _NAME, _SEQ = b"v000000", b"7654321"
@@ -60,9 +61,9 @@ class Template:
 
 
 class Vehicle(asyncio.Protocol):
-    """One vehicle: connects, sends its newest first, and goes when all are acknowledged."""
+    """One vehicle: connects, sends its newest first, comes back where it is cut off, goes when all are acknowledged."""
 
-    def __init__(self, number: int, results: int, template: Template, done: "asyncio.Future[None]") -> None:
+    def __init__(self, number: int, results: int, template: Template) -> None:
         self.name = f"v{number:06}".encode()
         self.waiting = dict.fromkeys(range(FIRST_SEQ + results - 1, FIRST_SEQ - 1, -1))
         self.newest = FIRST_SEQ + results - 1
@@ -70,17 +71,28 @@ class Vehicle(asyncio.Protocol):
         self.newest_s: float | None = None
         self.is_in_order = False  # the newest was among the first to be acknowledged
         self.resent_count = 0
+        self.lost_count = 0  # connections
+        self.gone = asyncio.Event()  # this connection
         self._template = template
-        self._done = done
         self._buffer = bytearray()
         self._transport: asyncio.Transport | None = None
+        self._probe: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         if not isinstance(transport, asyncio.Transport):
             raise TypeError("no stream")
         self._transport = transport
+        self._buffer.clear()
+        self.gone.clear()
         topic = topic_of(self.name.decode(), Channel.ACK)
         transport.write(connect_packet(self.name.decode()) + subscribe_packet([topic]))
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        del exc
+        self.lost_count += bool(self.waiting)
+        if self._probe is not None:
+            self._probe.cancel()
+        self.gone.set()
 
     def data_received(self, data: bytes) -> None:
         self._buffer += data
@@ -101,7 +113,8 @@ class Vehicle(asyncio.Protocol):
         self._transport.write(b"".join(made))
 
     def _look_again(self, pause_s: float) -> None:
-        asyncio.get_running_loop().call_later(pause_s, self._send_again, pause_s, len(self.waiting))
+        loop = asyncio.get_running_loop()
+        self._probe = loop.call_later(pause_s, self._send_again, pause_s, len(self.waiting))
 
     def _send_again(self, pause_s: float, waited: int) -> None:
         """Ask with one result, ever more seldom, while nothing is heard; in the end with all."""
@@ -126,10 +139,8 @@ class Vehicle(asyncio.Protocol):
             self.newest_s = time.perf_counter() - self.began_s
         for seq in seqs:
             self.waiting.pop(seq, None)
-        if not self.waiting and not self._done.done():
-            self._done.set_result(None)
-            if self._transport is not None:
-                self._transport.close()
+        if not self.waiting and self._transport is not None:
+            self._transport.close()
 
 
 async def _connect(vehicle: Vehicle, port: int) -> None:
@@ -151,12 +162,14 @@ async def storm(port: int, vehicle_count: int, results: int, window_s: float, ti
 
     async def drive(number: int) -> Vehicle:
         await asyncio.sleep(rng.uniform(0.0, window_s))
-        done: asyncio.Future[None] = loop.create_future()
-        vehicle = Vehicle(number, results, template, done)
+        vehicle = Vehicle(number, results, template)
         with suppress(TimeoutError):
             async with asyncio.timeout_at(end_s):
-                await _connect(vehicle, port)
-                await done
+                while vehicle.waiting:
+                    await _connect(vehicle, port)
+                    await vehicle.gone.wait()
+                    pause_s = min(LONGEST_PAUSE_S, RETRY_S * 2.0**vehicle.lost_count)
+                    await asyncio.sleep(rng.uniform(0.5, 1.0) * pause_s if vehicle.waiting else 0.0)
         return vehicle
 
     return await asyncio.gather(*(drive(number) for number in range(vehicle_count)))
@@ -223,7 +236,8 @@ def measure(name: str, vehicle_count: int, results: int, window_s: float) -> boo
         print(
             f"{name}: given up after {took_s:.0f} s, {unheard:,} results without a word, {wanted - stored:,} not stored"
         )
-    print(f"{name}: {resent:,} sent again; of {ordered:,} vehicles the newest came first")
+    cut_off = sum(vehicle.lost_count for vehicle in vehicles)
+    print(f"{name}: {resent:,} sent again, {cut_off:,} connections lost; of {ordered:,} vehicles the newest came first")
     middle_s, late_s = statistics.median(newest_s), statistics.quantiles(newest_s, n=100)[-1]
     print(f"{name}: newest of a vehicle in after {middle_s:.1f} s (median), {late_s:.1f} s (99 %)")
     print(f"{name}: most memory: " + ", ".join(f"{part} {size / 2**20:.0f} MiB" for part, size in memory.most.items()))

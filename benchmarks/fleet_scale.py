@@ -60,14 +60,14 @@ def messages(vehicle_count: int, first: int, count: int) -> list[Wire]:
     return made
 
 
-def made_fleet(database: str, vehicle_count: int, span: timedelta) -> Engine:
-    """Return a fleet with a past of so long."""
-    engine, now = open_database(database), datetime.now(UTC)
+def made_fleet(database: str, vehicle_count: int, span: timedelta, driven: timedelta, now: datetime) -> Engine:
+    """Return a fleet with a past of so long; its results have the positions of one that is ``driven`` for so long."""
+    engine = open_database(database)
     migrate(engine)
     keep_months(engine, now, back=1 + int(span.days / 28))
     make_fleet(engine, vehicle_count)
     began_s = time.monotonic()
-    count = make_results(engine, vehicle_count, now - span, now)
+    count = make_results(engine, vehicle_count, now - span, now, origin=now - driven)
     settle(engine)
     size_gib = sum(one.size_bytes for one in partitions(engine)) / 2**30
     took_s = time.monotonic() - began_s
@@ -187,8 +187,9 @@ def main() -> int:
     span = timedelta(days=options.rows / (2 * options.vehicles * PER_DAY))
     with closing(PostgresServer(SETTINGS)) as server:
         server.start()
-        recent = made_fleet(server.create("recent"), options.vehicles, min(RECENT, span))
-        old = made_fleet(server.create("past"), options.vehicles, span)
+        now = datetime.now(UTC)
+        recent = made_fleet(server.create("recent"), options.vehicles, min(RECENT, span), span, now)
+        old = made_fleet(server.create("past"), options.vehicles, span, span, now)
         is_kept = compare(recent, old, options.vehicles)
         recent.dispose()
         old.dispose()

@@ -14,6 +14,7 @@ from fleet_link import AddressError, BrokerAddress, Connection, JetStream, LinkD
 
 GROUP: Final = "ingest"  # of workers that share what comes
 KEEPALIVE_S: Final = 15  # a dead broker is known after 1.5 times this
+MOST_IN_FLIGHT: Final = 100  # receipts without the broker's answer; the others go without one
 MAX_PACKET_BYTES: Final = 262_144  # far above any result; the broker keeps longer packets from us
 
 
@@ -64,6 +65,7 @@ async def connected(
     terms = Terms(
         keepalive_s=KEEPALIVE_S,
         max_unsettled=max_unsettled,
+        max_in_flight=MOST_IN_FLIGHT,
         max_packet_bytes=MAX_PACKET_BYTES,
         is_key_private=False,  # a container's secrets are its only user's, whatever their mode says
     )

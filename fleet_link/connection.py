@@ -45,7 +45,7 @@ class Connection:
         self._terms = terms
         self._window = 1
         self._in_flight: dict[int, str] = {}  # packet id -> topic, of what `publish_all` waits for
-        self._asked: int | None = None  # packet id of that message of `send` which the broker has yet to answer
+        self._unanswered: set[int] = set()  # packet ids of what `send` sent at least once
         self._unsettled_count = 0  # messages that we were sent and have not acknowledged
         self._granted: set[str] = set()  # topics on which the broker took a message
         self._is_probing = False  # on a topic that is not among them
@@ -113,15 +113,15 @@ class Connection:
     def send(self, messages: Iterable[Outgoing]) -> None:
         """Send messages and wait for nothing: who does not get them asks again. `collect` waits until all is written.
 
-        What is retained, and one other at a time, so that a refusal is told, is sent at least once; the rest at most
-        once: its answers would wait behind what the broker sends us, for which there may be no room.
+        They are sent at least once, but at most once while as many as may be in flight have no answer: answers wait
+        behind what the broker sends us, for which there may be no room. What is retained waits for its turn.
         """
         for message in messages:
-            is_asking = message.is_retained or self._asked is None
+            is_asking = message.is_retained or len(self._unanswered) < self._window
             qos = AT_LEAST_ONCE if is_asking else AT_MOST_ONCE
             info = self._client.publish(message.topic, message.payload, qos, message.is_retained)
-            if is_asking:
-                self._asked = info.mid
+            if is_asking and info.rc == MQTT_ERR_SUCCESS:
+                self._unanswered.add(info.mid)
 
     async def subscribe(self, filters: Sequence[str]) -> None:
         """Subscribe; raises LinkDownError if the broker refuses one."""
@@ -249,6 +249,7 @@ class Connection:
     ) -> None:
         if not reason_code.is_failure:
             self._client.on_log = None  # else each packet is written out for it: a tenth of the work for a message
+            self._client.disable_logger()  # which would be asked twice for each: a twentieth
         self._window = min(getattr(properties, "ReceiveMaximum", _UNLIMITED_IN_FLIGHT), self._terms.max_in_flight)
         if not self._accepted.done():  # paho-mqtt may call more than once
             self._accepted.set_result(reason_code)
@@ -280,8 +281,7 @@ class Connection:
     ) -> None:
         topic = self._in_flight.pop(mid, None)
         if topic is None:
-            if mid == self._asked:
-                self._asked = None
+            self._unanswered.discard(mid)
             if reason_code.is_failure:
                 _LOG.warning("the broker refused an acknowledgement: %s", reason_code)
             return

@@ -14,7 +14,7 @@ from fleet_link.address import BrokerAddress
 
 AT_MOST_ONCE: Final = 0
 AT_LEAST_ONCE: Final = 1
-_MOST_WAITING: Final = 2_000  # of what wants an answer: a broker that gives none must not fill our memory
+_MOST_WAITING: Final = 1_000  # of what wants an answer: a broker that gives none must not fill our memory
 _PAHO_LOG: Final = logging.getLogger("mqtt")
 _PAHO_LOG.setLevel(logging.WARNING)  # it would tell of every packet
 
