@@ -10,16 +10,24 @@ CPU time of the whole process, the best of some rounds over all shifts of a driv
 each event of a public cycle, by its kind: mean and longest live update, each event the best of some rounds.
 
     python -m benchmarks.estimator
+    python -m benchmarks.estimator --before TREE
     python -m benchmarks.estimator --drive wltc
+
+``--before`` measures the same benchmark of an earlier checkout in turns with this one, each in a process of its own.
 """
 
 import argparse
+import math
+import os
+import re
+import subprocess
 import sys
 import time
 import warnings
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -43,6 +51,8 @@ with warnings.catch_warnings():
     from filterpy.kalman import KalmanFilter
 
 ROUNDS = 5
+TURNS = 5  # of both checkouts
+ROWS = ("live update", "full solve")
 PEER_SHIFTS = 3  # the loop takes the same time for every shift
 PERIOD_S = 0.01
 LIVE_TARGET_S, LIVE_AIM_S = 0.050, 0.010
@@ -148,12 +158,37 @@ def event_times_s(events: Sequence[Event]) -> list[float]:
     return times_s
 
 
+def compare(before: Path) -> None:
+    """Run this benchmark and that of an earlier checkout in turns, and print the least times and their ratios."""
+    trees = {"before": before.resolve(), "now": Path(__file__).resolve().parents[1]}
+    best_ms = {name: dict.fromkeys(ROWS, math.inf) for name in trees}
+    for _ in range(TURNS):
+        for name, tree in trees.items():
+            told = subprocess.run(
+                [sys.executable, "-m", "benchmarks.estimator"], cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)},
+                check=True, capture_output=True, text=True,
+            ).stdout  # fmt: skip
+            for row in ROWS:
+                found = re.search(rf"^ *{row}: .*? ([0-9.]+) ms", told, re.MULTILINE)
+                if found is None:
+                    raise ValueError(f"{tree} prints no {row!r}:\n{told}")
+                best_ms[name][row] = min(best_ms[name][row], float(found[1]))
+    print(f"CPU time of one shift, the least of {TURNS} turns")
+    for row in ROWS:
+        earlier, now = best_ms["before"][row], best_ms["now"][row]
+        print(f"  {row:12} {earlier:6.2f} ms before, {now:6.2f} ms now: {earlier / now:.2f} times as fast")
+
+
 def main() -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description="CPU time of one shift, or of each event of a drive.")
     parser.add_argument("--drive", type=DriveName, choices=list(DriveName))
-    drive = parser.parse_args().drive
-    if drive is None:
+    parser.add_argument("--before", type=Path, metavar="TREE", help="an earlier checkout, measured in turns")
+    options = parser.parse_args()
+    drive = options.drive
+    if options.before is not None:
+        compare(options.before)
+    elif drive is None:
         frames, _ = frames_of(load_scenario("ideal"))
         report(to_batch(frames))
     else:

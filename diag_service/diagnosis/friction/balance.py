@@ -201,8 +201,10 @@ def _fill_lever(slip_rad_s: FloatArray, law: FrictionLaw, contact_factor_m3: flo
 
 @kernel
 def _levers_m3(slip_rad_s: float, law: FrictionLaw, contact_factor_m3: float) -> tuple[float, float]:
-    way = min(max(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0), 1.0)
-    full_m3, share = contact_torque_nm(way, 1.0, 1.0, contact_factor_m3), stribeck_weight(slip_rad_s, law)
+    full_m3, share = (
+        contact_torque_nm(direction(slip_rad_s), 1.0, 1.0, contact_factor_m3),
+        stribeck_weight(slip_rad_s, law),
+    )
     return full_m3 * (1.0 - share), full_m3 * share
 
 
@@ -222,6 +224,7 @@ def _heat_w(
     return total_w
 
 
-def direction(slip_rad_s: FloatArray) -> FloatArray:
-    """Return the sign of the slip, fading near zero, shape (n,)."""
-    return np.clip(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0, 1.0)
+@kernel
+def direction(slip_rad_s: float) -> float:
+    """Return the sign of the slip, fading near zero."""
+    return min(max(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0), 1.0)

@@ -28,7 +28,7 @@ from diag_service.diagnosis.friction.parameters import (
 )
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.preparation import PackTemperatures, measured_drives, slip_window, zeros_seen
-from diag_service.diagnosis.friction.sensitivity import measured
+from diag_service.diagnosis.friction.sensitivity import compile_sensitivity, measured
 from diag_service.diagnosis.friction.window import SlipWindow, compile_window, on_other_grid, spans_of
 from diag_service.diagnosis.quality.plausibility import (
     PressureZeros,
@@ -83,6 +83,7 @@ class Estimator:
         compile_plausibility()
         compile_window()
         compile_balance(self._calibration)
+        compile_sensitivity(self._calibration)
         compile_film(self._calibration)
         compile_tangents(self._calibration)
 
@@ -169,6 +170,8 @@ class Estimator:
 
         Otherwise they are as they are known.
         """
+        if not empty:
+            return _zeros(known).mean_pa
         shown = _zeros(fuse(self._type, Evidence.of(empty, known.mean)).knowledge)
         is_shown = shown.variance_pa2 < 0.5 * _zeros(self._type).variance_pa2
         return np.where(is_shown, shown.mean_pa, _zeros(known).mean_pa)

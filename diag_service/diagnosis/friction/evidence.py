@@ -50,9 +50,13 @@ class Evidence:
         """Return what some events say together."""
         if not some:
             return cls.none()
+        matrix, vector = some[0].matrix.copy(), some[0].vector.copy()
+        for one in some[1:]:
+            matrix += one.matrix
+            vector += one.vector
         return cls(
-            matrix=np.sum([one.matrix for one in some], axis=0),
-            vector=np.sum([one.vector for one in some], axis=0),
+            matrix=matrix,
+            vector=vector,
             constant=sum(one.constant for one in some),
             count=sum(one.count for one in some),
         )
@@ -91,13 +95,14 @@ class Evidence:
     def loosened(self, variance: FloatArray) -> Self:
         """Return what is left if each parameter of this event differs by a variance, shape (PARAMETER_COUNT,)."""
         root = np.sqrt(variance)
-        inner = np.eye(len(root)) + root[:, None] * self.matrix * root
+        inner = root[:, None] * self.matrix * root
+        inner.flat[:: len(root) + 1] += 1.0
         spread = root[:, None] * np.linalg.inv(inner) * root
-        lost = spread @ self.vector
-        matrix = self.matrix - self.matrix @ spread @ self.matrix
+        lost, taken = spread @ self.vector, self.matrix @ spread
+        matrix = self.matrix - taken @ self.matrix
         return type(self)(
             matrix=(matrix + matrix.T) / 2.0,
-            vector=self.vector - self.matrix @ lost,
+            vector=self.vector - taken @ self.vector,
             constant=self.constant - float(self.vector @ lost),
             count=self.count,
         )

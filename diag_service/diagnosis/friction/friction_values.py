@@ -5,7 +5,9 @@ torque reading times the piston area. Where two such numbers are divided by each
 the gain is gone, and in one clutch the area too.
 """
 
+import math
 from statistics import NormalDist
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from diag_service.diagnosis.friction.parameters import (
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
+    State,
     friction_rows,
 )
 from diag_service.diagnosis.friction.posterior import Posterior
@@ -27,26 +30,55 @@ _WIDTH = STATE_COUNT + Considered.STRIBECK_SPEED
 _AREAS = (STATE_COUNT + Considered.PISTON_AREA1, STATE_COUNT + Considered.PISTON_AREA2)
 
 
+class _Pair(NamedTuple):
+    """Both coefficients of a clutch, times a factor, and how well they are known."""
+
+    mu_c: float
+    mu_s: float
+    variance_c: float
+    variance_s: float
+    covariance: float
+
+    @classmethod
+    def of(cls, known: Knowledge, clutch: int, place: int, factor: float, slope: float) -> Self:
+        """Return them, times a factor that has some slope over the parameter in this place."""
+        rows = friction_rows(clutch)
+        own_c, own_s = known.mean[rows].tolist()
+        (c_c, c_s), (_, s_s) = known.covariance[rows, rows].tolist()
+        (c_f, s_f), f_f = known.covariance[rows, place].tolist(), float(known.covariance[place, place])
+        by_c, by_s = slope * own_c, slope * own_s
+        mu_c, mu_s = factor * own_c, factor * own_s
+        return cls(
+            mu_c=mu_c,
+            mu_s=mu_s,
+            variance_c=factor * (factor * c_c + 2.0 * by_c * c_f) + by_c**2 * f_f + (MODEL_STD_RATIO * mu_c) ** 2,
+            variance_s=factor * (factor * s_s + 2.0 * by_s * s_f) + by_s**2 * f_f + (MODEL_STD_RATIO * mu_s) ** 2,
+            covariance=factor * (factor * c_s + by_s * c_f + by_c * s_f) + by_c * by_s * f_f,
+        )
+
+    @property
+    def correlation(self) -> float:
+        """Correlation of the errors of both."""
+        return self.covariance / math.sqrt(self.variance_c * self.variance_s)
+
+
 def friction(state: Posterior, clutch: int) -> FrictionEstimate:
     """Return the friction of clutch 1 or 2 as now estimated."""
-    known, gain = state.known, state.torque_gain + state.known.mean[_GAIN]
-    mu = known.mean[friction_rows(clutch)] / gain
-    total = _covariance(known, clutch, _GAIN, 1.0 / gain, -mu / gain) + np.diag((MODEL_STD_RATIO * mu) ** 2)
-    std, free = np.sqrt(total.diagonal()), scale_free(state, clutch)
+    known, gain = state.known, state.torque_gain + float(state.known.mean[_GAIN])
+    pair, free = _Pair.of(known, clutch, _GAIN, 1.0 / gain, -1.0 / gain**2), scale_free(state, clutch)
     width = state.stribeck_speed_rad_s[clutch - 1] * (1.0 + float(known.mean[_WIDTH]))
-    std_difference = float(np.sqrt(total[0, 0] + total[1, 1] - 2.0 * total[0, 1]))
-    mu_c, mu_s = mu.tolist()
+    difference = NormalDist(pair.mu_c - pair.mu_s, math.sqrt(pair.variance_c + pair.variance_s - 2.0 * pair.covariance))
     return FrictionEstimate(
-        mu_c=mu_c,
-        mu_s=mu_s,
-        std_mu_c=float(std[0]),
-        std_mu_s=float(std[1]),
-        correlation=float(total[0, 1] / (std[0] * std[1])),
-        random_std_mu_c=mu_c * free.std_mu_c / free.mu_c,
-        random_std_mu_s=mu_s * free.std_mu_s / free.mu_s,
-        slope_s_rad=(mu_c - mu_s) / width,
-        std_slope_s_rad=std_difference / width,
-        probability_negative_slope=NormalDist(mu_c - mu_s, std_difference).cdf(0.0),
+        mu_c=pair.mu_c,
+        mu_s=pair.mu_s,
+        std_mu_c=math.sqrt(pair.variance_c),
+        std_mu_s=math.sqrt(pair.variance_s),
+        correlation=pair.correlation,
+        random_std_mu_c=pair.mu_c * free.std_mu_c / free.mu_c,
+        random_std_mu_s=pair.mu_s * free.std_mu_s / free.mu_s,
+        slope_s_rad=difference.mean / width,
+        std_slope_s_rad=difference.stdev / width,
+        probability_negative_slope=difference.cdf(0.0),
     )
 
 
@@ -55,30 +87,15 @@ def scale_free(state: Posterior, clutch: int) -> ScaleFreeFriction:
 
     The area counts as a ratio to what the calibration says.
     """
-    known, own, area = state.known, state.known.mean[friction_rows(clutch)], _AREAS[clutch - 1]
-    area_ratio = 1.0 + known.mean[area]
-    mu = own * area_ratio
-    covariance = _covariance(known, clutch, area, area_ratio, own) + np.diag((MODEL_STD_RATIO * mu) ** 2)
-    std = np.sqrt(covariance.diagonal())
+    area = _AREAS[clutch - 1]
+    pair = _Pair.of(state.known, clutch, area, 1.0 + float(state.known.mean[area]), 1.0)
     return ScaleFreeFriction(
-        mu_c=float(mu[0]),
-        mu_s=float(mu[1]),
-        std_mu_c=float(std[0]),
-        std_mu_s=float(std[1]),
-        correlation=float(covariance[0, 1] / (std[0] * std[1])),
+        mu_c=pair.mu_c,
+        mu_s=pair.mu_s,
+        std_mu_c=math.sqrt(pair.variance_c),
+        std_mu_s=math.sqrt(pair.variance_s),
+        correlation=pair.correlation,
     )
-
-
-def _covariance(known: Knowledge, clutch: int, scale: int, by_friction: float, by_scale: FloatArray) -> FloatArray:
-    """Return the covariance of both coefficients of a clutch, shape (2, 2), by their slopes.
-
-    ``by_friction`` is the slope over each coefficient itself, ``by_scale`` those over the parameter that scales both,
-    shape (2,).
-    """
-    rows = friction_rows(clutch)
-    own, shared = known.covariance[rows, rows], np.outer(by_friction * known.covariance[rows, scale], by_scale)
-    scales = known.covariance[scale, scale] * np.outer(by_scale, by_scale)
-    return np.asarray(by_friction**2 * own + shared + shared.T + scales)
 
 
 def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalDist:
@@ -153,14 +170,14 @@ def clutch_ratio(state: Posterior) -> ClutchRatio | None:
     if not all(state.shift_counts):
         return None
     known = state.known
-    first, second = known.mean[friction_rows(1)], known.mean[friction_rows(2)]
-    by_state = np.hstack((np.diag(1.0 / second), np.diag(-first / second**2)))
-    covariance = by_state @ known.covariance[:FRICTION_COUNT, :FRICTION_COUNT] @ by_state.T
-    ratio = first / second
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0) + 2.0 * (MODEL_STD_RATIO * ratio) ** 2)
-    return ClutchRatio(
-        mu_c_ratio=float(ratio[0]),
-        mu_s_ratio=float(ratio[1]),
-        std_mu_c_ratio=float(std[0]),
-        std_mu_s_ratio=float(std[1]),
-    )
+    mean, covariance = known.mean[:FRICTION_COUNT].tolist(), known.covariance[:FRICTION_COUNT, :FRICTION_COUNT].tolist()
+    (ratio_c, std_c), (ratio_s, std_s) = (_ratio(mean, covariance, one) for one in (State.MU_C1, State.MU_S1))
+    return ClutchRatio(mu_c_ratio=ratio_c, mu_s_ratio=ratio_s, std_mu_c_ratio=std_c, std_mu_s_ratio=std_s)
+
+
+def _ratio(mean: list[float], covariance: list[list[float]], first: int) -> tuple[float, float]:
+    """Return a coefficient of clutch 1 over that of clutch 2, and its deviation."""
+    second = first + 2
+    ratio = mean[first] / mean[second]
+    shared = covariance[first][first] - 2.0 * ratio * covariance[first][second] + ratio**2 * covariance[second][second]
+    return ratio, math.sqrt(max(shared / mean[second] ** 2, 0.0) + 2.0 * (MODEL_STD_RATIO * ratio) ** 2)

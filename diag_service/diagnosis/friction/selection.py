@@ -67,12 +67,11 @@ class _Search:
 
     def settled(self, used: BoolArray) -> Selection:
         """Return the selection in which no single event taken in or left out saves anything."""
-        cost = float(self.costs(used[None, :])[0])
-        while len(used):
-            others = used ^ np.eye(len(used), dtype=bool)
-            costs = self.costs(others)
+        flips = np.eye(len(used), dtype=bool)
+        while True:
+            tried = np.vstack((used, used ^ flips))
+            costs = self.costs(tried)
             best = int(np.argmin(costs))
-            if costs[best] >= cost - _LEAST_SAVING:
-                break
-            used, cost = others[best], float(costs[best])
-        return Selection(is_used=tuple(used.tolist()), cost=cost)
+            if costs[best] >= costs[0] - _LEAST_SAVING:
+                return Selection(is_used=tuple(used.tolist()), cost=float(costs[0]))
+            used = tried[best]

@@ -8,13 +8,14 @@ measured ones (`balance`).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from canlog.arrays import FloatArray
-from clutch_model.calibration import InputSide
-from clutch_model.clutch import FrictionCurve
+from canlog.jit import array_kernel
+from clutch_model.calibration import Calibration, InputSide
+from clutch_model.friction import FrictionLaw, friction_law
 from clutch_model.gears import both_clutches
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.balance import (
@@ -86,6 +87,16 @@ class _Spread:
         )
 
 
+class ContactAnswers(NamedTuple):
+    """How the contact torque of a clutch answers to what it depends on, each (n,) on the rows of a window."""
+
+    by_slip_nms: FloatArray  # of its friction, eq. (8)
+    by_pressure_m3: FloatArray
+    by_stribeck_speed_nm: FloatArray  # natural logarithm of it
+    by_stribeck_exponent_nm: FloatArray  # likewise
+    doubt_nm: FloatArray  # standard deviation of what no law of friction and film holds
+
+
 class Sensitivity:
     """The derivatives of a balance by all parameters, and the covariance of its noise.
 
@@ -120,10 +131,21 @@ class Sensitivity:
             lever_m3 * track.contact_pa[rows, None]
             for lever_m3, track in zip(self._levers_m3, self._tracks, strict=True)
         )
+        self._answers = both_clutches(self._answers_of(m, mu) for m, mu in enumerate(friction_pairs(balance.at)))
         self._nominal = weigh(balance.weights, self._contacts_nm, self._tracks)
         self.noises = self._noises()
         self.slope = self._slope()
         self.overlaps = self._overlaps()
+
+    def _answers_of(self, m: int, mu: FloatArray) -> ContactAnswers:
+        """Return what the contact of clutch ``m + 1`` answers to what it depends on."""
+        balance, clutch, rows = self._balance, self._balance.calibration.clutches[m], self._balance.weights.rows
+        answers = ContactAnswers(*np.empty((5, rows.stop - rows.start)))
+        area_ratio = clutch.geometry.piston_area_m2 / clutch.geometry.lining_area_m2
+        slip_rad_s, contact_pa = self._planned[m].slip_rad_s[rows], self._tracks[m].contact_pa[rows]
+        doubt_nm, curve = balance.tracks[m].doubt_nm[rows], friction_law(clutch.friction)
+        _fill_answers(slip_rad_s, self._contacts_nm[m], contact_pa, doubt_nm, mu, curve, area_ratio, answers)
+        return answers
 
     def _slope(self) -> FloatArray:
         balance, at = self._balance, self._balance.at
@@ -146,7 +168,9 @@ class Sensitivity:
             considered[:, Considered.OPEN_DRAG] += bias.torque_gain * plain.opened
             if np.max(np.abs(plain.impulse(mu)) / std_nms) > IDLE_RATIO:
                 self._add_film(slope, m, mu)
-                self._add_curve(considered, m, mu)
+                answers = self._answers[m]
+                considered[:, Considered.STRIBECK_SPEED] += weights.value @ answers.by_stribeck_speed_nm
+                considered[:, Considered.STRIBECK_EXPONENT] += weights.value @ answers.by_stribeck_exponent_nm
         return slope
 
     def _add_film(self, slope: FloatArray, m: int, mu: FloatArray) -> None:
@@ -163,17 +187,6 @@ class Sensitivity:
         for parameter, cause in COMMON_CAUSES.items():
             considered[:, parameter] += answers[:, cause]
 
-    def _add_curve(self, considered: FloatArray, m: int, mu: FloatArray) -> None:
-        """Add what the friction of clutch ``m + 1`` answers to the shape of its curve, eq. (8)."""
-        balance, drive, rows = self._balance, self._planned[m], self._balance.weights.rows
-        clutch = balance.calibration.clutches[m]
-        torques_nm = self._contacts_nm[m]
-        exponent = clutch.friction.stribeck_exponent
-        excess = np.maximum(np.abs(drive.slip_rad_s[rows]) / clutch.friction.stribeck_speed_rad_s, MIN_EXCESS)
-        by_log_nm = torques_nm[:, 1] * (mu[1] - mu[0]) * exponent * excess**exponent
-        considered[:, Considered.STRIBECK_SPEED] += balance.weights.value @ by_log_nm
-        considered[:, Considered.STRIBECK_EXPONENT] -= balance.weights.value @ (by_log_nm * np.log(excess))
-
     def _overlaps(self) -> list[FloatArray]:
         balance, signals = self._balance, self._balance.signals
         sensors, bias, weights = balance.calibration.noise, balance.calibration.bias, balance.weights
@@ -183,18 +196,15 @@ class Sensitivity:
         motoring = self._motoring_shares()
         overlaps = []
         for place, noise in enumerate(self.noises):
-            speed = speed_std**2 * speed_slopes[place] @ self._spread.engine_rate[place].T
-            hub = sensors.hub_speed_rad_s**2 * hubs[place] @ hubs[place].T
-            overlap = np.zeros(PARAMETER_COUNT)
-            shared = {
-                Considered.TORQUE_GAIN: -bias.torque_gain * (speed + hub),
-                Considered.ENGINE_INERTIA: -(bias.torque_gain**2) * speed,
-            }
+            precision, overlap = np.asarray(np.linalg.inv(noise)), np.zeros(PARAMETER_COUNT)
+            considered = overlap[STATE_COUNT:]
+            speed = speed_std**2 * _trace(precision, speed_slopes[place] @ self._spread.engine_rate[place].T)
+            hub = sensors.hub_speed_rad_s**2 * _trace(precision, hubs[place] @ hubs[place].T)
+            considered[Considered.TORQUE_GAIN] = -bias.torque_gain * (speed + hub)
+            considered[Considered.ENGINE_INERTIA] = -(bias.torque_gain**2) * speed
             if motoring is not None:
-                shared[Considered.MOTORING_GAIN] = sensors.engine_torque_nm**2 * motoring[place]
-            count = len(noise)
-            relative = np.linalg.solve(noise, np.hstack(list(shared.values()))).reshape(count, -1, count)
-            overlap[[STATE_COUNT + parameter for parameter in shared]] = np.einsum("iki->k", relative)
+                shared = _trace(precision, motoring[place])
+                considered[Considered.MOTORING_GAIN] = sensors.engine_torque_nm**2 * shared
             overlaps.append(overlap)
         return overlaps
 
@@ -224,41 +234,40 @@ class Sensitivity:
             for torque, engine in zip(self._spread.torque_value, self._spread.engine_rate, strict=True)
         ]
         by_hub_nms = np.zeros(weights.rows.stop - weights.rows.start)
-        for m, mu in enumerate(friction_pairs(balance.at)):
-            by_hub_nms += self._add_clutch_noise(noises, m, mu)
+        for m in range(2):
+            by_hub_nms += self._add_clutch_noise(noises, m)
         around = weights.value.around_samples(by_hub_nms, signals.hub_speed)
         for place, hub in enumerate(self._spread.hub(side)):
             by_hub = gain * hub - self._spread.hub_value[place] * around[place]
             noises[place] += sensors.hub_speed_rad_s**2 * by_hub @ by_hub.T
         return noises
 
-    def _add_clutch_noise(self, noises: list[FloatArray], m: int, mu: FloatArray) -> FloatArray:
+    def _add_clutch_noise(self, noises: list[FloatArray], m: int) -> FloatArray:
         """Add the noise that comes with the torque of clutch ``m + 1``; return what its torque answers to its slip."""
         balance, calibration = self._balance, self._balance.calibration
-        clutch, drive, track = calibration.clutches[m], self._planned[m], self._tracks[m]
-        value, rows = balance.weights.value, balance.weights.rows
-        torques_nm = self._contacts_nm[m]
-        by_slip_nms = torques_nm[:, 1] * (mu[0] - mu[1]) * steepness(drive.slip_rad_s[rows], clutch.friction)
-        area_ratio = clutch.geometry.piston_area_m2 / clutch.geometry.lining_area_m2
-        by_pressure_m3 = area_ratio * mu[0] * torques_nm.sum(axis=1) / np.maximum(track.contact_pa[rows], 1.0)
+        value, answers = balance.weights.value, self._answers[m]
         speed, pressure = balance.signals.input_speed[m], balance.signals.pressure[m]
         for std, by, signal in (
-            (calibration.noise.input_speed_rad_s, by_slip_nms, speed),
-            (calibration.noise.pressure_pa, by_pressure_m3, pressure),
+            (calibration.noise.input_speed_rad_s, answers.by_slip_nms, speed),
+            (calibration.noise.pressure_pa, answers.by_pressure_m3, pressure),
         ):
             if by.any():
                 means = value.around_samples(by, signal)
                 for place, weight in enumerate(value.on_samples(signal)):
                     noises[place] += std**2 * (weight * means[place]) @ (weight * means[place]).T
-        doubt_nm = np.hypot(balance.tracks[m].doubt_nm[rows], DOUBT_RATIO * (torques_nm @ mu))
-        doubt_nm *= calibration.bias.torque_gain * math.sqrt(DOUBT_TIME_S * DOUBT_STEP / GRID_S)
+        doubt_nm = answers.doubt_nm * calibration.bias.torque_gain * math.sqrt(DOUBT_TIME_S * DOUBT_STEP / GRID_S)
         opened_nms = OPEN_DOUBT_RATIO * calibration.bias.torque_gain * self._nominal[m].opened
         for place, (block, rows_of_piece) in enumerate(zip(value.blocks, value.places, strict=True)):
             opened = opened_nms[value.bands[place]]
             noises[place] += np.outer(opened, opened)
             doubt = block[:, ::DOUBT_STEP] * doubt_nm[rows_of_piece][::DOUBT_STEP]
             noises[place] += doubt @ doubt.T
-        return np.asarray(by_slip_nms)
+        return answers.by_slip_nms
+
+
+def _trace(one: FloatArray, other: FloatArray) -> float:
+    """Return the trace of the product of two square matrices."""
+    return float(np.vdot(one, other.T))
 
 
 def measured(balance: Balance, near: Sequence[Measurement] = ()) -> tuple[Measurement, ...]:
@@ -274,8 +283,25 @@ def measured(balance: Balance, near: Sequence[Measurement] = ()) -> tuple[Measur
     )
 
 
-def steepness(slip_rad_s: FloatArray, curve: FrictionCurve) -> FloatArray:
-    """Return how fast ``-log(e)`` rises with the slip [s/rad], with the slip's sign, shape (n,)."""
-    excess = np.maximum(np.abs(slip_rad_s) / curve.stribeck_speed_rad_s, MIN_EXCESS)
-    rise = curve.stribeck_exponent * excess ** (curve.stribeck_exponent - 1.0) / curve.stribeck_speed_rad_s
-    return rise * direction(slip_rad_s)
+@array_kernel
+def _fill_answers(
+    slip_rad_s: FloatArray, torques_nm: FloatArray, contact_pa: FloatArray, film_doubt_nm: FloatArray, mu: FloatArray,
+    curve: FrictionLaw, area_ratio: float, answers: ContactAnswers,
+) -> None:  # fmt: skip
+    speed_rad_s, exponent = curve.stribeck_speed_rad_s, curve.stribeck_exponent
+    for row in range(len(slip_rad_s)):
+        excess = max(abs(slip_rad_s[row]) / speed_rad_s, MIN_EXCESS)
+        by_mu_c_nm, by_mu_s_nm = torques_nm[row, 0], torques_nm[row, 1]
+        by_log_nm = by_mu_s_nm * (mu[1] - mu[0]) * exponent * excess**exponent
+        answers.by_slip_nms[row] = -by_log_nm / (excess * speed_rad_s) * direction(slip_rad_s[row])
+        answers.by_pressure_m3[row] = area_ratio * mu[0] * (by_mu_c_nm + by_mu_s_nm) / max(contact_pa[row], 1.0)
+        answers.by_stribeck_speed_nm[row] = by_log_nm
+        answers.by_stribeck_exponent_nm[row] = -by_log_nm * math.log(excess)
+        whole_nm = by_mu_c_nm * mu[0] + by_mu_s_nm * mu[1]
+        answers.doubt_nm[row] = math.hypot(film_doubt_nm[row], DOUBT_RATIO * whole_nm)
+
+
+def compile_sensitivity(calibration: Calibration) -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    rows, curve = np.zeros(1), friction_law(calibration.clutches[0].friction)
+    _fill_answers(rows, np.zeros((1, 2)), rows, rows, np.zeros(2), curve, 1.0, ContactAnswers(*np.zeros((5, 1))))

@@ -187,7 +187,8 @@ class Functions:
 
     def __matmul__(self, values: FloatArray) -> FloatArray:
         """Return the sums of values weighted with each function; ``values`` has shape (len(rows), ...)."""
-        return np.concatenate([block @ values[place] for block, place in zip(self.blocks, self.places, strict=True)])
+        parts = [block @ values[place] for block, place in zip(self.blocks, self.places, strict=True)]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def __mul__(self, factor: FloatArray | float) -> "Functions":
         """Return each function times a number, or times one of each row, shape (len(rows),)."""
