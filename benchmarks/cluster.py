@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import product
@@ -35,6 +35,29 @@ class Cost:
 
     def __sub__(self, other: "Cost") -> "Cost":
         return Cost(elapsed_s=self.elapsed_s - other.elapsed_s, processor_s=self.processor_s - other.processor_s)
+
+    def against(self, other: "Cost") -> str:
+        """Return by how much this is more than another."""
+        shares = self.elapsed_s / other.elapsed_s - 1, self.processor_s / other.processor_s - 1
+        return f"elapsed {shares[0]:+.1%}, processor {shares[1]:+.1%}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Runs:
+    """What a run of few logs takes, nearly all of it start and end, and one of all logs."""
+
+    few: Cost
+    many: Cost
+
+    @property
+    def logs(self) -> Cost:
+        """What the further logs take."""
+        return self.many - self.few
+
+
+def least(costs: Sequence[Cost]) -> Cost:
+    """Return the least times of several rounds."""
+    return Cost(elapsed_s=min(one.elapsed_s for one in costs), processor_s=min(one.processor_s for one in costs))
 
 
 def make_logs(folder: Path, count: int, cycles: int) -> float:
@@ -91,7 +114,7 @@ def peak_mib(cluster: Cluster) -> float:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and print: what many logs cost more than four, so that the start of processes is not compared."""
+    """Measure and print: what many logs cost, and what they cost more than few, so that no start is compared."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--logs", type=int, default=200)
     parser.add_argument("--cycles", type=int, default=10, help="of a log: ten shifts and 38 s each")
@@ -106,28 +129,29 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(f"{options.logs} logs, {size_mb:.0f} MB, load {os.getloadavg()[0]:.1f}")
         rounds = [measured(folder, number) for number in range(options.rounds)]
     best = {
-        what: Cost(
-            elapsed_s=min(one[what].elapsed_s for one in rounds),
-            processor_s=min(one[what].processor_s for one in rounds),
-        )
+        what: Runs(few=least([one[what].few for one in rounds]), many=least([one[what].many for one in rounds]))
         for what in rounds[0]
     }
-    print(f"{options.logs - FEW} logs                 elapsed [s]  processor [s]")
-    for (way, workers), cost in best.items():
-        print(f"{way:>8} of {workers} {cost.elapsed_s:17.1f} {cost.processor_s:14.1f}")
-    speed_up = best["cluster", 1].elapsed_s / best["cluster", 2].elapsed_s
+    report(best, options.logs)
+
+
+def report(best: Mapping[tuple[str, int], Runs], count: int) -> None:
+    """Print what every way takes, and what a cluster takes more than processes of this machine."""
+    print(f"elapsed, processor [s]       {count - FEW} logs more         {count} logs   {FEW} logs, start and end")
+    for (way, workers), runs in best.items():
+        shown = (f"{one.elapsed_s:7.1f} {one.processor_s:7.1f}" for one in (runs.logs, runs.many, runs.few))
+        print(f"{way:>8} of {workers}    {'    '.join(shown)}")
+    speed_up = best["cluster", 1].logs.elapsed_s / best["cluster", 2].logs.elapsed_s
     print(f"two workers against one: {speed_up:.2f} times as fast")
     for workers, way in product(WORKERS, ("lake", "table")):
         ours, theirs = best["cluster", workers], best[way, workers]
-        print(
-            f"{workers} in a cluster against --jobs {workers} into a {way}: elapsed "
-            f"{ours.elapsed_s / theirs.elapsed_s - 1:+.1%}, processor {ours.processor_s / theirs.processor_s - 1:+.1%}"
-        )
+        print(f"{workers} in a cluster against --jobs {workers} into a {way}:")
+        print(f"  without start and end {ours.logs.against(theirs.logs)}; with them {ours.many.against(theirs.many)}")
 
 
-def measured(folder: Path, number: int) -> dict[tuple[str, int], Cost]:
+def measured(folder: Path, number: int) -> dict[tuple[str, int], Runs]:
     """Return what every way costs, in turns."""
-    found: dict[tuple[str, int], Cost] = {}
+    found: dict[tuple[str, int], Runs] = {}
     many, few = str(folder / "logs"), str(folder / "few" / "logs")
     for workers in WORKERS:
         own = folder / f"{number}-{workers}"
@@ -135,12 +159,14 @@ def measured(folder: Path, number: int) -> dict[tuple[str, int], Cost]:
         jobs = ("--jobs", str(workers))
         for way, option, suffix in (("table", "-o", ".parquet"), ("lake", "--lake", "")):
             start = ran([few, option, str(own / f"{way}-few{suffix}"), *jobs])
-            found[way, workers] = ran([many, option, str(own / f"{way}-many{suffix}"), *jobs]) - start
+            whole = ran([many, option, str(own / f"{way}-many{suffix}"), *jobs])
+            found[way, workers] = Runs(few=start, many=whole)
         with cluster_of(own / "cluster", workers) as cluster:
             words = ("--scheduler", cluster.address, *cluster.tls)
             ran([few, "--lake", str(own / "first"), *words])  # every worker has everything loaded
             start = ran([few, "--lake", str(own / "few"), *words], cluster)
-            found["cluster", workers] = ran([many, "--lake", str(own / "many"), *words], cluster) - start
+            whole = ran([many, "--lake", str(own / "many"), *words], cluster)
+            found["cluster", workers] = Runs(few=start, many=whole)
             print(f"largest memory of a worker of {workers}: {peak_mib(cluster):.0f} MiB", flush=True)
     return found
 

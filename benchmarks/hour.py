@@ -1,9 +1,9 @@
 """An hour of a WLTC's bus from its file to results, beside the time of decoding it, now and before a change.
 
-3.6 million frames as candump text and as BLF. What is timed is what the program does for a log in a folder: reading,
-decoding, finding shifts and launches, estimating, and the records that are written. Beside it stand reading and
-decoding alone, and both with what finds the shifts. ``--before`` names a folder with another version of this project,
-which is timed in turns with this one:
+Two WLTCs of half an hour, as candump text and as BLF. What is timed is what the program does for a log in a folder:
+reading, decoding, finding shifts and launches, estimating, and the records that are written. Beside it stand reading
+and decoding alone, and both with what finds the shifts. ``--before`` names a folder with another version of this
+project, which is timed in turns with this one:
 
     git worktree add ../before COMMIT
     python -m benchmarks.hour --before ../before
@@ -20,11 +20,12 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 import benchmarks.decoding.timed_hour as program
-from benchmarks.decoding.hour import record_drive, write_hour
+from benchmarks.decoding.hour import NS_PER_S, PAUSE_NS, record_drive, write_hour
 from benchmarks.measuring import machine
 
 ROUNDS: Final = 3
 TARGET: Final = 2.5
+HOUR_NS: Final = 3600 * NS_PER_S
 HERE: Final = Path(__file__).parents[1]
 DECODE, FIND, ANALYSE = "decode", "find_shifts", "analyse"
 
@@ -67,7 +68,7 @@ def told(name: str, found: dict[str, Times]) -> str:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Make the hour once, measure in turns, print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--frames", type=int, default=3_600_000)
+    parser.add_argument("--frames", type=int, help="of the drive, over and over (an hour)")
     parser.add_argument("--drive", default="wltc")
     parser.add_argument("--before", type=Path, metavar="FOLDER", help="of another version of this project")
     options = parser.parse_args(arguments)
@@ -76,8 +77,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with TemporaryDirectory() as name:
         folder = Path(name)
         candump, blf = folder / "hour.log", folder / "hour.blf"
-        duration_s = write_hour(record_drive(folder, "--drive", options.drive), options.frames, candump, blf)
-        print(f"{options.frames} frames of {options.drive}, {duration_s:.0f} s of bus")
+        drive = record_drive(folder, "--drive", options.drive)
+        count = options.frames or int(len(drive) * HOUR_NS / (drive.t_ns[-1] - drive.t_ns[0] + PAUSE_NS))
+        duration_s = write_hour(drive, count, candump, blf)
+        print(f"{count:,} frames of {options.drive}, {duration_s:.0f} s of bus")
         for log, shown in ((candump, "candump"), (blf, "BLF")):
             rounds = [{version: measured(tree, log) for version, tree in trees.items()} for _ in range(ROUNDS)]
             print(told(shown, {version: least([one[version] for one in rounds]) for version in trees}), flush=True)

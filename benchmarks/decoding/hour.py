@@ -12,11 +12,13 @@ from canlog.frame_columns import join
 from canlog.frames import FrameBatch
 from canlog.logs import read_log
 from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.log_formats import BlfWriter, CandumpWriter, Header
+from ecu_emulator.log_formats import BlfWriter, CandumpWriter, FrameWriter, Header, Mf4Writer
 
 NS_PER_US: Final = 1_000
 NS_PER_S: Final = 1_000_000_000
 PAUSE_NS: Final = 2 * NS_PER_S  # bus time stands still between the drives: each is a segment of its own
+CHANNEL: Final = "vcan0"
+WRITERS: Final[dict[str, type[FrameWriter]]] = {".log": CandumpWriter, ".blf": BlfWriter, ".mf4": Mf4Writer}
 
 
 def record_drive(folder: Path, *options: str) -> FrameBatch:
@@ -27,13 +29,26 @@ def record_drive(folder: Path, *options: str) -> FrameBatch:
     return join(list(read_log(path)))
 
 
+def write_drive(drive: FrameBatch, path: Path, *, later_ns: int = 0) -> None:
+    """Write the frames of a drive in the format of a suffix, all so much later."""
+    t_us = (drive.t_ns + later_ns) // NS_PER_US
+    with path.open("wb") as file:
+        writer = WRITERS[path.suffix](file, Header(start_us=int(t_us[0]), channel=CHANNEL))
+        writer.write(t_us, _encoded(drive))
+        writer.close()
+
+
+def _encoded(drive: FrameBatch) -> EncodedFrames:
+    return EncodedFrames(t_s=np.zeros(len(drive)), can_id=drive.can_id, length=drive.length, data=drive.data)
+
+
 def write_hour(drive: FrameBatch, count: int, candump: Path, blf: Path) -> float:
     """Write ``count`` frames of the drive, over and over, in both formats; return how much bus time that is [s]."""
     first_us = int(drive.t_ns[0]) // NS_PER_US
-    header = Header(start_us=first_us, channel="vcan0")
+    header = Header(start_us=first_us, channel=CHANNEL)
     round_us = (int(drive.t_ns[-1] - drive.t_ns[0]) + PAUSE_NS) // NS_PER_US
     t_us = drive.t_ns // NS_PER_US
-    frames = EncodedFrames(t_s=np.zeros(len(drive)), can_id=drive.can_id, length=drive.length, data=drive.data)
+    frames = _encoded(drive)
     with ExitStack() as files:
         writers = (
             CandumpWriter(files.enter_context(candump.open("wb")), header),

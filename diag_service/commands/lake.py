@@ -43,7 +43,8 @@ def _check(options: SimpleNamespace, lake: Place) -> None:
     """Show what is in a lake; raises IncompleteError if manifest and parts disagree."""
     found = disagreement(lake)
     if options.repair:
-        lake.remove(found.unknown)
+        unfinished = parts_of(lake, with_unfinished=True).keys() - parts_of(lake).keys()
+        lake.remove([*found.unknown, *sorted(unfinished)])
         found = disagreement(lake)
     rows = Manifest(lake).rows
     done = [row for row in rows if row.outcome == DONE]

@@ -28,13 +28,14 @@ class Disagreement:
     twice: tuple[str, ...]  # logs whose shifts are in more than one state
 
 
-def parts_of(lake: Place) -> dict[str, Held]:
-    """Return all parts of a lake."""
-    return lake.held(SHIFTS) | lake.held(SIGNALS)
+def parts_of(lake: Place, *, with_unfinished: bool = False) -> dict[str, Held]:
+    """Return all parts of a lake, if asked for with those that a killed process has not finished."""
+    shifts, signals = (lake.held(kind, with_unfinished=with_unfinished) for kind in (SHIFTS, SIGNALS))
+    return shifts | signals
 
 
 def forget(lake: Place, vehicle: str) -> Forgotten:
-    """Take one vehicle out of a lake: its parts, whoever made them, then its rows; then look again.
+    """Take one vehicle out of a lake: its parts, whoever made them, its rows, its folders; then look again.
 
     Logs that are not in the lake, and copies that others made of it, stay.
 
@@ -45,7 +46,8 @@ def forget(lake: Place, vehicle: str) -> Forgotten:
     found = _of(vehicle, lake)
     lake.remove(found)
     manifest.put_together(without=[row.source for row in rows])
-    left = [*_of(vehicle, lake), *(row.source for row in Manifest(lake).rows if row.vehicle == vehicle)]
+    folders = [name for kind in (SHIFTS, SIGNALS) for name in lake.remove_folders(f"{kind}/*/{_folder(vehicle)}")]
+    left = [*_of(vehicle, lake), *folders, *(row.source for row in Manifest(lake).rows if row.vehicle == vehicle)]
     if left:
         raise StoreError(f"{len(left)} things of {vehicle} are still in {lake.address}, the first: {left[0]}")
     return Forgotten(
@@ -70,4 +72,9 @@ def disagreement(lake: Place) -> Disagreement:
 
 
 def _of(vehicle: str, lake: Place) -> dict[str, Held]:
-    return {name: one for name, one in parts_of(lake).items() if f"/vehicle={vehicle}/" in name}
+    parts = parts_of(lake, with_unfinished=True)
+    return {name: one for name, one in parts.items() if f"/{_folder(vehicle)}/" in name}
+
+
+def _folder(vehicle: str) -> str:
+    return f"vehicle={vehicle}"

@@ -9,6 +9,7 @@ import os
 import random
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ from canlog.whole_file import replacing
 from diag_service.errors import ConfigError, StoreError
 
 ATTEMPTS: Final = 7
+UNFINISHED: Final = ".part"
 FIRST_PAUSE_S: Final = 0.2  # doubled each time: 13 s in all, then the run stops and the same command goes on
 _FINAL: Final = (FileNotFoundError, PermissionError, IsADirectoryError, NotADirectoryError)
 _Answer = TypeVar("_Answer")
@@ -72,8 +74,11 @@ class Place:
         protocols = self._files.protocol
         self.is_local = "file" in ((protocols,) if isinstance(protocols, str) else protocols)
 
-    def held(self, under: str = "") -> dict[str, Held]:
-        """Return the files below, by name; none where there is no such folder."""
+    def held(self, under: str = "", *, with_unfinished: bool = False) -> dict[str, Held]:
+        """Return the files below, by name; none where there is no such folder.
+
+        What a killed process has not finished writing is none of them, unless it is asked for.
+        """
 
         def found() -> dict[str, Held]:
             try:
@@ -82,7 +87,8 @@ class Place:
             except FileNotFoundError:
                 return {}
             every = (self._held(path, info) for path, info in sorted(listed.items()))
-            return {one.name: one for one in every if one is not None}
+            known = (one for one in every if one is not None)
+            return {one.name: one for one in known if with_unfinished or not one.name.endswith(UNFINISHED)}
 
         return _patiently("look into", self.address, found)
 
@@ -110,11 +116,29 @@ class Place:
         """Remove files; return how many there were: one that is gone already is not counted."""
         return sum(_patiently("remove", self._shown(name), partial(self._remove, name)) for name in names)
 
+    def remove_folders(self, pattern: str) -> list[str]:
+        """Remove folders that hold nothing; return the names of those that are left. Object stores have no folders."""
+        if not self.is_local:
+            return []
+        found = list(Path(self._root).glob(pattern))
+        for folder in found:
+            with suppress(OSError):  # it holds something: it is told
+                folder.rmdir()
+        return [folder.relative_to(self._root).as_posix() for folder in found if folder.exists()]
+
     def _remove(self, name: str) -> bool:
         is_there = bool(self._files.exists(self._full(name)))
         if is_there:
             self._files.rm_file(self._full(name))
         return is_there
+
+    def _followed(self, path: str, link: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return what a link leads to; one that leads nowhere is a file that nobody can read."""
+        try:
+            found: Mapping[str, Any] = self._files.info(path)
+        except FileNotFoundError:
+            return {**link, "type": "file"}
+        return found
 
     def _full(self, name: str) -> str:
         return f"{self._root}/{name}"
@@ -124,7 +148,8 @@ class Place:
 
     def _held(self, path: str, info: Mapping[str, Any]) -> Held | None:
         name = path.removeprefix(self._root).lstrip("/")
-        if not name or info["type"] != "file" or name.endswith((".part", "/")):
+        info = self._followed(path, info) if info.get("islink") else info
+        if not name or info["type"] != "file" or name.endswith("/"):
             return None
         mark = info.get("ETag") or info.get("etag") or info.get("mtime") or info.get("updated") or ""
         return Held(name=name, size_bytes=int(info["size"]), mark=str(mark))

@@ -16,7 +16,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.commands import analyze, lake
 from diag_service.commands.arguments import parse_arguments
 from diag_service.errors import ConfigError, IncompleteError, StoreError
-from diag_service.lake.forgetting import Disagreement, disagreement
+from diag_service.lake.forgetting import Disagreement, disagreement, forget
 from diag_service.lake.manifest import DONE, FAILED, LogRow, Manifest
 from diag_service.lake.places import Place
 from diag_service.lake.run import Ledger, find_logs, to_do
@@ -157,15 +157,32 @@ def test_one_vehicle_is_forgotten_in_a_store(port: int, logs: Path, capsys: pyte
     assert f"3 logs, 2 of them not analysed, {SHIFT_COUNT} shifts of 1 vehicles in 1 parts" in capsys.readouterr().out
 
 
+def test_nothing_names_a_forgotten_vehicle(filled: Path, tmp_path: Path) -> None:
+    address = Path(shutil.copytree(filled, tmp_path / "lake"))
+    (part,) = address.glob("shifts/*/vehicle=car2/*.parquet")
+    unfinished = part.with_name(f".{part.name}.1-1.part")
+    unfinished.write_bytes(part.read_bytes())
+    gone = forget(Place(str(address)), "car2")
+    assert unfinished.relative_to(address).as_posix() in gone.parts
+    assert list(address.rglob("*car2*")) == []
+    assert shifts_of(address) == [("car1", 2 * SHIFT_COUNT)]
+    (address / "shifts" / "date=1970-01-01" / "vehicle=car2" / "of_others").mkdir(parents=True)
+    with pytest.raises(StoreError, match="1 things of car2 are still in"):
+        forget(Place(str(address)), "car2")
+
+
 def test_what_a_killed_run_left_is_told_and_can_be_removed(filled: Path, tmp_path: Path) -> None:
     address = Path(shutil.copytree(filled, tmp_path / "lake"))
     (part,) = address.glob("shifts/*/vehicle=car2/*.parquet")
     orphan = part.with_name("0-0.parquet")
     orphan.write_bytes(part.read_bytes())
+    unfinished = part.with_name(f".{part.name}.1-1.part")
+    unfinished.write_bytes(b"PAR1")
     with pytest.raises(IncompleteError, match="disagree"):
         lake.execute(parse_arguments(["lake", "check", str(address)]), Controls())
     lake.execute(parse_arguments(["lake", "check", str(address), "--repair"]), Controls())
     assert not orphan.exists()
+    assert not unfinished.exists()
     part.unlink()
     with pytest.raises(IncompleteError):
         lake.execute(parse_arguments(["lake", "check", str(address), "--repair"]), Controls())
@@ -220,6 +237,21 @@ def test_what_cannot_be_done_with_a_lake_is_told(
     filled = [word.format(logs=logs, tmp=tmp_path) for word in words]
     with pytest.raises(error, match=text):
         analyze.execute(parse_arguments(["analyze", *filled]), Controls())
+
+
+def test_a_link_is_what_it_leads_to(logs: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    (folder / "linked.log").symlink_to(logs / "car1" / "drive001.log")
+    (folder / "nowhere.log").symlink_to(tmp_path / "none.log")
+    (folder / "folder").symlink_to(logs)
+    place = Place(str(tmp_path / "lake"))
+    found = find_logs([str(folder)], place, "car", has_vehicles=False)
+    size_bytes = (logs / "car1" / "drive001.log").stat().st_size
+    assert [(log.held.name, log.held.size_bytes) for log in found] == [("linked.log", size_bytes), ("nowhere.log", 0)]
+    row = Maker(Job.of(CONFIG, place.address, None, 60.0)).make(found[1], 1)
+    assert row.outcome == FAILED
+    assert "No such file" in row.reason
 
 
 def test_a_store_that_refuses_for_good_is_told(port: int, tmp_path: Path) -> None:
