@@ -176,7 +176,7 @@ def _integrate(driven: _Driven, law: FilmLaw, friction: FrictionLaw, heat: HeatL
             if film_m < law.open_gap_m or applied_pressure_pa(driving_pa, law) > 0.0:  # else an open pack stays open
                 before_m = film_m
                 film_m = _film_step(point, driving_pa, viscosity, law, driven.step_s)
-                film_rate_1_s = abs(film_m / before_m - 1.0) / driven.step_s
+                film_rate_1_s = abs(film_m - before_m) / (before_m * driven.step_s)
                 point, shear = film_point(film_m, law), shear_factor_difference(film_m / law.roughness_m)
     return clutch_k
 
@@ -188,6 +188,8 @@ def open_and_whole_nm(
     """Return what an open pack drags [N m], and that with what the film of a closing one shears; "Cold oil"."""
     full_nm = sheared_torque_nm(slip_rad_s, film_m, viscosity, shear, law)
     openness = _openness(film_m, law)
+    if openness == 0.0:
+        return 0.0, full_nm
     open_nm = openness * open_drag_ratio * full_nm / math.sqrt(1.0 + (full_nm / DRAG_LIMIT_NM) ** 2)
     return open_nm, (1.0 - openness) * full_nm + open_nm
 

@@ -291,14 +291,15 @@ def _fill_answers(
     speed_rad_s, exponent = curve.stribeck_speed_rad_s, curve.stribeck_exponent
     for row in range(len(slip_rad_s)):
         excess = max(abs(slip_rad_s[row]) / speed_rad_s, MIN_EXCESS)
+        log_excess = math.log(excess)
         by_mu_c_nm, by_mu_s_nm = torques_nm[row, 0], torques_nm[row, 1]
-        by_log_nm = by_mu_s_nm * (mu[1] - mu[0]) * exponent * excess**exponent
+        by_log_nm = by_mu_s_nm * (mu[1] - mu[0]) * exponent * math.exp(exponent * log_excess)
         answers.by_slip_nms[row] = -by_log_nm / (excess * speed_rad_s) * direction(slip_rad_s[row])
         answers.by_pressure_m3[row] = area_ratio * mu[0] * (by_mu_c_nm + by_mu_s_nm) / max(contact_pa[row], 1.0)
         answers.by_stribeck_speed_nm[row] = by_log_nm
-        answers.by_stribeck_exponent_nm[row] = -by_log_nm * math.log(excess)
+        answers.by_stribeck_exponent_nm[row] = -by_log_nm * log_excess
         whole_nm = by_mu_c_nm * mu[0] + by_mu_s_nm * mu[1]
-        answers.doubt_nm[row] = math.hypot(film_doubt_nm[row], DOUBT_RATIO * whole_nm)
+        answers.doubt_nm[row] = math.sqrt(film_doubt_nm[row] ** 2 + (DOUBT_RATIO * whole_nm) ** 2)
 
 
 def compile_sensitivity(calibration: Calibration) -> None:
