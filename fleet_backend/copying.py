@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Final
 
@@ -19,6 +20,7 @@ _KINDS: Final[Mapping[type, str]] = MappingProxyType(
     {BigInteger: "int8", SmallInteger: "int2", Double: "float8", UtcDateTime: "timestamptz"}
 )
 _TYPES: Final = tuple(_KINDS.get(type(SHIFT_RESULT.c[name].type), "text") for name in _NAMES)
+_VALUES_OF: Final = itemgetter(*_NAMES)  # a tuple
 _COLUMNS: Final = ", ".join(_NAMES)
 # Gone with the transaction, its rows at least: whoever pools connections may hand it to another worker meanwhile.
 _MAKE: Final = (
@@ -56,7 +58,7 @@ def copy_results(connection: Connection, rows: Sequence[Row]) -> None:
             with cursor.copy(_COPY) as copy:
                 copy.set_types(_TYPES)
                 for row in rows:
-                    copy.write_row([row[name] for name in _NAMES])
+                    copy.write_row(_VALUES_OF(row))
             cursor.execute(_TAKE)
     except base as error:
         is_gone = dialect.is_disconnect(error, driver, None)
