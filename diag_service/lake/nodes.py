@@ -19,6 +19,7 @@ QUIET: Final = {  # by itself Dask looks at itself many times a second, which ta
     "distributed.worker.profile.enabled": False,  # what a worker is doing, for a page that few open
     "distributed.admin.tick.interval": "500ms",
     "distributed.admin.system-monitor.interval": "5s",
+    "distributed.scheduler.worker-saturation": 1.0,  # what waits goes to the worker that is free first
     "distributed.worker.memory.monitor-interval": "500ms",  # of a worker as of its guardian
     # By itself Dask has workers give back memory at once, only to have it mapped anew for the next arrays.
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
