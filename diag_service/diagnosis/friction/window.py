@@ -128,6 +128,7 @@ def _mark(
 def compile_window() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     find_window(np.arange(2.0), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2, np.bool_))
+    _sines(2, 1)
 
 
 def _stretches(is_told: BoolArray) -> list[list[int]]:
@@ -258,12 +259,23 @@ def sines(window: SlipWindow, counts: Sequence[int]) -> Weights:
 @lru_cache(maxsize=32)
 def _sines(row_count: int, count: int) -> tuple[FloatArray, FloatArray]:
     """Return sines and their derivatives on one piece, each (count, row_count)."""
-    order, step = np.arange(1, count + 1)[:, None], np.pi / (row_count - 1)
-    whole = np.arange(2 * (row_count - 1)) * step  # one period: all orders take their values from it
-    place = order * np.arange(row_count) % len(whole)
-    rate = np.cos(whole)[place] * (order * step)
+    step = np.pi / (row_count - 1)
+    period = np.arange(2 * (row_count - 1)) * step  # of the slowest: all others take their values from it
+    value, rate = np.empty((2, count, row_count))
+    _fill_sines(np.sin(period) * GRID_S, np.cos(period), step, value, rate)
     rate[:, [0, -1]] *= 0.5  # trapezoid
-    return np.sin(whole)[place] * GRID_S, rate
+    return value, rate
+
+
+@array_kernel
+def _fill_sines(sine: FloatArray, cosine: FloatArray, step: float, value: FloatArray, rate: FloatArray) -> None:
+    for k in range(value.shape[0]):
+        place = 0
+        for row in range(value.shape[1]):
+            value[k, row], rate[k, row] = sine[place], cosine[place] * ((k + 1) * step)
+            place += k + 1
+            if place >= len(sine):
+                place -= len(sine)
 
 
 def smoothed(values: FloatArray, window: SlipWindow, degree: int) -> FloatArray:

@@ -8,8 +8,8 @@ import pytest
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.friction.evidence import Evidence, Knowledge, Measurement
-from diag_service.diagnosis.friction.judgement import JudgedEvent, judge
+from diag_service.diagnosis.friction.evidence import Evidence, Knowledge, Measurement, fuse
+from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, judge, saved_by_step
 from diag_service.diagnosis.friction.parameters import (
     PARAMETER_COUNT,
     STATE_COUNT,
@@ -102,6 +102,30 @@ def test_a_change_too_small_for_any_event_to_be_left_out_is_followed_as_well(lev
     changed = judge(base(), seen[:11])
     assert changed.first_changed == 8
     assert changed.fusion.knowledge.mean[:2] == pytest.approx(level * MU, abs=4.0 * STD)
+
+
+@pytest.mark.parametrize("clutch", [1, 2])
+def test_what_a_step_saves_is_what_knowledge_before_and_after_it_says(clutch: int) -> None:
+    rng = np.random.default_rng(clutch)
+    at = base().mean
+    evidences = [
+        Evidence.of(
+            [
+                Measurement(
+                    residual=rng.normal(size=30),
+                    slope=rng.normal(size=(30, PARAMETER_COUNT)) / base().std().clip(min=1e-12),
+                    noise=np.eye(30),
+                )
+            ],
+            at,
+        )
+        for _ in range(7)
+    ]
+    before, since = Evidence.sum(evidences[:4]), Evidence.sum(evidences[4:])
+    together, first = fuse(base(), before.plus(since)), fuse(base(), before)
+    changed = fuse(after_change(first.knowledge, clutch), since)
+    saved = saved_by_step(together.knowledge, since, clutch)
+    assert saved == pytest.approx(together.chi_square - first.chi_square - changed.chi_square, rel=1e-6)
 
 
 def test_three_that_agree_with_nobody_are_no_change() -> None:
