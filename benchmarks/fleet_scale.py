@@ -60,9 +60,11 @@ def messages(vehicle_count: int, first: int, count: int) -> list[Wire]:
     return made
 
 
-def made_fleet(database: str, vehicle_count: int, span: timedelta, driven: timedelta, now: datetime) -> Engine:
+def made_fleet(
+    server: PostgresServer, name: str, vehicle_count: int, span: timedelta, driven: timedelta, now: datetime
+) -> Engine:
     """Return a fleet with a past of so long; its results have the positions of one that is ``driven`` for so long."""
-    engine = open_database(database)
+    engine = open_database(server.create(name))
     migrate(engine)
     keep_months(engine, now, back=1 + int(span.days / 28))
     make_fleet(engine, vehicle_count)
@@ -73,6 +75,20 @@ def made_fleet(database: str, vehicle_count: int, span: timedelta, driven: timed
     took_s = time.monotonic() - began_s
     print(f"{count:,} rows in {len(partitions(engine))} partitions, {size_gib:.2f} GiB, made in {took_s:.0f} s")
     return engine
+
+
+def fleets(server: PostgresServer, vehicle_count: int, span: timedelta) -> tuple[Engine, Engine]:
+    """Return a fleet with its last days only and one with a past of so long, both made or as they were kept."""
+    now, mark = datetime.now(UTC), server.folder / "made"
+    made = f"{vehicle_count} vehicles, {span}\n"
+    if mark.exists():
+        if mark.read_text(encoding="utf-8") != made:
+            raise SystemExit(f"{server.folder} keeps {mark.read_text(encoding='utf-8').strip()}, not {made.strip()}")
+        return open_database(server.url("recent")), open_database(server.url("past"))
+    recent = made_fleet(server, "recent", vehicle_count, min(RECENT, span), span, now)
+    old = made_fleet(server, "past", vehicle_count, span, span, now)
+    mark.write_text(made, encoding="utf-8")
+    return recent, old
 
 
 @cache
@@ -131,11 +147,10 @@ def broker(name: str, folder: Path) -> Iterator[tuple[int, str]]:
         server.stop()
 
 
-def ingest(
-    name: str, database: str, vehicle_count: int, count: int, first: int, pace_per_s: float, *, is_rush: bool
-) -> bool:
+def ingest(name: str, database: str, vehicle_count: int, count: int, pace_per_s: float, *, is_rush: bool) -> bool:
     """Print rate, idempotence and latency from one broker; return whether all keep their aims."""
     engine = open_database(database)
+    began, first = datetime.now(UTC), _last_live(engine) + 1
     with ExitStack() as stack:
         stack.callback(engine.dispose)
         folder = Path(stack.enter_context(TemporaryDirectory()))
@@ -145,12 +160,12 @@ def ingest(
         load = Load(port, "load", [filter_of(Channel.ACK)], connections=CONNECTIONS)
         stack.callback(load.close)
         made = messages(vehicle_count, first, count)
-        before, used_s = _live_count(engine), processor_s()
+        used_s = processor_s()
         rate = count / load.send(made, WINDOW, timeout_s=300.0)
         used_s = spent_s(used_s)
         load.acknowledged_count = 0
         again = count / load.send(made, WINDOW, timeout_s=300.0)
-        new = _live_count(engine) - before
+        new = _live_count(engine, began)
         print(f"{name}: {rate:,.0f} results/s (aim {AIM_PER_S:,}); once more {again:,.0f}/s; {new:,} new of {count:,}")
         print(f"{name}: {told_cost(used_s, count)}")
         paced = messages(vehicle_count, first + count, int(PACED_S * pace_per_s))
@@ -168,9 +183,17 @@ def ingest(
         return rate >= AIM_PER_S and new == count and p99_s <= LATENCY_AIM_S
 
 
-def _live_count(engine: Engine) -> int:
+def _live_count(engine: Engine, began: datetime) -> int:
+    question = text("SELECT count(*) FROM shift_result WHERE stored_at >= :began AND stream = 'live'")
     with transaction(engine) as connection:
-        return int(connection.execute(text("SELECT count(*) FROM shift_result WHERE stream = 'live'")).scalar_one())
+        return int(connection.execute(question, {"began": began}).scalar_one())
+
+
+def _last_live(engine: Engine) -> int:
+    """Return the highest position that any vehicle has of an earlier ingest."""
+    question = text("SELECT coalesce(max(seq), 0) FROM shift_result WHERE vehicle = 'h1' AND stream = 'live'")
+    with transaction(engine) as connection:
+        return int(connection.execute(question).scalar_one())
 
 
 def main() -> int:
@@ -182,21 +205,19 @@ def main() -> int:
     parser.add_argument("--pace", type=float, default=AIM_PER_S / 2, help="results per second, of the latency")
     parser.add_argument("--rush", action="store_true", help="of a day with rush hours, put into ten seconds")
     parser.add_argument("--broker", choices=["mosquitto", "nats"], help="only this one")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the past there, or take up what was kept")
     options = parser.parse_args()
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # a text stream
     span = timedelta(days=options.rows / (2 * options.vehicles * PER_DAY))
-    with closing(PostgresServer(SETTINGS)) as server:
+    with closing(PostgresServer(SETTINGS, options.keep)) as server:
         server.start()
-        now = datetime.now(UTC)
-        recent = made_fleet(server.create("recent"), options.vehicles, min(RECENT, span), span, now)
-        old = made_fleet(server.create("past"), options.vehicles, span, span, now)
+        recent, old = fleets(server, options.vehicles, span)
         is_kept = compare(recent, old, options.vehicles)
         recent.dispose()
         old.dispose()
-        for number, name in enumerate([options.broker] if options.broker else ["mosquitto", "nats"]):
-            first = 1 + number * 10_000_000
+        for name in [options.broker] if options.broker else ["mosquitto", "nats"]:
             done = ingest(
-                name, server.url("past"), options.vehicles, options.results, first, options.pace, is_rush=options.rush
+                name, server.url("past"), options.vehicles, options.results, options.pace, is_rush=options.rush
             )
             is_kept = is_kept and done
     return 0 if is_kept else 1

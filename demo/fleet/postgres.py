@@ -1,4 +1,4 @@
-"""A PostgreSQL of our own: its data in a temporary folder, its port free until then, its end with the block."""
+"""A PostgreSQL of our own: its data in a temporary folder or one that is kept, its port free until then."""
 
 import os
 import pwd
@@ -17,7 +17,7 @@ from demo.errors import DemoError
 ROLE: Final = "clutchdiag"
 _DEBIAN_FOLDER: Final = Path("/usr/lib/postgresql")
 _START_S: Final = 120.0
-_STOP_S: Final = 60.0
+_STOP_S: Final = 120.0
 _UNPRIVILEGED: Final = ("postgres", "nobody")
 
 
@@ -28,21 +28,27 @@ class PostgresServer:
     ----------
     settings : sequence of str
         Server parameters as ``name=value``.
+    kept : Path, optional
+        A folder whose data outlive the server and are taken up again; by default a temporary one.
     """
 
-    def __init__(self, settings: Sequence[str] = ()) -> None:
+    def __init__(self, settings: Sequence[str] = (), kept: Path | None = None) -> None:
         self.port = _free_port()
         self._programs = program_folder()
         if self._programs is None:
             raise DemoError("PostgreSQL is not installed (Debian package postgresql)")
         self._settings = settings
         self._owner = _owner()
-        self.folder = Path(tempfile.mkdtemp(prefix="clutchdiag-postgres-"))
+        self._is_kept = kept is not None
+        self.folder = Path(tempfile.mkdtemp(prefix="clutchdiag-postgres-")) if kept is None else kept.resolve()
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._log = self.folder / "server.log"
         self._process: subprocess.Popen[bytes] | None = None
         if self._owner is not None:
             os.chown(self.folder, self._owner, -1)
-        self._run("initdb", "--pgdata", str(self.folder / "data"), "-U", ROLE, "-A", "trust", "-E", "UTF8", "--no-sync")
+        data = self.folder / "data"
+        if not (data / "PG_VERSION").exists():
+            self._run("initdb", "--pgdata", str(data), "-U", ROLE, "-A", "trust", "-E", "UTF8", "--no-sync")
 
     @property
     def pid(self) -> int:
@@ -95,8 +101,10 @@ class PostgresServer:
         self._end(signal.SIGINT)
 
     def close(self) -> None:
-        """End the server and forget its data."""
-        self._end(signal.SIGQUIT)
+        """End the server and forget its data, unless they are kept."""
+        self._end(signal.SIGINT if self._is_kept else signal.SIGQUIT)
+        if self._is_kept:
+            return
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _end(self, number: signal.Signals) -> None:
