@@ -73,13 +73,14 @@ _INGEST: Final = Command(
     *_BROKER[1:],
     Option("--worker NAME", "name of this worker, unlike any other's (default: made up)"),
     Option("--alive FILE", "touch this file every 5 s while broker and database answer", FILE),
-    Option("--batch N", f"messages per transaction (default: {_PACE.batch_size})", INT, default=_PACE.batch_size),
+    Option("--batch N", f"results per transaction (default: {_PACE.batch_size})", INT, default=_PACE.batch_size),
     Option(
         "--patience MS",
         f"how long the first message of a batch waits for others (default: {_PACE.patience_s * 1000.0:g})",
         FLOAT,
         default=_PACE.patience_s * 1000.0,
     ),
+    Option("--no-bundles", "let vehicles send each result alone, for others who read the topic shift"),
     examples=(
         f"{PROGRAM} ingest --broker mqtts://fleet@broker.example --database postgresql://fleet@db.example/fleet",
     ),

@@ -1,27 +1,34 @@
 """The backend's connection to its broker: acknowledged when we say so, after the commit.
 
 MQTT 5 is needed: its Receive Maximum asks the broker to stop at that many unacknowledged messages, so a database that
-is away fills the broker and the vehicles' outboxes. Of a broker that sends more we read no further (decision 0080).
+is away fills the broker and the vehicles' outboxes. Of a broker that sends more, by count or bytes, we read no further
+(decision 0080): a bundle holds many results.
 """
 
+import logging
 from collections.abc import AsyncIterator, Iterable, Sequence
 from contextlib import asynccontextmanager
 from typing import Final
 
 from fleet_backend.errors import BrokerError, ConfigError
-from fleet_contract import Outgoing
+from fleet_contract import Channel, Outgoing, filter_of
 from fleet_link import AddressError, BrokerAddress, Connection, JetStream, LinkDownError, Message, Terms
+from fleet_link.jetstream import STREAM, subject_of
 
 GROUP: Final = "ingest"  # of workers that share what comes
+BUNDLES: Final = filter_of(Channel.BUNDLE, group=GROUP)
 KEEPALIVE_S: Final = 15  # a dead broker is known after 1.5 times this
 MOST_IN_FLIGHT: Final = 100  # receipts without the broker's answer; the others go without one
+USUAL_BYTES: Final = 4096  # of one of the messages that may be unsettled: a result alone has less, most bundles more
 MAX_PACKET_BYTES: Final = 262_144  # far above any result; the broker keeps longer packets from us
+_LOG: Final = logging.getLogger(__name__)
 
 
 class BrokerInbox:
     """An open, subscribed connection, whose end is an error of ours."""
 
-    def __init__(self, connection: Connection | JetStream) -> None:
+    def __init__(self, connection: Connection | JetStream, *, takes_bundles: bool = True) -> None:
+        self.takes_bundles = takes_bundles  # whether they reach us
         self._connection = connection
 
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
@@ -65,6 +72,7 @@ async def connected(
     terms = Terms(
         keepalive_s=KEEPALIVE_S,
         max_unsettled=max_unsettled,
+        max_unsettled_bytes=max_unsettled * USUAL_BYTES,
         max_in_flight=MOST_IN_FLIGHT,
         max_packet_bytes=MAX_PACKET_BYTES,
         is_key_private=False,  # a container's secrets are its only user's, whatever their mode says
@@ -72,7 +80,7 @@ async def connected(
     connection: Connection | JetStream
     try:
         if address.is_nats:
-            connection = await JetStream.open(address, filters, GROUP)
+            connection = await JetStream.open(address, filters, GROUP, max_unsettled * USUAL_BYTES // 2)
         else:
             connection = await Connection.open(address, terms)
     except LinkDownError as exc:
@@ -81,10 +89,30 @@ async def connected(
         raise ConfigError(str(exc)) from exc
     try:
         try:
-            if isinstance(connection, Connection):
-                await connection.subscribe(filters)
+            takes_bundles = await _subscribed(connection, filters)
         except LinkDownError as exc:
             raise BrokerError(f"broker {address}: {exc}") from exc
-        yield BrokerInbox(connection)
+        yield BrokerInbox(connection, takes_bundles=takes_bundles)
     finally:
         await connection.close()
+
+
+async def _subscribed(connection: Connection | JetStream, filters: Sequence[str]) -> bool:
+    """Subscribe, and return whether bundles are among what comes; what an operator set up earlier may lack them.
+
+    Raises LinkDownError if any other subscription is refused.
+    """
+    if isinstance(connection, JetStream):
+        if connection.strangers:
+            subjects = ", ".join(sorted(map(subject_of, connection.strangers)))
+            _LOG.warning("the stream %s lacks %s: add it with `nats stream edit`", STREAM, subjects)
+        return BUNDLES in filters and BUNDLES not in connection.strangers
+    await connection.subscribe([name for name in filters if name != BUNDLES])
+    if BUNDLES not in filters:
+        return False
+    try:
+        await connection.subscribe([BUNDLES])
+    except LinkDownError as exc:  # of a connection that is lost the next call tells
+        _LOG.warning("vehicles are to send each result alone: %s", exc)
+        return False
+    return True

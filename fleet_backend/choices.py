@@ -21,8 +21,9 @@ class Axis(StrEnum):
 class Pace:
     """How messages are gathered: a transaction costs a disk's turn, whatever it holds."""
 
-    batch_size: int = 500
+    batch_size: int = 500  # results of a transaction, messages read at once
     patience_s: float = 0.02  # how long the first message of a batch waits for others
+    takes_bundles: bool = True  # whether vehicles hear that they may send several results in one message
 
     @property
     def max_unsettled(self) -> int:

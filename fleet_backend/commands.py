@@ -48,7 +48,7 @@ def execute(options: SimpleNamespace) -> None:
 
 
 def _ingest(options: SimpleNamespace, engine: Engine) -> None:
-    pace = parse_pace(options.batch, options.patience)
+    pace = parse_pace(options.batch, options.patience, takes_bundles=not options.no_bundles)
     run_ingest(
         engine,
         _broker(options, may_be_nats=True),

@@ -52,13 +52,13 @@ def parse_broker(
     return address
 
 
-def parse_pace(batch_size: int, patience_ms: float) -> Pace:
+def parse_pace(batch_size: int, patience_ms: float, *, takes_bundles: bool = True) -> Pace:
     """Return how messages are gathered; raises ConfigError for numbers that make no sense."""
     if not 1 <= batch_size <= _MAX_BATCH:
         raise ConfigError(f"a batch must be 1 to {_MAX_BATCH} messages, got {batch_size}")
     if not 0.0 <= patience_ms <= 10_000.0:
         raise ConfigError(f"the patience must be 0 to 10000 ms, got {patience_ms:g}")
-    return Pace(batch_size=batch_size, patience_s=patience_ms / 1000.0)
+    return Pace(batch_size=batch_size, patience_s=patience_ms / 1000.0, takes_bundles=takes_bundles)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

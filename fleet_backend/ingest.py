@@ -24,7 +24,7 @@ from fleet_backend.intake import (
     batch_of,
     receipts_of,
     refuse,
-    take,
+    take_all,
     vehicles_online,
 )
 from fleet_backend.writer import Batch
@@ -41,6 +41,10 @@ _LOG: Final = logging.getLogger(__name__)
 
 class Inbox(Protocol):
     """An open connection to a broker."""
+
+    @property
+    def takes_bundles(self) -> bool:
+        """Whether the bundles of vehicles come in by it."""
 
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
         """Return the next messages, or raise BrokerError when the connection is lost."""
@@ -113,12 +117,29 @@ class Worker:
                 await self.settle(inbox, messages)
 
     async def settle(self, inbox: Inbox, messages: Sequence[Message]) -> None:
-        """Commit messages, give receipts for them, and let the broker forget them, in this order."""
+        """Commit messages, give receipts for them, and let the broker forget them, in this order.
+
+        Of bundles no more than a batch is unpacked at a time.
+        """
         received_at = self._now()
-        taken = await self._commit([take(message, received_at) for message in messages])
+        looked_at: list[Message] = []
+        taken: list[Taken] = []
+        for message in messages:
+            looked_at.append(message)
+            taken += take_all(message, received_at)
+            if len(taken) >= self._pace.batch_size:
+                await self._settle(inbox, looked_at, taken)
+                looked_at, taken = [], []
+        if looked_at:
+            await self._settle(inbox, looked_at, taken)
+
+    async def _settle(self, inbox: Inbox, messages: Sequence[Message], looked_at: list[Taken]) -> None:
+        taken = await self._commit(looked_at)
         sent_at = self._now().strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+        takes_bundles = self._pace.takes_bundles and inbox.takes_bundles
         for vehicle, receipts in receipts_of(taken).items():
-            inbox.send(list(ack_messages(vehicle, receipts, sent_at=sent_at, worker=self._name)))
+            acks = ack_messages(vehicle, receipts, sent_at=sent_at, worker=self._name, takes_bundles=takes_bundles)
+            inbox.send(list(acks))
         await self._tell_fills(inbox, vehicles_online(taken), sent_at)
         inbox.settle(messages)
         self.counts.update(item.kind for item in taken)

@@ -1,7 +1,7 @@
 """Messages as they came become rows and receipts; what cannot be used becomes poison with a reason."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from enum import Enum, auto
 from types import MappingProxyType
@@ -28,15 +28,25 @@ from fleet_contract import (
     Receipt,
     ResultKey,
     TopicError,
+    bundled_events,
     key_of,
     parse_object,
     parse_topic,
     read_message,
+    topic_of,
 )
 from fleet_link import Message
 
-INGESTED: Final = (Channel.SHIFT, Channel.STATUS, Channel.METRICS, Channel.CONTROLLER, Channel.FLUID)
+INGESTED: Final = (
+    Channel.SHIFT,
+    Channel.BUNDLE,
+    Channel.STATUS,
+    Channel.METRICS,
+    Channel.CONTROLLER,
+    Channel.FLUID,
+)
 IDENTITY_REASON: Final = "identity"  # of the view identity_alarm too
+_BUNDLE_END: Final = f"/{Channel.BUNDLE.label}"
 _LONGEST_KEY_PART: Final = 128  # what an acknowledgement can carry
 
 
@@ -53,7 +63,10 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Taken:
-    """A message that was looked at: the rows it becomes and the receipt its sender gets after the commit."""
+    """A message that was looked at: the rows it becomes and the receipt its sender gets after the commit.
+
+    A result of a bundle is a message as it would have come alone.
+    """
 
     message: Message
     kind: Kind
@@ -71,8 +84,20 @@ _STATES: Final[Mapping[Channel, tuple[Kind, Callable[[Mapping[str, object]], Row
 )
 
 
+def take_all(message: Message, received_at: datetime) -> list[Taken]:
+    """Return what becomes of a message, or of each result of a bundle."""
+    if not message.topic.endswith(_BUNDLE_END):
+        return [take(message, received_at)]
+    try:
+        topic = topic_of(parse_topic(message.topic).vehicle, Channel.SHIFT)
+        events = bundled_events(message.payload)
+    except ContractError as exc:
+        return [refuse(message, _reason_of(exc), str(exc), received_at)]
+    return [take(replace(message, topic=topic, payload=event), received_at) for event in events]
+
+
 def take(message: Message, received_at: datetime) -> Taken:
-    """Return what becomes of a message."""
+    """Return what becomes of a message that is no bundle."""
     try:
         incoming = read_message(message.topic, message.payload)
     except ContractError as exc:

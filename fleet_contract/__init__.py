@@ -1,6 +1,7 @@
 """What vehicle and fleet backend agree on: topics, envelope, schemas, receipts. Neither application is known here."""
 
 from fleet_contract.broker_url import BrokerUrl, exposure, is_this_machine, parse_broker_url
+from fleet_contract.bundles import MAX_BUNDLE_BYTES, MAX_BUNDLED, bundle_messages, bundled_events
 from fleet_contract.described import ASYNCAPI_PATH, SCHEMA_FOLDER, VSS_OVERLAY_PATH, schema
 from fleet_contract.errors import (
     BrokerUrlError,
@@ -25,7 +26,7 @@ from fleet_contract.messages import (
     shift_message,
     status_message,
 )
-from fleet_contract.receipts import MAX_RECEIPTS, Outcome, Receipt, ResultKey, key_of, receipts_of
+from fleet_contract.receipts import MAX_RECEIPTS, Outcome, Receipt, ResultKey, key_of, receipts_of, takes_bundles
 from fleet_contract.strict_json import JsonObject, dump, parse_object
 from fleet_contract.topics import CLUTCHES, TOPIC_ROOT, Address, Channel, filter_of, is_vehicle, parse_topic, topic_of
 from fleet_contract.variables import BACKEND_VARIABLES, PREFIX, SERVICE_VARIABLES, check_variables
@@ -34,6 +35,8 @@ __all__ = [
     "ASYNCAPI_PATH",
     "BACKEND_VARIABLES",
     "CLUTCHES",
+    "MAX_BUNDLED",
+    "MAX_BUNDLE_BYTES",
     "MAX_RECEIPTS",
     "PREFIX",
     "SCHEMA_FOLDER",
@@ -57,6 +60,8 @@ __all__ = [
     "TopicError",
     "VariableError",
     "ack_messages",
+    "bundle_messages",
+    "bundled_events",
     "check_variables",
     "clutch_message",
     "config_message",
@@ -78,5 +83,6 @@ __all__ = [
     "schema",
     "shift_message",
     "status_message",
+    "takes_bundles",
     "topic_of",
 ]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from fleet_contract.described import check_data, check_envelope
-from fleet_contract.errors import IdentityError
+from fleet_contract.errors import IdentityError, MalformedError
 from fleet_contract.receipts import Receipt, ResultKey, ack_records, key_of
 from fleet_contract.strict_json import JsonObject, dump, parse_object, shown
 from fleet_contract.topics import Address, Channel, parse_topic, topic_of
@@ -42,13 +42,15 @@ def read_message(topic: str, payload: bytes) -> Incoming:
     TopicError
         If the topic is not one of the contract.
     MalformedError
-        If the payload is too long, too deep or not the JSON it should be.
+        If the payload is too long, too deep or not the JSON it should be; a bundle holds several messages, and is none.
     SchemaError
         If envelope or data are not what their schemas describe.
     IdentityError
         If the data are of another vehicle, clutch or key than topic and envelope say.
     """
     address = parse_topic(topic)
+    if address.channel is Channel.BUNDLE:
+        raise MalformedError("a bundle where one message belongs")
     event = parse_object(payload, address.channel.max_bytes)
     check_envelope(event)
     data = event["data"]
@@ -125,7 +127,9 @@ def fluid_message(vehicle: str, produced_at: str, fills: Sequence[JsonObject], *
     return _outgoing(channel, vehicle, dump(record), source=vehicle, event_id=event_id, time=produced_at)
 
 
-def ack_messages(vehicle: str, receipts: Sequence[Receipt], *, sent_at: str, worker: str) -> Iterator[Outgoing]:
+def ack_messages(
+    vehicle: str, receipts: Sequence[Receipt], *, sent_at: str, worker: str, takes_bundles: bool = False
+) -> Iterator[Outgoing]:
     """Yield the acknowledgements of committed results of one vehicle.
 
     Parameters
@@ -134,8 +138,10 @@ def ack_messages(vehicle: str, receipts: Sequence[Receipt], *, sent_at: str, wor
         ISO 8601 UTC with microseconds; later than the commit.
     worker :
         Name of who committed; no two workers share one, so that ids stay unique.
+    takes_bundles :
+        Whether the vehicle may send several results in one message.
     """
-    for number, record in enumerate(ack_records(vehicle, receipts, sent_at)):
+    for number, record in enumerate(ack_records(vehicle, receipts, sent_at, takes_bundles=takes_bundles)):
         event_id = f"ack/{sent_at}/{number}"
         yield _outgoing(
             Channel.ACK, vehicle, dump(record), source=f"{worker}/{vehicle}", event_id=event_id, time=sent_at

@@ -81,8 +81,11 @@ def key_of(record: Mapping[str, object]) -> ResultKey:
     raise SchemaError("a record without the key of a result")
 
 
-def ack_records(vehicle: str, receipts: Sequence[Receipt], sent_at: str) -> Iterator[JsonObject]:
+def ack_records(
+    vehicle: str, receipts: Sequence[Receipt], sent_at: str, *, takes_bundles: bool = False
+) -> Iterator[JsonObject]:
     """Yield the data of the acknowledgements for results of one vehicle, ``MAX_RECEIPTS`` at a time."""
+    more: JsonObject = {"takes_bundles": True} if takes_bundles else {}
     for first in range(0, len(receipts), MAX_RECEIPTS):
         entries = [_entry(receipt) for receipt in receipts[first : first + MAX_RECEIPTS]]
         yield {
@@ -90,6 +93,7 @@ def ack_records(vehicle: str, receipts: Sequence[Receipt], sent_at: str) -> Iter
             "vehicle": vehicle,
             "sent_at": sent_at,
             "results": entries,
+            **more,
         }
 
 
@@ -99,6 +103,11 @@ def receipts_of(ack: Mapping[str, object]) -> list[Receipt]:
     if not isinstance(entries, list):
         raise SchemaError("results must be a list")
     return [_receipt({**entry, "vehicle": vehicle}) for entry in entries]
+
+
+def takes_bundles(ack: Mapping[str, object]) -> bool:
+    """Return whether whoever wrote a checked acknowledgement takes bundles; those before there were any do not say."""
+    return ack.get("takes_bundles") is True
 
 
 def _entry(receipt: Receipt) -> JsonObject:

@@ -13,6 +13,7 @@ CLUTCHES: Final = (1, 2)
 _VEHICLE: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 _EVENT_BYTES: Final = 16_384
 _LIST_BYTES: Final = 262_144
+_BUNDLE_BYTES: Final = 65_536  # packed; brokers that take 128 KiB at most have room for it
 
 
 class Channel(Enum):
@@ -22,6 +23,7 @@ class Channel(Enum):
     """
 
     SHIFT = ("shift", _EVENT_BYTES, False)
+    BUNDLE = ("bundle", _BUNDLE_BYTES, False)  # of what goes to SHIFT, packed
     CLUTCH = ("clutch", _EVENT_BYTES, True)
     STATUS = ("status", _EVENT_BYTES, True)  # birth, farewell and last will
     METRICS = ("metrics", _EVENT_BYTES, True)

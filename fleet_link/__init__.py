@@ -1,7 +1,8 @@
 """The way to a broker, for vehicles and backends: address, certificates, secrets, and one MQTT connection at a time."""
 
 from fleet_link.address import BrokerAddress, parse_broker
-from fleet_link.connection import Connection, Message
+from fleet_link.arrivals import Message
+from fleet_link.connection import Connection
 from fleet_link.errors import AddressError, LinkDownError, LinkError, VersionRefusedError
 from fleet_link.jetstream import JetStream
 from fleet_link.secret_files import check_secret_mode, read_secret

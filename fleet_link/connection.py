@@ -9,7 +9,6 @@ import contextlib
 import logging
 from collections import deque
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Final, Self
 
 from paho.mqtt.client import MQTT_ERR_SUCCESS, MQTT_LOG_ERR, Client, MQTTMessage, error_string
@@ -18,6 +17,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from fleet_contract import Outgoing
 from fleet_link.address import BrokerAddress
+from fleet_link.arrivals import Arrivals, Message
 from fleet_link.errors import LinkDownError, VersionRefusedError
 from fleet_link.socket_loop import SocketLoop
 from fleet_link.terms import AT_LEAST_ONCE, AT_MOST_ONCE, Terms, connect, make_client
@@ -26,15 +26,6 @@ _UNLIMITED_IN_FLIGHT: Final = 65535  # MQTT 5.0, 3.2.2.3.3: without a Receive Ma
 _UNSUPPORTED_PROTOCOL: Final = 132  # MQTT 5.0, table 3-1
 _LOST: Final = "connection lost"
 _LOG: Final = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Message:
-    """What a broker delivered."""
-
-    topic: str
-    payload: bytes
-    packet_id: int  # for its acknowledgement to the broker; 0 needs none
 
 
 class Connection:
@@ -47,11 +38,12 @@ class Connection:
         self._in_flight: dict[int, str] = {}  # packet id -> topic, of what `publish_all` waits for
         self._unanswered: set[int] = set()  # packet ids of what `send` sent at least once
         self._unsettled_count = 0  # messages that we were sent and have not acknowledged
+        self._unsettled_bytes = 0  # of them
         self._granted: set[str] = set()  # topics on which the broker took a message
         self._is_probing = False  # on a topic that is not among them
         self._refusal: str | None = None  # of a message of the last batch
         self._complaint: str | None = None  # of the socket: TLS says no after the handshake
-        self._inbox: deque[Message] = deque()
+        self._inbox = Arrivals(terms.max_unsettled_bytes)
         self._answered = asyncio.Event()  # a message of ours was acknowledged or refused, or all is lost
         self._arrived = asyncio.Event()  # a message came, or all is lost
         self._wrote = asyncio.Event()  # the socket took some of what we send, or all is lost
@@ -145,6 +137,8 @@ class Connection:
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
         """Return the next messages: as many as came until ``patience_s`` after the first, ``limit`` at most.
 
+        Fewer where these hold as many bytes as a batch may have.
+
         Raises
         ------
         LinkDownError
@@ -156,9 +150,9 @@ class Connection:
             await self._arrived.wait()
         if self._is_lost.is_set() and (self._terms.max_unsettled is not None or not self._inbox):
             raise LinkDownError(_LOST)
-        if len(self._inbox) < limit:
+        if not self._inbox.has_batch(limit):
             await asyncio.sleep(patience_s)
-        return [self._inbox.popleft() for _ in range(min(limit, len(self._inbox)))]
+        return self._inbox.take(limit)
 
     async def _written(self) -> None:
         """Return when nothing that was sent is left here: a broker that does not read must not fill our memory."""
@@ -176,14 +170,16 @@ class Connection:
             if message.packet_id:
                 self._client.ack(message.packet_id, AT_LEAST_ONCE)
                 self._unsettled_count -= 1
+                self._unsettled_bytes -= len(message.payload)
         if not self._is_overfull:
             self._socket_loop.resume()
 
     @property
     def _is_overfull(self) -> bool:
-        """Whether the broker sent more than the Receive Maximum that it was told allows."""
-        limit = self._terms.max_unsettled
-        return limit is not None and self._unsettled_count > limit
+        """Whether the broker sent more than the Receive Maximum that it was told allows, or more than we hold."""
+        limit, most_bytes = self._terms.max_unsettled, self._terms.max_unsettled_bytes
+        is_long = most_bytes is not None and self._unsettled_bytes > most_bytes
+        return is_long or (limit is not None and self._unsettled_count > limit)
 
     async def lost(self) -> None:
         """Return when the connection is lost."""
@@ -272,7 +268,9 @@ class Connection:
             return  # QoS 0 knows no limit, and promises nothing
         self._inbox.append(Message(topic=message.topic, payload=bytes(message.payload), packet_id=packet_id))
         self._arrived.set()
-        self._unsettled_count += packet_id > 0
+        if packet_id:
+            self._unsettled_count += 1
+            self._unsettled_bytes += len(message.payload)
         if self._is_overfull:
             self._socket_loop.pause()
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 from fleet_contract import Outgoing
 from fleet_link.address import BrokerAddress
-from fleet_link.connection import Message
+from fleet_link.arrivals import Message
 from fleet_link.errors import LinkDownError
 
 if TYPE_CHECKING:
@@ -39,11 +39,21 @@ def subject_of(filter_text: str) -> str:
     return shared.replace("/", ".").replace("+", "*")
 
 
+def covers(pattern: str, subject: str) -> bool:
+    """Return whether a subject of a stream takes all that another one does."""
+    theirs, ours = pattern.split("."), subject.split(".")
+    if theirs[-1] == ">":
+        theirs = theirs[:-1] + ["*"] * max(1, len(ours) - len(theirs) + 1)
+    return len(theirs) == len(ours) and all(one in {"*", other} for one, other in zip(theirs, ours, strict=True))
+
+
 class JetStream:
     """One connection, from `open` to `close`; its worker is one of a group that shares the stream."""
 
-    def __init__(self, client: "Client", group: str) -> None:
+    def __init__(self, client: "Client", group: str, batch_bytes: int) -> None:
+        self.strangers: frozenset[str] = frozenset()  # of the subscriptions asked for, those that the stream lacks
         self._client = client
+        self._batch_bytes = batch_bytes
         self._next = f"$JS.API.CONSUMER.MSG.NEXT.{STREAM}.{group}"
         self._inbox_name = client.new_inbox()
         self._question = 0  # number of the last one
@@ -58,8 +68,10 @@ class JetStream:
         self._is_trying = True  # to connect
 
     @classmethod
-    async def open(cls, address: BrokerAddress, filters: Sequence[str], group: str) -> Self:
+    async def open(cls, address: BrokerAddress, filters: Sequence[str], group: str, batch_bytes: int) -> Self:
         """Connect; make the stream of these topics and its group unless they are there.
+
+        A batch has no more than so many bytes, but one message at least.
 
         Raises
         ------
@@ -72,7 +84,7 @@ class JetStream:
         from nats.errors import Error  # noqa: PLC0415
 
         client = Client()
-        made = cls(client, group)
+        made = cls(client, group, batch_bytes)
         context = None if address.tls is None else address.tls.context(is_key_private=False)
         try:
             async with asyncio.timeout(2 * _TIMEOUT_S):
@@ -88,7 +100,7 @@ class JetStream:
                     error_cb=made._complain,
                 )
                 made._is_trying = False
-                await made._prepare([subject_of(name) for name in filters], group)
+                await made._prepare(filters, group)
                 await client.subscribe(f"{made._inbox_name}.*", cb=made._take, pending_msgs_limit=-1)
         except (Error, OSError, TimeoutError) as exc:
             await made.close()
@@ -143,7 +155,7 @@ class JetStream:
             async with asyncio.timeout(_TIMEOUT_S):
                 await self._client.close()
 
-    async def _prepare(self, subjects: Sequence[str], group: str) -> None:
+    async def _prepare(self, filters: Sequence[str], group: str) -> None:
         """Make stream and group where they are missing; how an operator made them is not changed."""
         from nats.js.api import (  # noqa: PLC0415 - an extra
             AckPolicy,
@@ -157,11 +169,14 @@ class JetStream:
 
         manager = self._client.jetstream(timeout=_TIMEOUT_S)
         try:
-            await manager.stream_info(STREAM)
+            known = (await manager.stream_info(STREAM)).config.subjects or []
+            self.strangers = frozenset(
+                name for name in filters if not any(covers(pattern, subject_of(name)) for pattern in known)
+            )
         except NotFoundError:
             config = StreamConfig(
                 name=STREAM,
-                subjects=list(subjects),
+                subjects=[subject_of(name) for name in filters],
                 retention=RetentionPolicy.WORK_QUEUE,
                 storage=StorageType.FILE,
             )
@@ -184,7 +199,8 @@ class JetStream:
             return
         self._question += 1
         self._due = self._limit = limit
-        body = json.dumps({"batch": limit, "expires": int(_EXPIRES_S * 1e9)}).encode()
+        asked = {"batch": limit, "expires": int(_EXPIRES_S * 1e9), "max_bytes": self._batch_bytes}
+        body = json.dumps(asked).encode()
         await self._publish([(self._next, body)], reply=f"{self._inbox_name}.{self._question}")
 
     async def _say(self) -> None:

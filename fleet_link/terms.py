@@ -34,6 +34,7 @@ class Terms:
     session_s: int = 0  # how long the broker keeps what is for us while we are away
     max_in_flight: int = 20  # messages of ours without an answer, unless the broker takes fewer
     max_unsettled: int | None = None  # messages that we hold and have not settled; None: settled as they come
+    max_unsettled_bytes: int | None = None  # of them; half of it is a batch, whatever its count
     max_packet_bytes: int | None = None  # the broker keeps longer ones from us
     is_key_private: bool = True  # a key that others may read is refused
 

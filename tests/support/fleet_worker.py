@@ -86,6 +86,7 @@ class DoomedInbox:
         self._inbox = inbox
         self._doom = doom
         self._pending: Step | None = None
+        self.takes_bundles = inbox.takes_bundles
 
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
         """Return the next messages; what was queued for the broker before is on its way by now."""

@@ -61,6 +61,8 @@ def test_a_certificate_and_its_key_may_lie_in_one_file_that_a_container_mounts_f
 
 def test_a_pace_has_bounds() -> None:
     assert parse_pace(10, 250.0).patience_s == 0.25
+    assert parse_pace(10, 250.0).takes_bundles
+    assert not parse_pace(10, 250.0, takes_bundles=False).takes_bundles
     for batch, patience_ms in ((0, 1.0), (30_001, 1.0), (1, -1.0), (1, 1e9), (1, float("nan"))):
         with pytest.raises(ConfigError):
             parse_pace(batch, patience_ms)

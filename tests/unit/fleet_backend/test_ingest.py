@@ -7,12 +7,21 @@ from contextlib import asynccontextmanager
 
 import pytest
 
+from diag_service.diagnosis.results import shift_record
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
 from fleet_backend.ingest import FILTERS, Worker
 from fleet_backend.intake import Kind
 from fleet_backend.writer import Batch
-from fleet_contract import JsonObject, Outgoing, fluid_message, read_message
+from fleet_contract import (
+    JsonObject,
+    Outgoing,
+    bundle_messages,
+    fluid_message,
+    read_message,
+    shift_message,
+    takes_bundles,
+)
 from fleet_link import Message
 from tests.golden import messages_v1
 from tests.support.fleet import NOW, delivered, fleet_result, message_of
@@ -22,7 +31,8 @@ from tests.support.patience import HANG_S
 class Records:
     """A broker and a store that write down what is asked of them, in order."""
 
-    def __init__(self, batches: Sequence[Sequence[Message]] = ()) -> None:
+    def __init__(self, batches: Sequence[Sequence[Message]] = (), *, takes_bundles: bool = True) -> None:
+        self.takes_bundles = takes_bundles
         self.steps: list[str] = []
         self.stored: list[Batch] = []
         self.sent: list[Outgoing] = []
@@ -118,6 +128,33 @@ async def test_one_row_that_never_fits_does_not_stop_the_others() -> None:
     assert len(records.settled) == 8
 
 
+async def test_of_bundles_no_more_than_a_batch_is_stored_at_a_time() -> None:
+    records = Records()
+    pace = Pace(batch_size=3)
+    seqs = iter(range(1, 100))
+    messages = [
+        delivered(one, packet_id)
+        for packet_id in (1, 2, 3)
+        for one in bundle_messages([shift_message(shift_record(fleet_result(next(seqs)))) for _ in range(2)])
+    ]
+    await Worker(records.connect, records, name="w", now=lambda: NOW, pace=pace).settle(records, messages)
+    assert records.steps == ["store", "send", "settle"] * 2
+    assert [len(batch.shifts) for batch in records.stored] == [4, 2]
+    assert outcomes(records) == [("car1", seq, "accepted") for seq in range(1, 7)]
+    assert records.settled == messages
+
+
+@pytest.mark.parametrize("reach_us", [False, True])
+@pytest.mark.parametrize("are_wanted", [False, True])
+async def test_vehicles_hear_whether_bundles_are_taken(*, reach_us: bool, are_wanted: bool) -> None:
+    records = Records(takes_bundles=reach_us)
+    pace = Pace(takes_bundles=are_wanted)
+    worker = Worker(records.connect, records, name="w", now=lambda: NOW, pace=pace)
+    await worker.settle(records, [message_of(fleet_result(1))])
+    (ack,) = records.sent
+    assert takes_bundles(read_message(ack.topic, ack.payload).data) is (reach_us and are_wanted)
+
+
 async def test_poison_is_kept_settled_and_counted() -> None:
     records = Records()
     worker = worker_of(records)
@@ -141,6 +178,7 @@ async def test_it_comes_back_after_every_lost_connection() -> None:
 def test_results_are_shared_among_workers_and_states_go_to_each() -> None:
     assert FILTERS == (
         "$share/ingest/clutchdiag/v1/+/shift",
+        "$share/ingest/clutchdiag/v1/+/bundle",
         "clutchdiag/v1/+/status",
         "clutchdiag/v1/+/metrics",
         "clutchdiag/v1/+/controller",

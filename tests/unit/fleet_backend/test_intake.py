@@ -1,13 +1,14 @@
 """What becomes of messages: rows, receipts, poison."""
 
 import json
+import zlib
 from dataclasses import replace
 
 import pytest
 
 from diag_service.diagnosis.results import clutch_record, shift_record
 from diag_service.tester.trouble_report import controller_record
-from fleet_backend.intake import Kind, Taken, batch_of, receipts_of, refuse, take
+from fleet_backend.intake import Kind, Taken, batch_of, receipts_of, refuse, take, take_all
 from fleet_contract import (
     Outcome,
     clutch_message,
@@ -34,6 +35,31 @@ def poison(message: Message, reason: str) -> Taken:
     taken = take(message, NOW)
     assert (taken.kind, taken.row["reason"]) == (Kind.POISON, reason), taken.row["detail"]
     return taken
+
+
+def bundle(*payloads: bytes) -> Message:
+    return Message(
+        topic="clutchdiag/v1/car1/bundle", payload=zlib.compress(b"[" + b",".join(payloads) + b"]"), packet_id=1
+    )
+
+
+def test_each_result_of_a_bundle_is_judged_as_if_it_had_come_alone() -> None:
+    stranger = changed(GOOD, vehicle="car2")
+    alone = [GOOD, changed(GOOD, quality=2.0), stranger, replace(GOOD, payload=b"7"), message_of(fleet_result(8))]
+    taken = take_all(bundle(*(message.payload for message in alone)), NOW)
+    assert taken == [take(replace(message, packet_id=1), NOW) for message in alone]
+    reasons = [item.row["reason"] if item.kind is Kind.POISON else None for item in taken]
+    assert reasons == [None, "schema", "identity", "malformed", None]
+    assert take_all(GOOD, NOW) == [take(GOOD, NOW)]
+
+
+def test_what_cannot_be_unpacked_is_one_message_kept_aside() -> None:
+    for message in (replace(bundle(), payload=b"x"), bundle(), bundle(*[b"1"] * 51)):
+        (taken,) = take_all(message, NOW)
+        assert (taken.kind, taken.row["reason"], taken.receipt) == (Kind.POISON, "malformed", None)
+        assert (taken.row["vehicle"], taken.message) == ("car1", message)
+    (taken,) = take_all(replace(bundle(GOOD.payload), topic="clutchdiag/v1/car 1/bundle"), NOW)
+    assert taken.row["reason"] == "topic"
 
 
 def test_a_good_result_becomes_a_row_and_a_receipt() -> None:

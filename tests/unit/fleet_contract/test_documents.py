@@ -10,9 +10,20 @@ from vss_tools.main import get_trees
 from vss_tools.model import VSSDataDatatype
 
 from diag_service.diagnosis.records import Condition
-from fleet_contract import ASYNCAPI_PATH, CLUTCHES, SCHEMA_FOLDER, VSS_OVERLAY_PATH, Channel, schema, topic_of
+from fleet_contract import (
+    ASYNCAPI_PATH,
+    CLUTCHES,
+    MAX_BUNDLE_BYTES,
+    MAX_BUNDLED,
+    SCHEMA_FOLDER,
+    VSS_OVERLAY_PATH,
+    Channel,
+    schema,
+    topic_of,
+)
 from fleet_contract.described import ENVELOPE
 
+ALONE = [channel for channel in Channel if channel is not Channel.BUNDLE]
 QUANTITIES = "relation:\n  definition: A ratio of two quantities of one kind\n"
 UNIT = "{0}:\n  definition: A relation\n  unit: {0}\n  quantity: relation\n  allowed-datatypes: [numeric]\n"
 BASE = "".join(
@@ -56,7 +67,7 @@ def test_every_operation_is_what_the_code_does(document: dict[str, Any]) -> None
 def test_every_message_names_its_type_and_its_schema(document: dict[str, Any]) -> None:
     messages = document["components"]["messages"]
     assert set(messages) == {channel.label for channel in Channel}
-    for channel in Channel:
+    for channel in ALONE:
         envelope, own = messages[channel.label]["payload"]["allOf"]
         assert envelope == {"$ref": f"schemas/{ENVELOPE}-v1.json"}
         assert own["properties"] == {
@@ -66,8 +77,16 @@ def test_every_message_names_its_type_and_its_schema(document: dict[str, Any]) -
         }
 
 
-def test_every_schema_is_used(document: dict[str, Any]) -> None:
-    used = {f"{name}-v1.json" for name in (ENVELOPE, *(channel.label for channel in Channel))}
+def test_a_bundle_is_described_with_its_bounds(document: dict[str, Any]) -> None:
+    bundle = document["components"]["messages"]["bundle"]
+    assert (bundle["payload"]["minItems"], bundle["payload"]["maxItems"]) == (1, MAX_BUNDLED)
+    assert bundle["payload"]["items"] == {"$ref": "#/components/messages/shift/payload"}
+    for number in (Channel.BUNDLE.max_bytes, MAX_BUNDLE_BYTES):
+        assert f"{number:,} bytes at most" in bundle["description"]
+
+
+def test_every_schema_is_used() -> None:
+    used = {f"{name}-v1.json" for name in (ENVELOPE, *(channel.label for channel in ALONE))}
     assert {path.name for path in SCHEMA_FOLDER.iterdir()} == used
     assert all((ASYNCAPI_PATH.parent / "schemas" / name).is_file() for name in used)
 

@@ -64,4 +64,4 @@ def test_subscriptions_reach_every_vehicle() -> None:
 
 def test_only_the_backend_speaks_to_vehicles_and_only_states_are_retained() -> None:
     assert [channel for channel in Channel if channel.is_to_vehicle] == [Channel.ACK, Channel.FILLS]
-    assert [channel for channel in Channel if not channel.is_retained] == [Channel.SHIFT, Channel.ACK]
+    assert [channel for channel in Channel if not channel.is_retained] == [Channel.SHIFT, Channel.BUNDLE, Channel.ACK]

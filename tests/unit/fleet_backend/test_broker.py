@@ -1,0 +1,42 @@
+"""Subscribing at a broker that lacks what later programs ask for."""
+
+import asyncio
+
+import pytest
+
+from fleet_backend.broker import BUNDLES, connected
+from fleet_backend.errors import BrokerError
+from fleet_backend.ingest import FILTERS
+from tests.unit.fleet_link.test_connection import ACCEPTED, Script, broker, packet
+
+_SUBSCRIBE = 8
+_NOT_AUTHORISED = 0x87
+
+
+def granting(*, refused: str) -> Script:
+    """Return the script of a broker that grants every subscription but one."""
+
+    async def script(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await packet(reader)
+        writer.write(ACCEPTED)
+        while True:
+            kind, content = await packet(reader)
+            if kind == _SUBSCRIBE:
+                names = content[3:].split(b"\x01")[:-1]  # each ends with its options
+                codes = bytes(_NOT_AUTHORISED if name.endswith(refused.encode()) else 1 for name in names)
+                writer.write(bytes([0x90, 3 + len(codes)]) + content[:2] + b"\x00" + codes)
+
+    return script
+
+
+async def test_a_broker_that_refuses_bundles_delivers_everything_else(caplog: pytest.LogCaptureFixture) -> None:
+    async with broker(granting(refused=BUNDLES)) as address, connected(address, FILTERS, max_unsettled=20) as inbox:
+        assert not inbox.takes_bundles
+    assert "to send each result alone: subscription to $share/ingest/clutchdiag/v1/+/bundle was refused" in caplog.text
+
+
+async def test_a_broker_that_refuses_results_is_an_error() -> None:
+    async with broker(granting(refused="shift")) as address:
+        with pytest.raises(BrokerError, match="shift was refused"):
+            async with connected(address, FILTERS, max_unsettled=20):
+                pass
