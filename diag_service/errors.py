@@ -29,6 +29,10 @@ class PublishError(DiagServiceError):
     """A result could not be delivered now: retry later, the store still has it."""
 
 
+class PublishRefusedError(PublishError):
+    """The broker says no to a message: send something else."""
+
+
 class ResultError(DiagServiceError):
     """A result does not fit its public form (NaN, unknown key): fix the code that made it, or the file it came from."""
 

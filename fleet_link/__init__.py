@@ -3,7 +3,7 @@
 from fleet_link.address import BrokerAddress, parse_broker
 from fleet_link.arrivals import Message
 from fleet_link.connection import Connection
-from fleet_link.errors import AddressError, LinkDownError, LinkError, VersionRefusedError
+from fleet_link.errors import AddressError, LinkDownError, LinkError, MessageRefusedError, VersionRefusedError
 from fleet_link.jetstream import JetStream
 from fleet_link.secret_files import check_secret_mode, read_secret
 from fleet_link.terms import Terms
@@ -17,6 +17,7 @@ __all__ = [
     "LinkDownError",
     "LinkError",
     "Message",
+    "MessageRefusedError",
     "Terms",
     "TlsFiles",
     "VersionRefusedError",

@@ -18,7 +18,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from fleet_contract import Outgoing
 from fleet_link.address import BrokerAddress
 from fleet_link.arrivals import Arrivals, Message
-from fleet_link.errors import LinkDownError, VersionRefusedError
+from fleet_link.errors import LinkDownError, MessageRefusedError, VersionRefusedError
 from fleet_link.socket_loop import SocketLoop
 from fleet_link.terms import AT_LEAST_ONCE, AT_MOST_ONCE, Terms, connect, make_client
 
@@ -84,8 +84,8 @@ class Connection:
 
         Raises
         ------
-        LinkDownError
-            If it refuses one, does not answer for as long as a call may take, or the connection is gone.
+        MessageRefusedError, LinkDownError
+            If it refuses one; if it does not answer for as long as a call may take, or the connection is gone.
         """
         self._refusal = None
         self._in_flight.clear()  # what an interrupted call left behind
@@ -99,8 +99,10 @@ class Connection:
                     await self._answered.wait()
             except TimeoutError:
                 raise LinkDownError(f"no answer in {self._terms.timeout_s:g} s") from None
-            if self._refusal is not None or self._is_lost.is_set():
-                raise LinkDownError(self._refusal or _LOST)  # some brokers say no and hang up
+            if self._refusal is not None:  # some brokers say no and hang up
+                raise MessageRefusedError(self._refusal)
+            if self._is_lost.is_set():
+                raise LinkDownError(_LOST)
 
     def send(self, messages: Iterable[Outgoing]) -> None:
         """Send messages and wait for nothing: who does not get them asks again. `collect` waits until all is written.

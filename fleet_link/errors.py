@@ -15,3 +15,7 @@ class LinkDownError(LinkError):
 
 class VersionRefusedError(LinkDownError):
     """The broker does not speak this version of MQTT: try another."""
+
+
+class MessageRefusedError(LinkDownError):
+    """The broker says no to a message."""

@@ -11,7 +11,6 @@ from fleet_contract import Outgoing, Receipt
 
 # Where frames are read from; then each shift, and what a controller says that is new; at the end the numbers.
 News = str | ShiftResult | ControllerReport | Summary
-OnReceipts = Callable[[list[Receipt]], None]
 OnFills = Callable[[list[FluidFill]], None]
 
 
@@ -31,11 +30,24 @@ class DeliveryLimits:
     probe_count: int = 20  # results that ask a silent backend whether it is there; the others wait for its word
 
 
+class OnReceipts(Protocol):
+    """Hears the backend."""
+
+    def __call__(self, receipts: list[Receipt], *, takes_bundles: bool = False) -> None:
+        """Take receipts, and whether who gave them takes several results in one message."""
+
+
 class Link(Protocol):
     """An open connection to a broker; the outbox opens one, uses it while it lasts, and opens the next."""
 
     async def send(self, messages: Sequence[Outgoing]) -> None:
-        """Deliver messages, several in flight; return when the broker acknowledged all, or raise PublishError."""
+        """Deliver messages, several in flight; return when the broker acknowledged all.
+
+        Raises
+        ------
+        PublishRefusedError, PublishError
+            If the broker takes one of them never; if it cannot be delivered now.
+        """
 
     async def listen(self, vehicle: str, on_receipts: OnReceipts) -> None:
         """Call ``on_receipts`` with the receipts of a backend from now on; raises PublishError if that is refused."""

@@ -11,16 +11,17 @@ from typing import Final
 
 from canlog.notice import NOTICE
 from diag_service.delivery.base import DeliveryLimits, Link
+from diag_service.delivery.bundling import Bundling
 from diag_service.delivery.fluid import FluidExchange
 from diag_service.delivery.in_flight import InFlight
+from diag_service.delivery.send_priority import SendPriority
 from diag_service.diagnosis.results import StoredResult, clutch_record, parse_record
+from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore
-from fleet_contract import Outcome, Outgoing, Receipt, clutch_message, raw_shift_message
+from fleet_contract import Outcome, Outgoing, Receipt, clutch_message
 
 BATCH: Final = 200
 _MAX_PUBLISHED: Final = 1000  # results that are remembered after a broker acknowledged them
-_BACKLOG_SHARE: Final = 4  # one of so many results of a batch is backlog, however much comes in
-_NEWEST_SHARE: Final = 4  # and one of so many of the backlog is its newest
 _LOG = logging.getLogger(__name__)
 
 
@@ -42,50 +43,6 @@ class Counts:
     failed: int = 0  # connections that broke, or were refused
 
 
-class SendPriority:
-    """In which order one connection sends what waits; each result is handed out once.
-
-    Results stored since the connection began go first: what happens now is not to wait behind what happened in the
-    tunnel. What waited before is the backlog: it is sent from its old end, and a share of each batch from its new end,
-    so that the last hour is known long before the last day is through.
-    """
-
-    def __init__(self, store: ResultStore, vehicle: str) -> None:
-        self._store = store
-        self._vehicle = vehicle
-        self._fresh = store.last_position(vehicle)  # handed out up to here
-        self._old = 0
-        self._new = self._fresh + 1  # handed out from here on
-
-    def next(self, limit: int) -> list[StoredResult]:
-        """Return what is sent next, ``limit`` results at most; none if nothing is left."""
-        reserved = limit // _BACKLOG_SHARE if self._old + 1 < self._new else 0
-        fresh = self.next_fresh(limit - reserved)
-        return fresh + self._backlog(limit - len(fresh))
-
-    def next_fresh(self, limit: int) -> list[StoredResult]:
-        """Return what came since the connection began, and nothing of the backlog."""
-        rows = self._store.waiting(self._vehicle, after=self._fresh, limit=limit)
-        if rows:
-            self._fresh = rows[-1].position
-        return rows
-
-    def _backlog(self, limit: int) -> list[StoredResult]:
-        if self._old + 1 >= self._new or limit < 1:
-            return []
-        oldest = self._store.waiting(self._vehicle, after=self._old, before=self._new, limit=limit)
-        if len(oldest) < limit:  # all that is left
-            self._new = self._old + 1
-            return oldest
-        share = limit // _NEWEST_SHARE
-        oldest = oldest[: limit - share]
-        self._old = oldest[-1].position
-        newest = self._store.waiting(self._vehicle, after=self._old, before=self._new, limit=share, newest_first=True)
-        if newest:
-            self._new = newest[-1].position
-        return newest + oldest
-
-
 @dataclass(slots=True, kw_only=True)
 class OutboxState:
     """What an outbox is to do, and what it remembers from one connection to the next."""
@@ -94,6 +51,7 @@ class OutboxState:
     vehicle: str
     acknowledge: Acknowledge
     limits: DeliveryLimits
+    bundling: Bundling
     holds_states: bool  # whether the states of clutches must not be sent yet
     shares_fluid: bool = False  # whether fluid fills go to the fleet and come from it
     counts: Counts = field(default_factory=Counts)
@@ -125,6 +83,7 @@ class Delivery:
         self._are_states_held = False  # whether some were to be sent and were not
         self._priority: SendPriority | None = None  # not begun
         self._inbox: list[Receipt] = []
+        self._takes_bundles = False  # who gave the last of them
         self._in_flight = InFlight(state.limits.astray_after_s)
         self._resend_s = state.limits.resend_after_s
         self._has_news = False  # since results were last found overdue
@@ -140,6 +99,7 @@ class Delivery:
             await self._link.listen(self._state.vehicle, self._add_receipts)
         if self._fluid is not None:
             await self._fluid.listen()
+        await asyncio.to_thread(self._state.bundling.begin)
         latest = await asyncio.to_thread(self._state.store.latest, self._state.vehicle)
         messages = [*greetings, *self._states(latest)]
         if messages:
@@ -152,15 +112,17 @@ class Delivery:
         await self._send_held_states()
         if self._fluid is not None:
             await self._fluid.note()
-        batch = await asyncio.to_thread(self._next_batch, self._now_s())
+        batch, messages = await asyncio.to_thread(self._next_messages, self._now_s())
         if not batch:
             if self._fluid is not None:
                 await self._fluid.tell()
             return False
-        messages = [raw_shift_message(row.key, row.produced_at, row.text) for row in batch]
-        await self._link.send(messages + self._states(batch))
-        self._state.counts.sent += len(batch)
         positions = [row.position for row in batch]
+        told = self._state_position.copy()
+        if not await self._sent([*messages, *self._states(batch)], positions):
+            self._state_position = told
+            return True
+        self._state.counts.sent += len(batch)
         for position in positions:
             self._state.repeat.pop(position, None)
         if self._state.acknowledge is Acknowledge.BACKEND:
@@ -169,6 +131,19 @@ class Delivery:
         await asyncio.to_thread(self._state.store.mark_published, positions)
         self._state.counts.acknowledged += len(positions)
         self._state.note_published(positions, self._now_s())
+        return True
+
+    async def _sent(self, messages: Sequence[Outgoing], positions: Sequence[int]) -> bool:
+        """Send results and states; False if the broker refuses bundles: what was in them goes alone, and next."""
+        try:
+            await self._link.send(messages)
+        except PublishError as exc:
+            refusal = str(exc) if isinstance(exc, PublishRefusedError) else None
+            if self._state.bundling.note_broken(positions, refusal=refusal):
+                self._state.repeat.update(dict.fromkeys(positions))
+                if refusal is not None:
+                    return False
+            raise
         return True
 
     async def _send_held_states(self) -> None:
@@ -186,8 +161,9 @@ class Delivery:
         due_s = self._due_s()
         return None if due_s is None else max(0.0, due_s - self._now_s())
 
-    def _add_receipts(self, receipts: list[Receipt]) -> None:
+    def _add_receipts(self, receipts: list[Receipt], *, takes_bundles: bool = False) -> None:
         self._inbox += receipts
+        self._takes_bundles = takes_bundles
         self.wake.set()
 
     async def _note_receipts(self) -> None:
@@ -195,8 +171,10 @@ class Delivery:
         if not self._inbox:
             return
         receipts, self._inbox = self._inbox, []
+        await asyncio.to_thread(self._state.bundling.note_word, is_taken=self._takes_bundles)
         positions = await asyncio.to_thread(self._state.store.note_receipts, receipts)
         self._in_flight.acknowledge(positions)
+        self._state.bundling.note_arrived(positions)
         for position in positions:
             self._state.repeat.pop(position, None)
         self._state.counts.acknowledged += len(positions)
@@ -212,19 +190,23 @@ class Delivery:
             key, reason = refused[0].key.text, refused[0].reason
             _LOG.warning("the backend put aside %d results, the first %s: %s", len(refused), key, reason)
 
-    def _next_batch(self, now_s: float) -> list[StoredResult]:
-        """Return what is sent next: what may be lost, what is overdue, what waits. Reads the store."""
+    def _next_messages(self, now_s: float) -> tuple[list[StoredResult], list[Outgoing]]:
+        """Return what is sent next, and the messages of it; what is sent again goes alone. Reads the store."""
         if self._priority is None:
             self._priority = SendPriority(self._state.store, self._state.vehicle)
         self._collect_overdue(now_s)
         again = self._next_repeated()
         if again:
-            return again
+            return again, self._state.bundling.packed([row] for row in again)
+        rows = self._next_waiting(self._priority, now_s)
+        return rows, self._state.bundling.packed(self._priority.groups(rows))
+
+    def _next_waiting(self, priority: SendPriority, now_s: float) -> list[StoredResult]:
         room = self._state.limits.window_count - len(self._in_flight)
         if room > 0 and self._in_flight.lag_s(now_s) < self._state.limits.backlog_lag_s:
-            return self._priority.next(min(BATCH, room))
+            return priority.next(min(BATCH, room))
         # The backend is behind; what happens now does not wait until it has caught up.
-        return self._priority.next_fresh(min(BATCH, self._state.limits.window_count + room))
+        return priority.next_fresh(min(BATCH, self._state.limits.window_count + room))
 
     def _next_repeated(self) -> list[StoredResult]:
         while self._state.repeat:
@@ -239,7 +221,9 @@ class Delivery:
 
     def _collect_overdue(self, now_s: float) -> None:
         """Take up again what went astray or was sent too long ago; of what meets with silence a few, to ask."""
-        self._state.repeat.update(dict.fromkeys(self._in_flight.pop_astray()))
+        astray = self._in_flight.pop_astray()
+        self._state.bundling.note_astray(astray)
+        self._state.repeat.update(dict.fromkeys(astray))
         due_s = self._due_s()
         if due_s is None or due_s > now_s:
             return

@@ -9,13 +9,25 @@ from diag_service.diagnosis.results import shift_from
 from diag_service.diagnosis.summary import Summary
 from diag_service.errors import PublishError
 from diag_service.tester.trouble_report import ControllerReport
-from fleet_contract import Channel, JsonObject, Outgoing, Receipt, key_of, read_message
+from fleet_contract import (
+    Channel,
+    JsonObject,
+    Outgoing,
+    Receipt,
+    bundled_events,
+    key_of,
+    parse_topic,
+    read_message,
+    topic_of,
+)
 
 
 class MemoryLink:
-    """A broker connection in memory, with a backend behind it if it ``is_acknowledging``."""
+    """A broker connection in memory, with a backend behind it if it ``is_acknowledging``, which may take bundles."""
 
-    def __init__(self, *, is_acknowledging: bool = False) -> None:
+    def __init__(self, *, is_acknowledging: bool = False, takes_bundles: bool = False) -> None:
+        self.takes_bundles = takes_bundles
+        self.bundled: list[int] = []  # how many results each bundle had
         self.results: list[ShiftResult] = []
         self.states: list[JsonObject] = []  # of clutches
         self.others: list[Outgoing] = []
@@ -47,11 +59,19 @@ class MemoryLink:
         await self.cut.wait()
 
     def _keep(self, message: Outgoing) -> None:
+        address = parse_topic(message.topic)
+        if address.channel is Channel.BUNDLE:
+            events = bundled_events(message.payload)
+            self.bundled.append(len(events))
+            topic = topic_of(address.vehicle, Channel.SHIFT)
+            for event in events:
+                self._keep(Outgoing(topic=topic, payload=event, is_retained=False))
+            return
         incoming = read_message(message.topic, message.payload)
         if incoming.address.channel is Channel.SHIFT:
             self.results.append(shift_from(incoming.data))
             if self.is_acknowledging and self.on_receipts is not None:
-                self.on_receipts([Receipt(key=key_of(incoming.data))])
+                self.on_receipts([Receipt(key=key_of(incoming.data))], takes_bundles=self.takes_bundles)
         elif incoming.address.channel is Channel.CLUTCH:
             self.states.append(incoming.data)
         else:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from diag_service.delivery.base import OnFills, OnReceipts
 from diag_service.diagnosis.results import ServiceStatus, fills_from, status_record
-from diag_service.errors import PublishError
+from diag_service.errors import PublishError, PublishRefusedError
 from fleet_contract import (
     Channel,
     ContractError,
@@ -19,6 +19,7 @@ from fleet_contract import (
     read_message,
     receipts_of,
     status_message,
+    takes_bundles,
     topic_of,
 )
 from fleet_link import (
@@ -27,6 +28,7 @@ from fleet_link import (
     LinkDownError,
     LinkError,
     Message,
+    MessageRefusedError,
     Terms,
     TlsFiles,
     VersionRefusedError,
@@ -52,7 +54,9 @@ class MqttLink:
         self._tls_fingerprint = None if tls is None else tls.fingerprint()
         self._renewal_period_s = renewal_period_s
         self._on_receipts: OnReceipts | None = None
-        self._early: list[Receipt] = []  # heard before anyone listened: a persistent session brings them at once
+        self._early: list[
+            tuple[list[Receipt], bool]
+        ] = []  # heard before anyone listened: a persistent session brings them at once
         self._on_fills: OnFills | None = None
         self._early_fills: list[FluidFill] = []
         self._reader = asyncio.create_task(self._read(), name="mqtt-reader")
@@ -60,7 +64,7 @@ class MqttLink:
     async def send(self, messages: Sequence[Outgoing]) -> None:
         """Deliver messages at least once.
 
-        Raises PublishError if the connection breaks, the acknowledgement does not come, or it says no.
+        Raises PublishRefusedError if the broker says no, PublishError if the connection breaks or no answer comes.
         """
         with _translated():
             await self._connection.publish_all(messages)
@@ -68,8 +72,8 @@ class MqttLink:
     async def listen(self, vehicle: str, on_receipts: OnReceipts) -> None:
         """Subscribe to the acknowledgements for a vehicle; raises PublishError if the broker refuses."""
         self._on_receipts = on_receipts
-        if self._early:
-            on_receipts(self._early)
+        for receipts, is_taken in self._early:
+            on_receipts(receipts, takes_bundles=is_taken)
         with _translated():
             await self._connection.subscribe([topic_of(vehicle, Channel.ACK)])
 
@@ -108,11 +112,17 @@ class MqttLink:
         try:
             incoming = read_message(message.topic, message.payload)
             if incoming.address.channel is Channel.ACK:
-                (self._on_receipts or self._early.extend)(receipts_of(incoming.data))
+                self._hear(receipts_of(incoming.data), is_taken=takes_bundles(incoming.data))
             elif incoming.address.channel is Channel.FILLS:
                 (self._on_fills or self._early_fills.extend)(fills_from(incoming.data))
         except ContractError as exc:
             _LOG.warning("a message to us is ignored: %s", exc)
+
+    def _hear(self, receipts: list[Receipt], *, is_taken: bool) -> None:
+        if self._on_receipts is None:
+            self._early.append((receipts, is_taken))
+        else:
+            self._on_receipts(receipts, takes_bundles=is_taken)
 
 
 class MqttConnector:
@@ -203,4 +213,5 @@ def _translated() -> Iterator[None]:
     try:
         yield
     except LinkError as exc:
-        raise PublishError(str(exc)) from exc
+        kind = PublishRefusedError if isinstance(exc, MessageRefusedError) else PublishError
+        raise kind(str(exc)) from exc

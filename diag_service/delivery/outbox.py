@@ -14,6 +14,7 @@ from contextlib import AbstractAsyncContextManager
 
 from canlog.notice import NOTICE
 from diag_service.delivery.base import DeliveryLimits, Link
+from diag_service.delivery.bundling import Bundling
 from diag_service.delivery.delivery import Acknowledge, Delivery, OutboxState
 from diag_service.errors import PublishError, StoreFullError
 from diag_service.store import ResultStore
@@ -49,6 +50,7 @@ class Outbox:
             vehicle=vehicle,
             acknowledge=acknowledge,
             limits=limits or DeliveryLimits(),
+            bundling=Bundling(store, is_allowed=acknowledge is Acknowledge.BACKEND),
             holds_states=holds_states,
             shares_fluid=shares_fluid,
         )

@@ -212,6 +212,16 @@ class ResultStore:
             _mark(sql, [(_OUTCOMES[receipt.outcome], receipt.reason, position) for position, receipt in known])
         return [position for position, _ in known]
 
+    def takes_bundles(self) -> bool:
+        """Return whether the backend took several results in one message when it was last heard."""
+        with self._transaction() as sql:
+            return sql.execute("SELECT 1 FROM meta WHERE key = 'takes_bundles' AND value = '1'").fetchone() is not None
+
+    def note_takes_bundles(self, *, is_taken: bool) -> None:
+        """Keep whether the backend takes several results in one message."""
+        with self._transaction() as sql:
+            sql.execute("INSERT OR REPLACE INTO meta VALUES ('takes_bundles', ?)", (str(int(is_taken)),))
+
     def latest(self, vehicle: str) -> list[StoredResult]:
         """Return the newest result of each clutch."""
         with self._transaction() as sql:

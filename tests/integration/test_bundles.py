@@ -2,16 +2,18 @@
 
 import asyncio
 from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, closing
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from sqlalchemy import Engine, select
+from sqlalchemy import Engine, func, select
 
 from demo.fleet.nats import NatsServer
+from diag_service.delivery import Acknowledge, MqttConnector, Outbox
 from diag_service.diagnosis.results import shift_record
+from diag_service.store import ResultStore
 from fleet_backend.broker import BUNDLES, connected
 from fleet_backend.choices import Pace
 from fleet_backend.database import open_database, transaction
@@ -19,10 +21,10 @@ from fleet_backend.ingest import FILTERS, Worker
 from fleet_backend.schema import QUARANTINE, SHIFT_RESULT
 from fleet_backend.writer import Writer
 from fleet_contract import Outcome, bundle_messages, read_message, receipts_of, shift_message, takes_bundles
-from fleet_link import Connection, Terms, parse_broker
+from fleet_link import BrokerAddress, Connection, Terms, parse_broker
 from tests.plugins.broker import Mosquitto
 from tests.support.fleet import fleet_result
-from tests.support.outboxes import until
+from tests.support.outboxes import NOW, put, sending, until
 from tests.support.patience import HANG_S
 
 pytestmark = pytest.mark.broker
@@ -86,6 +88,36 @@ async def test_one_bad_result_of_a_bundle_is_put_aside_and_the_others_are_stored
         (kept,) = connection.execute(select(QUARANTINE.c.topic, QUARANTINE.c.head)).all()
     assert kept.topic == "clutchdiag/v1/car1/shift"
     assert kept.head.startswith('{"specversion":"1.0","id":"car1/stream-1/2/')
+
+
+async def test_a_vehicle_learns_that_it_may_and_after_its_restart_sends_bundles(
+    server: Mosquitto | NatsServer, engine: Engine, tmp_path: Path
+) -> None:
+    address = BrokerAddress(host="127.0.0.1", port=server.port)
+    connector = MqttConnector(address, "clutchdiag-car1", is_persistent=True)
+
+    async def deliver(seqs: range) -> None:
+        with closing(ResultStore.open(tmp_path / "car1.sqlite")) as store:
+            put(store, seqs)
+            outbox = Outbox(
+                store, "car1", lambda: connector.connect(NOW), str(address), acknowledge=Acknowledge.BACKEND
+            )
+            async with sending(outbox):
+                await until(lambda: not store.unpublished_count("car1"))
+            assert store.takes_bundles()
+
+    async with working(server, engine), asyncio.timeout(HANG_S):
+        await deliver(range(1, 2))
+        watcher = await Connection.open(
+            parse_broker(f"mqtt://{address}"), Terms(is_version_5=False, identifier="other")
+        )
+        await watcher.subscribe(["clutchdiag/v1/car1/bundle", "clutchdiag/v1/car1/shift"])
+        await deliver(range(2, 122))
+        seen = [message.topic.rpartition("/")[2] for message in await watcher.collect(10, 0.1)]
+        await watcher.close()
+    assert seen == ["bundle"] * 3
+    with transaction(engine) as connection:
+        assert connection.execute(select(func.count()).select_from(SHIFT_RESULT)).scalar_one() == 121
 
 
 async def test_vehicles_are_not_asked_for_bundles_that_a_stream_of_an_operator_lacks(
