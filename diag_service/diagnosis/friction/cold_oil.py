@@ -33,9 +33,8 @@ FRICTION_RATIO: Final = 0.01  # of mu, also at work: heat, oil and load are spre
 MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it nothing is said of friction
 
 
-def own_variance(balance: Balance, clutch: int) -> FloatArray:
-    """Return how far the parameters of one event may be from those of the vehicle, shape (PARAMETER_COUNT,)."""
-    pack_k = float(np.mean(balance.tracks[clutch - 1].clutch_k[balance.window.slip_rows]))
+def _cold_variance() -> FloatArray:
+    """Return how far the parameters of one event may be off in oil that is colder than at work by the whole span."""
     variance = np.zeros(PARAMETER_COUNT)
     variance[[State.TOUCH1, State.TOUCH2]] = TOUCH_PRESSURE_PA**2
     variance[STATE_COUNT + Considered.VISCOSITY] = VISCOSITY_RATIO**2
@@ -43,7 +42,16 @@ def own_variance(balance: Balance, clutch: int) -> FloatArray:
     variance[STATE_COUNT + Considered.CONTACT_STIFFNESS] = CONTACT_STIFFNESS_RATIO**2
     variance[STATE_COUNT + Considered.FILM_MOBILITY] = FILM_MOBILITY_LOG**2
     variance[STATE_COUNT + Considered.OPEN_DRAG] = OPEN_DRAG_LOG**2
-    variance *= max(0.0, (WORKING_K - pack_k) / COLD_SPAN_K) ** 2
+    return variance
+
+
+_COLD_VARIANCE: Final = _cold_variance()
+
+
+def own_variance(balance: Balance, clutch: int) -> FloatArray:
+    """Return how far the parameters of one event may be from those of the vehicle, shape (PARAMETER_COUNT,)."""
+    pack_k = float(np.mean(balance.tracks[clutch - 1].clutch_k[balance.window.slip_rows]))
+    variance = _COLD_VARIANCE * max(0.0, (WORKING_K - pack_k) / COLD_SPAN_K) ** 2
     variance[STATE_COUNT + Considered.OPEN_DRAG] += OPEN_DRAG_SPEED_LOG**2
     variance[:FRICTION_COUNT] = (FRICTION_RATIO * balance.at[:FRICTION_COUNT]) ** 2
     return variance

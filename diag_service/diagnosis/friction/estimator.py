@@ -1,6 +1,5 @@
 """One shift in, one friction estimate and a new running state out."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +27,7 @@ from diag_service.diagnosis.friction.parameters import (
 )
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.preparation import PackTemperatures, measured_drives, slip_window, zeros_seen
+from diag_service.diagnosis.friction.selection import compile_selection
 from diag_service.diagnosis.friction.sensitivity import compile_sensitivity, measured
 from diag_service.diagnosis.friction.window import SlipWindow, compile_window, on_other_grid, spans_of
 from diag_service.diagnosis.quality.plausibility import (
@@ -50,6 +50,7 @@ MAX_EXCESS = 48.0  # of chi-square over its expectation: an error adds as much t
 SCORE_GATE = 5.5  # standard deviations that one parameter is displaced: of sound drives one event in 340 reaches 4.7
 LEAST_LEARNT = 0.03  # of a standard deviation: what an event tells less of, it cannot contradict
 FULL_WINDOW_S = 0.25  # the shortest slip window that every regular shift offers
+_ZEROS = slice(State.ZERO1, State.ZERO2 + 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +61,7 @@ class _Seen:
     before: Knowledge  # of everything, the friction of that clutch unknown
     balance: Balance
     measurements: tuple[Measurement, ...]
-    empty: Sequence[Measurement]  # what empty clutches say of the zeros of their pressure sensors
+    empty: Evidence  # what empty clutches say of the zeros of their pressure sensors
     evidence: Evidence  # of all of it
 
     def alone(self) -> Fusion:
@@ -78,6 +79,7 @@ class Estimator:
     def prepare(self) -> None:
         """Have everything compiled before the first shift comes: it must not wait for it."""
         compile_evidence()
+        compile_selection()
         compile_alignment()
         compile_usability()
         compile_plausibility()
@@ -165,16 +167,14 @@ class Estimator:
             seen, judged = attempt, state.with_event(_judged_event(event, attempt))
         return seen, judged
 
-    def _zeros_of(self, empty: Sequence[Measurement], known: Knowledge) -> FloatArray:
-        """Return the zeros of both pressure sensors [Pa], linearised about what is known, as an event shows them.
-
-        Otherwise they are as they are known.
-        """
-        if not empty:
-            return _zeros(known).mean_pa
-        shown = _zeros(fuse(self._type, Evidence.of(empty, known.mean)).knowledge)
-        is_shown = shown.variance_pa2 < 0.5 * _zeros(self._type).variance_pa2
-        return np.where(is_shown, shown.mean_pa, _zeros(known).mean_pa)
+    def _zeros_of(self, empty: Evidence, known: Knowledge) -> FloatArray:
+        """Return the zeros of both pressure sensors [Pa] as an event shows them; otherwise they are as known."""
+        if not empty.count:
+            return known.mean[_ZEROS]
+        believed = self._type.about(_ZEROS)
+        shown = fuse(believed, empty.about(_ZEROS)).knowledge
+        is_shown = np.diag(shown.covariance) < 0.5 * np.diag(believed.covariance)
+        return np.where(is_shown, shown.mean, known.mean[_ZEROS])
 
     def _longest(self, step: FloatArray) -> float:
         """Return the largest part of a step in standard deviations of the type, friction aside."""
@@ -194,7 +194,6 @@ class Estimator:
         signals = aligned(samples, point, earlier.balance.signals if earlier else None)
         if isinstance(signals, Reason):
             return signals
-        empty = zeros_seen(signals, at, point)
         near = earlier if is_near else None
         drives = measured_drives(signals, at, state.packs, samples.event, point)
         found = _window(signals, drives, point, near)
@@ -206,7 +205,8 @@ class Estimator:
         if film_share(balance, clutch) > MOST_FILM_SHARE:
             return Reason.NO_SLIP_WINDOW
         seen = measured(balance, near.measurements if near else ())
-        evidence = Evidence.of((*seen, *empty), at).loosened(own_variance(balance, clutch))
+        empty = zeros_seen(signals, point)
+        evidence = Evidence.of(seen, at).plus(empty).loosened(own_variance(balance, clutch))
         return _Seen(
             clutch=earlier.clutch if earlier else clutch,
             before=before,
@@ -274,8 +274,7 @@ def misfit_gate(count: int) -> float:
 
 def _zeros(known: Knowledge) -> PressureZeros:
     """Return what is known of the zeros of both pressure sensors."""
-    rows = slice(State.ZERO1, State.ZERO2 + 1)
-    return PressureZeros(mean_pa=known.mean[rows], variance_pa2=np.diag(known.covariance)[rows])
+    return PressureZeros(mean_pa=known.mean[_ZEROS], variance_pa2=np.diag(known.covariance)[_ZEROS])
 
 
 def without_friction(event: Event, status: Status, *reasons: Reason) -> ShiftEstimate:

@@ -6,7 +6,7 @@ samples. Knowledge is a mean with its covariance; docs/model.md, section "Estima
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -83,6 +83,19 @@ class Evidence:
             count=count,
         )
 
+    @classmethod
+    def of_readings(cls, rows: Sequence[int], reading: Sequence[float], variance: Sequence[float]) -> Self:
+        """Return what independent readings of single parameters say, in these rows, each with a variance."""
+        matrix, vector = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT)), np.zeros(PARAMETER_COUNT)
+        for row, value, its_variance in zip(rows, reading, variance, strict=True):
+            matrix[row, row], vector[row] = 1.0 / its_variance, value / its_variance
+        constant = sum(value**2 / its_variance for value, its_variance in zip(reading, variance, strict=True))
+        return cls(matrix=matrix, vector=vector, constant=constant, count=len(rows))
+
+    def about(self, rows: slice) -> Self:
+        """Return the same of those parameters only that it says anything about."""
+        return replace(self, matrix=self.matrix[rows, rows], vector=self.vector[rows])
+
     def plus(self, other: Self, sign: float = 1.0) -> Self:
         """Return what both say; with a ``sign`` of -1 what is left without the other."""
         return type(self)(
@@ -94,16 +107,17 @@ class Evidence:
 
     def loosened(self, variance: FloatArray) -> Self:
         """Return what is left if each parameter of this event differs by a variance, shape (PARAMETER_COUNT,)."""
-        root = np.sqrt(variance)
-        inner = root[:, None] * self.matrix * root
+        rows = np.flatnonzero(variance)
+        root, answers = np.sqrt(variance[rows]), self.matrix[:, rows]
+        inner = root[:, None] * answers[rows] * root
         inner.flat[:: len(root) + 1] += 1.0
         spread = root[:, None] * np.linalg.inv(inner) * root
-        lost, taken = spread @ self.vector, self.matrix @ spread
-        matrix = self.matrix - taken @ self.matrix
+        taken, vector = answers @ spread, self.vector[rows]
+        matrix = self.matrix - taken @ answers.T
         return type(self)(
             matrix=(matrix + matrix.T) / 2.0,
-            vector=self.vector - taken @ self.vector,
-            constant=self.constant - float(self.vector @ lost),
+            vector=self.vector - taken @ vector,
+            constant=self.constant - float(vector @ spread @ vector),
             count=self.count,
         )
 
@@ -122,6 +136,10 @@ class Knowledge:
     def less_sure(self, added: FloatArray) -> Self:
         """Return the same, each parameter less certain by a variance; ``added`` has shape (PARAMETER_COUNT,)."""
         return type(self)(mean=self.mean, covariance=self.covariance + np.diag(added))
+
+    def about(self, rows: slice) -> Self:
+        """Return what is known of some parameters."""
+        return type(self)(mean=self.mean[rows], covariance=self.covariance[rows, rows])
 
     def std(self) -> FloatArray:
         """Return the standard deviations, shape (PARAMETER_COUNT,)."""

@@ -1,7 +1,6 @@
 """How the film of a clutch answers to what moves or forms it: derivatives followed beside the film through an event."""
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final, NamedTuple
 
@@ -45,14 +44,6 @@ class FilmCause(IntEnum):
 _PRESSURE, _AREA, _LATENCY, _VISCOSITY, _STIFFNESS, _MOBILITY = (int(one) for one in FilmCause)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FilmTangents:
-    """Derivatives of a `FilmTrack` on the even grid, each per unit of every cause, shape (n, len(FilmCause))."""
-
-    contact_pa: FloatArray  # of P_C
-    viscous_nm: FloatArray  # of T_V
-
-
 class _Oil(NamedTuple):
     """Vogel's law in the form the kernel takes."""
 
@@ -70,9 +61,19 @@ class _Moved(NamedTuple):
     open_drag_ratio: float
 
 
+class _Answers(NamedTuple):
+    """What the kernel fills from a row of the grid on, and what it works in."""
+
+    first: int
+    lever_m3: FloatArray  # (n,)
+    torque_nm: FloatArray  # (n, len(FilmCause))
+    contact: FloatArray  # (len(FilmCause),) of one row
+    viscous: FloatArray  # (len(FilmCause),) likewise
+
+
 def film_tangents(
-    clutch: int, drive: PressureDrive, clutch_k: FloatArray, calibration: Calibration, stop: int
-) -> FilmTangents:
+    clutch: int, drive: PressureDrive, clutch_k: FloatArray, calibration: Calibration, rows: slice, lever_m3: FloatArray
+) -> FloatArray:
     """Follow the film of clutch 1 or 2 with its derivatives; docs/model.md, "Estimator", section on derivatives.
 
     Parameters
@@ -81,49 +82,65 @@ def film_tangents(
         As for `film_track.integrate_film`.
     clutch_k : (n,) array
         Temperature of the pack [K]; it is not changed by what moves the film, which is next to nothing.
-    stop
-        Number of grid points to follow; derivatives are zero beyond.
+    rows
+        Of the grid, for which derivatives are wanted: ``count`` of them.
+    lever_m3 : (count,) array
+        Torque of the contact over its pressure on these rows.
+
+    Returns
+    -------
+    (count, len(FilmCause)) array
+        By how much contact and sheared film carry more [N m] per unit of every cause.
     """
     oil = calibration.viscosity
     moved = _Moved(
-        piston_pa=np.ascontiguousarray(drive.piston_pa[:stop]),
-        slip_rad_s=np.ascontiguousarray(drive.slip_rad_s[:stop]),
-        clutch_k=np.ascontiguousarray(clutch_k[:stop]),
+        piston_pa=np.ascontiguousarray(drive.piston_pa[: rows.stop]),
+        slip_rad_s=np.ascontiguousarray(drive.slip_rad_s[: rows.stop]),
+        clutch_k=np.ascontiguousarray(clutch_k[: rows.stop]),
         open_drag_ratio=drive.open_drag_ratio,
     )
-    contact, viscous = np.zeros((2, len(drive.piston_pa), len(FilmCause)))
+    answers = _Answers(
+        first=rows.start,
+        lever_m3=np.ascontiguousarray(lever_m3),
+        torque_nm=np.empty((rows.stop - rows.start, len(FilmCause))),
+        contact=np.empty(len(FilmCause)),
+        viscous=np.empty(len(FilmCause)),
+    )
     law = film_law(calibration.clutches[clutch - 1])
-    _follow(moved, law, _Oil(oil.a_pa_s, oil.b_k, oil.pole_k), np.zeros(len(FilmCause)), contact, viscous)
-    return FilmTangents(contact_pa=contact, viscous_nm=viscous)
+    _follow(moved, law, _Oil(oil.a_pa_s, oil.b_k, oil.pole_k), np.zeros(len(FilmCause)), answers)
+    return answers.torque_nm
 
 
 def compile_tangents(calibration: Calibration) -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     still, warm = np.zeros(2), np.full(2, 350.0)
     drive = PressureDrive(piston_pa=still, slip_rad_s=still, oil_k=350.0, clutch_k=350.0)
-    film_tangents(1, drive, warm, calibration, 2)
+    film_tangents(1, drive, warm, calibration, slice(0, 2), still)
 
 
 @array_kernel
-def _follow(moved: _Moved, law: FilmLaw, oil: _Oil, by: FloatArray, contact: FloatArray, viscous: FloatArray) -> None:
-    """Fill the derivatives; ``by`` are those of the film itself [m], zero at first."""
+def _follow(moved: _Moved, law: FilmLaw, oil: _Oil, by: FloatArray, answers: _Answers) -> None:
+    """Fill the answers; ``by`` are the derivatives of the film itself [m], zero at first."""
     film_m = equilibrium_film_m(applied_pressure_pa(moved.piston_pa[0], law), law)
     point = film_point(film_m, law)
     count, k = len(moved.piston_pa), 0
     while k < count:
         viscosity = viscosity_pa_s(moved.clutch_k[k], oil.a_pa_s, oil.b_k, oil.pole_k)
-        _answer(moved, k, point, viscosity, law, by, contact[k], viscous[k])
         points = min(COARSE, count - 1 - k)
         if points > 1 and not _is_quiet(moved, k, points, point, viscosity, law):
             points = 1
-        for row in range(k + 1, k + points):
-            for cause in range(len(by)):
-                contact[row, cause], viscous[row, cause] = contact[k, cause], viscous[k, cause]
+        following = k + max(points, 1)
+        if following > answers.first:
+            _answer(moved, k, point, viscosity, law, by, answers.contact, answers.viscous)
+            for row in range(max(k, answers.first) - answers.first, following - answers.first):
+                for cause in range(len(by)):
+                    by_contact = answers.lever_m3[row] * answers.contact[cause]
+                    answers.torque_nm[row, cause] = by_contact + answers.viscous[cause]
         if points > 0:
             later_m = _step(moved, k, points, point, viscosity, law, by)
             if later_m != point.film_m:
                 point = film_point(later_m, law)
-        k += max(points, 1)
+        k = following
 
 
 @inlined_kernel

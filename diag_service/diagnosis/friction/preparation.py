@@ -10,9 +10,9 @@ from clutch_model.gears import both_clutches
 from clutch_model.thermal import clutch_later_k
 from diag_service.diagnosis.alignment import NS_TO_S, TURNING_RAD_S, AlignedSignals
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction.evidence import Measurement
+from diag_service.diagnosis.friction.evidence import Evidence
 from diag_service.diagnosis.friction.film_track import PressureDrive
-from diag_service.diagnosis.friction.parameters import PARAMETER_COUNT, State, open_drag_ratio
+from diag_service.diagnosis.friction.parameters import State, open_drag_ratio
 from diag_service.diagnosis.friction.window import SLIP_DEGREE, SlipWindow, find_window, loaded_clutch, smoothed
 
 EMPTY_PA = 0.30e5  # an idle clutch reads less than this: it is empty, and the reading is the sensor's zero
@@ -37,27 +37,18 @@ class PackTemperatures:
         )
 
 
-def zeros_seen(signals: AlignedSignals, at: FloatArray, calibration: Calibration) -> list[Measurement]:
-    """Return what a clutch that is empty before the shift says about the zero of its pressure sensor.
-
-    ``at`` are the parameters that it is held against, shape (PARAMETER_COUNT,).
-    """
-    std_pa = calibration.noise.pressure_pa
-    seen = []
+def zeros_seen(signals: AlignedSignals, calibration: Calibration) -> Evidence:
+    """Return what clutches that are empty before the shift say about the zeros of their pressure sensors."""
+    variance_pa2 = calibration.noise.pressure_pa**2
+    rows, zeros_pa, of_mean_pa2 = [], [], []
     for m, pressure in enumerate(signals.pressure):
-        early = pressure.value[pressure.times_s < signals.grid_s[0] + EMPTY_S]
-        if len(early) < 3 or np.max(early) > EMPTY_PA:
+        early = pressure.value[: pressure.times_s.searchsorted(signals.grid_s[0] + EMPTY_S)]
+        if len(early) < 3 or early.max() > EMPTY_PA:
             continue
-        slope = np.zeros((1, PARAMETER_COUNT))
-        slope[0, State.ZERO1 + m] = 1.0
-        seen.append(
-            Measurement(
-                residual=np.array([np.mean(early) - at[State.ZERO1 + m]]),
-                slope=slope,
-                noise=np.array([[std_pa**2 / len(early)]]),
-            )
-        )
-    return seen
+        rows.append(State.ZERO1 + m)
+        zeros_pa.append(float(early.mean()))
+        of_mean_pa2.append(variance_pa2 / len(early))
+    return Evidence.of_readings(rows, zeros_pa, of_mean_pa2)
 
 
 def measured_drives(

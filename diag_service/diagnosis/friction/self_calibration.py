@@ -212,7 +212,7 @@ def _seen_shifts(
             seen = Evidence.of(measured(balance), at).loosened(own_variance(balance, clutch))
             yield _Seen(
                 balance=seen,
-                zeros=Evidence.of(zeros_seen(signals, at, point), at),
+                zeros=zeros_seen(signals, point),
                 misfit=seen.chi_square(at) / seen.count,
                 clutch=clutch,
                 number=event.number,

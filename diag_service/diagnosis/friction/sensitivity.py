@@ -177,10 +177,8 @@ class Sensitivity:
         """Add what the film of clutch ``m + 1`` answers to everything that moves or forms it."""
         balance, drive = self._balance, self._planned[m]
         rows, considered = balance.weights.rows, slope[:, STATE_COUNT:]
-        clutch_k, stop = balance.tracks[m].clutch_k, balance.window.stop
-        tangents = film_tangents(m + 1, drive, clutch_k, balance.calibration, stop)
-        torques_nm = (self._levers_m3[m] @ mu)[:, None] * tangents.contact_pa[rows] + tangents.viscous_nm[rows]
-        answers = balance.weights.value @ torques_nm
+        clutch_k, lever_m3 = balance.tracks[m].clutch_k, self._levers_m3[m] @ mu
+        answers = balance.weights.value @ film_tangents(m + 1, drive, clutch_k, balance.calibration, rows, lever_m3)
         slope[:, State.TOUCH1 + m] = -answers[:, FilmCause.PRESSURE]
         slope[:, State.ZERO1 + m] = -answers[:, FilmCause.PRESSURE]
         considered[:, Considered.PISTON_AREA1 + m] = answers[:, FilmCause.PISTON_AREA]

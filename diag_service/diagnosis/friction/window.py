@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray
+from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.jit import array_kernel
 from diag_service.diagnosis.alignment import GRID_S, Resampled
 
@@ -128,14 +128,29 @@ def _mark(
 def compile_window() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     find_window(np.arange(2.0), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2, np.bool_))
+    loaded_clutch(SlipWindow.between(0, 2), np.zeros((2, 2)), np.zeros((2, 2)))
     _sines(2, 1)
 
 
 def _stretches(is_told: BoolArray) -> list[list[int]]:
     """Return first row and the row after the last one of each run of true values."""
-    edged = np.concatenate(((False,), is_told, (False,)))
-    found: list[list[int]] = np.flatnonzero(edged[1:] != edged[:-1]).reshape(-1, 2).tolist()
+    edges = np.empty(len(is_told) + 1, np.int64)
+    found: list[list[int]] = edges[: _find_edges(is_told, edges)].reshape(-1, 2).tolist()
     return found
+
+
+@array_kernel
+def _find_edges(is_told: BoolArray, edges: Int64Array) -> int:
+    """Fill where runs of true values begin and end; return how many edges that are."""
+    count, was_told = 0, False
+    for row in range(len(is_told)):
+        if is_told[row] != was_told:
+            edges[count], was_told = row, is_told[row]
+            count += 1
+    if was_told:
+        edges[count] = len(is_told)
+        count += 1
+    return count
 
 
 def _pieces(first: int, stop: int, longest: int) -> list[Piece]:
@@ -147,8 +162,20 @@ def _pieces(first: int, stop: int, longest: int) -> list[Piece]:
 
 def loaded_clutch(window: SlipWindow, slip_rad_s: FloatArray, over_touch_pa: FloatArray) -> int:
     """Return the clutch that carries most while it slips in a window, 1 or 2; arrays as for `find_window`."""
-    carried = np.where(np.abs(slip_rad_s) > SLIP_MIN_RAD_S, np.maximum(over_touch_pa, 0.0), 0.0)
-    return 1 + int(np.argmax(sum(carried[:, piece.rows].sum(axis=1) for piece in window.slipping)))
+    lead_pa = sum(_lead_pa(slip_rad_s, over_touch_pa, piece.first, piece.stop) for piece in window.slipping)
+    return 1 if lead_pa >= 0.0 else 2
+
+
+@array_kernel
+def _lead_pa(slip_rad_s: FloatArray, over_touch_pa: FloatArray, first: int, stop: int) -> float:
+    """Return by how much more clutch 1 carries than clutch 2 on some rows, in sums of pressure while they slip."""
+    lead_pa, sign = 0.0, 1.0
+    for m in range(2):
+        for row in range(first, stop):
+            if abs(slip_rad_s[m, row]) > SLIP_MIN_RAD_S:
+                lead_pa += sign * max(over_touch_pa[m, row], 0.0)
+        sign = -1.0
+    return lead_pa
 
 
 Span = tuple[float, float]

@@ -17,6 +17,7 @@ from diag_service.diagnosis.friction.posterior import Posterior
 
 CALIBRATION: Final = nominal_calibration()
 GRID: Final = GRID_S * np.arange(900.0)
+WHOLE: Final = slice(0, len(GRID))
 STEP: Final = 1e-3
 PLAIN: Final = PressureDrive(  # filled, loaded, led down again
     piston_pa=np.interp(GRID, [0.0, 0.1, 0.35, 0.6, 0.9], [0.0, 1.6e5, 4.0e5, 3.0e5, 3.4e5]),
@@ -52,29 +53,35 @@ def track(drive: PressureDrive, calibration: Calibration) -> FilmTrack:
     return integrate_film(2, drive, calibration)
 
 
+def tangents(drive: PressureDrive, clutch_k: FloatArray, lever_m3: float, rows: slice = WHOLE) -> FloatArray:
+    levers_m3 = np.full(rows.stop - rows.start, lever_m3)
+    return film_tangents(2, drive, clutch_k, CALIBRATION, rows, levers_m3)
+
+
 @pytest.mark.parametrize("cause", FilmCause)
 def test_a_derivative_is_what_a_small_change_makes(cause: FilmCause) -> None:
     plain = track(PLAIN, CALIBRATION)
-    found = film_tangents(2, PLAIN, plain.clutch_k, CALIBRATION, len(GRID))
+    by_film_nm = tangents(PLAIN, plain.clutch_k, 0.0)
+    found = {"contact_pa": tangents(PLAIN, plain.clutch_k, 1.0) - by_film_nm, "viscous_nm": by_film_nm}
     size, change = CHANGES[cause]
     changed = track(*change(size))
-    for name in ("contact_pa", "viscous_nm"):
+    for name, derivatives in found.items():
         expected = (getattr(changed, name) - getattr(plain, name)) / size
-        error = np.linalg.norm(getattr(found, name)[:, cause] - expected)
+        error = np.linalg.norm(derivatives[:, cause] - expected)
         assert error < 0.15 * np.linalg.norm(expected), name  # of steps of a millisecond, and of a third of that
 
 
 def test_an_open_pack_answers_to_its_oil_only() -> None:
-    still = replace(PLAIN, piston_pa=np.zeros_like(GRID))
-    found = film_tangents(1, still, np.full_like(GRID, 350.0), CALIBRATION, len(GRID))
-    assert not found.contact_pa.any()
+    still, warm_k = replace(PLAIN, piston_pa=np.zeros_like(GRID)), np.full_like(GRID, 350.0)
+    found = tangents(still, warm_k, 1.0)
+    assert np.array_equal(found, tangents(still, warm_k, 0.0))
     others = [cause for cause in FilmCause if cause is not FilmCause.VISCOSITY]
-    assert not found.viscous_nm[:, others].any()
-    assert (found.viscous_nm[:, FilmCause.VISCOSITY] > 0.0).all()
+    assert not found[:, others].any()
+    assert (found[:, FilmCause.VISCOSITY] > 0.0).all()
 
 
-def test_nothing_is_said_beyond_the_end() -> None:
-    found = film_tangents(1, PLAIN, np.full_like(GRID, 350.0), CALIBRATION, 400)
-    assert found.contact_pa[:400].any()
-    assert not found.contact_pa[400:].any()
-    assert not found.viscous_nm[400:].any()
+def test_some_rows_are_those_of_the_whole() -> None:
+    warm_k = np.full_like(GRID, 350.0)
+    whole = tangents(PLAIN, warm_k, 0.01, slice(0, 400))
+    for first in (100, 101, 102, 350):
+        assert np.array_equal(tangents(PLAIN, warm_k, 0.01, slice(first, 400)), whole[first:])
