@@ -9,13 +9,13 @@ of its noise is exact; the contact torques T_C,m are linear in the friction coef
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, kernel
 from clutch_model.calibration import Calibration
-from clutch_model.clutch import ClutchCalibration
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, stribeck_weight
 from clutch_model.gears import both_clutches
 from clutch_model.knowledge import SensorBias
@@ -41,6 +41,38 @@ class ClutchMoments:
     def impulse(self, mu: FloatArray) -> FloatArray:
         """Return the weighted torque impulses [N m s], shape (k,), for ``mu = (mu_c, mu_s)``."""
         return self.viscous + self.by_friction @ mu
+
+
+class Torques(NamedTuple):
+    """What both clutches carry on the rows of a window, eqs. (5), (6) and (8); each (2 clutches, ...).
+
+    The two numbers of friction are per unit of mu_c and of mu_s.
+    """
+
+    lever_m3: FloatArray  # (2, 2, n) contact torque over its pressure
+    contact_nm: FloatArray  # (2, 2, n)
+    parts_nm: FloatArray  # (2, 6, n): contact, the same times the kelvins over the reference, sheared film, open drag
+
+    @classmethod
+    def of(
+        cls,
+        drives: tuple[PressureDrive, PressureDrive],
+        tracks: tuple[FilmTrack, FilmTrack],
+        calibration: Calibration,
+        rows: slice,
+    ) -> Self:
+        """Return the torques that films and slips of both clutches make on some rows of the grid."""
+        count = rows.stop - rows.start
+        lever_m3, parts_nm = np.empty((2, 2, count)), np.empty((2, 6, count))
+        for clutch, drive, track, levers, parts in zip(
+            calibration.clutches, drives, tracks, lever_m3, parts_nm, strict=True
+        ):
+            own = _Rows(
+                drive.slip_rad_s[rows], track.contact_pa[rows], track.clutch_k[rows], track.viscous_nm[rows],
+                track.open_nm[rows],
+            )  # fmt: skip
+            _fill_torques(own, friction_law(clutch.friction), clutch.geometry.contact_factor_m3, levers, parts)
+        return cls(lever_m3=lever_m3, contact_nm=parts_nm[:, :2], parts_nm=parts_nm)
 
 
 class Balance:
@@ -85,8 +117,8 @@ class Balance:
         counts = [max(3, min(MAX_MOMENT_COUNT, one // SAMPLES_PER_MOMENT)) for one in sample_counts]
         self.weights = sines(window, counts)
         self.tracks = integrate_films(measured, calibration)
-        self.contacts_nm = contacts_nm(measured, self.tracks, calibration, self.weights.rows)
-        self._moments = weigh(self.weights, self.contacts_nm, self.tracks)
+        self.torques = Torques.of(measured, self.tracks, calibration, self.weights.rows)
+        self._moments = weigh(self.weights, self.torques)
         side, hub_rad_s = calibration.input_side, signals.hub_speed.on_grid[self.weights.rows]
         self.known_nms = np.asarray(
             side.hub_inertia_kg_m2 * (self.weights.rate @ hub_rad_s)
@@ -134,26 +166,9 @@ def integrate_films(
     return both_clutches(integrate_film(m + 1, drives[m], calibration, stop, step) for m in range(2))
 
 
-def contacts_nm(
-    drives: tuple[PressureDrive, PressureDrive],
-    tracks: tuple[FilmTrack, FilmTrack],
-    calibration: Calibration,
-    rows: slice,
-) -> tuple[FloatArray, FloatArray]:
-    """Return `contact_nm` of both clutches."""
-    return both_clutches(contact_nm(calibration.clutches[m], drives[m], tracks[m], rows) for m in range(2))
-
-
-def weigh(
-    weights: Weights, torques_nm: tuple[FloatArray, FloatArray], tracks: tuple[FilmTrack, FilmTrack]
-) -> tuple[ClutchMoments, ClutchMoments]:
-    """Return the weighted torques of both clutches, of which ``torques_nm`` are the `contacts_nm` on the same rows."""
-    rows, columns = weights.rows, np.empty((2, 6, weights.rows.stop - weights.rows.start))
-    for own, of_friction_nm, track in zip(columns, torques_nm, tracks, strict=True):
-        own[:2] = of_friction_nm.T
-        own[2:4] = own[:2] * (track.clutch_k[rows] - REFERENCE_K)
-        own[4], own[5] = track.viscous_nm[rows], track.open_nm[rows]
-    sums = weights.value @ columns.reshape(12, -1).T
+def weigh(weights: Weights, torques: Torques) -> tuple[ClutchMoments, ClutchMoments]:
+    """Return the weighted torques of both clutches, on the rows of the weights."""
+    sums = weights.value @ torques.parts_nm.reshape(12, -1).T
     return both_clutches(
         ClutchMoments(
             viscous=own[:, 4],
@@ -172,31 +187,36 @@ def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: Sensor
     return reading_nm - negative_nm + corrected_nm, corrected_nm
 
 
-def contact_nm(clutch: ClutchCalibration, drive: PressureDrive, track: FilmTrack, rows: slice) -> FloatArray:
-    """Return the contact torque per unit of mu_c and mu_s on rows of the grid, shape (n, 2); eqs. (6) and (8)."""
-    return contact_lever_m3(clutch, drive.slip_rad_s[rows]) * track.contact_pa[rows, None]
-
-
-def contact_lever_m3(clutch: ClutchCalibration, slip_rad_s: FloatArray) -> FloatArray:
-    """Return the contact torque per unit of contact pressure, and of mu_c and mu_s, shape (n, 2)."""
-    lever_m3 = np.empty((len(slip_rad_s), 2))
-    _fill_lever(
-        np.ascontiguousarray(slip_rad_s), friction_law(clutch.friction), clutch.geometry.contact_factor_m3, lever_m3
-    )
-    return lever_m3
-
-
 def compile_balance(calibration: Calibration) -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     clutch, zeros = calibration.clutches[0], np.zeros(2)
-    contact_lever_m3(clutch, zeros)
-    _heat_w(zeros, zeros, zeros, zeros, friction_law(clutch.friction), clutch.geometry.contact_factor_m3)
+    law, factor_m3 = friction_law(clutch.friction), clutch.geometry.contact_factor_m3
+    _fill_torques(_Rows(zeros, zeros, zeros, zeros, zeros), law, factor_m3, np.empty((2, 2)), np.empty((6, 2)))
+    _heat_w(zeros, zeros, zeros, zeros, law, factor_m3)
+
+
+class _Rows(NamedTuple):
+    """Rows of what is known of a clutch, in the form the kernel takes; (n,) each."""
+
+    slip_rad_s: FloatArray
+    contact_pa: FloatArray
+    clutch_k: FloatArray
+    viscous_nm: FloatArray
+    open_nm: FloatArray
 
 
 @array_kernel
-def _fill_lever(slip_rad_s: FloatArray, law: FrictionLaw, contact_factor_m3: float, lever_m3: FloatArray) -> None:
-    for row in range(len(slip_rad_s)):
-        lever_m3[row, 0], lever_m3[row, 1] = _levers_m3(slip_rad_s[row], law, contact_factor_m3)
+def _fill_torques(
+    rows: _Rows, law: FrictionLaw, contact_factor_m3: float, lever_m3: FloatArray, parts_nm: FloatArray
+) -> None:
+    for row in range(len(rows.slip_rad_s)):
+        by_mu_c_m3, by_mu_s_m3 = _levers_m3(rows.slip_rad_s[row], law, contact_factor_m3)
+        by_mu_c_nm, by_mu_s_nm = by_mu_c_m3 * rows.contact_pa[row], by_mu_s_m3 * rows.contact_pa[row]
+        warm_k = rows.clutch_k[row] - REFERENCE_K
+        lever_m3[0, row], lever_m3[1, row] = by_mu_c_m3, by_mu_s_m3
+        parts_nm[0, row], parts_nm[1, row] = by_mu_c_nm, by_mu_s_nm
+        parts_nm[2, row], parts_nm[3, row] = by_mu_c_nm * warm_k, by_mu_s_nm * warm_k
+        parts_nm[4, row], parts_nm[5, row] = rows.viscous_nm[row], rows.open_nm[row]
 
 
 @kernel

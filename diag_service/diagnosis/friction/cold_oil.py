@@ -61,7 +61,7 @@ def film_share(balance: Balance, clutch: int) -> float:
     """Return which part of a clutch's torque its sheared film carries in the slip window, 0 to 1."""
     rows, track = balance.window.slip_rows, balance.tracks[clutch - 1]
     first = balance.weights.rows.start
-    by_friction_nm = balance.contacts_nm[clutch - 1][rows.start - first : rows.stop - first]
-    contact = float(np.sum(np.abs(by_friction_nm @ balance.at[friction_rows(clutch)])))
+    by_friction_nm = balance.torques.contact_nm[clutch - 1, :, rows.start - first : rows.stop - first]
+    contact = float(np.sum(np.abs(balance.at[friction_rows(clutch)] @ by_friction_nm)))
     film = float(np.sum(np.abs(track.viscous_nm[rows])))
     return film / max(film + contact, 1e-9)

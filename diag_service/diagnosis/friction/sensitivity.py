@@ -20,7 +20,7 @@ from clutch_model.gears import both_clutches
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.balance import (
     Balance,
-    contact_lever_m3,
+    Torques,
     direction,
     friction_pairs,
     integrate_films,
@@ -122,17 +122,9 @@ class Sensitivity:
         self._tracks = both_clutches(  # a command shows how a clutch is filled less well than how it heats up
             replace(track, clutch_k=seen.clutch_k) for track, seen in zip(planned, balance.tracks, strict=True)
         )
-        rows = balance.weights.rows
-        self._levers_m3 = both_clutches(
-            contact_lever_m3(clutch, drive.slip_rad_s[rows])
-            for clutch, drive in zip(balance.calibration.clutches, self._planned, strict=True)
-        )
-        self._contacts_nm = both_clutches(
-            lever_m3 * track.contact_pa[rows, None]
-            for lever_m3, track in zip(self._levers_m3, self._tracks, strict=True)
-        )
+        self._torques = Torques.of(self._planned, self._tracks, balance.calibration, balance.weights.rows)
         self._answers = both_clutches(self._answers_of(m, mu) for m, mu in enumerate(friction_pairs(balance.at)))
-        self._nominal = weigh(balance.weights, self._contacts_nm, self._tracks)
+        self._nominal = weigh(balance.weights, self._torques)
         self.noises = self._noises()
         self.slope = self._slope()
         self.overlaps = self._overlaps()
@@ -144,7 +136,7 @@ class Sensitivity:
         area_ratio = clutch.geometry.piston_area_m2 / clutch.geometry.lining_area_m2
         slip_rad_s, contact_pa = self._planned[m].slip_rad_s[rows], self._tracks[m].contact_pa[rows]
         doubt_nm, curve = balance.tracks[m].doubt_nm[rows], friction_law(clutch.friction)
-        _fill_answers(slip_rad_s, self._contacts_nm[m], contact_pa, doubt_nm, mu, curve, area_ratio, answers)
+        _fill_answers(slip_rad_s, self._torques.contact_nm[m], contact_pa, doubt_nm, mu, curve, area_ratio, answers)
         return answers
 
     def _slope(self) -> FloatArray:
@@ -177,7 +169,7 @@ class Sensitivity:
         """Add what the film of clutch ``m + 1`` answers to everything that moves or forms it."""
         balance, drive = self._balance, self._planned[m]
         rows, considered = balance.weights.rows, slope[:, STATE_COUNT:]
-        clutch_k, lever_m3 = balance.tracks[m].clutch_k, self._levers_m3[m] @ mu
+        clutch_k, lever_m3 = balance.tracks[m].clutch_k, mu @ self._torques.lever_m3[m]
         answers = balance.weights.value @ film_tangents(m + 1, drive, clutch_k, balance.calibration, rows, lever_m3)
         slope[:, State.TOUCH1 + m] = -answers[:, FilmCause.PRESSURE]
         slope[:, State.ZERO1 + m] = -answers[:, FilmCause.PRESSURE]
@@ -290,7 +282,7 @@ def _fill_answers(
     for row in range(len(slip_rad_s)):
         excess = max(abs(slip_rad_s[row]) / speed_rad_s, MIN_EXCESS)
         log_excess = math.log(excess)
-        by_mu_c_nm, by_mu_s_nm = torques_nm[row, 0], torques_nm[row, 1]
+        by_mu_c_nm, by_mu_s_nm = torques_nm[0, row], torques_nm[1, row]
         by_log_nm = by_mu_s_nm * (mu[1] - mu[0]) * exponent * math.exp(exponent * log_excess)
         answers.by_slip_nms[row] = -by_log_nm / (excess * speed_rad_s) * direction(slip_rad_s[row])
         answers.by_pressure_m3[row] = area_ratio * mu[0] * (by_mu_c_nm + by_mu_s_nm) / max(contact_pa[row], 1.0)
@@ -303,4 +295,4 @@ def _fill_answers(
 def compile_sensitivity(calibration: Calibration) -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     rows, curve = np.zeros(1), friction_law(calibration.clutches[0].friction)
-    _fill_answers(rows, np.zeros((1, 2)), rows, rows, np.zeros(2), curve, 1.0, ContactAnswers(*np.zeros((5, 1))))
+    _fill_answers(rows, np.zeros((2, 1)), rows, rows, np.zeros(2), curve, 1.0, ContactAnswers(*np.zeros((5, 1))))
