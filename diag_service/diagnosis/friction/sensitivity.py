@@ -181,7 +181,7 @@ class Sensitivity:
         balance, signals = self._balance, self._balance.signals
         sensors, bias, weights = balance.calibration.noise, balance.calibration.bias, balance.weights
         speed_std = sensors.engine_speed_rad_s * balance.calibration.input_side.engine_inertia_kg_m2
-        speed_slopes = weights.rate.fitted(SLIP_DEGREE).on_samples(signals.engine_speed)
+        speed_slopes = weights.rate.fitted_on_samples(SLIP_DEGREE, signals.engine_speed)
         hubs = self._spread.hub(balance.calibration.input_side)
         motoring = self._motoring_shares()
         overlaps = []
@@ -206,7 +206,7 @@ class Sensitivity:
             return None
         value = balance.weights.value * (is_motoring / balance.calibration.bias.motoring_gain)
         pairs = zip(
-            value.fitted(SLIP_DEGREE).on_samples(balance.signals.engine_torque), self._spread.torque_value, strict=True
+            value.fitted_on_samples(SLIP_DEGREE, balance.signals.engine_torque), self._spread.torque_value, strict=True
         )
         return tuple(one @ other.T for one, other in pairs)
 

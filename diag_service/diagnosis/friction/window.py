@@ -232,9 +232,13 @@ class Functions:
         """Return the sum of each function, shape (k,)."""
         return np.concatenate([block.sum(axis=1) for block in self.blocks])
 
-    def fitted(self, degree: int) -> "Functions":
-        """Return polynomial fits to the functions."""
-        return replace(self, blocks=tuple(fitted(block, degree) for block in self.blocks))
+    def fitted_on_samples(self, degree: int, signal: Resampled) -> tuple[FloatArray, ...]:
+        """Return `on_samples` of polynomial fits to the functions."""
+        found = []
+        for block, rows in zip(self.blocks, self._grid_rows, strict=True):
+            basis = _polynomials(block.shape[1], degree)
+            found.append((block @ basis) @ signal.to_samples(np.ascontiguousarray(basis.T), rows))
+        return tuple(found)
 
     def on_samples(self, signal: Resampled) -> tuple[FloatArray, ...]:
         """Return the weights of the samples of a signal in the sums over the grid, (functions, samples) each piece."""

@@ -97,7 +97,8 @@ def test_functions_are_a_matrix_of_which_most_is_zero() -> None:
     for piece, means in zip(PIECES.pieces, functions.around_samples(GRID[INSIDE], signal), strict=True):
         times_s = signal.times_s[signal.left[piece.first] :][: len(means)]
         assert means[1:-2] == pytest.approx(times_s[1:-2], abs=4e-3)  # the ends of a piece cut one short
-    assert functions.fitted(2).blocks[1] == pytest.approx(fitted(functions.blocks[1], 2))
+    for block, piece, fit in zip(functions.blocks, PIECES.pieces, functions.fitted_on_samples(2, signal), strict=True):
+        assert fit == pytest.approx(signal.to_samples(fitted(block, 2), piece.rows))
 
 
 def test_each_piece_has_a_polynomial_of_its_own() -> None:
