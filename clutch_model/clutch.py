@@ -6,6 +6,7 @@ Symbols in the comments are those of ``docs/model.md``.
 import math
 from dataclasses import dataclass
 
+from clutch_model.errors import CalibrationError
 from clutch_model.ranged import Ranged
 from clutch_model.tables import require
 
@@ -24,7 +25,8 @@ class FrictionCurve(Ranged):
         """Check that the coefficients are those of a lubricated friction lining."""
         Ranged.__post_init__(self)
         for name in ("mu_c", "mu_s"):
-            require(0.02 <= getattr(self, name) <= 0.5, f"{name} must be 0.02..0.5, got {getattr(self, name)}")
+            if not 0.02 <= (mu := getattr(self, name)) <= 0.5:
+                raise CalibrationError(f"{name} must be 0.02..0.5, got {mu}")
         require(self.stribeck_speed_rad_s > 0.0, "stribeck_speed_rad_s must be > 0")
         require(self.stribeck_exponent > 0.0, "stribeck_exponent must be > 0")
 
@@ -104,7 +106,8 @@ class FilmSurface(Ranged):
         Ranged.__post_init__(self)
         lengths = ("roughness_m", "contact_stiffness_pa", "permeability_m2", "open_gap_m", "separation_time_s")
         for name in (*lengths, "mobility_ratio"):
-            require(getattr(self, name) > 0.0, f"{name} must be > 0")
+            if not getattr(self, name) > 0.0:
+                raise CalibrationError(f"{name} must be > 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

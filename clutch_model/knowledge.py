@@ -1,8 +1,9 @@
 """What is known of a vehicle beyond its nominal numbers, and how well: biases, noise, uncertainty."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
+from clutch_model.errors import CalibrationError
 from clutch_model.ranged import Pair, Ranged
 from clutch_model.tables import require
 
@@ -60,14 +61,16 @@ class SensorBias:
 
     def __post_init__(self) -> None:
         """Check that the readings still mean something."""
-        for member in fields(self):
-            values = getattr(self, member.name)
-            finite = all(math.isfinite(value) for value in (values if isinstance(values, tuple) else (values,)))
-            require(finite, f"{member.name} must be finite")
+        for name in self.__dataclass_fields__:
+            values = getattr(self, name)
+            if not all(map(math.isfinite, values if isinstance(values, tuple) else (values,))):
+                raise CalibrationError(f"{name} must be finite")
         for name in ("torque_gain", "motoring_gain"):
-            require(0.5 <= getattr(self, name) <= 2.0, f"{name} must be 0.5..2, got {getattr(self, name)}")
+            if not 0.5 <= (gain := getattr(self, name)) <= 2.0:
+                raise CalibrationError(f"{name} must be 0.5..2, got {gain}")
         for name in ("torque_latency_s", "pressure_latency_s"):
-            require(abs(getattr(self, name)) <= MAX_LATENCY_S, f"{name} must be within {MAX_LATENCY_S} s")
+            if abs(getattr(self, name)) > MAX_LATENCY_S:
+                raise CalibrationError(f"{name} must be within {MAX_LATENCY_S} s")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
