@@ -17,7 +17,7 @@ from typing import Final
 _KEEPALIVE_S: Final = 600
 _CONNECT_REQUEST, _PUBLISH_QOS1, _SUBSCRIBE = 0x10, 0x32, 0x82
 _PUBLISH_TYPE, _PUBACK = 3, 0x40
-_PIECE: Final = 200  # messages per send
+_PIECE: Final = 200  # results per send
 _AT_ANY_TIME: Final = 0.4  # of the messages of a day
 _RUSH_HOURS: Final = (7.5, 17.0)
 _PACE_S: Final = 0.01  # between pieces at a steady pace
@@ -30,16 +30,28 @@ class Wire:
 
     head: bytes
     payload: bytes
+    keys: Sequence[tuple[str, int]] = ()  # vehicle and position of each result in it, where that matters
+
+    @property
+    def count(self) -> int:
+        """How many results it carries."""
+        return len(self.keys) or 1
 
     def packet(self, number: int) -> bytes:
         """Return the PUBLISH packet, QoS 1."""
         return self.head + (number % 65_535 + 1).to_bytes(2) + self.payload
 
 
-def wire(topic: str, payload: bytes) -> Wire:
+def wire(topic: str, payload: bytes, keys: Sequence[tuple[str, int]] = ()) -> Wire:
     """Return the packet of a message."""
     name = _text(topic)
-    return Wire(head=bytes([_PUBLISH_QOS1]) + _length(len(name) + 2 + len(payload)) + name, payload=payload)
+    head = bytes([_PUBLISH_QOS1]) + _length(len(name) + 2 + len(payload)) + name
+    return Wire(head=head, payload=payload, keys=keys)
+
+
+def result_count(messages: Sequence[Wire]) -> int:
+    """Return how many results messages carry."""
+    return sum(message.count for message in messages)
 
 
 def steady_s(count: int, per_s: float) -> list[float]:
@@ -85,12 +97,14 @@ class Load:
 
     def send(self, messages: Sequence[Wire], window: int, timeout_s: float) -> float:
         """Send all messages and wait for the backend's word on each; return how long it took [s]."""
-        began_s = time.perf_counter()
-        for first in range(0, len(messages), _PIECE):
-            piece = messages[first : first + _PIECE]
-            self._wait(first + len(piece) - window, began_s + timeout_s)
+        began_s, first, sent_count = time.perf_counter(), 0, 0
+        while first < len(messages):
+            piece = messages[first : first + max(1, _PIECE // messages[first].count)]
+            sent_count += result_count(piece)
+            self._wait(sent_count - window, began_s + timeout_s)
             self._publish(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
-        self._wait(len(messages), began_s + timeout_s)
+            first += len(piece)
+        self._wait(sent_count, began_s + timeout_s)
         return time.perf_counter() - began_s
 
     def pace(self, messages: Sequence[Wire], after_s: Sequence[float], timeout_s: float) -> list[float]:
@@ -102,7 +116,7 @@ class Load:
             piece = messages[first:due]
             self._publish(b"".join(message.packet(first + place) for place, message in enumerate(piece)))
             first = due
-        self._wait(len(messages), time.perf_counter() + timeout_s)
+        self._wait(result_count(messages), time.perf_counter() + timeout_s)
         return [began_s + one_s for one_s in after_s]
 
     def pour(self, messages: Sequence[Wire]) -> None:

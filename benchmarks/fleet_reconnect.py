@@ -25,7 +25,8 @@ from sqlalchemy import text
 
 from benchmarks.fleet_ingest import workers
 from benchmarks.fleet_load import Load, connect_packet, packets_in, subscribe_packet, wire
-from benchmarks.fleet_scale import broker, messages
+from benchmarks.fleet_results import alone
+from benchmarks.fleet_scale import broker
 from benchmarks.storm_model import Storm, play, told
 from demo.fleet.postgres import PostgresServer
 from diag_service.diagnosis.results import shift_record
@@ -208,7 +209,7 @@ def measure(name: str, vehicle_count: int, results: int, window_s: float) -> boo
         port, address = stack.enter_context(broker(name, folder))
         stack.enter_context(workers(address, database, 2))
         load = Load(port, "load", [filter_of(Channel.ACK)])
-        pace = CALIBRATED / load.send(messages(1000, 1, CALIBRATED), CALIBRATED, timeout_s=300.0)
+        pace = CALIBRATED / load.send(alone(1000, 1, CALIBRATED), CALIBRATED, timeout_s=300.0)
         load.close()
         memory = Memory()
 

@@ -1,8 +1,8 @@
 """The fleet's ingest and its page's questions on a PostgreSQL with a past: many rows in months, two workers.
 
-Rows of the past are made inside PostgreSQL. Results come from Mosquitto and from JetStream: as many as go through, all
-of them once more, then half of the aim at a steady pace. The page's questions are asked of a fleet with that past and
-of the same fleet with its last thirty days only, in turns.
+Rows of the past are made inside PostgreSQL. Results come from Mosquitto and from JetStream, each alone and in bundles:
+as many as go through, all of them once more, then half of the aim at a steady pace. The page's questions are asked of a
+fleet with that past and of the same fleet with its last thirty days only, in turns.
 
     python -m benchmarks.fleet_scale --rows 20000000
 """
@@ -14,9 +14,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -24,19 +24,18 @@ from sqlalchemy import Engine, text
 
 from benchmarks.fleet_history import PER_DAY, make_fleet, make_results, settle
 from benchmarks.fleet_ingest import BROKER_LINES, processor_s, spent_s, told_cost, workers
-from benchmarks.fleet_load import Load, Wire, rush_s, steady_s, wire
+from benchmarks.fleet_load import Load, Wire, result_count, rush_s, steady_s
+from benchmarks.fleet_results import alone, bundled
 from demo.fleet.mosquitto import mosquitto
 from demo.fleet.nats import NatsServer
 from demo.fleet.postgres import PostgresServer
-from diag_service.diagnosis.results import shift_record
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
 from fleet_backend.months.partitions import keep_months, partitions
 from fleet_backend.page import past, running
 from fleet_backend.page.vehicle_state import state_of
-from fleet_contract import Channel, filter_of, shift_message
-from tests.support.fleet import fleet_result
+from fleet_contract import Channel, filter_of
 
 AIM_PER_S = 15_000
 LATENCY_AIM_S = 2.0
@@ -49,15 +48,7 @@ CONNECTIONS = 8  # that publish
 SETTINGS = ("shared_buffers=1GB", "max_wal_size=8GB", "checkpoint_timeout=15min")
 
 
-def messages(vehicle_count: int, first: int, count: int) -> list[Wire]:
-    """Return results of all vehicles in turn, made now."""
-    moment, made = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ"), []
-    for number in range(count):
-        vehicle, seq = f"h{1 + number % vehicle_count}", first + number // vehicle_count
-        result = replace(fleet_result(seq, vehicle=vehicle, clutch=1 + seq % 2), stream="live", produced_at=moment)
-        message = shift_message(shift_record(result))
-        made.append(wire(message.topic, message.payload))
-    return made
+WAYS: dict[str, Callable[[int, int, int], list[Wire]]] = {"alone": alone, "in bundles": bundled}
 
 
 def made_fleet(
@@ -147,9 +138,11 @@ def broker(name: str, folder: Path) -> Iterator[tuple[int, str]]:
         server.stop()
 
 
-def ingest(name: str, database: str, vehicle_count: int, count: int, pace_per_s: float, *, is_rush: bool) -> bool:
+def ingest(
+    name: str, database: str, vehicle_count: int, count: int, pace_per_s: float, *, way: str, is_rush: bool
+) -> bool:
     """Print rate, idempotence and latency from one broker; return whether all keep their aims."""
-    engine = open_database(database)
+    engine, title = open_database(database), f"{name}, {way}"
     began, first = datetime.now(UTC), _last_live(engine) + 1
     with ExitStack() as stack:
         stack.callback(engine.dispose)
@@ -159,28 +152,36 @@ def ingest(name: str, database: str, vehicle_count: int, count: int, pace_per_s:
         # The gateway of NATS grants 63 subscriptions of one client, and takes the messages of one client one by one.
         load = Load(port, "load", [filter_of(Channel.ACK)], connections=CONNECTIONS)
         stack.callback(load.close)
-        made = messages(vehicle_count, first, count)
+        made = WAYS[way](vehicle_count, first, count)
+        count = result_count(made)
         used_s = processor_s()
         rate = count / load.send(made, WINDOW, timeout_s=300.0)
         used_s = spent_s(used_s)
         load.acknowledged_count = 0
         again = count / load.send(made, WINDOW, timeout_s=300.0)
         new = _live_count(engine, began)
-        print(f"{name}: {rate:,.0f} results/s (aim {AIM_PER_S:,}); once more {again:,.0f}/s; {new:,} new of {count:,}")
-        print(f"{name}: {told_cost(used_s, count)}")
-        paced = messages(vehicle_count, first + count, int(PACED_S * pace_per_s))
+        print(f"{title}: {rate:,.0f} results/s (aim {AIM_PER_S:,}); once more {again:,.0f}/s; {new:,} new of {count:,}")
+        print(f"{title}: {told_cost(used_s, count)}")
+        size = sum(len(message.packet(0)) for message in made) / count
+        print(f"{title}: {len(made):,} packets, {size:,.0f} bytes per result")
         load.acknowledged_count, load.is_timed = 0, True
-        rng = random.Random(1)  # noqa: S311 - no secret
-        after_s = rush_s(len(paced), pace_per_s, rng) if is_rush else steady_s(len(paced), pace_per_s)
-        due_s = load.pace(paced, after_s, timeout_s=300.0)
-        late_s = [
-            load.heard_s[f"h{1 + number % vehicle_count}", first + count + number // vehicle_count] - at_s
-            for number, at_s in enumerate(due_s)
-        ]
-        p99_s = statistics.quantiles(late_s, n=100)[-1]
-        kind = "on average, with rush hours," if is_rush else "steadily"
-        print(f"{name}: at {pace_per_s:,.0f}/s {kind} median {statistics.median(late_s):.3f} s, p99 {p99_s:.3f} s")
+        p99_s = latency(
+            title, load, WAYS[way](vehicle_count, first + count, int(PACED_S * pace_per_s)), is_rush=is_rush
+        )
         return rate >= AIM_PER_S and new == count and p99_s <= LATENCY_AIM_S
+
+
+def latency(title: str, load: Load, paced: list[Wire], *, is_rush: bool) -> float:
+    """Print how long results take that come as slowly as is wanted; return what 99 of 100 keep [s]."""
+    per_s, rng = len(paced) / PACED_S, random.Random(1)  # noqa: S311 - no secret
+    after_s = rush_s(len(paced), per_s, rng) if is_rush else steady_s(len(paced), per_s)
+    due_s = load.pace(paced, after_s, timeout_s=300.0)
+    late_s = [load.heard_s[key] - at_s for message, at_s in zip(paced, due_s, strict=True) for key in message.keys]
+    p99_s = statistics.quantiles(late_s, n=100)[-1]
+    kind = "on average, with rush hours," if is_rush else "steadily"
+    pace_per_s = result_count(paced) / PACED_S
+    print(f"{title}: at {pace_per_s:,.0f}/s {kind} median {statistics.median(late_s):.3f} s, p99 {p99_s:.3f} s")
+    return p99_s
 
 
 def _live_count(engine: Engine, began: datetime) -> int:
@@ -205,6 +206,7 @@ def main() -> int:
     parser.add_argument("--pace", type=float, default=AIM_PER_S / 2, help="results per second, of the latency")
     parser.add_argument("--rush", action="store_true", help="of a day with rush hours, put into ten seconds")
     parser.add_argument("--broker", choices=["mosquitto", "nats"], help="only this one")
+    parser.add_argument("--way", choices=WAYS, help="in which results come; only this one")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep the past there, or take up what was kept")
     options = parser.parse_args()
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # a text stream
@@ -215,9 +217,12 @@ def main() -> int:
         is_kept = compare(recent, old, options.vehicles)
         recent.dispose()
         old.dispose()
-        for name in [options.broker] if options.broker else ["mosquitto", "nats"]:
+        names = [options.broker] if options.broker else ["mosquitto", "nats"]
+        for name, way in product(names, [options.way] if options.way else WAYS):
             done = ingest(
-                name, server.url("past"), options.vehicles, options.results, options.pace, is_rush=options.rush
+                *(name, server.url("past"), options.vehicles, options.results, options.pace),
+                way=way,
+                is_rush=options.rush,
             )
             is_kept = is_kept and done
     return 0 if is_kept else 1

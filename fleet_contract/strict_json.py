@@ -85,12 +85,19 @@ def _fast(payload: bytes) -> object | None:
 
 
 def _may_exceed_64_bits(payload: bytes) -> bool:
-    """Return whether there are so many digits in a row that they may be a number which is not ours."""
+    """Return whether there are so many digits in a row that they may be a number which is not ours.
+
+    Those behind a point are a fraction, however many they are.
+    """
     digits = payload.translate(_DIGITS)
     at = digits.find(_LONG_NUMBER)
     while at >= 0:
         end = at + _LONGEST_DIGITS
-        if payload[at] == ord("9") or digits.startswith(b"0", end):
+        if payload[at - 1] == ord("."):
+            end = digits.find(b" ", end)
+            if end < 0:
+                return False
+        elif payload[at] == ord("9") or digits.startswith(b"0", end):
             return True
         at = digits.find(_LONG_NUMBER, end)
     return False
