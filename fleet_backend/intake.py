@@ -1,7 +1,7 @@
 """Messages as they came become rows and receipts; what cannot be used becomes poison with a reason."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime
 from enum import Enum, auto
 from types import MappingProxyType
@@ -32,8 +32,7 @@ from fleet_contract import (
     key_of,
     parse_object,
     parse_topic,
-    read_message,
-    topic_of,
+    read_event,
 )
 from fleet_link import Message
 
@@ -89,29 +88,37 @@ def take_all(message: Message, received_at: datetime) -> list[Taken]:
     if not message.topic.endswith(_BUNDLE_END):
         return [take(message, received_at)]
     try:
-        topic = topic_of(parse_topic(message.topic).vehicle, Channel.SHIFT)
+        address = Address(vehicle=parse_topic(message.topic).vehicle, channel=Channel.SHIFT)
         events = bundled_events(message.payload)
     except ContractError as exc:
         return [refuse(message, _reason_of(exc), str(exc), received_at)]
-    return [take(replace(message, topic=topic, payload=event), received_at) for event in events]
+    topic, number = address.topic, message.packet_id
+    return [_take(Message(topic=topic, payload=event, packet_id=number), address, received_at) for event in events]
 
 
 def take(message: Message, received_at: datetime) -> Taken:
     """Return what becomes of a message that is no bundle."""
     try:
-        incoming = read_message(message.topic, message.payload)
+        address = parse_topic(message.topic)
     except ContractError as exc:
         return refuse(message, _reason_of(exc), str(exc), received_at)
-    channel, data = incoming.address.channel, incoming.data
+    return _take(message, address, received_at)
+
+
+def _take(message: Message, address: Address, received_at: datetime) -> Taken:
+    try:
+        incoming = read_event(address, message.payload)
+    except ContractError as exc:
+        return refuse(message, _reason_of(exc), str(exc), received_at)
+    channel, data = address.channel, incoming.data
+    if channel is Channel.SHIFT and incoming.key is not None:
+        return Taken(message=message, kind=Kind.SHIFT, row=shift_row(data), receipt=Receipt(key=incoming.key))
     if channel in _STATES:
         kind, row_of = _STATES[channel]
         return Taken(message=message, kind=kind, row=row_of(data))
     if channel is Channel.FLUID:
         return Taken(message=message, kind=Kind.FILLS, row={"vehicle": data["vehicle"]}, fills=fill_rows(data))
-    if channel is not Channel.SHIFT:
-        return refuse(message, "topic", "nothing that the backend keeps", received_at)
-    receipt = Receipt(key=key_of(data))
-    return Taken(message=message, kind=Kind.SHIFT, row=shift_row(data), receipt=receipt)
+    return refuse(message, "topic", "nothing that the backend keeps", received_at)
 
 
 def refuse(message: Message, reason: str, detail: str, received_at: datetime) -> Taken:

@@ -8,6 +8,8 @@ from hashlib import blake2b, sha256
 from operator import itemgetter
 from typing import Final
 
+import msgspec
+
 from fleet_backend.ranking import version_rank
 from fleet_backend.schema import FRICTION_COLUMNS, RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
 
@@ -36,7 +38,11 @@ _PLAIN: Final = (
     "slip_energy_j",
     "odometer_m",
 )
-_CONTENT: Final = (
+_PLAIN_OF: Final = itemgetter(*_PLAIN)  # a tuple, as are those below
+_FRICTION_OF: Final = itemgetter(*FRICTION_COLUMNS)
+_RUNNING_FRICTION: Final = tuple(RUNNING + name for name in FRICTION_COLUMNS)
+_SCALE_FREE: Final = tuple(SCALE_FREE + name for name in SCALE_FREE_COLUMNS)
+CONTENT: Final = (
     *_PLAIN,
     *("version_rank", "produced_at", "start_at", "end_at", "reasons"),
     *FRICTION_COLUMNS,
@@ -44,7 +50,10 @@ _CONTENT: Final = (
     *(RUNNING + name for name in FRICTION_COLUMNS),
     "running_shift_count",
 )
-_CONTENT_OF: Final = itemgetter(*_CONTENT)  # a tuple
+_CONTENT_OF: Final = itemgetter(*CONTENT)
+_SORTED: Final = json.JSONEncoder(sort_keys=True)
+_JSON: Final = msgspec.json.Encoder()
+_PLAIN_NUMBERS: Final = (1e-4, 1e16)  # from and below which repr writes a number without an exponent, as JSON does
 UNNAMED_FLUID: Final = "not named"  # a fill without the name of its fluid
 _HEAD_LENGTH: Final = 2048
 _DETAIL_LENGTH: Final = 500
@@ -64,7 +73,7 @@ class Poison:
 
 def shift_row(data: Mapping[str, object]) -> Row:
     """Return the row of a shift result that kept the contract."""
-    row: Row = {name: data[name] for name in _PLAIN}
+    row: Row = dict(zip(_PLAIN, _PLAIN_OF(data), strict=True))
     verdict = _table(data["verdict"])
     reasons = data["reasons"]
     row["version_rank"] = version_rank(str(data["algorithm_version"]), str(data["calibration_version"]))
@@ -72,11 +81,11 @@ def shift_row(data: Mapping[str, object]) -> Row:
     row["start_at"] = moment(data["start_utc"])
     row["end_at"] = moment(data["end_utc"])
     row["reasons"] = ",".join(map(str, reasons)) if isinstance(reasons, list) else ""
-    row.update(_friction(data["friction"], ""))
+    row.update(_friction(data["friction"], FRICTION_COLUMNS))
     row["condition"] = verdict["condition"]
     row["condition_reason"] = verdict["reason"]
     row["level_ratio"] = verdict["level_ratio"]
-    row.update(_friction(verdict["friction"], RUNNING))
+    row.update(_friction(verdict["friction"], _RUNNING_FRICTION))
     row["running_shift_count"] = verdict["shift_count"]
     row["kind"], row["end_reason"] = data.get("kind"), data.get("end_reason")  # this and the next: of newer programs
     row["advice"] = verdict.get("advice")
@@ -92,7 +101,7 @@ def content_digest(row: Row) -> int:
     Databases hold it and compare it with that of a result that comes again, so a result must keep its own: it is made
     of these columns in this order, of nothing that a row gets besides.
     """
-    content = repr(_CONTENT_OF(row)).encode("utf-8", "replace")
+    content = _repr(_CONTENT_OF(row)).encode("utf-8", "replace")
     return int.from_bytes(blake2b(content, digest_size=8).digest(), signed=True)
 
 
@@ -177,24 +186,37 @@ def moment(text: object) -> datetime:
     return datetime.fromisoformat(str(text)).astimezone(UTC)
 
 
-def _friction(friction: object, prefix: str) -> Row:
+def _repr(values: tuple[object, ...]) -> str:
+    """Return what repr says of values, twice as fast: most are fractions, whose texts are made together."""
+    texts = iter(_JSON.encode([value for value in values if type(value) is float])[1:-1].decode().split(","))
+    least, beyond = _PLAIN_NUMBERS
+    told: list[str] = []
+    for value in values:
+        if type(value) is float:
+            text = next(texts)
+            told.append(text if least <= abs(value) < beyond else repr(value))
+        else:
+            told.append(repr(value))
+    return f"({', '.join(told)})"
+
+
+def _friction(friction: object, names: tuple[str, ...]) -> Row:
     if friction is None:
-        return dict.fromkeys((prefix + name for name in FRICTION_COLUMNS), None)
-    table = _table(friction)
-    return {prefix + name: table[name] for name in FRICTION_COLUMNS}
+        return dict.fromkeys(names)
+    return dict(zip(names, _FRICTION_OF(_table(friction)), strict=True))
 
 
 def _scale_free(values: object) -> Row:
     """Return what driving alone tells of the friction; nothing in results of older programs."""
     table: Mapping[str, object] = {} if values is None else _table(values)
-    return {SCALE_FREE + name: table.get(name) for name in SCALE_FREE_COLUMNS}
+    return dict(zip(_SCALE_FREE, map(table.get, SCALE_FREE_COLUMNS), strict=True))
 
 
 def _trust(values: object) -> Row:
     if values is None:
         return {"trust": None, "trust_parts": None}
     table = _table(values)
-    return {"trust": table["score"], "trust_parts": json.dumps(table["parts"], sort_keys=True)}
+    return {"trust": table["score"], "trust_parts": _SORTED.encode(table["parts"])}
 
 
 def _table(value: object) -> Mapping[str, object]:

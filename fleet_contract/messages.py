@@ -32,6 +32,7 @@ class Incoming:
     source: str
     time: str  # ISO 8601 UTC
     data: JsonObject
+    key: ResultKey | None = None  # of a result or the state after it
 
 
 def read_message(topic: str, payload: bytes) -> Incoming:
@@ -48,7 +49,11 @@ def read_message(topic: str, payload: bytes) -> Incoming:
     IdentityError
         If the data are of another vehicle, clutch or key than topic and envelope say.
     """
-    address = parse_topic(topic)
+    return read_event(parse_topic(topic), payload)
+
+
+def read_event(address: Address, payload: bytes) -> Incoming:
+    """Return what an event says that came on the topic of an address, or in a bundle; raises as `read_message` does."""
     if address.channel is Channel.BUNDLE:
         raise MalformedError("a bundle where one message belongs")
     event = parse_object(payload, address.channel.max_bytes)
@@ -57,9 +62,13 @@ def read_message(topic: str, payload: bytes) -> Incoming:
     if not isinstance(data, dict):  # the envelope's schema says so too
         raise IdentityError("an event without data")
     check_data(address.channel, data)
-    _check_identity(address, event, data)
     return Incoming(
-        address=address, event_id=str(event["id"]), source=str(event["source"]), time=str(event["time"]), data=data
+        address=address,
+        event_id=str(event["id"]),
+        source=str(event["source"]),
+        time=str(event["time"]),
+        data=data,
+        key=_checked_key(address, event, data),
     )
 
 
@@ -174,9 +183,19 @@ def _outgoing(
     return Outgoing(topic=topic_of(vehicle, channel, clutch), payload=payload, is_retained=channel.is_retained)
 
 
-def _check_identity(address: Address, event: JsonObject, data: JsonObject) -> None:
-    """Raise IdentityError if topic, envelope and data do not agree on who speaks of what."""
+def _checked_key(address: Address, event: JsonObject, data: JsonObject) -> ResultKey | None:
+    """Return the key of what has one; raises IdentityError if topic, envelope and data do not agree on who speaks."""
     channel = address.channel
+    key = key_of(data) if channel is Channel.SHIFT or channel is Channel.CLUTCH else None
+    is_agreed = (
+        data["vehicle"] == address.vehicle
+        and event["type"] == channel.event_type
+        and event["dataschema"] == channel.schema_id
+        and (channel is not Channel.CLUTCH or data["clutch"] == address.clutch)
+        and (key is None or event["id"] == key.text)
+    )
+    if is_agreed:
+        return key
     expected: list[tuple[str, object, object]] = [
         ("vehicle", data["vehicle"], address.vehicle),
         ("type", event["type"], channel.event_type),
@@ -184,8 +203,7 @@ def _check_identity(address: Address, event: JsonObject, data: JsonObject) -> No
     ]
     if channel is Channel.CLUTCH:
         expected.append(("clutch", data["clutch"], address.clutch))
-    if channel in {Channel.SHIFT, Channel.CLUTCH}:
-        expected.append(("id", event["id"], key_of(data).text))
-    for name, said, wanted in expected:
-        if said != wanted:
-            raise IdentityError(f"{name} is {shown(str(said))} where {shown(str(wanted))} belongs")
+    if key is not None:
+        expected.append(("id", event["id"], key.text))
+    name, said, wanted = next(one for one in expected if one[1] != one[2])
+    raise IdentityError(f"{name} is {shown(str(said))} where {shown(str(wanted))} belongs")

@@ -17,8 +17,11 @@ _INT64: Final = range(-(2**63), 2**63)
 _LONGEST_INT64: Final = len(str(-(2**63)))
 _STRING_OR_BRACKET: Final = re.compile(rb'"(?:[^"\\]|\\.)*+"|[\[\]{}]', re.DOTALL)
 _LONGEST_DIGITS: Final = 19  # of a number of 64 bits; of as many, those that begin with 9 may be too large
-_DIGITS: Final = bytes(ord("0") if chr(code) in "0123456789" else ord(" ") for code in range(256))
-_LONG_NUMBER: Final = b"0" * _LONGEST_DIGITS
+_BEFORE_NUMBERS: Final = b":,[- \t\r\n"  # what stands before one in JSON
+_DIGITS: Final = bytes(
+    ord("0") if chr(code) in "0123456789" else ord(" ") if code in _BEFORE_NUMBERS else ord("x") for code in range(256)
+)
+_LONG_NUMBER: Final = b" " + b"0" * _LONGEST_DIGITS
 _SHOWN_LENGTH: Final = 60
 
 
@@ -31,7 +34,7 @@ def dump(record: Mapping[str, object]) -> str:
         If a number is NaN or infinite, which JSON cannot carry.
     """
     try:
-        return json.dumps(record, allow_nan=False, separators=(",", ":"))
+        return _STRICT.encode(record)
     except ValueError as exc:
         raise MalformedError(f"a number is not finite: {shown(str(record))}") from exc
 
@@ -87,17 +90,13 @@ def _fast(payload: bytes) -> object | None:
 def _may_exceed_64_bits(payload: bytes) -> bool:
     """Return whether there are so many digits in a row that they may be a number which is not ours.
 
-    Those behind a point are a fraction, however many they are.
+    Those behind a point are a fraction, however many they are; what cannot stand before a number is skipped over.
     """
     digits = payload.translate(_DIGITS)
     at = digits.find(_LONG_NUMBER)
     while at >= 0:
-        end = at + _LONGEST_DIGITS
-        if payload[at - 1] == ord("."):
-            end = digits.find(b" ", end)
-            if end < 0:
-                return False
-        elif payload[at] == ord("9") or digits.startswith(b"0", end):
+        end = at + len(_LONG_NUMBER)
+        if payload[at + 1] == ord("9") or digits.startswith(b"0", end):
             return True
         at = digits.find(_LONG_NUMBER, end)
     return False
@@ -147,6 +146,7 @@ def _unique(pairs: list[tuple[str, object]]) -> JsonObject:
     return table
 
 
+_STRICT: Final = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
 _LIBRARY: Final = msgspec.json.Decoder()
 _WRITER: Final = msgspec.json.Encoder()
 _DECODER: Final = json.JSONDecoder(

@@ -37,26 +37,14 @@ class Channel(Enum):
         self.label = label
         self.max_bytes = max_bytes
         self.is_retained = is_retained
+        self.schema_name = f"clutchdiag/{label}/v1"  # what the data say of themselves
+        self.schema_id = f"urn:clutchdiag:{label}:v1"  # the $id of the schema of the data
+        self.event_type = f"clutchdiag.{label}.v1"  # the type of the CloudEvents envelope
 
     @property
     def is_to_vehicle(self) -> bool:
         """Whether the backend speaks here and the vehicle listens."""
         return self in {Channel.ACK, Channel.FILLS}
-
-    @property
-    def schema_name(self) -> str:
-        """What the data says of itself, such as ``clutchdiag/shift/v1``."""
-        return f"clutchdiag/{self.label}/v1"
-
-    @property
-    def schema_id(self) -> str:
-        """The $id of the schema of the data."""
-        return f"urn:clutchdiag:{self.label}:v1"
-
-    @property
-    def event_type(self) -> str:
-        """The type of the CloudEvents envelope."""
-        return f"clutchdiag.{self.label}.v1"
 
 
 _CHANNELS: Final = {channel.label: channel for channel in Channel}

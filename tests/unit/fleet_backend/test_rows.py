@@ -1,12 +1,14 @@
 """What is kept of a message in a row."""
 
 import json
+from hashlib import blake2b
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet_backend.rows import Poison, content_digest, quarantine_row, shift_row
+from fleet_backend.rows import CONTENT, Poison, content_digest, quarantine_row, shift_row
+from fleet_backend.schema import FRICTION_COLUMNS
 from tests.golden import FOLDER as GOLDEN
 from tests.support.fleet import NOW, fleet_result, row_of
 
@@ -26,6 +28,14 @@ def test_whatever_came_is_kept_in_printable_text(payload: bytes, detail: str) ->
 def test_the_digest_of_a_content_is_for_ever(name: str, known: int) -> None:
     data = json.loads((GOLDEN / "v1" / f"{name}.json").read_text(encoding="utf-8"))["data"]
     assert shift_row(data)["content_digest"] == known
+
+
+@given(st.lists(st.floats() | st.floats(1e-5, 1e-3) | st.sampled_from([0.0, -0.0, 1e-4, 1e16]), min_size=8, max_size=8))
+def test_a_digest_is_made_of_what_python_writes_for_numbers(numbers: list[float]) -> None:
+    row = row_of(fleet_result())
+    row.update(zip(FRICTION_COLUMNS, numbers, strict=False))
+    told = repr(tuple(row[name] for name in CONTENT)).encode()
+    assert content_digest(row) == int.from_bytes(blake2b(told, digest_size=8).digest(), signed=True)
 
 
 def test_what_a_row_gets_besides_is_not_its_content() -> None:
