@@ -1,6 +1,7 @@
 """Thousands of vehicles come back within a minute, each with results that waited: loss, order, time, memory.
 
-Every vehicle is a connection of its own that sends its newest result first, and again what nobody has acknowledged.
+Every vehicle is a connection of its own that sends its newest results first, in bundles packed before the storm, and
+again what nobody has acknowledged.
 Beside what is measured stands what the model of a storm says for the pace of the same ingest.
 
     python -m benchmarks.fleet_reconnect --vehicles 10000 --results 100
@@ -13,7 +14,7 @@ import random
 import statistics
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -24,22 +25,21 @@ import psutil
 from sqlalchemy import text
 
 from benchmarks.fleet_ingest import workers
-from benchmarks.fleet_load import Load, connect_packet, packets_in, subscribe_packet, wire
-from benchmarks.fleet_results import alone
+from benchmarks.fleet_load import Load, Wire, connect_packet, packets_in, subscribe_packet, wire
+from benchmarks.fleet_results import alone, bundled, outgoing
 from benchmarks.fleet_scale import broker
 from benchmarks.storm_model import Storm, play, told
 from demo.fleet.postgres import PostgresServer
-from diag_service.diagnosis.results import shift_record
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
-from fleet_contract import Channel, filter_of, shift_message, topic_of
-from tests.support.fleet import fleet_result
+from fleet_contract import MAX_BUNDLED, Channel, Outgoing, bundle_messages, filter_of, topic_of
 
 PROBE_S = 5.0
 ASTRAY_S = 150.0
 AIM_S = 180.0
 FIRST_SEQ = 1_000_001
 CALIBRATED = 20_000
+MADE = 200  # different results, in turn
 LOOK_S = 0.5
 RETRY_S = 1.0
 LONGEST_PAUSE_S = 60.0  # between attempts of a vehicle that is cut off
@@ -49,32 +49,45 @@ _NAME, _SEQ = b"v000000", b"7654321"
 
 
 class Template:
-    """Results of any vehicle and position, made by replacing two words of one."""
+    """Results of any vehicle and position, made by replacing two words of one of some."""
 
     def __init__(self) -> None:
-        moment = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
-        result = replace(fleet_result(int(_SEQ), vehicle=_NAME.decode()), produced_at=moment, stream="storm")
-        message = shift_message(shift_record(result))
-        self._wire = wire(message.topic, message.payload)
+        moment, rng = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ"), random.Random(1)  # noqa: S311
+        stream, name = "storm", _NAME.decode()
+        self._made = [outgoing(name, int(_SEQ), moment, rng, stream=stream) for _ in range(MADE)]
 
-    def packet(self, name: bytes, seq: int, number: int) -> bytes:
-        return self._wire.packet(number).replace(_NAME, name).replace(_SEQ, str(seq).encode())
+    def alone(self, name: bytes, seq: int) -> Outgoing:
+        """Return the message of a result."""
+        made = self._made[seq % MADE]
+        payload = made.payload.replace(_NAME, name).replace(_SEQ, str(seq).encode())
+        return replace(made, topic=made.topic.replace(_NAME.decode(), name.decode()), payload=payload)
+
+    def together(self, name: bytes, seqs: Sequence[int]) -> list[Wire]:
+        """Return the packets of results that waited, by the function that an outbox has for it."""
+        made: list[Wire] = []
+        for first in range(0, len(seqs), MAX_BUNDLED):
+            some = seqs[first : first + MAX_BUNDLED]
+            keys = [(name.decode(), seq) for seq in some]
+            packed = bundle_messages([self.alone(name, seq) for seq in some])
+            made += [wire(message.topic, message.payload, keys) for message in packed]
+        return made
 
 
 class Vehicle(asyncio.Protocol):
     """One vehicle: connects, sends its newest first, comes back where it is cut off, goes when all are acknowledged."""
 
-    def __init__(self, number: int, results: int, template: Template) -> None:
+    def __init__(self, number: int, results: int, template: Template, *, bundles: bool) -> None:
         self.name = f"v{number:06}".encode()
         self.waiting = dict.fromkeys(range(FIRST_SEQ + results - 1, FIRST_SEQ - 1, -1))
         self.newest = FIRST_SEQ + results - 1
-        self.began_s = time.perf_counter()
+        self.began_s = 0.0
         self.newest_s: float | None = None
         self.is_in_order = False  # the newest was among the first to be acknowledged
         self.resent_count = 0
         self.lost_count = 0  # connections
         self.gone = asyncio.Event()  # this connection
         self._template = template
+        self._bundles = template.together(self.name, list(self.waiting)) if bundles else []
         self._buffer = bytearray()
         self._transport: asyncio.Transport | None = None
         self._probe: asyncio.TimerHandle | None = None
@@ -104,14 +117,21 @@ class Vehicle(asyncio.Protocol):
                 self._hear(first_byte, body)
 
     def _send_all(self) -> None:
-        self._send(self.waiting)
+        if self._bundles:
+            waiting = (one for one in self._bundles if any(seq in self.waiting for _, seq in one.keys))
+            self._write(waiting)
+        else:
+            self._send(self.waiting)
         self._look_again(PROBE_S)
 
     def _send(self, seqs: Iterable[int]) -> None:
+        made = (self._template.alone(self.name, seq) for seq in seqs)
+        self._write(wire(message.topic, message.payload) for message in made)
+
+    def _write(self, packets: Iterable[Wire]) -> None:
         if self._transport is None or self._transport.is_closing():
             return
-        made = (self._template.packet(self.name, seq, place) for place, seq in enumerate(seqs))
-        self._transport.write(b"".join(made))
+        self._transport.write(b"".join(one.packet(place) for place, one in enumerate(packets)))
 
     def _look_again(self, pause_s: float) -> None:
         loop = asyncio.get_running_loop()
@@ -155,15 +175,14 @@ async def _connect(vehicle: Vehicle, port: int) -> None:
             return
 
 
-async def storm(port: int, vehicle_count: int, results: int, window_s: float, timeout_s: float) -> list[Vehicle]:
-    """Let all vehicles come back; return them when all are done, or after so long."""
-    loop, rng, template = asyncio.get_running_loop(), random.Random(1), Template()  # noqa: S311
-
+async def storm(vehicles: Sequence[Vehicle], port: int, window_s: float, timeout_s: float) -> None:
+    """Let all vehicles come back; return when all are done, or after so long."""
+    loop, rng = asyncio.get_running_loop(), random.Random(1)  # noqa: S311
     end_s = loop.time() + timeout_s
 
-    async def drive(number: int) -> Vehicle:
+    async def drive(vehicle: Vehicle) -> None:
         await asyncio.sleep(rng.uniform(0.0, window_s))
-        vehicle = Vehicle(number, results, template)
+        vehicle.began_s = time.perf_counter()
         with suppress(TimeoutError):
             async with asyncio.timeout_at(end_s):
                 while vehicle.waiting:
@@ -171,9 +190,8 @@ async def storm(port: int, vehicle_count: int, results: int, window_s: float, ti
                     await vehicle.gone.wait()
                     pause_s = min(LONGEST_PAUSE_S, RETRY_S * 2.0**vehicle.lost_count)
                     await asyncio.sleep(rng.uniform(0.5, 1.0) * pause_s if vehicle.waiting else 0.0)
-        return vehicle
 
-    return await asyncio.gather(*(drive(number) for number in range(vehicle_count)))
+    await asyncio.gather(*map(drive, vehicles))
 
 
 class Memory:
@@ -196,7 +214,7 @@ class Memory:
             await asyncio.sleep(LOOK_S)
 
 
-def measure(name: str, vehicle_count: int, results: int, window_s: float) -> bool:
+def measure(name: str, vehicle_count: int, results: int, window_s: float, *, bundles: bool) -> bool:
     """Print how a storm goes; return whether nothing is lost and all is in within three minutes."""
     with ExitStack() as stack:
         server = stack.enter_context(closing(PostgresServer(("shared_buffers=512MB", "max_wal_size=4GB"))))
@@ -209,19 +227,21 @@ def measure(name: str, vehicle_count: int, results: int, window_s: float) -> boo
         port, address = stack.enter_context(broker(name, folder))
         stack.enter_context(workers(address, database, 2))
         load = Load(port, "load", [filter_of(Channel.ACK)])
-        pace = CALIBRATED / load.send(alone(1000, 1, CALIBRATED), CALIBRATED, timeout_s=300.0)
+        calibrated = (bundled if bundles else alone)(CALIBRATED // MAX_BUNDLED, 1, CALIBRATED)
+        pace = CALIBRATED / load.send(calibrated, CALIBRATED, timeout_s=300.0)
         load.close()
-        memory = Memory()
+        memory, template = Memory(), Template()
+        vehicles = [Vehicle(number, results, template, bundles=bundles) for number in range(vehicle_count)]
 
-        async def run() -> tuple[list[Vehicle], float]:
+        async def run() -> float:
             watcher = asyncio.create_task(memory.watch())
             began_s = time.perf_counter()
-            vehicles = await storm(port, vehicle_count, results, window_s, GIVEN_UP * AIM_S)
+            await storm(vehicles, port, window_s, GIVEN_UP * AIM_S)
             took_s = time.perf_counter() - began_s
             watcher.cancel()
-            return vehicles, took_s
+            return took_s
 
-        vehicles, took_s = asyncio.run(run())
+        took_s = asyncio.run(run())
         with transaction(engine) as connection:
             count = text("SELECT count(*) FROM shift_result WHERE stream = 'storm'")
             stored = int(connection.execute(count).scalar_one())
@@ -242,8 +262,11 @@ def measure(name: str, vehicle_count: int, results: int, window_s: float) -> boo
     middle_s, late_s = statistics.median(newest_s), statistics.quantiles(newest_s, n=100)[-1]
     print(f"{name}: newest of a vehicle in after {middle_s:.1f} s (median), {late_s:.1f} s (99 %)")
     print(f"{name}: most memory: " + ", ".join(f"{part} {size / 2**20:.0f} MiB" for part, size in memory.most.items()))
-    model = Storm(vehicle_count=vehicle_count, results_each=results, window_s=window_s, pace_per_s=pace)
-    print(f"{name}: model, with the pace of {pace:,.0f}/s measured before: {''.join(told(play(model)))}")
+    size = round(sum(len(one.packet(0)) for one in calibrated) / CALIBRATED)
+    model = Storm(
+        vehicle_count=vehicle_count, results_each=results, window_s=window_s, pace_per_s=pace, result_bytes=size
+    )
+    print(f"{name}: model, with the pace of {pace:,.0f}/s measured before: {''.join(told(play(model), model))}")
     return stored == wanted and took_s <= AIM_S and not any(vehicle.waiting for vehicle in vehicles)
 
 
@@ -254,9 +277,11 @@ def main() -> int:
     parser.add_argument("--results", type=int, default=100, help="of each")
     parser.add_argument("--window", type=float, default=60.0, help="seconds in which they connect")
     parser.add_argument("--broker", choices=["mosquitto", "nats"], default="mosquitto")
+    parser.add_argument("--alone", action="store_true", help="each result in a message of its own, not in bundles")
     options = parser.parse_args()
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # a text stream
-    return 0 if measure(options.broker, options.vehicles, options.results, options.window) else 1
+    is_good = measure(options.broker, options.vehicles, options.results, options.window, bundles=not options.alone)
+    return 0 if is_good else 1
 
 
 if __name__ == "__main__":

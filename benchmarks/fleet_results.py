@@ -24,9 +24,9 @@ def varied(value: object, rng: random.Random) -> object:
     return value * (1.0 - _SPREAD * rng.random()) if isinstance(value, float) else value
 
 
-def outgoing(vehicle: str, seq: int, moment: str, rng: random.Random) -> Outgoing:
-    """Return the message of a result of the stream ``live``."""
-    result = replace(fleet_result(seq, vehicle=vehicle, clutch=1 + seq % 2), stream="live", produced_at=moment)
+def outgoing(vehicle: str, seq: int, moment: str, rng: random.Random, stream: str = "live") -> Outgoing:
+    """Return the message of a result."""
+    result = replace(fleet_result(seq, vehicle=vehicle, clutch=1 + seq % 2), stream=stream, produced_at=moment)
     record = varied(shift_record(result), rng)
     if not isinstance(record, dict):
         raise TypeError("no record")

@@ -13,7 +13,7 @@ import random
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-RESULT_BYTES = 2600  # of a result with its topic, as fleet_contract makes it
+RESULT_BYTES = 625  # of a result in a bundle; alone it has 3,000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +26,7 @@ class Storm:
     pace_per_s: float  # results that one node's workers take
     connect_s: float = 0.0  # of the broker's time for a connection
     node_count: int = 1
+    result_bytes: int = RESULT_BYTES  # on air
     seed: int = 1
 
 
@@ -73,10 +74,10 @@ def _node(came_s: list[float], storm: Storm) -> tuple[float, int, list[float]]:
     return free_s, most, waits_s
 
 
-def told(course: Course) -> Iterator[str]:
-    """Yield a course in words."""
+def told(course: Course, storm: Storm) -> Iterator[str]:
+    """Yield the course of a storm in words."""
     yield f"all in after {course.all_in_s:.0f} s, at most {course.most_waiting:,} results wait"
-    size_mib = course.most_waiting * RESULT_BYTES / 2**20
+    size_mib = course.most_waiting * storm.result_bytes / 2**20
     yield f" ({size_mib:,.0f} MiB at the brokers); the newest of a vehicle is in after"
     yield f" {course.newest_median_s:.1f} s (median), {course.newest_p99_s:.1f} s (99 %)"
 
@@ -89,6 +90,7 @@ def main() -> None:
     parser.add_argument("--pace", type=float, default=15_000.0, help="results per second of one node's workers")
     parser.add_argument("--connect-ms", type=float, default=0.2, help="of a broker for one connection")
     parser.add_argument("--nodes", type=int, default=1)
+    parser.add_argument("--bytes", type=int, default=RESULT_BYTES, help="of a result on air; alone it has 3000")
     options = parser.parse_args()
     storm = Storm(
         vehicle_count=options.vehicles,
@@ -97,8 +99,9 @@ def main() -> None:
         pace_per_s=options.pace,
         connect_s=options.connect_ms / 1000.0,
         node_count=options.nodes,
+        result_bytes=options.bytes,
     )
-    print("".join(told(play(storm))))
+    print("".join(told(play(storm), storm)))
 
 
 if __name__ == "__main__":
