@@ -11,11 +11,9 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from canlog.arrays import FloatArray
 from diag_service.diagnosis.friction.evidence import Knowledge
 from diag_service.diagnosis.friction.parameters import (
     FRICTION_COUNT,
-    PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
     State,
@@ -28,6 +26,8 @@ MODEL_STD_RATIO = 0.004  # by which a real clutch differs from the law alike in 
 _GAIN = STATE_COUNT + Considered.TORQUE_GAIN
 _WIDTH = STATE_COUNT + Considered.STRIBECK_SPEED
 _AREAS = (STATE_COUNT + Considered.PISTON_AREA1, STATE_COUNT + Considered.PISTON_AREA2)
+_FRICTION_AND_GAIN = np.ix_([*range(FRICTION_COUNT), _GAIN], [*range(FRICTION_COUNT), _GAIN])  # of a covariance
+_GAIN_AND_AREA = tuple(np.ix_([_GAIN, area], [_GAIN, area]) for area in _AREAS)
 
 
 class _Pair(NamedTuple):
@@ -104,27 +104,24 @@ def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalD
     ``new_margins`` are those of new fluid. The better known clutch weighs more, by its variance; what both share is in
     the deviation.
     """
-    known = state.known
-    gain = float(state.torque_gain + known.mean[_GAIN])
-    slope, own = np.zeros((2, PARAMETER_COUNT)), np.zeros(2)
-    for m, new_margin in enumerate(new_margins):
-        rows = friction_rows(m + 1)
-        mu_c, mu_s = known.mean[rows] / gain
-        slope[m, rows] = np.array([1.0, -1.0]) / (gain * new_margin)
-        slope[m, _GAIN] = -(mu_c - mu_s) / (gain * new_margin)
-        own[m] = (MODEL_STD_RATIO * np.hypot(mu_c, mu_s) / new_margin) ** 2
-    left = slope[:, :FRICTION_COUNT] @ known.mean[:FRICTION_COUNT]
-    covariance = slope @ known.covariance @ slope.T + np.diag(own)
-    weights = 1.0 / np.diag(covariance)
-    weights /= weights.sum()
-    return NormalDist(float(weights @ left), float(np.sqrt(weights @ covariance @ weights)))
+    known, gain = state.known, state.torque_gain + float(state.known.mean[_GAIN])
+    c_1, s_1, c_2, s_2 = known.mean[:FRICTION_COUNT].tolist()
+    by_1, by_2 = (1.0 / (gain * new_margin) for new_margin in new_margins)
+    left_1, left_2 = by_1 * (c_1 - s_1), by_2 * (c_2 - s_2)
+    slope = np.array([[by_1, -by_1, 0.0, 0.0, -left_1 / gain], [0.0, 0.0, by_2, -by_2, -left_2 / gain]])
+    (first, both), (_, second) = (slope @ known.covariance[_FRICTION_AND_GAIN] @ slope.T).tolist()
+    first += (MODEL_STD_RATIO * by_1 * math.hypot(c_1, s_1)) ** 2
+    second += (MODEL_STD_RATIO * by_2 * math.hypot(c_2, s_2)) ** 2
+    weight_1, weight_2 = second / (first + second), first / (first + second)
+    variance = weight_1**2 * first + 2.0 * weight_1 * weight_2 * both + weight_2**2 * second
+    return NormalDist(weight_1 * left_1 + weight_2 * left_2, math.sqrt(variance))
 
 
 def common_scale_std_ratio(state: Posterior, clutch: int) -> float:
     """Return the relative deviation of gain times piston area: what all friction of clutch 1 or 2 shares, for good."""
-    known, rows = state.known, [_GAIN, _AREAS[clutch - 1]]
-    by_part = np.array([1.0 / (state.torque_gain + known.mean[_GAIN]), 1.0 / (1.0 + known.mean[rows[1]])])
-    return float(np.sqrt(by_part @ known.covariance[np.ix_(rows, rows)] @ by_part))
+    known, area = state.known, _AREAS[clutch - 1]
+    by_part = np.array((1.0 / (state.torque_gain + known.mean[_GAIN]), 1.0 / (1.0 + known.mean[area])))
+    return math.sqrt(by_part @ known.covariance[_GAIN_AND_AREA[clutch - 1]] @ by_part)
 
 
 def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
@@ -136,33 +133,48 @@ def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
     if baseline is None or later_count <= 0:
         return None
     known, rows = state.known, friction_rows(clutch)
-    gain = float(state.torque_gain + known.mean[_GAIN])
-    now, then = known.mean[rows], baseline.mean
+    gain = state.torque_gain + float(known.mean[_GAIN])
+    now, then = known.mean[rows].tolist(), baseline.mean.tolist()
     spread = known.covariance[rows, rows], baseline.covariance, state.cross(clutch)[rows]
-    change, ratio = (now - then) / gain, now / then - 1.0
-    std = _std_of_difference(np.ones(2), np.ones(2), spread) / gain
-    relative_std = _std_of_difference(1.0 / then, now / then**2, spread)
+    mu_c, mu_s = map(_Change.of, now, then, zip(*(one.diagonal().tolist() for one in spread), strict=True))
     return FrictionTrend(
-        change_mu_c=float(change[0]),
-        change_mu_s=float(change[1]),
-        std_change_mu_c=float(std[0]),
-        std_change_mu_s=float(std[1]),
-        change_mu_c_ratio=float(ratio[0]),
-        change_mu_s_ratio=float(ratio[1]),
-        std_change_mu_c_ratio=float(relative_std[0]),
-        std_change_mu_s_ratio=float(relative_std[1]),
+        change_mu_c=mu_c.difference / gain,
+        change_mu_s=mu_s.difference / gain,
+        std_change_mu_c=mu_c.std / gain,
+        std_change_mu_s=mu_s.std / gain,
+        change_mu_c_ratio=mu_c.ratio,
+        change_mu_s_ratio=mu_s.ratio,
+        std_change_mu_c_ratio=mu_c.std_ratio,
+        std_change_mu_s_ratio=mu_s.std_ratio,
         baseline_end_bus_ns=baseline.end_ns,
         baseline_shift_count=baseline.shift_count,
         later_shift_count=later_count,
     )
 
 
-def _std_of_difference(
-    by_now: FloatArray, by_then: FloatArray, spread: tuple[FloatArray, FloatArray, FloatArray]
-) -> FloatArray:
-    """Return the deviation of ``by_now * now - by_then * then``, shape (2,), by the covariances of each and of both."""
-    now, then, cross = (np.diag(one) for one in spread)
-    return np.asarray(np.sqrt(np.maximum(by_now**2 * now + by_then**2 * then - 2.0 * by_now * by_then * cross, 0.0)))
+class _Change(NamedTuple):
+    """What became of one coefficient, times a factor."""
+
+    difference: float
+    std: float
+    ratio: float
+    std_ratio: float
+
+    @classmethod
+    def of(cls, now: float, then: float, spread: tuple[float, float, float]) -> Self:
+        """Return it, by the variances of both values and their covariance."""
+        return cls(
+            difference=now - then,
+            std=_std_of_difference(1.0, 1.0, spread),
+            ratio=now / then - 1.0,
+            std_ratio=_std_of_difference(1.0 / then, now / then**2, spread),
+        )
+
+
+def _std_of_difference(by_now: float, by_then: float, spread: tuple[float, float, float]) -> float:
+    """Return the deviation of ``by_now * now - by_then * then``, by the variances of both and their covariance."""
+    now, then, both = spread
+    return math.sqrt(max(by_now**2 * now + by_then**2 * then - 2.0 * by_now * by_then * both, 0.0))
 
 
 def clutch_ratio(state: Posterior) -> ClutchRatio | None:

@@ -1,7 +1,6 @@
 """How well sensors agree that must, over the samples of a whole shift: no balance of torques is needed for it."""
 
 import math
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -12,7 +11,7 @@ from canlog.series import Series
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, NS_TO_S, read_at
 from diag_service.diagnosis.columns import Columns, Signal
 from diag_service.diagnosis.events import Event, EventKind
-from diag_service.diagnosis.quality.averages import mean, median
+from diag_service.diagnosis.quality.averages import compile_averages, mean, median
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
 
 SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
@@ -38,6 +37,8 @@ def compile_agreement() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     one = Series(t_ns=np.zeros(1, np.int64), sequence=np.zeros(1, np.int64), value=np.zeros(1))
     _divide(one.t_ns, one.value, _at(one, one), _NEVER, 0.0, 0.0, np.empty(1), 0)
+    _worst_spread(one.value, 1.0, one.t_ns)
+    compile_averages()
 
 
 def _wheels(event: Event, limits: QualityLimits) -> float | None:
@@ -59,9 +60,7 @@ def _wheels(event: Event, limits: QualityLimits) -> float | None:
     found = ratios[: ends[-1]]
     if not len(found):
         return None
-    squares = (found / median(found) - 1.0) ** 2
-    worst = max(mean(squares[first:stop]) for first, stop in pairwise(ends) if first < stop)
-    return limits.wheel_ratio.score(math.sqrt(worst))
+    return limits.wheel_ratio.score(math.sqrt(_worst_spread(found, median(found), np.array(ends))))
 
 
 def _gear_changes_ns(columns: Columns) -> Int64Array:
@@ -91,6 +90,18 @@ def _divide(
             ratios[stop] = wheel_m_s[row] / output_rad_s[row]
             stop += 1
     return stop
+
+
+@array_kernel
+def _worst_spread(ratios: FloatArray, middle: float, ends: Int64Array) -> float:
+    """Return the largest mean square by which the ratios of one wheel are off the middle, as a share of it."""
+    worst = 0.0
+    for wheel in range(len(ends) - 1):
+        total = 0.0
+        for row in range(ends[wheel], ends[wheel + 1]):
+            total += (ratios[row] / middle - 1.0) ** 2
+        worst = max(worst, total / max(ends[wheel + 1] - ends[wheel], 1))
+    return worst
 
 
 def _hub(columns: Columns, limits: QualityLimits) -> float | None:

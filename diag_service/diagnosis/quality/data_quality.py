@@ -70,6 +70,7 @@ def compile_data_quality() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     compile_agreement()
     _late_count(np.zeros(1, np.int64), np.zeros(1, np.int64), 1, 1.0)
+    _share_at_ends(np.zeros(1), 0.0, 1.0)
 
 
 def _numbered(columns: Columns) -> list[Series]:
@@ -129,11 +130,11 @@ def _saturation(
     return limits.saturated_ratio.score(max(shares)) if shares else None
 
 
+@array_kernel
 def _share_at_ends(value: FloatArray, low: float, high: float) -> float:
-    margin = 1e-6 * (high - low)
-    count = int(np.count_nonzero(value >= high - margin))
-    if low < 0.0:
-        count += int(np.count_nonzero(value <= low + margin))
+    margin, count = 1e-6 * (high - low), 0
+    for one in value:
+        count += one >= high - margin or (low < 0.0 and one <= low + margin)
     return count / len(value)
 
 

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray
+from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.jit import array_kernel
 from canlog.series import Series
 from clutch_model.gears import clutch_of_gear
@@ -78,6 +78,8 @@ def compile_plausibility() -> None:
     _longest_run(one)
     _off_command(one, one, 0, np.ones(2, np.bool_), 0.0, 0.0, np.empty(2))
     _largest_sum(one, 1)
+    _divide(one, one, 0.0, np.empty(2))
+    _hold(np.zeros(2, np.int64), one, 0, one, np.empty(2))
 
 
 def is_frozen(series: Series, signal: Signal, limits: QualityLimits = LIMITS) -> bool:
@@ -171,30 +173,46 @@ def geared_stretches(
     first, second = gears
     if first is None or second is None:
         return [slice(max(0, clutch.rows.start - round(limits.in_gear_s / GRID_S)), len(grid_s))]
-    origin_ns = event.start_ns
-    held = np.column_stack([_held(series, grid_s, origin_ns) for series in (first, second)])
-    edges = np.flatnonzero((held[1:] != held[:-1]).any(axis=1)) + 1
+    held = np.empty((2, len(grid_s)))
+    for gear, series in zip(held, (first, second), strict=True):
+        _hold(series.t_ns, series.value, event.start_ns, grid_s, gear)
+    edges = np.flatnonzero((held[:, 1:] != held[:, :-1]).any(axis=0)) + 1
     ringing = round(limits.ringing_s / GRID_S)
     starts = [0, *(edges + ringing).tolist()]
     stretches = zip(starts, [*(edges - ringing).tolist(), len(grid_s)], strict=True)
     least = round(limits.speeds_mean_s / GRID_S)
-    return [slice(start, stop) for start, stop in stretches if stop - start >= least and (held[start] > 0.0).all()]
+    return [slice(start, stop) for start, stop in stretches if stop - start >= least and held[:, start].min() > 0.0]
 
 
-def _held(series: Series, grid_s: FloatArray, origin_ns: int) -> FloatArray:
-    """Return the value in force at each point of the grid; the first one before its time."""
-    times_s = (series.t_ns - origin_ns) * NS_TO_S
-    return series.value[np.maximum(np.searchsorted(times_s, grid_s, side="right") - 1, 0)]
+@array_kernel
+def _hold(t_ns: Int64Array, value: FloatArray, origin_ns: int, grid_s: FloatArray, held: FloatArray) -> None:
+    """Fill in the value in force at each point of the grid; the first one before its time."""
+    sample, last = 0, len(t_ns) - 1
+    for row in range(len(grid_s)):
+        while sample < last and (t_ns[sample + 1] - origin_ns) * NS_TO_S <= grid_s[row]:
+            sample += 1
+        held[row] = value[sample]
 
 
 def shaft_gap_rad_s(signals: AlignedSignals, rows: slice, limits: QualityLimits = LIMITS) -> float:
     """Return how far both input shafts are apart [rad/s], up to the ratio of their gears."""
     first, second = (speed.on_grid[rows] for speed in signals.input_speed)
-    is_turning = second > limits.turning_rad_s  # at a standstill there is no ratio
-    if not is_turning.any():
+    ratios = np.empty_like(first)
+    count = _divide(first, second, limits.turning_rad_s, ratios)
+    if not count:
         return 0.0
-    ratio = median(first[is_turning] / second[is_turning])
-    return _largest_mean(first - ratio * second, limits.speeds_mean_s)
+    return _largest_mean(first - median(ratios[:count]) * second, limits.speeds_mean_s)
+
+
+@array_kernel
+def _divide(first: FloatArray, second: FloatArray, turning_rad_s: float, ratios: FloatArray) -> int:
+    """Fill in the ratios of two speeds where the second turns: at a standstill there is none; return how many."""
+    count = 0
+    for row in range(len(first)):
+        if second[row] > turning_rad_s:
+            ratios[count] = first[row] / second[row]
+            count += 1
+    return count
 
 
 def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits) -> bool:

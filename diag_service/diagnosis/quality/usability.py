@@ -17,6 +17,7 @@ from diag_service.diagnosis.alignment import (
 )
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event
+from diag_service.diagnosis.quality.averages import mean
 from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
 from diag_service.diagnosis.records import Reason
 
@@ -48,7 +49,7 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     if any(is_lost(times_s, event.columns[one].period_ns, duration_s, limits) for one, times_s in sampled.items()):
         return Reason.FRAMES_MISSING if is_whole else Reason.INTERRUPTED
-    oil_k = float(np.mean(oil.value))
+    oil_k = mean(oil.value)
     if not limits.oil_range_k[0] <= oil_k <= limits.oil_range_k[1]:
         return Reason.OUT_OF_RANGE
     return Samples(event=event, times=sampled, oil_k=oil_k)

@@ -334,3 +334,11 @@ def test_it_says_while_it_learns_the_vehicle() -> None:
         assert verdict.calibration_ratio == pytest.approx(ratio)
         assert verdict.reason.endswith(text)
         assert ("calibrating" in verdict.reason) is bool(text)
+
+
+def test_what_all_vehicles_of_a_type_have_alike_is_known() -> None:
+    alike = replace(
+        CALIBRATION, uncertainty=replace(CALIBRATION.uncertainty, torque_latency_s=0.0, viscosity_ratio=0.0)
+    )
+    state = replace(Posterior.fresh(alike), folded_counts=(5, 5))
+    assert judge(ConditionMemory.fresh(), state, 1, alike)[1].calibration_ratio == pytest.approx(2.0 / 8.0)
