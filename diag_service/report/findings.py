@@ -1,7 +1,6 @@
 """What a report is about: results of one vehicle, from logs or a store, and the signals of a few of its shifts."""
 
 from collections.abc import Iterable, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from diag_service.service.recorded import STOPPED_TEXT, replay, warn_of_slow_mes
 from diag_service.service.session import Session, versions_for
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
-from diag_service.store import ResultStore, Row, StoreReader, Versions
+from diag_service.store import NoStore, Row, StoreReader, Versions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,12 +70,9 @@ def findings_of_logs(
     Raises what `analyze` raises, and StoppedError if it was stopped.
     """
     meaning, reporter, album = config.interpretation(), MemoryReporter(), Album()
-    with (
-        open_drive(paths, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns) as logs,
-        closing(ResultStore.in_memory()) as store,
-    ):
+    with open_drive(paths, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns) as logs:
         stream = stream_of_drive((log.path for log in logs), meaning.files)
-        session = Session(config, meaning.decoder(), store, stream, reporter)
+        session = Session(config, meaning.decoder(), NoStore(), stream, reporter)
 
         def process(event: Event) -> None:
             session.process(event)

@@ -16,6 +16,7 @@ from diag_service.service.session import Session
 from diag_service.service.stopping import Trigger
 from diag_service.service.tasks import run_to_end
 from diag_service.settings.config import DiagnosisConfig
+from diag_service.store import NoStore
 
 _LOG = logging.getLogger(__name__)
 
@@ -48,6 +49,9 @@ def run_recorded(
         paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns
     ) as logs:
         stream = stream_of_drive((log.path for log in logs), meaning.files)
+        if store_path is None and config.broker is None:
+            session = Session(config, decoder, NoStore(), stream, reporter)
+            return RecordedRun(stream=stream, summary=run_logs(logs, session, stop=stop))
         with opened_store(config, store_path, keeps_results=False) as store:
             session = Session(config, decoder, store, stream, reporter)
             outbox = outbox_of(config, store, session, is_live=False)

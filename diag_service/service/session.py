@@ -22,7 +22,7 @@ from diag_service.errors import ResultError, StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Diagnosis, Stages
 from diag_service.settings.config import DiagnosisConfig
-from diag_service.store import ResultStore, VehicleState, Versions
+from diag_service.store import SessionStore, VehicleState, Versions
 
 MAX_PENDING_COUNT = 1000
 NOTHING_KNOWN = (
@@ -44,7 +44,7 @@ class Session:
         self,
         config: DiagnosisConfig,
         decoder: Decoder,
-        store: ResultStore,
+        store: SessionStore,
         stream: str | None,  # of a log, in which the number of a shift is its key; None: the live stream of the store
         reporter: Reporter,
         *,
@@ -213,7 +213,7 @@ def versions_for(calibration: Calibration) -> Versions:
 
 
 def resume(
-    store: ResultStore, vehicle: str, versions: Versions, calibration: Calibration
+    store: SessionStore, vehicle: str, versions: Versions, calibration: Calibration
 ) -> tuple[Posterior, ConditionMemory]:
     """Return the running state of a vehicle, or a fresh one if what is stored was made in another way."""
     fresh = Posterior.fresh(calibration), ConditionMemory.fresh()
@@ -230,7 +230,7 @@ def resume(
     return fresh
 
 
-def last_results(store: ResultStore, vehicle: str, versions: Versions) -> dict[int, ShiftResult]:
+def last_results(store: SessionStore, vehicle: str, versions: Versions) -> dict[int, ShiftResult]:
     """Return the newest stored result of each clutch, by clutch, if it was made as results are made now."""
     found: dict[int, ShiftResult] = {}
     for row in store.latest(vehicle):

@@ -2,6 +2,7 @@
 
 from diag_service.store.file import remove_store
 from diag_service.store.fills import note_fill
+from diag_service.store.no_store import NoStore, SessionStore
 from diag_service.store.reading import Row, StoreReader, is_store
 from diag_service.store.result_store import ResultStore, VehicleState, Versions
 from diag_service.store.schema import APPLICATION_ID, SCHEMA_VERSION
@@ -9,8 +10,10 @@ from diag_service.store.schema import APPLICATION_ID, SCHEMA_VERSION
 __all__ = [
     "APPLICATION_ID",
     "SCHEMA_VERSION",
+    "NoStore",
     "ResultStore",
     "Row",
+    "SessionStore",
     "StoreReader",
     "VehicleState",
     "Versions",
