@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import Int64Array
+from canlog.arrays import FloatArray, Int64Array
 from canlog.frames import BEFORE_ALL_NS
 from canlog.jit import array_kernel
 from canlog.series import Series
@@ -56,8 +56,21 @@ class SampleRings:
 
     def cut(self, start_ns: int, stop_ns: int) -> dict[Signal, Series]:
         """Return copies of the samples of all signals that ever had one, with ``start_ns <= t_ns < stop_ns``."""
-        known = (signal for signal, row in self._rows.items() if self._samples.filled[row])
-        return {signal: self.between(signal, start_ns, stop_ns).copy() for signal in known}
+        low, ends = np.empty(len(self._first), np.int64), np.zeros(len(self._first) + 1, np.int64)
+        count = find_rows(self._samples, self._first, start_ns, stop_ns, low, ends)
+        t_ns, sequence, value = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count)
+        copy_rows(self._samples, low, ends, t_ns, sequence, value)
+        places, filled = ends.tolist(), self._samples.filled.tolist()
+        parts = {signal: slice(*places[row : row + 2]) for signal, row in self._rows.items() if filled[row]}
+        return {
+            signal: Series(
+                t_ns=t_ns[part],
+                sequence=sequence[part],
+                value=value[part],
+                period_ns=self._period_ns[self._rows[signal]],
+            )
+            for signal, part in parts.items()
+        }
 
     def changed_ns(self, signal: Signal) -> int:
         """Return when a sample of a signal last differed from the one before it, as the first one does."""
@@ -170,8 +183,36 @@ def drop_before(ring: Samples, first: Int64Array, keep_ns: int) -> None:
             first[row] += 1
 
 
+@array_kernel
+def find_rows(ring: Samples, first: Int64Array, start_ns: int, stop_ns: int, low: Int64Array, ends: Int64Array) -> int:
+    """Fill in where the samples with ``start_ns <= t_ns < stop_ns`` begin in each ring, and where they end in a copy.
+
+    Return how many there are.
+    """
+    for row in range(first.size):
+        t_ns = ring.t_ns[row, first[row] : ring.filled[row]]
+        begin, end = np.searchsorted(t_ns, start_ns), np.searchsorted(t_ns, stop_ns)
+        low[row] = first[row] + begin
+        ends[row + 1] = ends[row] + max(end - begin, 0)
+    return int(ends[-1])
+
+
+@array_kernel
+def copy_rows(
+    ring: Samples, low: Int64Array, ends: Int64Array, t_ns: Int64Array, sequence: Int64Array, value: FloatArray
+) -> None:
+    """Copy what `find_rows` found, ring after ring."""
+    for row in range(low.size):
+        for at in range(ends[row], ends[row + 1]):
+            taken = low[row] + at - ends[row]
+            t_ns[at], sequence[at] = ring.t_ns[row, taken], ring.sequence[row, taken]
+            value[at] = ring.value[row, taken]
+
+
 def compile_now() -> None:
     """Have everything compiled before the first frames come: they must not wait for it."""
     ring, block, first = empty_rows(1, 1), empty_rows(0, 0), np.zeros(1, np.int64)
     append_rows(ring, first, np.zeros(1, np.int64), np.empty(0, np.int64), block)
     drop_before(ring, first, 0)
+    low, ends = np.zeros(1, np.int64), np.zeros(2, np.int64)
+    copy_rows(ring, low, ends, low, low, np.zeros(find_rows(ring, first, 0, 0, low, ends)))

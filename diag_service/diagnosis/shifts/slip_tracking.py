@@ -4,32 +4,39 @@ Slip is hub (or engine) less input shaft. Load is piston pressure above the touc
 else the torque that is asked of a clutch.
 """
 
-from collections.abc import Mapping
+import math
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array
+from canlog.arrays import FloatArray, Int64Array
+from canlog.jit import array_kernel, inlined_kernel
 from clutch_model.calibration import Calibration
-from clutch_model.gears import both_clutches, clutch_of_gear
+from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.columns import DriveState, Signal
 from diag_service.diagnosis.shifts.history import History
-from diag_service.diagnosis.shifts.tracking import held_values
+from diag_service.diagnosis.shifts.tracking import compile_now, hold
 
 SLIP_RAD_S: Final = 5.0  # 50 rpm: beyond it a clutch slips, whatever two controllers' speeds differ by
 LOADED_PA: Final = 0.15e5  # above the touch point: three times what touch point and zero are known to
 LOADED_NM: Final = 5.0  # asked for: what is less does not move a car
 PEDAL_RATIO: Final = 0.02  # beyond it a foot is on the pedal, below it may be the zero of its sensor
-
-Values = TypeVar("Values", BoolArray, FloatArray)
 _PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
 _TORQUES: Final = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
 _TORQUE: Final = (Signal.CLUTCH_TORQUE, Signal.CLUTCH_TORQUE)
 _SHAFTS: Final = (Signal.INPUT1_SPEED, Signal.INPUT2_SPEED)
 _SHAFT: Final = (Signal.INPUT_SPEED, Signal.INPUT_SPEED)
+
+_SHAFTS_ROW: Final = 0  # of held values, and what follows: where the signals of both clutches begin, or one stands
+_LOADS_ROW: Final = 2
+_GEAR_ROW: Final = 4
+_PEDAL_ROW: Final = 5
+_STATE_ROW: Final = 6
+_STATE_SIZE: Final = 4  # grip, grip of the gear's clutch, gear, whether force is asked for
+_NOTHING_YET: Final = -2
 
 
 class Grip(IntEnum):
@@ -38,6 +45,10 @@ class Grip(IntEnum):
     OPEN = 0  # no clutch is loaded
     LOCKED = 1  # a clutch is loaded, and none that is slips
     SLIPPING = 2  # a clutch slips under load
+
+
+_OPEN, _LOCKED, _SLIPPING = (int(one) for one in Grip)  # compiled functions know no enumerations
+_CREEPING: Final = int(DriveState.CREEPING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +75,14 @@ class SlipSignals:
     gear: Signal
 
     @property
-    def others(self) -> tuple[Signal, ...]:
-        """All signals but that of the engine's side, those that may be missing included."""
-        return tuple(dict.fromkeys((*self.shafts, *self.loads, self.gear, Signal.PEDAL, Signal.DRIVE_STATE)))
+    def held(self) -> tuple[Signal, ...]:
+        """All signals but that of the engine's side, those that may be missing included, in the order of their rows."""
+        return (*self.shafts, *self.loads, self.gear, Signal.PEDAL, Signal.DRIVE_STATE)
+
+    @property
+    def are_shared(self) -> bool:
+        """Whether one signal stands for both clutches: it speaks of that of the gear."""
+        return self.loads[0] is self.loads[1] or self.shafts[0] is self.shafts[1]
 
 
 def slip_signals(signals: AbstractSet[Signal], calibration: Calibration) -> SlipSignals | None:
@@ -87,80 +103,86 @@ class SlipTracker:
 
     def __init__(self, signals: SlipSignals) -> None:
         self._signals = signals
+        self._held = signals.held
         self.forget()
+        compile_now()
+        self._changes(np.empty(0, np.int64), np.empty(0), np.empty((len(self._held), 0)))
 
     def forget(self) -> None:
         """Forget all values: another segment begins."""
-        self._last = dict.fromkeys(self._signals.others, np.nan)
-        self._before: tuple[int, ...] | None = None
+        self._last = [math.nan] * len(self._held)
+        self._doing = np.full(_STATE_SIZE, _NOTHING_YET)
 
     def track(self, history: History, until_ns: int) -> list[GripChange]:
         """Walk the samples with ``t < until_ns``."""
         engine = history.ahead(self._signals.engine, until_ns)
-        values = {}
-        for signal in self._signals.others:
+        held = np.empty((len(self._held), len(engine.t_ns)))
+        for row, signal in enumerate(self._held):
             series = history.ahead(signal, until_ns)
-            values[signal] = held_values(series, engine.t_ns, self._last[signal])
+            hold(series.t_ns, series.value, engine.t_ns, self._last[row], held[row])
             if len(series.value):
-                self._last[signal] = float(series.value[-1])
-        if not len(engine.t_ns):
-            return []
-        return self._changes(engine.t_ns, engine.value, values)
+                self._last[row] = float(series.value[-1])
+        return self._changes(engine.t_ns, engine.value, held)
 
-    def _changes(
-        self, t_ns: Int64Array, engine_rad_s: FloatArray, values: Mapping[Signal, FloatArray]
-    ) -> list[GripChange]:
-        gear = np.nan_to_num(values[self._signals.gear]).astype(np.int64)
-        slips, loads = self._slips(engine_rad_s, values, gear)
-        grip = _grip(slips[0] | slips[1], loads[0] | loads[1])
-        gear_grip = np.where(gear >= 1, _grip(_of_gear(gear, slips), _of_gear(gear, loads)), Grip.OPEN)
-        asked = _asked(values)
-        shafts = both_clutches(values[shaft] for shaft in self._signals.shafts)
-        shaft_rad_s = _of_gear(gear, shafts)
-        state = np.column_stack((grip, gear_grip, gear, asked))
-        before = np.vstack((self._before or (-1, -1, -1, -2), state[:-1]))
-        rows = np.flatnonzero((state != before).any(axis=1)).tolist()
-        self._before = tuple(state[-1].tolist())
+    def _changes(self, t_ns: Int64Array, engine_rad_s: FloatArray, held: FloatArray) -> list[GripChange]:
+        places, states = np.empty(len(t_ns), np.int64), np.empty((len(t_ns), _STATE_SIZE), np.int64)
+        above, are_shared = self._signals.loaded_above, self._signals.are_shared
+        count = find_changes(engine_rad_s, held, above, are_shared, self._doing, places, states)
         return [
             GripChange(
-                t_ns=int(t_ns[row]),
-                grip=Grip(int(grip[row])),
-                gear=int(gear[row]),
-                is_asked=None if asked[row] < 0 else bool(asked[row]),
-                gear_grip=Grip(int(gear_grip[row])),
-                engine_rad_s=float(engine_rad_s[row]),
-                shaft_rad_s=float(shaft_rad_s[row]),
+                t_ns=int(t_ns[place]),
+                grip=Grip(grip),
+                gear_grip=Grip(gear_grip),
+                gear=gear,
+                is_asked=None if asked < 0 else bool(asked),
+                engine_rad_s=float(engine_rad_s[place]),
+                shaft_rad_s=float(held[_SHAFTS_ROW + clutch_of_gear(gear) - 1, place]),
             )
-            for row in rows
+            for place, (grip, gear_grip, gear, asked) in zip(
+                places[:count].tolist(), states[:count].tolist(), strict=True
+            )
         ]
 
-    def _slips(
-        self, engine_rad_s: FloatArray, values: Mapping[Signal, FloatArray], gear: Int64Array
-    ) -> tuple[tuple[BoolArray, BoolArray], tuple[BoolArray, BoolArray]]:
-        """Return which clutches slip under load, and which are loaded; an unknown value tells of neither."""
-        signals = self._signals
-        loads = both_clutches(
-            values[load] > above for load, above in zip(signals.loads, signals.loaded_above, strict=True)
-        )
-        slips = both_clutches(np.abs(engine_rad_s - values[shaft]) > SLIP_RAD_S for shaft in signals.shafts)
-        if signals.loads[0] is signals.loads[1] or signals.shafts[0] is signals.shafts[1]:
-            is_first = clutch_of_gear(gear) == 1  # one signal for both clutches speaks of that of the gear
-            loads = loads[0] & is_first, loads[1] & ~is_first
-        return (loads[0] & slips[0], loads[1] & slips[1]), loads
+
+@array_kernel
+def find_changes(
+    engine_rad_s: FloatArray,
+    held: FloatArray,
+    above: tuple[float, float],
+    are_shared: bool,  # noqa: FBT001 - a compiled function
+    doing: Int64Array,
+    places: Int64Array,
+    states: Int64Array,
+) -> int:
+    """Fill in at which places what the clutches do, or what the driver asks for, becomes something else, and what.
+
+    Return how often it does. ``doing`` is what it was before, and becomes what it is at the end. An unknown value tells
+    neither of slip nor of load.
+    """
+    count = 0
+    for place in range(len(engine_rad_s)):
+        gear = 0 if np.isnan(held[_GEAR_ROW, place]) else int(held[_GEAR_ROW, place])
+        own = (gear - 1) % 2  # place of the clutch of the gear
+        any_grip, gear_grip = _OPEN, _OPEN
+        for clutch in range(2):
+            if held[_LOADS_ROW + clutch, place] > above[clutch] and (clutch == own or not are_shared):
+                slips = abs(engine_rad_s[place] - held[_SHAFTS_ROW + clutch, place]) > SLIP_RAD_S
+                grip = _SLIPPING if slips else _LOCKED
+                any_grip = max(any_grip, grip)
+                gear_grip = grip if clutch == own and gear >= 1 else gear_grip
+        asked = _asked(held[_PEDAL_ROW, place], held[_STATE_ROW, place])
+        if any_grip != doing[0] or gear_grip != doing[1] or gear != doing[2] or asked != doing[3]:
+            doing[0], doing[1], doing[2], doing[3] = any_grip, gear_grip, gear, asked
+            places[count] = place
+            for part in range(len(doing)):
+                states[count, part] = doing[part]
+            count += 1
+    return count
 
 
-def _asked(values: Mapping[Signal, FloatArray]) -> Int64Array:
+@inlined_kernel
+def _asked(pedal_ratio: float, drive_state: float) -> int:
     """Return whether the driver asks for force, 1 or 0; -1 while unknown. The transmission's own word counts first."""
-    pedal, state = values[Signal.PEDAL], values[Signal.DRIVE_STATE]
-    by_pedal = np.where(np.isnan(pedal), -1, pedal > PEDAL_RATIO)
-    return np.where(state == DriveState.CREEPING, 0, by_pedal).astype(np.int64)
-
-
-def _grip(slips: BoolArray, is_loaded: BoolArray) -> Int64Array:
-    """Return the numbers of the grips, shape (n,)."""
-    return np.where(slips, Grip.SLIPPING, np.where(is_loaded, Grip.LOCKED, Grip.OPEN))
-
-
-def _of_gear(gear: Int64Array, both: tuple[Values, Values]) -> Values:
-    """Return what the clutch of the gear has, sample by sample, of what both have."""
-    return np.where(clutch_of_gear(gear) == 1, *both)
+    if drive_state == _CREEPING:
+        return 0
+    return -1 if np.isnan(pedal_ratio) else int(pedal_ratio > PEDAL_RATIO)
