@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray
+from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.jit import array_kernel
 from canlog.series import Series
 from clutch_model.calibration import Calibration
@@ -110,16 +110,22 @@ def _stuck_rows(
     return first, row - LET_GO_ROWS if let_go == LET_GO_ROWS else row
 
 
+@array_kernel
 def _largest_swing(slip_rad_s: FloatArray, pressed_rad_s: FloatArray) -> float:
-    """Return the largest slip under load [rad/s] of stretches of slip that end as soon as a driveline swings back."""
-    slips = slip_rad_s >= STUCK_RAD_S
-    swings = []
-    if slips.any():
-        edged = np.concatenate(((False,), slips, (False,)))
-        stretches = np.flatnonzero(edged[1:] != edged[:-1]).reshape(-1, 2).tolist()
-        swings = [float(pressed_rad_s[first:stop].max()) for first, stop in stretches
-                  if stop - first <= SWING_ROWS and stop < len(slip_rad_s)]  # fmt: skip
-    return max(swings, default=float(slip_rad_s.min(initial=STUCK_RAD_S)))
+    """Return the largest slip under load [rad/s] of stretches of slip that end as soon as a driveline swings back.
+
+    Where there is no such stretch it is the least slip of all.
+    """
+    largest, least, peak, begin = -1.0, STUCK_RAD_S, 0.0, -1
+    for row in range(len(slip_rad_s)):
+        least = min(least, slip_rad_s[row])
+        if slip_rad_s[row] >= STUCK_RAD_S:
+            begin, peak = (row, 0.0) if begin < 0 else (begin, peak)
+            peak = max(peak, pressed_rad_s[row])
+        elif begin >= 0:
+            largest = max(largest, peak) if row - begin <= SWING_ROWS else largest
+            begin = -1
+    return largest if largest >= 0.0 else least
 
 
 def _pressed(grid: _Grid, calibration: Calibration) -> BoolArray:
@@ -149,16 +155,17 @@ def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibrati
     Least squares through the origin; the deviation adds the scatter of the residuals, the gain and the offset of the
     engine torque, and the inertia.
     """
-    asked = _asked(grid, slip_rad_s)
+    asked = _asked(grid)
     engine_nm = grid.value(Signal.ENGINE_TORQUE)
     if asked is None or engine_nm is None or Signal.ENGINE_SPEED not in grid.event.columns:
         return None
-    asked_nm, is_alone = asked
-    use = (np.abs(slip_rad_s) > SLIP_RAD_S) & is_alone & (np.abs(asked_nm) > MIN_TORQUE_NM)
-    if np.count_nonzero(use) * GRID_S < MIN_WINDOW_S:
+    asked_nm, places = np.empty(len(slip_rad_s)), np.empty(len(slip_rad_s), np.int64)
+    count = _pick_asked(slip_rad_s, *asked, asked_nm, places)
+    if count * GRID_S < MIN_WINDOW_S:
         return None
-    inertia_nm = calibration.input_side.engine_inertia_kg_m2 * _acceleration(grid.event, grid.t_s[use])
-    asked_nm, engine_nm = asked_nm[use], engine_nm[use]
+    asked_nm, places = asked_nm[:count], places[:count]
+    inertia_nm = calibration.input_side.engine_inertia_kg_m2 * _acceleration(grid.event, grid.t_s[places])
+    engine_nm = engine_nm[places]
     transmitted_nm = engine_nm - inertia_nm
     weight = asked_nm / float(asked_nm @ asked_nm)
     ratio = float(weight @ transmitted_nm)
@@ -173,15 +180,39 @@ def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibrati
     return ratio, math.hypot(*parts)
 
 
-def _asked(grid: _Grid, slip_rad_s: FloatArray) -> tuple[FloatArray, BoolArray] | None:
-    """Return the torque asked of the on-coming clutch, signed as its slip, and where it alone carries the engine."""
+def _asked(grid: _Grid) -> tuple[FloatArray, FloatArray, bool] | None:
+    """Return the torques asked of the on-coming and of the off-going clutch, and whether their signs are the slip's."""
     commands = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
     is_first = clutch_of_gear(grid.event.to_gear) == 1
     on, off = (grid.value(signal) for signal in (commands if is_first else commands[::-1]))
     if on is not None and off is not None:
-        return on * np.sign(slip_rad_s), np.abs(off) < RELEASED_RATIO * np.maximum(on, MIN_TORQUE_NM)
+        return on, off, False
     total = grid.value(Signal.CLUTCH_TORQUE)
-    return None if total is None else (total, np.ones(len(total), np.bool_))
+    return None if total is None else (total, np.zeros(len(total)), True)
+
+
+@array_kernel
+def _pick_asked(
+    slip_rad_s: FloatArray,
+    on_nm: FloatArray,
+    off_nm: FloatArray,
+    is_signed: bool,  # noqa: FBT001 - a compiled function
+    asked_nm: FloatArray,
+    places: Int64Array,
+) -> int:
+    """Fill in the torque asked of a clutch that slips and alone carries the engine, signed as its slip, and where.
+
+    Return how many places there are.
+    """
+    count = 0
+    for row in range(len(slip_rad_s)):
+        if abs(slip_rad_s[row]) <= SLIP_RAD_S or abs(on_nm[row]) <= MIN_TORQUE_NM:
+            continue
+        if abs(off_nm[row]) < RELEASED_RATIO * max(on_nm[row], MIN_TORQUE_NM):
+            asked_nm[count] = on_nm[row] if is_signed or slip_rad_s[row] > 0.0 else -on_nm[row]
+            places[count] = row
+            count += 1
+    return count
 
 
 def _acceleration(event: Event, at_s: FloatArray) -> FloatArray:
@@ -216,6 +247,8 @@ def compile_indices() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     _fit_slopes(np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1))
     _stuck_rows(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_), 0.0)
+    _largest_swing(np.zeros(1), np.zeros(1))
+    _pick_asked(np.zeros(1), np.zeros(1), np.zeros(1), False, np.empty(1), np.empty(1, np.int64))
 
 
 def _since(series: Series, event: Event) -> FloatArray:
