@@ -2,11 +2,12 @@
 
 import sys
 from dataclasses import asdict
+from difflib import get_close_matches
 from types import SimpleNamespace
 from typing import Final
 
 from diag_service.diagnosis.results import dump
-from diag_service.errors import IncompleteError
+from diag_service.errors import IncompleteError, StoreError
 from diag_service.lake.forgetting import disagreement, forget, parts_of
 from diag_service.lake.manifest import DONE, Manifest
 from diag_service.lake.places import Place
@@ -14,7 +15,7 @@ from diag_service.service.stopping import Controls
 from diag_service.settings.config import check_vehicle
 
 FORGOTTEN_SCHEMA: Final = "clutchdiag/forgotten/v1"
-SHOWN: Final = 5  # of what is wrong
+SHOWN: Final = 5  # of what is wrong, of vehicles that are there
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
@@ -28,7 +29,13 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
 
 
 def _forget(options: SimpleNamespace, lake: Place) -> None:
+    """Forget a vehicle; raises StoreError if the lake had nothing of it."""
     gone = forget(lake, check_vehicle(options.vehicle))
+    if not gone.parts and not gone.rows:
+        known = sorted({row.vehicle for row in Manifest(lake).rows})
+        shown = get_close_matches(gone.vehicle, known, n=SHOWN) or known[:SHOWN]
+        others = f"; it has {', '.join(shown)}{'' if len(shown) == len(known) else ' and others'}" if known else ""
+        raise StoreError(f"lake {lake.address} has nothing of {gone.vehicle}{others}")
     if options.json:
         sys.stdout.write(dump({"schema": FORGOTTEN_SCHEMA, "lake": lake.address, **asdict(gone)}) + "\n")
         return

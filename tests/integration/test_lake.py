@@ -151,8 +151,8 @@ def test_one_vehicle_is_forgotten_in_a_store(port: int, logs: Path, capsys: pyte
     assert (len(gone["parts"]), gone["rows"], gone["shifts"]) == (2, 4, 3 * SHIFT_COUNT)
     assert files.glob(f"{BUCKET}/lake/*/*/vehicle=car1/*") == []
     assert all(b"car1" not in files.cat_file(path) for path in files.glob(f"{BUCKET}/lake/manifest/*"))
-    lake.execute(parse_arguments(["lake", "forget", address, "car1"]), Controls())
-    assert "car1: 0 parts (0 bytes), 0 logs" in capsys.readouterr().out
+    with pytest.raises(StoreError, match="has nothing of car1; it has "):
+        lake.execute(parse_arguments(["lake", "forget", address, "car1"]), Controls())
     lake.execute(parse_arguments(["lake", "check", address]), Controls())
     assert f"3 logs, 2 of them not analysed, {SHIFT_COUNT} shifts of 1 vehicles in 1 parts" in capsys.readouterr().out
 
