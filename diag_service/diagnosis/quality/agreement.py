@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
-from canlog.jit import array_kernel
+from canlog.jit import array_kernel, inlined_kernel
 from canlog.series import Series
-from diag_service.diagnosis.alignment import COMMAND_LAG_S, NS_TO_S, read_at
+from diag_service.diagnosis.alignment import COMMAND_LAG_S, NS_TO_S
 from diag_service.diagnosis.columns import Columns, Signal
 from diag_service.diagnosis.events import Event, EventKind
 from diag_service.diagnosis.quality.averages import compile_averages, mean, median
@@ -36,7 +36,8 @@ def agreement(event: Event, limits: QualityLimits = LIMITS) -> float | None:
 def compile_agreement() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     one = Series(t_ns=np.zeros(1, np.int64), sequence=np.zeros(1, np.int64), value=np.zeros(1))
-    _divide(one.t_ns, one.value, _at(one, one), _NEVER, 0.0, 0.0, np.empty(1), 0)
+    _divide(one.t_ns, one.value, one.t_ns, one.value, _NEVER, 0.0, 0.0, np.empty(1), 0)
+    _apart(one, one)
     _worst_spread(one.value, 1.0, one.t_ns)
     compile_averages()
 
@@ -55,8 +56,8 @@ def _wheels(event: Event, limits: QualityLimits) -> float | None:
     ratios, ends = np.empty(sum(len(wheel.t_ns) for wheel in wheels)), [0]
     least_m_s, ringing_s = limits.least_wheel_m_s, limits.ringing_s
     for wheel in wheels:
-        turning = _at(output, wheel)
-        ends.append(_divide(wheel.t_ns, wheel.value, turning, changes_ns, least_m_s, ringing_s, ratios, ends[-1]))
+        series = wheel.t_ns, wheel.value, output.t_ns, output.value
+        ends.append(_divide(*series, changes_ns, least_m_s, ringing_s, ratios, ends[-1]))
     found = ratios[: ends[-1]]
     if not len(found):
         return None
@@ -73,6 +74,7 @@ def _gear_changes_ns(columns: Columns) -> Int64Array:
 def _divide(
     t_ns: Int64Array,
     wheel_m_s: FloatArray,
+    output_ns: Int64Array,
     output_rad_s: FloatArray,
     changes_ns: Int64Array,
     least_m_s: float,
@@ -81,13 +83,15 @@ def _divide(
     first: int,
 ) -> int:
     """Fill in a wheel's speed over that of the output where both turn and no shaft rings; return where it ends."""
-    stop = first
+    stop, sample = first, 0
     for row in range(len(t_ns)):
-        is_told = wheel_m_s[row] > least_m_s and output_rad_s[row] > 0.0
+        sample = _last_sample(output_ns, sample, t_ns[row])
+        turning_rad_s = _reading(output_ns, output_rad_s, sample, t_ns[row])
+        is_told = wheel_m_s[row] > least_m_s and turning_rad_s > 0.0
         for change_ns in changes_ns:
             is_told = is_told and abs(t_ns[row] - change_ns) * NS_TO_S > ringing_s
         if is_told:
-            ratios[stop] = wheel_m_s[row] / output_rad_s[row]
+            ratios[stop] = wheel_m_s[row] / turning_rad_s
             stop += 1
     return stop
 
@@ -109,13 +113,13 @@ def _hub(columns: Columns, limits: QualityLimits) -> float | None:
     engine, hub = columns.get(Signal.ENGINE_SPEED), columns.get(Signal.HUB_SPEED)
     if engine is None or hub is None or not len(engine.t_ns) or not len(hub.t_ns):
         return None
-    return limits.hub_mean_rad_s.score(abs(mean(engine.value - _at(hub, engine))))
+    return limits.hub_mean_rad_s.score(abs(mean(_apart(engine, hub))))
 
 
 def _pressures(columns: Columns, limits: QualityLimits) -> float | None:
     """Compare clutch pressures with what was commanded a moment before."""
     differences_pa = [
-        median(np.abs(pressure.value - _at(command, pressure, _LAG_NS)))
+        median(np.abs(_apart(pressure, command, _LAG_NS)))
         for read, commanded in _PRESSURES
         for pressure, command in ((columns.get(read), columns.get(commanded)),)
         if pressure is not None and command is not None and len(pressure.t_ns) and len(command.t_ns)
@@ -123,7 +127,42 @@ def _pressures(columns: Columns, limits: QualityLimits) -> float | None:
     return limits.pressure_median_pa.score(max(differences_pa)) if differences_pa else None
 
 
-def _at(series: Series, other: Series, lag_ns: int = 0) -> FloatArray:
-    """Return one signal at the times of another, or ``lag_ns`` before them."""
-    origin_ns = int(series.t_ns[0])
-    return read_at(series, (other.t_ns - (origin_ns + lag_ns)).astype(np.float64), origin_ns, 1.0)
+def _apart(series: Series, other: Series, lag_ns: int = 0) -> FloatArray:
+    """Return a signal less what another one read at its times, or ``lag_ns`` before them."""
+    differences = np.empty(len(series.t_ns))
+    _subtract(series.t_ns, series.value, other.t_ns, other.value, lag_ns, differences)
+    return differences
+
+
+@array_kernel
+def _subtract(
+    t_ns: Int64Array,
+    value: FloatArray,
+    other_ns: Int64Array,
+    other: FloatArray,
+    lag_ns: int,
+    differences: FloatArray,
+) -> None:
+    sample = 0
+    for row in range(len(t_ns)):
+        at_ns = t_ns[row] - lag_ns
+        sample = _last_sample(other_ns, sample, at_ns)
+        differences[row] = value[row] - _reading(other_ns, other, sample, at_ns)
+
+
+@inlined_kernel
+def _last_sample(t_ns: Int64Array, sample: int, at_ns: int) -> int:
+    """Return which sample was the last one at a time, from an earlier one on."""
+    while sample < len(t_ns) - 1 and t_ns[sample + 1] <= at_ns:
+        sample += 1
+    return sample
+
+
+@inlined_kernel
+def _reading(t_ns: Int64Array, value: FloatArray, sample: int, at_ns: int) -> float:
+    """Return what a signal reads after some sample: linear up to the next one, constant beyond both ends."""
+    reading = float(value[sample])
+    if sample < len(t_ns) - 1 and t_ns[sample] < at_ns:
+        rise = (value[sample + 1] - value[sample]) / (t_ns[sample + 1] - t_ns[sample])
+        reading += rise * (at_ns - t_ns[sample])
+    return reading

@@ -77,6 +77,7 @@ def compile_plausibility() -> None:
     one = np.zeros(2)
     _longest_run(one)
     _off_command(one, one, 0, np.ones(2, np.bool_), 0.0, 0.0, np.empty(2))
+    _mark_arrived(one, one, 0.0, 0.0, 1, np.empty(2, np.bool_))
     _largest_sum(one, 1)
     _divide(one, one, 0.0, np.empty(2))
     _hold(np.zeros(2, np.int64), one, 0, one, np.empty(2))
@@ -226,8 +227,10 @@ def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: Qua
     first, touch_pa = clutch.rows.start, clutch.touch_pressure_pa
     read_pa = signals.pressure[clutch.number - 1].on_grid[clutch.rows] - clutch.pressure_zero_pa
     judged_pa = expected_pa[clutch.rows]
-    has_arrived = _has_arrived(read_pa, judged_pa, touch_pa, limits)
-    if np.count_nonzero(has_arrived) * GRID_S < limits.pressure_mean_s:
+    has_arrived, longest = np.empty(len(read_pa), np.bool_), round(limits.catching_up_s / GRID_S)
+    behind_pa = limits.pressure_window_pa
+    count = _mark_arrived(read_pa, judged_pa, touch_pa + limits.travel_pa, behind_pa, longest, has_arrived)
+    if count * GRID_S < limits.pressure_mean_s:
         return False
     by_clock_pa = limits.command_clock_s * abs(float(judged_pa[-1] - judged_pa[0])) / (len(judged_pa) * GRID_S)
     beyond_pa = np.empty_like(read_pa)
@@ -239,15 +242,29 @@ def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: Qua
     )
 
 
-def _has_arrived(read_pa: FloatArray, expected_pa: FloatArray, touch_pa: float, limits: QualityLimits) -> BoolArray:
-    """Return where a piston presses: not on its way, nor its pressure still rising to the command behind it."""
-    has_arrived: BoolArray = read_pa > touch_pa + limits.travel_pa
-    starts = np.flatnonzero(has_arrived[1:] > has_arrived[:-1]) + 1
-    longest = round(limits.catching_up_s / GRID_S)
-    for start in starts.tolist():
-        is_behind = expected_pa[start : start + longest] - read_pa[start : start + longest] > limits.pressure_window_pa
-        has_arrived[start : start + (longest if is_behind.all() else int(is_behind.argmin()))] = False
-    return has_arrived
+@array_kernel
+def _mark_arrived(
+    read_pa: FloatArray,
+    expected_pa: FloatArray,
+    pressing_pa: float,
+    behind_pa: float,
+    longest: int,
+    has_arrived: BoolArray,
+) -> int:
+    """Mark where a piston presses: not on its way, nor its pressure still rising to the command behind it.
+
+    So long a rise lasts ``longest`` rows at most. Return how many rows are marked.
+    """
+    count, left, did_press = 0, 0, True
+    for row in range(len(read_pa)):
+        presses = read_pa[row] > pressing_pa
+        left = longest if presses and not did_press else left
+        is_rising = left > 0 and expected_pa[row] - read_pa[row] > behind_pa
+        left = left - 1 if is_rising else 0
+        has_arrived[row] = presses and not is_rising
+        count += has_arrived[row]
+        did_press = presses
+    return count
 
 
 @array_kernel
