@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
+from canlog.jit import array_kernel, inlined_kernel
 from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason
@@ -21,6 +22,8 @@ DWELL_NS = NS_PER_S // 20  # a clutch that stays closed, a ratio that stays put,
 CLOSED_SLIP_RAD_S = 5.0  # 50 rpm: beyond it the clutch slips, whatever two controllers' speeds differ by
 RATIO_TOLERANCE = 0.04  # neighbouring gears are at least 15 % apart
 MIN_SPEED_RAD_S = 50.0  # of the engine: below it drives nothing
+_NEVER = np.empty(0, np.int64)
+_PAIR_SIZE = 4  # when, current gear, target gear, whether both were known before
 _GEAR_PAIR = (Signal.CURRENT_GEAR, Signal.TARGET_GEAR)
 GearsOf = Callable[[Mapping[Signal, FloatArray]], Int64Array]
 
@@ -121,14 +124,12 @@ class GearPairTracker:
 
     def __init__(self) -> None:
         self._lone = EngagedTracker((Signal.CURRENT_GEAR,), lambda values: _gears(values[Signal.CURRENT_GEAR]))
-        self._held = HeldSignals(_GEAR_PAIR)
         self._forget()
+        find_pairs(_NEVER, self._pair, _NEVER, self._pair, self._pair, np.empty((0, _PAIR_SIZE), np.int64))
 
     def _forget(self) -> None:
-        self._held.forget()
         self._has_target = False
-        self._gears = (0, 0)  # current and target as last seen; 0 while unknown
-        self._are_known = False  # both have been seen
+        self._pair = np.full(2, np.nan)  # current and target gear as last seen
         self._open: Bounds | None = None
         self._is_begun = False  # the beginning of the open shift was seen
         self._overdue = False  # the open shift was reported as too long; wait until the gears agree
@@ -159,20 +160,16 @@ class GearPairTracker:
 
     def _walk(self, history: History, until_ns: int) -> list[Bounds]:
         """Step through the pairs that differ from the ones before."""
-        t_ns, values = self._held.ahead(history, until_ns)
-        pairs = np.column_stack([values[signal] for signal in _GEAR_PAIR])
-        are_known = np.append(self._are_known, ~np.isnan(pairs).any(axis=1)).tolist()
-        gears = np.vstack((self._gears, _gears(pairs)))
+        current, target = (history.ahead(signal, until_ns) for signal in _GEAR_PAIR)
+        pairs = np.empty((len(current.t_ns) + len(target.t_ns), _PAIR_SIZE), np.int64)
+        count = find_pairs(current.t_ns, current.value, target.t_ns, target.value, self._pair, pairs)
         found: list[Bounds] = []
-        for row in np.flatnonzero((gears[1:] != gears[:-1]).any(axis=1)).tolist():
-            current, target = gears[row + 1].tolist()
-            found += self._step(int(t_ns[row]), current, target, was_known=are_known[row])
-        self._are_known = are_known[-1]
+        for t_ns, *gears, was_known in pairs[:count].tolist():
+            found += self._step(t_ns, *gears, was_known=bool(was_known))
         return found
 
     def _step(self, t_ns: int, current: int, target: int, *, was_known: bool) -> list[Bounds]:
         found = self._end_overdue(t_ns)
-        self._gears = current, target
         if current < 1 or target < 1:
             return [*found, *self._end(t_ns, EndReason.ABANDONED)]
         if self._open is not None and (target != self._open.to_gear or current != self._open.from_gear):
@@ -196,6 +193,44 @@ class GearPairTracker:
             return []
         self._overdue = True
         return self._end(self._open.start_ns + MAX_SHIFT_NS, EndReason.TOO_LONG)
+
+
+@array_kernel
+def find_pairs(
+    current_ns: Int64Array,
+    current: FloatArray,
+    target_ns: Int64Array,
+    target: FloatArray,
+    last: FloatArray,
+    pairs: Int64Array,
+) -> int:
+    """Fill in when one of two gears became another, both gears, and whether both were known before.
+
+    Return how often that was. ``last`` are both before the first sample, NaN while unknown, and become those after the
+    last one.
+    """
+    count, first, second = 0, 0, 0
+    while first < len(current_ns) or second < len(target_ns):
+        is_first = second == len(target_ns) or (first < len(current_ns) and current_ns[first] <= target_ns[second])
+        now_ns = current_ns[first] if is_first else target_ns[second]
+        was_known, current_before, target_before = not np.isnan(last[0] + last[1]), _gear(last[0]), _gear(last[1])
+        while first < len(current_ns) and current_ns[first] == now_ns:
+            last[0] = current[first]
+            first += 1
+        while second < len(target_ns) and target_ns[second] == now_ns:
+            last[1] = target[second]
+            second += 1
+        if _gear(last[0]) != current_before or _gear(last[1]) != target_before:
+            pairs[count, 0], pairs[count, 1], pairs[count, 2] = now_ns, _gear(last[0]), _gear(last[1])
+            pairs[count, 3] = was_known
+            count += 1
+    return count
+
+
+@inlined_kernel
+def _gear(value: float) -> int:
+    """Return a gear as a number, 0 while unknown."""
+    return 0 if np.isnan(value) else int(value)
 
 
 class TargetTracker:
