@@ -9,14 +9,9 @@ from clutch_model.units import Quantity
 
 # Greenwood-Tripp F_5/2 for Gaussian heights, Patir-Cheng 1978: 4.4086e-5 * (4 - H)^6.804 for H < 4.
 _CONTACT_SCALE = 4.4086e-5
-_CONTACT_EXPONENT = 6.804
-_CONTACT_END = 4.0
-_FLOW_RATE = -0.56  # of Patir-Cheng's pressure flow factor, 1978
-# Slopes over the film are taken over this ratio; a series is exact where the overlap is so many steps.
-_SLOPE_STEP = 1e-4
-_SERIES_SPAN = 1e3
-_THIRD = 1.0 / 3.0
-_POWER_SERIES = tuple((_CONTACT_EXPONENT - n) / (n + 1.0) for n in range(4))  # binomial
+CONTACT_EXPONENT = 6.804
+CONTACT_END = 4.0
+FLOW_RATE = -0.56  # of Patir-Cheng's pressure flow factor, 1978
 # Mean shear stress factor, Patir-Cheng 1979; (z^2 - 1)^3 * log cancels beyond z = 20, where phi_f is 1.
 _SHEAR_SPLIT = 3.0
 _SHEAR_FAR = 60.0
@@ -86,10 +81,10 @@ piston_pressure_pa = kernel(piston_pressures_pa)
 @kernel
 def contact_pressure_pa(film_m: float, law: FilmLaw) -> float:
     """Return the mean pressure carried by touching asperities [Pa], P_C of docs/model.md eq. (7)."""
-    overlap = _CONTACT_END - film_m / law.roughness_m
+    overlap = CONTACT_END - film_m / law.roughness_m
     if overlap <= 0.0:
         return 0.0
-    return law.contact_stiffness_pa * _CONTACT_SCALE * math.exp(_CONTACT_EXPONENT * math.log(overlap))
+    return law.contact_stiffness_pa * _CONTACT_SCALE * math.exp(CONTACT_EXPONENT * math.log(overlap))
 
 
 @kernel
@@ -101,8 +96,8 @@ def equilibrium_film_m(applied_pa: float, law: FilmLaw) -> float:
     if applied_pa <= 0.0:
         return law.open_gap_m
     load_ratio = applied_pa / (law.contact_stiffness_pa * _CONTACT_SCALE)
-    overlap = math.exp(math.log(load_ratio) / _CONTACT_EXPONENT)
-    return max(law.min_film_m, law.roughness_m * (_CONTACT_END - overlap))
+    overlap = math.exp(math.log(load_ratio) / CONTACT_EXPONENT)
+    return max(law.min_film_m, law.roughness_m * (CONTACT_END - overlap))
 
 
 @kernel
@@ -114,13 +109,7 @@ def film_mobility_m(film_m: float, law: FilmLaw) -> float:
     """
     ratio = film_m / law.roughness_m
     gap_slope = 0.5 * (1.0 + math.erf(ratio * math.sqrt(0.5)))
-    return _mobility_m(film_m, math.exp(_FLOW_RATE * ratio), gap_slope, law)
-
-
-@kernel
-def _mobility_m(film_m: float, obstruction: float, gap_slope: float, law: FilmLaw) -> float:
-    """Return `film_mobility_m` by ``(1 - phi) / 0.9`` and g."""
-    flow_factor = 1.0 - 0.9 * obstruction
+    flow_factor = 1.0 - 0.9 * math.exp(FLOW_RATE * ratio)
     depth = film_m / math.sqrt(law.permeability_m2)
     slip_gain = (depth + 2.0 * law.slip_coefficient) / (depth * (1.0 + law.slip_coefficient * depth))
     through_film = film_m * film_m * film_m * flow_factor * (1.0 + 3.0 * slip_gain)
@@ -183,66 +172,6 @@ def measured_film_rate_m_s(film_m: float, piston_pa: float, viscosity: float, la
     """Return the rate of the film [m/s] when only the piston pressure is known: closed above the touch point."""
     applied_pa = applied_pressure_pa(piston_pa, law)
     return film_rate_m_s(film_m, applied_pa, viscosity, applied_pa > 0.0, law)
-
-
-class FilmPoint(NamedTuple):
-    """What a film of some thickness answers to any pressure, and one that is a step thicker: for its slope."""
-
-    film_m: float
-    contact_pa: float
-    mobility_m: float
-    step_m: float
-    thicker_contact_pa: float
-    thicker_mobility_m: float
-
-
-@kernel
-def film_point(film_m: float, law: FilmLaw) -> FilmPoint:
-    """Return contact and mobility of a film, and of one a ten thousandth thicker.
-
-    The step is so small that a few terms of a series give what follows the step as exactly as `contact_pressure_pa`
-    and `film_mobility_m` would, which take most of the time of following a film.
-    """
-    ratio = film_m / law.roughness_m
-    step = _SLOPE_STEP * ratio
-    obstruction, gap_slope = math.exp(_FLOW_RATE * ratio), 0.5 * (1.0 + math.erf(ratio * math.sqrt(0.5)))
-    fall, density = _FLOW_RATE * step, math.exp(-0.5 * ratio * ratio) / math.sqrt(2.0 * math.pi)
-    thicker_obstruction = obstruction * (1.0 + fall * (1.0 + 0.5 * fall * (1.0 + _THIRD * fall)))
-    rise = step * (1.0 - 0.5 * step * (ratio - _THIRD * step * (ratio * ratio - 1.0)))  # of a normal distribution
-    thicker_m = film_m + _SLOPE_STEP * film_m
-    contact_pa, overlap = contact_pressure_pa(film_m, law), _CONTACT_END - ratio
-    if overlap > _SERIES_SPAN * step:
-        lost, (p1, p2, p3, p4) = step / overlap, _POWER_SERIES
-        thicker_contact_pa = contact_pa * (1.0 - lost * p1 * (1.0 - lost * p2 * (1.0 - lost * p3 * (1.0 - lost * p4))))
-    else:
-        thicker_contact_pa = contact_pressure_pa(thicker_m, law)
-    return FilmPoint(
-        film_m,
-        contact_pa,
-        _mobility_m(film_m, obstruction, gap_slope, law),
-        _SLOPE_STEP * film_m,
-        thicker_contact_pa,
-        _mobility_m(thicker_m, thicker_obstruction, gap_slope + density * rise, law),
-    )
-
-
-@kernel
-def point_rate_m_s(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw) -> float:
-    """Return `measured_film_rate_m_s` of a film whose contact and mobility are known already."""
-    applied_pa = applied_pressure_pa(piston_pa, law)
-    if applied_pa <= 0.0:
-        return _opening_m_s(point.film_m, law)
-    return _closed_rate_m_s(point.film_m, point.contact_pa, point.mobility_m, applied_pa, viscosity, law)
-
-
-@kernel
-def point_slope_1_s(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw) -> float:
-    """Return how much faster a thicker film moves, per thickness [1/s]."""
-    thicker = FilmPoint(
-        point.film_m + point.step_m, point.thicker_contact_pa, point.thicker_mobility_m, point.step_m, 0.0, 0.0
-    )
-    rate_m_s = point_rate_m_s(point, piston_pa, viscosity, law)
-    return (point_rate_m_s(thicker, piston_pa, viscosity, law) - rate_m_s) / point.step_m
 
 
 @kernel

@@ -11,15 +11,12 @@ from canlog.jit import array_kernel, inlined_kernel
 from clutch_model.calibration import Calibration
 from clutch_model.film import (
     FilmLaw,
-    FilmPoint,
     applied_pressure_pa,
     equilibrium_film_m,
     film_law,
-    film_point,
-    point_rate_m_s,
-    point_slope_1_s,
     shear_factor_difference,
 )
+from clutch_model.film_points import FilmPoint, film_point, point_rate_m_s, point_slope_1_s
 from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.film_track import COARSE, PressureDrive, open_and_whole_nm
@@ -126,8 +123,8 @@ def _follow(moved: _Moved, law: FilmLaw, oil: _Oil, by: FloatArray, answers: _An
     count, k = len(moved.piston_pa), 0
     while k < count:
         viscosity = viscosity_pa_s(moved.clutch_k[k], oil.a_pa_s, oil.b_k, oil.pole_k)
-        points = min(COARSE, count - 1 - k)
-        if points > 1 and not _is_quiet(moved, k, points, point, viscosity, law):
+        fluidity, points = 1.0 / viscosity, min(COARSE, count - 1 - k)
+        if points > 1 and not _is_quiet(moved, k, points, point, fluidity, law):
             points = 1
         following = k + max(points, 1)
         if following > answers.first:
@@ -137,17 +134,17 @@ def _follow(moved: _Moved, law: FilmLaw, oil: _Oil, by: FloatArray, answers: _An
                     by_contact = answers.lever_m3[row] * answers.contact[cause]
                     answers.torque_nm[row, cause] = by_contact + answers.viscous[cause]
         if points > 0:
-            later_m = _step(moved, k, points, point, viscosity, law, by)
+            later_m = _step(moved, k, points, point, fluidity, law, by)
             if later_m != point.film_m:
                 point = film_point(later_m, law)
         k = following
 
 
 @inlined_kernel
-def _is_quiet(moved: _Moved, k: int, points: int, point: FilmPoint, viscosity: float, law: FilmLaw) -> bool:
+def _is_quiet(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float, law: FilmLaw) -> bool:
     """Return whether a film hardly changes over some points: then one step follows it."""
     driving_pa = 0.5 * (moved.piston_pa[k] + moved.piston_pa[k + points])
-    rate = point_rate_m_s(point, driving_pa, viscosity, law)
+    rate = point_rate_m_s(point, driving_pa, fluidity, law)
     return abs(rate) * points * GRID_S < _QUIET * point.film_m
 
 
@@ -173,9 +170,7 @@ def _answer(
 
 
 @inlined_kernel
-def _step(
-    moved: _Moved, k: int, points: int, point: FilmPoint, viscosity: float, law: FilmLaw, by: FloatArray
-) -> float:
+def _step(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float, law: FilmLaw, by: FloatArray) -> float:
     """Return the film some points later [m], and set its derivatives: the same rule, linearised."""
     film_m = point.film_m
     before_pa, after_pa, step_s = moved.piston_pa[k], moved.piston_pa[k + points], points * GRID_S
@@ -183,14 +178,14 @@ def _step(
     if film_m >= law.open_gap_m and applied_pressure_pa(driving_pa, law) <= 0.0:
         by[:] = 0.0  # an open pack stays open
         return film_m
-    rate = point_rate_m_s(point, driving_pa, viscosity, law)
-    reach = min(point_slope_1_s(point, driving_pa, viscosity, law) * step_s, _MOST_REACH)
+    rate = point_rate_m_s(point, driving_pa, fluidity, law)
+    reach = min(point_slope_1_s(point, driving_pa, fluidity, law) * step_s, _MOST_REACH)
     stretch = step_s if abs(reach) < 1e-6 else step_s * (math.exp(reach) - 1.0) / reach
     later_m = film_m + rate * stretch
     if later_m < law.min_film_m or later_m > law.open_gap_m:
         by[:] = 0.0
         return min(max(later_m, law.min_film_m), law.open_gap_m)
-    pushed = point_rate_m_s(point, driving_pa + _PRESSURE_STEP_PA, viscosity, law)
+    pushed = point_rate_m_s(point, driving_pa + _PRESSURE_STEP_PA, fluidity, law)
     by_pa = (pushed - rate) / _PRESSURE_STEP_PA  # zero where separators, not the piston, move the pack
     kept = math.exp(reach)
     for j in range(len(by)):

@@ -11,17 +11,14 @@ from canlog.jit import array_kernel, kernel
 from clutch_model.calibration import Calibration
 from clutch_model.film import (
     FilmLaw,
-    FilmPoint,
     applied_pressure_pa,
     equilibrium_film_m,
     film_law,
-    film_point,
     piston_pressure_pa,
-    point_rate_m_s,
-    point_slope_1_s,
     shear_factor_difference,
     sheared_torque_nm,
 )
+from clutch_model.film_points import FilmPoint, film_point, point_rate_m_s, point_slope_1_s
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, kinetic_friction
 from clutch_model.thermal import clutch_heating_rate_k_s
 from clutch_model.viscosity import viscosity_pa_s
@@ -151,8 +148,9 @@ def compile_film(calibration: Calibration) -> None:
 @array_kernel
 def _integrate(driven: _Driven, law: FilmLaw, friction: FrictionLaw, heat: HeatLaw, rows: _Rows) -> float:
     piston_pa, slip_rad_s = driven.piston_pa, driven.slip_rad_s
+    per_roughness_1_m, per_step_1_s = 1.0 / law.roughness_m, 1.0 / driven.step_s
     film_m = equilibrium_film_m(applied_pressure_pa(piston_pa[0], law), law)
-    point, shear = film_point(film_m, law), shear_factor_difference(film_m / law.roughness_m)
+    point, shear = film_point(film_m, law), shear_factor_difference(film_m * per_roughness_1_m)
     clutch_k, film_rate_1_s = driven.start_k, 0.0
     for k in range(len(piston_pa)):
         rows.clutch_k[k] = clutch_k
@@ -174,10 +172,9 @@ def _integrate(driven: _Driven, law: FilmLaw, friction: FrictionLaw, heat: HeatL
         if k + 1 < len(piston_pa):
             driving_pa = 0.5 * (piston_pa[k] + piston_pa[k + 1])
             if film_m < law.open_gap_m or applied_pressure_pa(driving_pa, law) > 0.0:  # else an open pack stays open
-                before_m = film_m
-                film_m = _film_step(point, driving_pa, viscosity, law, driven.step_s)
-                film_rate_1_s = abs(film_m - before_m) / (before_m * driven.step_s)
-                point, shear = film_point(film_m, law), shear_factor_difference(film_m / law.roughness_m)
+                film_m = _film_step(point, driving_pa, 1.0 / viscosity, law, driven.step_s)
+                film_rate_1_s = abs(film_m - point.film_m) * (point.per_film_1_m * per_step_1_s)
+                point, shear = film_point(film_m, law), shear_factor_difference(film_m * per_roughness_1_m)
     return clutch_k
 
 
@@ -206,13 +203,13 @@ def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw
 def _openness(film_m: float, law: FilmLaw) -> float:
     """Return how far a pack is open: 0 as long as asperities touch, 1 at its open gap."""
     touching_m = _CONTACT_END * law.roughness_m
-    return max(0.0, film_m - touching_m) / (law.open_gap_m - touching_m)
+    return max(0.0, film_m - touching_m) * (1.0 / (law.open_gap_m - touching_m))
 
 
 @kernel
-def _film_step(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw, step_s: float) -> float:
+def _film_step(point: FilmPoint, piston_pa: float, fluidity: float, law: FilmLaw, step_s: float) -> float:
     """Return the film one step later by the exponential Rosenbrock-Euler rule, exact for a linear rate."""
-    reach = point_slope_1_s(point, piston_pa, viscosity, law) * step_s
-    stretch = step_s if abs(reach) < 1e-6 else step_s * (math.exp(min(reach, 50.0)) - 1.0) / reach
-    later_m = point.film_m + point_rate_m_s(point, piston_pa, viscosity, law) * stretch
+    reach = point_slope_1_s(point, piston_pa, fluidity, law) * step_s
+    stretch = step_s if abs(reach) < 1e-6 else (math.exp(min(reach, 50.0)) - 1.0) * (step_s / reach)
+    later_m = point.film_m + point_rate_m_s(point, piston_pa, fluidity, law) * stretch
     return min(max(later_m, law.min_film_m), law.open_gap_m)
