@@ -122,11 +122,14 @@ class Estimator:
         if is_misfit or is_described_only:
             estimate = self._described(event, seen, state, seen.alone())
             return state, _rejected(estimate, Reason.MISFIT) if is_misfit else estimate
-        return self._judged(event, seen, judged.warmed(packs))
+        return self._judged(event, seen, state, judged.warmed(packs))
 
-    def _judged(self, event: Event, seen: _Seen, state: Posterior) -> tuple[Posterior, ShiftEstimate]:
+    def _judged(
+        self, event: Event, seen: _Seen, earlier: Posterior, state: Posterior
+    ) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after an event, and its estimate: used or left out, and why."""
-        before = self._unknown_friction(state.others, seen.clutch)
+        is_rest_same = state.base is earlier.base and state.is_used[:-1] == earlier.is_used
+        before = self._unknown_friction(earlier.known if is_rest_same else state.others, seen.clutch)
         alone = fuse(before, seen.evidence)
         estimate = self._described(event, seen, state, alone)
         if state.is_used[-1]:

@@ -143,7 +143,7 @@ class Knowledge:
 
     def std(self) -> FloatArray:
         """Return the standard deviations, shape (PARAMETER_COUNT,)."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
+        return np.sqrt(self.covariance.diagonal())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -42,11 +42,11 @@ def zeros_seen(signals: AlignedSignals, calibration: Calibration) -> Evidence:
     variance_pa2 = calibration.noise.pressure_pa**2
     rows, zeros_pa, of_mean_pa2 = [], [], []
     for m, pressure in enumerate(signals.pressure):
-        early = pressure.value[: pressure.times_s.searchsorted(signals.grid_s[0] + EMPTY_S)]
-        if len(early) < 3 or early.max() > EMPTY_PA:
+        early = pressure.value[: pressure.times_s.searchsorted(signals.grid_s[0] + EMPTY_S)].tolist()
+        if len(early) < 3 or max(early) > EMPTY_PA:
             continue
         rows.append(State.ZERO1 + m)
-        zeros_pa.append(float(early.mean()))
+        zeros_pa.append(sum(early) / len(early))
         of_mean_pa2.append(variance_pa2 / len(early))
     return Evidence.of_readings(rows, zeros_pa, of_mean_pa2)
 
