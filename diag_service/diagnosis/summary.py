@@ -99,13 +99,15 @@ class ShiftStatistics:
     def with_shift(self, result: ShiftResult, *, is_new: bool) -> Self:
         """Return the statistics with another shift in them."""
         estimate, status = result.estimate, result.estimate.status.value
-        by_reason = Counter(self.by_reason)
-        by_reason.update(reason.value for reason in estimate.reasons)
+        by_reason = self.by_reason
+        if estimate.reasons:
+            added = Counter(reason.value for reason in estimate.reasons)
+            by_reason = dict(sorted((added + Counter(by_reason)).items()))
         key = estimate.clutch, status
         return replace(
             self,
             by_status={**self.by_status, status: self.by_status[status] + 1},
-            by_reason=dict(sorted(by_reason.items())),
+            by_reason=by_reason,
             by_clutch={**self.by_clutch, key: self.by_clutch.get(key, 0) + 1},
             stored_count=self.stored_count + is_new,
             known_count=self.known_count + (not is_new),

@@ -65,7 +65,7 @@ class _Pair(NamedTuple):
 def friction(state: Posterior, clutch: int) -> FrictionEstimate:
     """Return the friction of clutch 1 or 2 as now estimated."""
     known, gain = state.known, state.torque_gain + float(state.known.mean[_GAIN])
-    pair, free = _Pair.of(known, clutch, _GAIN, 1.0 / gain, -1.0 / gain**2), scale_free(state, clutch)
+    pair, free = _Pair.of(known, clutch, _GAIN, 1.0 / gain, -1.0 / gain**2), _without_scale(state, clutch)
     width = state.stribeck_speed_rad_s[clutch - 1] * (1.0 + float(known.mean[_WIDTH]))
     difference = NormalDist(pair.mu_c - pair.mu_s, math.sqrt(pair.variance_c + pair.variance_s - 2.0 * pair.covariance))
     return FrictionEstimate(
@@ -74,8 +74,8 @@ def friction(state: Posterior, clutch: int) -> FrictionEstimate:
         std_mu_c=math.sqrt(pair.variance_c),
         std_mu_s=math.sqrt(pair.variance_s),
         correlation=pair.correlation,
-        random_std_mu_c=pair.mu_c * free.std_mu_c / free.mu_c,
-        random_std_mu_s=pair.mu_s * free.std_mu_s / free.mu_s,
+        random_std_mu_c=pair.mu_c * math.sqrt(free.variance_c) / free.mu_c,
+        random_std_mu_s=pair.mu_s * math.sqrt(free.variance_s) / free.mu_s,
         slope_s_rad=difference.mean / width,
         std_slope_s_rad=difference.stdev / width,
         probability_negative_slope=difference.cdf(0.0),
@@ -87,8 +87,7 @@ def scale_free(state: Posterior, clutch: int) -> ScaleFreeFriction:
 
     The area counts as a ratio to what the calibration says.
     """
-    area = _AREAS[clutch - 1]
-    pair = _Pair.of(state.known, clutch, area, 1.0 + float(state.known.mean[area]), 1.0)
+    pair = _without_scale(state, clutch)
     return ScaleFreeFriction(
         mu_c=pair.mu_c,
         mu_s=pair.mu_s,
@@ -96,6 +95,11 @@ def scale_free(state: Posterior, clutch: int) -> ScaleFreeFriction:
         std_mu_s=math.sqrt(pair.variance_s),
         correlation=pair.correlation,
     )
+
+
+def _without_scale(state: Posterior, clutch: int) -> _Pair:
+    area = _AREAS[clutch - 1]
+    return _Pair.of(state.known, clutch, area, 1.0 + float(state.known.mean[area]), 1.0)
 
 
 def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalDist:
