@@ -6,6 +6,8 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from canlog.jit import kernel
+
 Gear = TypeVar("Gear", int, npt.NDArray[np.int64], npt.NDArray[np.float64])
 T = TypeVar("T")
 
@@ -16,6 +18,9 @@ def clutch_of_gear(gear: Gear) -> Gear:
     Neutral (0) counts as even: something has to be said of it, and nothing that matters depends on it.
     """
     return 1 + (gear - 1) % 2
+
+
+gear_clutch = kernel(clutch_of_gear)  # the same, for other kernels
 
 
 def both_clutches(values: Iterable[T]) -> tuple[T, T]:

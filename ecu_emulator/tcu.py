@@ -10,20 +10,17 @@ import numpy as np
 import numpy.typing as npt
 
 from canlog.jit import array_kernel, kernel
-from clutch_model.gears import clutch_of_gear
+from clutch_model.gears import gear_clutch
 from ecu_emulator import tcu_data as at
 from ecu_emulator.tcu_data import ClutchActuation, ControlParameters
 
 FloatArray = npt.NDArray[np.float64]
 
 
-_clutch_of_gear = kernel(clutch_of_gear)
-
-
 @kernel
 def clutch_of(gear: int) -> int:
     """Return the index of the clutch that carries a gear: 0 for clutch 1."""
-    return _clutch_of_gear(gear) - 1
+    return gear_clutch(gear) - 1
 
 
 @array_kernel

@@ -13,9 +13,9 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
-from canlog.jit import array_kernel, inlined_kernel, kernel
+from canlog.jit import array_kernel, inlined_kernel
 from clutch_model.calibration import Calibration
-from clutch_model.gears import clutch_of_gear
+from clutch_model.gears import clutch_of_gear, gear_clutch
 from diag_service.diagnosis.columns import DriveState, Signal
 from diag_service.diagnosis.shifts.history import History
 from diag_service.diagnosis.shifts.tracking import compile_now, hold
@@ -49,7 +49,6 @@ class Grip(IntEnum):
 
 _OPEN, _LOCKED, _SLIPPING = (int(one) for one in Grip)  # compiled functions know no enumerations
 _CREEPING: Final = int(DriveState.CREEPING)
-_clutch_of_gear = kernel(clutch_of_gear)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +162,7 @@ def find_changes(
     count = 0
     for place in range(len(engine_rad_s)):
         gear = 0 if np.isnan(held[_GEAR_ROW, place]) else int(held[_GEAR_ROW, place])
-        own = _clutch_of_gear(gear) - 1
+        own = gear_clutch(gear) - 1
         any_grip, gear_grip = _OPEN, _OPEN
         for clutch in range(2):
             if held[_LOADS_ROW + clutch, place] > above[clutch] and (clutch == own or not are_shared):
