@@ -20,6 +20,7 @@ STEP_COST: Final = 55.0  # more than two events that are left out, less than thr
 SMALL_STEP_COST: Final = 24.0  # of a change for which none is left out: by chance two numbers more save 24 in 6e-6
 STEP_COUNT: Final = 3  # of the newest events of a clutch, which agree that it has changed
 STEP_COUNTS: Final = (3, 4)  # of events since a change that is too small for any of them to be left out
+_PRIOR: Final = np.eye(2) / FRICTION_PRIOR_STD**2  # information on a step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,8 +85,9 @@ def saved_by_step(known: Knowledge, since: Evidence, clutch: int) -> float:
     rows = friction_rows(clutch)
     by_step = since.matrix[rows]
     gradient = since.vector[rows] - by_step @ known.mean
-    curvature = by_step[:, rows] - by_step @ known.covariance @ by_step.T + np.eye(2) / FRICTION_PRIOR_STD**2
-    return float(gradient @ np.linalg.solve(curvature, gradient))
+    (a, b), (c, d) = (by_step[:, rows] - by_step @ known.covariance @ by_step.T + _PRIOR).tolist()
+    first, second = gradient.tolist()
+    return float((d * first**2 - (b + c) * first * second + a * second**2) / (a * d - b * c))
 
 
 def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int, step_cost: float) -> Judgement:
