@@ -13,7 +13,8 @@ from diag_service.diagnosis.results import StoredResult
 from diag_service.store import ResultStore
 from fleet_contract import Outgoing, bundle_messages, raw_shift_message
 
-_MOST_BROKEN: Final = 3  # connections in a row that no bundle survived; then the outbox sends no more of them
+_MOST_BROKEN: Final = 3  # connections in a row that no bundle survived
+_WITHOUT: Final = 10  # connections after these, on which none is sent
 _LOG = logging.getLogger(__name__)
 
 
@@ -27,17 +28,22 @@ class Bundling:
         self._is_proven = False  # over this connection: some arrived
         self._has_failed = False  # over this connection
         self._broken_count = 0  # connections in a row
+        self._without_count = 0  # connections yet to come without bundles
         self._in_flight: set[int] = set()  # positions that went in bundles
 
     def begin(self) -> None:
         """Begin with a new connection; reads the store."""
         self._is_taken = self._is_allowed and self._store.takes_bundles()
-        self._is_proven = self._has_failed = False
+        self._is_proven = False
+        if self._broken_count >= _MOST_BROKEN:
+            self._broken_count, self._without_count = 0, _WITHOUT
+        self._has_failed = self._without_count > 0
+        self._without_count -= self._has_failed
         self._in_flight.clear()
 
     def packed(self, groups: Iterable[Sequence[StoredResult]]) -> list[Outgoing]:
         """Return the messages of results; those of one group may travel together."""
-        is_on = self._is_taken and not self._has_failed and self._broken_count < _MOST_BROKEN
+        is_on = self._is_taken and not self._has_failed
         messages: list[Outgoing] = []
         for group in groups:
             alone = [raw_shift_message(row.key, row.produced_at, row.text) for row in group]
