@@ -19,6 +19,7 @@ from diag_service.diagnosis.friction.parameters import (
     State,
     friction_rows,
 )
+from diag_service.diagnosis.quality.averages import mean
 
 WORKING_K: Final = 353.15  # of a pack: from there on the film is as believed
 COLD_SPAN_K: Final = 60.0  # below that temperature, where the deviations are as large as these:
@@ -50,7 +51,7 @@ _COLD_VARIANCE: Final = _cold_variance()
 
 def own_variance(balance: Balance, clutch: int) -> FloatArray:
     """Return how far the parameters of one event may be from those of the vehicle, shape (PARAMETER_COUNT,)."""
-    pack_k = float(balance.tracks[clutch - 1].clutch_k[balance.window.slip_rows].mean())
+    pack_k = mean(balance.tracks[clutch - 1].clutch_k[balance.window.slip_rows])
     variance = _COLD_VARIANCE * max(0.0, (WORKING_K - pack_k) / COLD_SPAN_K) ** 2
     variance[STATE_COUNT + Considered.OPEN_DRAG] += OPEN_DRAG_SPEED_LOG**2
     variance[:FRICTION_COUNT] = (FRICTION_RATIO * balance.at[:FRICTION_COUNT]) ** 2

@@ -30,6 +30,7 @@ from diag_service.diagnosis.friction.preparation import PackTemperatures, measur
 from diag_service.diagnosis.friction.selection import compile_selection
 from diag_service.diagnosis.friction.sensitivity import compile_sensitivity, measured
 from diag_service.diagnosis.friction.window import SlipWindow, compile_window, on_other_grid, spans_of
+from diag_service.diagnosis.quality.averages import mean
 from diag_service.diagnosis.quality.plausibility import (
     PressureZeros,
     SlippingClutch,
@@ -306,4 +307,4 @@ def without_friction(event: Event, status: Status, *reasons: Reason) -> ShiftEst
 
 def _mean(event: Event, signal: Signal) -> float | None:
     series = event.columns.get(signal)
-    return float(np.mean(series.value)) if series is not None and len(series.value) else None
+    return mean(series.value) if series is not None and len(series.value) else None

@@ -94,7 +94,7 @@ class Evidence:
 
     def about(self, rows: slice) -> Self:
         """Return the same of those parameters only that it says anything about."""
-        return replace(self, matrix=self.matrix[rows, rows], vector=self.vector[rows])
+        return replace(self, matrix=self.matrix[rows, rows].copy(), vector=self.vector[rows])
 
     def plus(self, other: Self, sign: float = 1.0) -> Self:
         """Return what both say; with a ``sign`` of -1 what is left without the other."""
@@ -139,7 +139,7 @@ class Knowledge:
 
     def about(self, rows: slice) -> Self:
         """Return what is known of some parameters."""
-        return type(self)(mean=self.mean[rows], covariance=self.covariance[rows, rows])
+        return type(self)(mean=self.mean[rows], covariance=self.covariance[rows, rows].copy())
 
     def std(self) -> FloatArray:
         """Return the standard deviations, shape (PARAMETER_COUNT,)."""
