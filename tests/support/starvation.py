@@ -96,6 +96,19 @@ def is_starved(shift: Record, found: Sequence[tuple[int, int]]) -> bool:
     return any(before_ns < end_ns and after_ns > begin_ns for before_ns, after_ns in found)
 
 
+def without_cut_parts(shifts: Sequence[Record], found: Sequence[tuple[int, int]]) -> list[Record]:
+    """Return one result for each shift: where the sender fell a second behind, one is cut, and its last part counts."""
+    parts = [
+        is_starved(one, found) and one["reasons"] == ["interrupted"] and _gears(one) == _gears(following)
+        for one, following in pairwise(shifts)
+    ]
+    return [one for one, is_part in zip(shifts, [*parts, False], strict=True) if not is_part]
+
+
+def _gears(shift: Record) -> tuple[object, object]:
+    return shift["from_gear"], shift["to_gear"]
+
+
 def _ns(stamp: str) -> int:
     seconds, _, fraction = stamp.strip("()").partition(".")
     return int(seconds) * NS_PER_S + int(fraction.ljust(9, "0"))

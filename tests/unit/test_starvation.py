@@ -7,7 +7,15 @@ from typing import Self
 import pytest
 
 from tests.support import starvation
-from tests.support.starvation import StarvationWatch, again_if_starved, is_starved, stalls, undisturbed
+from tests.support.starvation import (
+    NS_PER_S,
+    StarvationWatch,
+    again_if_starved,
+    is_starved,
+    stalls,
+    undisturbed,
+    without_cut_parts,
+)
 
 BEAT = f"{starvation.BEAT_ID}#00"
 
@@ -83,3 +91,14 @@ def test_a_pause_of_the_sender_is_a_stall_and_a_strangers_frames_hide_none(tmp_p
     assert found == [(10_010_000_000, 10_100_000_000)]
     assert is_starved({"start_bus_ns": 10_300_000_000, "end_bus_ns": 10_900_000_000}, found)
     assert not is_starved({"start_bus_ns": 10_700_000_000, "end_bus_ns": 10_900_000_000}, found)
+
+
+def test_of_a_shift_that_is_cut_in_two_the_last_part_counts() -> None:
+    first, second, third = (
+        {"from_gear": 1, "to_gear": 2, "start_bus_ns": 0, "end_bus_ns": NS_PER_S, "reasons": ["interrupted"]},
+        {"from_gear": 1, "to_gear": 2, "start_bus_ns": 3 * NS_PER_S, "end_bus_ns": 4 * NS_PER_S, "reasons": []},
+        {"from_gear": 2, "to_gear": 3, "start_bus_ns": 9 * NS_PER_S, "end_bus_ns": 10 * NS_PER_S, "reasons": []},
+    )
+    assert without_cut_parts([first, second, third], [(NS_PER_S, 3 * NS_PER_S)]) == [second, third]
+    assert without_cut_parts([first, second, third], []) == [first, second, third]
+    assert without_cut_parts([second, third], [(4 * NS_PER_S, 9 * NS_PER_S)]) == [second, third]
