@@ -49,6 +49,10 @@ class Resampled:
         _resample(times_s, value, grid_s, left, share, on_grid)
         return cls(times_s=times_s, value=value, left=left, share=share, on_grid=on_grid)
 
+    def is_sampled_with(self, other: "Resampled") -> bool:
+        """Return whether both were sampled at the same instants, as signals of one message are."""
+        return np.array_equal(self.times_s, other.times_s)
+
     def to_samples(self, weights: FloatArray, rows: slice) -> FloatArray:
         """Return the weight of each sample, shape (k, n), in k weighted sums over rows of the grid, (k, len(rows)).
 

@@ -17,7 +17,7 @@ from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration, InputSide
 from clutch_model.friction import FrictionLaw, friction_law
 from clutch_model.gears import both_clutches
-from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
+from diag_service.diagnosis.alignment import GRID_S, AlignedSignals, Resampled
 from diag_service.diagnosis.friction.balance import (
     Balance,
     Torques,
@@ -68,15 +68,28 @@ class _Spread:
     engine_rate: Blocks
     hub_value: Blocks
     hub_rate: Blocks
+    input_value: tuple[Blocks, Blocks]
+    pressure_value: tuple[Blocks, Blocks]
 
     @classmethod
     def of(cls, signals: AlignedSignals, weights: Weights) -> Self:
-        """Return those of a window's test functions."""
+        """Return those of a window's test functions; signals of one message share theirs."""
+        found: list[tuple[Resampled, Blocks]] = []
+
+        def value(signal: Resampled) -> Blocks:
+            for other, blocks in found:
+                if signal.is_sampled_with(other):
+                    return blocks
+            found.append((signal, weights.value.on_samples(signal)))
+            return found[-1][1]
+
         return cls(
-            torque_value=weights.value.on_samples(signals.engine_torque),
+            torque_value=value(signals.engine_torque),
             engine_rate=weights.rate.on_samples(signals.engine_speed),
-            hub_value=weights.value.on_samples(signals.hub_speed),
+            hub_value=value(signals.hub_speed),
             hub_rate=weights.rate.on_samples(signals.hub_speed),
+            input_value=both_clutches(value(one) for one in signals.input_speed),
+            pressure_value=both_clutches(value(one) for one in signals.pressure),
         )
 
     def hub(self, side: InputSide) -> Blocks:
@@ -223,36 +236,42 @@ class Sensitivity:
             + (sensors.engine_speed_rad_s * gain * side.engine_inertia_kg_m2) ** 2 * engine @ engine.T
             for torque, engine in zip(self._spread.torque_value, self._spread.engine_rate, strict=True)
         ]
-        by_hub_nms = np.zeros(weights.rows.stop - weights.rows.start)
-        for m in range(2):
-            by_hub_nms += self._add_clutch_noise(noises, m)
+        self._add_clutch_noise(noises)
+        self._add_doubt(noises)
+        by_hub_nms = self._answers[0].by_slip_nms + self._answers[1].by_slip_nms
         around = weights.value.around_samples(by_hub_nms, signals.hub_speed)
         for place, hub in enumerate(self._spread.hub(side)):
             by_hub = gain * hub - self._spread.hub_value[place] * around[place]
             noises[place] += sensors.hub_speed_rad_s**2 * by_hub @ by_hub.T
         return noises
 
-    def _add_clutch_noise(self, noises: list[FloatArray], m: int) -> FloatArray:
-        """Add the noise that comes with the torque of clutch ``m + 1``; return what its torque answers to its slip."""
-        balance, calibration = self._balance, self._balance.calibration
-        value, answers = balance.weights.value, self._answers[m]
-        speed, pressure = balance.signals.input_speed[m], balance.signals.pressure[m]
-        for std, by, signal in (
-            (calibration.noise.input_speed_rad_s, answers.by_slip_nms, speed),
-            (calibration.noise.pressure_pa, answers.by_pressure_m3, pressure),
-        ):
-            if by.any():
-                means = value.around_samples(by, signal)
-                for place, weight in enumerate(value.on_samples(signal)):
-                    noises[place] += std**2 * (weight * means[place]) @ (weight * means[place]).T
-        doubt_nm = answers.doubt_nm * calibration.bias.torque_gain * math.sqrt(DOUBT_TIME_S * DOUBT_STEP / GRID_S)
-        opened_nms = OPEN_DOUBT_RATIO * calibration.bias.torque_gain * self._nominal[m].opened
-        for place, (block, rows_of_piece) in enumerate(zip(value.blocks, value.places, strict=True)):
-            opened = opened_nms[value.bands[place]]
-            noises[place] += np.outer(opened, opened)
+    def _add_clutch_noise(self, noises: list[FloatArray]) -> None:
+        """Add the noise of input speeds and pressures, that of samples with the same weights as one."""
+        signals, sensors, spread = self._balance.signals, self._balance.calibration.noise, self._spread
+        value, of_blocks = self._balance.weights.value, dict[int, tuple[Blocks, list[Blocks]]]()
+        for m, answers in enumerate(self._answers):
+            for std, by, signal, blocks in (
+                (sensors.input_speed_rad_s, answers.by_slip_nms, signals.input_speed[m], spread.input_value[m]),
+                (sensors.pressure_pa, answers.by_pressure_m3, signals.pressure[m], spread.pressure_value[m]),
+            ):
+                if by.any():
+                    squares = tuple((std * means) ** 2 for means in value.around_samples(by, signal))
+                    of_blocks.setdefault(id(blocks), (blocks, []))[1].append(squares)
+        for blocks, variances in of_blocks.values():
+            for place, weight in enumerate(blocks):
+                scaled = weight * np.sqrt(np.sum([squares[place] for squares in variances], axis=0))
+                noises[place] += scaled @ scaled.T
+
+    def _add_doubt(self, noises: list[FloatArray]) -> None:
+        """Add what no law of friction, film and drag holds, wrong one way for a while."""
+        balance = self._balance
+        value, gain = balance.weights.value, balance.calibration.bias.torque_gain
+        doubt_nm = np.hypot(*(answers.doubt_nm for answers in self._answers))
+        doubt_nm *= gain * math.sqrt(DOUBT_TIME_S * DOUBT_STEP / GRID_S)
+        opened_nms = OPEN_DOUBT_RATIO * gain * np.stack([own.opened for own in self._nominal], axis=1)
+        for place, (rows_of_piece, band, block) in enumerate(zip(value.places, value.bands, value.blocks, strict=True)):
             doubt = block[:, ::DOUBT_STEP] * doubt_nm[rows_of_piece][::DOUBT_STEP]
-            noises[place] += doubt @ doubt.T
-        return answers.by_slip_nms
+            noises[place] += doubt @ doubt.T + opened_nms[band] @ opened_nms[band].T
 
 
 def _trace(one: FloatArray, other: FloatArray) -> float:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -210,8 +210,8 @@ class Functions:
     @property
     def bands(self) -> tuple[slice, ...]:
         """The functions of each piece among all of them."""
-        ends = np.cumsum([len(block) for block in self.blocks]).tolist()
-        return tuple(slice(first, end) for first, end in zip([0, *ends[:-1]], ends, strict=True))
+        ends = accumulate((len(block) for block in self.blocks), initial=0)
+        return tuple(slice(first, end) for first, end in pairwise(ends))
 
     def __matmul__(self, values: FloatArray) -> FloatArray:
         """Return the sums of values weighted with each function; ``values`` has shape (len(rows), ...)."""
