@@ -44,7 +44,7 @@ FROM vehicle AS v
 # A block has the 1024 positions of whereabouts.BLOCK, which can change with the tables and views only.
 # Runs of verdicts that say change_fluid, from those blocks alone that hold such a verdict, and from those behind them
 # up to one that certainly holds another: in which there is one version of each result, and none that was replaced.
-_CLUTCH_ALARM: Final = """
+CLUTCH_ALARM: Final = """
 CREATE OR REPLACE VIEW clutch_alarm AS
 WITH blocks AS (
   SELECT b.vehicle, b.clutch, b.stream, b.block, bool_or(b.condition = 'change_fluid') AS is_alarming,
@@ -135,5 +135,5 @@ def upgrade() -> None:
     # clutch_stream has the same: once for a stream, where each result took a look at its clutch and a lock of it.
     (key,) = inspect(connection).get_foreign_keys("shift_result")
     connection.exec_driver_sql(f"ALTER TABLE shift_result DROP CONSTRAINT {key['name']}")
-    for view in (_RUNNING_CONDITION, _LAST_SEEN, _CLUTCH_ALARM):
+    for view in (_RUNNING_CONDITION, _LAST_SEEN, CLUTCH_ALARM):
         connection.exec_driver_sql(view)
