@@ -1,5 +1,6 @@
 """One shift in, one friction estimate and a new running state out."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +28,7 @@ from diag_service.diagnosis.friction.parameters import (
 )
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.preparation import PackTemperatures, measured_drives, slip_window, zeros_seen
-from diag_service.diagnosis.friction.selection import compile_selection
+from diag_service.diagnosis.friction.selection import compile_selection, omission_cost
 from diag_service.diagnosis.friction.sensitivity import compile_sensitivity, measured
 from diag_service.diagnosis.friction.window import SlipWindow, compile_window, on_other_grid, spans_of
 from diag_service.diagnosis.quality.averages import mean
@@ -116,21 +117,19 @@ class Estimator:
         )
         if faults := plausibility_faults(event, first.balance.signals, slipping):
             return state, without_friction(event, Status.REJECTED, *faults)
-        seen, judged = self._settled(samples, state, first)
+        seen, room, judged = self._settled(samples, state, first)
         packs = PackTemperatures(clutch_k=seen.balance.final_clutch_k, at_ns=event.end_ns)
-        state = state.warmed(packs)
         is_misfit = _is_misfit(self._type, fuse(self._type, seen.evidence), seen.evidence.count)
         if is_misfit or is_described_only:
+            state = state.warmed(packs)
             estimate = self._described(event, seen, state, seen.alone())
             return state, _rejected(estimate, Reason.MISFIT) if is_misfit else estimate
-        return self._judged(event, seen, state, judged.warmed(packs))
+        return self._judged(event, seen, room, judged.warmed(packs))
 
-    def _judged(
-        self, event: Event, seen: _Seen, earlier: Posterior, state: Posterior
-    ) -> tuple[Posterior, ShiftEstimate]:
+    def _judged(self, event: Event, seen: _Seen, room: Posterior, state: Posterior) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after an event, and its estimate: used or left out, and why."""
-        is_rest_same = state.base is earlier.base and state.is_used[:-1] == earlier.is_used
-        before = self._unknown_friction(earlier.known if is_rest_same else state.others, seen.clutch)
+        others = room.known if state.believes_as(room) else state.others
+        before = self._unknown_friction(others, seen.clutch)
         alone = fuse(before, seen.evidence)
         estimate = self._described(event, seen, state, alone)
         if state.is_used[-1]:
@@ -151,15 +150,38 @@ class Estimator:
         covariance[rows, rows] = np.eye(2) * FRICTION_PRIOR_STD**2
         return Knowledge(mean=mean, covariance=covariance)
 
-    def _settled(self, samples: Samples, state: Posterior, seen: _Seen) -> tuple[_Seen, Posterior]:
-        """Return the event linearised where it and all that is believed meet, and what is known with it.
+    def _settled(self, samples: Samples, state: Posterior, first: _Seen) -> tuple[_Seen, Posterior, Posterior]:
+        """Return the event linearised where it and all that is believed meet, what is known without it, and with it.
 
-        One that does not belong is linearised where it alone would have it: it meets nothing.
+        The event is taken to belong with all that did until now, and only the end is judged: if that finds otherwise,
+        or the event costs more than leaving it out, each pass is. One that does not belong meets nothing, it is
+        linearised where it alone would have it.
         """
-        event = samples.event
-        at, judged = state.known.mean, state.with_event(_judged_event(event, seen))
+        event, room = samples.event, state.with_room()
+
+        def expected(seen: _Seen) -> Knowledge | None:
+            together = fuse(room.known, seen.evidence)
+            return together.knowledge if together.chi_square < omission_cost(seen.evidence) else None
+
+        def found(seen: _Seen) -> Knowledge:
+            judged = state.with_event(_judged_event(event, seen), room)
+            return judged.known if judged.is_used[-1] else seen.alone().knowledge
+
+        if (seen := self._met(samples, state, first, expected)) is not None:
+            judged = state.with_event(_judged_event(event, seen), room)
+            if judged.is_used[-1] and judged.believes_as(room):
+                return seen, room, judged
+        seen = self._met(samples, state, first, found) or first
+        return seen, room, state.with_event(_judged_event(event, seen), room)
+
+    def _met(
+        self, samples: Samples, state: Posterior, seen: _Seen, believed: Callable[[_Seen], Knowledge | None]
+    ) -> _Seen | None:
+        """Return the event linearised where it is ``believed`` to be, or None where that says nothing."""
         for _ in range(MAX_PASS_COUNT - 1):
-            after = judged.known if judged.is_used[-1] else seen.alone().knowledge
+            at, after = seen.balance.at, believed(seen)
+            if after is None:
+                return None
             step = after.mean - at
             if np.max(np.abs(step) / after.std().clip(min=1e-30)) < CONVERGED:
                 break
@@ -168,8 +190,8 @@ class Estimator:
             attempt = self._linearised(samples, state, at, seen, is_near=longest < NEAR_STEP)
             if not isinstance(attempt, _Seen):
                 break
-            seen, judged = attempt, state.with_event(_judged_event(event, attempt))
-        return seen, judged
+            seen = attempt
+        return seen
 
     def _zeros_of(self, empty: Evidence, known: Knowledge) -> FloatArray:
         """Return the zeros of both pressure sensors [Pa] as an event shows them; otherwise they are as known."""

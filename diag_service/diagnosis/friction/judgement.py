@@ -56,7 +56,7 @@ def judge(base: Knowledge, events: Sequence[JudgedEvent]) -> Judgement:
 
 def _believed(base: Knowledge, events: Sequence[JudgedEvent], selection: Selection) -> Judgement:
     """Return what a selection of the events and what was known before say together."""
-    fusion = fuse(base, _together(events, selection.is_used))
+    fusion = fuse(base, together(events, selection.is_used))
     return Judgement(fusion=fusion, is_used=selection.is_used, cost=selection.cost)
 
 
@@ -72,7 +72,7 @@ def _where_stepped(events: Sequence[JudgedEvent], best: Selection, known: Knowle
     for count in STEP_COUNTS:
         if len(rows) >= count:
             first = rows[-count]
-            since = _together(events[first:], best.is_used[first:])
+            since = together(events[first:], best.is_used[first:])
             if saved_by_step(known, since, clutch) > SMALL_STEP_COST:
                 yield first
 
@@ -94,7 +94,7 @@ def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int, ste
     """Return what is believed if the clutch of an event changed right before it."""
     older, newer = events[:first], events[first:]
     until = selected(base, [event.evidence for event in older])
-    before = fuse(base, _together(older, until.is_used)).knowledge
+    before = fuse(base, together(older, until.is_used)).knowledge
     known = after_change(before, newer[0].clutch)
     since = selected(known, [event.evidence for event in newer])
     return replace(
@@ -105,7 +105,7 @@ def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int, ste
     )
 
 
-def _together(events: Sequence[JudgedEvent], is_used: Sequence[bool]) -> Evidence:
+def together(events: Sequence[JudgedEvent], is_used: Sequence[bool]) -> Evidence:
     """Return what the events say that are used."""
     return Evidence.sum([event.evidence for event, used in zip(events, is_used, strict=False) if used])
 

@@ -15,7 +15,7 @@ from clutch_model.calibration import Calibration
 from clutch_model.gears import both_clutches, with_clutch
 from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT, SHAPES, Baseline
 from diag_service.diagnosis.friction.evidence import Evidence, Fusion, Knowledge, fuse
-from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, judge
+from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, judge, together
 from diag_service.diagnosis.friction.parameters import (
     PARAMETER_COUNT,
     STATE_COUNT,
@@ -24,6 +24,7 @@ from diag_service.diagnosis.friction.parameters import (
     prior_mean,
 )
 from diag_service.diagnosis.friction.preparation import PackTemperatures
+from diag_service.diagnosis.friction.selection import is_cheap
 from diag_service.diagnosis.plain_values import from_plain, to_plain
 from fleet_contract import JsonObject
 
@@ -87,9 +88,7 @@ class Posterior:
     @property
     def others(self) -> Knowledge:
         """What is known without the newest event."""
-        pairs = zip(self.recent[:-1], self.is_used, strict=False)
-        together = Evidence.sum([event.evidence for event, is_used in pairs if is_used])
-        return fuse(self.base, together).knowledge
+        return fuse(self.base, together(self.recent[:-1], self.is_used)).knowledge
 
     @property
     def shift_counts(self) -> tuple[int, int]:
@@ -101,14 +100,32 @@ class Posterior:
         """Return the same with the temperatures of both packs."""
         return replace(self, packs=packs)
 
-    def with_event(self, event: JudgedEvent) -> "Posterior":
-        """Return what is known after an event, which all recent ones are judged with."""
+    def with_event(self, event: JudgedEvent, room: "Posterior | None" = None) -> "Posterior":
+        """Return what is known after an event, which all recent ones are judged with.
+
+        ``room`` is what `with_room` returns, where that is known.
+        """
         recent = (*self.recent, event)
         judged = judge(self.base, recent)
         state = replace(self, recent=recent, is_used=judged.is_used, fusion=judged.fusion)
         if judged.first_changed is not None:
             return _changed(state, judged.first_changed)
-        return _folded(state, 1) if len(recent) > RECENT_COUNT else state
+        if len(recent) <= RECENT_COUNT:
+            return state
+        if room is None or judged.is_used[0] != self.is_used[0]:
+            room = _folded(state, 1)
+        state = _together(replace(room, recent=recent[1:], is_used=judged.is_used[1:]))
+        # Where all belong they do so beside an older base, too: it differs by the drift of one event.
+        is_sure = all(judged.is_used) and is_cheap(state.fusion.chi_square, [one.evidence for one in state.recent])
+        return state if is_sure else _judged(state)
+
+    def with_room(self) -> "Posterior":
+        """Return the same with room for one more event: of twelve the oldest is in the base, if it belongs as yet."""
+        return self if len(self.recent) < RECENT_COUNT else _together(_folded(self, 1))
+
+    def believes_as(self, room: "Posterior") -> bool:
+        """Return whether of all but the newest event the same is believed as in ``room``, which it was judged with."""
+        return self.base is room.base and self.is_used[:-1] == room.is_used
 
     def with_new_fluid(self) -> "Posterior":
         """Return the state after a fluid fill: friction is unknown again, and its baseline with it; the rest stays."""
@@ -170,6 +187,11 @@ class Posterior:
         )
 
 
+def _together(state: Posterior) -> Posterior:
+    """Return the state with what its base and those events say that are used."""
+    return replace(state, fusion=fuse(state.base, together(state.recent, state.is_used)))
+
+
 def _judged(state: Posterior) -> Posterior:
     judged = judge(state.base, state.recent)
     return replace(state, is_used=judged.is_used, fusion=judged.fusion)
@@ -184,7 +206,7 @@ def _changed(state: Posterior, first: int) -> Posterior:
 
 
 def _folded(state: Posterior, count: int) -> Posterior:
-    """Return the state with the oldest recent events in the base, as far as they belong."""
+    """Return the state with the oldest recent events in the base, as far as they belong; its fusion stays as it was."""
     base, counts, baselines = state.base, state.folded_counts, state.baselines
     for event, used in zip(state.recent[:count], state.is_used, strict=False):
         if not used:
@@ -199,8 +221,14 @@ def _folded(state: Posterior, count: int) -> Posterior:
         elif shift_count >= BASELINE_SHIFT_COUNT:
             baseline = Baseline.of(event.clutch, base, end_ns=event.end_ns, count=shift_count)
         baselines = with_clutch(baselines, event.clutch, baseline)
-    kept = replace(state, base=base, folded_counts=counts, baselines=baselines)
-    return _judged(replace(kept, recent=state.recent[count:]))
+    return replace(
+        state,
+        base=base,
+        recent=state.recent[count:],
+        is_used=state.is_used[count:],
+        folded_counts=counts,
+        baselines=baselines,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

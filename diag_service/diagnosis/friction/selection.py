@@ -32,11 +32,16 @@ def omission_cost(evidence: Evidence) -> float:
     return evidence.count + OMISSION_COST
 
 
+def is_cheap(cost: float, evidences: Sequence[Evidence]) -> bool:
+    """Return whether a selection costs so little that none is sought from the other end, with no event at first."""
+    return cost <= sum(one.count for one in evidences) + OMISSION_COST
+
+
 def selected(base: Knowledge, evidences: Sequence[Evidence]) -> Selection:
     """Return the events to believe, given what was known before them."""
     search = _search(base, evidences)
     found = _settled(search, np.ones(len(evidences), dtype=bool))
-    if found.cost <= sum(one.count for one in evidences) + OMISSION_COST:
+    if is_cheap(found.cost, evidences):
         return found
     return min(found, _settled(search, np.zeros(len(evidences), dtype=bool)), key=lambda one: one.cost)
 

@@ -64,6 +64,20 @@ def test_an_event_that_does_not_belong_leaves_no_trace() -> None:
     assert abs(state.known.mean[2] - 0.140) < 5.0 * STD
 
 
+def test_room_for_an_event_is_made_before_it_or_with_it() -> None:
+    """And an event that gives the oldest one away keeps it out of the base, whatever was believed before."""
+    rng, state = np.random.default_rng(1), Posterior.fresh(CALIBRATION)
+    for number in range(RECENT_COUNT):
+        state = state.with_event(event(number, 1 + number % 2, MU * (1.047 if number == 0 else 1.0), rng))
+    news, room = event(99, 1, MU, rng), state.with_room()
+    at_once, after = state.with_event(news), state.with_event(news, room)
+    assert (state.is_used[0], room.folded_counts, after.folded_counts) == (True, (1, 0), (0, 0))
+    assert at_once.to_json() == after.to_json()
+    assert not after.believes_as(room)
+    agreed = after.with_event(news, after.with_room())
+    assert agreed.to_json() == after.with_event(news).to_json()
+
+
 def test_a_change_begins_the_count_anew_and_keeps_the_rest() -> None:
     before = driven(20)
     state = driven(26, mu=lambda number: MU * (0.8 if number >= 20 and number % 2 else 1.0))
