@@ -12,11 +12,13 @@ each event of a public cycle, by its kind: mean and longest live update, each ev
     python -m benchmarks.estimator
     python -m benchmarks.estimator --before TREE
     python -m benchmarks.estimator --drive wltc
+    python -m benchmarks.estimator --drive wltc --before TREE
 
-``--before`` measures the same benchmark of an earlier checkout in turns with this one, each in a process of its own.
+``--before`` measures the same with an earlier checkout in turns with this one, each in a process of its own.
 """
 
 import argparse
+import json
 import math
 import os
 import re
@@ -24,23 +26,17 @@ import subprocess
 import sys
 import time
 import warnings
-from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks import timed_events
 from benchmarks.accuracy import to_batch
+from benchmarks.timed_events import Times, new_stages
 from canlog.frames import FrameBatch
-from clutch_model.calibration import nominal_calibration
-from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS
-from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import Posterior
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
 from ecu_emulator.drive_names import DriveName
 from ecu_emulator.recording import frames_of
@@ -59,13 +55,7 @@ LIVE_TARGET_S, LIVE_AIM_S = 0.050, 0.010
 FULL_TARGET_S, FULL_AIM_S = 0.100, 0.020
 PROCESS_VARIANCE, SAMPLE_VARIANCE = 1.8e7, 0.04  # q and r of the paper's filter; they do not change the time
 MS = 1e3
-
-
-def new_stages() -> Stages:
-    """Return all stages, before their first frame."""
-    calibration = nominal_calibration()
-    decoder = Decoder(load_contract(), load_profile())
-    return Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+HERE = Path(__file__).resolve().parents[1]
 
 
 def update_live(stages: Stages, events: Sequence[Event]) -> None:
@@ -131,36 +121,50 @@ def report(batch: FrameBatch) -> None:
     print(f"  filterpy over live update {peer_s / live_s:.1f}, over full solve {peer_s / full_s:.1f}")
 
 
-def report_events(name: DriveName) -> None:
-    """Measure each event of a drive, and print what each kind of them takes."""
-    frames, _ = frames_of(replace(load_scenario("ideal"), drive=name))
-    events = [*(stages := new_stages()).segment(to_batch(frames)), *stages.flush()]
-    update_live(new_stages(), events)
-    rounds_s = [event_times_s(events) for _ in range(ROUNDS)]
-    best_s: defaultdict[str, list[float]] = defaultdict(list)
-    for event, *times_s in zip(events, *rounds_s, strict=True):
-        for kind in (event.kind.value, "all"):
-            best_s[kind].append(min(times_s))
+def report_events(name: DriveName, before: Path | None) -> None:
+    """Measure each event of a drive, and print what each kind of them takes, also in an earlier checkout."""
+    trees = {"now": HERE} if before is None else {"before": before.resolve(), "now": HERE}
+    turns = {version: list[Times]() for version in trees}
+    for _ in range(1 if before is None else TURNS):
+        for version, tree in trees.items():
+            turns[version].append(events_times(tree, name))
+    found = {version: with_all(least(times)) for version, times in turns.items()}
     print(f"CPU time of the live update after each event of {name.value}")
-    for kind, times in sorted(best_s.items(), key=lambda one: max(one[1])):
-        print(
-            f"  {kind:20} {len(times):4} events, mean {np.mean(times) * MS:6.2f} ms, longest {max(times) * MS:6.2f} ms"
-        )
+    for kind, times_s in sorted(found["now"].items(), key=lambda one: max(one[1])):
+        print(f"  {kind:20} {len(times_s):4} events, {mean_and_longest(times_s)}")
+        if before is not None:
+            ratio = sum(found["before"][kind]) / sum(times_s)
+            print(f"  {'':20} {'before':>11}, {mean_and_longest(found['before'][kind])}: {ratio:.2f} times as fast now")
 
 
-def event_times_s(events: Sequence[Event]) -> list[float]:
-    """Return the CPU time of each event's live update."""
-    stages, times_s = new_stages(), list[float]()
-    for event in events:
-        began_s = time.process_time()
-        stages.conclude(event)
-        times_s.append(time.process_time() - began_s)
-    return times_s
+def events_times(tree: Path, name: DriveName) -> Times:
+    """Return the times of a checkout in a process of its own."""
+    command = [sys.executable, "-P", str(Path(timed_events.__file__)), name.value]
+    variables = os.environ | {"PYTHONPATH": str(tree)}
+    times: Times = json.loads(
+        subprocess.run(command, check=True, capture_output=True, text=True, env=variables, cwd=tree).stdout
+    )
+    return times
+
+
+def least(turns: Sequence[Times]) -> Times:
+    """Return the least time of each event."""
+    return {kind: [min(one) for one in zip(*(turn[kind] for turn in turns), strict=True)] for kind in turns[0]}
+
+
+def with_all(times: Times) -> Times:
+    """Return times by kind, and of all kinds together."""
+    return times | {"all": [one for times_s in times.values() for one in times_s]}
+
+
+def mean_and_longest(times_s: Sequence[float]) -> str:
+    """Return what some events take."""
+    return f"mean {float(np.mean(times_s)) * MS:6.2f} ms, longest {max(times_s) * MS:6.2f} ms"
 
 
 def compare(before: Path) -> None:
     """Run this benchmark and that of an earlier checkout in turns, and print the least times and their ratios."""
-    trees = {"before": before.resolve(), "now": Path(__file__).resolve().parents[1]}
+    trees = {"before": before.resolve(), "now": HERE}
     best_ms = {name: dict.fromkeys(ROWS, math.inf) for name in trees}
     for _ in range(TURNS):
         for name, tree in trees.items():
@@ -185,14 +189,13 @@ def main() -> int:
     parser.add_argument("--drive", type=DriveName, choices=list(DriveName))
     parser.add_argument("--before", type=Path, metavar="TREE", help="an earlier checkout, measured in turns")
     options = parser.parse_args()
-    drive = options.drive
-    if options.before is not None:
+    if options.drive is not None:
+        report_events(options.drive, options.before)
+    elif options.before is not None:
         compare(options.before)
-    elif drive is None:
+    else:
         frames, _ = frames_of(load_scenario("ideal"))
         report(to_batch(frames))
-    else:
-        report_events(drive)
     return 0
 
 

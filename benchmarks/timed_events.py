@@ -1,0 +1,66 @@
+"""What the live update after each event of a drive takes in one version of this project.
+
+Run by its path, so that the packages it measures are those of the folder that PYTHONPATH names:
+
+    PYTHONPATH=FOLDER python -P timed_events.py DRIVE
+
+It prints one line of JSON: by kind of event, the least processor time [s] of each one over some rounds.
+"""
+
+import json
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+
+from benchmarks.accuracy import to_batch
+from clutch_model.calibration import nominal_calibration
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.friction import Posterior
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
+from ecu_emulator.drive_names import DriveName
+from ecu_emulator.recording import frames_of
+from ecu_emulator.scenario_file import load_scenario
+
+ROUNDS = 5
+
+Times = dict[str, list[float]]
+"""By kind of event, the time of each one [s]."""
+
+
+def new_stages() -> Stages:
+    """Return all stages, before their first frame."""
+    calibration = nominal_calibration()
+    decoder = Decoder(load_contract(), load_profile())
+    return Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+
+
+def times_of(name: DriveName) -> Times:
+    """Return the live update's times after each event of a drive; what is not compiled is compiled before."""
+    frames, _ = frames_of(replace(load_scenario("ideal"), drive=name))
+    events = [*(stages := new_stages()).segment(to_batch(frames)), *stages.flush()]
+    one_round_s(events)
+    rounds_s = [one_round_s(events) for _ in range(ROUNDS)]
+    best_s: defaultdict[str, list[float]] = defaultdict(list)
+    for event, *times_s in zip(events, *rounds_s, strict=True):
+        best_s[event.kind.value].append(min(times_s))
+    return best_s
+
+
+def one_round_s(events: Sequence[Event]) -> list[float]:
+    """Return the processor time of each event's live update [s]."""
+    stages, times_s = new_stages(), list[float]()
+    for event in events:
+        began_s = time.process_time()
+        stages.conclude(event)
+        times_s.append(time.process_time() - began_s)
+    return times_s
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(times_of(DriveName(sys.argv[1]))) + "\n")
