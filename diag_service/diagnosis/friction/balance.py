@@ -20,7 +20,7 @@ from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, 
 from clutch_model.gears import both_clutches
 from clutch_model.knowledge import SensorBias
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
-from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_film
+from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_films
 from diag_service.diagnosis.friction.parameters import REFERENCE_K, STATE_COUNT, Considered, State
 from diag_service.diagnosis.friction.window import SlipWindow, Weights, sines, spans_of
 
@@ -157,13 +157,6 @@ class Balance:
 def friction_pairs(at: FloatArray) -> FloatArray:
     """Return ``(mu_c, mu_s)`` of clutch 1 and 2 among the parameters, shape (2, 2)."""
     return at[: State.MU_S2 + 1].reshape(2, 2)
-
-
-def integrate_films(
-    drives: tuple[PressureDrive, PressureDrive], calibration: Calibration, stop: int | None = None, step: int = 1
-) -> tuple[FilmTrack, FilmTrack]:
-    """Integrate both films, up to a row of the grid, in steps of some rows."""
-    return both_clutches(integrate_film(m + 1, drives[m], calibration, stop, step) for m in range(2))
 
 
 def weigh(weights: Weights, torques: Torques) -> tuple[ClutchMoments, ClutchMoments]:

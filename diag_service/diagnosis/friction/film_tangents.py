@@ -14,9 +14,8 @@ from clutch_model.film import (
     applied_pressure_pa,
     equilibrium_film_m,
     film_law,
-    shear_factor_difference,
 )
-from clutch_model.film_points import FilmPoint, film_point, point_rate_m_s, point_slope_1_s
+from clutch_model.film_points import FilmPoint, FilmShape, film_point, film_shape, point_rate_m_s, point_slope_1_s
 from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.film_track import COARSE, PressureDrive, open_and_whole_nm
@@ -104,7 +103,7 @@ def film_tangents(
         viscous=np.empty(len(FilmCause)),
     )
     law = film_law(calibration.clutches[clutch - 1])
-    _follow(moved, law, _Oil(oil.a_pa_s, oil.b_k, oil.pole_k), np.zeros(len(FilmCause)), answers)
+    _follow(moved, law, film_shape(law), _Oil(oil.a_pa_s, oil.b_k, oil.pole_k), np.zeros(len(FilmCause)), answers)
     return answers.torque_nm
 
 
@@ -116,10 +115,10 @@ def compile_tangents(calibration: Calibration) -> None:
 
 
 @array_kernel
-def _follow(moved: _Moved, law: FilmLaw, oil: _Oil, by: FloatArray, answers: _Answers) -> None:
+def _follow(moved: _Moved, law: FilmLaw, shape: FilmShape, oil: _Oil, by: FloatArray, answers: _Answers) -> None:
     """Fill the answers; ``by`` are the derivatives of the film itself [m], zero at first."""
     film_m = equilibrium_film_m(applied_pressure_pa(moved.piston_pa[0], law), law)
-    point = film_point(film_m, law)
+    point = film_point(film_m, law, shape)
     count, k = len(moved.piston_pa), 0
     while k < count:
         viscosity = viscosity_pa_s(moved.clutch_k[k], oil.a_pa_s, oil.b_k, oil.pole_k)
@@ -136,7 +135,7 @@ def _follow(moved: _Moved, law: FilmLaw, oil: _Oil, by: FloatArray, answers: _An
         if points > 0:
             later_m = _step(moved, k, points, point, fluidity, law, by)
             if later_m != point.film_m:
-                point = film_point(later_m, law)
+                point = film_point(later_m, law, shape)
         k = following
 
 
@@ -155,11 +154,9 @@ def _answer(
 ) -> None:  # fmt: skip
     """Set what contact and shear answer at one point."""
     slip, drag_ratio, film_m, step_m = moved.slip_rad_s[k], moved.open_drag_ratio, point.film_m, point.step_m
-    shear = shear_factor_difference(film_m / law.roughness_m)
-    beside = shear_factor_difference((film_m + step_m) / law.roughness_m)
-    _, whole_nm = open_and_whole_nm(slip, film_m, viscosity, shear, drag_ratio, law)
-    _, thicker_nm = open_and_whole_nm(slip, film_m + step_m, viscosity, beside, drag_ratio, law)
-    _, stiffer_nm = open_and_whole_nm(slip, film_m, viscosity * (1.0 + _VISCOSITY_STEP), shear, drag_ratio, law)
+    _, whole_nm = open_and_whole_nm(slip, film_m, viscosity, point.shear, drag_ratio, law)
+    _, thicker_nm = open_and_whole_nm(slip, film_m + step_m, viscosity, point.thicker_shear, drag_ratio, law)
+    _, stiffer_nm = open_and_whole_nm(slip, film_m, viscosity * (1.0 + _VISCOSITY_STEP), point.shear, drag_ratio, law)
     by_film_pa_m = (point.thicker_contact_pa - point.contact_pa) / step_m
     by_film_n = (thicker_nm - whole_nm) / step_m
     for j in range(len(by)):

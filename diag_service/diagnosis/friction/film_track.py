@@ -7,19 +7,20 @@ from typing import NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel, kernel
+from canlog.jit import array_kernel, inlined_kernel, kernel
 from clutch_model.calibration import Calibration
+from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import (
     FilmLaw,
     applied_pressure_pa,
     equilibrium_film_m,
     film_law,
     piston_pressure_pa,
-    shear_factor_difference,
     sheared_torque_nm,
 )
-from clutch_model.film_points import FilmPoint, film_point, point_rate_m_s, point_slope_1_s
+from clutch_model.film_points import FilmPoint, FilmShape, film_point, film_shape, point_rate_m_s, point_slope_1_s
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, kinetic_friction
+from clutch_model.gears import both_clutches
 from clutch_model.thermal import clutch_heating_rate_k_s
 from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.alignment import GRID_S
@@ -42,6 +43,7 @@ class HeatLaw(NamedTuple):
     heat_capacity_j_k: float
     convection_w_k: float
     oil_k: float
+    start_k: float  # of the pack
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,16 +69,6 @@ class FilmTrack:
     final_clutch_k: float
 
 
-class _Driven(NamedTuple):
-    """A `PressureDrive` in the form the kernel takes."""
-
-    piston_pa: FloatArray
-    slip_rad_s: FloatArray
-    start_k: float
-    open_drag_ratio: float
-    step_s: float
-
-
 class _Rows(NamedTuple):
     """What the kernel fills of a `FilmTrack`."""
 
@@ -87,46 +79,79 @@ class _Rows(NamedTuple):
     clutch_k: FloatArray
 
 
-def integrate_film(
-    clutch: int, drive: PressureDrive, calibration: Calibration, stop: int | None = None, step: int = 1
-) -> FilmTrack:
-    """Integrate film and pack temperature of clutch 1 or 2; docs/model.md eq. (7) and section "Thermal".
+class _Pack(NamedTuple):
+    """A clutch, what drives its film and what is to be filled, in the form the kernel takes."""
 
-    The clutch starts in equilibrium: open, or pressed and at rest. Its heat uses the calibration's friction, which is
-    near enough: 15 % of friction changes the pack by about one kelvin. ``stop`` is the number of grid points to
-    integrate, by default all; the track is zero beyond them. ``step`` is the number of grid points from one step to the
-    next; points between have what the one before them has.
+    law: FilmLaw
+    shape: FilmShape
+    friction: FrictionLaw
+    heat: HeatLaw
+    piston_pa: FloatArray
+    slip_rad_s: FloatArray
+    open_drag_ratio: float
+    rows: _Rows
+
+
+class _State(NamedTuple):
+    """What a pack is at one point of the grid."""
+
+    point: FilmPoint
+    clutch_k: float
+    film_rate_1_s: float  # of the step that led here, over the film
+
+
+def integrate_films(
+    drives: tuple[PressureDrive, PressureDrive], calibration: Calibration, stop: int | None = None, step: int = 1
+) -> tuple[FilmTrack, FilmTrack]:
+    """Integrate film and pack temperature of both clutches; docs/model.md eq. (7) and section "Thermal".
+
+    A clutch starts in equilibrium: open, or pressed and at rest. Its heat uses the calibration's friction, which is
+    near enough: 15 % of friction changes the pack by about one kelvin.
+
+    Parameters
+    ----------
+    drives
+        Of clutch 1 and 2, on the same grid.
+    stop
+        Number of grid points to integrate, by default all; the tracks are zero beyond them.
+    step
+        Number of grid points from one step to the next; points between have what the one before them has.
     """
-    nominal = calibration.clutches[clutch - 1]
-    law = film_law(nominal)
-    oil = calibration.viscosity
-    heat = HeatLaw(
-        a_pa_s=oil.a_pa_s,
-        b_k=oil.b_k,
-        pole_k=oil.pole_k,
-        heat_capacity_j_k=float(nominal.thermal.heat_capacity_j_k),
-        convection_w_k=float(nominal.thermal.convection_w_k),
-        oil_k=drive.oil_k,
-    )
-    driven = _Driven(
-        piston_pa=np.ascontiguousarray(drive.piston_pa[:stop:step]),
-        slip_rad_s=np.ascontiguousarray(drive.slip_rad_s[:stop:step]),
-        start_k=drive.clutch_k,
-        open_drag_ratio=drive.open_drag_ratio,
-        step_s=step * GRID_S,
-    )
-    found = np.empty((len(_Rows._fields), len(driven.piston_pa)))
-    final_k = _integrate(driven, law, friction_law(nominal.friction), heat, _Rows(*found))
-    length = len(drive.piston_pa)
+    length = len(drives[0].piston_pa)
     count = length if stop is None else min(stop, length)
-    contact_pa, viscous_nm, open_nm, doubt_nm, clutch_k = _filled(found, step, count, length)
-    return FilmTrack(
-        contact_pa=contact_pa,
-        viscous_nm=viscous_nm,
-        open_nm=open_nm,
-        doubt_nm=doubt_nm,
-        clutch_k=clutch_k,
-        final_clutch_k=final_k,
+    found = np.empty((2, len(_Rows._fields), -(-count // step)))
+    first, second = both_clutches(
+        _pack(clutch, drive, calibration, slice(0, count, step), _Rows(*rows))
+        for clutch, drive, rows in zip(calibration.clutches, drives, found, strict=True)
+    )
+    final_k = _integrate(first, second, step * GRID_S)
+    return both_clutches(
+        FilmTrack(**_Rows(*_filled(rows, step, count, length))._asdict(), final_clutch_k=one_k)
+        for rows, one_k in zip(found, final_k, strict=True)
+    )
+
+
+def _pack(
+    clutch: ClutchCalibration, drive: PressureDrive, calibration: Calibration, points: slice, rows: _Rows
+) -> _Pack:
+    law, oil = film_law(clutch), calibration.viscosity
+    return _Pack(
+        law=law,
+        shape=film_shape(law),
+        friction=friction_law(clutch.friction),
+        heat=HeatLaw(
+            a_pa_s=oil.a_pa_s,
+            b_k=oil.b_k,
+            pole_k=oil.pole_k,
+            heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
+            convection_w_k=float(clutch.thermal.convection_w_k),
+            oil_k=drive.oil_k,
+            start_k=drive.clutch_k,
+        ),
+        piston_pa=np.ascontiguousarray(drive.piston_pa[points]),
+        slip_rad_s=np.ascontiguousarray(drive.slip_rad_s[points]),
+        open_drag_ratio=drive.open_drag_ratio,
+        rows=rows,
     )
 
 
@@ -142,40 +167,57 @@ def _filled(found: FloatArray, step: int, count: int, length: int) -> FloatArray
 def compile_film(calibration: Calibration) -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     still = PressureDrive(piston_pa=np.zeros(2), slip_rad_s=np.zeros(2), oil_k=_ANY_K, clutch_k=_ANY_K)
-    integrate_film(1, still, calibration)
+    integrate_films((still, still), calibration)
 
 
 @array_kernel
-def _integrate(driven: _Driven, law: FilmLaw, friction: FrictionLaw, heat: HeatLaw, rows: _Rows) -> float:
-    piston_pa, slip_rad_s = driven.piston_pa, driven.slip_rad_s
-    per_roughness_1_m, per_step_1_s = 1.0 / law.roughness_m, 1.0 / driven.step_s
-    film_m = equilibrium_film_m(applied_pressure_pa(piston_pa[0], law), law)
-    point, shear = film_point(film_m, law), shear_factor_difference(film_m * per_roughness_1_m)
-    clutch_k, film_rate_1_s = driven.start_k, 0.0
-    for k in range(len(piston_pa)):
-        rows.clutch_k[k] = clutch_k
-        viscosity = viscosity_pa_s(clutch_k, heat.a_pa_s, heat.b_k, heat.pole_k)
-        slip = slip_rad_s[k]
-        open_nm, viscous_nm = open_and_whole_nm(slip, film_m, viscosity, shear, driven.open_drag_ratio, law)
-        rows.contact_pa[k], rows.viscous_nm[k], rows.open_nm[k] = point.contact_pa, viscous_nm, open_nm
-        rows.doubt_nm[k] = _doubt(_openness(film_m, law), film_rate_1_s, piston_pa[k], law) * abs(viscous_nm - open_nm)
-        power_w = 0.0
-        if abs(slip) >= 1.0:  # slower is locked, or as good as; the noise of the slip would heat it
-            contact_nm = 0.0
-            if point.contact_pa > 0.0:
-                mu = kinetic_friction(slip, friction)
-                contact_nm = contact_torque_nm(1.0, mu, point.contact_pa, law.contact_factor_m3)
-            power_w = (contact_nm + abs(viscous_nm)) * abs(slip)
-        clutch_k += driven.step_s * clutch_heating_rate_k_s(
-            power_w, clutch_k, heat.oil_k, heat.heat_capacity_j_k, heat.convection_w_k
-        )
-        if k + 1 < len(piston_pa):
-            driving_pa = 0.5 * (piston_pa[k] + piston_pa[k + 1])
-            if film_m < law.open_gap_m or applied_pressure_pa(driving_pa, law) > 0.0:  # else an open pack stays open
-                film_m = _film_step(point, driving_pa, 1.0 / viscosity, law, driven.step_s)
-                film_rate_1_s = abs(film_m - point.film_m) * (point.per_film_1_m * per_step_1_s)
-                point, shear = film_point(film_m, law), shear_factor_difference(film_m * per_roughness_1_m)
-    return clutch_k
+def _integrate(one: _Pack, other: _Pack, step_s: float) -> tuple[float, float]:
+    """Fill the rows of both packs and return their temperatures after the last.
+
+    Each point of a film waits for the one before: of two films in turns, one is calculated while the other waits.
+    """
+    at_one, at_other, last = _start(one), _start(other), len(one.piston_pa) - 1
+    for k in range(last):
+        at_one, at_other = _next(one, k, at_one, step_s), _next(other, k, at_other, step_s)
+    return _warmed_k(one, last, at_one, step_s)[0], _warmed_k(other, last, at_other, step_s)[0]
+
+
+@inlined_kernel
+def _start(pack: _Pack) -> _State:
+    film_m = equilibrium_film_m(applied_pressure_pa(pack.piston_pa[0], pack.law), pack.law)
+    return _State(film_point(film_m, pack.law, pack.shape), pack.heat.start_k, 0.0)
+
+
+@inlined_kernel
+def _next(pack: _Pack, k: int, at: _State, step_s: float) -> _State:
+    """Fill row k and return what the pack is at the next point."""
+    clutch_k, viscosity = _warmed_k(pack, k, at, step_s)
+    point, law, driving_pa = at.point, pack.law, 0.5 * (pack.piston_pa[k] + pack.piston_pa[k + 1])
+    if point.film_m >= law.open_gap_m and applied_pressure_pa(driving_pa, law) <= 0.0:  # an open pack stays open
+        return _State(point, clutch_k, at.film_rate_1_s)
+    film_m = _film_step(point, driving_pa, 1.0 / viscosity, law, step_s)
+    film_rate_1_s = abs(film_m - point.film_m) * (point.per_film_1_m * (1.0 / step_s))
+    return _State(film_point(film_m, law, pack.shape), clutch_k, film_rate_1_s)
+
+
+@inlined_kernel
+def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, float]:
+    """Fill row k; return the temperature of the pack a step later [K] and the viscosity of its oil at this point."""
+    point, law, heat, rows, slip = at.point, pack.law, pack.heat, pack.rows, pack.slip_rad_s[k]
+    viscosity = viscosity_pa_s(at.clutch_k, heat.a_pa_s, heat.b_k, heat.pole_k)
+    open_nm, viscous_nm = open_and_whole_nm(slip, point.film_m, viscosity, point.shear, pack.open_drag_ratio, law)
+    doubt = _doubt(_openness(point.film_m, law), at.film_rate_1_s, pack.piston_pa[k], law)
+    rows.contact_pa[k], rows.viscous_nm[k], rows.open_nm[k] = point.contact_pa, viscous_nm, open_nm
+    rows.doubt_nm[k], rows.clutch_k[k] = doubt * abs(viscous_nm - open_nm), at.clutch_k
+    power_w = 0.0
+    if abs(slip) >= 1.0:  # slower is locked, or as good as; the noise of the slip would heat it
+        contact_nm = 0.0
+        if point.contact_pa > 0.0:
+            mu = kinetic_friction(slip, pack.friction)
+            contact_nm = contact_torque_nm(1.0, mu, point.contact_pa, law.contact_factor_m3)
+        power_w = (contact_nm + abs(viscous_nm)) * abs(slip)
+    rate_k_s = clutch_heating_rate_k_s(power_w, at.clutch_k, heat.oil_k, heat.heat_capacity_j_k, heat.convection_w_k)
+    return at.clutch_k + step_s * rate_k_s, viscosity
 
 
 @kernel

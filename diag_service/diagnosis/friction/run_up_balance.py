@@ -10,10 +10,11 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
+from clutch_model.gears import both_clutches
 from diag_service.diagnosis.alignment import AlignedSignals
 from diag_service.diagnosis.friction.balance import motoring_corrected_nm
 from diag_service.diagnosis.friction.evidence import Measurement
-from diag_service.diagnosis.friction.film_track import PressureDrive, integrate_film
+from diag_service.diagnosis.friction.film_track import PressureDrive, integrate_films
 from diag_service.diagnosis.friction.parameters import PARAMETER_COUNT, STATE_COUNT, Considered, State, open_drag_ratio
 from diag_service.diagnosis.friction.window import SlipWindow, Weights, sines
 
@@ -78,15 +79,17 @@ def _open_loads(signals: AlignedSignals, weights: Weights, at: FloatArray, calib
     """Return hub and drag of the open clutches."""
     known_nms, hub = _hub(signals, weights, calibration)
     opened_nms = np.zeros_like(known_nms)
-    for clutch in (1, 2):
-        drive = PressureDrive(
+    drives = both_clutches(
+        PressureDrive(
             piston_pa=np.zeros_like(signals.grid_s),
             slip_rad_s=signals.slip_rad_s(clutch),
             oil_k=signals.oil_k,
             clutch_k=signals.oil_k,
             open_drag_ratio=open_drag_ratio(at),
         )
-        track = integrate_film(clutch, drive, calibration)
+        for clutch in (1, 2)
+    )
+    for track in integrate_films(drives, calibration):
         known_nms = known_nms - weights.value @ track.viscous_nm[weights.rows]
         opened_nms += weights.value @ track.open_nm[weights.rows]
     return _Loads(known_nms=known_nms, shaft_nms=np.zeros_like(known_nms), hub=hub, shafts=(), opened_nms=opened_nms)

@@ -23,13 +23,12 @@ from diag_service.diagnosis.friction.balance import (
     Torques,
     direction,
     friction_pairs,
-    integrate_films,
     motoring_corrected_nm,
     weigh,
 )
 from diag_service.diagnosis.friction.evidence import Measurement
 from diag_service.diagnosis.friction.film_tangents import FilmCause, film_tangents
-from diag_service.diagnosis.friction.film_track import COARSE
+from diag_service.diagnosis.friction.film_track import COARSE, integrate_films
 from diag_service.diagnosis.friction.parameters import (
     PARAMETER_COUNT,
     STATE_COUNT,

@@ -11,7 +11,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
 from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.film_tangents import FilmCause, film_tangents
-from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_film
+from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_films
 from diag_service.diagnosis.friction.parameters import STATE_COUNT, Considered, displaced
 from diag_service.diagnosis.friction.posterior import Posterior
 
@@ -50,7 +50,7 @@ CHANGES: Final[dict[FilmCause, tuple[float, Change]]] = {
 
 
 def track(drive: PressureDrive, calibration: Calibration) -> FilmTrack:
-    return integrate_film(2, drive, calibration)
+    return integrate_films((drive, drive), calibration)[1]
 
 
 def tangents(drive: PressureDrive, clutch_k: FloatArray, lever_m3: float, rows: slice = WHOLE) -> FloatArray:
