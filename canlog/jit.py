@@ -38,7 +38,15 @@ def inlined_kernel(function: Callable[P, R]) -> Callable[P, R]:
     return _compiled(function, _nrt=False, forceinline=True)
 
 
-def _compiled(function: Callable[P, R], **options: bool) -> Callable[P, R]:
+def fused_kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile an `inlined_kernel` in which a product and a sum may be one step, rounded once, if the processor can.
+
+    For what is followed from point to point and waits for each result. Its last digit is the processor's.
+    """
+    return _compiled(function, _nrt=False, forceinline=True, fastmath={"contract"})
+
+
+def _compiled(function: Callable[P, R], **options: bool | set[str]) -> Callable[P, R]:
     vars(function)[OPTIONS] = options
     dispatcher: Any = numba.njit(nogil=True, no_cfunc_wrapper=True, **options)(function)  # type: ignore[call-overload]  # the unlisted option
     dispatcher._cache = LateCache(dispatcher)  # noqa: SLF001 - what njit's cache=True sets, with another key

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel, inlined_kernel
+from canlog.jit import array_kernel, fused_kernel
 from clutch_model.calibration import Calibration
 from clutch_model.film import (
     FilmLaw,
@@ -15,7 +15,7 @@ from clutch_model.film import (
     equilibrium_film_m,
     film_law,
 )
-from clutch_model.film_points import FilmPoint, FilmShape, film_point, film_shape, point_rate_m_s, point_slope_1_s
+from clutch_model.film_points import FilmPoint, FilmShape, film_point, film_shape, point_motion, point_rate_m_s
 from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.film_track import COARSE, PressureDrive, open_and_whole_nm
@@ -139,7 +139,7 @@ def _follow(moved: _Moved, law: FilmLaw, shape: FilmShape, oil: _Oil, by: FloatA
         k = following
 
 
-@inlined_kernel
+@fused_kernel
 def _is_quiet(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float, law: FilmLaw) -> bool:
     """Return whether a film hardly changes over some points: then one step follows it."""
     driving_pa = 0.5 * (moved.piston_pa[k] + moved.piston_pa[k + points])
@@ -147,7 +147,7 @@ def _is_quiet(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: fl
     return abs(rate) * points * GRID_S < _QUIET * point.film_m
 
 
-@inlined_kernel
+@fused_kernel
 def _answer(
     moved: _Moved, k: int, point: FilmPoint, viscosity: float, law: FilmLaw, by: FloatArray, contact: FloatArray,
     viscous: FloatArray,
@@ -166,7 +166,7 @@ def _answer(
     viscous[_VISCOSITY] += (stiffer_nm - whole_nm) / _VISCOSITY_STEP
 
 
-@inlined_kernel
+@fused_kernel
 def _step(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float, law: FilmLaw, by: FloatArray) -> float:
     """Return the film some points later [m], and set its derivatives: the same rule, linearised."""
     film_m = point.film_m
@@ -175,8 +175,8 @@ def _step(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float,
     if film_m >= law.open_gap_m and applied_pressure_pa(driving_pa, law) <= 0.0:
         by[:] = 0.0  # an open pack stays open
         return film_m
-    rate = point_rate_m_s(point, driving_pa, fluidity, law)
-    reach = min(point_slope_1_s(point, driving_pa, fluidity, law) * step_s, _MOST_REACH)
+    rate, slope_1_s = point_motion(point, driving_pa, fluidity, law)
+    reach = min(slope_1_s * step_s, _MOST_REACH)
     stretch = step_s if abs(reach) < 1e-6 else step_s * (math.exp(reach) - 1.0) / reach
     later_m = film_m + rate * stretch
     if later_m < law.min_film_m or later_m > law.open_gap_m:

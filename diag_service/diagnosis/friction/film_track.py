@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel, inlined_kernel, kernel
+from canlog.jit import array_kernel, fused_kernel
 from clutch_model.calibration import Calibration
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import (
@@ -18,7 +18,7 @@ from clutch_model.film import (
     piston_pressure_pa,
     sheared_torque_nm,
 )
-from clutch_model.film_points import FilmPoint, FilmShape, film_point, film_shape, point_rate_m_s, point_slope_1_s
+from clutch_model.film_points import FilmPoint, FilmShape, film_point, film_shape, point_motion
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, kinetic_friction
 from clutch_model.gears import both_clutches
 from clutch_model.thermal import clutch_heating_rate_k_s
@@ -126,8 +126,17 @@ def integrate_films(
     )
     final_k = _integrate(first, second, step * GRID_S)
     return both_clutches(
-        FilmTrack(**_Rows(*_filled(rows, step, count, length))._asdict(), final_clutch_k=one_k)
-        for rows, one_k in zip(found, final_k, strict=True)
+        FilmTrack(
+            contact_pa=contact_pa,
+            viscous_nm=viscous_nm,
+            open_nm=open_nm,
+            doubt_nm=doubt_nm,
+            clutch_k=clutch_k,
+            final_clutch_k=one_k,
+        )
+        for (contact_pa, viscous_nm, open_nm, doubt_nm, clutch_k), one_k in zip(
+            _filled(found, step, count, length), final_k, strict=True
+        )
     )
 
 
@@ -156,11 +165,13 @@ def _pack(
 
 
 def _filled(found: FloatArray, step: int, count: int, length: int) -> FloatArray:
-    """Return rows on a coarse grid, shape (rows, n), on the even grid, zero beyond ``count`` points."""
+    """Return rows on a coarse grid, shape (..., n), on the even grid, zero beyond ``count`` points."""
     if step == 1 and count == length:
         return found
-    whole = np.zeros((len(found), length))
-    whole[:, :count] = np.repeat(found, step, axis=1)[:, :count]
+    whole = np.zeros((*found.shape[:-1], length))
+    for after in range(step):
+        places = whole[..., after:count:step]
+        places[...] = found[..., : places.shape[-1]]
     return whole
 
 
@@ -182,13 +193,13 @@ def _integrate(one: _Pack, other: _Pack, step_s: float) -> tuple[float, float]:
     return _warmed_k(one, last, at_one, step_s)[0], _warmed_k(other, last, at_other, step_s)[0]
 
 
-@inlined_kernel
+@fused_kernel
 def _start(pack: _Pack) -> _State:
     film_m = equilibrium_film_m(applied_pressure_pa(pack.piston_pa[0], pack.law), pack.law)
     return _State(film_point(film_m, pack.law, pack.shape), pack.heat.start_k, 0.0)
 
 
-@inlined_kernel
+@fused_kernel
 def _next(pack: _Pack, k: int, at: _State, step_s: float) -> _State:
     """Fill row k and return what the pack is at the next point."""
     clutch_k, viscosity = _warmed_k(pack, k, at, step_s)
@@ -200,7 +211,7 @@ def _next(pack: _Pack, k: int, at: _State, step_s: float) -> _State:
     return _State(film_point(film_m, law, pack.shape), clutch_k, film_rate_1_s)
 
 
-@inlined_kernel
+@fused_kernel
 def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, float]:
     """Fill row k; return the temperature of the pack a step later [K] and the viscosity of its oil at this point."""
     point, law, heat, rows, slip = at.point, pack.law, pack.heat, pack.rows, pack.slip_rad_s[k]
@@ -220,7 +231,7 @@ def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, fl
     return at.clutch_k + step_s * rate_k_s, viscosity
 
 
-@kernel
+@fused_kernel
 def open_and_whole_nm(
     slip_rad_s: float, film_m: float, viscosity: float, shear: float, open_drag_ratio: float, law: FilmLaw
 ) -> tuple[float, float]:
@@ -233,7 +244,7 @@ def open_and_whole_nm(
     return open_nm, (1.0 - openness) * full_nm + open_nm
 
 
-@kernel
+@fused_kernel
 def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw) -> float:
     """Return the standard deviation of what a film shears, as a ratio to that torque; docs/model.md "Cold oil"."""
     if openness > 0.0 and abs(piston_pa - piston_pressure_pa(0.0, law)) < _HOVER_PA:
@@ -241,17 +252,17 @@ def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw
     return min(_DOUBT_RISE * openness + _TIMING_S * film_rate_1_s, 1.0)
 
 
-@kernel
+@fused_kernel
 def _openness(film_m: float, law: FilmLaw) -> float:
     """Return how far a pack is open: 0 as long as asperities touch, 1 at its open gap."""
     touching_m = _CONTACT_END * law.roughness_m
     return max(0.0, film_m - touching_m) * (1.0 / (law.open_gap_m - touching_m))
 
 
-@kernel
+@fused_kernel
 def _film_step(point: FilmPoint, piston_pa: float, fluidity: float, law: FilmLaw, step_s: float) -> float:
     """Return the film one step later by the exponential Rosenbrock-Euler rule, exact for a linear rate."""
-    reach = point_slope_1_s(point, piston_pa, fluidity, law) * step_s
+    rate_m_s, slope_1_s = point_motion(point, piston_pa, fluidity, law)
+    reach = slope_1_s * step_s
     stretch = step_s if abs(reach) < 1e-6 else (math.exp(min(reach, 50.0)) - 1.0) * (step_s / reach)
-    later_m = point.film_m + point_rate_m_s(point, piston_pa, fluidity, law) * stretch
-    return min(max(later_m, law.min_film_m), law.open_gap_m)
+    return min(max(point.film_m + rate_m_s * stretch, law.min_film_m), law.open_gap_m)

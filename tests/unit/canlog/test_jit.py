@@ -4,7 +4,7 @@ from typing import Any
 
 from numba.core import types
 
-from canlog.jit import array_kernel, kernel
+from canlog.jit import array_kernel, fused_kernel, kernel
 
 
 def test_a_kernel_computes_what_its_source_says() -> None:
@@ -21,6 +21,15 @@ def test_a_kernel_without_reference_counts_computes_the_same() -> None:
         return 2.0 * value
 
     assert twice(1.5) == 3.0
+
+
+def test_a_fused_kernel_computes_the_same_but_for_the_rounding() -> None:
+    @fused_kernel
+    def beside_one(value: float) -> float:
+        return value * value - 1.0
+
+    assert abs(beside_one(1.0 + 2.0**-30) - (2.0**-29 + 2.0**-60)) <= 2.0**-60
+    assert beside_one(3.0) == 8.0
 
 
 def test_a_kernel_has_one_form_whatever_constants_others_call_it_with() -> None:
