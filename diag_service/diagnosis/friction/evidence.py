@@ -7,13 +7,15 @@ samples. Knowledge is a mean with its covariance; docs/model.md, section "Estima
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from diag_service.diagnosis.friction.parameters import PARAMETER_COUNT
+
+ROUNDING: Final = 1e-15  # of a variance: what is left of it beyond others' is nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,24 +66,17 @@ class Evidence:
     @classmethod
     def of(cls, measurements: Iterable[Measurement], at: FloatArray) -> Self:
         """Return what measurements say that were linearised about ``at``, shape (PARAMETER_COUNT,)."""
-        joint = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT + 1))  # of information, and the gradient
-        gradient, chi_square, count = joint[:, -1], 0.0, 0
+        joint, count = np.zeros((PARAMETER_COUNT + 1, PARAMETER_COUNT + 1)), 0
         for seen in measurements:
-            sides = np.empty((len(seen.residual), PARAMETER_COUNT + 1))
-            sides[:, :-1], sides[:, -1] = seen.slope, seen.residual
-            scaled = np.linalg.solve(seen.noise, sides)
-            joint += seen.slope.T @ scaled
+            number = len(seen.residual)
+            sides = np.empty((number, number + PARAMETER_COUNT + 1))
+            sides[:, :number], sides[:, number:-1], sides[:, -1] = seen.noise, seen.slope, seen.residual
+            _add_information(sides, joint)
             if seen.overlap is not None:
-                gradient -= seen.overlap
-            chi_square += float(seen.residual @ scaled[:, -1])
-            count += len(seen.residual)
-        matrix = (joint[:, :-1] + joint[:, :-1].T) / 2.0
-        return cls(
-            matrix=matrix,
-            vector=matrix @ at + gradient,
-            constant=chi_square + float((2.0 * gradient + matrix @ at) @ at),
-            count=count,
-        )
+                joint[:-1, -1] -= seen.overlap
+            count += number
+        matrix, vector = np.empty((PARAMETER_COUNT, PARAMETER_COUNT)), np.empty(PARAMETER_COUNT)
+        return cls(matrix=matrix, vector=vector, constant=_move_to_zero(joint, at, matrix, vector), count=count)
 
     @classmethod
     def of_readings(cls, rows: Sequence[int], reading: Sequence[float], variance: Sequence[float]) -> Self:
@@ -107,19 +102,9 @@ class Evidence:
 
     def loosened(self, variance: FloatArray) -> Self:
         """Return what is left if each parameter of this event differs by a variance, shape (PARAMETER_COUNT,)."""
-        rows = np.flatnonzero(variance)
-        root, answers = np.sqrt(variance[rows]), self.matrix[:, rows]
-        inner = root[:, None] * answers[rows] * root
-        inner.flat[:: len(root) + 1] += 1.0
-        spread = root[:, None] * np.linalg.inv(inner) * root
-        taken, vector = answers @ spread, self.vector[rows]
-        matrix = self.matrix - taken @ answers.T
-        return type(self)(
-            matrix=(matrix + matrix.T) / 2.0,
-            vector=self.vector - taken @ vector,
-            constant=self.constant - float(vector @ spread @ vector),
-            count=self.count,
-        )
+        matrix, vector = self.matrix.copy(), self.vector.copy()
+        lost = _loosen(variance, matrix, vector)
+        return type(self)(matrix=matrix, vector=vector, constant=self.constant - lost, count=self.count)
 
     def chi_square(self, at: FloatArray) -> float:
         """Return chi-square of the residuals at some parameters."""
@@ -152,81 +137,161 @@ class Fusion:
 
     knowledge: Knowledge
     chi_square: float  # least of all: of the residuals, and of the distance from what was known before
-    kept: FloatArray  # (PARAMETER_COUNT, PARAMETER_COUNT) what is left of an error of the earlier mean
+    information: FloatArray  # (PARAMETER_COUNT, PARAMETER_COUNT) of the evidence
+
+    @property
+    def kept(self) -> FloatArray:
+        """What is left of an error of the earlier mean, shape (PARAMETER_COUNT, PARAMETER_COUNT)."""
+        return np.eye(len(self.information)) - self.knowledge.covariance @ self.information
 
 
 def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
     """Return what earlier knowledge and evidence say together; what was certain stays as it is."""
     count = len(earlier.mean)
-    scale, gradient, (spread, inner) = np.empty(count), np.empty(count), np.empty((2, count, count))
-    moved = _prepare_fusion(
-        earlier.mean, earlier.covariance, evidence.matrix, evidence.vector, scale, spread, inner, gradient
-    )
-    left = np.asarray(np.linalg.inv(inner))
-    mean, (covariance, kept) = np.empty(count), np.empty((2, count, count))
-    saved = _finish_fusion(left, earlier.mean, scale, spread, gradient, mean, covariance, kept)
+    mean, (root, turned, covariance) = np.empty(count), np.empty((3, count, count))
+    sides, joint = np.empty((count, 2 * count + 1)), np.zeros((count + 1, count + 1))
+    _take_root(earlier.covariance, root, turned)
+    _whiten(evidence.matrix, root, turned, sides, mean)
+    moved = _add_gradient(earlier.mean, evidence.matrix, evidence.vector, root, sides, mean)
+    _add_information(sides, joint)
+    saved = _read_joint(joint, earlier.mean, mean, covariance)
     return Fusion(
         knowledge=Knowledge(mean=mean, covariance=covariance),
         chi_square=evidence.constant + moved - saved,
-        kept=kept,
+        information=evidence.matrix,
     )
 
 
 @array_kernel
-def _prepare_fusion(
-    at: FloatArray, covariance: FloatArray, matrix: FloatArray, vector: FloatArray,
-    scale: FloatArray, spread: FloatArray, inner: FloatArray, gradient: FloatArray,
-) -> float:  # fmt: skip
-    """Fill ``1 + spread @ matrix`` and the gradient in earlier standard deviations; return chi-square less constant.
+def _add_information(sides: FloatArray, joint: FloatArray) -> None:
+    """Add ``b.T @ inv(noise) @ b`` to ``joint``, by Gauss's method.
 
-    ``scale`` is negative for what was certain.
+    ``sides`` are noise and b side by side; they are overwritten. Loops over whole rows, though less would do, take half
+    of the time: they become vector instructions.
     """
-    count, moved = len(at), 0.0
+    count, width = sides.shape
     for j in range(count):
-        scale[j] = math.sqrt(covariance[j, j]) if covariance[j, j] > 0.0 else -1.0
+        pivot = sides[j, j]
+        for i in range(j + 1, count):
+            ratio = sides[j, i] / pivot
+            for k in range(width):
+                sides[i, k] -= ratio * sides[j, k]
+        for i in range(count, width):
+            ratio = sides[j, i] / pivot
+            for k in range(width - count):
+                joint[i - count, k] += ratio * sides[j, k + count]
+
+
+@array_kernel
+def _move_to_zero(joint: FloatArray, at: FloatArray, matrix: FloatArray, vector: FloatArray) -> float:
+    """Fill in the information and its vector from those about ``at``; return chi-square where all parameters are 0."""
+    count = len(at)
+    constant = float(joint[count, count])
+    for j in range(count):
+        for k in range(j, count):
+            matrix[j, k], matrix[k, j] = joint[j, k], joint[j, k]
+    for j in range(count):
         slope = 0.0
         for k in range(count):
             slope += matrix[j, k] * at[k]
-        gradient[j] = (vector[j] - slope) * abs(scale[j])
+        vector[j] = slope + joint[j, count]
+        constant += (slope + 2.0 * joint[j, count]) * at[j]
+    return constant
+
+
+@array_kernel
+def _loosen(variance: FloatArray, matrix: FloatArray, vector: FloatArray) -> float:
+    """Take away what nobody can know for the errors of parameters, one by one; return what chi-square loses."""
+    count, lost = len(variance), 0.0
+    for row in range(count):
+        share = variance[row] / (1.0 + variance[row] * matrix[row, row])
+        if share == 0.0:
+            continue
+        lost += share * vector[row] ** 2
+        pull, own = share * vector[row], share * matrix[row, row]
+        for j in range(count):
+            vector[j] -= pull * matrix[row, j]
+            if j != row:  # that row is wanted until the last
+                taken = share * matrix[j, row]
+                for k in range(count):
+                    matrix[j, k] -= taken * matrix[row, k]
+        for k in range(count):
+            matrix[row, k] -= own * matrix[row, k]
+    for j in range(count):
+        for k in range(j):
+            matrix[j, k] = matrix[k, j]
+    return lost
+
+
+@array_kernel
+def _take_root(covariance: FloatArray, root: FloatArray, turned: FloatArray) -> None:
+    """Fill in ``root``, upper triangular, with ``covariance = root.T @ root``, and ``root.T``; certain is 0."""
+    count = len(covariance)
+    for j in range(count):
+        for k in range(count):
+            root[j, k] = covariance[j, k]
+    for j in range(count):
+        pivot = root[j, j]
+        scale = 1.0 / math.sqrt(pivot) if pivot > ROUNDING * covariance[j, j] else 0.0
+        for i in range(j + 1, count):
+            ratio = root[j, i] * scale**2
+            for k in range(count):
+                root[i, k] -= ratio * root[j, k]
+        for k in range(count):
+            root[j, k] = root[j, k] * scale if k >= j else 0.0
+            turned[k, j] = root[j, k]
+
+
+@array_kernel
+def _whiten(matrix: FloatArray, root: FloatArray, turned: FloatArray, sides: FloatArray, part: FloatArray) -> None:
+    """Fill in ``1 + root @ matrix @ root.T`` and ``root``: the information in these is the new covariance."""
+    count = len(root)
+    for j in range(count):
+        for k in range(count):
+            part[k] = 0.0
+            sides[j, k] = 0.0
+            sides[j, count + k] = root[j, k]
+        sides[j, j] = 1.0
+        for k in range(j, count):
+            for one in range(count):
+                part[one] += root[j, k] * matrix[k, one]
+        for k in range(count):
+            for one in range(count):
+                sides[j, one] += part[k] * turned[k, one]
+
+
+@array_kernel
+def _add_gradient(
+    at: FloatArray, matrix: FloatArray, vector: FloatArray, root: FloatArray, sides: FloatArray, part: FloatArray
+) -> float:
+    """Fill in ``root @ gradient``, the last column, for the step and what it saves; return chi-square before it."""
+    count, moved = len(at), 0.0
+    for j in range(count):
+        slope = 0.0
+        for k in range(count):
+            slope += matrix[j, k] * at[k]
+        part[j] = vector[j] - slope
         moved += (slope - 2.0 * vector[j]) * at[j]
     for j in range(count):
-        inner[j, :] = 0.0
-        inner[j, j] = 1.0
-        for k in range(count):
-            spread[j, k] = covariance[j, k] / abs(scale[j] * scale[k])
-            share = spread[j, k] * abs(scale[k])
-            for one in range(count):
-                inner[j, one] += share * matrix[k, one] * abs(scale[one])
+        sides[j, 2 * count] = 0.0
+        for k in range(j, count):
+            sides[j, 2 * count] += root[j, k] * part[k]
     return moved
 
 
 @array_kernel
-def _finish_fusion(
-    left: FloatArray, at: FloatArray, scale: FloatArray, spread: FloatArray, gradient: FloatArray,
-    mean: FloatArray, covariance: FloatArray, kept: FloatArray,
-) -> float:  # fmt: skip
-    """Fill what is known, and what is left of an earlier error; return what the step saves of chi-square."""
-    count, saved = len(at), 0.0
+def _read_joint(joint: FloatArray, at: FloatArray, mean: FloatArray, covariance: FloatArray) -> float:
+    """Fill in what is known; return what the step saves of chi-square."""
+    count = len(at)
     for j in range(count):
-        covariance[j, :] = 0.0
-        for k in range(count):
-            for one in range(count):
-                covariance[j, one] += left[j, k] * spread[k, one]
-        step = 0.0
-        for k in range(count):
-            step += covariance[j, k] * gradient[k]
-        saved += gradient[j] * step
-        mean[j] = at[j] + step * max(scale[j], 0.0)
-    for j in range(count):
-        for k in range(j + 1):  # rounding makes nothing uncertain that was certain
-            shared = 0.5 * (covariance[j, k] + covariance[k, j]) * max(scale[j], 0.0) * max(scale[k], 0.0)
-            covariance[j, k], covariance[k, j] = shared, shared
-        for k in range(count):
-            kept[j, k] = left[j, k] * abs(scale[j] / scale[k])
-    return saved
+        mean[j] = at[j] + joint[j, count]
+        for k in range(j, count):
+            covariance[j, k], covariance[k, j] = joint[j, k], joint[j, k]
+    return float(joint[count, count])
 
 
 def compile_evidence() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
-    some = Evidence(matrix=np.eye(1), vector=np.zeros(1), constant=0.0, count=0)
+    one = Measurement(residual=np.zeros(1), slope=np.zeros((1, PARAMETER_COUNT)), noise=np.eye(1))
+    some = Evidence.of([one], np.zeros(PARAMETER_COUNT)).loosened(np.zeros(PARAMETER_COUNT)).about(slice(1))
     fuse(Knowledge(mean=np.zeros(1), covariance=np.eye(1)), some)

@@ -60,26 +60,40 @@ class _Search(NamedTuple):
     gradients: FloatArray  # (events, p)
     constants: FloatArray  # (events,) chi-square of what was known
     omissions: FloatArray  # (events,) what it costs to leave one out
-    information: FloatArray  # (p, p) for the kernels to work in
-    gradient: FloatArray  # (p,) likewise
+    used: FloatArray  # (p, p + 1) information and gradient of what is used
+    tried: FloatArray  # (p, p + 1) likewise, with one more event or without one
 
 
 def _search(base: Knowledge, evidences: Sequence[Evidence]) -> _Search:
-    std, count = base.std(), len(base.mean)
-    matrices = np.array([one.matrix for one in evidences]).reshape(-1, count, count)
-    vectors = np.array([one.vector for one in evidences]).reshape(-1, count)
-    slopes = matrices @ base.mean
+    std, count, number = base.std(), len(base.mean), len(evidences)
     spread = base.covariance / np.outer(scale := np.where(std > 0.0, std, 1.0), scale)
     spread.flat[:: count + 1] = 1.0 + _JITTER
-    return _Search(
+    used, tried = np.empty((2, count, count + 1))
+    search = _Search(
         precision=np.linalg.inv(spread),
-        matrices=matrices * np.outer(std, std),
-        gradients=(vectors - slopes) * std,
-        constants=np.array([one.constant for one in evidences]) + (slopes - 2.0 * vectors) @ base.mean,
-        omissions=np.array([omission_cost(one) for one in evidences]),
-        information=np.empty((count, count)),
-        gradient=np.empty(count),
+        matrices=np.array([one.matrix for one in evidences]).reshape(number, count, count),
+        gradients=np.array([one.vector for one in evidences]).reshape(number, count),
+        constants=np.array([one.constant for one in evidences], dtype=np.float64),
+        omissions=np.array([omission_cost(one) for one in evidences], dtype=np.float64),
+        used=used,
+        tried=tried,
     )
+    _scale(search, base.mean, std)
+    return search
+
+
+@array_kernel
+def _scale(search: _Search, at: FloatArray, std: FloatArray) -> None:
+    """Turn what events say about 0 into what they say about ``at``, in standard deviations."""
+    matrices, gradients = search.matrices, search.gradients
+    for event in range(len(matrices)):
+        for j in range(len(at)):
+            slope, vector = 0.0, gradients[event, j]
+            for k in range(len(at)):
+                slope += matrices[event, j, k] * at[k]
+                matrices[event, j, k] *= std[j] * std[k]
+            gradients[event, j] = (vector - slope) * std[j]
+            search.constants[event] += (slope - 2.0 * vector) * at[j]
 
 
 def _settled(search: _Search, is_used: BoolArray) -> Selection:
@@ -91,63 +105,67 @@ def _settled(search: _Search, is_used: BoolArray) -> Selection:
 @array_kernel
 def _settle(search: _Search, is_used: BoolArray) -> float:
     """Take in or leave out what saves most, one event at a time, until nothing does; return what it costs then."""
-    cost = _cost(search, is_used)
+    spent = _gather(search, is_used)
+    _copy(search.used, search.tried)
+    cost = spent - _saved(search.tried)
     while True:
         best, least = -1, cost - _LEAST_SAVING
         for event in range(len(is_used)):
-            is_used[event] = not is_used[event]
-            tried = _cost(search, is_used)
-            is_used[event] = not is_used[event]
+            sign = -1.0 if is_used[event] else 1.0
+            _try(search, event, sign)
+            tried = spent + sign * (search.constants[event] - search.omissions[event]) - _saved(search.tried)
             if tried < least:
                 best, least = event, tried
         if best < 0:
             return cost
         is_used[best], cost = not is_used[best], least
+        spent = _gather(search, is_used)
 
 
 @array_kernel
-def _cost(search: _Search, is_used: BoolArray) -> float:
-    """Return chi-square where the used events and what was known meet, and what leaving out the others costs."""
-    _start(search.information, search.gradient, search.precision)
-    cost = 0.0
+def _gather(search: _Search, is_used: BoolArray) -> float:
+    """Sum what is used; return its chi-square of what was known, and what leaving out the others costs."""
+    count, spent = len(search.used), 0.0
+    _copy(search.precision, search.used)
+    search.used[:, count] = 0.0
     for event in range(len(is_used)):
-        if is_used[event]:
-            cost += search.constants[event]
-            _add(search.information, search.gradient, search.matrices, search.gradients, event)
-        else:
-            cost += search.omissions[event]
-    return cost - _saved(search.information, search.gradient)
+        if not is_used[event]:
+            spent += search.omissions[event]
+            continue
+        spent += search.constants[event]
+        for i in range(count):
+            search.used[i, count] += search.gradients[event, i]
+            for k in range(count):
+                search.used[i, k] += search.matrices[event, i, k]
+    return spent
 
 
 @array_kernel
-def _start(information: FloatArray, gradient: FloatArray, precision: FloatArray) -> None:
-    for i in range(len(gradient)):
-        gradient[i] = 0.0
-        for k in range(i, len(gradient)):  # of what is symmetric the upper half is enough
-            information[i, k] = precision[i, k]
+def _copy(source: FloatArray, target: FloatArray) -> None:
+    for i in range(source.shape[0]):
+        for k in range(source.shape[1]):
+            target[i, k] = source[i, k]
 
 
 @array_kernel
-def _add(
-    information: FloatArray, gradient: FloatArray, matrices: FloatArray, gradients: FloatArray, event: int
-) -> None:
-    for i in range(len(gradient)):
-        gradient[i] += gradients[event, i]
-        for k in range(i, len(gradient)):
-            information[i, k] += matrices[event, i, k]
+def _try(search: _Search, event: int, sign: float) -> None:
+    """Fill in what is used with one more event, or without one of them."""
+    count = len(search.used)
+    for i in range(count):
+        search.tried[i, count] = search.used[i, count] + sign * search.gradients[event, i]
+        for k in range(count):
+            search.tried[i, k] = search.used[i, k] + sign * search.matrices[event, i, k]
 
 
 @array_kernel
-def _saved(information: FloatArray, gradient: FloatArray) -> float:
-    """Return ``gradient @ inv(information) @ gradient`` by Cholesky's method; both are overwritten."""
-    count, saved = len(gradient), 0.0
+def _saved(joint: FloatArray) -> float:
+    """Return ``gradient @ inv(information) @ gradient`` of both side by side, which are overwritten."""
+    count, saved = len(joint), 0.0
     for j in range(count):
-        pivot = information[j, j]
-        step = gradient[j] / pivot
-        saved += gradient[j] * step
+        pivot, gradient = joint[j, j], joint[j, count]
+        saved += gradient**2 / pivot
         for i in range(j + 1, count):
-            gradient[i] -= information[j, i] * step
-            ratio = information[j, i] / pivot
-            for k in range(i, count):
-                information[i, k] -= ratio * information[j, k]
+            ratio = joint[j, i] / pivot
+            for k in range(count + 1):  # a whole row, though half would do: by vector instructions
+                joint[i, k] -= ratio * joint[j, k]
     return saved
