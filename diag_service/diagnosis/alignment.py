@@ -16,7 +16,7 @@ from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import Event
 
 NS_TO_S = 1e-9
-GRID_S = 1e-3  # ten points per CAN sample: quadrature error far below sensor noise
+GRID_S = 2e-3  # five points per CAN sample; a finer grid moves friction by a tenth of its deviation
 TURNING_RAD_S = 58.0  # 554 rpm: below any idle; there a starter may turn the engine, which no torque reading tells
 END_COUNT = 30  # samples, of which one is nearly on time; an event is cut that much wider than its slip window
 COMMAND_LAG_S = 0.025  # from commanded to piston pressure: solenoid and feed orifice; docs/model.md, hydraulics

@@ -42,7 +42,7 @@ from diag_service.diagnosis.quality.plausibility import (
 from diag_service.diagnosis.quality.usability import Samples, aligned, compile_usability, usable_samples
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 
-ALGORITHM_VERSION = "torque-impulse-7"
+ALGORITHM_VERSION = "torque-impulse-8"
 MAX_PASS_COUNT = 4  # of linearisation: the first events of a vehicle move latencies by more than a line follows
 CONVERGED = 0.2  # of a standard deviation
 NEAR_STEP = 0.5  # standard deviations of the type: up to there derivatives are the same

@@ -25,7 +25,7 @@ from clutch_model.thermal import clutch_heating_rate_k_s
 from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.alignment import GRID_S
 
-COARSE = 3  # points of the grid: steps in which a film may be followed whose derivatives alone are wanted
+COARSE = 2  # points of the grid: steps in which a film may be followed whose derivatives alone are wanted
 _ANY_K = 350.0
 DRAG_LIMIT_NM = 8.0  # of an open pack: its oil is full of air, so the law of a full film ends there
 _CONTACT_END = 4.0  # film over roughness from which no asperities touch: a pack begins to be open

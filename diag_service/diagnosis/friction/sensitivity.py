@@ -43,7 +43,7 @@ MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
 DOUBT_RATIO = 0.01  # of a clutch's torque: so far no law of friction and film holds moment by moment
 OPEN_DOUBT_RATIO = 0.5  # of what an open pack drags: how that goes with the slip is another in every pack
 DOUBT_TIME_S = 0.1  # for which what is not known is wrong one way
-DOUBT_STEP = 5  # points of the grid: no test function turns in less than ten times that
+DOUBT_STEP = 2  # points of the grid: no test function turns in less than ten times that
 IDLE_RATIO = 0.1  # of the noise: a clutch that weighs less than this in the balance has no say in any derivative
 
 

@@ -289,24 +289,36 @@ def sines(window: SlipWindow, counts: Sequence[int]) -> Weights:
 
 @lru_cache(maxsize=32)
 def _sines(row_count: int, count: int) -> tuple[FloatArray, FloatArray]:
-    """Return sines and their derivatives on one piece, each (count, row_count)."""
+    """Return sines and their derivatives on one piece as weights of its rows, each (count, row_count).
+
+    Sums weighted with them are exact for what is linear between rows: each row's weight is the integral of the function
+    times the hat that is 1 on this row and 0 on those beside it.
+    """
     step = np.pi / (row_count - 1)
-    period = np.arange(2 * (row_count - 1)) * step  # of the slowest: all others take their values from it
+    along = np.arange(row_count) * step  # of the slowest: all others follow from it
     value, rate = np.empty((2, count, row_count))
-    _fill_sines(np.sin(period) * GRID_S, np.cos(period), step, value, rate)
-    rate[:, [0, -1]] *= 0.5  # trapezoid
+    value[0], rate[0] = np.sin(along), np.cos(along)
+    _fill_sines(step, value, rate)
     return value, rate
 
 
 @array_kernel
-def _fill_sines(sine: FloatArray, cosine: FloatArray, step: float, value: FloatArray, rate: FloatArray) -> None:
-    for k in range(value.shape[0]):
-        place = 0
+def _fill_sines(step: float, value: FloatArray, rate: FloatArray) -> None:
+    for k in range(1, len(value)):  # sin (k+1)x = 2 cos x sin kx - sin (k-1)x, and cos likewise
         for row in range(value.shape[1]):
-            value[k, row], rate[k, row] = sine[place], cosine[place] * ((k + 1) * step)
-            place += k + 1
-            if place >= len(sine):
-                place -= len(sine)
+            sine_before, cosine_before = (value[k - 2, row], rate[k - 2, row]) if k > 1 else (0.0, 1.0)
+            value[k, row] = 2.0 * rate[0, row] * value[k - 1, row] - sine_before
+            rate[k, row] = 2.0 * rate[0, row] * rate[k - 1, row] - cosine_before
+    for k in range(len(value)):
+        turn = (k + 1) * step  # of this function from row to row [rad]
+        hat = (math.sin(0.5 * turn) / (0.5 * turn)) ** 2
+        for row in range(value.shape[1]):
+            value[k, row] *= hat * GRID_S
+            rate[k, row] *= hat * turn
+        value[k, 0] = GRID_S * (1.0 - math.sin(turn) / turn) / turn  # half a hat
+        value[k, -1] = -value[k, 0] if k % 2 else value[k, 0]
+        rate[k, 0] *= 0.5
+        rate[k, -1] *= 0.5
 
 
 def smoothed(values: FloatArray, window: SlipWindow, degree: int) -> FloatArray:

@@ -8,7 +8,7 @@ from diag_service.diagnosis.alignment import GRID_S, Resampled
 from diag_service.diagnosis.friction.window import Piece, SlipWindow, fitted, sines, smoothed
 
 GRID = GRID_S * np.arange(-40.0, 460.0)
-WINDOW = SlipWindow.between(101, 352)  # 0.25 s
+WINDOW = SlipWindow.between(101, 352)  # 0.5 s
 INSIDE = WINDOW.rows
 COUNT = 12
 
@@ -18,26 +18,37 @@ def outside(values: FloatArray) -> FloatArray:
     return np.concatenate((values[..., : INSIDE.start], values[..., INSIDE.stop :]), axis=-1)
 
 
-def test_weights_vanish_at_the_ends() -> None:
+def test_weights_are_next_to_nothing_at_the_ends() -> None:
     weights = sines(WINDOW, (COUNT,))
     assert weights.rows == INSIDE
     (value,), (rate,) = weights.value.blocks, weights.rate.blocks
     assert value.shape == rate.shape == (COUNT, INSIDE.stop - INSIDE.start)
-    assert np.abs(value[:, [0, -1]]).max() < 1e-12 * GRID_S
+    assert np.abs(value[:, [0, -1]]).max() < 0.03 * GRID_S  # what the sine makes of the first half step
+
+
+def test_sums_are_exact_for_what_is_linear_between_rows() -> None:
+    value, rate = (one.blocks[0] for one in (sines(WINDOW, (COUNT,)).value, sines(WINDOW, (COUNT,)).rate))
+    bent = np.abs(np.arange(len(value[0])) - 77.0) * GRID_S
+    fine_s = np.linspace(0.0, GRID_S * (len(bent) - 1), 500 * (len(bent) - 1) + 1)
+    values, turn_1_s = np.interp(fine_s, GRID_S * np.arange(len(bent)), bent), np.pi / fine_s[-1] * np.arange(1, 13)
+    by_value = [np.trapezoid(np.sin(one * fine_s) * values, fine_s) for one in turn_1_s]
+    by_rate = [np.trapezoid(one * np.cos(one * fine_s) * values, fine_s) for one in turn_1_s]
+    assert value @ bent == pytest.approx(np.array(by_value), abs=1e-9)
+    assert rate @ bent == pytest.approx(np.array(by_rate), abs=1e-8)
 
 
 def test_weighting_with_the_rate_replaces_differentiation() -> None:
-    """By parts, int psi f' = -int psi' f, but for the error of the trapezoid: no speed is ever differentiated."""
+    """By parts, int psi f' = -int psi' f, as far as f is linear between rows: no speed is ever differentiated."""
     weights = sines(WINDOW, (COUNT,))
     speed = np.exp(3.0 * GRID[INSIDE])
     acceleration = 3.0 * speed
-    assert weights.value @ acceleration == pytest.approx(-(weights.rate @ speed), abs=5e-4)
+    assert weights.value @ acceleration == pytest.approx(-(weights.rate @ speed), abs=2e-5)
 
 
 def test_weights_are_orthogonal() -> None:
     value = sines(WINDOW, (COUNT,)).value.blocks[0] / GRID_S
     length = INSIDE.stop - 1 - INSIDE.start
-    assert value @ value.T == pytest.approx(0.5 * length * np.eye(COUNT), abs=1e-9 * length)
+    assert value @ value.T == pytest.approx(0.5 * length * np.eye(COUNT), abs=4e-3 * length)  # but for the hats
 
 
 @pytest.mark.parametrize("degree", [0, 3, 5])
