@@ -1,7 +1,7 @@
 """The one way this project compiles a numerical kernel."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, Final, ParamSpec, TypeVar, cast
 
 import numba
 from numba.core import types as numba_types
@@ -41,12 +41,24 @@ def inlined_kernel(function: Callable[P, R]) -> Callable[P, R]:
 def fused_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile an `inlined_kernel` in which a product and a sum may be one step, rounded once, if the processor can.
 
-    For what is followed from point to point and waits for each result. Its last digit is the processor's.
+    For what is followed from point to point and waits for each result, and for what goes along rows. Its last digit is
+    the processor's, and a division by zero is infinite, no error.
     """
-    return _compiled(function, _nrt=False, forceinline=True, fastmath={"contract"})
+    return _compiled(function, forceinline=True, **_FUSED)
 
 
-def _compiled(function: Callable[P, R], **options: bool | set[str]) -> Callable[P, R]:
+def row_kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile an `array_kernel` that goes along rows of which none waits for another: several are done at once.
+
+    What it calls must be `fused_kernel`s, or small, and have no branches.
+    """
+    return _compiled(function, **_FUSED)
+
+
+_FUSED: Final[dict[str, bool | str | set[str]]] = {"_nrt": False, "fastmath": {"contract"}, "error_model": "numpy"}
+
+
+def _compiled(function: Callable[P, R], **options: bool | str | set[str]) -> Callable[P, R]:
     vars(function)[OPTIONS] = options
     dispatcher: Any = numba.njit(nogil=True, no_cfunc_wrapper=True, **options)(function)  # type: ignore[call-overload]  # the unlisted option
     dispatcher._cache = LateCache(dispatcher)  # noqa: SLF001 - what njit's cache=True sets, with another key

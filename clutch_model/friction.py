@@ -3,13 +3,16 @@
 A law in the plural takes numbers or whole arrays; its singular is the same law, compiled for other kernels to call.
 """
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from canlog.jit import kernel
+from canlog.jit import fused_kernel, kernel
 from clutch_model.clutch import FrictionCurve
+from clutch_model.row_functions import row_exponential, row_logarithm
 from clutch_model.units import Quantity
+
+_NEXT_TO_ZERO: Final = 1e-290  # [rad/s]: has a logarithm, and a weight of 1
 
 
 class FrictionLaw(NamedTuple):
@@ -43,6 +46,13 @@ def stribeck_weights(slip_rad_s: Quantity, law: FrictionLaw) -> Quantity:
 
 
 stribeck_weight = kernel(stribeck_weights)
+
+
+@fused_kernel
+def row_stribeck_weight(slip_rad_s: float, law: FrictionLaw) -> float:
+    """Return `stribeck_weight` for kernels that go along rows; right to 1e-13."""
+    excess = max(abs(slip_rad_s) - law.lock_band_rad_s, _NEXT_TO_ZERO) * (1.0 / law.stribeck_speed_rad_s)
+    return row_exponential(-row_exponential(law.stribeck_exponent * row_logarithm(excess)))
 
 
 @kernel

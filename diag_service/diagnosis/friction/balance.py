@@ -14,9 +14,9 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel, kernel
+from canlog.jit import array_kernel, fused_kernel, row_kernel
 from clutch_model.calibration import Calibration
-from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, stribeck_weight
+from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, row_stribeck_weight, stribeck_weight
 from clutch_model.gears import both_clutches
 from clutch_model.knowledge import SensorBias
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
@@ -198,12 +198,13 @@ class _Rows(NamedTuple):
     open_nm: FloatArray
 
 
-@array_kernel
+@row_kernel
 def _fill_torques(
     rows: _Rows, law: FrictionLaw, contact_factor_m3: float, lever_m3: FloatArray, parts_nm: FloatArray
 ) -> None:
     for row in range(len(rows.slip_rad_s)):
-        by_mu_c_m3, by_mu_s_m3 = _levers_m3(rows.slip_rad_s[row], law, contact_factor_m3)
+        weight = row_stribeck_weight(rows.slip_rad_s[row], law)
+        by_mu_c_m3, by_mu_s_m3 = _levers_m3(rows.slip_rad_s[row], weight, contact_factor_m3)
         by_mu_c_nm, by_mu_s_nm = by_mu_c_m3 * rows.contact_pa[row], by_mu_s_m3 * rows.contact_pa[row]
         warm_k = rows.clutch_k[row] - REFERENCE_K
         lever_m3[0, row], lever_m3[1, row] = by_mu_c_m3, by_mu_s_m3
@@ -212,13 +213,10 @@ def _fill_torques(
         parts_nm[4, row], parts_nm[5, row] = rows.viscous_nm[row], rows.open_nm[row]
 
 
-@kernel
-def _levers_m3(slip_rad_s: float, law: FrictionLaw, contact_factor_m3: float) -> tuple[float, float]:
-    full_m3, share = (
-        contact_torque_nm(direction(slip_rad_s), 1.0, 1.0, contact_factor_m3),
-        stribeck_weight(slip_rad_s, law),
-    )
-    return full_m3 * (1.0 - share), full_m3 * share
+@fused_kernel
+def _levers_m3(slip_rad_s: float, weight: float, contact_factor_m3: float) -> tuple[float, float]:
+    full_m3 = contact_torque_nm(direction(slip_rad_s), 1.0, 1.0, contact_factor_m3)
+    return full_m3 * (1.0 - weight), full_m3 * weight
 
 
 @array_kernel
@@ -231,13 +229,14 @@ def _heat_w(
     for row in range(len(slip_rad_s)):
         torque_nm = viscous_nm[row]
         if contact_pa[row] > 0.0:
-            by_mu_c, by_mu_s = _levers_m3(slip_rad_s[row], law, contact_factor_m3)
+            weight = stribeck_weight(slip_rad_s[row], law)
+            by_mu_c, by_mu_s = _levers_m3(slip_rad_s[row], weight, contact_factor_m3)
             torque_nm += (by_mu_c * mu[0] + by_mu_s * mu[1]) * contact_pa[row]
         total_w += abs(torque_nm * slip_rad_s[row])
     return total_w
 
 
-@kernel
+@fused_kernel
 def direction(slip_rad_s: float) -> float:
     """Return the sign of the slip, fading near zero."""
     return min(max(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0), 1.0)

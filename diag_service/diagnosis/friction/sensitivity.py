@@ -13,10 +13,11 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel
+from canlog.jit import row_kernel
 from clutch_model.calibration import Calibration, InputSide
 from clutch_model.friction import FrictionLaw, friction_law
 from clutch_model.gears import both_clutches
+from clutch_model.row_functions import row_exponential, row_logarithm
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals, Resampled
 from diag_service.diagnosis.friction.balance import (
     Balance,
@@ -291,7 +292,7 @@ def measured(balance: Balance, near: Sequence[Measurement] = ()) -> tuple[Measur
     )
 
 
-@array_kernel
+@row_kernel
 def _fill_answers(
     slip_rad_s: FloatArray, torques_nm: FloatArray, contact_pa: FloatArray, film_doubt_nm: FloatArray, mu: FloatArray,
     curve: FrictionLaw, area_ratio: float, answers: ContactAnswers,
@@ -299,9 +300,9 @@ def _fill_answers(
     speed_rad_s, exponent = curve.stribeck_speed_rad_s, curve.stribeck_exponent
     for row in range(len(slip_rad_s)):
         excess = max(abs(slip_rad_s[row]) / speed_rad_s, MIN_EXCESS)
-        log_excess = math.log(excess)
+        log_excess = row_logarithm(excess)
         by_mu_c_nm, by_mu_s_nm = torques_nm[0, row], torques_nm[1, row]
-        by_log_nm = by_mu_s_nm * (mu[1] - mu[0]) * exponent * math.exp(exponent * log_excess)
+        by_log_nm = by_mu_s_nm * (mu[1] - mu[0]) * exponent * row_exponential(exponent * log_excess)
         answers.by_slip_nms[row] = -by_log_nm / (excess * speed_rad_s) * direction(slip_rad_s[row])
         answers.by_pressure_m3[row] = area_ratio * mu[0] * (by_mu_c_nm + by_mu_s_nm) / max(contact_pa[row], 1.0)
         answers.by_stribeck_speed_nm[row] = by_log_nm

