@@ -51,7 +51,7 @@ class Resampled:
 
     def is_sampled_with(self, other: "Resampled") -> bool:
         """Return whether both were sampled at the same instants, as signals of one message are."""
-        return np.array_equal(self.times_s, other.times_s)
+        return len(self.times_s) == len(other.times_s) and _is_same(self.times_s, other.times_s)
 
     def to_samples(self, weights: FloatArray, rows: slice) -> FloatArray:
         """Return the weight of each sample, shape (k, n), in k weighted sums over rows of the grid, (k, len(rows)).
@@ -210,6 +210,7 @@ def compile_alignment() -> None:
     signal = Resampled.of(ends, ends, ends)
     signal.to_samples(one, slice(None))
     signal.around_samples(ends, slice(None))
+    signal.is_sampled_with(signal)
     _read_at(np.arange(2), ends, 0, 1.0, ends, np.empty(2))
     _free_of_jitter(np.arange(2), np.arange(2), 0, 1.0, np.empty(2))
     _lag_behind(ends, ends, ends, 1.0, np.empty(2))
@@ -293,6 +294,14 @@ def _resample(
         passed = (grid_s[row] - times_s[sample]) / (times_s[sample + 1] - times_s[sample])
         left[row], share[row] = sample, min(max(passed, 0.0), 1.0)
         on_grid[row] = (1.0 - share[row]) * value[sample] + share[row] * value[sample + 1]
+
+
+@array_kernel
+def _is_same(values: FloatArray, others: FloatArray) -> bool:
+    row = 0
+    while row < len(values) and values[row] == others[row]:
+        row += 1
+    return row == len(values)
 
 
 @array_kernel

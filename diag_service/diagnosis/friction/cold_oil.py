@@ -63,6 +63,6 @@ def film_share(balance: Balance, clutch: int) -> float:
     rows, track = balance.window.slip_rows, balance.tracks[clutch - 1]
     first = balance.weights.rows.start
     by_friction_nm = balance.torques.contact_nm[clutch - 1, :, rows.start - first : rows.stop - first]
-    contact = float(np.sum(np.abs(balance.at[friction_rows(clutch)] @ by_friction_nm)))
-    film = float(np.sum(np.abs(track.viscous_nm[rows])))
+    contact = float(np.abs(balance.at[friction_rows(clutch)] @ by_friction_nm).sum())
+    film = float(np.abs(track.viscous_nm[rows]).sum())
     return film / max(film + contact, 1e-9)

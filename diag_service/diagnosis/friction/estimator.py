@@ -53,6 +53,7 @@ SCORE_GATE = 5.5  # standard deviations that one parameter is displaced: of soun
 LEAST_LEARNT = 0.03  # of a standard deviation: what an event tells less of, it cannot contradict
 FULL_WINDOW_S = 0.25  # the shortest slip window that every regular shift offers
 _ZEROS = slice(State.ZERO1, State.ZERO2 + 1)
+_UNKNOWN_FRICTION = np.eye(2) * FRICTION_PRIOR_STD**2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,6 +78,9 @@ class Estimator:
     def __init__(self, calibration: Calibration) -> None:
         self._calibration = calibration
         self._type = Posterior.fresh(calibration).base
+        std = self._type.std()
+        self._per_std = 1.0 / np.where(std > 0.0, std, np.inf)
+        self._per_std[:FRICTION_COUNT] = 0.0
 
     def prepare(self) -> None:
         """Have everything compiled before the first shift comes: it must not wait for it."""
@@ -112,7 +116,7 @@ class Estimator:
         slipping = SlippingClutch(
             number=first.clutch,
             rows=first.balance.window.slip_rows,
-            pressure_zero_pa=float(self._zeros_of(first.empty, state.known)[first.clutch - 1]),
+            pressure_zero_pa=self._zero_pa(first.empty, state.known, first.clutch),
             touch_pressure_pa=self._calibration.clutches[first.clutch - 1].touch_pressure_pa,
         )
         if faults := plausibility_faults(event, first.balance.signals, slipping):
@@ -147,7 +151,7 @@ class Estimator:
         mean[rows] = self._type.mean[rows]
         covariance[rows, :] = 0.0
         covariance[:, rows] = 0.0
-        covariance[rows, rows] = np.eye(2) * FRICTION_PRIOR_STD**2
+        covariance[rows, rows] = _UNKNOWN_FRICTION
         return Knowledge(mean=mean, covariance=covariance)
 
     def _settled(self, samples: Samples, state: Posterior, first: _Seen) -> tuple[_Seen, Posterior, Posterior]:
@@ -183,7 +187,7 @@ class Estimator:
             if after is None:
                 return None
             step = after.mean - at
-            if np.max(np.abs(step) / after.std().clip(min=1e-30)) < CONVERGED:
+            if (np.abs(step) / np.maximum(after.std(), 1e-30)).max() < CONVERGED:
                 break
             longest = self._longest(step)
             at = at + step / max(1.0, longest / LONGEST_STEP)
@@ -193,21 +197,18 @@ class Estimator:
             seen = attempt
         return seen
 
-    def _zeros_of(self, empty: Evidence, known: Knowledge) -> FloatArray:
-        """Return the zeros of both pressure sensors [Pa] as an event shows them; otherwise they are as known."""
-        if not empty.count:
-            return known.mean[_ZEROS]
-        believed = self._type.about(_ZEROS)
-        shown = fuse(believed, empty.about(_ZEROS)).knowledge
-        is_shown = np.diag(shown.covariance) < 0.5 * np.diag(believed.covariance)
-        return np.where(is_shown, shown.mean, known.mean[_ZEROS])
+    def _zero_pa(self, empty: Evidence, known: Knowledge, clutch: int) -> float:
+        """Return the zero of a clutch's pressure sensor [Pa] as an event shows it; otherwise it is as known."""
+        row = State.ZERO1 + clutch - 1
+        mean_pa, variance_pa2 = float(self._type.mean[row]), float(self._type.covariance[row, row])
+        told = variance_pa2 * float(empty.matrix[row, row])
+        if told <= 1.0:  # by less than what the type tells
+            return float(known.mean[row])
+        return (mean_pa + variance_pa2 * float(empty.vector[row])) / (1.0 + told)
 
     def _longest(self, step: FloatArray) -> float:
         """Return the largest part of a step in standard deviations of the type, friction aside."""
-        std = self._type.std()
-        known = std > 0.0
-        known[:FRICTION_COUNT] = False
-        return float(np.max(np.abs(step[known]) / std[known], initial=0.0))
+        return float((np.abs(step) * self._per_std).max())
 
     def _linearised(
         self, samples: Samples, state: Posterior, at: FloatArray, earlier: _Seen | None, *, is_near: bool = False
@@ -269,10 +270,10 @@ def _is_misfit(before: Knowledge, alone: Fusion, count: int) -> bool:
     if alone.chi_square / count > misfit_gate(count):
         return True
     after = alone.knowledge
-    variance = np.diag(before.covariance)
-    learnt = np.sqrt(np.maximum(variance - np.diag(after.covariance), LEAST_LEARNT**2 * variance))
+    variance = before.covariance.diagonal()
+    learnt = np.sqrt(np.maximum(variance - after.covariance.diagonal(), LEAST_LEARNT**2 * variance))
     score = np.abs(after.mean - before.mean) / np.where(learnt > 0.0, learnt, np.inf)
-    return bool(np.max(score[FRICTION_COUNT:]) > SCORE_GATE)
+    return bool(score[FRICTION_COUNT:].max() > SCORE_GATE)
 
 
 def _rejected(estimate: ShiftEstimate, reason: Reason) -> ShiftEstimate:
@@ -300,7 +301,7 @@ def misfit_gate(count: int) -> float:
 
 def _zeros(known: Knowledge) -> PressureZeros:
     """Return what is known of the zeros of both pressure sensors."""
-    return PressureZeros(mean_pa=known.mean[_ZEROS], variance_pa2=np.diag(known.covariance)[_ZEROS])
+    return PressureZeros(mean_pa=known.mean[_ZEROS], variance_pa2=known.covariance.diagonal()[_ZEROS])
 
 
 def without_friction(event: Event, status: Status, *reasons: Reason) -> ShiftEstimate:

@@ -6,7 +6,7 @@ samples. Knowledge is a mean with its covariance; docs/model.md, section "Estima
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
@@ -87,10 +87,6 @@ class Evidence:
         constant = sum(value**2 / its_variance for value, its_variance in zip(reading, variance, strict=True))
         return cls(matrix=matrix, vector=vector, constant=constant, count=len(rows))
 
-    def about(self, rows: slice) -> Self:
-        """Return the same of those parameters only that it says anything about."""
-        return replace(self, matrix=self.matrix[rows, rows].copy(), vector=self.vector[rows])
-
     def plus(self, other: Self, sign: float = 1.0) -> Self:
         """Return what both say; with a ``sign`` of -1 what is left without the other."""
         return type(self)(
@@ -121,10 +117,6 @@ class Knowledge:
     def less_sure(self, added: FloatArray) -> Self:
         """Return the same, each parameter less certain by a variance; ``added`` has shape (PARAMETER_COUNT,)."""
         return type(self)(mean=self.mean, covariance=self.covariance + np.diag(added))
-
-    def about(self, rows: slice) -> Self:
-        """Return what is known of some parameters."""
-        return type(self)(mean=self.mean[rows], covariance=self.covariance[rows, rows].copy())
 
     def std(self) -> FloatArray:
         """Return the standard deviations, shape (PARAMETER_COUNT,)."""
@@ -293,5 +285,5 @@ def _read_joint(joint: FloatArray, at: FloatArray, mean: FloatArray, covariance:
 def compile_evidence() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     one = Measurement(residual=np.zeros(1), slope=np.zeros((1, PARAMETER_COUNT)), noise=np.eye(1))
-    some = Evidence.of([one], np.zeros(PARAMETER_COUNT)).loosened(np.zeros(PARAMETER_COUNT)).about(slice(1))
-    fuse(Knowledge(mean=np.zeros(1), covariance=np.eye(1)), some)
+    nowhere = np.zeros(PARAMETER_COUNT)
+    fuse(Knowledge(mean=nowhere, covariance=np.eye(PARAMETER_COUNT)), Evidence.of([one], nowhere).loosened(nowhere))
