@@ -21,6 +21,7 @@ from diag_service.diagnosis.condition.thresholds import (
 )
 from diag_service.diagnosis.friction.calibration_progress import calibration_ratio
 from diag_service.diagnosis.friction.friction_values import (
+    both_frictions,
     clutch_ratio,
     common_margin,
     common_scale_std_ratio,
@@ -171,7 +172,7 @@ def judge(
     reference = calibration.clutches[index].friction
     shift_count = state.shift_counts[index]
     known = bool(shift_count)
-    now, since = friction(state, clutch), trend(state, clutch) if known else None
+    (now, free), since = both_frictions(state, clutch), trend(state, clutch) if known else None
     launches = memory.launches[index]
     common = common_margin(state, both_clutches(one.friction.mu_c - one.friction.mu_s for one in calibration.clutches))
     finding = decide(now, since, reference, shift_count, memory.conditions[index], launches, common)
@@ -181,7 +182,6 @@ def judge(
     elif known and progress < CALIBRATED_RATIO:
         finding = replace(finding, reason=f"{finding.reason}, calibrating: {100.0 * progress:.0f} %")
     scatter, lining = memory.scatters[index], memory.linings[index]
-    free = scale_free(state, clutch) if known else None
     verdict = ClutchVerdict(
         clutch=clutch,
         condition=finding.condition,
@@ -189,12 +189,12 @@ def judge(
         level_ratio=now.mu_c / reference.mu_c if known else None,
         friction=now if known else None,
         shift_count=shift_count,
-        scale_free=free,
+        scale_free=free if known else None,
         common_scale_std_ratio=common_scale_std_ratio(state, clutch) if known else None,
         shift_scatter=None if scatter is None else scatter.reported,
         trend=since,
         clutch_ratio=clutch_ratio(state),
-        lining=None if lining is None or free is None else lining.change(free),
+        lining=lining.change(free) if lining is not None and known else None,
         stick_slip=launches.reported,
         calibration_ratio=progress,
         advice=advice(clutch, finding.condition, finding.ground, finding.probability),

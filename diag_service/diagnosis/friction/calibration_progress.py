@@ -8,7 +8,6 @@ import numpy as np
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.friction.parameters import FRICTION_COUNT, STATE_COUNT, Considered, State, type_std
 from diag_service.diagnosis.friction.posterior import Posterior
-from diag_service.diagnosis.quality.averages import mean
 
 _LEARNT: Final = np.array((
     State.TORQUE_OFFSET,
@@ -29,4 +28,4 @@ def calibration_ratio(state: Posterior, calibration: Calibration) -> float:
     variances, stds = state.known.covariance[_LEARNT, _LEARNT].tolist(), type_std(calibration)
     of_type = [stds[row] for row in _AMONG_NUISANCES]
     left = [math.sqrt(now) / std if std else 0.0 for now, std in zip(variances, of_type, strict=True)]
-    return mean(np.array([1.0 - min(one, 1.0) for one in left]))
+    return sum(1.0 - min(one, 1.0) for one in left) / len(left)

@@ -17,7 +17,7 @@ from diag_service.diagnosis.friction.cold_oil import MOST_FILM_SHARE, film_share
 from diag_service.diagnosis.friction.evidence import Evidence, Fusion, Knowledge, Measurement, compile_evidence, fuse
 from diag_service.diagnosis.friction.film_tangents import compile_tangents
 from diag_service.diagnosis.friction.film_track import PressureDrive, compile_film
-from diag_service.diagnosis.friction.friction_values import friction, scale_free
+from diag_service.diagnosis.friction.friction_values import both_frictions
 from diag_service.diagnosis.friction.judgement import JudgedEvent
 from diag_service.diagnosis.friction.parameters import (
     FRICTION_COUNT,
@@ -250,12 +250,12 @@ class Estimator:
         ratio = alone.chi_square / seen.evidence.count
         gate = misfit_gate(seen.evidence.count)
         fit = min(1.0, max(0.0, (gate - ratio) / (gate - 1.0)))
-        told = replace(state, fusion=alone)
+        with_scale, without_scale = both_frictions(replace(state, fusion=alone), clutch)
         return replace(
             without_friction(event, Status.VALID),
             clutch=clutch,
-            friction=friction(told, clutch),
-            scale_free=scale_free(told, clutch),
+            friction=with_scale,
+            scale_free=without_scale,
             sample_count=balance.sample_count,
             window_s=window_s,
             chi_square_ratio=ratio,

@@ -139,6 +139,8 @@ class Fusion:
 
 def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
     """Return what earlier knowledge and evidence say together; what was certain stays as it is."""
+    if not evidence.count:  # then all does, to the last digit
+        return Fusion(knowledge=earlier, chi_square=0.0, information=evidence.matrix)
     count = len(earlier.mean)
     mean, (root, turned, covariance) = np.empty(count), np.empty((3, count, count))
     sides, joint = np.empty((count, 2 * count + 1)), np.zeros((count + 1, count + 1))

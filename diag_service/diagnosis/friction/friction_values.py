@@ -27,7 +27,6 @@ _GAIN = STATE_COUNT + Considered.TORQUE_GAIN
 _WIDTH = STATE_COUNT + Considered.STRIBECK_SPEED
 _AREAS = (STATE_COUNT + Considered.PISTON_AREA1, STATE_COUNT + Considered.PISTON_AREA2)
 _FRICTION_AND_GAIN = np.ix_([*range(FRICTION_COUNT), _GAIN], [*range(FRICTION_COUNT), _GAIN])  # of a covariance
-_GAIN_AND_AREA = tuple(np.ix_([_GAIN, area], [_GAIN, area]) for area in _AREAS)
 
 
 class _Pair(NamedTuple):
@@ -64,8 +63,18 @@ class _Pair(NamedTuple):
 
 def friction(state: Posterior, clutch: int) -> FrictionEstimate:
     """Return the friction of clutch 1 or 2 as now estimated."""
+    return _with_scale(state, clutch, _without_scale(state, clutch))
+
+
+def both_frictions(state: Posterior, clutch: int) -> tuple[FrictionEstimate, ScaleFreeFriction]:
+    """Return the friction of clutch 1 or 2 as now estimated, and what `scale_free` says of it."""
+    free = _without_scale(state, clutch)
+    return _with_scale(state, clutch, free), _scale_free(free)
+
+
+def _with_scale(state: Posterior, clutch: int, free: _Pair) -> FrictionEstimate:
     known, gain = state.known, state.torque_gain + float(state.known.mean[_GAIN])
-    pair, free = _Pair.of(known, clutch, _GAIN, 1.0 / gain, -1.0 / gain**2), _without_scale(state, clutch)
+    pair = _Pair.of(known, clutch, _GAIN, 1.0 / gain, -1.0 / gain**2)
     width = state.stribeck_speed_rad_s[clutch - 1] * (1.0 + float(known.mean[_WIDTH]))
     difference = NormalDist(pair.mu_c - pair.mu_s, math.sqrt(pair.variance_c + pair.variance_s - 2.0 * pair.covariance))
     return FrictionEstimate(
@@ -87,7 +96,10 @@ def scale_free(state: Posterior, clutch: int) -> ScaleFreeFriction:
 
     The area counts as a ratio to what the calibration says.
     """
-    pair = _without_scale(state, clutch)
+    return _scale_free(_without_scale(state, clutch))
+
+
+def _scale_free(pair: _Pair) -> ScaleFreeFriction:
     return ScaleFreeFriction(
         mu_c=pair.mu_c,
         mu_s=pair.mu_s,
@@ -123,9 +135,10 @@ def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalD
 
 def common_scale_std_ratio(state: Posterior, clutch: int) -> float:
     """Return the relative deviation of gain times piston area: what all friction of clutch 1 or 2 shares, for good."""
-    known, area = state.known, _AREAS[clutch - 1]
-    by_part = np.array((1.0 / (state.torque_gain + known.mean[_GAIN]), 1.0 / (1.0 + known.mean[area])))
-    return math.sqrt(by_part @ known.covariance[_GAIN_AND_AREA[clutch - 1]] @ by_part)
+    mean, covariance, area = state.known.mean, state.known.covariance, _AREAS[clutch - 1]
+    by_gain, by_area = 1.0 / (state.torque_gain + float(mean[_GAIN])), 1.0 / (1.0 + float(mean[area]))
+    gain, both, own = float(covariance[_GAIN, _GAIN]), float(covariance[_GAIN, area]), float(covariance[area, area])
+    return math.sqrt(by_gain**2 * gain + 2.0 * by_gain * by_area * both + by_area**2 * own)
 
 
 def trend(state: Posterior, clutch: int) -> FrictionTrend | None:

@@ -65,12 +65,10 @@ class _Search(NamedTuple):
 
 
 def _search(base: Knowledge, evidences: Sequence[Evidence]) -> _Search:
-    std, count, number = base.std(), len(base.mean), len(evidences)
-    spread = base.covariance / np.outer(scale := np.where(std > 0.0, std, 1.0), scale)
-    spread.flat[:: count + 1] = 1.0 + _JITTER
+    count, number = len(base.mean), len(evidences)
     used, tried = np.empty((2, count, count + 1))
     search = _Search(
-        precision=np.linalg.inv(spread),
+        precision=np.empty((count, count)),
         matrices=np.array([one.matrix for one in evidences]).reshape(number, count, count),
         gradients=np.array([one.vector for one in evidences]).reshape(number, count),
         constants=np.array([one.constant for one in evidences], dtype=np.float64),
@@ -78,8 +76,32 @@ def _search(base: Knowledge, evidences: Sequence[Evidence]) -> _Search:
         used=used,
         tried=tried,
     )
+    std = base.std()
+    _take_precision(base.covariance, std, search.precision)
     _scale(search, base.mean, std)
     return search
+
+
+@array_kernel
+def _take_precision(covariance: FloatArray, std: FloatArray, precision: FloatArray) -> None:
+    """Fill in the inverse of a covariance in standard deviations, in which what was certain has the variance 1."""
+    count = len(std)
+    for j in range(count):
+        for k in range(count):
+            scale = std[j] * std[k]
+            precision[j, k] = covariance[j, k] / scale if scale > 0.0 else 0.0
+        precision[j, j] = 1.0 + _JITTER
+    for j in range(count):  # by Gauss and Jordan, in place
+        pivot = 1.0 / precision[j, j]
+        precision[j, j] = 1.0
+        for k in range(count):
+            precision[j, k] *= pivot
+        for i in range(count):
+            if i != j:
+                ratio = precision[i, j]
+                precision[i, j] = 0.0
+                for k in range(count):
+                    precision[i, k] -= ratio * precision[j, k]
 
 
 @array_kernel
@@ -91,6 +113,7 @@ def _scale(search: _Search, at: FloatArray, std: FloatArray) -> None:
             slope, vector = 0.0, gradients[event, j]
             for k in range(len(at)):
                 slope += matrices[event, j, k] * at[k]
+            for k in range(len(at)):
                 matrices[event, j, k] *= std[j] * std[k]
             gradients[event, j] = (vector - slope) * std[j]
             search.constants[event] += (slope - 2.0 * vector) * at[j]
