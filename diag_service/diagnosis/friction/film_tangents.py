@@ -177,14 +177,14 @@ def _step(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float,
         return film_m
     rate, slope_1_s = point_motion(point, driving_pa, fluidity, law)
     reach = min(slope_1_s * step_s, _MOST_REACH)
-    stretch = step_s if abs(reach) < 1e-6 else step_s * (math.exp(reach) - 1.0) / reach
+    kept = math.exp(reach)
+    stretch = step_s if abs(reach) < 1e-6 else step_s * (kept - 1.0) / reach
     later_m = film_m + rate * stretch
     if later_m < law.min_film_m or later_m > law.open_gap_m:
         by[:] = 0.0
         return min(max(later_m, law.min_film_m), law.open_gap_m)
     pushed = point_rate_m_s(point, driving_pa + _PRESSURE_STEP_PA, fluidity, law)
     by_pa = (pushed - rate) / _PRESSURE_STEP_PA  # zero where separators, not the piston, move the pack
-    kept = math.exp(reach)
     for j in range(len(by)):
         by[j] *= kept
     by[_PRESSURE] += stretch * by_pa
