@@ -13,7 +13,7 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.gears import clutch_of_gear
-from diag_service.diagnosis.alignment import AlignedSignals, sample_times_s
+from diag_service.diagnosis.alignment import GRID_S, AlignedSignals, sample_times_s
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.paper.driveline import Driveline
@@ -23,7 +23,7 @@ from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
 
 PERIOD_S = 0.01  # of the fast messages
-GRID_STRIDE = 10  # grid points of `gather` per period
+GRID_STRIDE = round(PERIOD_S / GRID_S)
 WHEEL_STD_RAD_S = 0.05  # mean of two wheels, quantisation included
 OPEN_STD_NM = 2.0  # drag of an open clutch
 SHIFT_PHASES = (1.0, 3.0)  # prefill to inertia: until the clutch has stuck
