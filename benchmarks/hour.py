@@ -49,9 +49,10 @@ def least(rounds: Sequence[Times]) -> Times:
 def told(name: str, found: dict[str, Times]) -> str:
     """Return what a format takes, a line for each version, and what results cost in times of decoding."""
     lines = [f"{name}: processor time [s], the least of {ROUNDS} rounds"]
+    event_ms = {version: 1e3 * (times[ANALYSE] - times[FIND]) / times["events"] for version, times in found.items()}
     lines += [
         f"  {version:7} decoded {times[DECODE]:6.2f}, to shifts {times[FIND]:6.2f}, to results {times[ANALYSE]:6.2f}"
-        f"   ({times['events']:.0f} events, {1e3 * (times[ANALYSE] - times[FIND]) / times['events']:.2f} ms each)"
+        f"   ({times['events']:.0f} events, {event_ms[version]:.2f} ms each)"
         for version, times in found.items()
     ]
     result_s = found["now"][ANALYSE]
@@ -61,7 +62,9 @@ def told(name: str, found: dict[str, Times]) -> str:
         for step, what in ((DECODE, "decoding alone"), (FIND, "decoding to shifts"))
     ]
     if "before" in found:
-        lines += [f"  results before over now: {found['before'][ANALYSE] / result_s:.2f}"]
+        result_ratio = found["before"][ANALYSE] / result_s
+        event_ratio = event_ms["before"] / event_ms["now"]
+        lines += [f"  before over now: to results {result_ratio:.2f}, each event once it is found {event_ratio:.2f}"]
     return "\n".join(lines)
 
 
