@@ -165,19 +165,32 @@ def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibrati
         return None
     asked_nm, places = asked_nm[:count], places[:count]
     inertia_nm = calibration.input_side.engine_inertia_kg_m2 * _acceleration(grid.event, grid.t_s[places])
-    engine_nm = engine_nm[places]
-    transmitted_nm = engine_nm - inertia_nm
-    weight = asked_nm / float(asked_nm @ asked_nm)
-    ratio = float(weight @ transmitted_nm)
-    residual_nm = transmitted_nm - ratio * asked_nm
+    by_engine, by_offset, by_inertia, scatter = _fit_ratio(asked_nm, engine_nm[places], inertia_nm)
     spread = calibration.uncertainty
     parts = (
-        math.sqrt(float(residual_nm @ residual_nm) / len(asked_nm) * float(weight @ weight) * CORRELATION_S / GRID_S),
-        spread.torque_gain_ratio * float(weight @ engine_nm),
-        spread.torque_offset_nm * float(weight.sum()),
-        INERTIA_STD_RATIO * float(weight @ inertia_nm),
+        scatter * math.sqrt(CORRELATION_S / GRID_S),
+        spread.torque_gain_ratio * by_engine,
+        spread.torque_offset_nm * by_offset,
+        INERTIA_STD_RATIO * by_inertia,
     )
-    return ratio, math.hypot(*parts)
+    return by_engine - by_inertia, math.hypot(*parts)
+
+
+@array_kernel
+def _fit_ratio(
+    asked_nm: FloatArray, engine_nm: FloatArray, inertia_nm: FloatArray
+) -> tuple[float, float, float, float]:
+    """Return what engine, 1 N m and inertia are of the torque asked for, by least squares, and its scatter."""
+    square, by_engine, by_offset, by_inertia, residual = 0.0, 0.0, 0.0, 0.0, 0.0
+    for row in range(len(asked_nm)):
+        square += asked_nm[row] ** 2
+        by_offset += asked_nm[row]
+        by_engine += asked_nm[row] * engine_nm[row]
+        by_inertia += asked_nm[row] * inertia_nm[row]
+    by_engine, by_offset, by_inertia = by_engine / square, by_offset / square, by_inertia / square
+    for row in range(len(asked_nm)):
+        residual += (engine_nm[row] - inertia_nm[row] - (by_engine - by_inertia) * asked_nm[row]) ** 2
+    return by_engine, by_offset, by_inertia, math.sqrt(residual / len(asked_nm) / square)
 
 
 def _asked(grid: _Grid) -> tuple[FloatArray, FloatArray, bool] | None:
@@ -246,6 +259,7 @@ def _fit_slopes(t_s: FloatArray, value: FloatArray, at_s: FloatArray, slopes: Fl
 def compile_indices() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     _fit_slopes(np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1))
+    _fit_ratio(np.ones(1), np.ones(1), np.ones(1))
     _stuck_rows(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_), 0.0)
     _largest_swing(np.zeros(1), np.zeros(1))
     _pick_asked(np.zeros(1), np.zeros(1), np.zeros(1), False, np.empty(1), np.empty(1, np.int64))

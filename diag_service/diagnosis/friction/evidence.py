@@ -53,15 +53,13 @@ class Evidence:
         if not some:
             return cls.none()
         matrix, vector = some[0].matrix.copy(), some[0].vector.copy()
+        constant, count = some[0].constant, some[0].count
         for one in some[1:]:
             matrix += one.matrix
             vector += one.vector
-        return cls(
-            matrix=matrix,
-            vector=vector,
-            constant=sum(one.constant for one in some),
-            count=sum(one.count for one in some),
-        )
+            constant += one.constant
+            count += one.count
+        return cls(matrix=matrix, vector=vector, constant=constant, count=count)
 
     @classmethod
     def of(cls, measurements: Iterable[Measurement], at: FloatArray) -> Self:
