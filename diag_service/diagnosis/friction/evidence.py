@@ -142,14 +142,13 @@ def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
     count = len(earlier.mean)
     mean, (root, turned, covariance) = np.empty(count), np.empty((3, count, count))
     sides, joint = np.empty((count, 2 * count + 1)), np.zeros((count + 1, count + 1))
-    _take_root(earlier.covariance, root, turned)
-    _whiten(evidence.matrix, root, turned, sides, mean)
-    moved = _add_gradient(earlier.mean, evidence.matrix, evidence.vector, root, sides, mean)
-    _add_information(sides, joint)
-    saved = _read_joint(joint, earlier.mean, mean, covariance)
+    least = _fuse(
+        earlier.mean, earlier.covariance, evidence.matrix, evidence.vector,
+        root, turned, sides, joint, mean, covariance,
+    )  # fmt: skip
     return Fusion(
         knowledge=Knowledge(mean=mean, covariance=covariance),
-        chi_square=evidence.constant + moved - saved,
+        chi_square=evidence.constant + least,
         information=evidence.matrix,
     )
 
@@ -216,6 +215,24 @@ def _loosen(variance: FloatArray, matrix: FloatArray, vector: FloatArray) -> flo
 
 
 @array_kernel
+def _fuse(
+    at: FloatArray, covariance: FloatArray, matrix: FloatArray, vector: FloatArray,
+    root: FloatArray, turned: FloatArray, sides: FloatArray, joint: FloatArray, mean: FloatArray, fused: FloatArray,
+) -> float:  # fmt: skip
+    """Fill in what is known with an event; return the least chi-square, less the constant."""
+    count = len(at)
+    _take_root(covariance, root, turned)
+    _whiten(matrix, root, turned, sides, mean)
+    moved = _add_gradient(at, matrix, vector, root, sides, mean)
+    _add_information(sides, joint)
+    for j in range(count):
+        mean[j] = at[j] + joint[j, count]
+        for k in range(j, count):
+            fused[j, k], fused[k, j] = joint[j, k], joint[j, k]
+    return moved - float(joint[count, count])
+
+
+@array_kernel
 def _take_root(covariance: FloatArray, root: FloatArray, turned: FloatArray) -> None:
     """Fill in ``root``, upper triangular, with ``covariance = root.T @ root``, and ``root.T``; certain is 0."""
     count = len(covariance)
@@ -269,17 +286,6 @@ def _add_gradient(
         for k in range(j, count):
             sides[j, 2 * count] += root[j, k] * part[k]
     return moved
-
-
-@array_kernel
-def _read_joint(joint: FloatArray, at: FloatArray, mean: FloatArray, covariance: FloatArray) -> float:
-    """Fill in what is known; return what the step saves of chi-square."""
-    count = len(at)
-    for j in range(count):
-        mean[j] = at[j] + joint[j, count]
-        for k in range(j, count):
-            covariance[j, k], covariance[k, j] = joint[j, k], joint[j, k]
-    return float(joint[count, count])
 
 
 def compile_evidence() -> None:
