@@ -204,14 +204,10 @@ class Functions:
     """Functions of time, each on one piece of a window and zero elsewhere: as a matrix (k, len(rows)) mostly zeros."""
 
     rows: slice  # of the grid: from the first to the last of the window
-    places: tuple[slice, ...]  # of the pieces among these rows
+    grid_rows: tuple[slice, ...]  # of each piece
+    places: tuple[slice, ...]  # of the pieces among the rows
+    bands: tuple[slice, ...]  # the functions of each piece among all of them
     blocks: tuple[FloatArray, ...]  # (functions, rows) of each piece
-
-    @property
-    def bands(self) -> tuple[slice, ...]:
-        """The functions of each piece among all of them."""
-        ends = accumulate((len(block) for block in self.blocks), initial=0)
-        return tuple(slice(first, end) for first, end in pairwise(ends))
 
     def __matmul__(self, values: FloatArray) -> FloatArray:
         """Return the sums of values weighted with each function; ``values`` has shape (len(rows), ...)."""
@@ -235,25 +231,20 @@ class Functions:
     def fitted_on_samples(self, degree: int, signal: Resampled) -> tuple[FloatArray, ...]:
         """Return `on_samples` of polynomial fits to the functions."""
         found = []
-        for block, rows in zip(self.blocks, self._grid_rows, strict=True):
+        for block, rows in zip(self.blocks, self.grid_rows, strict=True):
             basis = _polynomials(block.shape[1], degree)
             found.append((block @ basis) @ signal.to_samples(np.ascontiguousarray(basis.T), rows))
         return tuple(found)
 
     def on_samples(self, signal: Resampled) -> tuple[FloatArray, ...]:
         """Return the weights of the samples of a signal in the sums over the grid, (functions, samples) each piece."""
-        pairs = zip(self.blocks, self._grid_rows, strict=True)
+        pairs = zip(self.blocks, self.grid_rows, strict=True)
         return tuple(signal.to_samples(block, rows) for block, rows in pairs)
 
     def around_samples(self, values: FloatArray, signal: Resampled) -> tuple[FloatArray, ...]:
         """Return values of the rows, shape (len(rows),), as means around those samples, (samples,) each piece."""
-        pairs = zip(self.places, self._grid_rows, strict=True)
+        pairs = zip(self.places, self.grid_rows, strict=True)
         return tuple(signal.around_samples(values[place], rows) for place, rows in pairs)
-
-    @property
-    def _grid_rows(self) -> tuple[slice, ...]:
-        first = self.rows.start
-        return tuple(slice(first + place.start, first + place.stop) for place in self.places)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -279,12 +270,16 @@ class Weights:
 def sines(window: SlipWindow, counts: Sequence[int]) -> Weights:
     """Return as many sine test functions as ``counts`` says for each piece of the window."""
     hull = window.rows
-    places = tuple(slice(piece.first - hull.start, piece.stop - hull.start) for piece in window.pieces)
+    first, ends = hull.start, list(accumulate(counts, initial=0))
     pairs = [_sines(piece.stop - piece.first, count) for piece, count in zip(window.pieces, counts, strict=True)]
-    return Weights(
-        value=Functions(rows=hull, places=places, blocks=tuple(value for value, _ in pairs)),
-        rate=Functions(rows=hull, places=places, blocks=tuple(rate for _, rate in pairs)),
+    value = Functions(
+        rows=hull,
+        grid_rows=tuple(piece.rows for piece in window.pieces),
+        places=tuple(slice(piece.first - first, piece.stop - first) for piece in window.pieces),
+        bands=tuple(slice(*band) for band in pairwise(ends)),
+        blocks=tuple(value for value, _ in pairs),
     )
+    return Weights(value=value, rate=replace(value, blocks=tuple(rate for _, rate in pairs)))
 
 
 @lru_cache(maxsize=32)
