@@ -7,7 +7,7 @@ samples. Knowledge is a mean with its covariance; docs/model.md, section "Estima
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 
@@ -141,11 +141,8 @@ def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
         return Fusion(knowledge=earlier, chi_square=0.0, information=evidence.matrix)
     count = len(earlier.mean)
     mean, (root, turned, covariance) = np.empty(count), np.empty((3, count, count))
-    sides, joint = np.empty((count, 2 * count + 1)), np.zeros((count + 1, count + 1))
-    least = _fuse(
-        earlier.mean, earlier.covariance, evidence.matrix, evidence.vector,
-        root, turned, sides, joint, mean, covariance,
-    )  # fmt: skip
+    work = _Work(root, turned, np.empty((count, 2 * count + 1)), np.zeros((count + 1, count + 1)))
+    least = _fuse(earlier.mean, earlier.covariance, evidence.matrix, evidence.vector, work, mean, covariance)
     return Fusion(
         knowledge=Knowledge(mean=mean, covariance=covariance),
         chi_square=evidence.constant + least,
@@ -214,13 +211,22 @@ def _loosen(variance: FloatArray, matrix: FloatArray, vector: FloatArray) -> flo
     return lost
 
 
+class _Work(NamedTuple):
+    """What `_fuse` works in; ``joint`` is zero at first."""
+
+    root: FloatArray  # (n, n)
+    turned: FloatArray  # (n, n)
+    sides: FloatArray  # (n, 2 n + 1)
+    joint: FloatArray  # (n + 1, n + 1)
+
+
 @array_kernel
 def _fuse(
-    at: FloatArray, covariance: FloatArray, matrix: FloatArray, vector: FloatArray,
-    root: FloatArray, turned: FloatArray, sides: FloatArray, joint: FloatArray, mean: FloatArray, fused: FloatArray,
+    at: FloatArray, covariance: FloatArray, matrix: FloatArray, vector: FloatArray, work: _Work, mean: FloatArray,
+    fused: FloatArray,
 ) -> float:  # fmt: skip
     """Fill in what is known with an event; return the least chi-square, less the constant."""
-    count = len(at)
+    count, (root, turned, sides, joint) = len(at), work
     _take_root(covariance, root, turned)
     _whiten(matrix, root, turned, sides, mean)
     moved = _add_gradient(at, matrix, vector, root, sides, mean)
