@@ -38,27 +38,27 @@ def inlined_kernel(function: Callable[P, R]) -> Callable[P, R]:
     return _compiled(function, _nrt=False, forceinline=True)
 
 
-def fused_kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile an `inlined_kernel` in which a product and a sum may be one step, rounded once, if the processor can.
+def unchecked_kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile an `inlined_kernel` in which a division by zero is infinite: no check of each one is in the way.
 
-    For what is followed from point to point and waits for each result, and for what goes along rows. Its last digit is
-    the processor's, and a division by zero is infinite, no error.
+    Products and sums are not joined, though that would be a little faster: where they are depends on what was compiled
+    before, so the last digit would be another one in every cache.
     """
-    return _compiled(function, forceinline=True, **_FUSED)
+    return _compiled(function, forceinline=True, **_UNCHECKED)
 
 
 def row_kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile an `array_kernel` that goes along rows of which none waits for another: several are done at once.
 
-    What it calls must be `fused_kernel`s, or small, and have no branches.
+    What it calls must be `unchecked_kernel`s, or small, and have no branches.
     """
-    return _compiled(function, **_FUSED)
+    return _compiled(function, **_UNCHECKED)
 
 
-_FUSED: Final[dict[str, bool | str | set[str]]] = {"_nrt": False, "fastmath": {"contract"}, "error_model": "numpy"}
+_UNCHECKED: Final[dict[str, bool | str]] = {"_nrt": False, "error_model": "numpy"}
 
 
-def _compiled(function: Callable[P, R], **options: bool | str | set[str]) -> Callable[P, R]:
+def _compiled(function: Callable[P, R], **options: bool | str) -> Callable[P, R]:
     vars(function)[OPTIONS] = options
     dispatcher: Any = numba.njit(nogil=True, no_cfunc_wrapper=True, **options)(function)  # type: ignore[call-overload]  # the unlisted option
     dispatcher._cache = LateCache(dispatcher)  # noqa: SLF001 - what njit's cache=True sets, with another key

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel, fused_kernel
+from canlog.jit import array_kernel, unchecked_kernel
 from clutch_model.film import (
     FilmLaw,
     applied_pressure_pa,
@@ -86,7 +86,7 @@ def _ask(film_m: FloatArray, law: FilmLaw, values: FloatArray) -> None:
             values[row, _SHEAR, column] = shear_factor_difference(one_m / law.roughness_m)
 
 
-@fused_kernel
+@unchecked_kernel
 def film_point(film_m: float, law: FilmLaw, shape: FilmShape) -> FilmPoint:
     """Return contact, mobility and shear of a film not above its open gap, and of one a ten thousandth thicker."""
     place, pieces = film_m * shape.per_piece_1_m, shape.pieces
@@ -107,7 +107,7 @@ def film_point(film_m: float, law: FilmLaw, shape: FilmShape) -> FilmPoint:
     )
 
 
-@fused_kernel
+@unchecked_kernel
 def _value(pieces: FloatArray, piece: int, law: int, along: float) -> float:
     """Return what the polynomial of one law says so far along a piece, whose length is 1."""
     c = pieces[piece, law]
@@ -115,14 +115,14 @@ def _value(pieces: FloatArray, piece: int, law: int, along: float) -> float:
     return value
 
 
-@fused_kernel
+@unchecked_kernel
 def point_rate_m_s(point: FilmPoint, piston_pa: float, fluidity: float, law: FilmLaw) -> float:
     """Return `film.measured_film_rate_m_s` of a film in oil of a ``fluidity`` [1/(Pa s)], one over its viscosity."""
     applied_pa = applied_pressure_pa(piston_pa, law)
     return _rate_m_s(point.film_m, point.contact_pa, point.mobility_m * fluidity, applied_pa, law)
 
 
-@fused_kernel
+@unchecked_kernel
 def point_motion(point: FilmPoint, piston_pa: float, fluidity: float, law: FilmLaw) -> tuple[float, float]:
     """Return `point_rate_m_s`, and how much faster a thicker film moves, per thickness [1/s]."""
     applied_pa, thicker_m = applied_pressure_pa(piston_pa, law), point.film_m + point.step_m
@@ -131,7 +131,7 @@ def point_motion(point: FilmPoint, piston_pa: float, fluidity: float, law: FilmL
     return rate_m_s, (thicker_m_s - rate_m_s) * (point.per_film_1_m * (1.0 / _SLOPE_STEP))
 
 
-@fused_kernel
+@unchecked_kernel
 def _rate_m_s(film_m: float, contact_pa: float, yielding_m_pa_s: float, applied_pa: float, law: FilmLaw) -> float:
     """Return the rate of a film that yields so much to a pressure [m/(Pa s)]; ``film.film_rate_m_s``."""
     opening_m_s = (law.open_gap_m - film_m) * (1.0 / law.separation_time_s)

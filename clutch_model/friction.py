@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canlog.jit import fused_kernel, kernel
+from canlog.jit import kernel, unchecked_kernel
 from clutch_model.clutch import FrictionCurve
 from clutch_model.row_functions import row_exponential, row_logarithm
 from clutch_model.units import Quantity
@@ -48,7 +48,7 @@ def stribeck_weights(slip_rad_s: Quantity, law: FrictionLaw) -> Quantity:
 stribeck_weight = kernel(stribeck_weights)
 
 
-@fused_kernel
+@unchecked_kernel
 def row_stribeck_weight(slip_rad_s: float, law: FrictionLaw) -> float:
     """Return `stribeck_weight` for kernels that go along rows; right to 1e-13."""
     excess = max(abs(slip_rad_s) - law.lock_band_rad_s, _NEXT_TO_ZERO) * (1.0 / law.stribeck_speed_rad_s)

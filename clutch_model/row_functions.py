@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from canlog.jit import fused_kernel
+from canlog.jit import unchecked_kernel
 
 _FRACTION_BITS: Final = np.int64(52)
 _EXPONENT_START: Final = np.int64(1023)
@@ -23,7 +23,7 @@ _E: Final = tuple(1.0 / math.factorial(n) for n in range(14))  # Taylor's series
 _L: Final = tuple(1.0 / n for n in range(3, 25, 2))  # of the area tangent, right to 1e-17 up to 0.172
 
 
-@fused_kernel
+@unchecked_kernel
 def row_exponential(exponent: float) -> float:
     """Return e to a power, which counts as -700 or 700 beyond; right to 1e-15."""
     bounded = min(max(exponent, -_MOST), _MOST)
@@ -39,7 +39,7 @@ def row_exponential(exponent: float) -> float:
     return series * np.int64(power_bits).view(np.float64)
 
 
-@fused_kernel
+@unchecked_kernel
 def row_logarithm(value: float) -> float:
     """Return the natural logarithm of a positive number that is not below 1e-307; right to 1e-15."""
     bits = np.float64(value).view(np.int64)

@@ -14,7 +14,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel, fused_kernel, row_kernel
+from canlog.jit import array_kernel, row_kernel, unchecked_kernel
 from clutch_model.calibration import Calibration
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, row_stribeck_weight, stribeck_weight
 from clutch_model.gears import both_clutches
@@ -213,7 +213,7 @@ def _fill_torques(
         parts_nm[4, row], parts_nm[5, row] = rows.viscous_nm[row], rows.open_nm[row]
 
 
-@fused_kernel
+@unchecked_kernel
 def _levers_m3(slip_rad_s: float, weight: float, contact_factor_m3: float) -> tuple[float, float]:
     full_m3 = contact_torque_nm(direction(slip_rad_s), 1.0, 1.0, contact_factor_m3)
     return full_m3 * (1.0 - weight), full_m3 * weight
@@ -236,7 +236,7 @@ def _heat_w(
     return total_w
 
 
-@fused_kernel
+@unchecked_kernel
 def direction(slip_rad_s: float) -> float:
     """Return the sign of the slip, fading near zero."""
     return min(max(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0), 1.0)

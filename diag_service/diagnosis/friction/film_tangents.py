@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel, fused_kernel
+from canlog.jit import array_kernel, unchecked_kernel
 from clutch_model.calibration import Calibration
 from clutch_model.film import (
     FilmLaw,
@@ -139,7 +139,7 @@ def _follow(moved: _Moved, law: FilmLaw, shape: FilmShape, oil: _Oil, by: FloatA
         k = following
 
 
-@fused_kernel
+@unchecked_kernel
 def _is_quiet(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float, law: FilmLaw) -> bool:
     """Return whether a film hardly changes over some points: then one step follows it."""
     driving_pa = 0.5 * (moved.piston_pa[k] + moved.piston_pa[k + points])
@@ -147,7 +147,7 @@ def _is_quiet(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: fl
     return abs(rate) * points * GRID_S < _QUIET * point.film_m
 
 
-@fused_kernel
+@unchecked_kernel
 def _answer(
     moved: _Moved, k: int, point: FilmPoint, viscosity: float, law: FilmLaw, by: FloatArray, contact: FloatArray,
     viscous: FloatArray,
@@ -166,7 +166,7 @@ def _answer(
     viscous[_VISCOSITY] += (stiffer_nm - whole_nm) / _VISCOSITY_STEP
 
 
-@fused_kernel
+@unchecked_kernel
 def _step(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float, law: FilmLaw, by: FloatArray) -> float:
     """Return the film some points later [m], and set its derivatives: the same rule, linearised."""
     film_m = point.film_m

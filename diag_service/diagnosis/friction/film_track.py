@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel, fused_kernel
+from canlog.jit import array_kernel, unchecked_kernel
 from clutch_model.calibration import Calibration
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import (
@@ -193,13 +193,13 @@ def _integrate(one: _Pack, other: _Pack, step_s: float) -> tuple[float, float]:
     return _warmed_k(one, last, at_one, step_s)[0], _warmed_k(other, last, at_other, step_s)[0]
 
 
-@fused_kernel
+@unchecked_kernel
 def _start(pack: _Pack) -> _State:
     film_m = equilibrium_film_m(applied_pressure_pa(pack.piston_pa[0], pack.law), pack.law)
     return _State(film_point(film_m, pack.law, pack.shape), pack.heat.start_k, 0.0)
 
 
-@fused_kernel
+@unchecked_kernel
 def _next(pack: _Pack, k: int, at: _State, step_s: float) -> _State:
     """Fill row k and return what the pack is at the next point."""
     clutch_k, viscosity = _warmed_k(pack, k, at, step_s)
@@ -211,7 +211,7 @@ def _next(pack: _Pack, k: int, at: _State, step_s: float) -> _State:
     return _State(film_point(film_m, law, pack.shape), clutch_k, film_rate_1_s)
 
 
-@fused_kernel
+@unchecked_kernel
 def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, float]:
     """Fill row k; return the temperature of the pack a step later [K] and the viscosity of its oil at this point."""
     point, law, heat, rows, slip = at.point, pack.law, pack.heat, pack.rows, pack.slip_rad_s[k]
@@ -231,7 +231,7 @@ def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, fl
     return at.clutch_k + step_s * rate_k_s, viscosity
 
 
-@fused_kernel
+@unchecked_kernel
 def open_and_whole_nm(
     slip_rad_s: float, film_m: float, viscosity: float, shear: float, open_drag_ratio: float, law: FilmLaw
 ) -> tuple[float, float]:
@@ -244,7 +244,7 @@ def open_and_whole_nm(
     return open_nm, (1.0 - openness) * full_nm + open_nm
 
 
-@fused_kernel
+@unchecked_kernel
 def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw) -> float:
     """Return the standard deviation of what a film shears, as a ratio to that torque; docs/model.md "Cold oil"."""
     if openness > 0.0 and abs(piston_pa - piston_pressure_pa(0.0, law)) < _HOVER_PA:
@@ -252,14 +252,14 @@ def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw
     return min(_DOUBT_RISE * openness + _TIMING_S * film_rate_1_s, 1.0)
 
 
-@fused_kernel
+@unchecked_kernel
 def _openness(film_m: float, law: FilmLaw) -> float:
     """Return how far a pack is open: 0 as long as asperities touch, 1 at its open gap."""
     touching_m = _CONTACT_END * law.roughness_m
     return max(0.0, film_m - touching_m) * (1.0 / (law.open_gap_m - touching_m))
 
 
-@fused_kernel
+@unchecked_kernel
 def _film_step(point: FilmPoint, piston_pa: float, fluidity: float, law: FilmLaw, step_s: float) -> float:
     """Return the film one step later by the exponential Rosenbrock-Euler rule, exact for a linear rate."""
     rate_m_s, slope_1_s = point_motion(point, piston_pa, fluidity, law)
