@@ -23,6 +23,7 @@ import psutil
 
 from benchmarks.guest_meter import FOLDER_VARIABLE, answering
 from benchmarks.live_cpu import QUIET_S, TARGET_RATIOS, datagrams, drive_frames, report_cpu
+from canlog.live import Silence
 from canlog.live.socketcan import SocketCanSource
 from dbc.contract import load_contract
 from diag_service.mapping.decoder import Decoder
@@ -56,8 +57,9 @@ async def listen(channels: list[str], started: Start, wait: Start) -> list[tuple
     started()
 
     async def read(source: SocketCanSource, decoder: Decoder) -> None:
-        async for batch in source:
-            decoder.feed(batch)
+        async for part in source:
+            if not isinstance(part, Silence):
+                decoder.feed(part)
 
     readers = [asyncio.create_task(read(*pair)) for pair in zip(sources, decoders, strict=True)]
     await asyncio.to_thread(wait)

@@ -27,6 +27,7 @@ import can
 import psutil
 
 from benchmarks.guest_meter import ask, meter_folder
+from canlog.live import Silence
 from canlog.live.raw_socket import RECEIVE_BUFFER_BYTES, SO_TIMESTAMPNS, grow_receive_buffer
 from canlog.live.read_schedule import ReadSchedule
 from canlog.live.socketcan import SocketCanSource
@@ -141,11 +142,13 @@ async def own_path(channel: str, sender: Sender) -> Cost:
 
     closer = asyncio.create_task(close_after_the_last())
     received = 0
-    async for batch in source:
-        for columns in decoder.feed(batch):
+    async for part in source:
+        if isinstance(part, Silence):
+            continue
+        for columns in decoder.feed(part):
             finder.feed(columns)
         schedule.wait_for(is_expecting=finder.is_expecting, due_ns=finder.due_ns)
-        received += len(batch)
+        received += len(part)
     await closer
     return Cost(received=received, cpu_s=clock_s() - began_s)
 

@@ -3,7 +3,7 @@
 from canlog.live.bus_state import BusState, BusStatus
 from canlog.live.factory import BusOpener, open_source
 from canlog.live.read_schedule import ReadSchedule
-from canlog.live.sources import FrameSource, LinkBreak, LiveSource, SourceCounts
+from canlog.live.sources import FrameSource, LinkBreak, LiveSource, Silence, SourceCounts
 from canlog.live.supervisor import SupervisedSource, supervise
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "LinkBreak",
     "LiveSource",
     "ReadSchedule",
+    "Silence",
     "SourceCounts",
     "SupervisedSource",
     "open_source",

@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator
 from canlog.errors import SourceError
 from canlog.frame_columns import join
 from canlog.frames import FrameBatch, empty_batch
+from canlog.live.sources import Silence
 
 QUEUE_FRAMES = 65_536  # ten seconds of a fully loaded 500 kbit/s bus; 1.4 MiB
 LINGER_S = 0.02  # small batches cost more to decode than they gain in freshness
@@ -18,7 +19,7 @@ class FrameQueue:
 
     ``offer`` never waits: what does not fit is dropped and counted, newest first, as the kernel does it.
     ``next_batch`` joins what has gathered, so that the consumer sees few large batches instead of many small ones; it
-    waits for that unless the receiver gathers by itself (``linger_s`` 0).
+    waits for that unless the receiver gathers by itself (``linger_s`` 0). Who iterates hears of a silence as well.
     """
 
     def __init__(self, *, limit: int = QUEUE_FRAMES, linger_s: float = LINGER_S) -> None:
@@ -30,6 +31,7 @@ class FrameQueue:
         self._batches: deque[FrameBatch] = deque()
         self._waiting = 0  # frames in the queue
         self._dropped = 0
+        self._is_silent = False
         self._is_closed = False
         self._error: SourceError | None = None
         self._has_frames = asyncio.Event()
@@ -47,6 +49,7 @@ class FrameQueue:
             self._dropped += len(batch) - fitting
             if fitting == 0:
                 return
+            self._is_silent = False  # times of these frames tell
             was_empty = self._waiting == 0
             self._batches.append(batch if fitting == len(batch) else batch[:fitting])
             self._waiting += fitting
@@ -55,6 +58,12 @@ class FrameQueue:
             self._signal(self._has_frames)
         if is_half_full:
             self._signal(self._is_urgent)
+
+    def tell_silence(self) -> None:
+        """Let the consumer know, after the frames that are in the queue, that the bus has fallen silent."""
+        with self._lock:
+            self._is_silent = True
+        self._signal(self._has_frames)
 
     def close(self, error: SourceError | None = None) -> None:
         """Let the consumer have what is in the queue, then the error or the end; the first call counts."""
@@ -66,11 +75,15 @@ class FrameQueue:
         self._signal(self._has_frames)
         self._signal(self._is_urgent)
 
-    async def __aiter__(self) -> AsyncIterator[FrameBatch]:
-        """Iterate over the batches that hold frames; ends and fails as ``next_batch`` does."""
+    async def __aiter__(self) -> AsyncIterator[FrameBatch | Silence]:
+        """Iterate over the batches that hold frames, and silences; ends and fails as ``next_batch`` does."""
         while (batch := await self.next_batch()) is not None:
             if len(batch):
                 yield batch
+            with self._lock:
+                is_silent, self._is_silent = self._is_silent, False
+            if is_silent:
+                yield Silence()
 
     async def next_batch(self) -> FrameBatch | None:
         """Return everything that has gathered, or None at the end.

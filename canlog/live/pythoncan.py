@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+import time
 from collections.abc import AsyncIterator, Mapping, Sequence
 from typing import Any
 
@@ -22,7 +23,7 @@ from canlog.frames import (
 )
 from canlog.live import opening
 from canlog.live.frame_queue import FrameQueue
-from canlog.live.sources import SourceCounts
+from canlog.live.sources import SILENCE_S, Silence, SourceCounts
 
 POLL_S = 0.1  # how soon the thread notices that it shall stop
 MESSAGES_PER_BATCH = 256
@@ -56,8 +57,8 @@ class PythonCanSource:
         """What has been received and lost until now."""
         return SourceCounts(received=self._received, queue_dropped=self._queue.dropped)
 
-    def __aiter__(self) -> AsyncIterator[FrameBatch]:
-        """Iterate over the batches."""
+    def __aiter__(self) -> AsyncIterator[FrameBatch | Silence]:
+        """Iterate over batches and silences."""
         return aiter(self._queue)
 
     async def aclose(self) -> None:
@@ -71,8 +72,16 @@ class PythonCanSource:
         """Read until told to stop; whatever ends this thread, the consumer learns of it."""
         error: SourceError | None = SourceError(f"{self.description}: the reader ended unexpectedly")
         try:
+            heard_s: float | None = None  # when the bus said something last; None once its silence was told
             while not self._is_stopping.is_set():
-                self._offer(self._receive(POLL_S))
+                asked_s = time.monotonic()
+                messages = self._receive(POLL_S)
+                self._offer(messages)
+                if messages:
+                    heard_s = time.monotonic()
+                elif heard_s is not None and asked_s - heard_s > SILENCE_S:
+                    self._queue.tell_silence()
+                    heard_s = None
             for _ in range(LAST_BATCHES):
                 self._offer(self._receive(0.0))
             error = None

@@ -19,7 +19,7 @@ from canlog.live.raw_socket import (
 )
 from canlog.live.read_schedule import RELAXED_S, URGENT_S, ReadSchedule
 from canlog.live.recvmmsg import SLOTS, FrameReceiver, Reception
-from canlog.live.sources import SourceCounts
+from canlog.live.sources import SILENCE_S, Silence, SourceCounts
 
 if TYPE_CHECKING:
     import socket
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 CALLS_PER_WAKE_UP = 8  # 4096 frames, then the rest of the service gets its turn
 CROWD = 8 * SLOTS  # frames at one wake-up, twice those of a full bus: the buffer must not fill up
-QUIET_WAKE_UPS = 3  # without a frame; then the socket itself tells when there is one
 
 
 class SocketCanSource:
     """Frames of one SocketCAN interface, among them error frames; it receives from construction on.
 
     While frames come they gather in the kernel, which notes their times, and the socket is emptied as often as the
-    schedule says, whether or not somebody consumes them. A bus that fell silent is waited for.
+    schedule says, whether or not somebody consumes them. Once the bus has fallen silent, the socket itself
+    tells when there is a frame.
 
     The kernel's own counter of frames lost in the receive buffer is read with SO_MEMINFO. SO_RXQ_OVFL would tell
     the same number with the next frame only, and so never the losses after the last one.
@@ -87,7 +87,7 @@ class SocketCanSource:
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         self._gathered_s = 0.0  # when the socket was emptied last, as the loop counts
-        self._quiet_count = 0
+        self._heard_s = self._loop.time()  # when the last frame had come for certain
         self._alarm = clock_alarm()
         if self._alarm is not None:
             self._loop.add_reader(self._alarm, self._see_clock_set)
@@ -104,8 +104,8 @@ class SocketCanSource:
             clock_steps=self._clock.step_count,
         )
 
-    def __aiter__(self) -> AsyncIterator[FrameBatch]:
-        """Iterate over the batches."""
+    def __aiter__(self) -> AsyncIterator[FrameBatch | Silence]:
+        """Iterate over batches and silences."""
         return aiter(self._queue)
 
     async def aclose(self) -> None:
@@ -119,7 +119,6 @@ class SocketCanSource:
         """Begin to empty the socket at regular times; runs when a bus that was silent says something."""
         if self._socket is not None:
             self._loop.remove_reader(self._socket)
-            self._quiet_count = 0
             self._gather()
 
     def _gather(self) -> None:
@@ -129,13 +128,15 @@ class SocketCanSource:
         is_empty = self._drain()
         if self._socket is None:
             return
-        self._quiet_count = 0 if self._received > before else self._quiet_count + 1
-        if self._quiet_count < QUIET_WAKE_UPS:
+        if self._received > before:
+            self._heard_s = self._loop.time()
+        if self._gathered_s - self._heard_s <= SILENCE_S:
             is_crowded = self._received - before > CROWD * self._granted
             gather_s = URGENT_S if is_crowded else self._gather_s()
             self._timer = self._loop.call_later(gather_s if is_empty else 0.0, self._gather)
         else:
             self._timer = None
+            self._queue.tell_silence()
             self._loop.add_reader(self._socket, self._wake)
 
     def _gather_s(self) -> float:

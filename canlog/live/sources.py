@@ -2,9 +2,12 @@
 
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, fields
-from typing import Protocol, TypeVar
+from typing import Final, Protocol, TypeVar
 
-from canlog.frames import FrameBatch
+from canlog.frames import MAX_GAP_NS, FrameBatch
+
+NS_PER_S: Final = 1_000_000_000
+SILENCE_S: Final = 1.5 * MAX_GAP_NS / NS_PER_S  # whatever comes after it, its time begins another stretch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,6 +26,11 @@ class SourceCounts:
     def __add__(self, other: "SourceCounts") -> "SourceCounts":
         names = [field.name for field in fields(self)]
         return SourceCounts(**{name: getattr(self, name) + getattr(other, name) for name in names})
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """The bus has said nothing for ``SILENCE_S``: nothing that comes can belong to the stretch before any more."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,5 +65,5 @@ class Source(Protocol[PartT_co]):
         """Stop receiving; a second call does nothing."""
 
 
-FrameSource = Source[FrameBatch]
-LiveSource = Source[FrameBatch | LinkBreak]  # what a live run reads: a bus that failed may come back after a break
+FrameSource = Source[FrameBatch | Silence]
+LiveSource = Source[FrameBatch | Silence | LinkBreak]  # what a live run reads: a bus that failed may come back

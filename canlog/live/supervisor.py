@@ -10,7 +10,7 @@ from canlog.bus_load import frame_bits
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.live.bus_state import BusState, BusStatus, BusWatch
-from canlog.live.sources import FrameSource, LinkBreak, SourceCounts
+from canlog.live.sources import FrameSource, LinkBreak, Silence, SourceCounts
 from canlog.notice import NOTICE
 
 RETRY_S = 0.1  # from the return of the interface to its first frame: this and the opening
@@ -70,13 +70,14 @@ class SupervisedSource:
         """State of the bus and what has happened to it."""
         return self._watch.status(_now_s())
 
-    async def __aiter__(self) -> AsyncIterator[FrameBatch | LinkBreak]:
-        """Iterate over batches and breaks."""
+    async def __aiter__(self) -> AsyncIterator[FrameBatch | Silence | LinkBreak]:
+        """Iterate over batches, silences and breaks."""
         while self._source is not None:
             try:
-                async for batch in self._source:
-                    self._note(batch)
-                    yield batch
+                async for part in self._source:
+                    if not isinstance(part, Silence):
+                        self._note(part)
+                    yield part
             except SourceError as exc:
                 problem = str(exc)
             else:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Final
 
 from canlog.errors import SourceError
-from canlog.live import BusOpener, LinkBreak, LiveSource, supervise
+from canlog.live import BusOpener, LinkBreak, LiveSource, Silence, supervise
 from diag_service.commands.conversations import Conversations
 from diag_service.service.live import close_in_time
 from diag_service.service.stopping import Trigger
@@ -42,7 +42,7 @@ async def follow(
             async for part in source:
                 if isinstance(part, LinkBreak):
                     show(f"the bus was away: {part.problem}")
-                elif len(part):
+                elif not isinstance(part, Silence) and len(part):
                     talks.add(part)
                     heard.at(int(part.t_ns[-1]))
                     _tell(talks, heard.now_ns, show)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Coroutine, Mapping, Sequence
 from contextlib import suppress
 
 from canlog.errors import SourceError
-from canlog.live import LinkBreak, LiveSource, ReadSchedule
+from canlog.live import LinkBreak, LiveSource, ReadSchedule, Silence
 from canlog.notice import NOTICE
 from diag_service.delivery import Outbox
 from diag_service.diagnosis.events import Event
@@ -39,8 +39,9 @@ async def run_live(
     """Diagnose a live bus until ``stop``, ``duration_s`` or its failure; return the numbers.
 
     The bus is read while a worker thread estimates; what it cannot keep up with is counted by the source. A shift that
-    is open when the bus goes away is reported as interrupted. If the bus does not come back, all that was found is
-    stored and told before its SourceError is raised; if a result cannot be stored, StoreError is raised.
+    is open when the bus goes away or falls silent is reported as interrupted, one that had ended as it is. If the bus
+    does not come back, all that was found is stored and told before its SourceError is raised; if a result cannot be
+    stored, StoreError is raised.
     """
 
     def counts() -> FrameCounts:
@@ -108,7 +109,7 @@ class _Work:
     async def _read(self, source: LiveSource, schedule: ReadSchedule) -> None:
         stages = self._session.stages
         async for part in source:
-            events = stages.flush() if isinstance(part, LinkBreak) else stages.segment(part)
+            events = stages.flush() if isinstance(part, LinkBreak | Silence) else stages.segment(part)
             schedule.wait_for(is_expecting=stages.is_expecting, due_ns=stages.due_ns)
             await self._process(events)
 

@@ -5,15 +5,17 @@ import threading
 from dataclasses import dataclass
 
 import can
+import numpy as np
 import pytest
 
 from canlog.errors import SourceError
 from canlog.frame_columns import join
-from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FrameBatch
-from canlog.live import FrameSource, open_source
+from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, MAX_GAP_NS, FrameBatch
+from canlog.live import FrameSource, Silence, open_source
 from ecu_emulator.bus import TransmitReport, open_bus, transmit
 from ecu_emulator.frames import EncodedFrames
 from tests.support.patience import HANG_S
+from tests.support.replay import free_bus
 from tests.support.starvation import again_if_starved
 from tests.support.traffic import as_received, assert_same_contents, random_frames
 
@@ -29,15 +31,20 @@ class Transport:
 @pytest.fixture(
     params=["virtual", "udp_multicast", pytest.param("socketcan", marks=pytest.mark.vcan)],
 )
-def transport(request: pytest.FixtureRequest) -> Transport:
-    channels = {"virtual": "contract", "udp_multicast": "239.74.163.77"}
+def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Transport:
     interface = str(request.param)
-    channel = channels[interface] if interface in channels else request.getfixturevalue("vcan")
-    return Transport(interface, channel)
+    if interface == "socketcan":
+        return Transport(interface, request.getfixturevalue("vcan"))
+    if interface == "virtual":
+        return Transport(interface, "contract")
+    bus = free_bus()
+    for name, value in bus.variables.items():
+        monkeypatch.setenv(name, value)
+    return Transport(interface, bus.group)
 
 
 async def collect(source: FrameSource) -> list[FrameBatch]:
-    return [batch async for batch in source]
+    return [part async for part in source if not isinstance(part, Silence)]
 
 
 def send(transport: Transport, frames: EncodedFrames) -> TransmitReport:
@@ -81,6 +88,27 @@ async def test_a_source_reads_from_the_moment_it_is_open(transport: Transport) -
     await asyncio.sleep(0.1)
     await source.aclose()
     assert_same_contents(join(await collect(source)), as_received(frames))
+
+
+async def test_a_bus_that_falls_silent_says_so_and_is_heard_again(transport: Transport) -> None:
+    frames = random_frames(20, mean_gap_s=20e-6)
+    source = await open_source(transport.interface, transport.channel)
+    heard: list[FrameBatch] = []
+    silence_count = 0
+    await asyncio.to_thread(send, transport, frames)
+    async with asyncio.timeout(HANG_S):
+        async for part in source:
+            if not isinstance(part, Silence):
+                heard.append(part)
+            elif silence_count == 0:
+                silence_count += 1
+                assert_same_contents(join(heard), as_received(frames))
+                await asyncio.to_thread(send, transport, frames)
+            else:
+                await source.aclose()
+    first, second = np.split(join(heard).t_ns, [20])
+    assert len(second) == 20
+    assert second[0] - first[-1] > MAX_GAP_NS  # a new stretch by its times as well
 
 
 async def test_closing_ends_the_iteration_and_may_be_repeated(transport: Transport) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from canlog.error_frames import BusTrouble
 from canlog.frames import ERROR_FLAG
-from canlog.live import BusOpener, BusState, LinkBreak, SupervisedSource, supervise
+from canlog.live import BusOpener, BusState, LinkBreak, Silence, SupervisedSource, supervise
 from canlog.live.interface import Seen, index_of, present_name, restart_controller
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -40,7 +40,8 @@ class Listener:
 
     async def _read(self) -> None:
         async for part in self.source:
-            self.heard += ["break"] if isinstance(part, LinkBreak) else part.can_id.tolist()
+            if not isinstance(part, Silence):
+                self.heard += ["break"] if isinstance(part, LinkBreak) else part.can_id.tolist()
 
     async def until(self, *states: BusState) -> None:
         async with asyncio.timeout(HANG_S):

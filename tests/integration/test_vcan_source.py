@@ -14,7 +14,7 @@ import pytest
 from canlog.errors import SourceError
 from canlog.frame_columns import join
 from canlog.frames import FrameBatch
-from canlog.live import FrameSource, open_source
+from canlog.live import FrameSource, Silence, open_source
 from canlog.live.clock_alarm import ClockAlarm
 from canlog.live.frame_queue import FrameQueue
 from canlog.live.read_schedule import ReadSchedule
@@ -32,7 +32,7 @@ DELIVERY_S = 0.2  # a busy kernel hands frames on in a thread of its own, a mome
 
 
 async def collect(source: FrameSource) -> list[FrameBatch]:
-    return [batch async for batch in source]
+    return [part async for part in source if not isinstance(part, Silence)]
 
 
 def send_numbers(channel: str, count: int, *, gap_s: float = 0.0) -> int:
@@ -127,7 +127,7 @@ async def test_frames_received_before_the_interface_goes_down_are_delivered_then
     assert ip_link("set", vcan, "down")
 
     async def read_on() -> None:
-        batches.extend([batch async for batch in source])
+        batches.extend(await collect(source))
 
     with pytest.raises(SourceError, match=f"{vcan}' went down: switch it on"):
         await asyncio.wait_for(read_on(), timeout=HANG_S)

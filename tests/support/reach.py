@@ -10,7 +10,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
-from canlog.live import open_source
+from canlog.live import Silence, open_source
 from ecu_emulator.bus import open_bus, transmit
 from tests.support.patience import HANG_S
 from tests.support.traffic import random_frames
@@ -76,7 +76,7 @@ async def _meet(group: str) -> int:
         await asyncio.to_thread(transmit, bus, [frames], threading.Event())
     await asyncio.sleep(OPENING_S)  # what the loopback interface still carries, and reports of membership
     await source.aclose()
-    return sum([len(batch) async for batch in source])
+    return sum([len(part) async for part in source if not isinstance(part, Silence)])
 
 
 def reach_of(case: Case) -> Reach:

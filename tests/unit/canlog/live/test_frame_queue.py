@@ -4,6 +4,7 @@ import asyncio
 import gc
 import threading
 import weakref
+from collections.abc import AsyncIterator
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.live.frame_queue import FrameQueue
+from canlog.live.sources import Silence
 from tests.support.patience import HANG_S
 from tests.support.traffic import as_received, assert_same, random_frames
 
@@ -28,6 +30,36 @@ async def test_small_batches_are_joined() -> None:
     taken = await queue.next_batch()
     assert taken is not None
     assert_same(taken, whole)
+
+
+async def test_silence_is_told_after_the_frames_before_it() -> None:
+    _, parts = batches(20)
+    queue = FrameQueue(linger_s=0.0)
+    queue.offer(parts[0])
+    queue.tell_silence()
+    heard = aiter(queue)
+    assert_same(await _frames(heard), parts[0])
+    assert isinstance(await anext(heard), Silence)
+    queue.offer(parts[1])
+    assert_same(await _frames(heard), parts[1])
+
+
+async def test_silence_that_is_over_is_not_told() -> None:
+    whole, parts = batches(20)
+    queue = FrameQueue(linger_s=0.0)
+    queue.offer(parts[0])
+    queue.tell_silence()
+    queue.offer(parts[1])
+    queue.close()
+    heard = aiter(queue)
+    assert_same(await _frames(heard), whole)
+    assert [part async for part in heard] == []
+
+
+async def _frames(heard: AsyncIterator[FrameBatch | Silence]) -> FrameBatch:
+    part = await asyncio.wait_for(anext(heard), timeout=HANG_S)
+    assert isinstance(part, FrameBatch)
+    return part
 
 
 async def test_what_does_not_fit_is_dropped_newest_first_and_counted() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import ERROR_FLAG, FrameBatch
-from canlog.live import BusState, LinkBreak, SourceCounts, SupervisedSource, supervise
+from canlog.live import BusState, LinkBreak, Silence, SourceCounts, SupervisedSource, supervise
 from canlog.live.supervisor import Backoff
 from canlog.notice import NOTICE
 from tests.support.patience import HANG_S
@@ -30,14 +30,16 @@ def numbered(*numbers: int, flags: int = 0) -> FrameBatch:
 class ShortSource:
     """A bus that gives some batches and then fails, or stays silent until it is closed."""
 
-    def __init__(self, *batches: FrameBatch, failure: str | None = None) -> None:
+    def __init__(self, *batches: FrameBatch | Silence, failure: str | None = None) -> None:
         self._batches = batches
         self._failure = failure
         self._closed = asyncio.Event()
         self.description = "short"
-        self.counts = SourceCounts(received=sum(map(len, batches)), kernel_dropped=1)
+        self.counts = SourceCounts(
+            received=sum(len(one) for one in batches if not isinstance(one, Silence)), kernel_dropped=1
+        )
 
-    async def __aiter__(self) -> AsyncIterator[FrameBatch]:
+    async def __aiter__(self) -> AsyncIterator[FrameBatch | Silence]:
         for batch in self._batches:
             yield batch
         if self._failure is not None:
@@ -68,11 +70,14 @@ class Script:
 
 
 async def parts_of(source: SupervisedSource, count: int) -> list[list[int] | str]:
-    """Return the first parts: the numbers of a batch, the problem of a break."""
+    """Return the first parts: the numbers of a batch, the problem of a break, "silence"."""
     parts: list[list[int] | str] = []
     async with asyncio.timeout(HANG_S):
         async for part in source:
-            parts.append(part.problem if isinstance(part, LinkBreak) else part.t_ns.tolist())
+            if isinstance(part, Silence):
+                parts.append("silence")
+            else:
+                parts.append(part.problem if isinstance(part, LinkBreak) else part.t_ns.tolist())
             if len(parts) == count:
                 await source.aclose()
     return parts
@@ -89,6 +94,12 @@ async def test_it_is_opened_again_until_that_works(caplog: pytest.LogCaptureFixt
     assert source.status.interruption_count == 2
     levels = [record.levelno for record in caplog.records]
     assert levels == [logging.WARNING, NOTICE] * 2
+
+
+async def test_silence_is_passed_on_and_is_no_break() -> None:
+    source = SupervisedSource(Script(), ShortSource(numbered(1), Silence(), numbered(2)), QUICK)
+    assert await parts_of(source, 3) == [[1], "silence", [2]]
+    assert source.status.interruption_count == 0
 
 
 async def test_closing_ends_the_wait_for_a_bus() -> None:

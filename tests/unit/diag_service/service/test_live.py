@@ -11,7 +11,7 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.live import LinkBreak, SourceCounts
+from canlog.live import LinkBreak, Silence, SourceCounts
 from canlog.notice import NOTICE
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
@@ -253,6 +253,34 @@ class BreakingSource(ListSource):
         async for batch in super().__aiter__():
             yield batch
             yield LinkBreak(problem="away")
+
+
+class SilentSource(ListSource):
+    """A bus that falls silent once it has said everything, and stays open."""
+
+    async def __aiter__(self) -> AsyncIterator[FrameBatch | Silence]:  # type: ignore[override]
+        for batch in self._batches:
+            yield batch
+        yield Silence()
+        await self._closed.wait()
+
+
+@pytest.mark.parametrize(("end_s", "is_interrupted"), [(3.06, False), (2.5, True)])
+async def test_silence_ends_the_stretch_and_what_had_ended_is_whole(
+    store: ResultStore, end_s: float, *, is_interrupted: bool
+) -> None:
+    reporter, stop = MemoryReporter(), Trigger()
+    source = SilentSource([gear_frames(2)[: round(end_s / 0.01)]])
+    running = asyncio.create_task(run(source, session_for(store, reporter), stop=stop))
+    async with asyncio.timeout(HANG_S):
+        while not reporter.results:  # noqa: ASYNC110 - a reporter has nothing to wait for
+            await asyncio.sleep(0.01)
+    assert not running.done()
+    stop.set()
+    await running
+    (result,) = reporter.results
+    assert (result.estimate.from_gear, result.estimate.to_gear) == (1, 2)
+    assert (Reason.INTERRUPTED in result.estimate.reasons) == is_interrupted
 
 
 async def test_a_bus_that_was_away_interrupts_the_open_shift_and_nothing_else(store: ResultStore) -> None:
