@@ -28,6 +28,7 @@ from canlog.live.sources import SILENCE_S, Silence, SourceCounts
 POLL_S = 0.1  # how soon the thread notices that it shall stop
 MESSAGES_PER_BATCH = 256
 JOIN_S = 3.0  # for a driver that does not return
+NOW_S = 0.5 * SILENCE_S  # frames as old as this or younger have the time of this machine
 LAST_BATCHES = 64  # what an interface may still hold; bounded, for the bus may never fall silent
 NS_PER_US = 1_000
 US_PER_S = 1e6
@@ -37,7 +38,8 @@ class PythonCanSource:
     """Frames of an open python-can bus, which this object owns from now on unless it is not ``is_owner``.
 
     python-can keeps times as floating-point seconds; they are rounded to whole microseconds. What an interface loses
-    before python-can hands it over is not known, so ``kernel_dropped`` stays 0.
+    before python-can hands it over is not known, so ``kernel_dropped`` stays 0. Where frames have other times than this
+    machine's, as those of a simulation, silence is not told: in their time it may be short.
     """
 
     def __init__(
@@ -78,7 +80,7 @@ class PythonCanSource:
                 messages = self._receive(POLL_S)
                 self._offer(messages)
                 if messages:
-                    heard_s = time.monotonic()
+                    heard_s = time.monotonic() if _is_of_now(messages[-1]) else None
                 elif heard_s is not None and asked_s - heard_s > SILENCE_S:
                     self._queue.tell_silence()
                     heard_s = None
@@ -106,6 +108,10 @@ class PythonCanSource:
         self._received += len(messages)
         if messages:
             self._queue.offer(to_batch(messages))
+
+
+def _is_of_now(message: can.Message) -> bool:
+    return abs(time.time() - message.timestamp) < NOW_S
 
 
 def to_batch(messages: Sequence[can.Message]) -> FrameBatch:
