@@ -6,8 +6,7 @@ from typing import Final, Protocol, TypeVar
 
 from canlog.frames import MAX_GAP_NS, FrameBatch
 
-NS_PER_S: Final = 1_000_000_000
-SILENCE_S: Final = 1.5 * MAX_GAP_NS / NS_PER_S  # whatever comes after it, its time begins another stretch
+SILENCE_S: Final = 1.5e-9 * MAX_GAP_NS  # whatever comes after it, its time begins another stretch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
