@@ -183,8 +183,10 @@ def _step(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float,
     if later_m < law.min_film_m or later_m > law.open_gap_m:
         by[:] = 0.0
         return min(max(later_m, law.min_film_m), law.open_gap_m)
-    pushed = point_rate_m_s(point, driving_pa + _PRESSURE_STEP_PA, fluidity, law)
-    by_pa = (pushed - rate) / _PRESSURE_STEP_PA  # zero where separators, not the piston, move the pack
+    by_pa = 0.0  # where separators, not the piston, move the pack
+    if applied_pressure_pa(driving_pa, law) > 0.0:  # the rate jumps there: no difference across it is a derivative
+        pushed = point_rate_m_s(point, driving_pa + _PRESSURE_STEP_PA, fluidity, law)
+        by_pa = (pushed - rate) / _PRESSURE_STEP_PA
     for j in range(len(by)):
         by[j] *= kept
     by[_PRESSURE] += stretch * by_pa
