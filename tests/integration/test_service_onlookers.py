@@ -14,7 +14,7 @@ from tests.support.replay import INTERFACE, Replay, free_bus
 from tests.support.service import Service, service
 
 FIRST_SHIFT_DONE_S = 3.2
-ONE_SHIFT = r'clutchdiag_shifts_total\{status="\w+"\} 1\.0'
+SOME_SHIFT = r'clutchdiag_shifts_total\{status="\w+"\} [1-9]'
 
 
 def fetch(running: Service, path: str) -> str:
@@ -57,7 +57,7 @@ def test_onlookers_see_a_live_bus(tmp_path: Path, drive_log: Path, command: str)
             sent = replay.send_until(FIRST_SHIFT_DONE_S)
             decoded = f'clutchdiag_frames_total{{fate="decoded"}} {float(sent)}'
             running.wait_for(lambda: decoded in fetch(running, "/metrics"))
-            running.wait_for(lambda: re.search(ONE_SHIFT, fetch(running, "/metrics")) is not None)
+            running.wait_for(lambda: re.search(SOME_SHIFT, fetch(running, "/metrics")) is not None)
             assert fetch(running, "/livez") == fetch(running, "/readyz") == "OK\n"
             if command == "run":
                 look_at_the_page_of(running)
