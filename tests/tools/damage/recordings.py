@@ -206,6 +206,27 @@ def write_clx000(path: Path, frames: EncodedFrames) -> None:
     path.write_text(head + "".join(lines), "ascii")
 
 
+def write_canking(path: Path, frames: EncodedFrames) -> None:
+    """Write a text of Kvaser's CanKing."""
+    lines = [
+        f" 0    {row.can_id[0]:08X}       {row.length[0]:3}  "
+        f"{row.data[0, : row.length[0]].tobytes().hex(' ').upper()} {t_us // US_PER_S:7}.{t_us % US_PER_S:06} R\n"
+        for t_us, row in rows_of(frames)
+    ]
+    path.write_text("Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir\n" + "".join(lines))
+
+
+def write_yacht_devices(path: Path, frames: EncodedFrames) -> None:
+    """Write what gateways of Yacht Devices send: milliseconds of the day, and no header."""
+    lines = [
+        f"{t_us // 3600 // US_PER_S:02}:{t_us // 60 // US_PER_S % 60:02}:{t_us // US_PER_S % 60:02}."
+        f"{t_us % US_PER_S // 1_000:03} R {row.can_id[0]:03X} "
+        f"{row.data[0, : row.length[0]].tobytes().hex(' ').upper()}\n"
+        for t_us, row in rows_of(frames)
+    ]
+    path.write_text("".join(lines))
+
+
 def rows_of(frames: EncodedFrames) -> list[tuple[int, EncodedFrames]]:
     """Return frames one by one, with their times."""
     return [(t_us, frames[row : row + 1]) for row, t_us in enumerate(times_us(frames).tolist())]
@@ -224,6 +245,8 @@ WRITERS: Mapping[str, Writer] = MappingProxyType(
         "canhacker": write_canhacker,
         "microchip": write_microchip,
         "clx000": write_clx000,
+        "canking": write_canking,
+        "yacht-devices": write_yacht_devices,
         "gzip": write_gzip,
     }
 )
@@ -241,13 +264,17 @@ SUFFIXES: Mapping[str, str] = MappingProxyType(
         "canhacker": ".hacker.trc",
         "microchip": ".can",
         "clx000": ".clx.txt",
+        "canking": ".king.txt",
+        "yacht-devices": ".yd.txt",
         "gzip": ".log.gz",
     }
 )
 CLOCK_US: Mapping[str, int] = MappingProxyType(
-    {"busmaster": 100, "canhacker": 1_000, "microchip": 1_000, "clx000": 1_000}
+    {"busmaster": 100, "canhacker": 1_000, "microchip": 1_000, "clx000": 1_000, "yacht-devices": 1_000}
 )  # the step of a format's times; else 1
-START_NS: Mapping[str, int] = MappingProxyType({"carbus": 0, "canhacker": 0})  # where a format has no date
+START_NS: Mapping[str, int] = MappingProxyType(
+    {"carbus": 0, "canhacker": 0, "canking": 0, "yacht-devices": 0}
+)  # where a format has no date
 MOST_JUMP_MS: Mapping[str, float] = MappingProxyType(
     {"carbus": 25_000.0, "canhacker": 25_000.0}
 )  # that a clock of one minute can tell
