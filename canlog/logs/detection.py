@@ -14,6 +14,7 @@ from canlog.logs import sqlite
 from canlog.logs.asc import AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog
+from canlog.logs.captures import capture_of
 from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, proposed
 from canlog.logs.columns.canhacker import CanHacker, is_canhacker_header
 from canlog.logs.columns.canking import LAYOUT as CANKING
@@ -61,6 +62,8 @@ class LogFormat(StrEnum):
     CANBOAT = "canboat"
     YACHT_DEVICES = "yacht-devices"
     ACTISENSE = "actisense"
+    PCAP = "pcap"
+    PCAPNG = "pcapng"
     COLUMNS = "columns"
 
 
@@ -144,9 +147,6 @@ OTHER_FORMATS: Mapping[bytes, str] = MappingProxyType(
         b"%PDF-": "a PDF document",
         b"\x7fELF": "a program",
         b"\xd0\xcf\x11\xe0": "a document of Microsoft Office",
-        b"\xd4\xc3\xb2\xa1": "a pcap capture",
-        b"\xa1\xb2\xc3\xd4": "a pcap capture",
-        b"\x0a\x0d\x0d\x0a": "a pcapng capture",
         b"\x89HDF": "an HDF5 file",
         b"PAR1": "a Parquet file",
         b"ARROW1": "an Arrow file",
@@ -179,6 +179,8 @@ def detect(probe: bytes) -> Detected:
         return Detected(format=LogFormat.BLF, evidence="it begins with LOGG")
     if probe.startswith(sqlite.MAGIC):
         return Detected(format=LogFormat.SQLITE, evidence="it begins with SQLite format 3")
+    if capture := capture_of(probe):
+        return Detected(format=LogFormat(capture), evidence=f"it begins with the number of {capture}")
     if probe.startswith(MDF_MAGICS):
         if probe[MDF_VERSION] != b"4":
             raise SourceError("an MDF file of a version before 4: convert it")

@@ -33,6 +33,7 @@ from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
 from canlog.logs.asc import AscLog
 from canlog.logs.blf import read_blf
 from canlog.logs.candump import CandumpLog
+from canlog.logs.captures import read_capture
 from canlog.logs.detection import TABLES, TEXT_LOGS, LogFormat
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.reading import read_log
@@ -49,6 +50,8 @@ from ecu_emulator.log_formats import (
     TrcWriter,
 )
 from ecu_emulator.log_formats.blf import CONTAINER_HEADER, DEFLATED, FILE_HEADER, LOG_CONTAINER, OBJECT_MAGIC
+from tests.support.capture_grammars import COOKED, COOKED_2, SOCKETCAN, pcap, pcapng
+from tests.support.log_grammars import Frame
 from tests.support.traffic import START_NS, as_received, random_frames
 from tests.tools.damage.garbling import inflated_containers
 
@@ -170,6 +173,20 @@ def zipped(method: int) -> bytes:
     return stream.getvalue()
 
 
+def capture(write: Callable[[Path, list[Frame]], None]) -> bytes:
+    """Return a capture of a few frames of all lengths."""
+    frames = [
+        Frame(t_us=1_000 * number, can_id=0x123 + number, is_extended=number % 2 == 1, length=length,
+              data=bytes(range(length)), is_fd=length > 8)
+        for number, length in enumerate((0, 3, 8, 12, 64, 8, 8))
+    ]  # fmt: skip
+    with tempfile.NamedTemporaryFile() as file:
+        write(Path(file.name), frames)
+        return Path(file.name).read_bytes()
+
+
+PCAP = tuple(capture(pcap(link, order)) for link in (SOCKETCAN, COOKED, COOKED_2) for order in "<>")
+PCAPNG = tuple(capture(pcapng(link, order, has_others=True)) for link in (SOCKETCAN, COOKED) for order in "<>")
 SOUND_CANDUMP = written(CandumpWriter)
 PACKED = {
     "gzip": gzip.compress(SOUND_CANDUMP, mtime=0),
@@ -205,6 +222,8 @@ READERS: dict[str, tuple[Reader, bytes | tuple[bytes, ...]]] = {
     ),
     "blf": (read_blf, SOUND_BLF),
     "blf-objects": (read_blf, SOUND_OBJECTS),
+    "pcap": (read_capture, PCAP),
+    "pcapng": (read_capture, PCAPNG),
     "trc": (reader_of(TABLES[LogFormat.TRC]), (*TRC, written(TrcWriter))),
     "csv": (reader_of(TABLES[LogFormat.CSV]), written(CsvWriter)),
     "gvret": (reader_of(TABLES[LogFormat.GVRET]), written(GvretWriter)),
@@ -223,7 +242,7 @@ READERS: dict[str, tuple[Reader, bytes | tuple[bytes, ...]]] = {
     "packed": (read_packed, tuple(PACKED.values())),
 }
 ALONE = {f"packed-{name}": (read_packed, sound) for name, sound in PACKED.items()}
-WITHOUT_LINES = ("blf", "packed")
+WITHOUT_LINES = ("blf", "pcap", "packed")
 ALPHABET = st.sampled_from(b"0123456789ABCDEFabcdefx#()., \t\r\n;*:-_=TRrd$\0\xff").map(lambda value: bytes([value]))
 
 

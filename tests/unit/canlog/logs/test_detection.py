@@ -58,6 +58,9 @@ def test_a_header_decides(log_format: LogFormat, header: bytes) -> None:
         (b"LOGG" + bytes(200), LogFormat.BLF),
         (b"SQLite format 3\0", LogFormat.SQLITE),
         (b"UnFinMF 4.11", LogFormat.MF4),
+        (bytes.fromhex("d4c3b2a102000400000000000000000000000400e3000000"), LogFormat.PCAP),
+        (bytes.fromhex("a1b23c4d0002000400000000000000000004000000000071"), LogFormat.PCAP),
+        (bytes.fromhex("0a0d0d0a1c0000004d3c2b1a"), LogFormat.PCAPNG),
     ],
 )
 def test_a_binary_format_names_itself(probe: bytes, log_format: LogFormat) -> None:
@@ -110,7 +113,11 @@ def test_a_text_in_utf_16_is_said_to_be_one(encoding: str) -> None:
 
 @pytest.mark.parametrize(
     ("probe", "name"),
-    [(b"7z\xbc\xafrest", "a 7z archive"), (b"\xd4\xc3\xb2\xa1rest", "a pcap capture"), (b"\x89PNG\r\n", "a picture")],
+    [
+        (b"7z\xbc\xafrest", "a 7z archive"),
+        (b"\xd4\xc3\xb2\xa1".ljust(24, b"\1"), "a pcap capture of another"),
+        (b"\x89PNG\r\n", "a picture"),
+    ],
 )
 def test_other_formats_are_named(probe: bytes, name: str) -> None:
     with pytest.raises(SourceError, match=name):
