@@ -14,7 +14,7 @@ from canlog.frames import (
     REMOTE_FLAG,
     TX_FLAG,
 )
-from canlog.jit import array_kernel
+from canlog.jit import array_kernel, inlined_kernel
 from canlog.logs.asc_fields import is_word
 from canlog.logs.columns import fields
 from canlog.logs.columns.message_kernel import (
@@ -123,7 +123,7 @@ def _parse_line(
     return (check_message(line) if program.has_messages else _check_length(line)), at + 1
 
 
-@array_kernel
+@inlined_kernel
 def _role_of(
     column: int,
     has_text: bool,  # noqa: FBT001 - of a kernel
@@ -202,7 +202,7 @@ def _read_field(  # noqa: C901, PLR0911 - one for each role
     return False
 
 
-@array_kernel
+@inlined_kernel
 def _read_bytes(
     text: UInt8Array,
     begin: int,
