@@ -131,4 +131,4 @@ def _remove_dead(path: Path) -> None:
             except ConnectionRefusedError:
                 path.unlink()
             else:
-                raise RecordError(f"cannot listen at {path}: somebody does already")
+                raise RecordError(f"cannot listen at {path}: another process listens there already")

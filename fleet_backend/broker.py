@@ -113,6 +113,6 @@ async def _subscribed(connection: Connection | JetStream, filters: Sequence[str]
     try:
         await connection.subscribe([BUNDLES])
     except LinkDownError as exc:  # of a connection that is lost the next call tells
-        _LOG.warning("vehicles are to send each result alone: %s", exc)
+        _LOG.warning("vehicles are asked to send each result alone: %s", exc)
         return False
     return True

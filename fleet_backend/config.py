@@ -101,5 +101,5 @@ def parse_moment(text: str) -> datetime:
     try:
         moment = datetime.fromisoformat(text)
     except ValueError as exc:
-        raise ConfigError(f"{text!r} is no date, such as 2026-01-31 or 2026-01-31T12:00Z") from exc
+        raise ConfigError(f"{text!r} is not a date, such as 2026-01-31 or 2026-01-31T12:00Z") from exc
     return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)

@@ -134,7 +134,7 @@ def _find_file(path: Path) -> None:
     if path.is_file():
         return
     if path.exists():
-        raise DatabaseError(f"{path} is no file")
+        raise DatabaseError(f"{path} is not a file")
     with contextlib.suppress(OSError):
         near = get_close_matches(path.name, [entry.name for entry in path.parent.iterdir()], n=1)
         if near:

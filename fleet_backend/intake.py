@@ -118,7 +118,7 @@ def _take(message: Message, address: Address, received_at: datetime) -> Taken:
         return Taken(message=message, kind=kind, row=row_of(data))
     if channel is Channel.FLUID:
         return Taken(message=message, kind=Kind.FILLS, row={"vehicle": data["vehicle"]}, fills=fill_rows(data))
-    return refuse(message, "topic", "nothing that the backend keeps", received_at)
+    return refuse(message, "topic", "a kind of message that the backend does not keep", received_at)
 
 
 def refuse(message: Message, reason: str, detail: str, received_at: datetime) -> Taken:

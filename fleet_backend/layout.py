@@ -60,7 +60,7 @@ def lines_of(sheet: Sheet, width: int | None) -> Iterator[Text]:
         return
     yield from _table(kept, sheet.styles)
     if gone:
-        told = f"Left out at this width: {', '.join(gone)}. A wider terminal, a pipe and --json have all."
+        told = f"Hidden at this width: {', '.join(gone)}. A wider terminal, a pipe or --json shows all."
         yield from (Text(line, "dim") for line in wrapped(told, width))
     for whom, text in remarks:
         if text:

@@ -58,7 +58,7 @@ def read_lots(path: Path) -> list[LotRow]:
 def _rows(path: Path, lines: Iterator[list[str]]) -> Iterator[LotRow]:
     head = [one.strip() for one in next(lines, [])]
     if VEHICLE_COLUMN not in head or len(head) < 2 or len(set(head)) < len(head):
-        raise ConfigError(f"{path}: a head is wanted of the column {VEHICLE_COLUMN} and others, each once")
+        raise ConfigError(f"{path}: the header must name the column {VEHICLE_COLUMN} and others, each once")
     seen: set[str] = set()
     for number, line in enumerate(lines, start=2):
         if not line:
@@ -68,11 +68,11 @@ def _rows(path: Path, lines: Iterator[list[str]]) -> Iterator[LotRow]:
         record = dict(zip(head, (one.strip() for one in line), strict=True))
         vehicle = record.pop(VEHICLE_COLUMN)
         if not vehicle or vehicle in seen:
-            raise ConfigError(f"{path}, line {number}: no vehicle, or one that is there already: {vehicle!r}")
+            raise ConfigError(f"{path}, line {number}: the vehicle is missing or listed twice: {vehicle!r}")
         seen.add(vehicle)
         for text in (vehicle, *record, *record.values()):
             if not text.isprintable() or len(text) > LONGEST:
-                raise ConfigError(f"{path}, line {number}: {text[:20]!r} is no word of at most {LONGEST} characters")
+                raise ConfigError(f"{path}, line {number}: {text[:20]!r} is not a word of at most {LONGEST} characters")
         yield from (LotRow(vehicle=vehicle, name=name, value=value) for name, value in record.items() if name)
 
 

@@ -121,7 +121,7 @@ def fill_rows(data: Mapping[str, object]) -> list[Row]:
     """Return the rows of the fluid fills that a vehicle knows."""
     fills = data["fills"]
     if not isinstance(fills, list):
-        raise TypeError("a list was promised")
+        raise TypeError("expected a list")
     return [
         {
             "vehicle": data["vehicle"],
@@ -138,7 +138,7 @@ def told_fill(row: Mapping[str, object]) -> dict[str, object]:
     """Return a fluid fill of the database as a message carries it; a long text loses its end."""
     filled_at, product, note = row["filled_at"], str(row["product"]), row["note"]
     if not isinstance(filled_at, datetime):
-        raise TypeError("a fill without its moment")
+        raise TypeError("a fill without a time")
     return {
         "filled_at": filled_at.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
         "odometer_m": row["odometer_m"],
@@ -221,7 +221,7 @@ def _trust(values: object) -> Row:
 
 def _table(value: object) -> Mapping[str, object]:
     if not isinstance(value, Mapping):
-        raise TypeError(f"an object was promised, not {type(value).__name__}")
+        raise TypeError(f"expected an object, got {type(value).__name__}")
     return value
 
 

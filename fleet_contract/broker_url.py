@@ -41,7 +41,7 @@ def exposure(host: str, *, is_encrypted: bool, has_password: bool) -> str | None
     if is_encrypted or is_this_machine(host):
         return None
     what = "results and the broker's password" if has_password else "results"
-    return f"{what} go to {host} unencrypted: whoever is on the way can read them; mqtts:// encrypts"
+    return f"{what} go to {host} unencrypted: anyone on the way can read them; mqtts:// encrypts"
 
 
 def parse_broker_url(text: str, *, may_be_nats: bool = False) -> BrokerUrl:
@@ -61,7 +61,7 @@ def parse_broker_url(text: str, *, may_be_nats: bool = False) -> BrokerUrl:
     if parts.scheme not in ports or not parts.hostname or parts.path.strip("/") or parts.query or parts.fragment:
         raise BrokerUrlError(_FORM)
     if port == 0:
-        raise BrokerUrlError(f"{_FORM}: port 0 is no port")
+        raise BrokerUrlError(f"{_FORM}: 0 is not a port")
     return BrokerUrl(
         host=parts.hostname,
         port=port or ports[parts.scheme],

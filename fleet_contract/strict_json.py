@@ -136,7 +136,7 @@ def _int64(text: str) -> int:
 
 
 def _refuse(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not a number of JSON")
 
 
 def _unique(pairs: list[tuple[str, object]]) -> JsonObject:

@@ -33,7 +33,7 @@ def read_secret(path: Path, pipe_wait_s: float = PIPE_WAIT_S) -> str:
     except OSError as exc:
         raise AddressError(f"cannot read {path}: {exc.strerror or exc}") from exc
     except UnicodeDecodeError as exc:
-        raise AddressError(f"cannot read {path}: it is no UTF-8 text") from exc
+        raise AddressError(f"cannot read {path}: it is not UTF-8 text") from exc
 
 
 def _read_secret(path: Path, pipe_wait_s: float) -> bytes:
@@ -50,4 +50,4 @@ def _read_secret(path: Path, pipe_wait_s: float) -> bytes:
             if not piece:
                 return bytes(content)
             content += piece
-    raise OSError(errno.EFBIG, "nobody has so long a secret")
+    raise OSError(errno.EFBIG, "a secret cannot be so long")

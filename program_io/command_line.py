@@ -109,7 +109,7 @@ class Option(click.Option):
         self.needs_value = not (self.is_flag or self.count or "flag_value" in attributes)
 
 
-VERBOSE: Final = Option("-v --verbose", "say more; twice: libraries too", count=True)
+VERBOSE: Final = Option("-v --verbose", "print more; twice: of libraries, too", count=True)
 
 
 class _Page(click.Command):

@@ -17,5 +17,5 @@ def refusal(*paths: Path | None, is_forced: bool) -> str:
 def replacement_refusal(path: Path, *, is_forced: bool) -> str:
     """Return why a new file must not take the place of this one; a device or a pipe would be gone for all others."""
     if path.exists() and not path.is_file():
-        return f"{path} is not a plain file, whose place another one could take"
+        return f"{path} is not a plain file and cannot be replaced"
     return refusal(path, is_forced=is_forced)

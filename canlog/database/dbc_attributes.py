@@ -86,5 +86,5 @@ def wrong_number(kind: str, value: str) -> str:
     try:
         number = Decimal(value)
     except InvalidOperation:
-        return f"{value[:20]!r} is no number, as the kind {kind} asks for"
-    return "" if number.is_finite() and abs(number) < Decimal(10) ** 30 else "its value is no usable number"
+        return f"{value[:20]!r} is not a number, as the kind {kind} asks for"
+    return "" if number.is_finite() and abs(number) < Decimal(10) ** 30 else "its value is not a usable number"

@@ -271,7 +271,7 @@ def add_signal(words: list[str], statement: Statement, message: SievedMessage) -
         return "start and length must be whole numbers, the length above 0"
     if marker and not _MARKER.fullmatch(marker):
         hint = ", without its number" if marker == "m" else ""
-        return f"{marker} is no multiplexer's mark{hint} (M, or m and a number)"
+        return f"{marker} is not a multiplexer's mark{hint} (M, or m and a number)"
     if name in message.signals and message.name != INDEPENDENT:
         return f"message {message.name} has another signal {name}"
     message.signals[name] = SievedSignal(statement=statement, marker=marker, length_bits=int(length))

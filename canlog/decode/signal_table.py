@@ -22,7 +22,7 @@ MAX_MULTIPLEX_DEPTH: Final = 8
 class InvalidCounts(NamedTuple):
     """Values that are no measurements, by why; a signal that its multiplexer leaves out is none of them."""
 
-    not_available: int = 0  # codes, and floats that are no numbers
+    not_available: int = 0  # codes, and floats that are not numbers
     out_of_range: int = 0
     incomplete: int = 0  # a signal that corrects this one has no value
 

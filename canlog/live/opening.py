@@ -154,7 +154,7 @@ class MulticastBus(can.BusABC):
         try:
             message = unpack_message(data, replace={"timestamp": _time_s(ancillary)}, check=True)
         except Exception as exc:  # python-can promises no kind of error here
-            raise can.CanOperationError("received what is not a frame of python-can") from exc
+            raise can.CanOperationError("received something that is not a message of python-can") from exc
         is_wanted = self._can_protocol is can.CanProtocol.CAN_FD or not message.is_fd
         return message if is_wanted else None
 

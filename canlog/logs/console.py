@@ -24,7 +24,7 @@ _BLANK = rb"(?:\x1b[^m\n]*m|[ \t\r])*"  # colours as well, as the compiled reade
 NAME = re.compile(_BLANK + rb"(?:\([^)\n]*\)" + _BLANK + rb")?(?P<name>[^\x00-\x20]+)")
 EPOCH_DIGITS = 9  # seconds since the epoch have had as many since 1973
 LEAST_FALLS = 0.1  # of all steps between times: so many times of one clock never fall
-NO_TIMES = "the log has no times (candump -t): every frame is of 1970-01-01 00:00:00"
+NO_TIMES = "the log has no times (candump -t): every frame gets the time 1970-01-01 00:00:00"
 
 
 class ConsoleLog(TextLog):

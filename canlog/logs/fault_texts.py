@@ -8,18 +8,18 @@ from canlog.logs.log_counts import LogCounts
 def lost_texts(counts: LogCounts) -> Iterator[str]:
     """Yield what of a log was not read though it should have been."""
     if counts.truncated:
-        yield "the log ends before its own end"
+        yield "the log is cut off"
     if counts.first_rejected:
         reasons = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in counts.rejected.items() if count)
         total = sum(counts.rejected.values())
-        yield f"{total} pieces of the log are no frames ({reasons}), the first: {counts.first_rejected}"
+        yield f"{total} pieces of the log are not frames ({reasons}), the first: {counts.first_rejected}"
 
 
 def assumed_texts(counts: LogCounts) -> Iterator[str]:
     """Yield what had to be assumed about a log, such as a unit, or that nothing is missing at its end."""
     yield from counts.notes
     if counts.unfinished and not counts.truncated:
-        yield "the log was not closed by its writer: what is missing at its end cannot be told"
+        yield "the recorder did not close the log, so frames may be missing at its end"
 
 
 def odd_texts(counts: LogCounts) -> Iterator[str]:
@@ -27,4 +27,4 @@ def odd_texts(counts: LogCounts) -> Iterator[str]:
     if jumps := counts.jumps_back + counts.jumps_ahead:
         yield f"{jumps} jumps of time, {counts.jumps_back} of them back, the first: {counts.first_jump}"
     if counts.repeated:
-        yield f"{counts.repeated} frames equal the one before, time and all"
+        yield f"{counts.repeated} frames repeat the one before, time included"

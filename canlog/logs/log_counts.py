@@ -23,7 +23,7 @@ class LogCounts:
     skipped: int = 0  # comments, events and other things that are no frames and are not meant to be
     rejected: dict[LogReject, int] = field(default_factory=dict)
     first_rejected: str = ""  # where and why, for people
-    truncated: bool = False  # the file ends before its own end
+    truncated: bool = False  # the file is cut off
     jumps_back: int = 0  # frames whose time lies before that of the frame before
     jumps_ahead: int = 0  # frames after a silence that ends a segment
     first_jump: str = ""  # where and how far, for people
@@ -34,7 +34,7 @@ class LogCounts:
     @property
     def first_fault(self) -> str:
         """What is wrong with the log, so that nobody has to look further; empty if nothing is."""
-        end = "the file ends before its own end" if self.truncated else ""
+        end = "the file is cut off" if self.truncated else ""
         return self.first_rejected or self.first_jump or end
 
     def note(self, text: str) -> None:

@@ -34,7 +34,7 @@ BYTES_PER_CPU_S = 2_000_000
 WAIT_PER_CPU_S = 20.0  # others may use the machine, too; processor time is what is limited
 CHILD = "canlog.logs.mf4_child"
 IS_LIMITED = sys.platform == "linux" and hasattr(os, "fork")  # elsewhere files are read in this process
-GAVE_UP = "reading it takes more time or memory than any sound file of its size: it is damaged"
+GAVE_UP = "reading it takes more time or memory than any intact file of its size: it is damaged"
 
 
 def read_mf4(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:

@@ -17,7 +17,7 @@ from canlog.logs.mf4_frames import mf4_batches
 
 LONGEST_REQUEST = 65_536
 PAGE_BYTES = resource.getpagesize()
-OUT_OF_MEMORY = "reading it takes more memory than any sound file of its size: it is damaged"
+OUT_OF_MEMORY = "reading it takes more memory than any intact file of its size: it is damaged"
 
 
 def serve(control: socket.socket) -> None:

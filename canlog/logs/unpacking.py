@@ -56,7 +56,7 @@ def contents_of(stream: BinaryIO, member: str = "", columns: str = "") -> Conten
     if is_archive(probe):
         return _unpacked(MemberStream(stream, _meant(stream, member, columns)), columns)
     if member:
-        raise SourceError("it is a file and no archive: there is nothing inside")
+        raise SourceError("it is a file, not an archive")
     compression = compression_of(probe)
     if compression is None:
         detected = detect_as_columns(probe, columns) if columns else detect(probe)

@@ -63,7 +63,7 @@ class Moment:
             moment = datetime.fromisoformat(text)
         except ValueError:
             raise SourceError(
-                f"{text!r} is no time: 12.5 (seconds from the first frame) or 2026-01-01T12:30:00"
+                f"{text!r} is not a time: 12.5 (seconds from the first frame) or 2026-01-01T12:30:00"
             ) from None
         moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
         return cls((moment - _EPOCH) // timedelta(microseconds=1) * 1_000, is_elapsed=False)

@@ -124,7 +124,7 @@ def poll_config(poll: Poll | None) -> PollConfig | None:
 def check_one_bus(bus: "can.BusABC | None", *names: object) -> None:
     """Raise ConfigError if a bus was handed over open and named besides."""
     if bus is not None and any(name is not None and name is not False for name in names):
-        raise ConfigError("a bus is either handed over open or named by interface and channel, not both")
+        raise ConfigError("give either an open bus or an interface and a channel, not both")
 
 
 def _calibration(choice: Calibration | AnyPath | None) -> Calibration:

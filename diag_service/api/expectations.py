@@ -175,7 +175,9 @@ def _condition(one: Condition | str) -> Condition:
     try:
         return Condition[one.upper().replace(" ", "_")]
     except KeyError:
-        raise ValueError(f"{one!r} is no condition: {', '.join(condition_words(each) for each in Condition)}") from None
+        raise ValueError(
+            f"{one!r} is not a condition: {', '.join(condition_words(each) for each in Condition)}"
+        ) from None
 
 
 def _shift_words(results: Sequence[ShiftResult]) -> str:

@@ -95,7 +95,7 @@ class LiveDiagnosis:
         if summary is None and self._session is not None:
             summary = self._session.summary(self.frames, None)
         if summary is None:
-            raise ConfigError("the bus is not listened to yet: there is nothing to tell")
+            raise ConfigError("the diagnosis does not listen yet")
         return Analysis.of((), self.results, summary, self._notices)
 
     def stop(self) -> None:
@@ -120,7 +120,7 @@ class LiveDiagnosis:
     async def __aiter__(self) -> AsyncIterator[ShiftResult]:
         """Iterate over the shifts as they are found; raises what ``diagnose`` names."""
         if self._is_iterated:
-            raise ConfigError("a live diagnosis is iterated over once; its results are in `results`")
+            raise ConfigError("a live diagnosis can be iterated over only once; its results are in `results`")
         self._is_iterated = True
         await self._start()
         is_over = False
@@ -281,7 +281,7 @@ def diagnose(
     """
     check_one_bus(bus, interface, channel, bitrate, is_fd, is_only_mapped)
     if bus is not None and poll is not None and poll.bus is None:
-        raise ConfigError("a bus that was handed over has one reader: give Poll(bus=...) another end of it")
+        raise ConfigError("an open bus has only one reader: give Poll(bus=...) a connection of its own")
     named = BusConfig(
         interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd, duration_s=duration_s,
         is_filtered=is_only_mapped, poll=poll_config(poll),

@@ -134,10 +134,10 @@ def sorted_out(folder: Path, columns: str = "") -> tuple[list[TakenFor], list[Le
     for path in sorted(inside):
         if path.is_dir():
             if not os.access(path, os.R_OK | os.X_OK):
-                others.append(LeftOut(path=path, reason="a folder that may not be read"))
+                others.append(LeftOut(path=path, reason="a folder without permission to read it"))
             continue
         if not path.exists():
-            others.append(LeftOut(path=path, reason="a link that leads nowhere"))
+            others.append(LeftOut(path=path, reason="a broken link"))
             continue
         if (first := read[path.resolve()]) != path:
             others.append(LeftOut(path=path, reason=f"a link to {first}, which is read already"))

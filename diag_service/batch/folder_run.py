@@ -146,7 +146,7 @@ def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, li
         totals.update(_counts(journal.entry(drive.key)))
     listener.end(totals, (journal.entry(drive.key) for drive in done))
     if len(done) < len(drives):
-        hint = "; the same command goes on" if output is not None else ""
+        hint = "; run the same command again to continue" if output is not None else ""
         raise StoppedError(f"stopped early: {len(done)} of {len(drives)} drives are done{hint}")
     if output is not None:
         write_results(output, (journal.entry(drive.key) for drive in drives))

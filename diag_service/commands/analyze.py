@@ -108,7 +108,9 @@ def _analyse_folders(options: SimpleNamespace, controls: Controls) -> None:
     if STANDARD_INPUT in options.logs:
         raise ConfigError("folders are read by several processes: standard input does not go with them")
     if options.vehicle_from is not None and "vehicle" in options.given:
-        raise ConfigError("--vehicle-from takes the vehicles from the folders, --vehicle names one: choose")
+        raise ConfigError(
+            "--vehicle-from takes the vehicles from the folders, --vehicle names one: use only one of them"
+        )
     from diag_service.batch import folder_run  # noqa: PLC0415 - one drive needs none of it
 
     folder_run.analyse_folders(

@@ -94,7 +94,7 @@ class Conversations:
     def lines(self) -> Iterator[str]:
         """Yield all of it for people that has not been told as news."""
         counts = self._long.counts.in_words()
-        yield from counts or ["no message longer than a frame, and no conversation of a tester"]
+        yield from counts or ["no message longer than a frame and no conversation of a tester"]
         for name, count in self._by_name.most_common():
             yield f"  {name}: {count}"
         found = self._exchanges.found
@@ -103,7 +103,7 @@ class Conversations:
             more = f", {self._exchanges.more} more are not kept" if self._exchanges.more else ""
             yield (
                 f"{self._told + len(found)} requests, {unanswered} without an answer, "
-                f"{self._exchanges.unasked} answers to no request of the log{more}"
+                f"{self._exchanges.unasked} answers without a request in the log{more}"
             )
         yield from (f"  {exchange_line(one)}" for one in found[:SHOWN_EXCHANGES])
         if len(found) > SHOWN_EXCHANGES:

@@ -41,7 +41,7 @@ async def follow(
         try:
             async for part in source:
                 if isinstance(part, LinkBreak):
-                    show(f"the bus was away: {part.problem}")
+                    show(f"the bus was lost: {part.problem}")
                 elif not isinstance(part, Silence) and len(part):
                     talks.add(part)
                     heard.at(int(part.t_ns[-1]))

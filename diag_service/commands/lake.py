@@ -42,7 +42,7 @@ def _forget(options: SimpleNamespace, lake: Place) -> None:
     sys.stdout.writelines(f"removed {part}\n" for part in gone.parts)
     sys.stdout.write(
         f"{gone.vehicle}: {len(gone.parts)} parts ({gone.part_bytes} bytes), {gone.rows} logs of the manifest with "
-        f"{gone.shifts} shifts removed; a second look found nothing. The logs themselves are where they were\n"
+        f"{gone.shifts} shifts removed; a second check found nothing left. The logs themselves were not touched\n"
     )
 
 
@@ -64,4 +64,4 @@ def _check(options: SimpleNamespace, lake: Place) -> None:
         if names:
             sys.stdout.write(f"{len(names)} parts {what}: {', '.join(names[:SHOWN])}\n")
     if any(wrong.values()):
-        raise IncompleteError(f"{lake.address}: manifest and parts disagree; the run that makes the lake mends it")
+        raise IncompleteError(f"{lake.address}: manifest and parts disagree; another run into this lake repairs it")

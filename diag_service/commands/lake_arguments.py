@@ -26,20 +26,20 @@ LAKE_OPTIONS: Final = (
     ),
     Option(
         "--scheduler ADDRESS",
-        "who works at a lake: local, or the workers of tls://HOST:PORT, with --ca, --cert and --key (default: local)",
+        "who works for a lake: local, or the workers of tls://HOST:PORT, with --ca, --cert and --key (default: local)",
         default="local",
     ),
     Option(
         "--signals NAME,NAME...",
-        "of a lake: decoded signals, too; Message.Signal or the signal alone, with * for anything",
+        "for a lake: decoded signals, too; Message.Signal or the signal alone, with * for anything",
     ),
     Option(
         "--time-limit S",
-        f"of a lake: give a log up after so long (default: {DEFAULT_LIMIT_S:g})",
+        f"for a lake: give up on a log after this time (default: {DEFAULT_LIMIT_S:g})",
         FLOAT,
         default=DEFAULT_LIMIT_S,
     ),
-    Option("--retry", "of a lake: try again what failed before"),
+    Option("--retry", "for a lake: try again the logs that failed before"),
 )
 LAKE: Final = Group(
     "lake",
@@ -54,11 +54,11 @@ LAKE: Final = Group(
     ),
     Command(
         "forget",
-        "take one vehicle out of a lake and prove it",
+        "remove one vehicle from a lake and check that nothing is left",
         _LAKE,
         click.Argument(["vehicle"], metavar="VEHICLE", help="vehicle id"),
         *(JSON, VERBOSE),
-        description="Remove every part of one vehicle and its rows of the manifest, tell which, and look again. Logs "
+        description="Remove every part of one vehicle and its rows of the manifest, list them, and check again. Logs "
         "and copies elsewhere stay.",
         examples=(f"{PROGRAM} lake forget s3://fleet/lake car7",),
     ),
@@ -69,7 +69,7 @@ CLUSTER: Final = Group(
     "run a part of a cluster that analyses logs into a lake",
     Command(
         "scheduler",
-        "hand out the work of runs",
+        "distribute the work of runs to workers",
         *(_HOST, Option("--port PORT", "port to listen at (default: 8786)", INT, default=8786), *_TLS),
         Option(
             "--dashboard [HOST:]PORT",
@@ -83,7 +83,11 @@ CLUSTER: Final = Group(
         "analyse logs that a scheduler hands out",
         click.Argument(["scheduler"], metavar="ADDRESS", help="tls://HOST:PORT of the scheduler"),
         *(_HOST, Option("--jobs N", "processes, each with a log at a time (default: one per core)", INT)),
-        Option("--memory MIB", "a process that takes more is ended (default: its part of the machine's)", INT),
+        Option(
+            "--memory MIB",
+            "memory limit of a process, which is ended above it (default: an equal share of the machine's)",
+            INT,
+        ),
         *(*_TLS, VERBOSE),
         examples=(f"{PROGRAM} cluster worker tls://127.0.0.1:8786 --ca ca.crt --cert node1.crt --key node1.key",),
     ),

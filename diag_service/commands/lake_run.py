@@ -55,7 +55,9 @@ def _check(options: SimpleNamespace) -> None:
     if STANDARD_INPUT in options.logs:
         raise ConfigError("a lake is made of what lies in folders and stores: standard input does not go with it")
     if options.vehicle_from is not None and "vehicle" in options.given:
-        raise ConfigError("--vehicle-from takes the vehicles from the folders, --vehicle names one: choose")
+        raise ConfigError(
+            "--vehicle-from takes the vehicles from the folders, --vehicle names one: use only one of them"
+        )
     if options.jobs is not None and options.jobs < 1:
         raise ConfigError(f"--jobs must be at least 1, got {options.jobs}")
     if options.scheduler == LOCAL and (options.ca or options.cert or options.key):

@@ -33,7 +33,7 @@ def check_messages(folder: Path, plan: Plan, table_format: TableFormat, *, is_fo
     if plan.shape is not TableShape.MESSAGES:
         return
     if folder.exists() and not folder.is_dir():
-        raise ConfigError(f"{folder} is no folder: each message becomes a table of its own")
+        raise ConfigError(f"{folder} is not a folder: each message becomes a table of its own")
     there = [] if is_forced else tables_there(folder, message_files(plan.names, table_format))
     if there:
         raise ConfigError(

@@ -37,7 +37,7 @@ class FluidExchange:
         fills, self._heard = self._heard, []
         count = await asyncio.to_thread(self._store.add_fills, fills)
         if count:
-            _LOG.log(NOTICE, "the fleet told of %d fluid fill(s)", count)
+            _LOG.log(NOTICE, "told the fleet of %d fluid fill(s)", count)
 
     async def tell(self) -> None:
         """Tell the fleet what the vehicle knows, unless this link has carried the same before."""
@@ -49,7 +49,7 @@ class FluidExchange:
         try:
             await self._link.send([fluid_message(self._vehicle, iso_utc(datetime.now(UTC)), told, is_to_vehicle=False)])
         except PublishError as exc:  # of a connection that is lost the next message tells
-            _LOG.warning("fluid fills are not told to the fleet: %s", exc)
+            _LOG.warning("the fleet was not told of fluid fills: %s", exc)
 
     def _hear(self, fills: list[FluidFill]) -> None:
         self._heard += fills

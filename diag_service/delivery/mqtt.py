@@ -85,7 +85,7 @@ class MqttLink:
         try:
             await self._connection.subscribe([topic_of(vehicle, Channel.FILLS)])
         except LinkDownError as exc:  # of a connection that is lost the next message tells
-            _LOG.warning("fluid fills that the fleet notes are not heard: %s", exc)
+            _LOG.warning("fluid fills noted in the fleet are not received: %s", exc)
 
     async def lost(self) -> None:
         """Return when the connection is lost, or when a certificate was renewed."""
@@ -116,7 +116,7 @@ class MqttLink:
             elif incoming.address.channel is Channel.FILLS:
                 (self._on_fills or self._early_fills.extend)(fills_from(incoming.data))
         except ContractError as exc:
-            _LOG.warning("a message to us is ignored: %s", exc)
+            _LOG.warning("a message to this service is ignored: %s", exc)
 
     def _hear(self, receipts: list[Receipt], *, is_taken: bool) -> None:
         if self._on_receipts is None:

@@ -81,11 +81,11 @@ class DetachedReporter:
         except queue.Full:
             self.dropped += 1
             if self.dropped == 1:
-                _LOG.warning("whoever reads the results is %d behind; leaving some out", self._news.maxsize)
+                _LOG.warning("the reader of the results is %d behind; some are left out", self._news.maxsize)
         if isinstance(news, Summary):
             self._thread.join(self._drain_s)
             if self._thread.is_alive():
-                _LOG.warning("whoever reads the results does not take them; they are in the store")
+                _LOG.warning("the reader of the results does not accept them; they stay in the store")
 
     def _work(self) -> None:
         news: News = ""

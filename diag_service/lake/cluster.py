@@ -123,7 +123,7 @@ class ClusterPool:
                 )
             except (OSError, StoreError) as exc:
                 if time.monotonic() >= deadline_s:
-                    raise StoreError(f"{exc}; the same command goes on") from exc
+                    raise StoreError(f"{exc}; run the same command again to continue") from exc
                 time.sleep(RETRY_S)
 
     def _look_for_workers(self) -> None:
@@ -136,4 +136,4 @@ class ClusterPool:
         if self._worker_count:
             self._seen_s = time.monotonic()
         elif time.monotonic() - self._seen_s > self._patience_s:
-            raise StoreError(f"{self._address.url} has no worker; the same command goes on when it has")
+            raise StoreError(f"{self._address.url} has no worker; run the same command again when it has one")

@@ -40,13 +40,13 @@ class ClusterAddress:
             parts = urlsplit(text)
             host, port = parts.hostname, parts.port
         except ValueError as exc:
-            raise ConfigError(f"{text} is no address of a scheduler: {exc}") from exc
+            raise ConfigError(f"{text} is not an address of a scheduler: {exc}") from exc
         if parts.scheme != SCHEME:
             raise ConfigError(
-                f"{text}: a scheduler is reached by {SCHEME}:// only, for its workers run what they are sent"
+                f"{text}: a scheduler is reached by {SCHEME}:// only, because its workers run what they are sent"
             )
         if not host or parts.username or parts.path.strip("/") or parts.query:
-            raise ConfigError(f"{text} is no address of a scheduler, which is {SCHEME}://HOST:PORT")
+            raise ConfigError(f"{text} is not an address of a scheduler, which is {SCHEME}://HOST:PORT")
         check_identity(tls)
         return cls(host=host, port=port or DEFAULT_PORT, tls=tls)
 

@@ -123,7 +123,7 @@ def columns() -> dict[str, str]:
 def _generation_of(name: str) -> int:
     number = name.removeprefix(f"{FOLDER}/").partition("-")[0]
     if not number.isdecimal():
-        raise StoreError(f"{name} is no file of a manifest")
+        raise StoreError(f"{name} is not a file of a manifest")
     return int(number)
 
 
@@ -143,4 +143,4 @@ def _parsed(content: bytes, name: str) -> list[LogRow]:
             for row in table.to_pylist()
         ]
     except (arrow.ArrowException, KeyError, TypeError) as exc:
-        raise StoreError(f"{name} is no file of a manifest: {exc}") from exc
+        raise StoreError(f"{name} is not a file of a manifest: {exc}") from exc

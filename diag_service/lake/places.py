@@ -68,7 +68,7 @@ class Place:
         except ImportError as exc:
             raise ConfigError(f"{address}: {exc}") from exc
         except (ValueError, OSError, TypeError) as exc:
-            raise ConfigError(f"{address} is no store: {exc}") from exc
+            raise ConfigError(f"{address} is not a store: {exc}") from exc
         self._root = self._root.rstrip("/")
         self.address = address.rstrip("/")
         protocols = self._files.protocol

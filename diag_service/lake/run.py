@@ -52,7 +52,7 @@ def find_logs(places: Sequence[str], lake: Place, vehicle: str, *, has_vehicles:
     for address in places:
         place = Place(address)
         if f"{lake.address}/".startswith(f"{place.address}/") or f"{place.address}/".startswith(f"{lake.address}/"):
-            raise ConfigError(f"{address}: logs and lake must not lie within each other")
+            raise ConfigError(f"{address}: logs and lake must not contain each other")
         held = place.held()
         if not held:
             raise ConfigError(f"{address} holds no log")
@@ -117,7 +117,9 @@ def fill_lake(
         manifest.put_together()
     finished = counts[DONE] + counts[FAILED]
     if finished < len(missing):
-        raise StoppedError(f"stopped early: {before + finished} of {len(logs)} logs are done; the same command goes on")
+        raise StoppedError(
+            f"stopped early: {before + finished} of {len(logs)} logs are done; run the same command again to continue"
+        )
     return LakeTotals(found=len(logs), before=before, done=counts[DONE], failed=counts[FAILED], shifts=counts["shifts"])
 
 

@@ -40,7 +40,7 @@ class Trend:
 
     clutch: int
     single_mu_c: FloatArray  # (n,) of the event alone
-    mu_c: FloatArray  # (n,) of all events until then
+    mu_c: FloatArray  # (n,) of all events so far
     std_mu_c: FloatArray  # (n,)
     new_mu_c: float | None  # of the calibration
     moments: tuple[tuple[int, str, str], ...]  # number of the event, kind, text

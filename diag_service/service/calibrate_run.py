@@ -208,7 +208,7 @@ def _lines(found: SelfCalibration, path: Path) -> Iterator[str]:
         )
     yield f"calibration {found.calibration.version} in {path}"
     if found.calibration.vehicle is None:
-        yield "it names no vehicle (--vehicle) and so is taken for any"
+        yield "it names no vehicle (--vehicle) so it is used for any vehicle"
 
 
 def record(found: SelfCalibration, start: Calibration, vehicle: str, gaps: Sequence[Gap]) -> JsonObject:

@@ -59,5 +59,7 @@ def run_recorded(
                 return RecordedRun(stream=stream, summary=run_logs(logs, session, stop=stop))
             summary = run_to_end(run_logs_and_send(logs, session, stop=stop, outbox=outbox))
     if summary.unpublished_count and store_path is None:
-        _LOG.warning("%d results were not delivered and are not kept; --store would", summary.unpublished_count)
+        _LOG.warning(
+            "%d results were not delivered and are not kept; --store would keep them", summary.unpublished_count
+        )
     return RecordedRun(stream=stream, summary=summary)

@@ -40,4 +40,4 @@ class ServiceManager:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as channel:
                 channel.sendto(text.encode(), address)
         except OSError as exc:
-            _LOG.debug("the service manager did not listen: %s", exc)
+            _LOG.debug("the service manager could not be told: %s", exc)

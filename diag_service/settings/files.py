@@ -37,7 +37,7 @@ def _read(file: Path) -> dict[str, Any]:
     except OSError as exc:
         raise ConfigError(f"cannot read {file}: {exc.strerror or exc}") from exc
     except ValueError as exc:
-        raise ConfigError(f"{file} is no TOML: {exc}") from exc
+        raise ConfigError(f"{file} is not TOML: {exc}") from exc
     try:
         if _holds_password(str(table.get("broker", ""))):
             check_secret_mode(file)

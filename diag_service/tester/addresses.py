@@ -81,7 +81,7 @@ def usual_response_id(request_id: int) -> int:
     """
     if is_extended(request_id):
         if request_id >> 16 != FIXED_PHYSICAL >> 16:
-            raise ConfigError(f"--reply is needed: how {id_text(request_id)} is answered follows from no rule")
+            raise ConfigError(f"--reply is needed: how {id_text(request_id)} is answered cannot be derived from it")
         target, source = request_id >> 8 & 0xFF, request_id & 0xFF
         return FIXED_PHYSICAL | source << 8 | target
     if request_id + RESPONSE_OFFSET > LARGEST_STANDARD_ID:

@@ -30,7 +30,7 @@ def parse_webhook(url: str) -> str:
 def parse_secret(path: Path | None) -> bytes:
     """Return the secret in a file: ``whsec_`` and base64, or any text; raises ConfigError."""
     if path is None:
-        raise ConfigError("a webhook needs --secret FILE, so that its receiver can tell that it is us")
+        raise ConfigError("a webhook needs --secret FILE, so that its receiver can verify the sender")
     try:
         text = read_secret(path)
     except AddressError as exc:
@@ -54,7 +54,7 @@ def parse_mail(url: str, sender: str | None, recipients: Sequence[str]) -> tuple
         raise ConfigError("e-mail needs --from and --to")
     for address in (sender, *recipients):
         if not _ADDRESS.fullmatch(address):
-            raise ConfigError(f"{address!r} is no e-mail address")
+            raise ConfigError(f"{address!r} is not an e-mail address")
     return parts, sender, tuple(recipients)
 
 

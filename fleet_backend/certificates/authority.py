@@ -54,7 +54,7 @@ class Authority:
             If there is one already, or the folder cannot be written.
         """
         if (folder / f"{AUTHORITY}.key").exists():
-            raise CertificateError(f"{folder} has an authority already; what it signed would be worth nothing")
+            raise CertificateError(f"{folder} has an authority already; a new one would make its certificates invalid")
         key, name = ec.generate_private_key(ec.SECP256R1()), _name("clutchdiag test authority")
         builder = _builder(name, name, key.public_key(), lifetime)
         builder = builder.add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
@@ -77,14 +77,14 @@ class Authority:
     def issue_server(self, name: str, hosts: Sequence[str], lifetime: Lifetime) -> None:
         """Make or renew the certificate of a broker that is reached at ``hosts``: names or addresses."""
         if not hosts:
-            raise CertificateError("a server without a host name convinces nobody")
+            raise CertificateError("the certificate of a server needs a host name")
         names = x509.SubjectAlternativeName([_general_name(host) for host in hosts])
         self._issue(name, lifetime, [ExtendedKeyUsageOID.SERVER_AUTH], names)
 
     def issue_node(self, name: str, hosts: Sequence[str], lifetime: Lifetime) -> None:
         """Make or renew the certificate of a part of a cluster, which is reached at ``hosts`` and reaches others."""
         if not hosts:
-            raise CertificateError("a node without a host name convinces nobody")
+            raise CertificateError("the certificate of a node needs a host name")
         names = x509.SubjectAlternativeName([_general_name(host) for host in hosts])
         purposes = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
         self._issue(name, lifetime, purposes, names)
@@ -101,7 +101,7 @@ class Authority:
         hosts: x509.SubjectAlternativeName | None,
     ) -> None:
         if name == AUTHORITY or "/" in name or not name.isprintable() or not name or name.startswith("."):
-            raise CertificateError(f"{name!r} is no name for a certificate")
+            raise CertificateError(f"{name!r} cannot be the name of a certificate")
         key = ec.generate_private_key(ec.SECP256R1())
         builder = _builder(_name(name), self._certificate.subject, key.public_key(), lifetime)
         builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)

@@ -106,10 +106,10 @@ class Access:
             return NOBODY
         said = headers.get(self.proxy.secret_header, "").encode()
         if not hmac.compare_digest(said, self.proxy.secret.encode()):
-            raise LoginError("this did not come through the proxy that logs people in")
+            raise LoginError("this request did not come through the login proxy")
         name = headers.get(self.proxy.user_header, "")
         if not is_name(name):
-            raise LoginError("the proxy did not say who this is")
+            raise LoginError("the proxy did not name the user")
         return Viewer(name=name, role=self.role_of(name), token=self.token_of(name))
 
     def role_of(self, name: str) -> Role:
@@ -127,7 +127,7 @@ class Access:
         key = cookie_in(headers, login.session_cookie)
         name = login.sessions.name_of(key)
         if name is None:
-            raise LoginError("nobody has logged in, or too long ago")
+            raise LoginError("you are not logged in, or your login has expired")
         return Viewer(name=name, role=self.role_of(name), token=self.token_of(f"session {key}"), has_session=True)
 
 
@@ -152,4 +152,4 @@ def check_role(viewer: Viewer, role: Role) -> None:
 def check_token(viewer: Viewer, token: str) -> None:
     """Raise ForbiddenError unless a change was asked for on one of our own pages."""
     if not viewer.token or not hmac.compare_digest(viewer.token.encode(), token.encode()):
-        raise ForbiddenError("this form is of another page or of an earlier run of the server; open it again")
+        raise ForbiddenError("this form is no longer valid; open it again")

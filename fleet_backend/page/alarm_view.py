@@ -70,12 +70,12 @@ def acknowledge(sources: Sources, ask: Ask) -> str:
         If somebody else did so before.
     """
     if sources.writer is None or ask.viewer.name is None:
-        raise NotFoundError("this server changes nothing")
+        raise NotFoundError("this server is read-only")
     find(sources, ask)
     role = ask.viewer.role.name.lower()
     note = Note(by=ask.viewer.name, role=role, at=ask.now, text=ask.text("note"))
     if not book.acknowledge(sources.writer, _subject(ask), ask.count("number"), note):
-        raise AskError("somebody else acknowledged this alarm before")
+        raise AskError("somebody else has already acknowledged this alarm")
     return wording.alarm_href(ask.said("vehicle"), int(ask.said("clutch")), ask.said("rule"), ask.count("number"))
 
 

@@ -40,11 +40,11 @@ def show(answer: AlarmsAnswer, ask: Ask, _sources: Sources) -> Shown:
     table = Table(
         caption=f"{len(answer.alarms)} alarms, the latest first", head=head, rows=tuple(map(_cells, answer.alarms))
     )
-    texts = () if answer.alarms else ("There is none. fleet-backend watch raises alarms while it runs.",)
+    texts = () if answer.alarms else ("No alarms. fleet-backend watch raises them while it runs.",)
     rules = (("", "any"), *((one.value, one.value) for one in Rule))
     return Shown(
         title="Alarms",
-        subtitle="raised by rules; those of one vehicle and rule follow each other, one is open at a time",
+        subtitle="raised by rules; only one alarm per vehicle and rule is open at a time",
         sections=(Section(name="alarms", title="Alarms", texts=texts, tables=(table,) if answer.alarms else ()),),
         choices=(
             Choice(name="state", label="State", value=ask.text("state") or "", options=_STATE_WORDS),

@@ -54,7 +54,7 @@ class Parameter:
         if len(word) > self.longest:
             raise AskError(f"{self.name}: longer than {self.longest} characters")
         if not _ENCODED_TEXT.fullmatch(word):
-            raise AskError(f"{self.name}: holds characters that are no text")
+            raise AskError(f"{self.name}: holds characters that are not text")
         if self.choices and word not in self.choices:
             raise AskError(f"{self.name}: must be one of {', '.join(self.choices)}")
         if self.pattern is not None and not re.fullmatch(self.pattern, word):
@@ -90,7 +90,7 @@ class Ask:
         """Return a whole number that is said or has a default."""
         value = self.values[name]
         if not isinstance(value, int):
-            raise TypeError(f"{name} is no number")
+            raise TypeError(f"{name} is not a number")
         return value
 
     def moment(self, name: str, otherwise: datetime) -> datetime:
@@ -127,12 +127,14 @@ def read_words(
     words = dict(path)
     for name, word in query:
         if name in words:
-            raise AskError(f"{name[:40]!r}: said twice")
+            raise AskError(f"{name[:40]!r}: given twice")
         words[name] = word
     known = {one.name for one in parameters}
     for name in words:
         if name not in known:
-            raise AskError(f"{name[:40]!r}: no word of this address; it takes {', '.join(sorted(known)) or 'none'}")
+            raise AskError(
+                f"{name[:40]!r}: not a parameter of this address; it takes {', '.join(sorted(known)) or 'none'}"
+            )
     values: dict[str, str | int | datetime] = {}
     for one in parameters:
         word = words.get(one.name, "")

@@ -28,8 +28,8 @@ def find(sources: Sources, ask: Ask) -> ChangesAnswer:
 def show(answer: ChangesAnswer, ask: Ask, _sources: Sources) -> Shown:
     """Return the page of changes."""
     head = ("vehicle", "clutch", "verdict before", "verdict now", "mu_C before", "std", "mu_C now", "std", "why")
-    table = Table(caption="What became different, the worst first", head=head, rows=tuple(map(_cells, answer.changes)))
-    texts = () if answer.changes else ("Nothing became different.",)
+    table = Table(caption="What changed, worst first", head=head, rows=tuple(map(_cells, answer.changes)))
+    texts = () if answer.changes else ("Nothing changed.",)
     return Shown(
         title="Changes",
         subtitle=f"since {answer.since:%Y-%m-%d %H:%M} UTC, {answer.clutch_count} clutches with new results",
@@ -62,7 +62,7 @@ VIEW: Final = View(
     name="changes",
     page_path="/changes",
     api_path="/api/v1/changes",
-    text="What became different since a moment, and why: new data, another algorithm or calibration, new fluid.",
+    text="What changed since a given time, and why: new data, another algorithm or calibration, new fluid.",
     parameters=(
         Parameter(name="q", text="a part of the vehicle's name", longest=64),
         Parameter(name="since", text="since when (default: a week ago)", kind=Kind.MOMENT, longest=40),

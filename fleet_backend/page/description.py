@@ -49,10 +49,10 @@ def _operation(view: View, parameters: Iterable[Parameter], schema: object, prob
     wrong = {"content": {"application/problem+json": {"schema": problem}}}
     answers = {
         "200": {"description": view.text, "content": content},
-        "400": {"description": "the question cannot be understood", **wrong},
+        "400": {"description": "the request is not valid", **wrong},
         "401": {"description": "nobody is logged in", **wrong},
         "403": {"description": f"this takes the role {view.role.name.lower()}", **wrong},
-        "404": {"description": "there is no such thing", **wrong},
+        "404": {"description": "not found", **wrong},
         "503": {"description": "the database does not answer", **wrong},
     }
     return {

@@ -16,7 +16,7 @@ class AskError(PageError):
     """The question cannot be understood: correct its address."""
 
     status = 400
-    title = "This question cannot be understood"
+    title = "This request is not valid"
 
 
 class NotFoundError(PageError):
@@ -34,21 +34,21 @@ class BusyError(PageError):
 
 
 class ProviderAwayError(PageError):
-    """Nobody can log in now: come back later."""
+    """Logging in is not possible now: come back later."""
 
     status = 503
-    title = "Nobody can log in now"
+    title = "Logging in is not possible now"
 
 
 class LoginError(PageError):
     """Nobody knows who asks: log in."""
 
     status = 401
-    title = "Nobody is logged in"
+    title = "You are not logged in"
 
 
 class ForbiddenError(PageError):
     """Whoever asks may not do this."""
 
     status = 403
-    title = "This is not for everybody"
+    title = "You are not allowed to do this"

@@ -102,7 +102,7 @@ def read_words(word: str, kinds: Sequence[type]) -> list[object]:
         ]
         if all(type(one) is kind for kind, one in zip(kinds, made, strict=True)):
             return made
-    raise NotFoundError("after: no place in a list; take it from the list before")
+    raise NotFoundError("after: not a position in a list; use `next` of the list before")
 
 
 def _decoded(word: str) -> object:
@@ -124,7 +124,7 @@ def read_moment(word: str, kinds: Sequence[type]) -> tuple[datetime, list[object
     try:
         return datetime.fromisoformat(str(at)).astimezone(UTC), key
     except (ValueError, OverflowError) as exc:
-        raise NotFoundError("after: no place in a list; take it from the list before") from exc
+        raise NotFoundError("after: not a position in a list; use `next` of the list before") from exc
 
 
 def read_moment_and_name(word: str) -> tuple[datetime, str]:

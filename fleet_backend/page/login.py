@@ -46,9 +46,9 @@ class LoginRoutes:
         attempt = Attempt.unsealed(cookie_in(request.headers, name), self.access.key, self.login.sessions.clock())
         words = request.query_params
         if attempt is None or words.get("state") != attempt.state:
-            raise LoginError("this browser did not begin this login, or too long ago; begin it again")
+            raise LoginError("this login began in another browser or has expired; begin it again")
         if not words.get("code") or len(words["code"]) > _LONGEST:
-            raise LoginError("the provider did not log anybody in")
+            raise LoginError("the login provider refused the login")
         person = self.login.provider.name(words["code"], attempt)
         self.access.role_of(person)  # who has none gets no session
         self.login.sessions.end(cookie_in(request.headers, self.login.session_cookie))
@@ -58,7 +58,7 @@ class LoginRoutes:
         return answer
 
     def _logged_out(self, _: Request) -> Response:
-        text = problem_page("Logged out", "This browser has no session here any more.")
+        text = problem_page("Logged out", "You are logged out in this browser.")
         answer = Response(text, media_type="text/html")
         self._set(answer, self.login.session_cookie, "", 0.0)
         return answer

@@ -91,7 +91,7 @@ class OpenIdProvider:
             token = jwt.decode(str(told["id_token"]), keys, algorithms=list(_ALGORITHMS))
             claims = self._checked(token, attempt, str(told.get("access_token", "")))
         except (JoseError, AuthlibBaseError, KeyError, ValueError, TypeError) as exc:
-            raise LoginError("the provider's word on who this is cannot be believed") from exc
+            raise LoginError("the identity that the login provider sent is not valid") from exc
         return self._name_in(claims)
 
     def _checked(self, token: jwt.Token, attempt: Attempt, access_token: str) -> Mapping[str, Any]:
@@ -108,7 +108,7 @@ class OpenIdProvider:
     def _name_in(self, claims: Mapping[str, Any]) -> str:
         name = claims.get(self._client.name_claim)
         if not isinstance(name, str) or not name:
-            raise LoginError(f"the provider did not say the {self._client.name_claim} of who this is")
+            raise LoginError(f"the provider did not say the {self._client.name_claim} of the user")
         if self._client.name_claim == "email" and claims.get("email_verified") is not True:
             raise LoginError("the provider has not verified this e-mail address")
         return name
@@ -118,11 +118,11 @@ class OpenIdProvider:
             if self._known is not None and time.monotonic() < self._known[0] + KNOWN_FOR_S:
                 return self._known[1]
             if time.monotonic() < self._away_until_s:
-                raise ProviderAwayError("the provider of logins does not answer")
+                raise ProviderAwayError("the login provider does not answer")
             issuer, self._away_until_s = self._client.issuer, time.monotonic() + LONGEST_WAIT_S + AWAY_S
             found = _read(Request(get_well_known_url(issuer, external=True)))  # noqa: S310 - https, or of this machine
             if found.get("issuer") != issuer or not all(is_safe(str(found.get(name))) for name in _ENDPOINTS):
-                raise ProviderAwayError("the provider of logins does not say what it should of itself")
+                raise ProviderAwayError("the login provider does not describe itself as it should")
             self._known, self._away_until_s = (time.monotonic(), found), 0.0
             return found
 
@@ -154,10 +154,10 @@ def _read(request: Request) -> dict[str, Any]:
             found = json.loads(answer.read(_MOST_BYTES))
     except URLError as exc:
         if request.data is not None and 400 <= getattr(exc, "code", 0) < 500:
-            raise LoginError("the provider does not take this login; begin it again") from exc
-        raise ProviderAwayError("the provider of logins does not answer") from exc
+            raise LoginError("the login provider does not accept this login; begin it again") from exc
+        raise ProviderAwayError("the login provider does not answer") from exc
     except (OSError, ValueError) as exc:
-        raise ProviderAwayError("the provider of logins does not answer") from exc
+        raise ProviderAwayError("the login provider does not answer") from exc
     if not isinstance(found, dict):
-        raise ProviderAwayError("the provider of logins does not answer")
+        raise ProviderAwayError("the login provider does not answer")
     return found

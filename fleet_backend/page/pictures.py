@@ -29,7 +29,7 @@ class Course:
     along: FloatArray  # (n,) kilometres, or numbers of the events
     label: str  # of the horizontal axis
     single: FloatArray  # (n,) of the event alone
-    running: FloatArray  # (n,) of all events until then
+    running: FloatArray  # (n,) of all events so far
     std_running: FloatArray  # (n,)
     new_mu_c: float | None
     moments: tuple[tuple[float, str, str], ...]  # place on the axis, style, text
@@ -92,11 +92,11 @@ def course_picture(course: Course) -> Markup:
 def course_keys(course: Course) -> tuple[Key, ...]:
     """Return what the lines of a course stand for."""
     clutch = course.clutch
-    usual = Key(style="shade", text="eight in ten clutches of this type and fluid are there now")
+    usual = Key(style="shade", text="80 % of the clutches of this type and fluid are in this range now")
     return (
         Key(style=f"dots clutch{clutch}", text="single events"),
-        Key(style=f"clutch{clutch}", text="estimate, all until then"),
-        Key(style=f"band clutch{clutch}", text="it lies there with 50 % (dark) and 90 % probability"),
+        Key(style=f"clutch{clutch}", text="estimate from all events so far"),
+        Key(style=f"band clutch{clutch}", text="likely range: 50 % (dark) and 90 %"),
         *(() if course.usual is None else (usual,)),
         *THRESHOLD_KEYS,
     )

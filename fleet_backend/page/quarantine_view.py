@@ -32,7 +32,7 @@ def show(answer: QuarantineAnswer, ask: Ask, _sources: Sources) -> Shown:
     texts = () if answer.messages else ("Every message could be used.",)
     return Shown(
         title="Quarantine",
-        subtitle="messages that could not be used; their senders were told so",
+        subtitle="messages that could not be used; their senders were told",
         sections=(Section(name="messages", title="Messages", texts=texts, tables=(table,) if answer.messages else ()),),
         next=next_of("/quarantine", ask, answer.next),
     )

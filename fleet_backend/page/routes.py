@@ -165,7 +165,7 @@ class Endpoints:
         proxy = self.access.proxy
         names = () if proxy is None else (proxy.user_header, proxy.secret_header)
         if any(len(request.headers.getlist(name)) > 1 for name in names):
-            raise LoginError("the proxy passed on what somebody else said of who this is")
+            raise LoginError("the proxy passed on what somebody else said of the user")
         viewer = self.access.viewer_of(request.headers)
         check_role(viewer, role)
         return viewer
@@ -191,7 +191,7 @@ def _check_origin(request: Request, host_names: Sequence[str]) -> None:
     fetched_by = request.headers.get("sec-fetch-site", "same-origin")
     origin = request.headers.get("origin")
     if fetched_by != "same-origin" or (origin is not None and urlsplit(origin).hostname not in host_names):
-        raise ForbiddenError("a page of another site asked for this")
+        raise ForbiddenError("a page of another site sent this request")
 
 
 async def _form_words(request: Request) -> list[tuple[str, str]]:
@@ -207,7 +207,7 @@ async def _form_words(request: Request) -> list[tuple[str, str]]:
     try:
         words = parse_qsl(content.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=20)
     except ValueError as exc:
-        raise AskError("this is no form") from exc
+        raise AskError("this is not a form") from exc
     if len({name for name, _ in words}) != len(words):
-        raise AskError("a word of the form is said twice")
+        raise AskError("a field of the form is given twice")
     return words

@@ -61,12 +61,12 @@ def _friction_section(answer: ShiftAnswer) -> Section:
     reference = reference_of(answer.calibration_version, answer.clutch)
     figures: list[Figure] = []
     texts: list[str] = []
-    for values, what in ((answer.friction, "this event alone"), (answer.running, "all events until then")):
+    for values, what in ((answer.friction, "this event alone"), (answer.running, "all events so far")):
         friction = friction_of(values)
         if friction is not None and reference is not None:
             figures.append(curve_figure(answer.clutch, friction, reference, what))
     if answer.friction is None:
-        texts.append(f"This event says nothing of the friction: {wording.words(answer.reasons)}.")
+        texts.append(f"This event does not tell the friction: {wording.words(answer.reasons)}.")
     texts.append(_SIGNALS)
     if reference is None:
         texts.append("Curves are not drawn: the calibration of this result is not the shipped one.")
@@ -79,7 +79,7 @@ def _friction_section(answer: ShiftAnswer) -> Section:
     )
 
 
-_FRICTION_HEAD: Final = ("quantity", "this event", "standard deviation", "all until then", "standard deviation")
+_FRICTION_HEAD: Final = ("quantity", "this event", "standard deviation", "all so far", "standard deviation")
 
 
 def _friction_rows(answer: ShiftAnswer) -> Iterator[tuple[Cell, ...]]:
@@ -95,10 +95,8 @@ def _quality_section(answer: ShiftAnswer) -> Section:
     parts += [(name, wording.quality(value)) for name, value in (answer.trust_parts or {}).items()]
     texts = [f"Why it was not used: {wording.words(answer.reasons)}."] if answer.reasons else []
     if answer.trust is None:
-        texts.append("How far the data could be believed was not told: the result is of an older program.")
-    believed = Table(
-        caption="How far the data can be believed, from 0 to 1", head=("part", "quality"), rows=tuple(parts)
-    )
+        texts.append("The quality of the data is not known: an older program made this result.")
+    believed = Table(caption="Quality of the data, from 0 to 1", head=("part", "quality"), rows=tuple(parts))
     window = Table(
         caption="The estimate",
         head=("what", "value"),

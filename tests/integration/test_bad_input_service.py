@@ -113,7 +113,7 @@ def test_a_log_that_ends_too_early(tmp_path: Path, suffix: str) -> None:
         ended.assert_one_line(3, "damaged or cut off")
         return
     assert ended.status == 5
-    assert f"diag-service: warning: {cut}: the log ends before its own end\n" in ended.err
+    assert f"diag-service: warning: {cut}: the log is cut off\n" in ended.err
     assert "Traceback" not in ended.err
     assert ended.summary["frames"]["unreadable"] == {"cut_off": 1}
     assert {shift["status"] for shift in ended.shifts[:2]} == {"valid"}

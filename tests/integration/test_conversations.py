@@ -108,8 +108,8 @@ async def test_conversations_of_a_bus_are_shown_as_they_come(tmp_path: Path) -> 
     assert told.index("frame 12") < told.index("7E0 2E") < told.index("79B 21") < told.index("frame 13")
     assert told.index("frame 13") < told.index("7DF 01")
     assert sum("ReadDataByIdentifier: 22 F1 90 -> 7E8 62 F1 90" in line for line in said) == 1
-    assert "the bus was away: cut" in said
-    assert "4 requests, 1 without an answer, 0 answers to no request of the log" in said
+    assert "the bus was lost: cut" in said
+    assert "4 requests, 1 without an answer, 0 answers without a request in the log" in said
 
 
 def test_conversations_of_a_pipe_are_shown_as_they_come(

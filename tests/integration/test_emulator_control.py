@@ -86,7 +86,7 @@ def test_only_the_owner_may_connect(path: Path) -> None:
 
 
 def test_a_socket_in_use_is_not_taken_over(path: Path) -> None:
-    with pytest.raises(RecordError, match="somebody does already"):
+    with pytest.raises(RecordError, match="another process listens there already"):
         ControlSocket(path, print)
     assert answers(path, '{"kind": "silence"}') == ["ok"]
 

@@ -328,7 +328,7 @@ async def test_alarms_by_mqtt_outlast_their_broker_and_are_no_state(sqlite_url: 
         (["--webhook", "https://example.org/x"], "a webhook needs --secret FILE"),
         (["--webhook", "https://example.org/x", "--secret", "short"], "a secret must have 24 bytes or more"),
         (["--mail", "smtp://x"], "e-mail needs --from and --to"),
-        (["--mail", "smtp://x", "--from", "a\nb@c", "--to", "d@e"], "is no e-mail address"),
+        (["--mail", "smtp://x", "--from", "a\nb@c", "--to", "d@e"], "is not an e-mail address"),
         (["--mqtt"], "no broker: give --broker"),
         (["--mqtt", "--broker", "http://x"], "the broker must be"),
         (["--silence-days", "1"], "--silence-days must be 2 to 3650"),

@@ -159,7 +159,7 @@ def test_a_file_that_is_no_fleet_database_is_an_error(
     empty.touch()
     text.write_text("not a database at all, but long enough to be looked at\n" * 40, encoding="utf-8")
     folder.mkdir()
-    for path, hint in ((empty, "run: fleet-backend migrate"), (text, "not a database"), (folder, "is no file")):
+    for path, hint in ((empty, "run: fleet-backend migrate"), (text, "not a database"), (folder, "is not a file")):
         before = path.read_bytes() if path.is_file() else b""
         assert main([*words, "--database", f"sqlite:///{path}"]) == 4
         captured = capsys.readouterr()

@@ -51,7 +51,7 @@ def test_inspect_tells_what_is_on_the_bus_and_what_is_wrong(
     execute("inspect", short_log)
     out = capsys.readouterr().out
     assert f"candump, {FRAME_COUNT} frames, 10 ids" in out
-    assert "1 pieces of the log are no frames (1 malformed), the first: line 502" in out
+    assert "1 pieces of the log are not frames (1 malformed), the first: line 502" in out
     assert "no jump of time" in out
     assert f"end-to-end protection: {FRAME_COUNT - 1} good frames of 10 messages, 1 messages with errors" in out
     assert "1 bad crc, 0 missing" in out

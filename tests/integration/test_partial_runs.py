@@ -116,7 +116,7 @@ def test_a_log_that_broke_off_carries_no_verdict(cycle_log: Path, cut_log: Path,
         log.write_bytes(packed[: len(packed) * 9 // 10])
     ended = run_service(tmp_path / "json", "analyze", log, "--json")
     assert ended.status == 5
-    assert f"{log}: the log ends before its own end" in ended.err
+    assert f"{log}: the log is cut off" in ended.err
     assert (ended.summary["complete"], ended.summary["incomplete"]) == (False, ["log_cut"])
     assert [clutch["condition"] for clutch in ended.summary["clutches"]] == ["no_verdict"] * 2
     assert any(shift["friction"] for shift in ended.shifts)
@@ -171,7 +171,7 @@ def test_a_folder_run_that_was_stopped_goes_on_later(cycle_log: Path, drive_log:
 def test_signals_of_a_cut_log_say_so(cut_log: Path, tmp_path: Path) -> None:
     ended = run_service(tmp_path, "signals", cut_log)
     assert ended.status == 0
-    assert "# The log ends before its own end." in ended.out
+    assert "# The log is cut off." in ended.out
 
 
 @pytest.mark.broker

@@ -76,7 +76,7 @@ def test_single_shifts_of_a_log_are_shown(log_report: Path) -> None:
         (("history", "car1.sqlite", "--peers", "nowhere.json"), 2, "nowhere.json: "),
         (("show", "car1.sqlite", "99"), 4, "has no shift 99; the newest is 3"),
         (("show", "drive.log", "1"), 4, "is not a result store"),
-        (("fluid-changed", "car1.sqlite", "--at", "yesterday"), 2, "is no date"),
+        (("fluid-changed", "car1.sqlite", "--at", "yesterday"), 2, "is not a date"),
         (("fluid-changed", "car1.sqlite", "--at", "2999-01-01"), 2, "still to come"),
         (("fluid-changed", "car1.sqlite", "--odometer", "nan"), 2, "--odometer must be 0 km or more"),
         (("fluid-changed", "car1.sqlite", "--product", "a\nb"), 2, "--product must be"),

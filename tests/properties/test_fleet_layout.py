@@ -35,7 +35,7 @@ def test_no_word_is_broken_and_no_vehicle_lost(sheet: Sheet, width: int) -> None
     remarks = {f"{whom}: {text}" for whom, text in sheet.remarks or ()}
     known = {word for text in {*cells, *remarks, sheet.title, *sheet.columns, "reason"} for word in words_of(text)}
     known |= {word for _, text in sheet.remarks or () for word in words_of(text)}
-    known |= words_of("Left out at this width: by, by. state. A wider terminal, a pipe and --json have all.")
+    known |= words_of("Hidden at this width: by, by. state. A wider terminal, a pipe or --json shows all.")
     shown = {word for line in lines if line.strip("─") for word in words_of(line)}
     assert shown <= known
     assert {row[0] for row in sheet.rows} <= shown

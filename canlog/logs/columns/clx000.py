@@ -32,8 +32,8 @@ DAYS, HOURS, MINUTES, SECONDS = 11, 9, 7, 5
 LAPS_US: Final = MappingProxyType({DAYS: 0, HOURS: DAY_US, MINUTES: 60 * MINUTE_US, SECONDS: MINUTE_US, 3: 1_000_000})
 USUAL_NAMES: Final = ("timestamp", "type", "id", "data")
 LAYOUT: Final = Layout(columns=tuple(ROLES[name] for name in USUAL_NAMES), separator=ord(";"))
-NO_NAMES: Final = "no line names the columns: they are taken as those that the loggers write unless told otherwise"
-NO_START: Final = "the header says no time: times count from 1970"
+NO_NAMES: Final = "no line names the columns: the default columns of the loggers are assumed"
+NO_START: Final = "the header has no start time: times count from 1970"
 
 
 class Clx000(TableLog):

@@ -47,7 +47,7 @@ LARGEST_ID = 0x1FFF_FFFF
 CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d")
 DATE = re.compile(r"\d{4}[-/]\d\d[-/]\d\d[ T]\d{1,2}:\d\d:\d\d(?:[.,]\d+)?(?P<offset>\S*)$")
 NO_HEADER = "no line names its columns"
-NO_TIMES = "the log has no times: every frame is of 1970-01-01 00:00:00"
+NO_TIMES = "the log has no times: every frame gets the time 1970-01-01 00:00:00"
 
 
 WHOLE_MESSAGES = (
@@ -168,7 +168,7 @@ class ColumnsLog(TableLog):
         as_utc = frames_of(reader, date.encode() + b";1")
         if local_us is not None and len(as_utc):
             self.set_base(local_us - int(as_utc.t_ns[0]) // 1_000)
-            self.notes.append("dates are taken as local time: no offset stands behind them")
+            self.notes.append("dates are taken as local time: they have no UTC offset")
 
 
 def proposed(text: bytes) -> ColumnsLog | None:

@@ -107,7 +107,7 @@ class ConditionMemory:
             return ""
         return (
             f"calibration does not fit: {count} of the last {len(self.fits)} shifts contradict it; "
-            "diag-service calibrate makes this vehicle's own"
+            "diag-service calibrate makes one for this vehicle"
         )
 
     def with_shift(self, estimate: ShiftEstimate, before: Posterior) -> Self:
@@ -212,7 +212,7 @@ def no_verdict(clutch: int, missing: str) -> ClutchVerdict:
     return ClutchVerdict(
         clutch=clutch,
         condition=Condition.NO_VERDICT,
-        reason=f"the signals say nothing of friction: {missing}",
+        reason=f"friction cannot be estimated from these signals: {missing}",
         level_ratio=None,
         friction=None,
         shift_count=0,

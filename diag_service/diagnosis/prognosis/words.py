@@ -59,12 +59,12 @@ def _assumptions(history: History, starts: tuple[FluidStart, ...], service_dista
     yield f"friction as at {degc_from_k(REFERENCE_K):.0f} degC of the oil"
     yield f"the load stays as it was lately, within {_PERCENT * LOAD_LOG_STD:.0f} % (one deviation)"
     horizon = f"{HORIZON_M / M_PER_KM:,.0f} km"
-    yield f"the next service is {service_distance_m / M_PER_KM:,.0f} km ahead; nothing is said beyond {horizon}"
+    yield f"the next service is {service_distance_m / M_PER_KM:,.0f} km ahead; there is no forecast beyond {horizon}"
     yield "torque gain, piston area and sensors drift no more than fluid ages: results cannot tell the two apart"
     for start in starts:
         if not start.is_noted:
-            yield f"new fluid at about {start.odometer_m / M_PER_KM:,.0f} km, which nobody noted: friction says so"
+            yield f"new fluid at about {start.odometer_m / M_PER_KM:,.0f} km, inferred from friction, not noted"
     if history.slip_energy_j is None:
-        yield "ageing goes by distance: slip energy is not known"
+        yield "ageing is counted by distance, as slip energy is not known"
     if history.left_out_count:
-        yield f"{history.left_out_count} results are left out: without odometer or oil temperature, or back in odometer"
+        yield f"{history.left_out_count} results are left out: no odometer or oil temperature, or odometer went back"

@@ -83,5 +83,5 @@ def _common(record: Mapping[str, Any]) -> Common:
 def _number(value: object) -> float:
     number = float(str(value))
     if not isfinite(number):
-        raise ValueError(f"{value!r} is no number of a population")
+        raise ValueError(f"{value!r} is not a number of a population")
     return number

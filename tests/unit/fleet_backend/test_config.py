@@ -71,7 +71,7 @@ def test_a_pace_has_bounds() -> None:
 def test_a_moment_without_a_zone_is_utc() -> None:
     assert parse_moment("2026-01-31") == datetime(2026, 1, 31, tzinfo=UTC)
     assert parse_moment("2026-01-31T12:00+02:00") == datetime(2026, 1, 31, 10, tzinfo=UTC)
-    with pytest.raises(ConfigError, match="no date"):
+    with pytest.raises(ConfigError, match="not a date"):
         parse_moment("yesterday")
 
 

@@ -40,7 +40,7 @@ def test_texts_are_wrapped_between_words_first() -> None:
 
 def test_then_columns_go_and_are_named() -> None:
     assert shown(42)[1] == "vehicle           clutch condition  slope"
-    assert "Left out at this width: km." in " ".join(shown(42))
+    assert "Hidden at this width: km." in " ".join(shown(42))
 
 
 def test_in_the_end_a_record_is_a_block() -> None:

@@ -86,7 +86,7 @@ def test_a_wrong_item_is_named_and_left_out_alone(item: str, cause: str) -> None
         (' SG_ z : 16|8@1+ (x,0) [0|0] "" A\n', ["is not of the form SG_"], ["s"]),
         (' SG_ z : 16|0@1+ (1,0) [0|0] "" A\n', ["the length above 0"], ["s"]),
         (signal("s", 16), ["message N has another signal s"], ["s"]),
-        (signal("z", 16, "x "), ["x is no multiplexer's mark"], ["s"]),
+        (signal("z", 16, "x "), ["x is not a multiplexer's mark"], ["s"]),
         (signal("p", 8, "m ") + signal("a", 16, "m0 "), ["without its number", "has no multiplexer (M)"], ["s"]),
         (signal("a", 16, "m0 ") + signal("b", 24), ["has no multiplexer (M)"], ["s", "b"]),
         (signal("p", 8, "M ") + signal("q", 16, "M ") + signal("a", 24, "m0 "), ["which of p, q"], ["s", "p", "q"]),

@@ -56,7 +56,7 @@ def test_one_of_several_is_meant_by_its_path(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match=r"holds no e\.log"):
         read_log(path / "e.log")
     (tmp_path / "plain.log").write_bytes(LOG)
-    with pytest.raises(SourceError, match="it is a file and no archive"):
+    with pytest.raises(SourceError, match="it is a file, not an archive"):
         read_log(tmp_path / "plain.log" / "a.log")
 
 

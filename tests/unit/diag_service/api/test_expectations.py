@@ -46,7 +46,7 @@ def test_a_verdict_is_one_of_those_that_are_named() -> None:
         expect_verdict(analysis, clutch, other)
     with pytest.raises(AssertionError, match="no shift engaged it"):
         expect_verdict(analysis, 3 - clutch, condition)
-    with pytest.raises(ValueError, match="'fine' is no condition: no verdict, good, watch, change fluid"):
+    with pytest.raises(ValueError, match="'fine' is not a condition: no verdict, good, watch, change fluid"):
         expect_verdict(analysis, clutch, "fine")
 
 

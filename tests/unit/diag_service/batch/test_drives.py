@@ -53,7 +53,7 @@ def test_every_file_that_is_no_drive_is_listed_with_its_reason(folder: Path) -> 
     ]  # fmt: skip
     assert reasons["empty.log"] == "the file is empty"
     assert reasons["pipe.log"] == "it is a pipe, not a plain file"
-    assert reasons["gone.log"] == "a link that leads nowhere"
+    assert reasons["gone.log"] == "a broken link"
     assert "before 4" in reasons["sub/old.mf4"]
     assert reasons["sub/notes.txt"].endswith("only 1 of the first 40 lines fit trc")
     assert reasons["zipped.zip"] == "the zip archive is cut off: its directory is missing"

@@ -41,7 +41,7 @@ def test_a_vehicle_is_named_by_hand_or_else_by_its_calibration(
 
 
 def test_a_calibration_may_name_a_vehicle_that_is_no_id() -> None:
-    with pytest.raises(ConfigError, match="the calibration's vehicle: 'car 7' is no vehicle id"):
+    with pytest.raises(ConfigError, match="the calibration's vehicle: 'car 7' is not a vehicle id"):
         vehicle_of(None, replace(nominal_calibration(), vehicle="car 7"))
 
 

@@ -27,7 +27,7 @@ def test_a_word_names_a_group(text: str, numbers: tuple[int, ...]) -> None:
 
 
 def test_a_code_that_is_not_there_is_not_cleared_by_guess() -> None:
-    with pytest.raises(ConfigError, match=r"^P0897 is not among .* tells: P0811, P0218, U0073$"):
+    with pytest.raises(ConfigError, match=r"^P0897 is not among .* reports: P0811, P0218, U0073$"):
         parse_group("P0897").numbers(CODES)
 
 

@@ -102,7 +102,7 @@ def test_a_name_that_ships_not_lists_those_that_do() -> None:
 def test_a_word_that_is_no_datum_is_refused_with_what_there_is() -> None:
     with pytest.raises(
         ConfigError,
-        match=r"'oil' is no datum: give its number in hexadecimal or its name; it has .*vehicle identification number",
+        match=r"'oil' is not a datum: give its number in hexadecimal or its name.* has .*vehicle identification number",
     ):
         UNKNOWN.find_data("oil")
 

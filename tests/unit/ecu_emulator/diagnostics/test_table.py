@@ -57,7 +57,7 @@ def test_a_worn_fluid_does_not_light_the_lamp() -> None:
         ("ends_by_itself = false", "ends_by_itself = true", "task revs has two options of one byte"),
         ("size_bytes = 17", "size_bytes = 18", "initial must have 18 bytes"),
         ('initial = "EA60"', 'initial = "EA6"', "initial is neither ASCII text nor hexadecimal"),
-        ('pattern = "[0-9A-Z]{10}"', 'pattern = "["', "pattern is no regular expression"),
+        ('pattern = "[0-9A-Z]{10}"', 'pattern = "["', "pattern is not a regular expression"),
         ('write = "maker"', 'write = "anyone"', "write must be one of actuator, adapting, clearing, extended"),
         ('read = "open"\ninitial = "0100"', 'read = "open"', "either every field has a source, or there is an initial"),
         ("maximum = 0.5\nnrc = 0x88", "maximum = 0.5\nnrc = 0x99", "nrc 0x99 is unknown"),

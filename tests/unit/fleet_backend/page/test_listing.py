@@ -66,7 +66,7 @@ STRANGE = (
 
 @given(st.text(max_size=80) | st.sampled_from(STRANGE))
 def test_nothing_else_is_taken_for_a_place(word: str) -> None:
-    with pytest.raises(NotFoundError, match="no place in a list"):
+    with pytest.raises(NotFoundError, match="not a position in a list"):
         read_cursor(word)
 
 

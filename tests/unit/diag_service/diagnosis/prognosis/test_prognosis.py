@@ -91,7 +91,7 @@ def test_after_new_fluid_the_future_is_long_again_and_the_lining_is_told(is_note
     assert [start.is_noted for start in after.fluid_starts] == [True, is_noted]
     assert after.lining is not None
     assert abs(after.lining.mean + 0.03) < 3.0 * after.lining.std < 0.03
-    told = [line for line in after.assumptions if "nobody noted" in line]
+    told = [line for line in after.assumptions if "not noted" in line]
     assert len(told) == (0 if is_noted else 1)
 
 

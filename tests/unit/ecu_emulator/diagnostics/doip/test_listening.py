@@ -26,7 +26,9 @@ def test_a_port_alone_means_this_machine(text: str, place: str) -> None:
 
 
 def test_whoever_can_be_reached_by_others_is_exposed() -> None:
-    assert "warning: whoever reaches 0.0.0.0:13400 can ask" in place_text("DoIP on", "0.0.0.0:13400", is_exposed=True)
+    assert "warning: anyone who can reach 0.0.0.0:13400 can ask" in place_text(
+        "DoIP on", "0.0.0.0:13400", is_exposed=True
+    )
     assert place_text("DoIP on", "127.0.0.1:13400", is_exposed=False) == "DoIP on 127.0.0.1:13400"
 
 
