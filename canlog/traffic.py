@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,6 +16,7 @@ OCTAVES = 40  # from 1 us to 12 days
 BIN_COUNT = STEPS_PER_OCTAVE * OCTAVES
 GAP_RATIO = 3.0  # an interval beyond so many typical ones is a gap: two frames are missing
 JUMP_NS = NS_PER_S  # bus time that stands still for longer, or goes back, starts a new segment
+CHANNELS = 256
 MAX_JUMPS = 20  # that are listed; all are counted
 
 
@@ -55,7 +57,7 @@ class TrafficReport:
     sent_frames: int  # by the recorder itself, where the log says so
     jumps: tuple[Jump, ...]  # the first ones
     jump_count: int
-    bus_load_ratio: float  # mean, at the assumed bit rate
+    bus_load_ratio: float  # of the busiest channel, mean, at the assumed bit rate
     peak_load_ratio: float  # in the busiest whole second
 
 
@@ -77,10 +79,11 @@ class TrafficMeter:
         self._jump_count = 0
         self._kinds = dict.fromkeys((ERROR_FLAG, REMOTE_FLAG, FD_FLAG, TX_FLAG), 0)
         self._ends_ns: tuple[int, int] | None = None  # first and latest time of all
-        self._bus_ns = 0  # time inside segments
+        self._bus_ns = 0  # time inside segments, and no more than a second between them
         self._last_bus_ns: int | None = None
-        self._bits = 0.0
-        self._second: tuple[int, float] = (0, 0.0)  # the second under way and its bits
+        self._bits = np.zeros(CHANNELS)
+        self._second = 0  # the second under way, and its bits
+        self._second_bits: FloatArray = np.zeros(CHANNELS)
         self._peak_bits = 0.0
 
     def add(self, batch: FrameBatch) -> None:
@@ -94,9 +97,7 @@ class TrafficMeter:
             if is_new:
                 self._last_ns[:] = BEFORE_ALL_NS
             self._add_intervals(segment)
-        bits = frame_bits(batch)
-        self._bits += float(bits.sum())
-        self._add_load(batch.t_ns, bits)
+        self._add_load(batch)
         for flag in (ERROR_FLAG, REMOTE_FLAG):
             self._kinds[flag] += int(np.count_nonzero(batch.can_id & np.uint32(flag)))
         for flag in (FD_FLAG, TX_FLAG):
@@ -106,6 +107,7 @@ class TrafficMeter:
         """Return what was counted until now."""
         first_ns, last_ns = self._ends_ns or (0, 0)
         duration_s = self._bus_ns / NS_PER_S
+        load_ratio = float(self._bits.max()) / (self._bitrate * duration_s) if duration_s else 0.0
         return TrafficReport(
             frames=int(self._count.sum()),
             first_ns=first_ns,
@@ -117,8 +119,8 @@ class TrafficMeter:
             sent_frames=self._kinds[TX_FLAG],
             jumps=tuple(self._jumps),
             jump_count=self._jump_count,
-            bus_load_ratio=self._bits / (self._bitrate * duration_s) if duration_s else 0.0,
-            peak_load_ratio=max(self._peak_bits, self._second[1]) / self._bitrate,
+            bus_load_ratio=load_ratio,
+            peak_load_ratio=max(self._peak_bits / self._bitrate, load_ratio),  # of a log that has no whole second
         )
 
     def _segments(self, batch: FrameBatch) -> Iterator[tuple[FrameBatch, bool]]:
@@ -126,7 +128,7 @@ class TrafficMeter:
         before_ns = int(batch.t_ns[0]) if self._last_bus_ns is None else self._last_bus_ns
         steps_ns = np.diff(batch.t_ns, prepend=before_ns)
         cuts = np.flatnonzero((steps_ns < 0) | (steps_ns > JUMP_NS))
-        self._bus_ns += int(steps_ns.sum() - steps_ns[cuts].sum())
+        self._bus_ns += int(np.clip(steps_ns, 0, JUMP_NS).sum())
         self._last_bus_ns = int(batch.t_ns[-1])
         self._jump_count += len(cuts)
         for cut in cuts[: MAX_JUMPS - len(self._jumps)].tolist():
@@ -171,14 +173,17 @@ class TrafficMeter:
                 setattr(self, name, np.vstack((table, np.zeros((1, BIN_COUNT), table.dtype))))
         return row
 
-    def _add_load(self, t_ns: Int64Array, bits: FloatArray) -> None:
-        """Find the busiest second."""
-        second = t_ns // NS_PER_S
-        begins = np.flatnonzero(np.diff(second, prepend=second[0] - 1))
-        for at, total in zip(second[begins].tolist(), np.add.reduceat(bits, begins).tolist(), strict=True):
-            self._peak_bits = max(self._peak_bits, self._second[1])
-            before = self._second[1] if at == self._second[0] else 0.0
-            self._second = (at, before + total)
+    def _add_load(self, batch: FrameBatch) -> None:
+        """Count the bits of each channel, and find the busiest second of any."""
+        second, bits = batch.t_ns // NS_PER_S, frame_bits(batch)
+        begins = np.flatnonzero(np.diff(second, prepend=second[0] - 1)).tolist()
+        for begin, end in pairwise([*begins, len(batch)]):
+            if second[begin] != self._second:
+                self._second, self._second_bits = int(second[begin]), np.zeros(CHANNELS)
+            total = np.bincount(batch.channel[begin:end], bits[begin:end], CHANNELS)
+            self._bits += total
+            self._second_bits += total
+            self._peak_bits = max(self._peak_bits, float(self._second_bits.max()))
 
     def _id_traffic(self, key: int, row: int) -> IdTraffic:
         bins = self._bins[row]

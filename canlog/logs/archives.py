@@ -27,7 +27,8 @@ LARGE_RECORD: Final = struct.Struct("<4sQ2H2L4Q")
 LARGE_DIRECTORY_FIELD: Final = 8
 LARGE: Final = 0xFFFF_FFFF
 PIECE_BYTES: Final = 16 * 1024  # what comes before damage is lost with the piece in which it is found
-ENCRYPTED_FLAG: Final = 0x1
+ENCRYPTED_FLAG, UTF_8_FLAG, UNIX = 0x1, 0x800, 3
+UNICODE_PATH, EXTRA_HEADER = 0x7075, struct.Struct("<HH")  # its version and the checksum of the other name come first
 KNOWN_METHODS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
@@ -39,6 +40,7 @@ class Member:
     packed_bytes: int
     refusal: str  # why it cannot be read; empty if it can
     info: zipfile.ZipInfo
+    archive: zipfile.ZipFile  # its directory is read once for all
 
 
 def is_archive(probe: bytes) -> bool:
@@ -61,16 +63,19 @@ def members_of(stream: BinaryIO) -> tuple[Member, ...]:
     """
     try:
         _check_directory(stream)
-        with zipfile.ZipFile(stream) as archive:
-            infos = [info for info in archive.infolist() if not info.filename.endswith("/")]
+        archive = zipfile.ZipFile(stream)  # closing it closes nothing: the file is ours
+        infos = [info for info in archive.infolist() if not info.filename.endswith("/")]
     # NotImplementedError is zipfile's word for a version or method of packing that it does not know.
     except (zipfile.BadZipFile, NotImplementedError, ValueError, struct.error, EOFError, OverflowError) as exc:
         raise SourceError(f"the zip archive is damaged: {exc}") from exc
     if len(infos) > MOST_MEMBERS:
         raise SourceError(f"the zip archive holds {len(infos)} files; more than {MOST_MEMBERS} are not looked at")
+    found = ((info, _name_of(info)) for info in infos)
     return tuple(
-        Member(name=_plain(info.filename), packed_bytes=info.compress_size, refusal=_refusal(info), info=info)
-        for info in infos
+        Member(
+            name=_plain(name), packed_bytes=info.compress_size, refusal=_refusal(info, name), info=info, archive=archive
+        )
+        for info, name in found
     )
 
 
@@ -87,12 +92,32 @@ def _plain(name: str) -> str:
     return PurePosixPath(name.replace("\\", "/").lstrip("/")).as_posix()
 
 
-def _refusal(info: zipfile.ZipInfo) -> str:
+def _name_of(info: zipfile.ZipInfo) -> str:
+    """Return the name of a file: that of Info-ZIP's field for UTF-8, or as Unix writes it; else as ``zipfile`` does."""
+    if info.flag_bits & UTF_8_FLAG:
+        return info.filename
+    raw, at = info.orig_filename.encode("cp437"), 0
+    while at + EXTRA_HEADER.size <= len(info.extra):
+        kind, size = EXTRA_HEADER.unpack_from(info.extra, at)
+        body = info.extra[at + EXTRA_HEADER.size :][:size]
+        at += EXTRA_HEADER.size + size
+        if kind == UNICODE_PATH and body[:5] == struct.pack("<BL", 1, zlib.crc32(raw)):
+            raw = body[5:]
+            break
+    else:
+        raw = raw if info.create_system == UNIX else b"\xff"  # which is no UTF-8
+    try:
+        return raw.decode().partition("\0")[0]
+    except UnicodeDecodeError:
+        return info.filename
+
+
+def _refusal(info: zipfile.ZipInfo, name: str) -> str:
     if info.flag_bits & ENCRYPTED_FLAG:
         return "it is encrypted: unpack it first"
-    if not info.filename:
+    if not name:
         return "it has no name: unpack it first"
-    if ".." in PurePosixPath(_plain(info.filename)).parts:
+    if ".." in PurePosixPath(_plain(name)).parts:
         return "its name leads out of the archive: unpack it first"
     if info.compress_type not in KNOWN_METHODS:
         return f"it is packed by method {info.compress_type}, not by deflate: unpack it first"
@@ -144,8 +169,7 @@ class MemberStream(io.RawIOBase):
         self._counts = counts
         self._given_bytes = 0
         try:
-            with zipfile.ZipFile(self._file) as archive:
-                self._contents = archive.open(self._member.info)
+            self._contents = self._member.archive.open(self._member.info)
         except (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, struct.error, EOFError) as exc:
             raise SourceError(f"{self.name} is damaged: {exc}") from exc
 

@@ -30,12 +30,14 @@ MONTH_OF_STEM: Mapping[str, int] = MappingProxyType(
     {stem: number for number, stems in enumerate(_STEMS, 1) for stem in stems.split()}
 )
 ZONES_OF_UTC = {"utc", "gmt", "z"}
+MOST_MONTHS = 12
 MOST_OTHER_WORDS = 1  # the day of the week
 
 CLOCK = re.compile(r"(?<!\d)(?P<hour>\d{1,2}):(?P<minute>\d\d?):(?P<second>\d\d?)(?:[.:,](?P<fraction>\d{1,9}))?(?!\d)")
-HALF = re.compile(r"(?<!\w)(?P<half>[ap])\.?m\.?(?!\w)")
+HALF = re.compile(r"(?<!\w)(?:(?P<afternoon>p\.?\s?m\.?|nachm\.?|下午|午後)|a\.?\s?m\.?|vorm\.?|上午|午前)(?!\w)")
 YEAR_FIRST = re.compile(r"(?<!\d)(?P<year>\d{4})(?:[-/.]|\s*年)(?P<month>\d\d?)(?:[-/.]|\s*月)(?P<day>\d\d?)日?(?!\d)")
 DAY_FIRST = re.compile(r"(?<!\d)(?P<day>\d\d?)(?P<mark>[.:-])(?P<month>\d\d?)(?P=mark)(?P<year>\d{4})(?!\d)")
+SLASHED = re.compile(r"(?<!\d)(?P<first>\d\d?)/(?P<second>\d\d?)/(?P<year>\d{4})(?!\d)")
 NUMBERED_MONTH = re.compile(r"(?<!\d)(?P<month>\d\d?)\s*[月월]")
 NUMBER = re.compile(r"(?<!\d)\d{1,4}(?!\d)")
 WORD = re.compile(r"[^\W\d_]+")
@@ -47,7 +49,8 @@ def date_us(text: bytes) -> int | None:
     """Return a date such as ``Thu Jan  1 10:00:00.005 am 2026`` in microseconds since the epoch, None if it is none.
 
     Local time, unless it says UTC. Up to three digits behind the seconds count milliseconds: python-can writes
-    5 ms as ``.5``. Of numbers the day is the first, unless that is the year; ``3/4/2026`` may be two days and is none.
+    5 ms as ``.5``. Of numbers the day is the first, unless that is the year; between slashes it is the one that can be
+    no month: ``3/4/2026`` may be two days and is none.
     """
     folded = _folded(text)
     clock = CLOCK.search(_without_day(folded))
@@ -58,7 +61,7 @@ def date_us(text: bytes) -> int | None:
     if half is not None:
         rest = rest[: half.start()] + " " + rest[half.end() :]
     day = _numbered_day(rest) or _named_day(rest)
-    hour = _hour(int(clock["hour"]), half["half"] if half else "")
+    hour = _hour(int(clock["hour"]), None if half is None else bool(half["afternoon"]))
     if day is None or hour is None:
         return None
     words = [word for word in WORD.findall(rest) if month_of(word) is None and word not in {"年", "月", "日", "t"}]
@@ -105,7 +108,11 @@ def _without_day(folded: str) -> str:
 
 def _numbered_day(rest: str) -> Day | None:
     found = YEAR_FIRST.search(rest) or DAY_FIRST.search(rest)
-    return (int(found["year"]), int(found["month"]), int(found["day"])) if found else None
+    if found:
+        return int(found["year"]), int(found["month"]), int(found["day"])
+    slashed = SLASHED.search(rest)
+    month, day = sorted(map(int, slashed.group("first", "second"))) if slashed else (0, 0)
+    return (int(slashed["year"]), month, day) if slashed and (day > MOST_MONTHS or day == month) else None
 
 
 def _named_day(rest: str) -> Day | None:
@@ -122,13 +129,13 @@ def _named_day(rest: str) -> Day | None:
     return int(years[0]), int(numbered["month"]) if numbered else months[-1], int(days[0])
 
 
-def _hour(hour: int, half: str) -> int | None:
+def _hour(hour: int, is_afternoon: bool | None) -> int | None:  # noqa: FBT001 - None: the clock has 24 hours
     """Return the hour of the day; some programs write ``pm`` behind hours of 24, too."""
-    if half == "p":
-        return hour if hour > HALF_DAY_HOURS else hour % HALF_DAY_HOURS + HALF_DAY_HOURS
-    if half == "a":
-        return hour % HALF_DAY_HOURS if hour <= HALF_DAY_HOURS else None
-    return hour
+    if is_afternoon is None:
+        return hour
+    if hour > HALF_DAY_HOURS:
+        return hour if is_afternoon else None
+    return hour % HALF_DAY_HOURS + HALF_DAY_HOURS * is_afternoon
 
 
 def _fraction_us(digits: str) -> int:

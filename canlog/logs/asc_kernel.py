@@ -21,6 +21,7 @@ from canlog.logs.text_kernels import (
     BLANK,
     FRAME,
     HEX_VALUE,
+    IS_LENGTH,
     LENGTH_OF_CODE,
     LINES,
     MALFORMED,
@@ -121,9 +122,15 @@ def _other(text: UInt8Array, at: int, rows: FrameRows, row: int) -> tuple[int, i
         rows.can_id[row], rows.length[row], rows.flags[row] = ERROR_FLAG, 0, TX_FLAG * (direction > 0)
         rows.data[row, :] = 0
         return FRAME, skip_line(text, behind)
+    if number < 0:  # a channel that is none, or an event of another bus
+        at = skip_blanks(text, skip_word(text, at))
+        direction, _ = fields.direction(text, at)
     if not is_fd:
-        direction, _ = fields.direction(text, skip_blanks(text, skip_word(text, at)))
-    if number >= 0 and direction >= 0:  # it looks like a frame
+        direction, behind = fields.direction(text, skip_blanks(text, skip_word(text, at)))
+        kind = text[behind] | 32
+        is_data = (kind == LETTER_D or kind == LETTER_R) and text[behind + 1] <= BLANK  # noqa: PLR1714, SIM109 - no tuple
+        direction = direction if number >= 0 or is_data else NONE
+    if direction >= 0:  # it looks like a frame
         outcome = MALFORMED
     at = begin
     while text[at] != NEWLINE:
@@ -135,14 +142,22 @@ def _other(text: UInt8Array, at: int, rows: FrameRows, row: int) -> tuple[int, i
 
 @inlined_kernel
 def _frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> int:
-    """Read ``123x  Rx   d 8 11 22 ...``, perhaps without a direction; return the position behind the line, or NONE."""
+    """Read ``123x  Rx   d 8 11 22 ...``, perhaps without a direction; return what ``_fd_frame`` does."""
     identifier, at = fields.identifier(text, at, base)
     direction, at = fields.direction(text, at)
     kind = text[at] | 32
     is_remote = kind == LETTER_R and direction >= 0  # what else begins with R may be a damaged direction
     if identifier < 0 or not (kind == LETTER_D or is_remote) or text[at + 1] > BLANK:
         return NONE
-    code, at = whole_number(text, skip_blanks(text, at + 1), base, 2)
+    begin = skip_blanks(text, at + 1)
+    code, at = whole_number(text, begin, base, 2)
+    if code > PAYLOAD_BYTES and not is_remote:
+        count, at = _long_payload(text, begin, rows, row, base)
+        if at < 0:
+            return at
+        rows.length[row], rows.can_id[row] = count, identifier
+        rows.flags[row] = TX_FLAG * (direction > 0) | (FD_FLAG if count > PAYLOAD_BYTES else 0)
+        return fields.end_of_line(text, at)
     if code >= MOST_CODES or (code < 0 and not is_remote):
         return NONE
     count = min(max(code, 0), PAYLOAD_BYTES)
@@ -158,11 +173,43 @@ def _frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> i
 
 
 @array_kernel
+def _long_payload(text: UInt8Array, begin: int, rows: FrameRows, row: int, base: int) -> tuple[int, int]:
+    """Read a length beyond eight and its bytes; return their number and the position behind, or as ``_fd_frame``.
+
+    The bytes tell what the length is: a code of CAN FD, one of a classic frame, which has eight, or their number.
+    """
+    code, at = whole_number(text, begin, base, 2)
+    number, _ = whole_number(text, begin, DECIMAL, 2)
+    count = 0
+    while count <= FD_PAYLOAD_BYTES:
+        start = skip_blanks(text, at)
+        value, behind = whole_number(text, start, base, fields.BYTE_DIGITS)
+        if not 0 <= value <= fields.MAX_BYTE or (base == HEXADECIMAL and behind != start + 2):
+            break
+        if count < rows.data.shape[1]:
+            rows.data[row, count] = value
+        count += 1
+        at = behind
+    is_by_code = code < MOST_CODES and (count == LENGTH_OF_CODE[code] or count == PAYLOAD_BYTES)
+    if not is_by_code and not (count == number or count == code):  # noqa: PLR1714, SIM109 - no tuple
+        return NONE, NONE
+    if count > FD_PAYLOAD_BYTES or not IS_LENGTH[count]:
+        return NONE, NONE
+    if count > rows.data.shape[1]:
+        return NONE, NONE - 1
+    rows.data[row, count:] = 0
+    return count, at
+
+
+@array_kernel
 def _fd_frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> int:
-    """Read ``Rx 123 [name] 1 0 9 12 11 22 ... duration length flags ...``; as ``_frame``, or what is below NONE."""
+    """Read ``Rx 123 [name] 1 0 9 12 11 22 ... duration length flags ...``; return the position behind, or NONE.
+
+    What is below NONE says that the rows are too short.
+    """
     direction, at = fields.direction(text, at)
     identifier, at = fields.identifier(text, at, base)
-    if not 48 <= text[at] <= 57:
+    if not 48 <= text[at] <= 49 or text[at + 1] > BLANK:  # the name of a message
         at = skip_blanks(text, skip_word(text, at))
     is_fast, at = fields.decimal_number(text, at)
     is_passive, at = fields.decimal_number(text, at)

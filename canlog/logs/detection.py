@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from types import MappingProxyType
 
 from canlog.errors import SourceError
@@ -13,11 +14,17 @@ from canlog.logs import sqlite
 from canlog.logs.asc import AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog
+from canlog.logs.captures import capture_of
 from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, proposed
 from canlog.logs.columns.canhacker import CanHacker, is_canhacker_header
-from canlog.logs.columns.carbus import Carbus, is_carbus_header
+from canlog.logs.columns.canking import LAYOUT as CANKING
+from canlog.logs.columns.canking import is_canking_header
+from canlog.logs.columns.carbus import LAYOUT as CARBUS
+from canlog.logs.columns.carbus import is_carbus_header
 from canlog.logs.columns.clx000 import Clx000, is_clx000_header
+from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.microchip import Microchip, is_microchip_header
+from canlog.logs.columns.nmea2000 import Actisense, Canboat, YachtDevices
 from canlog.logs.console import ConsoleLog
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.tables import Busmaster, Crtd, GvretCsv, PythonCanCsv, Table, Trc
@@ -51,6 +58,12 @@ class LogFormat(StrEnum):
     CANHACKER = "canhacker"
     MICROCHIP = "microchip"
     CLX000 = "clx000"
+    CANKING = "canking"
+    CANBOAT = "canboat"
+    YACHT_DEVICES = "yacht-devices"
+    ACTISENSE = "actisense"
+    PCAP = "pcap"
+    PCAPNG = "pcapng"
     COLUMNS = "columns"
 
 
@@ -69,10 +82,14 @@ TEXT_LOGS: Mapping[LogFormat, Callable[[], TextLog]] = MappingProxyType(
         LogFormat.CANDUMP: CandumpLog,
         LogFormat.CONSOLE: ConsoleLog,
         **TABLES,
-        LogFormat.CARBUS: Carbus,
+        LogFormat.CARBUS: partial(TableLog, CARBUS),
         LogFormat.CANHACKER: CanHacker,
         LogFormat.MICROCHIP: Microchip,
         LogFormat.CLX000: Clx000,
+        LogFormat.CANKING: partial(TableLog, CANKING),
+        LogFormat.CANBOAT: Canboat,
+        LogFormat.YACHT_DEVICES: YachtDevices,
+        LogFormat.ACTISENSE: Actisense,
         LogFormat.ASC: AscLog,
         LogFormat.COLUMNS: ColumnsLog,  # by the names in its header, never by its lines
     }
@@ -90,6 +107,7 @@ HEADERS: Mapping[LogFormat, Callable[[bytes], bool]] = MappingProxyType(
         LogFormat.CANHACKER: is_canhacker_header,
         LogFormat.MICROCHIP: is_microchip_header,
         LogFormat.CLX000: is_clx000_header,
+        LogFormat.CANKING: is_canking_header,
     }
 )
 
@@ -106,7 +124,13 @@ TYPICAL: Mapping[LogFormat, re.Pattern[bytes]] = MappingProxyType(
         LogFormat.GVRET: re.compile(rb"[\d.eE+-]+,[0-9a-fA-F]+,(?:true|false),", re.IGNORECASE),
         LogFormat.BUSMASTER: re.compile(rb"\s*(?:\d+:\d+:\d+:\d+\s+[RT]x\s|\*\*\*)"),
         LogFormat.CARBUS: re.compile(rb"\d\d,\d{3,6}\t\d+\t[0-9A-F]{4,8}\t[0-9A-F]+\t\d+\t"),
-        LogFormat.CANHACKER: re.compile(rb"\d\d\.\d{3}\s+[0-9A-F]{3,8}\s+\d\s"),
+        LogFormat.CANHACKER: re.compile(rb"\d\d[.,]\d{3}\s+[0-9A-F]{3,8}\s+\d\s"),
+        LogFormat.CANKING: re.compile(
+            rb"\s*\d+\s+[0-9A-Fa-f]{3,8}\s+(?:[A-Za-z]+\s+)?(?:\d\s+)?(?:[0-9A-Fa-f]{2}\s+)*\d+[.,]\d+\s+[RT]\s*$"
+        ),
+        LogFormat.CANBOAT: re.compile(rb"\d{4}-\d\d-\d\d[-TZ ]\d\d:\d\d:\d\d\S*?,[0-7],\d{1,6},\d+,\d+,\d+(?:,|\s*$)"),
+        LogFormat.YACHT_DEVICES: re.compile(rb"\d\d:\d\d:\d\d\.\d{3}\s+[RT]\s+[0-9A-Fa-f]{3,8}\s"),
+        LogFormat.ACTISENSE: re.compile(rb"A\d{6}\.\d{3}\s+[0-9A-Fa-f]{5}\s+[0-9A-Fa-f]{4,5}\s|[$!]"),
         LogFormat.MICROCHIP: re.compile(rb"\d+;[RT]X;0x[0-9A-Fa-f]+;\d+;"),
         LogFormat.CRTD: re.compile(rb"\d+(?:\.\d+)?\s+\d?(?:[RT](?:11|29)|C[A-Z]{2})\s"),
     }
@@ -123,9 +147,6 @@ OTHER_FORMATS: Mapping[bytes, str] = MappingProxyType(
         b"%PDF-": "a PDF document",
         b"\x7fELF": "a program",
         b"\xd0\xcf\x11\xe0": "a document of Microsoft Office",
-        b"\xd4\xc3\xb2\xa1": "a pcap capture",
-        b"\xa1\xb2\xc3\xd4": "a pcap capture",
-        b"\x0a\x0d\x0d\x0a": "a pcapng capture",
         b"\x89HDF": "an HDF5 file",
         b"PAR1": "a Parquet file",
         b"ARROW1": "an Arrow file",
@@ -158,6 +179,8 @@ def detect(probe: bytes) -> Detected:
         return Detected(format=LogFormat.BLF, evidence="it begins with LOGG")
     if probe.startswith(sqlite.MAGIC):
         return Detected(format=LogFormat.SQLITE, evidence="it begins with SQLite format 3")
+    if capture := capture_of(probe):
+        return Detected(format=LogFormat(capture), evidence=f"it begins with the number of {capture}")
     if probe.startswith(MDF_MAGICS):
         if probe[MDF_VERSION] != b"4":
             raise SourceError("an MDF file of a version before 4: convert it")
@@ -255,6 +278,7 @@ def _counted(log_format: LogFormat, lines: Sequence[bytes]) -> tuple[int, int]:
     typical = TYPICAL.get(log_format)
     counts, fitting = LogCounts(), [line for line in lines if typical is None or typical.match(line)]
     frames = len(frames_of(TEXT_LOGS[log_format](), b"\n".join(fitting), counts)) if fitting else 0
+    frames = min(frames, len(fitting))  # one line may hold several
     skipped = 0 if log_format is LogFormat.ASC else counts.skipped  # ASC skips whatever begins with a time
     return frames, len(lines) - frames - skipped
 

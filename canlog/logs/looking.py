@@ -6,15 +6,26 @@ from io import BufferedReader
 from pathlib import Path
 
 from canlog.errors import SourceError
-from canlog.logs.archives import is_archive, members_of
-from canlog.logs.detection import LogFormat
+from canlog.logs.archives import is_archive
+from canlog.logs.detection import Detected, LogFormat
 from canlog.logs.reading import read_log
+from canlog.logs.unpacking import looks_inside
 from canlog.plain_files import open_plain_file
 
 
 def is_log(path: Path) -> bool:
     """Return whether a file is a log of a known format, by its first bytes; False if it cannot be read."""
     return not why_no_log(path)
+
+
+def is_folder(path: Path) -> bool:
+    """Return whether a path stands for several logs: a folder, or an archive that holds more than one."""
+    try:
+        with BufferedReader(open_plain_file(path)) as stream:
+            has_members = is_archive(stream.peek(4))
+    except OSError:
+        return path.is_dir()
+    return has_members and sum(not one.reason for one in looked_at(path)) > 1
 
 
 def why_no_log(path: Path, columns: str = "") -> str:
@@ -34,17 +45,22 @@ class Looked:
 
 def looked_at(path: Path, columns: str = "") -> list[Looked]:
     """Return what a file is taken for by its first bytes; of an archive, what each file inside it is taken for."""
-    inside = _members(path)
-    return [_looked_at(one, columns) for one in inside] if inside else [_looked_at(path, columns)]
-
-
-def _members(path: Path) -> list[Path]:
-    """Return the paths of the files in an archive; none if it is no archive, or one that cannot be read."""
     try:
         with BufferedReader(open_plain_file(path)) as stream:
-            return [path / member.name for member in members_of(stream)] if is_archive(stream.peek(4)) else []
+            inside = list(looks_inside(stream, columns)) if is_archive(stream.peek(4)) else []
     except (OSError, SourceError):
-        return []
+        inside = []
+    return [_looked_inside(path / member.name, found, columns) for member, found in inside] or [
+        _looked_at(path, columns)
+    ]
+
+
+def _looked_inside(path: Path, found: Detected | SourceError, columns: str) -> Looked:
+    if isinstance(found, SourceError):
+        return Looked(path=path, reason=str(found))
+    if found.format is LogFormat.SQLITE:  # may be a database of anything
+        return _looked_at(path, columns)
+    return Looked(path=path, format=found.format, evidence=found.evidence)
 
 
 def _looked_at(path: Path, columns: str) -> Looked:

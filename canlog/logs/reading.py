@@ -13,6 +13,7 @@ from canlog.frames import FrameBatch
 from canlog.logs.archives import is_archive, split_member
 from canlog.logs.blf import read_blf
 from canlog.logs.bounded_stream import BoundedStream
+from canlog.logs.captures import read_capture
 from canlog.logs.columns import ColumnsLog
 from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, detect_as_columns
 from canlog.logs.inflaters import compression_of
@@ -32,6 +33,8 @@ READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]
         LogFormat.BLF: read_blf,
         LogFormat.MF4: read_mf4,
         LogFormat.SQLITE: read_sqlite,
+        LogFormat.PCAP: read_capture,
+        LogFormat.PCAPNG: read_capture,
         **{log_format: reader_of(new_log) for log_format, new_log in TEXT_LOGS.items()},
     }
 )

@@ -64,19 +64,21 @@ def contents_of(stream: BinaryIO, member: str = "", columns: str = "") -> Conten
     return _unpacked(InflatedStream(stream, compression), columns)
 
 
-def members_with_reasons(stream: BinaryIO) -> Iterator[tuple[str, str]]:
-    """Yield the names of the files in an archive, each with why it is no log; an empty reason if it is one."""
+def looks_inside(stream: BinaryIO, columns: str = "") -> Iterator[tuple[Member, Detected | SourceError]]:
+    """Yield the files in an archive, each with what it is taken for or why it is no log; raises as ``members_of``."""
     for member in members_of(stream):
-        yield member.name, _why_no_log(stream, member)
+        try:
+            yield member, _detected(MemberStream(stream, member, is_a_look=True), columns)
+        except SourceError as exc:
+            yield member, exc
 
 
 def _meant(stream: BinaryIO, name: str, columns: str) -> Member:
     """Return the member that a name means; without one, the only one that is a log."""
-    members = members_of(stream)
     if name:
-        return find_member(members, name)
-    reasons = {member.name: _why_no_log(stream, member, columns) for member in members}
-    logs = [member for member in members if not reasons[member.name]]
+        return find_member(members_of(stream), name)
+    looks = list(looks_inside(stream, columns))
+    logs = [member for member, found in looks if isinstance(found, Detected)]
     if len(logs) == 1:
         return logs[0]
     if logs:
@@ -85,16 +87,8 @@ def _meant(stream: BinaryIO, name: str, columns: str) -> Member:
             f"the zip archive holds {len(logs)} logs ({named}{', ...' if len(logs) > MOST_NAMED else ''}): "
             f"name one, behind the archive and a slash"
         )
-    first = next((f": {name}: {reason}" for name, reason in reasons.items()), "")
+    first = next((f": {member.name}: {reason}" for member, reason in looks), "")
     raise SourceError(f"the zip archive holds no log{first}")
-
-
-def _why_no_log(stream: BinaryIO, member: Member, columns: str = "") -> str:
-    try:
-        _detected(MemberStream(stream, member, is_a_look=True), columns)
-    except SourceError as exc:
-        return str(exc)
-    return ""
 
 
 def _unpacked(packed: PackedStream, columns: str) -> Contents:

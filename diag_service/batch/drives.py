@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from canlog.errors import SourceError
-from canlog.logs import looked_at, split_member
+from canlog.logs import is_folder, looked_at, split_member
 from diag_service.errors import ConfigError
 from diag_service.settings.config import check_vehicle
 from fleet_contract import JsonObject
@@ -75,7 +75,7 @@ class Found:
 def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False, columns: str = "") -> Found:
     """Return the drives that files and folders stand for: the files together one, every log in a folder one.
 
-    A zip archive in a folder is a folder, too.
+    A zip archive in a folder is a folder, too, and so is one of several logs that is named.
 
     With ``has_vehicles`` a log is of the vehicle by which the folder below the named one is called; a log that lies in
     the named one itself is of the vehicle of that name.
@@ -83,18 +83,18 @@ def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False, columns: s
     Raises ConfigError if a folder holds no log or bears no name of a vehicle, or a log is named twice.
     Raises SourceError if a path is not there or cannot be read.
     """
-    named = [path for path in paths if not path.is_dir()]
+    folders = [path for path in paths if is_folder(path)]
+    named = [path for path in paths if path not in folders]
     drives, left_out, taken = [drive_of(named)] if named else [], list[LeftOut](), list[TakenFor]()
-    for folder in paths:
-        if folder.is_dir():
-            found, others = sorted_out(folder, columns)
-            logs = [one.path for one in found]
-            if not logs:
-                first = f", for one {others[0].path.name}: {others[0].reason}" if others else ""
-                raise ConfigError(f"{folder} holds no log that can be read{first}")
-            left_out += others
-            taken += found
-            drives += [drive_of([log], _vehicle_of(log, folder) if has_vehicles else None) for log in logs]
+    for folder in folders:
+        found, others = sorted_out(folder, columns)
+        logs = [one.path for one in found]
+        if not logs:
+            first = f", for one {others[0].path.name}: {others[0].reason}" if others else ""
+            raise ConfigError(f"{folder} holds no log that can be read{first}")
+        left_out += others
+        taken += found
+        drives += [drive_of([log], _vehicle_of(log, folder) if has_vehicles else None) for log in logs]
     counts = Counter(path.resolve() for drive in drives for path in drive.paths)
     if twice := sorted(str(path) for path, count in counts.items() if count > 1):
         raise ConfigError(f"named twice: {', '.join(twice)}")
@@ -127,14 +127,20 @@ def _vehicle_of(log: Path, folder: Path) -> str:
 
 def sorted_out(folder: Path, columns: str = "") -> tuple[list[TakenFor], list[LeftOut]]:
     """Return the logs in a folder and below, by name, and what else is there, each with why it is that."""
-    logs, others = list[TakenFor](), list[LeftOut]()
-    for path in sorted(folder.rglob("*")):
+    logs, others, read = list[TakenFor](), list[LeftOut](), dict[Path, Path]()
+    inside = list(folder.rglob("*")) if folder.is_dir() else [folder]
+    for path in sorted(filter(Path.exists, inside), key=lambda path: (path.is_symlink(), path)):
+        read.setdefault(path.resolve(), path)  # files come before links to them
+    for path in sorted(inside):
         if path.is_dir():
             if not os.access(path, os.R_OK | os.X_OK):
                 others.append(LeftOut(path=path, reason="a folder without permission to read it"))
             continue
         if not path.exists():
             others.append(LeftOut(path=path, reason="a broken link"))
+            continue
+        if (first := read[path.resolve()]) != path:
+            others.append(LeftOut(path=path, reason=f"a link to {first}, which is read already"))
             continue
         for one in looked_at(path, columns):
             if one.format is None:

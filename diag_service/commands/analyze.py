@@ -4,7 +4,7 @@ import logging
 import sys
 from types import SimpleNamespace
 
-from canlog.logs import STANDARD_INPUT
+from canlog.logs import STANDARD_INPUT, is_folder
 from canlog.notice import NOTICE
 from diag_service.console.reading import ReadingLine
 from diag_service.delivery import AllReporters, MemoryReporter
@@ -27,7 +27,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         _fill_lake(options, controls)
         return
     _check_words_without_lake(options)
-    if any(path.is_dir() for path in options.logs if path != STANDARD_INPUT):
+    if any(is_folder(path) for path in options.logs if path != STANDARD_INPUT):
         _analyse_folders(options, controls)
         return
     diagnosis = diagnosis_config(options)

@@ -5,7 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import BinaryIO, Final
 
-from canlog.logs import STANDARD_INPUT, shown_name
+from canlog.logs import STANDARD_INPUT, is_folder, shown_name
 from canlog.parquet_file import load_pyarrow
 from canlog.tables.decoding import Decoded, TableShape, decode_logs
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat
@@ -26,7 +26,7 @@ NOTHING_KNOWN: Final = "is it the right database? Try diag-service signals LOG -
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Decode logs; a file appears when it is complete. Raises StoppedError if that was stopped."""
     is_of_messages = options.layout == TableShape.MESSAGES
-    has_folders = any(path.is_dir() for path in options.logs if path != STANDARD_INPUT)
+    has_folders = any(is_folder(path) for path in options.logs if path != STANDARD_INPUT)
     if has_folders or (options.output.is_dir() and not is_of_messages):
         from diag_service.commands import decode_folder  # noqa: PLC0415 - one table needs none of it
 

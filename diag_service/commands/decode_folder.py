@@ -10,7 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from canlog.errors import OutputError, SourceError
-from canlog.logs import STANDARD_INPUT
+from canlog.logs import STANDARD_INPUT, is_folder
 from canlog.notice import NOTICE
 from canlog.tables.decoding import TableShape
 from canlog.tables.outputs import SUFFIX_OF_FORMAT, TableFormat
@@ -80,7 +80,7 @@ def _tasks(options: SimpleNamespace, suffix: str) -> list[TableTask]:
             _LOG.log(NOTICE, "left out: %s: %s", left.path, left.reason)
             if options.json:
                 sys.stdout.write(dump(left_out_record(left)) + "\n")
-        home = path if path.is_dir() else path.parent
+        home = path if is_folder(path) else path.parent
         for log in (log for drive in found.drives for log in drive.paths):
             own = log.relative_to(home)
             tasks.append(TableTask(log=log, output=options.output / own.with_name(f"{own.name}{suffix}")))

@@ -14,6 +14,7 @@ from canlog.frame_columns import join
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.logs import read_log
 from canlog.logs.log_counts import LogCounts
+from tests.support.capture_grammars import CAPTURE_GRAMMARS
 from tests.support.log_grammars import CODE_OF_LENGTH, GRAMMARS, PACKERS, Frame, Grammar
 from tests.support.wild_grammars import CONSOLE_GAPS, WILD_GRAMMARS
 
@@ -75,7 +76,7 @@ def rows(batch: FrameBatch, grammar: Grammar) -> list[tuple[int, int, int, str, 
     ]  # fmt: skip
 
 
-ALL_GRAMMARS = {**GRAMMARS, **WILD_GRAMMARS}
+ALL_GRAMMARS = {**GRAMMARS, **WILD_GRAMMARS, **CAPTURE_GRAMMARS}
 
 
 @pytest.mark.parametrize("name", ALL_GRAMMARS)

@@ -11,7 +11,7 @@ from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.roles import BLANKS, HEXADECIMAL, MINUTE_US, Column, Layout, Role
 
 HEADER = re.compile(rb"\s*time\s+id\s+dlc\s+data\b", re.IGNORECASE)
-TIME = re.compile(rb"^\s*(\d+)\.\d+\s", re.MULTILINE)
+TIME = re.compile(rb"^\s*(\d+)[.,]\d+\s", re.MULTILINE)
 MINUTE_S = 60
 LAYOUT = Layout(
     columns=(
@@ -22,6 +22,7 @@ LAYOUT = Layout(
     ),
     separator=BLANKS,
     comment_starts=b"Tt;#",
+    has_decimal_comma=True,
 )
 
 
@@ -29,8 +30,7 @@ class CanHacker(TableLog):
     """A trace of CANHacker."""
 
     def __init__(self) -> None:
-        super().__init__()
-        self.set_layout(LAYOUT)
+        super().__init__(LAYOUT)
 
     def look_ahead(self, text: bytes) -> None:
         """Find out whether the times begin again every minute."""

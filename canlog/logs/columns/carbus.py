@@ -5,7 +5,6 @@ flags, identifier, length, bytes, a checksum, the bytes as text. The date is not
 """
 
 from canlog.logs.columns.fields import REST
-from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.roles import HEXADECIMAL, MINUTE_US, Column, Layout, Role
 
 LAYOUT = Layout(
@@ -24,14 +23,6 @@ LAYOUT = Layout(
     has_decimal_comma=True,
     wrap_us=MINUTE_US,
 )
-
-
-class Carbus(TableLog):
-    """A trace of CARBUS Analyzer."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.set_layout(LAYOUT)
 
 
 def is_carbus_header(line: bytes) -> bool:

@@ -40,8 +40,7 @@ class Clx000(TableLog):
     """A log of a CLX000."""
 
     def __init__(self) -> None:
-        super().__init__()
-        self.set_layout(LAYOUT)
+        super().__init__(LAYOUT)
 
     def look_ahead(self, text: bytes) -> None:
         """Find the columns, and from when the times count."""

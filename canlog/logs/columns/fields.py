@@ -11,7 +11,7 @@ from canlog.logs.tables.fields import NO_TIME, decimal_us
 from canlog.logs.text_kernels import BLANK, HEX_VALUE, NEWLINE, RETURN, TAB
 
 QUOTE, COMMA, POINT, COLON, MINUS, PLUS, ZERO = ord('"'), ord(","), ord("."), ord(":"), ord("-"), ord("+"), ord("0")
-LETTER_H, LETTER_T, LETTER_X, LETTER_Z = ord("h"), ord("t"), ord("x"), ord("z")
+LETTER_H, LETTER_X, LETTER_Z = ord("h"), ord("x"), ord("z")
 SQUARE, SQUARE_END, SLASH = ord("["), ord("]"), ord("/")
 REST = -1  # in place of a parameter: what stands behind the last column is passed over
 MOST_ID_DIGITS = 10
@@ -24,6 +24,8 @@ YEAR_DIGITS = 4
 HOUR_DIGITS, DAY_DIGITS, MOST_STAMP_DIGITS = 9, 11, 17  # of a stamp in milliseconds up to these parts, and to the year
 IS_BETWEEN: npt.NDArray[np.bool_] = np.arange(256) <= BLANK
 IS_BETWEEN[list(b",:-._[]")] = True  # what else may stand between two bytes
+IS_BEFORE_CLOCK: npt.NDArray[np.bool_] = np.zeros(256, np.bool_)
+IS_BEFORE_CLOCK[list(b"Tt -")] = True  # what stands between a date and a time of day
 # First letters of fields that say yes, by the role of their column: true, yes, x, and what names it, such as Ext or Tx.
 SAYS_YES: npt.NDArray[np.bool_] = np.zeros((len(Role), 256), np.bool_)
 for _role, _letters in {
@@ -147,7 +149,7 @@ def data_bytes(
     begin: int,
     stop: int,
     base: int,
-    data: UInt8Array,
+    data: UInt8Array | Int64Array,
     row: int,
     count: int,
     is_one: bool,  # noqa: FBT001 - of a kernel
@@ -176,7 +178,7 @@ def data_bytes(
         if count < data.shape[1]:
             data[row, count] = value
         count += 1
-        if count > FD_PAYLOAD_BYTES:
+        if count > max(FD_PAYLOAD_BYTES, data.shape[1]):
             return -1
     return -1 if is_one and count - before > 1 else count
 
@@ -260,7 +262,7 @@ def date_us(text: UInt8Array, begin: int, stop: int) -> int:
     year = _number(text, begin, 4)
     month, day = _number(text, begin + 5, 2), _number(text, begin + 8, 2)
     is_date = text[begin + 7] == text[begin + 4] and 1 <= month <= 12 and 1 <= day <= 31 and year >= 0
-    if not is_date or ((text[begin + 10] | 32) != LETTER_T and text[begin + 10] != BLANK):
+    if not is_date or not IS_BEFORE_CLOCK[text[begin + 10]]:
         return NO_TIME
     day_us, at = clock_us(text, begin + 11, stop)
     if day_us == NO_TIME:
@@ -284,7 +286,8 @@ def stamp_us(text: UInt8Array, begin: int, stop: int, year: int) -> int:  # noqa
     """Return ``20260131T235959.999`` in microseconds, whatever stands between its digits, as if it were UTC.
 
     Larger parts may be missing: the year, which is then ``year``; the month, then it is the time since the month
-    began; the day, the hour, and so on. NO_TIME if a field is none of these.
+    began; the day, the hour, and so on. A negative ``year`` is how many digits there must be. NO_TIME if a field is
+    none of these.
     """
     count, value = 0, 0
     for at in range(begin, stop):
@@ -292,7 +295,7 @@ def stamp_us(text: UInt8Array, begin: int, stop: int, year: int) -> int:  # noqa
             count, value = count + 1, value * 10 + text[at] - 48
             if count > MOST_STAMP_DIGITS:
                 return NO_TIME
-    if count % 2 == 0 or count < 3 or count == MOST_STAMP_DIGITS - 2:
+    if count % 2 == 0 or count < 3 or count == MOST_STAMP_DIGITS - 2 or (year < 0 and count != -year):
         return NO_TIME
     value_us, rest = value % 1_000 * 1_000, value // 1_000
     second, minute, hour, rest = rest % 100, rest // 100 % 100, rest // 10_000 % 100, rest // 1_000_000

@@ -14,8 +14,29 @@ from canlog.frames import (
     REMOTE_FLAG,
     TX_FLAG,
 )
-from canlog.jit import array_kernel
+from canlog.jit import array_kernel, inlined_kernel
+from canlog.logs.asc_fields import is_word
 from canlog.logs.columns import fields
+from canlog.logs.columns.message_kernel import (
+    BASE_US,
+    CHANNEL,
+    COUNT,
+    HEADER_LINES,
+    ID,
+    LAPS_US,
+    LENGTH,
+    MEANING,
+    MESSAGE,
+    MOST_MESSAGE_BYTES,
+    NOW_US,
+    SEEN,
+    TIME_US,
+    UNKNOWN,
+    WRAP_US,
+    check_message,
+    read_part,
+    store_message,
+)
 from canlog.logs.columns.roles import BLANKS, Program, Role
 from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.tables.fields import NO_TIME
@@ -35,17 +56,12 @@ from canlog.logs.text_kernels import (
     skip_line,
 )
 
-# What has been read of a line.
-TIME_US, ID, MEANING, LENGTH, CHANNEL, COUNT, FIELDS = range(7)
-UNKNOWN = -1
-
-# The clock of a file, and how many of its first lines hold no frames.
-BASE_US, NOW_US, WRAP_US, LAPS_US, HEADER_LINES, CLOCK_FIELDS = range(6)
-
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
 NS_PER_US = 1_000
 LAST_US = 9_200_000_000_000_000
 CODES = len(LENGTH_OF_CODE)
+REMOTE_WORD = np.frombuffer(b"remote", np.uint8)
+LETTER_B, LETTER_E, LETTER_F, LETTER_R, LETTER_X = ord("b"), ord("e"), ord("f"), ord("r"), ord("x")
 CARBUS_EXTENDED, CARBUS_REMOTE, CARBUS_FD, CARBUS_FAST = 0x1, 0x2, 0x10, 0x20
 
 
@@ -66,6 +82,8 @@ def parse_lines(
             break
         if outcome == FRAME:
             outcome = _store(rows, row, clock, line)
+            if outcome == FRAME and program.has_messages:
+                row += store_message(rows, row, clock, line)
             row += outcome == FRAME
         number += 1
         count_line(progress, outcome, number)
@@ -78,7 +96,7 @@ def _parse_line(
     text: UInt8Array, at: int, data: UInt8Array, row: int, program: Program, line: Int64Array
 ) -> tuple[int, int]:
     """Read the fields of one line; return the outcome and the position behind the line."""
-    line[:] = UNKNOWN
+    line[:MESSAGE] = UNKNOWN
     line[MEANING] = line[COUNT] = line[TIME_US] = 0
     separator = program.separator
     at = fields.skip_margin(text, at, separator)
@@ -88,29 +106,60 @@ def _parse_line(
     column = 0
     while True:
         begin, stop, at = fields.field(text, at, separator)
-        role, parameter = program.columns[min(column, width - 1), 0], program.columns[min(column, width - 1), 1]
-        if column >= width and (role != Role.DATA and role != Role.BYTE) and stop > begin:  # noqa: PLR1714 - no tuple
-            role = Role.IGNORED if parameter == fields.REST else -1
-        elif column >= width and stop > begin:
-            role = Role.BYTE  # the bytes of one column are spread over those behind it
-            if separator == BLANKS and 0 <= line[LENGTH] <= line[COUNT]:
-                role = Role.IGNORED  # a comment
-        elif column >= width:
-            role = Role.IGNORED
+        if program.is_spread:
+            column = _column_of(text[begin], column, program, line)
+        role, parameter = _role_of(column, stop > begin, program, line)
         if not _read_field(text, begin, stop, role, parameter, data, row, program, line):
             is_too_long = data.shape[1] < line[COUNT] <= FD_PAYLOAD_BYTES
             return (TOO_LONG if is_too_long else MALFORMED), skip_line(text, at)
-        column += 1
+        column += role != Role.COUNTED or line[COUNT] >= line[LENGTH]
         if text[at] == NEWLINE:
             break
         at += separator != BLANKS
         if separator == BLANKS and text[at] == NEWLINE:
             break
-    return _check_length(line), at + 1
+    if program.is_spread and column < width:
+        return MALFORMED, at + 1
+    return (check_message(line) if program.has_messages else _check_length(line)), at + 1
+
+
+@inlined_kernel
+def _role_of(
+    column: int,
+    has_text: bool,  # noqa: FBT001 - of a kernel
+    program: Program,
+    line: Int64Array,
+) -> tuple[int, int]:
+    """Return what a field is, and the parameter of that; -1 if there may be none in its place."""
+    last = len(program.columns) - 1
+    role, parameter = program.columns[min(column, last), 0], program.columns[min(column, last), 1]
+    if column <= last:
+        return role, parameter
+    if not has_text:
+        return Role.IGNORED, 0
+    if role != Role.DATA and role != Role.BYTE and role != Role.MESSAGE:  # noqa: PLR1714 - no tuple in a kernel
+        return (Role.IGNORED if parameter == fields.REST else -1), 0
+    if program.separator == BLANKS and 0 <= line[LENGTH] <= line[COUNT]:
+        return Role.IGNORED, 0  # a comment
+    return (Role.MESSAGE if role == Role.MESSAGE else Role.BYTE), parameter  # of one column, spread over others
 
 
 @array_kernel
-def _read_field(  # noqa: PLR0911 - one for each role
+def _column_of(first: int, column: int, program: Program, line: Int64Array) -> int:
+    """Return which column a field is that begins so: one that may be missing is passed over."""
+    while column < len(program.columns):
+        role = program.columns[column, 0]
+        is_bare = line[MEANING] & (ERROR_FLAG | REMOTE_FLAG) != 0 or line[LENGTH] == 0
+        is_missing = role == Role.MARKS and 48 <= first <= 57
+        is_missing = is_missing or (role == Role.LENGTH and line[MEANING] & ERROR_FLAG != 0)
+        if not is_missing and not (role == Role.COUNTED and is_bare):
+            break
+        column += 1
+    return column
+
+
+@array_kernel
+def _read_field(  # noqa: C901, PLR0911 - one for each role
     text: UInt8Array,
     begin: int,
     stop: int,
@@ -130,9 +179,8 @@ def _read_field(  # noqa: PLR0911 - one for each role
     if role == Role.ID:
         line[ID] = fields.identifier(text, begin, stop, parameter, line, MEANING, program.tells_by_digits)
         return bool(line[ID] >= 0 or stop == begin)  # of an error frame
-    if role == Role.DATA or role == Role.BYTE:  # noqa: PLR1714 - no tuple in a kernel
-        line[COUNT] = fields.data_bytes(text, begin, stop, parameter, data, row, line[COUNT], role == Role.BYTE)
-        return bool(0 <= line[COUNT] <= data.shape[1])
+    if role == Role.DATA or role == Role.BYTE or role == Role.COUNTED or role == Role.MESSAGE:  # noqa: PLR1714 - no tuple
+        return _read_bytes(text, begin, stop, role, parameter, data, row, program, line)
     if role == Role.LENGTH:
         line[LENGTH] = fields.small_number(text, begin, stop)
         return bool(line[LENGTH] >= 0 or stop == begin)
@@ -144,10 +192,40 @@ def _read_field(  # noqa: PLR0911 - one for each role
     if role == Role.STAMP:
         line[TIME_US] = fields.stamp_us(text, begin, stop, parameter)
         return bool(line[TIME_US] != NO_TIME)
+    if Role.PRIORITY <= role <= Role.ADDRESSES:
+        return read_part(text, begin, stop, role, parameter, line)
+    if role == Role.MARKS:
+        return _read_marks(text, begin, stop, line)
     if Role.EXTENDED <= role <= Role.DIRECTION:
         line[MEANING] |= _meaning(role) if fields.is_on(text, begin, stop, role) else 0
         return True
     return False
+
+
+@inlined_kernel
+def _read_bytes(
+    text: UInt8Array,
+    begin: int,
+    stop: int,
+    role: int,
+    base: int,
+    data: UInt8Array,
+    row: int,
+    program: Program,
+    line: Int64Array,
+) -> bool:
+    """Read bytes to those that are there; return whether they fit."""
+    if role == Role.DATA and is_word(text, begin, REMOTE_WORD):  # "Remote request DLC = 8", as IXXAT writes it
+        line[MEANING] |= REMOTE_FLAG
+        line[LENGTH] = max(line[LENGTH], fields.channel(text, begin, stop))
+        return True
+    if role == Role.MESSAGE:
+        message = line[MESSAGE:SEEN].reshape(1, -1)
+        is_one = program.separator != BLANKS
+        line[COUNT] = fields.data_bytes(text, begin, stop, base, message, 0, line[COUNT], is_one)
+        return bool(0 <= line[COUNT] <= MOST_MESSAGE_BYTES)
+    line[COUNT] = fields.data_bytes(text, begin, stop, base, data, row, line[COUNT], role != Role.DATA)
+    return bool(0 <= line[COUNT] <= data.shape[1])
 
 
 @array_kernel
@@ -164,6 +242,23 @@ def _meaning(role: int) -> int:
     if role == Role.ERROR_STATE:
         return ESI_FLAG
     return TX_FLAG if role == Role.DIRECTION else FD_FLAG
+
+
+@array_kernel
+def _read_marks(text: UInt8Array, begin: int, stop: int, line: Int64Array) -> bool:
+    """Read what CanKing says of a frame: letters, or that it is an error frame."""
+    if (text[begin] | 32) == LETTER_E:
+        line[MEANING] |= ERROR_FLAG
+        return True
+    for at in range(begin, stop):
+        letter = text[at] | 32
+        line[MEANING] |= EXTENDED_FLAG if letter == LETTER_X else 0
+        line[MEANING] |= REMOTE_FLAG if letter == LETTER_R else 0
+        line[MEANING] |= FD_FLAG if letter == LETTER_F else 0
+        line[MEANING] |= BRS_FLAG if letter == LETTER_B else 0
+        if not 97 <= letter <= 122:
+            return False
+    return True
 
 
 @array_kernel

@@ -21,15 +21,16 @@ from canlog.logs.columns.header import (
     proposal,
     separator_of,
 )
-from canlog.logs.columns.kernel import (
+from canlog.logs.columns.kernel import parse_lines
+from canlog.logs.columns.message_kernel import (
     BASE_US,
     CLOCK_FIELDS,
+    CUT_MESSAGES,
     FIELDS,
     HEADER_LINES,
     LAPS_US,
     NOW_US,
     WRAP_US,
-    parse_lines,
 )
 from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, Column, Layout, Role
 from canlog.logs.frame_buffer import FrameRows
@@ -49,21 +50,34 @@ NO_HEADER = "no line names its columns"
 NO_TIMES = "the log has no times: every frame gets the time 1970-01-01 00:00:00"
 
 
+WHOLE_MESSAGES = (
+    "messages of more than 8 bytes are whole in this log: they are read as fast packets whose frames all have the "
+    "time of the message"
+)
+NO_LAYOUT = Layout(columns=(Column(),), separator=ord(","))
+
+
 class TableLog(TextLog):
-    """A table of a known layout; ``set_layout`` says which, before the first line or by what one says."""
+    """A table of a known layout; ``set_layout`` says another, before the first line or by what one says."""
 
     shortest_line_bytes = 3  # "1,2"
 
-    def __init__(self) -> None:
+    def __init__(self, layout: Layout = NO_LAYOUT, note: str = "") -> None:
         super().__init__()
         self._clock = np.zeros(CLOCK_FIELDS, np.int64)
         self._line = np.zeros(FIELDS, np.int64)
-        self.set_layout(Layout(columns=(Column(),), separator=ord(",")))
+        self.set_layout(layout)
+        self.notes += [note] * bool(note)
 
     def set_layout(self, layout: Layout) -> None:
         """Read the lines that follow by a layout."""
         self.layout, self._program = layout, layout.program()
         self._clock[WRAP_US], self._clock[HEADER_LINES] = layout.wrap_us, layout.header_lines
+
+    def restart(self) -> None:
+        """Begin with the first line again, knowing what was learned."""
+        self._clock[:] = 0
+        self.set_layout(self.layout)
 
     def set_base(self, base_us: int) -> None:
         """Count times from here; a clock that begins again begins anew."""
@@ -72,6 +86,8 @@ class TableLog(TextLog):
     def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
         """Read lines; no line stops the reader."""
         parse_lines(text, rows, self._program, self._clock, self._line, progress)
+        if self._clock[CUT_MESSAGES] and WHOLE_MESSAGES not in self.notes:
+            self.notes.append(WHOLE_MESSAGES)
 
     def is_whole(self, line: bytes, frame: FrameBatch) -> bool:
         """Return whether no byte can be missing, and no digit of the last one."""

@@ -11,8 +11,9 @@ from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.roles import HEXADECIMAL, Column, Layout, Role
 
 FRAME_LINE = re.compile(rb"^\s*\d+;[RT]X;", re.MULTILINE)
-START = re.compile(rb"Logging Started:\s*(?P<day>\d{1,2})/(?P<month>\d{1,2})/(?P<rest>\d{4}\s+\d{1,2}:\d{1,2}:\d{1,2})")
-MOST_MONTHS = 12
+START = re.compile(
+    rb"Logging Started:\s*(?P<date>\d{1,2}/\d{1,2}/\d{4}\s+\d{1,2}:\d{1,2}:\d{1,2}(?:\s+[AP]M)?)", re.IGNORECASE
+)
 LAYOUT = Layout(
     columns=(
         Column(role=Role.TIME, parameter=3),
@@ -30,8 +31,7 @@ class Microchip(TableLog):
     """A log of Microchip's CAN Bus Analyzer."""
 
     def __init__(self) -> None:
-        super().__init__()
-        self.set_layout(LAYOUT)
+        super().__init__(LAYOUT)
 
     def look_ahead(self, text: bytes) -> None:
         """Find where the frames begin, and the date before them."""
@@ -39,9 +39,7 @@ class Microchip(TableLog):
         head = text[: first.start()] if first else b""
         self.set_layout(replace(self.layout, header_lines=head.count(b"\n")))
         if start := START.search(head):
-            day, month = int(start["day"]), int(start["month"])
-            is_clear = day > MOST_MONTHS or day == month
-            start_us = date_us(b"%d.%d.%s" % (day, month, start["rest"])) if is_clear else None
+            start_us = date_us(start["date"])
             if start_us is None:
                 self.notes.append(f"the date {start[0].decode()!r} may be two days: times count from 1970")
             else:

@@ -27,7 +27,15 @@ class Role(IntEnum):
     ERROR_STATE = 12
     DIRECTION = 13  # Tx or anything else
     FLAGS = 14  # hexadecimal bits, as CARBUS Analyzer has them [the one that says that the recorder sent the frame]
-    STAMP = 15  # digits of a time to the millisecond, its larger parts missing [year of times that have but months]
+    STAMP = 15  # digits of a time to the millisecond, without its larger parts [year of those without; < 0: digits]
+    PRIORITY = 16  # the parts of an identifier of NMEA 2000 and J1939
+    GROUP = 17  # a parameter group [base]
+    SOURCE = 18
+    DESTINATION = 19
+    ADDRESSES = 20  # source, destination and priority, in two, two and one hexadecimal digits
+    MESSAGE = 21  # all bytes of a message, which may be longer than a frame [base]
+    MARKS = 22  # letters that say what kind a frame is; a field that begins with a digit is that of the next column
+    COUNTED = 23  # as DATA, in as many columns as the length says, with others behind them
 
 
 HEXADECIMAL, DECIMAL = 16, 10
@@ -51,6 +59,8 @@ class Program(NamedTuple):
     separator: int
     tells_by_digits: bool
     has_decimal_comma: bool
+    has_messages: bool  # bytes are those of a message, which may be longer than a frame
+    is_spread: bool  # columns may be missing, or stand behind bytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,4 +94,6 @@ class Layout:
             separator=self.separator,
             tells_by_digits=self.tells_by_digits,
             has_decimal_comma=self.has_decimal_comma,
+            has_messages=self.has(Role.MESSAGE),
+            is_spread=self.has(Role.COUNTED),
         )

@@ -43,6 +43,7 @@ NS_PER_US = 1_000
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
 BUS_CHANGE_ID = 0xFFFF_FFFF  # how PCAN writes one
 FRAME_FLAGS = 0xFF  # of a meaning, as ``flags`` has them
+EVENT_LETTERS = 3
 LETTER_R, LETTER_T, LETTER_X = ord("r"), ord("t"), ord("x")
 
 
@@ -178,7 +179,7 @@ def _read_word(text: UInt8Array, at: int, initial: int, words: Int64Array, line:
         at += 1
     packed, behind = fields.word(text, at)
     meaning = fields.meaning_of(packed, words)
-    if meaning < 0 and initial and (text[at] | 32) == initial:
+    if meaning < 0 and initial and (text[at] | 32) == initial and behind - at == EVENT_LETTERS:
         meaning = EVENT
     if meaning < 0:
         return -behind

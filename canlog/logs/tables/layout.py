@@ -19,7 +19,9 @@ class Role(IntEnum):
     CLOCK = 2  # hours:minutes:seconds:count [microseconds of one]
     CHANNEL = 3  # a number, or "-"
     ID = 4  # hexadecimal, or "-" [digits of a standard identifier; 0: a word tells the kind]
-    WORD = 5  # one of the layout's words, a digit before it being the channel [first letter of words for events]
+    WORD = (
+        5  # one of the layout's words, a digit before it being the channel [first of three letters of words for events]
+    )
     SWITCH = 6  # 0, 1, false or true [meaning of a 1]
     LENGTH = 7  # bytes, or "-"
     LENGTH_CODE = 8  # the code that CAN FD has for lengths

@@ -72,6 +72,19 @@ def inflated_containers(contents: bytes) -> list[bytes]:
     return found
 
 
+def garble_capture(first: int, step: int, place: int) -> Garbler:
+    """Return what gives packets of a capture, each of so many bytes, a length that no frame has."""
+
+    def garble(sound: Path, damaged: Path, rng: Generator, count: int) -> int:
+        contents, frame_count = bytearray(sound.read_bytes()), len(short_drive())
+        for row in rng.choice(frame_count, count, replace=False).tolist():
+            contents[first + row * step + place] = NO_LENGTH
+        damaged.write_bytes(bytes(contents))
+        return frame_count
+
+    return garble
+
+
 def garble_mf4(sound: Path, damaged: Path, rng: Generator, count: int) -> int:
     """Give records a length that no frame has."""
     del sound
@@ -100,10 +113,12 @@ GARBLERS: Mapping[str, Garbler] = MappingProxyType(
         **dict.fromkeys(
             ("candump", "asc", "trc", "csv", "gvret", "busmaster", "crtd", "console", "columns"), garble_lines
         ),
-        **dict.fromkeys(("carbus", "canhacker", "microchip", "clx000"), garble_lines),
+        **dict.fromkeys(("carbus", "canhacker", "microchip", "clx000", "canking", "yacht-devices"), garble_lines),
         "gzip": garble_gzip,
         "blf": garble_blf,
         "mf4": garble_mf4,
+        "pcap": garble_capture(24, 32, 20),
+        "pcapng": garble_capture(48, 48, 32),
         "sqlite": garble_sqlite,
     }
 )

@@ -26,7 +26,7 @@ Generator = np.random.Generator
 
 TEXTS = frozenset(
     {"candump", "asc", "trc", "csv", "gvret", "busmaster", "crtd", "console", "columns", "carbus", "canhacker"}
-    | {"microchip", "clx000"}
+    | {"microchip", "clx000", "canking", "yacht-devices"}
 )
 TELLS_ANY_CUT = frozenset({"blf", "gzip"})  # say how long they are, or have an end of their own
 

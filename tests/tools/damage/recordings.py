@@ -2,6 +2,7 @@
 
 import gzip
 import sqlite3
+import struct
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -206,6 +207,50 @@ def write_clx000(path: Path, frames: EncodedFrames) -> None:
     path.write_text(head + "".join(lines), "ascii")
 
 
+def write_canking(path: Path, frames: EncodedFrames) -> None:
+    """Write a text of Kvaser's CanKing."""
+    lines = [
+        f" 0    {row.can_id[0]:08X}       {row.length[0]:3}  "
+        f"{row.data[0, : row.length[0]].tobytes().hex(' ').upper()} {t_us // US_PER_S:7}.{t_us % US_PER_S:06} R\n"
+        for t_us, row in rows_of(frames)
+    ]
+    path.write_text("Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir\n" + "".join(lines))
+
+
+def write_yacht_devices(path: Path, frames: EncodedFrames) -> None:
+    """Write what gateways of Yacht Devices send: milliseconds of the day, and no header."""
+    lines = [
+        f"{t_us // 3600 // US_PER_S:02}:{t_us // 60 // US_PER_S % 60:02}:{t_us // US_PER_S % 60:02}."
+        f"{t_us % US_PER_S // 1_000:03} R {row.can_id[0]:03X} "
+        f"{row.data[0, : row.length[0]].tobytes().hex(' ').upper()}\n"
+        for t_us, row in rows_of(frames)
+    ]
+    path.write_text("".join(lines))
+
+
+def write_pcap(path: Path, frames: EncodedFrames) -> None:
+    """Write a capture of SocketCAN in pcap, little-endian."""
+    start_us = DEFAULT_START_NS // NS_PER_US
+    pieces = [struct.pack("<LHHLLLL", 0xA1B2C3D4, 2, 4, 0, 0, 262_144, 227)]
+    for t_us, row in rows_of(frames):
+        seconds, part_us = divmod(start_us + t_us, US_PER_S)
+        packet = struct.pack(">LB3x", row.can_id[0], row.length[0]) + row.data[0, :8].tobytes()
+        pieces.append(struct.pack("<LLLL", seconds, part_us, len(packet), len(packet)) + packet)
+    path.write_bytes(b"".join(pieces))
+
+
+def write_pcapng(path: Path, frames: EncodedFrames) -> None:
+    """Write a capture of SocketCAN in pcapng, big-endian."""
+    start_us = DEFAULT_START_NS // NS_PER_US
+    pieces = [struct.pack(">LLLHHqL", 0x0A0D0D0A, 28, 0x1A2B3C4D, 1, 0, -1, 28)]
+    pieces.append(struct.pack(">LLHHLL", 1, 20, 227, 0, 0, 20))
+    for t_us, row in rows_of(frames):
+        high, low = divmod(start_us + t_us, 1 << 32)
+        packet = struct.pack(">LB3x", row.can_id[0], row.length[0]) + row.data[0, :8].tobytes()
+        pieces.append(struct.pack(">7L", 6, 48, 0, high, low, 16, 16) + packet + struct.pack(">L", 48))
+    path.write_bytes(b"".join(pieces))
+
+
 def rows_of(frames: EncodedFrames) -> list[tuple[int, EncodedFrames]]:
     """Return frames one by one, with their times."""
     return [(t_us, frames[row : row + 1]) for row, t_us in enumerate(times_us(frames).tolist())]
@@ -224,6 +269,10 @@ WRITERS: Mapping[str, Writer] = MappingProxyType(
         "canhacker": write_canhacker,
         "microchip": write_microchip,
         "clx000": write_clx000,
+        "canking": write_canking,
+        "pcap": write_pcap,
+        "pcapng": write_pcapng,
+        "yacht-devices": write_yacht_devices,
         "gzip": write_gzip,
     }
 )
@@ -241,13 +290,19 @@ SUFFIXES: Mapping[str, str] = MappingProxyType(
         "canhacker": ".hacker.trc",
         "microchip": ".can",
         "clx000": ".clx.txt",
+        "canking": ".king.txt",
+        "pcap": ".pcap",
+        "pcapng": ".pcapng",
+        "yacht-devices": ".yd.txt",
         "gzip": ".log.gz",
     }
 )
 CLOCK_US: Mapping[str, int] = MappingProxyType(
-    {"busmaster": 100, "canhacker": 1_000, "microchip": 1_000, "clx000": 1_000}
+    {"busmaster": 100, "canhacker": 1_000, "microchip": 1_000, "clx000": 1_000, "yacht-devices": 1_000}
 )  # the step of a format's times; else 1
-START_NS: Mapping[str, int] = MappingProxyType({"carbus": 0, "canhacker": 0})  # where a format has no date
+START_NS: Mapping[str, int] = MappingProxyType(
+    {"carbus": 0, "canhacker": 0, "canking": 0, "yacht-devices": 0}
+)  # where a format has no date
 MOST_JUMP_MS: Mapping[str, float] = MappingProxyType(
     {"carbus": 25_000.0, "canhacker": 25_000.0}
 )  # that a clock of one minute can tell

@@ -1,5 +1,6 @@
 """Traffic measured: rates, jitter, gaps, jumps and load, the same for any cutting of the stream."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -117,3 +118,23 @@ def test_cutting_the_stream_changes_nothing(seed: int) -> None:
         )
         assert one.rate_hz == pytest.approx(other.rate_hz)
         assert one.jitter_s == pytest.approx(other.jitter_s, abs=1e-8)
+
+
+@pytest.mark.parametrize("pause_ms", [0, 500, 999, 1_001, 3_000])
+@pytest.mark.parametrize("count", [2, 10, 300, 5_000])
+def test_the_busiest_second_is_never_less_busy_than_all_of_the_log(pause_ms: int, count: int) -> None:
+    """Bursts of ten frames with pauses between them: silence of up to a second is time of the bus."""
+    times = np.arange(count) * MS + np.arange(count) // 10 * pause_ms * MS
+    report = measured(frames(times))
+    assert 0.0 < report.bus_load_ratio <= report.peak_load_ratio
+    if pause_ms > 1_000 and count > 100:
+        assert report.bus_load_ratio == pytest.approx(report.peak_load_ratio, rel=0.1)
+
+
+def test_the_load_is_that_of_the_busiest_channel() -> None:
+    times = np.arange(2_000) * MS
+    alone = measured(frames(times))
+    twice = frames(np.repeat(times, 2))
+    both = measured(replace(twice, channel=np.arange(4_000, dtype=np.uint8) % 2))
+    assert both.bus_load_ratio == pytest.approx(alone.bus_load_ratio, rel=1e-2)
+    assert both.peak_load_ratio == pytest.approx(alone.peak_load_ratio, rel=1e-2)

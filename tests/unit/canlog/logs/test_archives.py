@@ -5,12 +5,14 @@ import io
 import struct
 import tarfile
 import zipfile
+import zlib
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
 
 from canlog.errors import SourceError
-from canlog.logs import LogReject, read_log
+from canlog.logs import LogReject, looked_at, read_log
 from canlog.logs.archives import END_MAGIC, MOST_MEMBERS
 from canlog.logs.log_counts import LogCounts
 
@@ -120,3 +122,69 @@ def test_a_damaged_member_gives_what_comes_before(tmp_path: Path) -> None:
     assert counts.truncated
     assert counts.rejected[LogReject.DAMAGED] == 1
     assert "drive.log in the zip archive" in counts.first_rejected
+
+
+def named(name: bytes, extra: bytes = b"", flags: int = 0) -> bytes:
+    """Return an archive of a log whose name has these bytes, with this extra field and these flags, made on Unix."""
+    stand_in = b"@" * len(name)
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        info = zipfile.ZipInfo(stand_in.decode())
+        info.extra, info.create_system = extra, 3
+        archive.writestr(info, LOG)
+    contents = bytearray(stream.getvalue().replace(stand_in, name))
+    struct.pack_into("<H", contents, 6, flags)
+    struct.pack_into("<H", contents, contents.rfind(b"PK\1\2") + 8, flags)
+    return bytes(contents)
+
+
+def unicode_path(raw: bytes, name: str) -> bytes:
+    """Return the extra field in which Info-ZIP keeps a name in UTF-8."""
+    body = struct.pack("<BL", 1, zlib.crc32(raw)) + name.encode()
+    return struct.pack("<HH", 0x7075, len(body)) + body
+
+
+@pytest.mark.parametrize(
+    ("contents", "name"),
+    [
+        (named("Fahrt Zürich 走行.log".encode()), "Fahrt Zürich 走行.log"),  # of Unix, without a word
+        (named("Fahrt Zürich.log".encode(), flags=0x800), "Fahrt Zürich.log"),
+        (named(b"Fahrt Z\x81rich.log"), "Fahrt Zürich.log"),  # the code page of DOS
+        (named(b"Fahrt #U8d70.log", unicode_path(b"Fahrt #U8d70.log", "Fahrt 走.log")), "Fahrt 走.log"),
+        (named(b"a.log", b"\x55\x54\1\0\3" + unicode_path(b"a.log", "ä.log")), "ä.log"),  # behind another field
+        (
+            named(b"b.log", unicode_path(b"a.log", "ä.log")),
+            "b.log",
+        ),  # somebody renamed it, who knew nothing of the field
+    ],
+)
+def test_a_name_is_read_as_the_archive_means_it(contents: bytes, name: str, tmp_path: Path) -> None:
+    path = tmp_path / "drives.zip"
+    path.write_bytes(contents)
+    assert [one.path for one in looked_at(path)] == [path / name]
+    assert frames(path / name)[0] == 3_000
+
+
+def test_a_name_in_an_extra_field_does_not_lead_out_either(tmp_path: Path) -> None:
+    path = tmp_path / "drives.zip"
+    path.write_bytes(named(b"a.log", unicode_path(b"a.log", "../ä.log")))
+    assert "its name leads out of the archive" in looked_at(path)[0].reason
+
+
+def test_the_directory_of_an_archive_is_read_once_for_all_of_its_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise an archive of twice as many files takes four times as long."""
+    path, opened = tmp_path / "drives.zip", []
+    path.write_bytes(zipped({f"{k}.log": LOG[:500] for k in range(40)}))
+
+    class Counted(zipfile.ZipFile):
+        def __init__(self, file: BinaryIO) -> None:
+            opened.append(file)
+            super().__init__(file)
+
+    monkeypatch.setattr(zipfile, "ZipFile", Counted)
+    assert all(one.format is not None for one in looked_at(path))
+    assert len(opened) == 1
+    list(read_log(path / "7.log"))
+    assert len(opened) == 2

@@ -150,7 +150,7 @@ def test_a_last_line_without_newline_counts_if_nothing_can_be_missing() -> None:
 @pytest.mark.parametrize(
     "event",
     [
-        b"1  123  Rx   d 12 01 02 03 04 05 06 07 08 09 0A 0B 0C",  # no classic frame is so long
+        b"1  123  Rx   d 13 01 02 03 04 05 06 07 08 09 10 11 12 13",  # no frame is so long
         b"1  123  Rx   d 1 01 02",
         b"1  123  Rx   d 3 01 02",
         b"1  123  Rx   d 0 01",
@@ -241,3 +241,79 @@ def test_recognition() -> None:
     assert is_asc_header(b"date Thu Jan 01 10:00:00.500 2026")
     assert not is_asc_header(b"date,time,id")
     assert not is_asc_header(b"(1.0) can0 123#11")
+
+
+@pytest.mark.parametrize(
+    ("code", "base", "length"),
+    [
+        (b"9", b"hex", 12),
+        (b"f", b"hex", 64),
+        (b"c", b"hex", 24),
+        (b"c", b"hex", 12),
+        (b"12", b"hex", 12),
+        (b"64", b"hex", 64),
+        (b"9", b"dec", 12),
+        (b"15", b"dec", 64),
+        (b"16", b"dec", 16),
+        (b"12", b"dec", 12),
+    ],
+)
+def test_more_than_eight_bytes_behind_a_d_are_those_of_can_fd(code: bytes, base: bytes, length: int) -> None:
+    """A code of the DLC field, or the number of bytes itself, as the bytes that follow show."""
+    payload = bytes(range(10, 10 + length))
+    shown = b" ".join(b"%02x" % byte if base == b"hex" else b"%d" % byte for byte in payload)
+    text = b"base " + base + b" timestamps absolute\n1.0 1 100 Rx d " + code + b" " + shown
+    batch, counts = read(text + b"  Length = 0 BitCount = 64\n1.1 1 100 Rx d 1 10\n")
+    assert batch is not None
+    assert counts == LogCounts(frames=2, skipped=1)
+    assert (batch.length.tolist(), batch.flags.tolist()) == ([length, 1], [FD_FLAG, 0])
+    assert batch.data[0, :length].tobytes() == payload
+    assert not batch.data[0, length:].any()
+
+
+@pytest.mark.parametrize("code", [b"9", b"f", b"d"])
+def test_a_classic_frame_has_eight_bytes_whatever_its_code(code: bytes) -> None:
+    batch, counts = read(HEADER + b"1.0 1 100 Rx d " + code + b" 11 22 33 44 55 66 77 88\n")
+    assert batch is not None
+    assert (batch.length.tolist(), batch.flags.tolist(), counts.rejected) == ([8], [0], {})
+
+
+@pytest.mark.parametrize("name", [b"2ndGear", b"1_Name", b"0x1", b"10"])
+def test_the_name_of_a_message_may_begin_with_a_digit(name: bytes) -> None:
+    batch, counts = read(HEADER + b"1.0 CANFD 1 Rx 123 " + name + b" 1 0 2 2 11 22 0 0 1000 0 0 0 0 0\n")
+    assert batch is not None
+    assert (batch.length.tolist(), batch.can_id.tolist(), counts.rejected) == ([2], [0x123], {})
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        b"?  A0  Rx d 2 11 22",
+        b"-1  A0  Rx d 2 11 22",
+        b"can0  18FEF100x  Tx d 2 11 22",
+        b"None  A0  Rx r",
+        b"CANFD   ?  Rx  123  1 0 2 2 11 22 0 0 1000 0 0 0 0 0",
+        b"CANFD  can1  Tx  123  Name 1 0 2 2 11 22 0 0 1000 0 0 0 0 0",
+    ],
+)
+def test_a_frame_of_a_channel_that_is_none_is_counted(event: bytes) -> None:
+    batch, counts = read(HEADER + b"   1.000002 " + event + b"\n")
+    assert batch is None
+    assert counts.rejected == {LogReject.MALFORMED: 1}
+    assert counts.first_rejected == "line 4: malformed"
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        b"1  J1939TP FEE3p 6 0 0 - Rx d 39 45 00 20 4E",
+        b"Li 1  Rx 3c 8 01 02 03 04 05 06 07 08",
+        b"ETH 1 Rx 5a:0102",
+        b"CANFD   Start of measurement",
+        b"CAN 1 Status:chip status error active - TxErr: 8 RxErr: 0",
+    ],
+)
+def test_events_of_other_buses_stay_skipped(event: bytes) -> None:
+    batch, counts = read(HEADER + b"   1.000002 " + event + b"\n")
+    assert batch is None
+    assert counts == LogCounts(skipped=4)

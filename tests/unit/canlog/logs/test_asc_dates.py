@@ -35,6 +35,13 @@ def local_us(*parts: int) -> int:
         (b"2026-01-01 10:00:00.250", 10, 250),
         (b"2026-01-01T10:00:00.250", 10, 250),
         (b"2026/1/1 10:00:00", 10, 0),
+        (b"1/1/2026 10:00:00 PM", 22, 0),  # the same day in either order
+        (b"jue. ene. 1 10:00:00.005 p. m. 2026", 22, 5),
+        (b"Do Jan 01 10:00:00.005 nachm. 2026", 22, 5),
+        (b"Do Jan 01 10:00:00.005 vorm. 2026", 10, 5),
+        ("周四 1月 01 10:00:00.005 下午 2026".encode(), 22, 5),
+        ("周四 1月 01 上午 10:00:00.005 2026".encode(), 10, 5),
+        ("木 1月 01 10:00:00.005 午後 2026".encode(), 22, 5),
     ],
 )
 def test_times(text: bytes, hour: int, milliseconds: int) -> None:
@@ -98,3 +105,8 @@ def test_a_date_in_utc_is_not_local() -> None:
 )
 def test_a_date_that_is_not_understood_is_none(text: bytes) -> None:
     assert date_us(text) is None
+
+
+@pytest.mark.parametrize("text", [b"13/2/2026 10:00:00 am", b"2/13/2026 10:00:00 AM", b"02/13/2026 10:00:00"])
+def test_numbers_of_which_one_can_be_no_month_are_a_day(text: bytes) -> None:
+    assert date_us(text) == local_us(2026, 2, 13, 10)

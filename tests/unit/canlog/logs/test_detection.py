@@ -18,6 +18,10 @@ LINES = {
     LogFormat.CONSOLE: b"  can0  0A0   [8]  11 22 33 44 55 66 77 88",
     LogFormat.CARBUS: b"46,016\t1\t0004\t45A\t8\t5A 04 00 00 00 00 00 00\t00000000\tZ       \t",
     LogFormat.CANHACKER: b"00.000 00004000 8 36 47 19 43 01 00 00 80",
+    LogFormat.CANKING: b" 0    0CFBFFDB X       8  1B  31  20  EB  B3  FF  D9  FF     100.000139 R",
+    LogFormat.CANBOAT: b"2011-11-24-22:42:04.388,2,127251,36,255,8,7d,0b,7d,02,00,ff,ff,ff",
+    LogFormat.YACHT_DEVICES: b"17:33:21.107 R 19F51323 01 2F 30 70 00 2F 30 70",
+    LogFormat.ACTISENSE: b"A173321.107 23FF7 1F513 012F3070002F30709F",
     LogFormat.MICROCHIP: b"1247;RX;0xC2;2;0x5C;0x87",
 }
 HEADERS = {
@@ -29,6 +33,7 @@ HEADERS = {
     LogFormat.CLX000: b"# Logger type: CL2000",
     LogFormat.CARBUS: b"@ TEXT @ 3 @ 64 @ 0 @ 13958 @ 16478 @ 00:00:16.478 @",
     LogFormat.CANHACKER: b"Time   ID     DLC Data                    Comment",
+    LogFormat.CANKING: b"Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir",
     LogFormat.MICROCHIP: b"Microchip Technology Inc.",
 }
 PROSE = b"What was measured on the second day, with the same car:"
@@ -53,6 +58,9 @@ def test_a_header_decides(log_format: LogFormat, header: bytes) -> None:
         (b"LOGG" + bytes(200), LogFormat.BLF),
         (b"SQLite format 3\0", LogFormat.SQLITE),
         (b"UnFinMF 4.11", LogFormat.MF4),
+        (bytes.fromhex("d4c3b2a102000400000000000000000000000400e3000000"), LogFormat.PCAP),
+        (bytes.fromhex("a1b23c4d0002000400000000000000000004000000000071"), LogFormat.PCAP),
+        (bytes.fromhex("0a0d0d0a1c0000004d3c2b1a"), LogFormat.PCAPNG),
     ],
 )
 def test_a_binary_format_names_itself(probe: bytes, log_format: LogFormat) -> None:
@@ -105,7 +113,11 @@ def test_a_text_in_utf_16_is_said_to_be_one(encoding: str) -> None:
 
 @pytest.mark.parametrize(
     ("probe", "name"),
-    [(b"7z\xbc\xafrest", "a 7z archive"), (b"\xd4\xc3\xb2\xa1rest", "a pcap capture"), (b"\x89PNG\r\n", "a picture")],
+    [
+        (b"7z\xbc\xafrest", "a 7z archive"),
+        (b"\xd4\xc3\xb2\xa1".ljust(24, b"\1"), "a pcap capture of another"),
+        (b"\x89PNG\r\n", "a picture"),
+    ],
 )
 def test_other_formats_are_named(probe: bytes, name: str) -> None:
     with pytest.raises(SourceError, match=name):

@@ -323,6 +323,7 @@ def test_the_directions_of_gvret_and_the_new_trc() -> None:
         (LogFormat.BUSMASTER, BUSMASTER % b"SYSTEM", b"16:49:37:3329 Rx 1 0x144 q 1 5E"),
         (LogFormat.CRTD, b"", b"12.6 Q11 402 00"),
         (LogFormat.CRTD, b"", b"12.6 R11 402 0"),
+        (LogFormat.CRTD, b"", b"12.6 can0R11 402 00"),  # events have three letters
         (LogFormat.CRTD, b"", b"\xff\x00\x80"),
     ],
 )

@@ -1,6 +1,7 @@
 """Which drives files and folders stand for."""
 
 import os
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -80,3 +81,40 @@ def test_what_stands_for_nothing_is_refused(folder: Path) -> None:
     (folder / "empty").mkdir()
     with pytest.raises(ConfigError, match="holds no log"):
         find_drives([folder / "empty"])
+
+
+def test_a_link_to_a_log_of_the_folder_is_left_out_and_its_log_is_read_once(folder: Path) -> None:
+    (folder / "a link.log").symlink_to(folder / "b.log")
+    (folder / "sub" / "z.log").symlink_to("../b.log")
+    found = find_drives([folder])
+    assert [drive.paths for drive in found.drives] == [(folder / "b.log",), (folder / "sub" / "a.dat",)]
+    assert [(str(one.path.relative_to(folder)), one.reason) for one in found.left_out if one.path.is_symlink()] == [
+        ("a link.log", f"a link to {folder / 'b.log'}, which is read already"),
+        ("sub/z.log", f"a link to {folder / 'b.log'}, which is read already"),
+    ]
+
+
+def test_a_link_to_a_log_elsewhere_is_a_log_once(folder: Path) -> None:
+    inside = folder / "sub"
+    for name in ("l.log", "m.log"):
+        (inside / name).symlink_to(folder / "b.log")
+    found = find_drives([inside])
+    assert [drive.paths for drive in found.drives] == [(inside / "a.dat",), (inside / "l.log",)]
+    assert [(one.path.name, one.reason) for one in found.left_out] == [
+        ("m.log", f"a link to {inside / 'l.log'}, which is read already")
+    ]
+
+
+def test_an_archive_of_several_logs_is_a_folder_where_it_is_named(folder: Path) -> None:
+    for name, count in (("many.zip", 2), ("one.zip", 1)):
+        with zipfile.ZipFile(folder / name, "w") as archive:
+            archive.writestr("read.me", b"no log")
+            for number in range(count):
+                archive.writestr(f"day {number}/drive.log", LINE)
+    found = find_drives([folder / "many.zip"])
+    assert [drive.paths for drive in found.drives] == [
+        (folder / "many.zip" / "day 0" / "drive.log",),
+        (folder / "many.zip" / "day 1" / "drive.log",),
+    ]
+    assert [one.path.name for one in found.left_out] == ["read.me"]
+    assert [drive.paths for drive in find_drives([folder / "one.zip"]).drives] == [(folder / "one.zip",)]

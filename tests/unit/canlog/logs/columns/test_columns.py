@@ -7,11 +7,13 @@ from itertools import permutations
 import pytest
 
 from canlog.errors import SourceError
-from canlog.frames import EXTENDED_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.logs.columns import ColumnsLog, columns_seen
 from canlog.logs.columns.canhacker import CanHacker
-from canlog.logs.columns.carbus import Carbus
+from canlog.logs.columns.canking import LAYOUT as CANKING
+from canlog.logs.columns.carbus import LAYOUT as CARBUS
 from canlog.logs.columns.clx000 import Clx000
+from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.microchip import Microchip
 from canlog.logs.detection import LogFormat, detect
 from canlog.logs.log_counts import LogCounts
@@ -168,7 +170,12 @@ def test_the_minutes_of_carbus_and_canhacker_go_on() -> None:
         f"{second},{ms:03d}\t1\t0004\t45A\t1\t5A\t00000000\tZ\t\n"
         for second, ms in (("59", 990), ("00", 10), ("59", 999), ("30", 0))
     )
-    assert [t_us for t_us, _, _ in rows(read(Carbus(), carbus)[0])] == [59_990_000, 60_010_000, 59_999_000, 90_000_000]
+    assert [t_us for t_us, _, _ in rows(read(TableLog(CARBUS), carbus)[0])] == [
+        59_990_000,
+        60_010_000,
+        59_999_000,
+        90_000_000,
+    ]
     hacker = "Time   ID     DLC Data    Comment\n59.990 00000280 1 01 so it was\n00.010 00004000 2 01 FF\n"
     assert rows(read(CanHacker(), hacker)[0]) == [
         (59_990_000, 0x280, "01"), (60_010_000, 0x4000 | EXTENDED_FLAG, "01ff"),
@@ -212,3 +219,54 @@ def test_the_day_of_a_log_of_microchip_may_be_unclear() -> None:
     assert (batch.flags.tolist(), counts.skipped, counts.rejected, clear.notes) == ([TX_FLAG], 4, {}, [])
     assert rows(read(unclear, head.format(3))[0]) == [(1_247_000, 0xC2, "5c87")]
     assert "may be two days" in unclear.notes[0]
+
+
+def test_a_trace_of_canhacker_may_have_decimal_commas() -> None:
+    lines = "00,250 00000280 2 01 FF\n59,990 00000280 1 02\n00,010 00000280 1 03\n"
+    for text in (lines, "Time   ID     DLC Data                    Comment\n" + lines):
+        assert detect(text.encode()).format is LogFormat.CANHACKER
+        batch, counts = read(CanHacker(), text)
+        assert [t_us for t_us, _, _ in rows(batch)] == [250_000, 59_990_000, 60_010_000]
+        assert counts.rejected == {}
+
+
+def test_remote_frames_of_ixxat_say_so_where_others_have_bytes() -> None:
+    header = 'ASCII Trace IXXAT MiniMon V3\n"Time","Identifier (hex)","Format","Flags","Data (hex)"\n'
+    lines = (
+        '"00:00:01.5","184","Std","","00 06"\n"00:00:01.6","185","Std","Rtr","Remote request DLC = 4"\n'
+        '"00:00:01.7","18FEF100","Ext","Rtr","Remote request  DLC=8"\n"00:00:01.8","185","Std","","Rubbish"\n'
+    )
+    batch, counts = read(ColumnsLog(), header + lines)
+    assert batch.can_id.tolist() == [0x184, 0x185 | REMOTE_FLAG, 0x18FEF100 | EXTENDED_FLAG | REMOTE_FLAG]
+    assert batch.length.tolist() == [2, 4, 8]
+    assert not batch.data[1:].any()
+    assert counts.first_rejected == "line 6: malformed"
+
+
+def test_what_stands_behind_the_bytes_of_canking_is_read() -> None:
+    header = "Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir\n"
+    lines = (
+        " 0    0000014B         1  00                                1675.570498 T\n"
+        " 1    00002102 X       2  60  5F                                1.5 R\n"
+        " 2    00000000            ErrorFrame                            2.25 R\n"
+        " 3    00000123 R       4                                        3 R\n"
+        " 3    00000123         0                                        4 R\n"
+        "Logging stopped.\n"
+    )
+    batch, counts = read(TableLog(CANKING), header + lines)
+    kinds = [0x14B, 0x2102 | EXTENDED_FLAG, ERROR_FLAG, 0x123 | REMOTE_FLAG, 0x123]
+    assert rows(batch) == list(zip(
+        (1_675_570_498, 1_500_000, 2_250_000, 3_000_000, 4_000_000), kinds, ("00", "605f", "", "00000000", ""),
+        strict=True,
+    ))  # fmt: skip
+    assert batch.channel.tolist() == [0, 1, 2, 3, 3]
+    assert batch.flags.tolist() == [TX_FLAG, 0, 0, 0, 0]
+    assert counts == LogCounts(skipped=2)
+
+
+@pytest.mark.parametrize(
+    "line", ["0 123 2 11 1.5 R", "0 123 2 11 22 33 1.5 R", "0 123 2 11 22 1.5", "0 123 2 11 22", "0 123 ? 1 11 1.5 R"]
+)
+def test_a_line_of_canking_that_lacks_something_is_counted(line: str) -> None:
+    batch, counts = read(TableLog(CANKING), "0 123 1 11 1.5 R\n" + line)
+    assert (len(batch), counts.first_rejected) == (1, "line 2: malformed")

@@ -1,0 +1,180 @@
+"""The packets of captures, compiled: found one by one, frames written into columns."""
+
+import numpy as np
+
+from canlog.arrays import Int64Array, UInt8Array
+from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG
+from canlog.jit import array_kernel, inlined_kernel
+from canlog.logs import text_kernels as outcomes
+from canlog.logs.frame_buffer import FrameRows
+from canlog.logs.word_kernels import lower, reversed_bytes
+
+# What has been done, and how it goes on.
+POSITION, ROWS, PACKETS, SKIPPED, MALFORMED, FIRST_MALFORMED, DAMAGED, FIRST_DAMAGED = range(8)
+IS_LOST, TOO_WIDE, BLOCK, IS_BIG, IS_BLOCKS, INTERFACES, LAST_S, REPORT_FIELDS = range(8, 16)
+# What is known of an interface: its kind of link, ticks a second, what is to be added to its times, its number.
+LINK, TICKS, OFFSET_S, CHANNEL, INTERFACE_FIELDS = range(5)
+
+SOCKETCAN, COOKED, COOKED_2 = LINKS = 227, 113, 276
+# Where a cooked header has hardware, protocol, whether the packet was sent; its length.
+COOKED_PLACES, COOKED_2_PLACES, COOKED_2_INTERFACE = (2, 14, 1, 16), (8, 0, 10, 20), 4
+CAN_HARDWARE, FD_PROTOCOL, XL_PROTOCOL, OUTGOING = 280, 0x000D, 0x000E, 4  # of if_arp.h and if_ether.h
+SECTION_HEADER, INTERFACE, SIMPLE_PACKET, PACKET = 0x0A0D_0D0A, 1, 3, 6
+HEADER_BYTES, PACKET_BYTES, LEAST_BLOCK_BYTES = 16, 28, 12  # of a packet in pcap; in pcapng up to its data
+LEAST_RECORD_BYTES = 24  # with the header of a frame
+FRAME_HEADER_BYTES, FD_FRAME_BYTES = 8, 72
+LONGEST_PACKET, LONGEST_FRAME_PACKET, LONGEST_BLOCK = 262_144, 92, 16 * 1024 * 1024
+MOST_STEP_S = 86_400  # from packet to packet, where the place of a packet has to be guessed
+LAST_TIME_S = 9_200_000_000
+NS_PER_US, NS_PER_S = 1_000, 1_000_000_000
+FD_BIT, BRS_BIT, ESI_BIT, XL_BIT = 0x04, 0x01, 0x02, 0x80  # of a frame's flags; the last one of its length
+STANDARD_ID, EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
+
+
+@array_kernel
+def parse_records(
+    raw: UInt8Array,
+    interfaces: Int64Array,
+    rows: FrameRows,
+    report: Int64Array,
+    goes_on: bool,  # noqa: FBT001 - of a kernel
+) -> None:
+    """Go through the records of a buffer, up to the first that it does not hold whole, or that tells of the others.
+
+    Where a record cannot be, the next place where one can be is looked for; that is counted as damage.
+    """
+    at = report[POSITION]
+    report[TOO_WIDE] = report[BLOCK] = 0
+    while True:
+        size = _record_bytes(raw, at, interfaces, report)
+        if size < 0:
+            report[FIRST_DAMAGED] = report[FIRST_DAMAGED] if report[DAMAGED] else report[PACKETS] + 1
+            report[DAMAGED] += not report[IS_LOST]
+            report[IS_LOST] = 1
+            at += 1
+            continue
+        if size == 0 or at + size > raw.size:
+            at = raw.size if report[IS_LOST] and not goes_on else at  # nothing more to be found
+            break
+        report[IS_LOST] = 0
+        kind = _long(raw, at, report[IS_BIG]) if report[IS_BLOCKS] else PACKET
+        if kind == INTERFACE or kind == SECTION_HEADER:  # noqa: PLR1714, SIM109 - no tuple in a kernel
+            report[BLOCK] = 1
+            break
+        outcome = outcomes.MALFORMED if kind == SIMPLE_PACKET else outcomes.SKIPPED  # that has no time
+        if kind == PACKET:
+            outcome = _packet(raw, at, size, interfaces, rows, report)
+        if outcome == outcomes.TOO_LONG:
+            report[TOO_WIDE] = 1
+            break
+        report[PACKETS] += 1
+        report[ROWS] += outcome == outcomes.FRAME
+        report[SKIPPED] += outcome == outcomes.SKIPPED
+        if outcome == outcomes.MALFORMED:
+            report[FIRST_MALFORMED] = report[FIRST_MALFORMED] if report[MALFORMED] else report[PACKETS]
+            report[MALFORMED] += 1
+        at += size
+    report[POSITION] = at
+
+
+@inlined_kernel
+def _long(raw: UInt8Array, at: int, is_big: int) -> int:
+    value = lower(raw, at)
+    return reversed_bytes(value) if is_big else value
+
+
+@inlined_kernel
+def _short(raw: UInt8Array, at: int) -> int:
+    """Return two bytes in network byte order."""
+    return int(raw[at]) << 8 | int(raw[at + 1])
+
+
+@array_kernel
+def _record_bytes(raw: UInt8Array, at: int, interfaces: Int64Array, report: Int64Array) -> int:
+    """Return how long a record is, 0 if the buffer does not tell, -1 if there can be none."""
+    is_big, is_lost = report[IS_BIG], report[IS_LOST] != 0
+    if at + (LEAST_BLOCK_BYTES if report[IS_BLOCKS] else HEADER_BYTES) > raw.size:
+        return 0
+    if not report[IS_BLOCKS]:
+        seconds, part, size = _long(raw, at, is_big), _long(raw, at + 4, is_big), _long(raw, at + 8, is_big)
+        is_sound = size <= LONGEST_PACKET and part < interfaces[0, TICKS]
+        if is_lost:
+            is_sound = is_sound and FRAME_HEADER_BYTES <= size <= LONGEST_FRAME_PACKET
+            is_sound = is_sound and size == _long(raw, at + 12, is_big)
+            is_sound = is_sound and abs(seconds - report[LAST_S]) <= MOST_STEP_S
+        return HEADER_BYTES + size if is_sound else -1
+    if lower(raw, at) == SECTION_HEADER:  # the same in either order; what follows says which it is
+        is_big = int(raw[at + 8] == 0x1A)
+    kind, size = _long(raw, at, is_big), _long(raw, at + 4, is_big)
+    least_bytes = PACKET_BYTES + 4 if kind == PACKET else LEAST_BLOCK_BYTES
+    is_sound = size % 4 == 0 and least_bytes <= size <= LONGEST_BLOCK
+    is_known = 0 < kind <= PACKET or kind == SECTION_HEADER
+    if not is_sound or (is_lost and (size > LONGEST_PACKET or not is_known)):
+        return -1
+    return size if at + size > raw.size or _long(raw, at + size - 4, is_big) == size else -1
+
+
+@array_kernel
+def _packet(  # noqa: PLR0911 - one for each reason
+    raw: UInt8Array, at: int, size: int, interfaces: Int64Array, rows: FrameRows, report: Int64Array
+) -> int:
+    """Write the frame of a packet into a row; return FRAME, or what else it is."""
+    is_big, number = report[IS_BIG], 0
+    if report[IS_BLOCKS]:
+        number, length = _long(raw, at + 8, is_big), _long(raw, at + 20, is_big)
+        if number >= report[INTERFACES] or length > size - PACKET_BYTES - 4:
+            return outcomes.MALFORMED
+        ticks = _long(raw, at + 12, is_big) << 32 | _long(raw, at + 16, is_big)
+        seconds, part = ticks // interfaces[number, TICKS], ticks % interfaces[number, TICKS]
+        at += PACKET_BYTES
+    else:
+        seconds, part, length = _long(raw, at, is_big), _long(raw, at + 4, is_big), size - HEADER_BYTES
+        at += HEADER_BYTES
+    seconds += interfaces[number, OFFSET_S]
+    if not 0 <= seconds < LAST_TIME_S:
+        return outcomes.MALFORMED
+    report[LAST_S], row = seconds, report[ROWS]
+    time_ns = seconds * NS_PER_S + part * NS_PER_S // interfaces[number, TICKS]
+    rows.t_ns[row] = (time_ns + NS_PER_US // 2) // NS_PER_US * NS_PER_US
+    rows.channel[row], rows.flags[row] = interfaces[number, CHANNEL], 0
+    if interfaces[number, LINK] == SOCKETCAN:
+        return _frame(raw, at, length, rows, row, 0, 1)
+    if interfaces[number, LINK] == COOKED_2 and length >= HEADER_BYTES:
+        rows.channel[row] = min(_long(raw, at + COOKED_2_INTERFACE, 1), 255)
+    elif interfaces[number, LINK] != COOKED:
+        return outcomes.SKIPPED
+    hardware, protocol, sent, header = COOKED_PLACES if interfaces[number, LINK] == COOKED else COOKED_2_PLACES
+    if length < header:
+        return outcomes.MALFORMED
+    if _short(raw, at + hardware) != CAN_HARDWARE:
+        return outcomes.SKIPPED
+    rows.flags[row] = TX_FLAG * (raw[at + sent] == OUTGOING)
+    return _frame(raw, at + header, length - header, rows, row, _short(raw, at + protocol), is_big)
+
+
+@array_kernel
+def _frame(raw: UInt8Array, at: int, size: int, rows: FrameRows, row: int, protocol: int, is_big: int) -> int:
+    """Write a frame as SocketCAN has them into a row; return as ``_packet``."""
+    if size < FRAME_HEADER_BYTES or protocol == XL_PROTOCOL or raw[at + 4] & XL_BIT:
+        return outcomes.MALFORMED
+    said, count, bits = _long(raw, at, is_big), int(raw[at + 4]), int(raw[at + 5])
+    is_remote = said & (REMOTE_FLAG | ERROR_FLAG) == REMOTE_FLAG
+    is_fd = protocol == FD_PROTOCOL or bits & FD_BIT != 0 or size == FD_FRAME_BYTES or count > PAYLOAD_BYTES
+    can_id = said & ~REMOTE_FLAG
+    if said & ERROR_FLAG:
+        can_id = said & EXTENDED_ID | ERROR_FLAG
+    elif not said & EXTENDED_FLAG and can_id > STANDARD_ID:
+        return outcomes.MALFORMED
+    stored = 0 if is_remote else count
+    if (is_fd and said & (REMOTE_FLAG | ERROR_FLAG)) or size < FRAME_HEADER_BYTES + stored:
+        return outcomes.MALFORMED
+    if count >= len(outcomes.IS_LENGTH) or not outcomes.IS_LENGTH[count]:
+        return outcomes.MALFORMED
+    if count > rows.data.shape[1]:
+        return outcomes.TOO_LONG
+    if is_fd:
+        rows.flags[row] |= FD_FLAG | (BRS_FLAG if bits & BRS_BIT else 0) | (ESI_FLAG if bits & ESI_BIT else 0)
+    rows.can_id[row], rows.length[row] = np.uint32(can_id | (REMOTE_FLAG if is_remote else 0)), count
+    for index in range(rows.data.shape[1]):
+        rows.data[row, index] = raw[at + FRAME_HEADER_BYTES + index] if index < stored else 0
+    return outcomes.FRAME

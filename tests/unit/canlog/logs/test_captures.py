@@ -1,0 +1,134 @@
+"""Captures in pcap and pcapng: which packets are frames, what is skipped, and where the reader goes on after damage."""
+
+import io
+import struct
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from canlog.errors import SourceError
+from canlog.frame_columns import join
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
+from canlog.logs.captures import capture_of, read_capture
+from canlog.logs.log_counts import LogCounts, LogReject
+from tests.support.capture_grammars import COOKED, ETHERNET, SOCKETCAN, block, option, pcap, pcapng, socketcan
+from tests.support.log_grammars import Frame
+
+FRAME = Frame(t_us=1_000, can_id=0x123, is_extended=False, length=3, data=b"\1\2\3")
+FRAMES = [replace(FRAME, t_us=1_000 * number) for number in range(10)]
+PCAP_HEADER = struct.pack("<LHHLLLL", 0xA1B2C3D4, 2, 4, 0, 0, 262144, SOCKETCAN)
+SECTION = block("<", 0x0A0D0D0A, struct.pack("<LHHq", 0x1A2B3C4D, 1, 0, -1))
+
+
+def read(contents: bytes) -> tuple[FrameBatch, LogCounts]:
+    counts = LogCounts()
+    batches = list(read_capture(io.BytesIO(contents), counts))
+    return join(batches), counts
+
+
+def record(packet: bytes, seconds: int = 1, part: int = 5, stated: int | None = None) -> bytes:
+    size = len(packet) if stated is None else stated
+    return struct.pack("<LLLL", seconds, part, size, size) + packet
+
+
+@pytest.mark.parametrize(
+    ("packet", "outcome"),
+    [
+        (socketcan(FRAME), ""),
+        (socketcan(FRAME)[:11], ""),
+        (socketcan(FRAME)[:10], "malformed"),  # the capture took less of a packet than it has
+        (socketcan(FRAME)[:7], "malformed"),
+        (socketcan(replace(FRAME, can_id=0x800)), "malformed"),
+        (socketcan(replace(FRAME, length=9, is_fd=True)), "malformed"),
+        (socketcan(replace(FRAME, length=65, is_fd=True)), "malformed"),
+        (socketcan(FRAME)[:4] + b"\x81" + socketcan(FRAME)[5:], "malformed"),  # of CAN XL
+        (socketcan(replace(FRAME, is_remote=True, is_fd=True)), "malformed"),
+    ],
+)
+def test_a_packet_is_a_frame_or_has_a_reason(packet: bytes, outcome: str) -> None:
+    batch, counts = read(PCAP_HEADER + record(socketcan(FRAME)) + record(packet))
+    assert len(batch) == (1 if outcome else 2)
+    assert counts.rejected == ({LogReject.MALFORMED: 1} if outcome else {})
+    assert counts.first_rejected == ("packet 2: malformed" if outcome else "")
+
+
+def test_an_error_frame_keeps_its_class_and_what_it_carries() -> None:
+    packet = struct.pack(">LB3x8s", ERROR_FLAG | 0x44, 8, b"\0\x08\0\0\0\0\0\0")
+    batch, _ = read(PCAP_HEADER + record(packet))
+    assert batch.can_id.tolist() == [ERROR_FLAG | 0x44]
+    assert (batch.length[0], batch.data[0, 1]) == (8, 8)
+
+
+def test_a_long_payload_needs_no_mark_to_be_one_of_can_fd() -> None:
+    """Older programs wrote none; the size of the packet, or of the payload, says so."""
+    long = struct.pack(">LB3x", 0x123 | EXTENDED_FLAG, 12) + bytes(range(12))
+    padded = struct.pack(">LB3x", 0x123, 2).ljust(72, b"\0")
+    batch, _ = read(PCAP_HEADER + record(long) + record(padded))
+    assert (batch.length.tolist(), batch.flags.tolist()) == ([12, 2], [FD_FLAG, FD_FLAG])
+
+
+def test_packets_of_other_networks_are_skipped(tmp_path: Path) -> None:
+    pcapng(COOKED, ">", 9, has_others=True)(tmp_path / "a.pcapng", FRAMES)
+    batch, counts = read((tmp_path / "a.pcapng").read_bytes())
+    assert len(batch) == len(FRAMES)
+    assert counts == LogCounts(frames=len(FRAMES), skipped=3 * len(FRAMES))
+    assert capture_of(PCAP_HEADER) == "pcap"
+    with pytest.raises(SourceError, match=r"another kind of network than CAN \(link type 1\)"):
+        capture_of(PCAP_HEADER[:20] + struct.pack("<L", ETHERNET))
+
+
+@pytest.mark.parametrize("name", ["pcap", "pcapng"])
+@pytest.mark.parametrize("garbage", [b"\xff" * 7, b"\xff" * 4096, bytes(range(256)) * 3])
+def test_what_stands_between_packets_is_stepped_over(name: str, garbage: bytes, tmp_path: Path) -> None:
+    (pcap if name == "pcap" else pcapng)(SOCKETCAN)(tmp_path / "a", FRAMES)
+    sound = (tmp_path / "a").read_bytes()
+    record_bytes = 32 if name == "pcap" else 56
+    place = len(sound) - 4 * record_bytes
+    batch, counts = read(sound[:place] + garbage + sound[place:])
+    assert np.diff(batch.t_ns).tolist() == [1_000_000] * 9
+    assert counts.rejected == {LogReject.DAMAGED: 1}
+    assert counts.first_rejected == "packet 7: damaged"
+
+
+@pytest.mark.parametrize("name", ["pcap", "pcapng"])
+def test_the_end_may_be_missing(name: str, tmp_path: Path) -> None:
+    (pcap if name == "pcap" else pcapng)(SOCKETCAN)(tmp_path / "a", FRAMES)
+    sound = (tmp_path / "a").read_bytes()
+    for missing in (1, 5, 20, 31):
+        batch, counts = read(sound[:-missing])
+        assert len(batch) == 9
+        assert counts.rejected == {LogReject.CUT_OFF: 1}
+        assert counts.truncated
+    with pytest.raises(SourceError, match="inside its header"):
+        read(PCAP_HEADER[:20])
+
+
+def test_a_section_begins_anew_in_its_own_byte_order(tmp_path: Path) -> None:
+    pcapng(SOCKETCAN, "<")(tmp_path / "a", FRAMES)
+    pcapng(SOCKETCAN, ">", 9)(tmp_path / "b", FRAMES)
+    batch, counts = read((tmp_path / "a").read_bytes() + (tmp_path / "b").read_bytes())
+    assert batch.t_ns[:10].tolist() == batch.t_ns[10:].tolist()
+    assert counts == LogCounts(frames=20)
+
+
+@pytest.mark.parametrize("resolution", [12, 0x80 | 40, 0xFF])
+def test_an_interface_of_too_fine_a_clock_is_not_read(resolution: int) -> None:
+    interface = block("<", 1, struct.pack("<HHL", SOCKETCAN, 0, 0) + option("<", 9, bytes([resolution])))
+    packet = block("<", 6, struct.pack("<LLLLL", 0, 0, 5, 16, 16) + socketcan(FRAME))
+    unknown = block("<", 6, struct.pack("<LLLLL", 7, 0, 5, 16, 16) + socketcan(FRAME))
+    simple = block("<", 3, struct.pack("<L", 16) + socketcan(FRAME))
+    counts = LogCounts()
+    assert list(read_capture(io.BytesIO(SECTION + interface + packet + unknown + simple), counts)) == []
+    assert counts.skipped == 1
+    assert counts.rejected == {LogReject.MALFORMED: 2}
+
+
+def test_packets_longer_than_a_piece_are_read(tmp_path: Path) -> None:
+    pcapng(SOCKETCAN)(tmp_path / "a", FRAMES)
+    secret = block("<", 10, bytes(3 * 2**20))
+    sound = (tmp_path / "a").read_bytes()
+    batch, counts = read(sound[: -56 * 5] + secret + sound[-56 * 5 :])
+    assert len(batch) == 10
+    assert counts == LogCounts(frames=10, skipped=1)
