@@ -4,7 +4,8 @@ import math
 import secrets
 import threading
 import time
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -30,9 +31,8 @@ from ecu_emulator.on_board import FixedOpinion, OpinionSource
 from ecu_emulator.requested_adaptation import AdaptedCar, RequestedAdaptation
 from ecu_emulator.requested_clearing import RequestedClearing
 from ecu_emulator.requested_routine import Driven, Performer, RequestedRoutine
-from ecu_emulator.sent_values import SentValues
+from ecu_emulator.sent_values import OWN_NODE, SentValues
 
-OWN_NODE: Final = "TCU"
 RUNNING_RAD_S: Final = 30.0  # engine speed that no starter reaches
 _NS_PER_S: Final = 1e9
 
@@ -64,6 +64,10 @@ class Answering:
         Whose estimate of the clutches the controller has; None: it has none.
     performer
         The car that performs the routines of the workshop when a tester starts them; None: it cannot.
+    ignition
+        Gets the times of the drive [s] at which a parked car is switched on, ahead of the frames; they are taken out.
+    clock
+        Returns a time [s] that never goes back.
 
     Raises
     ------
@@ -83,6 +87,8 @@ class Answering:
         bitrate: int | None = None,
         on_board: OpinionSource | None = None,
         performer: Car | None = None,
+        ignition: deque[float] | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         try:
             from ecu_emulator.diagnostics.link import DiagnosticLink  # noqa: PLC0415 - an extra
@@ -90,9 +96,14 @@ class Answering:
             raise ExtraMissingError("diagnostics need can-isotp: pip install 'clutchdiag[diagnostics]'") from exc
         self._bus = bus
         self._stack = ExitStack()
-        self._began_s = time.monotonic()
+        self._clock = clock
+        self._began_s = clock()
+        self._ignition: deque[float] = deque() if ignition is None else ignition
+        self._switched_on_s = math.inf  # next, time of the bus
+        self._epoch_s = 0.0
+        self._is_new_cycle = self._is_restarted = False  # what the monitors have not been told yet
         database = load_contract()
-        self._sent = SentValues(database)
+        self._sent = SentValues(database, clock)
         self._shift_id = database.get_message_by_name("TCU_Shift").frame_id
         self._pressure_id = database.get_message_by_name("TCU_Pressures").frame_id
         self._own_ids = {message.frame_id for message in database.messages if OWN_NODE in message.senders}
@@ -100,7 +111,7 @@ class Answering:
         self._driven = Driven()
         self._driven_s = -math.inf  # when the newest frame was due: the drive's time, also where sending lags behind
         self._looked_s = -math.inf  # at which moment of that the monitors looked last
-        self._engine_on_s: float | None = None  # since when the engine runs
+        self._engine_ran_s = 0.0  # since the controller was switched on
         self._is_over = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="monitors", daemon=True)
         self._error: BaseException | None = None
@@ -108,7 +119,7 @@ class Answering:
         store = None if memory is None else self._stack.enter_context(MemoryFile(memory, described))
         try:
             self.controller = Controller(
-                described, values=self._values, clock=time.monotonic, chance=secrets.token_bytes, store=store
+                described, values=self._values, clock=clock, chance=secrets.token_bytes, store=store
             )
             self._monitoring = Monitoring(
                 self.controller,
@@ -147,11 +158,16 @@ class Answering:
         if self._error is not None and error is None:
             raise self._error
 
+    def begin(self, epoch_s: float) -> None:
+        """Note at which time of the bus [s] the drive begins, before its first frame is sent."""
+        self._epoch_s = epoch_s
+
     def send(self, message: can.Message) -> None:
         """Put a frame on the bus, unless a tester has switched this controller's messages off (service 28)."""
         can_id = message.arbitration_id
         if not message.is_error_frame:
-            self._sent.note(can_id, bytes(message.data))
+            self._note_ignition(message.timestamp)
+            self._sent.note(can_id, bytes(message.data), message.timestamp)
             self._driven_s = max(self._driven_s, message.timestamp)
         if can_id == self._pressure_id and self._adaptation is not None and self._adaptation.is_listening:
             self._adaptation.hear(message.timestamp, self._sent.now({}))
@@ -169,7 +185,8 @@ class Answering:
         confirmed = [troubles[number].code for number, record in records.items() if record.status & Status.CONFIRMED]
         over_ip = {} if self.doip is None else {"doip": self.doip.counts}
         adapter = {} if self.elm327 is None else {"elm327": asdict(self.elm327.counts)}
-        return {**asdict(self.link.counts), **over_ip, **adapter, "confirmed": confirmed}
+        disbelieved = {"disbelieved_frames": self._sent.disbelieved_count}
+        return {**asdict(self.link.counts), **disbelieved, **over_ip, **adapter, "confirmed": confirmed}
 
     @property
     def places(self) -> list[str]:
@@ -197,43 +214,60 @@ class Answering:
             asked += f"; DoIP: {over_ip['requests']} requests, {over_ip['responses']} responses"
         if self.elm327 is not None:
             asked += f"; ELM327: {self.elm327.counts.lines} lines of {self.elm327.counts.clients} clients"
+        if self._sent.disbelieved_count:
+            problem += f"\n{self._sent.disbelieved_count} frames of others were not believed: wrong checksum or length"
         if self._on_board.problem is not None:
             problem += f"\nwarning: {self._on_board.problem}"
         return f"diagnostics: {asked}; confirmed trouble codes: {codes}{problem}"
 
+    def watch(self) -> None:
+        """Let the monitors judge what was sent, from when what they need has been; ten times a second if entered."""
+        if self._is_restarted:
+            self._is_restarted, is_new_cycle, self._is_new_cycle = False, self._is_new_cycle, False
+            self._engine_ran_s, self._looked_s = 0.0, -math.inf
+            self._monitoring.restart(is_new_cycle=is_new_cycle)
+        if self._sent.has_all(SENSED):
+            self._look()
+            self._monitoring.judge_clutches(self._on_board.opinions)
+
     def _look(self) -> None:
         """Judge the newest frames once: a sender that the machine keeps waiting makes no shift longer."""
-        driven_s = self._driven_s
-        if driven_s != self._looked_s:
+        driven_s, looked_s = self._driven_s, self._looked_s
+        if driven_s != looked_s:
             self._looked_s = driven_s
             values = self._values()
-            self._note_engine(values)
+            if values.get("engine_speed_rad_s", 0.0) >= RUNNING_RAD_S and math.isfinite(looked_s):
+                self._engine_ran_s += driven_s - looked_s
             self._monitoring.look(values, driven_s)
 
     def _watch(self) -> None:
-        """Let the monitors judge what the controllers say, from when those that they need have spoken."""
+        """Look after monitors and routines until the end."""
         try:
             while not self._is_over.wait(MONITOR_PERIOD_S):
-                if self._sent.has_all(SENSED):
-                    self._look()
-                    self._monitoring.judge_clutches(self._on_board.opinions)
+                self.watch()
                 if self._routine is not None:
                     is_live = self._on_board.is_live
-                    self._routine.step(self._driven, self._on_board.opinions, time.monotonic(), is_live=is_live)
+                    self._routine.step(self._driven, self._on_board.opinions, self._clock(), is_live=is_live)
                 if self._adaptation is not None:
                     self._adaptation.step(self._values())
                 self._clearing.step()
         except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
             self._error = exc
 
-    def _note_engine(self, values: Mapping[str, float]) -> None:
-        speed_rad_s = values.get("engine_speed_rad_s")
-        if speed_rad_s is None:
-            return
-        if speed_rad_s < RUNNING_RAD_S:
-            self._engine_on_s = None
-        elif self._engine_on_s is None:
-            self._engine_on_s = time.monotonic()
+    def _note_ignition(self, t_s: float) -> None:
+        """Begin anew with the first frame after the ignition was switched on."""
+        if math.isinf(self._switched_on_s) and self._ignition:
+            self._switched_on_s = self._epoch_s + self._ignition.popleft()
+        if t_s >= self._switched_on_s:
+            self._switched_on_s = math.inf
+            self._is_new_cycle = True
+            self._restart()
+
+    def _restart(self) -> None:
+        """Know nothing of the time before."""
+        self._sent.restart()
+        self._began_s = self._clock()
+        self._is_restarted = True
 
     def _count_shift(self, due_s: float) -> None:
         driven = self._driven
@@ -244,14 +278,15 @@ class Answering:
 
     def _values(self) -> Mapping[str, float]:
         more = {
-            "time_s": time.monotonic() - self._began_s,
+            "time_s": self._clock() - self._began_s,
             "shift_count": float(self._driven.shift_count),
-            "engine_run_time_s": 0.0 if self._engine_on_s is None else time.monotonic() - self._engine_on_s,
+            "engine_run_time_s": self._engine_ran_s,
             "revs_possible": float(self._routine is not None and self._routine.is_possible),
             "clearing_possible": float(self._clearing.is_possible),
             "adaptation_possible": float(self._adaptation is not None and self._adaptation.is_possible),
             **(self._adaptation.values if self._adaptation is not None else {}),
             **self._monitoring.temperatures,
+            **self._sent.silences,
             **values_of(self._on_board.opinions),
         }
         return self._sent.now(more)

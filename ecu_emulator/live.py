@@ -156,7 +156,10 @@ def send(
             sent.sent_until(sent_s)
             show(sent_s, frame_count)
 
-        report = transmit(answering or bus, sent.frames(), stop, start_delay_s=start_delay_s, on_progress=progress)
+        report = transmit(
+            answering or bus, sent.frames(), stop, start_delay_s=start_delay_s, on_progress=progress,
+            on_start=answering.begin if answering is not None else lambda _: None,
+        )  # fmt: skip
         sent.finish(report)
     result = {
         "scenario": scenario.name,
@@ -200,6 +203,7 @@ def _answering(
         bitrate=bus_choice.bitrate,
         on_board=_opinion_source(choice, bus_choice, scenario),
         performer=drive,
+        ignition=drive.ignition,
     )
 
 

@@ -54,7 +54,16 @@ class Monitoring:
     def look(self, values: Values, t_s: float) -> None:
         """Let the monitors judge what the controllers say at this moment of the drive, about ten times a second."""
         self._watch, samples = judge(self._watch, values, t_s, self._limits)
-        self._report(dict(samples), has_warmed_up=is_warm(values))
+        self._report(dict(samples), has_warmed_up=is_warm(self._watch, values))
+
+    def restart(self, *, is_new_cycle: bool) -> None:
+        """Forget what was sensed, as when the controller is switched on; a new operation cycle may begin with it."""
+        self._watch = Watch()
+        try:
+            if is_new_cycle:
+                self._controller.cycle()
+        except RecordError as exc:
+            self.problem = self.problem or str(exc)
 
     def judge_clutches(self, opinions: Opinions) -> None:
         """Let each new opinion of the clutches be a test, with the controller's values of that moment.

@@ -18,7 +18,8 @@ from tests.unit.ecu_emulator.diagnostics.bench import Bench
 TEXT = files("ecu_emulator").joinpath("diagnostics/tcu.toml").read_text(encoding="utf-8")
 PROBED_PIDS = sorted(set(range(0x100)) - set(range(0, 0x100, 0x20)))
 DRIVEN = {
-    "engine_speed_rad_s": 209.44, "vehicle_speed_m_s": 27.78, "coolant_temperature_k": 363.15, "time_s": 70_000.0,
+    "engine_speed_rad_s": 209.44, "vehicle_speed_m_s": 27.78, "coolant_temperature_k": 363.15,
+    "engine_run_time_s": 70_000.0,
     "odometer_m": 12_345_678.0, "throttle_ratio": 1.0, "pedal_ratio": 0.5, "ambient_temperature_k": 293.15,
     "manifold_pressure_pa": 60e3, "engine_torque_nm": -25.0,
 }  # fmt: skip
