@@ -14,6 +14,7 @@ from typing import Final, Protocol, Self
 
 import can
 
+from canlog.e2e.message_contract import message_contracts
 from dbc.contract import load_contract
 from ecu_emulator.bus import FrameSender
 from ecu_emulator.diagnostics.codes import Status
@@ -31,7 +32,7 @@ from ecu_emulator.on_board import FixedOpinion, OpinionSource
 from ecu_emulator.requested_adaptation import AdaptedCar, RequestedAdaptation
 from ecu_emulator.requested_clearing import RequestedClearing
 from ecu_emulator.requested_routine import Driven, Performer, RequestedRoutine
-from ecu_emulator.sent_values import OWN_NODE, SentValues
+from ecu_emulator.sent_values import OWN_NODE, SentValues, recounted
 
 RUNNING_RAD_S: Final = 30.0  # engine speed that no starter reaches
 _NS_PER_S: Final = 1e9
@@ -102,11 +103,14 @@ class Answering:
         self._switched_on_s = math.inf  # next, time of the bus
         self._epoch_s = 0.0
         self._is_new_cycle = self._is_restarted = False  # what the monitors have not been told yet
+        self._reset_s = 0.0  # until when a tester's last reset takes, time of the clock
+        self._counted_from: dict[int, int] | None = None  # alive counters as they went on after that reset
         database = load_contract()
         self._sent = SentValues(database, clock)
         self._shift_id = database.get_message_by_name("TCU_Shift").frame_id
         self._pressure_id = database.get_message_by_name("TCU_Pressures").frame_id
-        self._own_ids = {message.frame_id for message in database.messages if OWN_NODE in message.senders}
+        contracts = message_contracts(database).values()
+        self._own_ids = {one.can_id: one.data_id or 0 for one in contracts if one.sender == OWN_NODE}
         self._on_board: OpinionSource = on_board or FixedOpinion(None)
         self._driven = Driven()
         self._driven_s = -math.inf  # when the newest frame was due: the drive's time, also where sending lags behind
@@ -163,9 +167,10 @@ class Answering:
         self._epoch_s = epoch_s
 
     def send(self, message: can.Message) -> None:
-        """Put a frame on the bus, unless a tester has switched this controller's messages off (service 28)."""
+        """Put a frame on the bus, unless a tester has switched this controller's messages off (28) or reset it (11)."""
         can_id = message.arbitration_id
         if not message.is_error_frame:
+            self._note_reset()
             self._note_ignition(message.timestamp)
             self._sent.note(can_id, bytes(message.data), message.timestamp)
             self._driven_s = max(self._driven_s, message.timestamp)
@@ -173,10 +178,14 @@ class Answering:
             self._adaptation.hear(message.timestamp, self._sent.now({}))
         if can_id == self._shift_id:
             self._count_shift(message.timestamp)
-        if can_id not in self._own_ids or self.controller.state.communication.sends_normal:
-            self._bus.send(message)
-            if self.elm327 is not None:
-                self.elm327.hear_frame(message)
+        if can_id in self._own_ids:
+            if not self.controller.state.communication.sends_normal or self.controller.is_asleep:
+                return
+            if self._counted_from is not None:
+                message = recounted(message, self._own_ids[can_id], self._counted_from)
+        self._bus.send(message)
+        if self.elm327 is not None:
+            self.elm327.hear_frame(message)
 
     @property
     def outcome(self) -> dict[str, object]:
@@ -226,7 +235,7 @@ class Answering:
             self._is_restarted, is_new_cycle, self._is_new_cycle = False, self._is_new_cycle, False
             self._engine_ran_s, self._looked_s = 0.0, -math.inf
             self._monitoring.restart(is_new_cycle=is_new_cycle)
-        if self._sent.has_all(SENSED):
+        if self._sent.has_all(SENSED) and not self.controller.is_asleep:
             self._look()
             self._monitoring.judge_clutches(self._on_board.opinions)
 
@@ -254,6 +263,13 @@ class Answering:
         except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
             self._error = exc
 
+    def _note_reset(self) -> None:
+        """Begin anew once a tester has reset the controller, alive counters included."""
+        reset_s = self.controller.state.asleep_until_s
+        if reset_s != self._reset_s:
+            self._reset_s = reset_s
+            self._restart({})
+
     def _note_ignition(self, t_s: float) -> None:
         """Begin anew with the first frame after the ignition was switched on."""
         if math.isinf(self._switched_on_s) and self._ignition:
@@ -261,12 +277,13 @@ class Answering:
         if t_s >= self._switched_on_s:
             self._switched_on_s = math.inf
             self._is_new_cycle = True
-            self._restart()
+            self._restart(None)
 
-    def _restart(self) -> None:
+    def _restart(self, counted_from: dict[int, int] | None) -> None:
         """Know nothing of the time before."""
         self._sent.restart()
-        self._began_s = self._clock()
+        self._began_s = max(self._clock(), self._reset_s)
+        self._counted_from = counted_from
         self._is_restarted = True
 
     def _count_shift(self, due_s: float) -> None:

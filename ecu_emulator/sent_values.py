@@ -5,16 +5,25 @@ others say is believed while it is fresh and its checksum fits; what this contro
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
+from copy import copy
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
+import can
 import numpy as np
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal
 
 from canlog.e2e.message_contract import message_contracts
-from canlog.e2e.profile1 import PAYLOAD_BYTES, crc_is_valid, data_id_remainder
+from canlog.e2e.profile1 import (
+    COUNTER_PERIOD,
+    PAYLOAD_BYTES,
+    counter_of,
+    crc_is_valid,
+    data_id_remainder,
+    protect,
+)
 from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from ecu_emulator.frames import SIGNAL_OF
 from ecu_emulator.signals import SILENCE
@@ -137,6 +146,18 @@ class SentValues:
             for can_id, other in self._others.items()
             if self._now_s - other.due_s > other.timeout_s or clock_s - other.heard_s > other.timeout_s + STANDSTILL_S
         }
+
+
+def recounted(message: can.Message, data_id: int, first: dict[int, int]) -> can.Message:
+    """Return a frame whose alive counter counts from ``first``, by identifier; one that is not sound as it is."""
+    if not _is_sound(bytes(message.data), data_id_remainder(data_id)):
+        return message
+    data = np.frombuffer(bytes(message.data), np.uint8)[None]
+    counter = int(counter_of(data)[0])
+    passed = (counter - first.setdefault(message.arbitration_id, counter)) % COUNTER_PERIOD
+    changed = copy(message)
+    changed.data = bytearray(protect(data, data_id, np.array([passed]))[0].tobytes())
+    return changed
 
 
 def _is_sound(payload: bytes, id_remainder: int) -> bool:

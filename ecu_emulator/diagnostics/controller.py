@@ -77,6 +77,11 @@ class Controller:
         """What it remembers now."""
         return self._state
 
+    @property
+    def is_asleep(self) -> bool:
+        """Whether it starts again after a reset, and neither hears nor says anything."""
+        return self._clock() < self._state.asleep_until_s
+
     def ask(self, payload: bytes, *, is_functional: bool = False, client: int = 0) -> bytes | None:
         """Return the response to a client's request, None if there is none; what it changed is on the disk by then."""
         return self.consider(payload, is_functional=is_functional, client=client).payload

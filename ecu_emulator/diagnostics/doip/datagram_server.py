@@ -30,14 +30,22 @@ class DatagramServer:
     ----------
     entity
         Who is asked.
-    vin, open_sockets
-        Return the vehicle's identification number, and how many connections there are, now.
+    vin, open_sockets, is_asleep
+        Return the vehicle's identification number, how many connections there are, and whether nobody is heard, now.
     """
 
-    def __init__(self, entity: DoipEntity, *, vin: Callable[[], bytes], open_sockets: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        entity: DoipEntity,
+        *,
+        vin: Callable[[], bytes],
+        open_sockets: Callable[[], int],
+        is_asleep: Callable[[], bool],
+    ) -> None:
         self._entity = entity
         self._vin = vin
         self._open_sockets = open_sockets
+        self._is_asleep = is_asleep
         self._ends: list[asyncio.DatagramTransport] = []
         self._delayed: set[asyncio.TimerHandle] = set()
         self.counts = DatagramCounts()
@@ -56,9 +64,9 @@ class DatagramServer:
         for end in self._ends:
             end.close()
 
-    async def announce(self, everybody: tuple[str, int]) -> None:
-        """Say who one is, as often as a controller that starts does."""
-        await asyncio.sleep(self._pause_s())
+    async def announce(self, everybody: tuple[str, int], delay_s: float = 0.0) -> None:
+        """Say who one is, as often as a controller that starts does, which takes so long [s]."""
+        await asyncio.sleep(delay_s + self._pause_s())
         for _ in range(self._entity.announce_count):
             self._say(announcement(self._entity, self._vin(), self._entity.version), everybody)
             await asyncio.sleep(self._entity.announce_interval_s)
@@ -67,7 +75,7 @@ class DatagramServer:
         """Answer one datagram, an identification after a random pause."""
         self.counts.datagrams += 1
         reply = datagram_reply(self._entity, self._vin(), self._open_sockets(), data)
-        if reply is None:
+        if reply is None or self._is_asleep():
             return
         if not reply.is_identification:
             self._answer(reply.data, sender)

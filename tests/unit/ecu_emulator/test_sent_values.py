@@ -151,6 +151,9 @@ def test_a_tester_silences_the_controller_and_nobody_else() -> None:
     answering = Answering(bus, table="", memory=None, doip=None, is_fd=False)
     tcu, ecm = frames("TCU_Temperature", sump_temperature_k=350.0)[0], frames("ECM_TorqueSpeed")[0]
     answering.controller.ask(b"\x10\x03")
+    assert answering.controller.ask(b"\x28\x01\x01") == b"\x7f\x28\x88"  # who knows how fast it is
+    answering.send(frames("BRK_Vehicle", vehicle_speed_m_s=0.0)[0])
+    bus.messages.clear()
     assert answering.controller.ask(b"\x28\x01\x01") == b"\x68\x01"
     for message in (tcu, ecm):
         answering.send(message)
