@@ -172,7 +172,8 @@ class Answering:
         if not message.is_error_frame:
             self._note_reset()
             self._note_ignition(message.timestamp)
-            self._sent.note(can_id, bytes(message.data), message.timestamp)
+            if can_id in self._own_ids or self.controller.state.communication.receives_normal:
+                self._sent.note(can_id, bytes(message.data), message.timestamp)
             self._driven_s = max(self._driven_s, message.timestamp)
         if can_id == self._pressure_id and self._adaptation is not None and self._adaptation.is_listening:
             self._adaptation.hear(message.timestamp, self._sent.now({}))
@@ -303,7 +304,7 @@ class Answering:
             "adaptation_possible": float(self._adaptation is not None and self._adaptation.is_possible),
             **(self._adaptation.values if self._adaptation is not None else {}),
             **self._monitoring.temperatures,
-            **self._sent.silences,
+            **(self._sent.silences if self.controller.state.communication.receives_normal else {}),
             **values_of(self._on_board.opinions),
         }
         return self._sent.now(more)

@@ -66,6 +66,7 @@ class Piece:
     source: int
     start: int  # from 0
     size_bytes: int
+    client: int = 0  # who made it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -185,3 +185,22 @@ def test_nothing_is_reset_cleared_or_switched_off_while_the_car_drives() -> None
     ]  # fmt: skip
     car.drive(changes=STANDING, steps=1)
     assert [car.ask(request)[:2] for request in asked[1:]] == ["68", "c5", "54", "54"]
+
+
+def test_a_controller_that_shall_not_listen_knows_only_what_it_senses() -> None:
+    """28 02: it goes on sending."""
+    car = TripCar()
+    car.drive(changes=STANDING, steps=4)
+    car.ask("10 03")
+    assert car.ask("28 02 01") == "68 02"
+    car.bus.messages.clear()
+    car.drive(steps=8)
+    car.ask("3E 00")
+    assert own_frames(car)
+    assert car.ask("22 01 05 02 06").startswith("62 01 05 ff ff 02 06")  # engine speed, fluid
+    assert car.ask("22 02 06") != "62 02 06 ff"
+    assert not car.status("U0100") & Status.FAILED_THIS_CYCLE  # that is the tester's doing
+    assert car.ask("28 03 01") == "7f 28 88"  # it does not know that it stands
+    assert car.ask("28 00 01") == "68 00"  # as it shall be is always possible
+    car.drive(steps=1)
+    assert car.ask("22 01 05") != "62 01 05 ff ff"

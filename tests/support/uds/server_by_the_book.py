@@ -7,6 +7,7 @@ import struct
 import tomllib
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cache
 from typing import Any, TypeAlias
 
@@ -455,7 +456,11 @@ class ServerByTheBook:
     def _is_sensible(fields: list[dict[str, Any]], data: bytes) -> bool:
         """Whether data of one field, as all that can be written have, may be written."""
         entry = fields[0]
-        if entry["kind"] == "bytes":
+        if entry["kind"] == "bytes":  # a date
+            try:
+                datetime.strptime(data.hex(), "%y%m%d").replace(tzinfo=UTC)
+            except ValueError:
+                return False
             return True
         if entry["kind"] == "text":
             letters = "ABCDEFGHJKLMNPRSTUVWXYZ" if "HJ-NPR" in entry["pattern"] else "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
@@ -509,8 +514,9 @@ class ServerByTheBook:
     def _28(self, r: bytes, _t_s: float, values: Values, _chance: bytes) -> Questions:
         yield len(r) == 3, 0x13
         yield r[2] & 0x0F in {1, 2, 3} and r[2] >> 4 in {0, 15}, 0x31
-        yield from self._service_conditions(0x28, values)
         sub = r[1] & 0x7F
+        if sub:
+            yield from self._service_conditions(0x28, values)
         switches = {0: (True, True), 1: (True, False), 2: (False, True), 3: (False, False)}[sub]  # receive, send
         for bit, which in ((1, "normal"), (2, "management")):
             if r[2] & bit:
@@ -556,6 +562,7 @@ class ServerByTheBook:
     def _85(self, r: bytes, _t_s: float, values: Values, _chance: bytes) -> Questions:
         yield len(r) in {2, 5}, 0x13
         yield r[2:] in {b"", b"\xff\xff\xff"}, 0x31
-        yield from self._service_conditions(0x85, values)
+        if r[1] & 0x7F == 2:
+            yield from self._service_conditions(0x85, values)
         self.updates_codes = r[1] & 0x7F == 1
         return bytes([r[1] & 0x7F])
