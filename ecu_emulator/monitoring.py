@@ -54,7 +54,7 @@ class Monitoring:
     def look(self, values: Values, t_s: float) -> None:
         """Let the monitors judge what the controllers say at this moment of the drive, about ten times a second."""
         self._watch, samples = judge(self._watch, values, t_s, self._limits)
-        self._report(dict(samples), has_warmed_up=is_warm(self._watch, values))
+        self._report(dict(samples), has_warmed_up=is_warm(self._watch, values), is_driven=self._watch.driven.is_enough)
 
     def restart(self, *, is_new_cycle: bool) -> None:
         """Forget what was sensed, as when the controller is switched on; a new operation cycle may begin with it."""
@@ -93,7 +93,9 @@ class Monitoring:
         records, number = self._controller.state.memory.records, self._numbers.get(code)
         return number is not None and bool(records[number].status & Status.NOT_TESTED_THIS_CYCLE)
 
-    def _report(self, results: Mapping[str, TestResult], *, has_warmed_up: bool = False) -> None:
+    def _report(
+        self, results: Mapping[str, TestResult], *, has_warmed_up: bool = False, is_driven: bool = False
+    ) -> None:
         """Hand results on; what the disk does not take is tried again with the next sample, and the drive goes on."""
         try:
             for code, result in results.items():
@@ -101,5 +103,7 @@ class Monitoring:
                     self._controller.report(self._numbers[code], result)
             if has_warmed_up:
                 self._controller.warm_up()
+            if is_driven:
+                self._controller.drive()
         except RecordError as exc:
             self.problem = self.problem or str(exc)

@@ -15,15 +15,8 @@ import numpy as np
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal
 
+from canlog.e2e import profile1
 from canlog.e2e.message_contract import message_contracts
-from canlog.e2e.profile1 import (
-    COUNTER_PERIOD,
-    PAYLOAD_BYTES,
-    counter_of,
-    crc_is_valid,
-    data_id_remainder,
-    protect,
-)
 from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from ecu_emulator.frames import SIGNAL_OF
 from ecu_emulator.signals import SILENCE
@@ -86,7 +79,7 @@ class SentValues:
             contract.can_id: _Sender(
                 node=contract.sender,
                 timeout_s=max(LEAST_TIMEOUT_S, TIMEOUT_CYCLES * contract.cycle_ms / 1e3),
-                id_remainder=data_id_remainder(contract.data_id or 0),
+                id_remainder=profile1.data_id_remainder(contract.data_id or 0),
                 due_s=0.0,
             )
             for contract in message_contracts(database).values()
@@ -97,7 +90,8 @@ class SentValues:
     def note(self, can_id: int, payload: bytes, due_s: float = 0.0) -> None:
         """Take a frame that goes out, and when it was due [s]."""
         if self._now_s is None:
-            self._begin(due_s)
+            for one in self._others.values():
+                one.due_s, one.heard_s = due_s, self._clock()
         self._now_s = max(self._now_s or due_s, due_s)
         other = self._others.get(can_id)
         if other is not None:
@@ -131,10 +125,6 @@ class SentValues:
             for node in {other.node for other in self._others.values()}
         }
 
-    def _begin(self, t_s: float) -> None:
-        for other in self._others.values():
-            other.due_s, other.heard_s = t_s, self._clock()
-
     @property
     def _late(self) -> set[int]:
         """The messages of others of which nothing that can be believed has come for too long."""
@@ -150,20 +140,20 @@ class SentValues:
 
 def recounted(message: can.Message, data_id: int, first: dict[int, int]) -> can.Message:
     """Return a frame whose alive counter counts from ``first``, by identifier; one that is not sound as it is."""
-    if not _is_sound(bytes(message.data), data_id_remainder(data_id)):
+    if not _is_sound(bytes(message.data), profile1.data_id_remainder(data_id)):
         return message
     data = np.frombuffer(bytes(message.data), np.uint8)[None]
-    counter = int(counter_of(data)[0])
-    passed = (counter - first.setdefault(message.arbitration_id, counter)) % COUNTER_PERIOD
+    counter = int(profile1.counter_of(data)[0])
+    passed = (counter - first.setdefault(message.arbitration_id, counter)) % profile1.COUNTER_PERIOD
     changed = copy(message)
-    changed.data = bytearray(protect(data, data_id, np.array([passed]))[0].tobytes())
+    changed.data = bytearray(profile1.protect(data, data_id, np.array([passed]))[0].tobytes())
     return changed
 
 
 def _is_sound(payload: bytes, id_remainder: int) -> bool:
-    if len(payload) != PAYLOAD_BYTES:
+    if len(payload) != profile1.PAYLOAD_BYTES:
         return False
-    return bool(crc_is_valid(np.frombuffer(payload, np.uint8)[None], id_remainder)[0])
+    return bool(profile1.crc_is_valid(np.frombuffer(payload, np.uint8)[None], id_remainder)[0])
 
 
 class Moment(Mapping[str, float]):

@@ -14,6 +14,7 @@ from ecu_emulator.diagnostics.server import (
     answer,
     broadcast,
     cycled,
+    driven,
     held,
     left,
     refusal,
@@ -164,6 +165,10 @@ class Controller:
     def warm_up(self) -> None:
         """Note that the vehicle has become warm in this operation cycle; raises RecordError as ``report``."""
         self._change(warmed_up)
+
+    def drive(self) -> None:
+        """Note that this operation cycle was driven for long enough to count; raises RecordError as ``report``."""
+        self._change(driven)
 
     def cycle(self) -> None:
         """Begin a new operation cycle; raises RecordError as ``report``."""

@@ -17,7 +17,7 @@ from typing import Any, Final, Self
 from canlog.plain_files import read_small_file
 from ecu_emulator.diagnostics.adaptation import CLUTCHES, Adaptation
 from ecu_emulator.diagnostics.codes import Status
-from ecu_emulator.diagnostics.emissions import Emissions, FreezeFrame
+from ecu_emulator.diagnostics.emissions import MOST_CYCLES, Emissions, FreezeFrame
 from ecu_emulator.diagnostics.memory import MOST_COUNT, Capture, TroubleMemory, TroubleRecord, empty_memory
 from ecu_emulator.diagnostics.state import ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
@@ -178,6 +178,9 @@ def _emissions_document(emissions: Emissions) -> dict[str, Any]:
         "warm_ups": emissions.warm_ups,
         "cleared_at_m": emissions.cleared_at_m,
         "lamp_at_m": emissions.lamp_at_m,
+        "is_driven": emissions.is_driven,
+        "driven_cycles": emissions.driven_cycles,
+        "ran_cycles": {f"{number:06X}": count for number, count in emissions.ran_cycles.items()},
     }
 
 
@@ -266,6 +269,9 @@ def _emissions(entry: Mapping[str, Any] | None, table: DiagnosticTable) -> Emiss
         warm_ups=_count(entry["warm_ups"]),
         cleared_at_m=_distance_m(entry["cleared_at_m"]),
         lamp_at_m=_distance_m(entry["lamp_at_m"]),
+        is_driven=bool(entry.get("is_driven")),
+        driven_cycles=_count(entry.get("driven_cycles", 0), MOST_CYCLES),
+        ran_cycles={int(code, 16): _count(one, MOST_CYCLES) for code, one in entry.get("ran_cycles", {}).items()},
     )
 
 
@@ -293,7 +299,7 @@ def _distance_m(value: object) -> float | None:
     return value
 
 
-def _count(value: object) -> int:
-    if not isinstance(value, int) or not 0 <= value <= MOST_COUNT:
+def _count(value: object, most: int = MOST_COUNT) -> int:
+    if not isinstance(value, int) or not 0 <= value <= most:
         raise ValueError(f"not a count: {value!r}")
     return value

@@ -4,8 +4,9 @@ A monitor says nothing where its test cannot tell: while a gear changes, in a la
 missing that is not its own matter. Whether samples make a failure is the trouble memory's business.
 """
 
+import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from clutch_model.gears import clutch_of_gear
@@ -43,6 +44,34 @@ class MonitorLimits:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Driven:
+    """For how long a cycle was driven: what regulations ask of one in which monitors should have run."""
+
+    running_s: float = 0.0
+    fast_s: float = 0.0
+    idle_s: float = 0.0  # without a break
+    has_idled: bool = False
+
+    def later(self, known: Mapping[str, float], duration_s: float) -> "Driven":
+        """Return the same after so much more time of this."""
+        is_running = known.get("engine_speed_rad_s", 0.0) >= 30.0
+        speed_m_s, pedal_ratio = known.get("vehicle_speed_m_s", math.inf), known.get("pedal_ratio", math.inf)
+        is_idle = is_running and speed_m_s <= 0.447 and pedal_ratio <= 0.0
+        idle_s = self.idle_s + duration_s if is_idle else 0.0
+        return Driven(
+            running_s=self.running_s + is_running * duration_s,
+            fast_s=self.fast_s + (11.1 <= speed_m_s < math.inf) * duration_s,
+            idle_s=idle_s,
+            has_idled=self.has_idled or idle_s >= 30.0,
+        )
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether it was ten minutes, five of them at 40 km/h or more, with half a minute of idling at a stretch."""
+        return self.running_s >= 600.0 and self.fast_s >= 300.0 and self.has_idled
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Watch:
     """What monitors remember from sample to sample."""
 
@@ -54,6 +83,7 @@ class Watch:
     fluids_k: tuple[float, float] | None = None  # coldest and warmest in this operation cycle
     start_coolant_k: float | None = None  # as this operation cycle began
     clutches_k: tuple[float, float] | None = None  # as the controller computes them
+    driven: Driven = field(default_factory=Driven)
 
 
 SENSED: Final = (
@@ -112,6 +142,7 @@ def judge(
         fluids_k=_widened(watch.fluids_k, fluid_k),
         start_coolant_k=known.get("coolant_temperature_k") if watch.start_coolant_k is None else watch.start_coolant_k,
         clutches_k=clutches_k,
+        driven=watch.driven.later(known, since_look_s),
     )
     return after, (*samples, *(_heat_samples(clutches_k, known, limits) if is_oil_believed else ()))
 

@@ -205,6 +205,11 @@ def warmed_up(state: ServerState) -> ServerState:
     return replace(state, memory=memory, emissions=after_warm_up(state.emissions, state.memory, memory))
 
 
+def driven(state: ServerState) -> ServerState:
+    """Return the state in an operation cycle that counts for the use of monitors."""
+    return state if state.emissions.is_driven else replace(state, emissions=replace(state.emissions, is_driven=True))
+
+
 def cycled(table: DiagnosticTable, state: ServerState) -> ServerState:
     """Return the state after the ignition went off and on without the controller losing its current."""
     memory = begin_cycle(state.memory, table.troubles)

@@ -6,10 +6,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.doip.datagrams import announcement, datagram_reply
 from ecu_emulator.diagnostics.doip.listening import Listening
 from ecu_emulator.diagnostics.table import DoipEntity
 
+VIN = 0xF190
 MOST_DELAYED = 64  # identifications that wait for their random pause
 
 
@@ -30,22 +32,16 @@ class DatagramServer:
     ----------
     entity
         Who is asked.
-    vin, open_sockets, is_asleep
-        Return the vehicle's identification number, how many connections there are, and whether nobody is heard, now.
+    controller
+        Who knows the vehicle's identification number, and whether it hears anybody now.
+    open_sockets
+        Returns how many connections there are, now.
     """
 
-    def __init__(
-        self,
-        entity: DoipEntity,
-        *,
-        vin: Callable[[], bytes],
-        open_sockets: Callable[[], int],
-        is_asleep: Callable[[], bool],
-    ) -> None:
+    def __init__(self, entity: DoipEntity, controller: Controller, *, open_sockets: Callable[[], int]) -> None:
         self._entity = entity
-        self._vin = vin
+        self._controller = controller
         self._open_sockets = open_sockets
-        self._is_asleep = is_asleep
         self._ends: list[asyncio.DatagramTransport] = []
         self._delayed: set[asyncio.TimerHandle] = set()
         self.counts = DatagramCounts()
@@ -68,14 +64,14 @@ class DatagramServer:
         """Say who one is, as often as a controller that starts does, which takes so long [s]."""
         await asyncio.sleep(delay_s + self._pause_s())
         for _ in range(self._entity.announce_count):
-            self._say(announcement(self._entity, self._vin(), self._entity.version), everybody)
+            self._say(announcement(self._entity, self._controller.datum(VIN), self._entity.version), everybody)
             await asyncio.sleep(self._entity.announce_interval_s)
 
     def take(self, data: bytes, sender: tuple[str, int]) -> None:
         """Answer one datagram, an identification after a random pause."""
         self.counts.datagrams += 1
-        reply = datagram_reply(self._entity, self._vin(), self._open_sockets(), data)
-        if reply is None or self._is_asleep():
+        reply = datagram_reply(self._entity, self._controller.datum(VIN), self._open_sockets(), data)
+        if reply is None or self._controller.is_asleep:
             return
         if not reply.is_identification:
             self._answer(reply.data, sender)

@@ -23,7 +23,6 @@ TICK_S: Final = 0.01
 READ_BYTES: Final = 4096
 LINGER_S: Final = 1.0  # in which a tester may take what was said before its connection was closed
 PENDING_RATIO: Final = 0.6  # of P2, after which a tester is told to wait
-VIN: Final = 0xF190
 _PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
 
 
@@ -64,12 +63,7 @@ class DoipServer:
         self._silent: set[int] = set()  # connections whose periodic data wait for the response that announces them
         self._tasks: set[asyncio.Task[None]] = set()
         self._pool = ThreadPoolExecutor(1, "DoIP asks")
-        self._datagrams = DatagramServer(
-            self._entity,
-            vin=partial(controller.datum, VIN),
-            open_sockets=lambda: len(self._step.sockets),
-            is_asleep=lambda: controller.is_asleep,
-        )
+        self._datagrams = DatagramServer(self._entity, controller, open_sockets=lambda: len(self._step.sockets))
         self._counts = DoipCounts()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._is_over = asyncio.Event()

@@ -26,7 +26,6 @@ NO_DATA: Final = "NO DATA"
 UNABLE: Final = "UNABLE TO CONNECT"
 MOST_RAW_BYTES: Final = 8
 HALF_BITRATE: Final = 250_000
-_LONGEST_MESSAGE: Final = 4095
 _IS_ANYBODY_THERE: Final = b"\x01\x00"
 _ON_CAN: Final = range(0x6, 0x10)
 _ON_K_LINE: Final = range(0x3, 0x6)

@@ -15,7 +15,7 @@ from ecu_emulator.diagnostics.memory import (
     TroubleRecord,
     clear,
 )
-from ecu_emulator.diagnostics.obd_descriptions import Profile
+from ecu_emulator.diagnostics.obd_descriptions import IN_USE, Profile
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet_by_service
 from ecu_emulator.diagnostics.services.data import data_of
 from ecu_emulator.diagnostics.services.obd_data import odometer_m
@@ -82,10 +82,14 @@ def _records(call: Call) -> Iterable[tuple[int, TroubleRecord]]:
     return call.state.memory.records.items()
 
 
-def _masked(call: Call) -> list[bytes]:
-    """Return codes with their status that have one of the bits that the client named."""
-    mask = call.payload[2]
-    return [_code(number) + bytes([record.status]) for number, record in _records(call) if record.status & mask]
+def _masked(call: Call) -> list[int]:
+    """Return the codes that have one of the bits that the client named."""
+    return [number for number, record in _records(call) if record.status & call.payload[2]]
+
+
+def _listed(call: Call, numbers: Iterable[int]) -> bytes:
+    """Return codes with their status."""
+    return b"".join(_code(number) + bytes([call.state.memory.records[number].status]) for number in numbers)
 
 
 def _number_by_mask(call: Call) -> bytes | Nrc:
@@ -97,7 +101,7 @@ def _number_by_mask(call: Call) -> bytes | Nrc:
 def _codes_by_mask(call: Call) -> bytes | Nrc:
     if len(call.payload) != 3:
         return Nrc.INCORRECT_LENGTH
-    return bytes([ALL_BITS]) + b"".join(_masked(call))
+    return bytes([ALL_BITS]) + _listed(call, _masked(call))
 
 
 def _snapshot_names(call: Call) -> bytes | Nrc:
@@ -147,19 +151,19 @@ def _snapshot_records(_call: Call, _trouble: Trouble, record: TroubleRecord, wan
 
 
 def _extended_records(call: Call, trouble: Trouble, record: TroubleRecord, wanted: int) -> bytes:
-    if record.latest is None:
-        return b""
-    captured = dict(record.latest.extended)
+    captured = {} if record.latest is None else dict(record.latest.extended)
     least = {ALL_RECORDS: 0, ALL_REGULATED_RECORDS: FIRST_REGULATED}
     return b"".join(
-        bytes([number]) + (_counters(described, record) if described.has_counters else captured.get(number, b""))
+        bytes([number])
+        + (_counters(call, described, trouble, record) if described.has_counters else captured.get(number, b""))
         for number in call.table.extended_of(trouble)
-        if (described := call.table.extended[number])
+        if (described := call.table.extended[number]) is IN_USE or record.has_data
         if number == wanted or (wanted in least and number >= least[wanted])
     )
 
 
-def _counters(described: ExtendedRecord, record: TroubleRecord) -> bytes:
+def _counters(call: Call, described: ExtendedRecord, trouble: Trouble, record: TroubleRecord) -> bytes:
+    emissions = call.state.emissions
     return encode(
         described.fields,
         {
@@ -168,6 +172,8 @@ def _counters(described: ExtendedRecord, record: TroubleRecord) -> bytes:
             f"{OF_MEMORY}passed_cycles": record.passed_cycles,
             f"{OF_MEMORY}aged_cycles": record.aged_cycles,
             f"{OF_MEMORY}detection_counter": record.detection_counter,
+            f"{OF_MEMORY}ran_cycles": emissions.ran_cycles.get(trouble.number, 0),
+            f"{OF_MEMORY}driven_cycles": emissions.driven_cycles,
         },
     )
 
@@ -175,7 +181,7 @@ def _counters(described: ExtendedRecord, record: TroubleRecord) -> bytes:
 def _supported(call: Call) -> bytes | Nrc:
     if len(call.payload) != 2:
         return Nrc.INCORRECT_LENGTH
-    return bytes([ALL_BITS]) + b"".join(_code(number) + bytes([record.status]) for number, record in _records(call))
+    return bytes([ALL_BITS]) + _listed(call, call.state.memory.records)
 
 
 def _detection_counters(call: Call) -> bytes | Nrc:
@@ -210,10 +216,29 @@ def _permanent_codes(call: Call) -> bytes | Nrc:
         return Nrc.INCORRECT_LENGTH
     if call.payload[2] != EMISSION_GROUP:
         return Nrc.REQUEST_OUT_OF_RANGE
-    return bytes([EMISSION_GROUP, ALL_BITS, CODE_FORMAT_J2012]) + b"".join(
-        _code(number) + bytes([call.state.memory.records[number].status])
-        for number in sorted(call.state.emissions.permanent)
-    )
+    permanent = sorted(call.state.emissions.permanent)
+    return bytes([EMISSION_GROUP, ALL_BITS, CODE_FORMAT_J2012]) + _listed(call, permanent)
+
+
+def _codes_by_record(call: Call) -> bytes | Nrc:
+    """Return the codes that can have an extended record."""
+    if len(call.payload) != 3:
+        return Nrc.INCORRECT_LENGTH
+    name, table = call.payload[2], call.table
+    numbers = [number for number, trouble in table.troubles.items() if name in table.extended_of(trouble)]
+    return bytes([ALL_BITS, name]) + _listed(call, numbers) if numbers else Nrc.REQUEST_OUT_OF_RANGE
+
+
+def _codes_by_readiness(call: Call) -> bytes | Nrc:
+    """Return the codes of OBD of a readiness group; there is one, to which all belong."""
+    if len(call.payload) != 4:
+        return Nrc.INCORRECT_LENGTH
+    obd = call.table.obd
+    if obd is None or call.payload[2:] != bytes([EMISSION_GROUP, obd.readiness_group]):
+        return Nrc.REQUEST_OUT_OF_RANGE
+    numbers = [number for number, trouble in call.table.troubles.items() if trouble.lights_lamp]
+    head = bytes([EMISSION_GROUP, ALL_BITS, CODE_FORMAT_J2012, obd.readiness_group])
+    return head + _listed(call, numbers)
 
 
 def _code(number: int) -> bytes:
@@ -228,8 +253,10 @@ _REPORTS: Final[Mapping[int, Callable[[Call], bytes | Nrc]]] = {
     0x06: _extended_by_code,
     0x0A: _supported,
     0x14: _detection_counters,
+    0x1A: _codes_by_record,
     0x42: _emission_codes_by_mask,
     0x55: _permanent_codes,
+    0x56: _codes_by_readiness,
 }
-EMISSION_REPORTS: Final = frozenset({0x42, 0x55})  # of SAE J1979-2
+EMISSION_REPORTS: Final = frozenset({0x42, 0x55, 0x56})  # of SAE J1979-2
 REPORTS: Final = frozenset(_REPORTS) - EMISSION_REPORTS

@@ -203,7 +203,7 @@ class ServerByTheBook:
             level = self.by_number["security"].get(sub if sub & 1 else sub - 1)
             return list(level["sessions"]) if level else []
         known = {
-            0x11: {1, 2, 3}, 0x19: {1, 2, 3, 4, 6, 0x0A, 0x14}, 0x28: {0, 1, 2, 3}, 0x2C: {1, 3}, 0x31: {1, 2, 3},
+            0x11: {1, 2, 3}, 0x19: {1, 2, 3, 4, 6, 0x0A, 0x14, 0x1A}, 0x28: {0, 1, 2, 3}, 0x2C: {1, 3}, 0x31: {1, 2, 3},
             0x3E: {0}, 0x85: {1, 2},
         }  # fmt: skip
         return list(self.by_number["service"][sid]["sessions"]) if sub in known[sid] else []
@@ -265,7 +265,7 @@ class ServerByTheBook:
 
     def _19(self, r: bytes, _t_s: float, _values: Values, _chance: bytes) -> Questions:
         report = r[1] & 0x7F
-        length = {1: 3, 2: 3, 3: 2, 4: 6, 6: 6, 0x0A: 2, 0x14: 2}[report]
+        length = {1: 3, 2: 3, 3: 2, 4: 6, 6: 6, 0x0A: 2, 0x14: 2, 0x1A: 3}[report]
         yield len(r) == length, 0x13
         if report in {4, 6}:
             number, name = int.from_bytes(r[2:5], "big"), r[5]
@@ -274,6 +274,11 @@ class ServerByTheBook:
             trouble = self.troubles[number]
             kept = self._snapshots(trouble, name) if report == 4 else self._extended(trouble, name)
             return bytes([report]) + r[2:5] + bytes([trouble.status]) + kept
+        if report == 0x1A:
+            own = self.by_number["extended"]
+            able = [one for one in self.troubles.values() if r[2] in one.entry.get("extended", own)]
+            yield bool(able), 0x31
+            return b"\x1a\xff" + r[2:] + b"".join(self._code(one) + bytes([one.status]) for one in able)
         return bytes([report]) + self._report(report, r[2] if length == 3 else 0)
 
     def _report(self, report: int, mask: int) -> bytes:

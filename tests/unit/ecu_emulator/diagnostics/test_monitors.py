@@ -146,6 +146,25 @@ def test_a_warm_engine_makes_a_warm_up_cycle() -> None:
     assert not is_warm(Watch(), {"coolant_temperature_k": 360.0})
 
 
+def test_a_cycle_counts_once_it_was_driven_fast_and_slow_for_long_enough() -> None:
+    idling = {"engine_speed_rad_s": 85.0, "vehicle_speed_m_s": 0.0, "pedal_ratio": 0.0}
+    fast = {"engine_speed_rad_s": 200.0, "vehicle_speed_m_s": 12.0, "pedal_ratio": 0.3}
+
+    def driven(*parts: tuple[dict[str, float], int]) -> bool:
+        watch, t_s = Watch(), 0.0
+        for values, duration_s in parts:
+            for _ in range(duration_s):
+                watch, _ = judge(watch, values, t_s)
+                t_s += 1.0
+        return watch.driven.is_enough
+
+    assert driven((fast, 310), (idling, 31), (fast, 270))
+    assert not driven((fast, 310), (idling, 31), (fast, 240))  # not yet ten minutes
+    assert not driven((fast, 290), (idling, 330))  # not fast for long enough
+    assert not driven((fast, 310), (idling, 20), (fast, 270), (idling, 20))  # never idle for long enough
+    assert not driven((idling | {"engine_speed_rad_s": 0.0}, 700))
+
+
 def test_every_code_that_a_monitor_says_is_in_the_table() -> None:
     known = {trouble.code for trouble in shipped_table().troubles.values()}
     for gear in range(1, 7):
