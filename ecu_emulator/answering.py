@@ -66,7 +66,8 @@ class Answering:
     performer
         The car that performs the routines of the workshop when a tester starts them; None: it cannot.
     ignition
-        Gets the times of the drive [s] at which a parked car is switched on, ahead of the frames; they are taken out.
+        Gets times of the drive [s], ahead of the frames: of the first frame, then of each time that a parked car is
+        switched on. They are taken out.
     clock
         Returns a time [s] that never goes back.
 
@@ -101,7 +102,7 @@ class Answering:
         self._began_s = clock()
         self._ignition: deque[float] = deque() if ignition is None else ignition
         self._switched_on_s = math.inf  # next, time of the bus
-        self._epoch_s = 0.0
+        self._epoch_s: float | None = None  # time 0 of the drive, time of the bus
         self._is_new_cycle = self._is_restarted = False  # what the monitors have not been told yet
         self._reset_s = 0.0  # until when a tester's last reset takes, time of the clock
         self._counted_from: dict[int, int] | None = None  # alive counters as they went on after that reset
@@ -161,10 +162,6 @@ class Answering:
         self._stack.__exit__(kind, error, trace)
         if self._error is not None and error is None:
             raise self._error
-
-    def begin(self, epoch_s: float) -> None:
-        """Note at which time of the bus [s] the drive begins, before its first frame is sent."""
-        self._epoch_s = epoch_s
 
     def send(self, message: can.Message) -> None:
         """Put a frame on the bus, unless a tester has switched this controller's messages off (28) or reset it (11)."""
@@ -273,6 +270,8 @@ class Answering:
 
     def _note_ignition(self, t_s: float) -> None:
         """Begin anew with the first frame after the ignition was switched on."""
+        if self._epoch_s is None:
+            self._epoch_s = t_s - (self._ignition.popleft() if self._ignition else 0.0)
         if math.isinf(self._switched_on_s) and self._ignition:
             self._switched_on_s = self._epoch_s + self._ignition.popleft()
         if t_s >= self._switched_on_s:
@@ -295,6 +294,10 @@ class Answering:
         self._driven = replace(driven, gear=gear or driven.gear)  # neutral between two gears is a part of their shift
 
     def _values(self) -> Mapping[str, float]:
+        is_followed = self._on_board.is_live and self._on_board.problem is None
+        before = (
+            self.controller.state.opinions if is_followed else {}
+        )  # until it speaks: what was known before the start
         more = {
             "time_s": self._clock() - self._began_s,
             "shift_count": float(self._driven.shift_count),
@@ -305,7 +308,7 @@ class Answering:
             **(self._adaptation.values if self._adaptation is not None else {}),
             **self._monitoring.temperatures,
             **(self._sent.silences if self.controller.state.communication.receives_normal else {}),
-            **values_of(self._on_board.opinions),
+            **values_of({**before, **self._on_board.opinions}),
         }
         return self._sent.now(more)
 

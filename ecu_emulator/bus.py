@@ -70,13 +70,13 @@ class _Transmitter:
         self.given_up = 0
         self.retries = 0
         self.underruns = 0
-        self.wall_s = time.time() - time.monotonic()  # once: its steps are not those of the drive
+        self._wall_s = time.time() - time.monotonic()  # once: its steps are not those of the drive
 
     def send_chunk(self, chunk: EncodedFrames, start_s: float) -> None:
         """Send frames when they are due; those due at the same instant go out together."""
         bounds = [*np.flatnonzero(np.diff(chunk.t_s, prepend=-np.inf)).tolist(), len(chunk)]
         for first, end in pairwise(bounds):  # none where a fault has taken every frame
-            messages = to_messages(chunk[first:end], start_s + self.wall_s)
+            messages = to_messages(chunk[first:end], start_s + self._wall_s)
             due_s = float(chunk.t_s[first])
             deadline_s = start_s + due_s
             self._sleep_until(deadline_s)
@@ -194,7 +194,6 @@ def transmit(
     stop: threading.Event,
     *,
     start_delay_s: float = 0.0,
-    on_start: Callable[[float], None] = lambda _epoch_s: None,
     on_progress: Callable[[float, int], None] | None = None,
 ) -> TransmitReport:
     """Send frames at the times they carry, from now on, until they end or ``stop`` is set.
@@ -209,8 +208,6 @@ def transmit(
         May be set by a signal handler.
     start_delay_s : float
         Time [s] between the first computed chunk and scenario time 0.
-    on_start : callable
-        Called before the first frame with the time of the frames' clock [s] that is scenario time 0.
     on_progress : callable
         Called with scenario time [s] and frames sent, about five times a second.
 
@@ -223,7 +220,6 @@ def transmit(
     try:
         chunk = producer.next()
         started_s = time.monotonic() + start_delay_s + LEAD_IN_S
-        on_start(started_s + transmitter.wall_s)
         next_progress_s = 0.0
         while chunk is not None:
             transmitter.send_chunk(chunk, started_s)

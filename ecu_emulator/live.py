@@ -156,10 +156,7 @@ def send(
             sent.sent_until(sent_s)
             show(sent_s, frame_count)
 
-        report = transmit(
-            answering or bus, sent.frames(), stop, start_delay_s=start_delay_s, on_progress=progress,
-            on_start=answering.begin if answering is not None else lambda _: None,
-        )  # fmt: skip
+        report = transmit(answering or bus, sent.frames(), stop, start_delay_s=start_delay_s, on_progress=progress)
         sent.finish(report)
     result = {
         "scenario": scenario.name,

@@ -1,6 +1,7 @@
 """What monitors and the estimate on board say of the vehicle becomes results of tests in the controller's memory."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Final
 
 from ecu_emulator.diagnostics.codes import Status
@@ -59,11 +60,8 @@ class Monitoring:
     def restart(self, *, is_new_cycle: bool) -> None:
         """Forget what was sensed, as when the controller is switched on; a new operation cycle may begin with it."""
         self._watch = Watch()
-        try:
-            if is_new_cycle:
-                self._controller.cycle()
-        except RecordError as exc:
-            self.problem = self.problem or str(exc)
+        if is_new_cycle:
+            self._keep(self._controller.cycle)
 
     def judge_clutches(self, opinions: Opinions) -> None:
         """Let each new opinion of the clutches be a test, with the controller's values of that moment.
@@ -78,6 +76,8 @@ class Monitoring:
         if is_new:
             failed = failed_codes(self._controller.state.memory.records, self._codes)
             results[FLUID_CODE] = fluid_test(opinions, failed)
+            if opinions:
+                self._keep(lambda: self._controller.think(opinions))
         if is_changed or self._is_untested(ADAPTATION_CODE):
             results[ADAPTATION_CODE] = adaptation_test(adaptation, opinions, was_adapted=self._was_adapted)
         if is_changed or self._is_untested(LIMIT_CODE):
@@ -86,6 +86,7 @@ class Monitoring:
 
     def note_cleared(self) -> None:
         """Note that what was learned of the clutches is cleared: that fails a test until they are known again."""
+        self._keep(lambda: self._controller.think({}))
         self._report({ADAPTATION_CODE: TestResult.FAILED})
 
     def _is_untested(self, code: str) -> bool:
@@ -97,13 +98,18 @@ class Monitoring:
         self, results: Mapping[str, TestResult], *, has_warmed_up: bool = False, is_driven: bool = False
     ) -> None:
         """Hand results on; what the disk does not take is tried again with the next sample, and the drive goes on."""
+        for number, result in (
+            (self._numbers[code], result) for code, result in results.items() if code in self._numbers
+        ):
+            self._keep(partial(self._controller.report, number, result))
+        if has_warmed_up:
+            self._keep(self._controller.warm_up)
+        if is_driven:
+            self._keep(self._controller.drive)
+
+    def _keep(self, change: Callable[[], None]) -> None:
+        """Let the controller keep something; the drive goes on if it cannot."""
         try:
-            for code, result in results.items():
-                if code in self._numbers:
-                    self._controller.report(self._numbers[code], result)
-            if has_warmed_up:
-                self._controller.warm_up()
-            if is_driven:
-                self._controller.drive()
+            change()
         except RecordError as exc:
             self.problem = self.problem or str(exc)

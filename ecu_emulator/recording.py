@@ -103,7 +103,7 @@ class Drive:
         )
         self._loss = FrameLoss(scenario.effects.frame_loss_ratio, scenario.seed_of_drive)
         self._bus_faults = BusFaults(scenario.bus_faults, scenario.seed_of_drive, message_contracts(database))
-        self.ignition: Final[deque[float]] = deque(maxlen=MOST_STARTS)  # when a parked car was switched on [s]
+        self.ignition: Final[deque[float]] = deque(maxlen=MOST_STARTS)  # see Answering
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()  # filled by other threads
         self._counts: Counter[type[Happened]] = Counter()
         self._frame_count = 0
@@ -226,6 +226,8 @@ class Drive:
         frames = self._loss.surviving(self._encoder.encode_all(self._sensors.read(rows)))
         first_s, self._end_s = (round(float(rows[row, Col.T_S]), 3) for row in (0, -1))
         frames = self._bus_faults.feed(frames, rows, round(first_s * MS_PER_S), self._end_s, is_last=is_last)
+        if len(frames) and not self._frame_count:
+            self.ignition.appendleft(float(frames.t_s[0]))
         self._counts.update(map(type, truths))
         self._frame_count += len(frames)
         self._driven_ms += len(rows)

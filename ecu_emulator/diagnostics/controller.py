@@ -9,6 +9,7 @@ from ecu_emulator.diagnostics.adaptation import Adaptation
 from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
+from ecu_emulator.diagnostics.opinion import Opinions
 from ecu_emulator.diagnostics.server import (
     advance,
     answer,
@@ -188,6 +189,10 @@ class Controller:
         """Keep what was adapted, or cleared; raises RecordError as ``report``."""
         self._change(lambda state: replace(state, adaptation=adaptation))
 
+    def think(self, opinions: Opinions) -> None:
+        """Keep what is thought of the clutches; raises RecordError as ``report``."""
+        self._change(lambda state: replace(state, opinions=opinions))
+
     def _change(self, change: Callable[[ServerState], ServerState]) -> None:
         with self._lock:
             state = change(self._state)
@@ -215,10 +220,5 @@ class Controller:
 
 def _are_same(one: ServerState, other: ServerState) -> bool:
     """Return whether two states keep the same, at a glance."""
-    return (
-        one.memory is other.memory
-        and one.emissions is other.emissions
-        and one.written is other.written
-        and one.wrong_keys is other.wrong_keys
-        and one.adaptation is other.adaptation
-    )
+    kept = ("memory", "emissions", "written", "wrong_keys", "adaptation", "opinions")
+    return all(getattr(one, name) is getattr(other, name) for name in kept)

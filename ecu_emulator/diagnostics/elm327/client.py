@@ -176,7 +176,7 @@ class Client:
                 response = self._responses.get_nowait()
                 if service not in {response[0] - 0x40, response[1] if response[0] == NEGATIVE else None}:
                     continue
-                self._say(self._interpreter.late(response))
+                self._say(self._interpreter.lines(response))
                 if response[0] != NEGATIVE or response[2] != Nrc.RESPONSE_PENDING:
                     return []
                 until_s = time.monotonic() + self._patience_s

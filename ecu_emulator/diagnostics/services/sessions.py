@@ -106,6 +106,7 @@ def started(state: ServerState, table: DiagnosticTable, t_s: float, *, is_new_cy
         written=state.written,
         wrong_keys=state.wrong_keys,
         adaptation=state.adaptation,
+        opinions=state.opinions,
         locked_until_s=until_s,
         heard_s=t_s,
     )
@@ -145,6 +146,4 @@ def communication_control(call: Call) -> Result:
     communication = call.state.communication
     if kind & _NORMAL:
         communication = replace(communication, sends_normal=sends, receives_normal=receives)
-    if kind & _MANAGEMENT:
-        communication = replace(communication, sends_management=sends, receives_management=receives)
     return call.echoed(state=replace(call.state, communication=communication))

@@ -12,6 +12,7 @@ from dbc.contract import load_contract
 from ecu_emulator.answering import Answering
 from ecu_emulator.bus import to_messages
 from ecu_emulator.frames import EncodedFrames, FrameEncoder, merge
+from ecu_emulator.on_board import OpinionSource
 from ecu_emulator.readings import Readings
 
 STEP_S = 0.5
@@ -40,17 +41,23 @@ class Bus:
 class TripCar:
     """The car; all of its time is in the hands of the test."""
 
-    def __init__(self, *, memory: Path | None = None, table: str = "", ignition: deque[float] | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        memory: Path | None = None,
+        table: str = "",
+        ignition: deque[float] | None = None,
+        on_board: OpinionSource | None = None,
+    ) -> None:
         self.t_s = 0.0
         self.bus = Bus()
         self._messages = (database := load_contract()).messages
         self._encoder = FrameEncoder(database)
-        self._ignition: deque[float] = deque() if ignition is None else ignition
+        self._ignition: deque[float] = deque([0.0]) if ignition is None else ignition
         self.answering = Answering(
             self.bus, table=table, memory=memory, doip=None, is_fd=False, ignition=self._ignition,
-            clock=lambda: 1000.0 + self.t_s,
+            clock=lambda: 1000.0 + self.t_s, on_board=on_board,
         )  # fmt: skip
-        self.answering.begin(EPOCH_S)
 
     def park(self, duration_s: float = PARKED_S) -> None:
         """Stand with the ignition off, and switch it on."""
