@@ -315,5 +315,5 @@ class Answering:
 
 def place_text(what: str, place: str, *, is_exposed: bool) -> str:
     """Return what people are told of a server for testers, with a warning if others than this machine can reach it."""
-    warning = f"\nwarning: whoever reaches {place} can ask this controller and change what testers can change"
+    warning = f"\nwarning: anyone who can reach {place} can ask this controller and change what testers can change"
     return f"{what} {place}{warning if is_exposed else ''}"

@@ -63,7 +63,7 @@ class Field:
         try:
             re.compile(self.pattern)
         except re.error as exc:
-            raise ConfigError(f"{self.name}: pattern is no regular expression: {exc}") from exc
+            raise ConfigError(f"{self.name}: pattern is not a regular expression: {exc}") from exc
         bits = 8 * self.size_bytes
         if any(not 0 <= number < 1 << bits for number in self.numbered_meanings):
             raise ConfigError(f"{self.name}: meanings are of numbers from 0 to {(1 << bits) - 1}")
