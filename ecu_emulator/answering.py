@@ -4,7 +4,8 @@ import math
 import secrets
 import threading
 import time
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Final, Protocol, Self
 
 import can
 
+from canlog.e2e.message_contract import message_contracts
 from dbc.contract import load_contract
 from ecu_emulator.bus import FrameSender
 from ecu_emulator.diagnostics.codes import Status
@@ -30,9 +32,8 @@ from ecu_emulator.on_board import FixedOpinion, OpinionSource
 from ecu_emulator.requested_adaptation import AdaptedCar, RequestedAdaptation
 from ecu_emulator.requested_clearing import RequestedClearing
 from ecu_emulator.requested_routine import Driven, Performer, RequestedRoutine
-from ecu_emulator.sent_values import SentValues
+from ecu_emulator.sent_values import OWN_NODE, SentValues, recounted
 
-OWN_NODE: Final = "TCU"
 RUNNING_RAD_S: Final = 30.0  # engine speed that no starter reaches
 _NS_PER_S: Final = 1e9
 
@@ -64,6 +65,11 @@ class Answering:
         Whose estimate of the clutches the controller has; None: it has none.
     performer
         The car that performs the routines of the workshop when a tester starts them; None: it cannot.
+    ignition
+        Gets times of the drive [s], ahead of the frames: of the first frame, then of each time that a parked car is
+        switched on. They are taken out.
+    clock
+        Returns a time [s] that never goes back.
 
     Raises
     ------
@@ -83,6 +89,8 @@ class Answering:
         bitrate: int | None = None,
         on_board: OpinionSource | None = None,
         performer: Car | None = None,
+        ignition: deque[float] | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         try:
             from ecu_emulator.diagnostics.link import DiagnosticLink  # noqa: PLC0415 - an extra
@@ -90,17 +98,25 @@ class Answering:
             raise ExtraMissingError("diagnostics need can-isotp: pip install 'clutchdiag[diagnostics]'") from exc
         self._bus = bus
         self._stack = ExitStack()
-        self._began_s = time.monotonic()
+        self._clock = clock
+        self._began_s = clock()
+        self._ignition: deque[float] = deque() if ignition is None else ignition
+        self._switched_on_s = math.inf  # next, time of the bus
+        self._epoch_s: float | None = None  # time 0 of the drive, time of the bus
+        self._is_new_cycle = self._is_restarted = False  # what the monitors have not been told yet
+        self._reset_s = 0.0  # until when a tester's last reset takes, time of the clock
+        self._counted_from: dict[int, int] | None = None  # alive counters as they went on after that reset
         database = load_contract()
-        self._sent = SentValues(database)
+        self._sent = SentValues(database, clock)
         self._shift_id = database.get_message_by_name("TCU_Shift").frame_id
         self._pressure_id = database.get_message_by_name("TCU_Pressures").frame_id
-        self._own_ids = {message.frame_id for message in database.messages if OWN_NODE in message.senders}
+        contracts = message_contracts(database).values()
+        self._own_ids = {one.can_id: one.data_id or 0 for one in contracts if one.sender == OWN_NODE}
         self._on_board: OpinionSource = on_board or FixedOpinion(None)
         self._driven = Driven()
         self._driven_s = -math.inf  # when the newest frame was due: the drive's time, also where sending lags behind
         self._looked_s = -math.inf  # at which moment of that the monitors looked last
-        self._engine_on_s: float | None = None  # since when the engine runs
+        self._engine_ran_s = 0.0  # since the controller was switched on
         self._is_over = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="monitors", daemon=True)
         self._error: BaseException | None = None
@@ -108,7 +124,7 @@ class Answering:
         store = None if memory is None else self._stack.enter_context(MemoryFile(memory, described))
         try:
             self.controller = Controller(
-                described, values=self._values, clock=time.monotonic, chance=secrets.token_bytes, store=store
+                described, values=self._values, clock=clock, chance=secrets.token_bytes, store=store
             )
             self._monitoring = Monitoring(
                 self.controller,
@@ -148,19 +164,26 @@ class Answering:
             raise self._error
 
     def send(self, message: can.Message) -> None:
-        """Put a frame on the bus, unless a tester has switched this controller's messages off (service 28)."""
+        """Put a frame on the bus, unless a tester has switched this controller's messages off (28) or reset it (11)."""
         can_id = message.arbitration_id
         if not message.is_error_frame:
-            self._sent.note(can_id, bytes(message.data))
+            self._note_reset()
+            self._note_ignition(message.timestamp)
+            if can_id in self._own_ids or self.controller.state.communication.receives_normal:
+                self._sent.note(can_id, bytes(message.data), message.timestamp)
             self._driven_s = max(self._driven_s, message.timestamp)
         if can_id == self._pressure_id and self._adaptation is not None and self._adaptation.is_listening:
             self._adaptation.hear(message.timestamp, self._sent.now({}))
         if can_id == self._shift_id:
             self._count_shift(message.timestamp)
-        if can_id not in self._own_ids or self.controller.state.communication.sends_normal:
-            self._bus.send(message)
-            if self.elm327 is not None:
-                self.elm327.hear_frame(message)
+        if can_id in self._own_ids:
+            if not self.controller.state.communication.sends_normal or self.controller.is_asleep:
+                return
+            if self._counted_from is not None:
+                message = recounted(message, self._own_ids[can_id], self._counted_from)
+        self._bus.send(message)
+        if self.elm327 is not None:
+            self.elm327.hear_frame(message)
 
     @property
     def outcome(self) -> dict[str, object]:
@@ -169,7 +192,8 @@ class Answering:
         confirmed = [troubles[number].code for number, record in records.items() if record.status & Status.CONFIRMED]
         over_ip = {} if self.doip is None else {"doip": self.doip.counts}
         adapter = {} if self.elm327 is None else {"elm327": asdict(self.elm327.counts)}
-        return {**asdict(self.link.counts), **over_ip, **adapter, "confirmed": confirmed}
+        disbelieved = {"disbelieved_frames": self._sent.disbelieved_count}
+        return {**asdict(self.link.counts), **disbelieved, **over_ip, **adapter, "confirmed": confirmed}
 
     @property
     def places(self) -> list[str]:
@@ -197,43 +221,70 @@ class Answering:
             asked += f"; DoIP: {over_ip['requests']} requests, {over_ip['responses']} responses"
         if self.elm327 is not None:
             asked += f"; ELM327: {self.elm327.counts.lines} lines of {self.elm327.counts.clients} clients"
+        if self._sent.disbelieved_count:
+            problem += f"\n{self._sent.disbelieved_count} frames of others were not believed: wrong checksum or length"
         if self._on_board.problem is not None:
             problem += f"\nwarning: {self._on_board.problem}"
         return f"diagnostics: {asked}; confirmed trouble codes: {codes}{problem}"
 
+    def watch(self) -> None:
+        """Let the monitors judge what was sent, from when what they need has been; ten times a second if entered."""
+        if self._is_restarted:
+            self._is_restarted, is_new_cycle, self._is_new_cycle = False, self._is_new_cycle, False
+            self._engine_ran_s, self._looked_s = 0.0, -math.inf
+            self._monitoring.restart(is_new_cycle=is_new_cycle)
+        if self._sent.has_all(SENSED) and not self.controller.is_asleep:
+            self._look()
+            self._monitoring.judge_clutches(self._on_board.opinions)
+
     def _look(self) -> None:
         """Judge the newest frames once: a sender that the machine keeps waiting makes no shift longer."""
-        driven_s = self._driven_s
-        if driven_s != self._looked_s:
+        driven_s, looked_s = self._driven_s, self._looked_s
+        if driven_s != looked_s:
             self._looked_s = driven_s
             values = self._values()
-            self._note_engine(values)
+            if values.get("engine_speed_rad_s", 0.0) >= RUNNING_RAD_S and math.isfinite(looked_s):
+                self._engine_ran_s += driven_s - looked_s
             self._monitoring.look(values, driven_s)
 
     def _watch(self) -> None:
-        """Let the monitors judge what the controllers say, from when those that they need have spoken."""
+        """Look after monitors and routines until the end."""
         try:
             while not self._is_over.wait(MONITOR_PERIOD_S):
-                if self._sent.has_all(SENSED):
-                    self._look()
-                    self._monitoring.judge_clutches(self._on_board.opinions)
+                self.watch()
                 if self._routine is not None:
                     is_live = self._on_board.is_live
-                    self._routine.step(self._driven, self._on_board.opinions, time.monotonic(), is_live=is_live)
+                    self._routine.step(self._driven, self._on_board.opinions, self._clock(), is_live=is_live)
                 if self._adaptation is not None:
                     self._adaptation.step(self._values())
                 self._clearing.step()
         except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
             self._error = exc
 
-    def _note_engine(self, values: Mapping[str, float]) -> None:
-        speed_rad_s = values.get("engine_speed_rad_s")
-        if speed_rad_s is None:
-            return
-        if speed_rad_s < RUNNING_RAD_S:
-            self._engine_on_s = None
-        elif self._engine_on_s is None:
-            self._engine_on_s = time.monotonic()
+    def _note_reset(self) -> None:
+        """Begin anew once a tester has reset the controller, alive counters included."""
+        reset_s = self.controller.state.asleep_until_s
+        if reset_s != self._reset_s:
+            self._reset_s = reset_s
+            self._restart({})
+
+    def _note_ignition(self, t_s: float) -> None:
+        """Begin anew with the first frame after the ignition was switched on."""
+        if self._epoch_s is None:
+            self._epoch_s = t_s - (self._ignition.popleft() if self._ignition else 0.0)
+        if math.isinf(self._switched_on_s) and self._ignition:
+            self._switched_on_s = self._epoch_s + self._ignition.popleft()
+        if t_s >= self._switched_on_s:
+            self._switched_on_s = math.inf
+            self._is_new_cycle = True
+            self._restart(None)
+
+    def _restart(self, counted_from: dict[int, int] | None) -> None:
+        """Know nothing of the time before."""
+        self._sent.restart()
+        self._began_s = max(self._clock(), self._reset_s)
+        self._counted_from = counted_from
+        self._is_restarted = True
 
     def _count_shift(self, due_s: float) -> None:
         driven = self._driven
@@ -243,16 +294,21 @@ class Answering:
         self._driven = replace(driven, gear=gear or driven.gear)  # neutral between two gears is a part of their shift
 
     def _values(self) -> Mapping[str, float]:
+        is_followed = self._on_board.is_live and self._on_board.problem is None
+        before = (
+            self.controller.state.opinions if is_followed else {}
+        )  # until it speaks: what was known before the start
         more = {
-            "time_s": time.monotonic() - self._began_s,
+            "time_s": self._clock() - self._began_s,
             "shift_count": float(self._driven.shift_count),
-            "engine_run_time_s": 0.0 if self._engine_on_s is None else time.monotonic() - self._engine_on_s,
+            "engine_run_time_s": self._engine_ran_s,
             "revs_possible": float(self._routine is not None and self._routine.is_possible),
             "clearing_possible": float(self._clearing.is_possible),
             "adaptation_possible": float(self._adaptation is not None and self._adaptation.is_possible),
             **(self._adaptation.values if self._adaptation is not None else {}),
             **self._monitoring.temperatures,
-            **values_of(self._on_board.opinions),
+            **(self._sent.silences if self.controller.state.communication.receives_normal else {}),
+            **values_of({**before, **self._on_board.opinions}),
         }
         return self._sent.now(more)
 

@@ -200,6 +200,7 @@ def _answering(
         bitrate=bus_choice.bitrate,
         on_board=_opinion_source(choice, bus_choice, scenario),
         performer=drive,
+        ignition=drive.ignition,
     )
 
 

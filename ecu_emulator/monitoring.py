@@ -1,6 +1,7 @@
 """What monitors and the estimate on board say of the vehicle becomes results of tests in the controller's memory."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Final
 
 from ecu_emulator.diagnostics.codes import Status
@@ -54,7 +55,13 @@ class Monitoring:
     def look(self, values: Values, t_s: float) -> None:
         """Let the monitors judge what the controllers say at this moment of the drive, about ten times a second."""
         self._watch, samples = judge(self._watch, values, t_s, self._limits)
-        self._report(dict(samples), has_warmed_up=is_warm(values))
+        self._report(dict(samples), has_warmed_up=is_warm(self._watch, values), is_driven=self._watch.driven.is_enough)
+
+    def restart(self, *, is_new_cycle: bool) -> None:
+        """Forget what was sensed, as when the controller is switched on; a new operation cycle may begin with it."""
+        self._watch = Watch()
+        if is_new_cycle:
+            self._keep(self._controller.cycle)
 
     def judge_clutches(self, opinions: Opinions) -> None:
         """Let each new opinion of the clutches be a test, with the controller's values of that moment.
@@ -69,6 +76,8 @@ class Monitoring:
         if is_new:
             failed = failed_codes(self._controller.state.memory.records, self._codes)
             results[FLUID_CODE] = fluid_test(opinions, failed)
+            if opinions:
+                self._keep(lambda: self._controller.think(opinions))
         if is_changed or self._is_untested(ADAPTATION_CODE):
             results[ADAPTATION_CODE] = adaptation_test(adaptation, opinions, was_adapted=self._was_adapted)
         if is_changed or self._is_untested(LIMIT_CODE):
@@ -77,6 +86,7 @@ class Monitoring:
 
     def note_cleared(self) -> None:
         """Note that what was learned of the clutches is cleared: that fails a test until they are known again."""
+        self._keep(lambda: self._controller.think({}))
         self._report({ADAPTATION_CODE: TestResult.FAILED})
 
     def _is_untested(self, code: str) -> bool:
@@ -84,13 +94,22 @@ class Monitoring:
         records, number = self._controller.state.memory.records, self._numbers.get(code)
         return number is not None and bool(records[number].status & Status.NOT_TESTED_THIS_CYCLE)
 
-    def _report(self, results: Mapping[str, TestResult], *, has_warmed_up: bool = False) -> None:
+    def _report(
+        self, results: Mapping[str, TestResult], *, has_warmed_up: bool = False, is_driven: bool = False
+    ) -> None:
         """Hand results on; what the disk does not take is tried again with the next sample, and the drive goes on."""
+        for number, result in (
+            (self._numbers[code], result) for code, result in results.items() if code in self._numbers
+        ):
+            self._keep(partial(self._controller.report, number, result))
+        if has_warmed_up:
+            self._keep(self._controller.warm_up)
+        if is_driven:
+            self._keep(self._controller.drive)
+
+    def _keep(self, change: Callable[[], None]) -> None:
+        """Let the controller keep something; the drive goes on if it cannot."""
         try:
-            for code, result in results.items():
-                if code in self._numbers:
-                    self._controller.report(self._numbers[code], result)
-            if has_warmed_up:
-                self._controller.warm_up()
+            change()
         except RecordError as exc:
             self.problem = self.problem or str(exc)

@@ -1,7 +1,7 @@
 """One drive from plant to frames: the only file that knows the order of the emulator's stages."""
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from queue import SimpleQueue
@@ -41,6 +41,7 @@ from ecu_emulator.truth import (
 from ecu_emulator.truth_watchers import RevWatcher, ShiftWatcher
 
 LONG_STRETCH_S: Final = 10.0  # for files
+MOST_STARTS: Final = 64  # that nobody has asked for
 MS_PER_S: Final = 1000.0
 SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter for long
 
@@ -102,6 +103,7 @@ class Drive:
         )
         self._loss = FrameLoss(scenario.effects.frame_loss_ratio, scenario.seed_of_drive)
         self._bus_faults = BusFaults(scenario.bus_faults, scenario.seed_of_drive, message_contracts(database))
+        self.ignition: Final[deque[float]] = deque(maxlen=MOST_STARTS)  # see Answering
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()  # filled by other threads
         self._counts: Counter[type[Happened]] = Counter()
         self._frame_count = 0
@@ -224,6 +226,8 @@ class Drive:
         frames = self._loss.surviving(self._encoder.encode_all(self._sensors.read(rows)))
         first_s, self._end_s = (round(float(rows[row, Col.T_S]), 3) for row in (0, -1))
         frames = self._bus_faults.feed(frames, rows, round(first_s * MS_PER_S), self._end_s, is_last=is_last)
+        if len(frames) and not self._frame_count:
+            self.ignition.appendleft(float(frames.t_s[0]))
         self._counts.update(map(type, truths))
         self._frame_count += len(frames)
         self._driven_ms += len(rows)
@@ -239,6 +243,7 @@ class Drive:
         if departure.trip.parked_s > 0.0:
             self._sensors.switch_on(departure.t_start_s)
             self._encoder.restart()
+            self.ignition.append(departure.t_start_s)
         return [trip_truth(departure, self._scenario, self._vehicle.calibration)]
 
     def _watched(self, rows: FloatArray, *, is_last: bool) -> list[Happened]:

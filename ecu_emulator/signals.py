@@ -88,6 +88,7 @@ STATES: Final = frozenset({
     "input1_gear", "input2_gear", "drive_state", "engine_state",
 })  # fmt: skip
 """Quantities that a controller knows without measuring: they have no sensor errors and are never interpolated."""
+SILENCE: Final = "is_silent_"  # begins the name of what says whether a sender has fallen silent; its node follows
 
 
 def split_unit(quantity: str) -> tuple[str, str]:

@@ -9,13 +9,16 @@ from ecu_emulator.diagnostics.adaptation import Adaptation
 from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
+from ecu_emulator.diagnostics.opinion import Opinions
 from ecu_emulator.diagnostics.server import (
     advance,
     answer,
     broadcast,
     cycled,
+    driven,
     held,
     left,
+    refusal,
     switched_on,
     tested,
     warmed_up,
@@ -77,15 +80,31 @@ class Controller:
         """What it remembers now."""
         return self._state
 
+    @property
+    def is_asleep(self) -> bool:
+        """Whether it starts again after a reset, and neither hears nor says anything."""
+        return self._clock() < self._state.asleep_until_s
+
     def ask(self, payload: bytes, *, is_functional: bool = False, client: int = 0) -> bytes | None:
         """Return the response to a client's request, None if there is none; what it changed is on the disk by then."""
         return self.consider(payload, is_functional=is_functional, client=client).payload
 
     def consider(self, payload: bytes, *, is_functional: bool = False, client: int = 0) -> Reply:
         """Return the same as ``ask`` with what was kept back, for a transport that has told the client to wait."""
-        with self._lock:
-            request = Request(payload=payload, is_functional=is_functional, client=client)
+        request = Request(payload=payload, is_functional=is_functional, client=client)
+        if not self._lock.acquire(blocking=False):  # a disk that takes its time is no reason to wait for a refusal
+            refused = None if self.is_asleep else refusal(self.table, self._state, request)
+            if refused is not None:
+                return refused
+            self._lock.acquire()
+        try:
             return self._kept(answer(self.table, self._state, request, self._moment()), payload)
+        finally:
+            self._lock.release()
+
+    def refuses(self, payload: bytes, client: int = 0) -> bool:
+        """Return whether a request is not supported at all, so that nobody is told to wait for its answer."""
+        return refusal(self.table, self._state, Request(payload=payload, client=client)) is not None
 
     def tick(self, client: int = 0) -> bytes | None:
         """Return a client's response that has become due; to be called about every 10 ms, never waits."""
@@ -148,6 +167,10 @@ class Controller:
         """Note that the vehicle has become warm in this operation cycle; raises RecordError as ``report``."""
         self._change(warmed_up)
 
+    def drive(self) -> None:
+        """Note that this operation cycle was driven for long enough to count; raises RecordError as ``report``."""
+        self._change(driven)
+
     def cycle(self) -> None:
         """Begin a new operation cycle; raises RecordError as ``report``."""
         self._change(lambda state: cycled(self.table, state))
@@ -165,6 +188,10 @@ class Controller:
     def adapt(self, adaptation: Adaptation) -> None:
         """Keep what was adapted, or cleared; raises RecordError as ``report``."""
         self._change(lambda state: replace(state, adaptation=adaptation))
+
+    def think(self, opinions: Opinions) -> None:
+        """Keep what is thought of the clutches; raises RecordError as ``report``."""
+        self._change(lambda state: replace(state, opinions=opinions))
 
     def _change(self, change: Callable[[ServerState], ServerState]) -> None:
         with self._lock:
@@ -193,10 +220,5 @@ class Controller:
 
 def _are_same(one: ServerState, other: ServerState) -> bool:
     """Return whether two states keep the same, at a glance."""
-    return (
-        one.memory is other.memory
-        and one.emissions is other.emissions
-        and one.written is other.written
-        and one.wrong_keys is other.wrong_keys
-        and one.adaptation is other.adaptation
-    )
+    kept = ("memory", "emissions", "written", "wrong_keys", "adaptation", "opinions")
+    return all(getattr(one, name) is getattr(other, name) for name in kept)

@@ -47,7 +47,7 @@ class Field:
     offset: float = 0.0
     minimum: float | None = None  # what may be written, in that unit
     maximum: float | None = None
-    pattern: str = ""  # what a text may be, as a regular expression
+    pattern: str = ""  # what a text, or the digits of bytes, may be, as a regular expression
     meanings: Mapping[str, str] = field(default_factory=dict)  # of numbers
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@ A code belongs to OBD if it lights the lamp. Every function returns a new record
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from ecu_emulator.diagnostics.codes import ALL_CODES, Status
@@ -12,6 +12,7 @@ from ecu_emulator.diagnostics.descriptions import Trouble
 from ecu_emulator.diagnostics.memory import MOST_COUNT, TroubleMemory, is_lamp_on
 
 ALL_EMISSION_CODES: Final = 0xFFFF33  # the group of SAE J1979-2
+MOST_CYCLES: Final = 0xFFFF  # counters of monitors' use stay there
 
 FrozenPids = tuple[tuple[int, bytes], ...]
 
@@ -33,6 +34,9 @@ class Emissions:
     warm_ups: int = 0  # since codes were cleared
     cleared_at_m: float | None = None  # odometer
     lamp_at_m: float | None = None  # odometer when the lamp went on
+    is_driven: bool = False  # this operation cycle was driven as one that counts for the use of monitors
+    driven_cycles: int = 0  # such cycles; no client clears them, nor the next
+    ran_cycles: Mapping[int, int] = field(default_factory=dict)  # in which a code's test has run
 
 
 def after_test(
@@ -76,8 +80,13 @@ def after_cycle(emissions: Emissions, before: TroubleMemory, after: TroubleMemor
     )
     frame = emissions.frame
     is_forgotten = frame is not None and not after.records[frame.code].has_data
+    ran = {number for number, one in before.records.items() if not one.status & Status.NOT_TESTED_THIS_CYCLE}
+    counts = emissions.ran_cycles
     return replace(
         emissions,
+        is_driven=False,
+        driven_cycles=min(MOST_CYCLES, emissions.driven_cycles + emissions.is_driven),
+        ran_cycles={**counts, **{number: min(MOST_CYCLES, counts.get(number, 0) + 1) for number in ran}},
         permanent=permanent,
         frame=None if is_forgotten else frame,
         lamp_at_m=emissions.lamp_at_m if is_lamp_on(after) else None,

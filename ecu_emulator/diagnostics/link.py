@@ -30,7 +30,7 @@ MOST_FRAMES: Final = 4096  # that wait; what comes on top is dropped and counted
 MOST_REQUESTS: Final = 32  # that wait for the response before them to go out
 LONGEST_MESSAGE: Final = 4095
 TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr
-MOST_WAIT_FRAMES: Final = 10
+MOST_WAIT_FRAMES: Final = 1 << 31  # a sender waits for as long as it is asked to: only a receiver gives up (N_WFT_OVRN)
 LARGEST_STANDARD_ID: Final = 0x7FF
 FULL_FD_BYTES: Final = 64
 _PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
@@ -229,7 +229,7 @@ class DiagnosticLink:
         if self._asking.done():
             reply, self._asking = self._asking.result(), None
             self._respond(reply.response(was_promised=self._has_promised))
-        elif now_s >= self._pending_s and self._asked != KEEP_ALIVE:
+        elif now_s >= self._pending_s and self._asked != KEEP_ALIVE and not self._controller.refuses(self._asked):
             self._pending_s, self._has_promised = now_s + AGAIN_RATIO * self._controller.table.timing.p2_star_s, True
             self._respond(bytes([NEGATIVE, self._asked[0], Nrc.RESPONSE_PENDING]))
 

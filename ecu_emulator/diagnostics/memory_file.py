@@ -10,6 +10,7 @@ import math
 import os
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -17,11 +18,13 @@ from typing import Any, Final, Self
 from canlog.plain_files import read_small_file
 from ecu_emulator.diagnostics.adaptation import CLUTCHES, Adaptation
 from ecu_emulator.diagnostics.codes import Status
-from ecu_emulator.diagnostics.emissions import Emissions, FreezeFrame
+from ecu_emulator.diagnostics.emissions import MOST_CYCLES, Emissions, FreezeFrame
 from ecu_emulator.diagnostics.memory import MOST_COUNT, Capture, TroubleMemory, TroubleRecord, empty_memory
+from ecu_emulator.diagnostics.opinion import ClutchOpinion
 from ecu_emulator.diagnostics.state import ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.errors import RecordError
+from ecu_emulator.scenario import FluidVerdict
 from ecu_emulator.touch_points import TouchPoint
 
 FORMAT: Final = 1
@@ -154,6 +157,10 @@ def _document(state: ServerState) -> dict[str, Any]:
         "wrong_keys": {str(level): count for level, count in state.wrong_keys.items()},
         "obd": _emissions_document(state.emissions),
         "adaptation": None if state.adaptation is None else _adaptation_document(state.adaptation),
+        "opinions": {
+            str(clutch): {name: None if str(value) == "nan" else value for name, value in asdict(opinion).items()}
+            for clutch, opinion in state.opinions.items()
+        },
     }
 
 
@@ -178,6 +185,9 @@ def _emissions_document(emissions: Emissions) -> dict[str, Any]:
         "warm_ups": emissions.warm_ups,
         "cleared_at_m": emissions.cleared_at_m,
         "lamp_at_m": emissions.lamp_at_m,
+        "is_driven": emissions.is_driven,
+        "driven_cycles": emissions.driven_cycles,
+        "ran_cycles": {f"{number:06X}": count for number, count in emissions.ran_cycles.items()},
     }
 
 
@@ -220,7 +230,13 @@ def _state(document: Mapping[str, Any], table: DiagnosticTable) -> ServerState:
         written=written,
         wrong_keys=wrong_keys,
         adaptation=_adaptation(document.get("adaptation")),
+        opinions={int(clutch): _opinion(entry) for clutch, entry in document.get("opinions", {}).items()},
     )
+
+
+def _opinion(entry: Mapping[str, Any]) -> ClutchOpinion:
+    known: dict[str, Any] = {name: math.nan if value is None else value for name, value in entry.items()}
+    return ClutchOpinion(**{**known, "fluid": FluidVerdict(entry["fluid"])})
 
 
 def _adaptation(entry: Mapping[str, Any] | None) -> Adaptation | None:
@@ -266,6 +282,9 @@ def _emissions(entry: Mapping[str, Any] | None, table: DiagnosticTable) -> Emiss
         warm_ups=_count(entry["warm_ups"]),
         cleared_at_m=_distance_m(entry["cleared_at_m"]),
         lamp_at_m=_distance_m(entry["lamp_at_m"]),
+        is_driven=bool(entry.get("is_driven")),
+        driven_cycles=_count(entry.get("driven_cycles", 0), MOST_CYCLES),
+        ran_cycles={int(code, 16): _count(one, MOST_CYCLES) for code, one in entry.get("ran_cycles", {}).items()},
     )
 
 
@@ -293,7 +312,7 @@ def _distance_m(value: object) -> float | None:
     return value
 
 
-def _count(value: object) -> int:
-    if not isinstance(value, int) or not 0 <= value <= MOST_COUNT:
+def _count(value: object, most: int = MOST_COUNT) -> int:
+    if not isinstance(value, int) or not 0 <= value <= most:
         raise ValueError(f"not a count: {value!r}")
     return value

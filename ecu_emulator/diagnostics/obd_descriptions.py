@@ -5,12 +5,21 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from ecu_emulator.diagnostics.descriptions import Field, size_of
+from ecu_emulator.diagnostics.descriptions import OF_MEMORY, ExtendedRecord, Field, Kind, size_of
 from ecu_emulator.errors import ConfigError
 
 BLOCK: Final = 0x20  # so many numbers does one bitmap of supported ones cover
 _LONGEST_PID: Final = 64  # bytes; those of J1979-DA have 41 at most
 _LONGEST_INFO: Final = 0xFF
+IN_USE: Final = ExtendedRecord(
+    number=0x91,
+    name="in-use performance",
+    fields=(
+        Field(name="completions", kind=Kind.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}ran_cycles"),
+        Field(name="conditions encountered", kind=Kind.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}driven_cycles"),
+    ),
+)
+"""Extended data of SAE J1979-2: in how many operation cycles a test has run, and in how many it should have."""
 
 
 class Profile(StrEnum):
@@ -92,6 +101,7 @@ class Obd:
     pids: Mapping[int, Pid]
     infos: Mapping[int, VehicleInfo]
     monitors: Mapping[int, MonitorTest]
+    readiness_group: int = 0x03  # SAE J1979-2: comprehensive components
 
 
 def supported(numbers: Mapping[int, object], first: int) -> bytes | None:

@@ -14,7 +14,9 @@ from ecu_emulator.scenario import FluidVerdict, OnBoard
 FLUID_CODE: Final = "P0897"
 ADAPTATION_CODE: Final = "P0810"
 LIMIT_CODE: Final = "P2788"
-SUPPRESSING: Final = ("P0711", "P0841", "P0868", "P0776")  # while one has failed, friction is not judged
+SUPPRESSING: Final = (  # while one has failed, friction is not judged
+    "P0711", "P0715", "P0716", "P0746", "P0747", "P0776", "P0777", "P0841", "P0846", "P0868",
+)  # fmt: skip
 SHIFT_SCHEMA: Final = "clutchdiag/shift/v1"
 _QUANTITIES: Final = {"mu_c": "mu_c", "std_mu_c": "mu_c_std", "mu_s": "mu_s", "std_mu_s": "mu_s_std"}
 _FLUID_NUMBERS: Final = {verdict: number for number, verdict in enumerate(FluidVerdict)}  # as routines tell it

@@ -176,9 +176,11 @@ def held(table: DiagnosticTable, state: ServerState, moment: Moment) -> ServerSt
 
 
 def left(table: DiagnosticTable, state: ServerState, client: int) -> ServerState:
-    """Return the state once a client has gone: nobody awaits its response, and the session that it held has ended."""
+    """Return the state once a client has gone: nobody awaits its response, its session and its own data are no more."""
     if state.waiting is not None and state.waiting.request.client == client:
         state = replace(state, waiting=None)
+    kept = {number: pieces for number, pieces in state.defined.items() if pieces[0].client != client}
+    state = replace(state, defined=kept)
     is_held = state.session != DEFAULT_SESSION and state.holder == client
     return in_session(state, table, DEFAULT_SESSION) if is_held else state
 
@@ -201,6 +203,11 @@ def warmed_up(state: ServerState) -> ServerState:
     """Return the state in an operation cycle that counts for ageing."""
     memory = note_warm_up(state.memory)
     return replace(state, memory=memory, emissions=after_warm_up(state.emissions, state.memory, memory))
+
+
+def driven(state: ServerState) -> ServerState:
+    """Return the state in an operation cycle that counts for the use of monitors."""
+    return state if state.emissions.is_driven else replace(state, emissions=replace(state.emissions, is_driven=True))
 
 
 def cycled(table: DiagnosticTable, state: ServerState) -> ServerState:
@@ -227,9 +234,30 @@ def _while_waiting(state: ServerState, request: Request) -> Reply:
     return Reply(payload=_negative(request, Nrc.BUSY_REPEAT_REQUEST), state=state)
 
 
+def refusal(table: DiagnosticTable, state: ServerState, request: Request) -> Reply | None:
+    """Return the refusal of what is not supported at all, for which nobody is to wait; None if it is."""
+    is_guest = state.session != DEFAULT_SESSION and request.client != state.holder
+    nowhere = Moment(t_s=0.0, values={})
+    seen = as_guest(state) if is_guest else state
+    call = Call(table=table, state=seen, moment=nowhere, sensed=nowhere, request=request, is_guest=is_guest)
+    nrc = None if not request.payload or _is_obd(call) else _refusal(call)
+    if nrc is None:
+        return None
+    said, is_kept_back = _said(request, nrc), _is_kept_back(request, nrc)
+    return Reply(payload=None if is_kept_back else said, state=state, withheld=said if is_kept_back else None)
+
+
 def _checked(call: Call) -> Result:
-    if call.payload[0] in OBD_HANDLERS and call.table.has_obd(Profile.CLASSIC):
+    if _is_obd(call):
         return OBD_HANDLERS[call.payload[0]](call)
+    return _refusal(call) or _HANDLERS[call.payload[0]](call)
+
+
+def _is_obd(call: Call) -> bool:
+    return call.payload[0] in OBD_HANDLERS and call.table.has_obd(Profile.CLASSIC)
+
+
+def _refusal(call: Call) -> Nrc | None:
     service = call.table.services.get(call.payload[0])
     if service is None or service.number not in _HANDLERS:
         return Nrc.SERVICE_NOT_SUPPORTED
@@ -237,9 +265,7 @@ def _checked(call: Call) -> Result:
         return Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION
     if not is_unlocked(call.state, service.levels):
         return Nrc.SECURITY_ACCESS_DENIED
-    if _has_sub_function(service.number) and (refusal := _sub_function_refusal(call)):
-        return refusal
-    return _HANDLERS[service.number](call)
+    return _sub_function_refusal(call) if _has_sub_function(service.number) else None
 
 
 def _sub_function_refusal(call: Call) -> Nrc | None:

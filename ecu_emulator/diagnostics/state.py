@@ -7,6 +7,7 @@ from ecu_emulator.diagnostics.adaptation import Adaptation
 from ecu_emulator.diagnostics.codes import DEFAULT_SESSION
 from ecu_emulator.diagnostics.emissions import Emissions
 from ecu_emulator.diagnostics.memory import TroubleMemory
+from ecu_emulator.diagnostics.opinion import Opinions
 from ecu_emulator.diagnostics.values import Values
 
 
@@ -30,12 +31,10 @@ class Moment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Communication:
-    """Which messages are still sent and received, service 28; what bit 0 of its type means, then bit 1."""
+    """Which messages are still sent and received, service 28; of network management there are none."""
 
     sends_normal: bool = True
     receives_normal: bool = True
-    sends_management: bool = True
-    receives_management: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +65,7 @@ class Piece:
     source: int
     start: int  # from 0
     size_bytes: int
+    client: int = 0  # who made it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,11 +80,12 @@ class PeriodicRun:
 class ServerState:
     """One controller between two requests."""
 
-    memory: TroubleMemory  # kept over a restart, as the next four
+    memory: TroubleMemory  # kept over a restart, as the next five
     emissions: Emissions = field(default_factory=Emissions)
     written: Mapping[int, bytes] = field(default_factory=dict)
     wrong_keys: Mapping[int, int] = field(default_factory=dict)  # by security level
     adaptation: Adaptation | None = None  # None: nothing was ever adapted or cleared
+    opinions: Opinions = field(default_factory=dict)  # the last ones of the estimate on board
     session: int = DEFAULT_SESSION
     holder: int = 0  # the client who entered it, if it is not the default session
     heard_s: float = 0.0  # when S3 began

@@ -16,7 +16,7 @@ from ecu_emulator.diagnostics.descriptions import (
     Session,
     Trouble,
 )
-from ecu_emulator.diagnostics.obd_descriptions import Obd, Profile
+from ecu_emulator.diagnostics.obd_descriptions import IN_USE, Obd, Profile
 from ecu_emulator.errors import ConfigError
 
 PERIODIC_PAGE: Final = 0xF2  # upper byte of data that can be sent periodically, ISO 14229-1 annex C
@@ -240,7 +240,8 @@ class DiagnosticTable:
 
     def extended_of(self, trouble: Trouble) -> tuple[int, ...]:
         """Return the numbers of a trouble code's extended records."""
-        return tuple(self.extended) if trouble.extended is None else trouble.extended
+        numbers = tuple(self.extended) if trouble.extended is None else trouble.extended
+        return tuple(number for number in numbers if trouble.lights_lamp or self.extended.get(number) is not IN_USE)
 
     def _accesses(self) -> Iterable[tuple[Access | ServiceAccess, str]]:
         for service in self.services.values():

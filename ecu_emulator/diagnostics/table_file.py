@@ -22,7 +22,7 @@ from ecu_emulator.diagnostics.descriptions import (
     Session,
     Trouble,
 )
-from ecu_emulator.diagnostics.obd_descriptions import MonitorTest, Obd, Pid, Profile, VehicleInfo
+from ecu_emulator.diagnostics.obd_descriptions import IN_USE, MonitorTest, Obd, Pid, Profile, VehicleInfo
 from ecu_emulator.diagnostics.table import (
     Addressing,
     ClutchLimits,
@@ -104,7 +104,10 @@ def _table(document: Mapping[str, Any]) -> DiagnosticTable:
     }
     data = _numbered(_records(Datum, document, "data", access), "data")
     routines = _numbered(_records(Routine, document, "routine", access), "routine")
-    name = _value(str, document["name"], "name", {})
+    name, obd = _value(str, document["name"], "name", {}), _obd(document)
+    extended = _numbered(_records(ExtendedRecord, document, "extended", {}), "extended")
+    if obd is not None and obd.profile is Profile.UDS:
+        extended.setdefault(IN_USE.number, IN_USE)
     return DiagnosticTable(
         name=str(name),
         addressing=_record(Addressing, document["addressing"], "addressing", {}),
@@ -120,9 +123,9 @@ def _table(document: Mapping[str, Any]) -> DiagnosticTable:
         data=data,
         routines=routines,
         troubles=_numbered(_records(Trouble, document, "trouble", {}), "trouble"),
-        extended=_numbered(_records(ExtendedRecord, document, "extended", {}), "extended"),
+        extended=extended,
         snapshot=_value(tuple[int, ...], document["snapshot"], "snapshot", {}),
-        obd=_obd(document),
+        obd=obd,
         doip=_record(DoipEntity, document.get("doip", {}), "doip", {}),
         periodic=_record(Periodic, document["periodic"], "periodic", {}) if "periodic" in document else None,
         clutches=_record(ClutchLimits, document.get("clutches", {}), "clutches", {}),

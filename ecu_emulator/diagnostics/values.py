@@ -144,7 +144,7 @@ def are_valid(fields: tuple[Field, ...], raw: bytes) -> bool:
 
 def _is_valid(entry: Field, raw: bytes) -> bool:
     if entry.kind is Kind.BYTES:
-        return True
+        return not entry.pattern or re.fullmatch(entry.pattern, raw.hex()) is not None
     if entry.kind is Kind.TEXT:
         is_printable = all(0x20 <= byte < 0x7F for byte in raw)
         return is_printable and (not entry.pattern or re.fullmatch(entry.pattern, raw.decode("ascii")) is not None)

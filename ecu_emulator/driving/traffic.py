@@ -21,7 +21,6 @@ MAX_DECELERATION_M_S2: Final = 3.0  # the upper end of what drivers call comfort
 MAX_JERK_M_S3: Final = 1.0
 MAX_POWER_W_KG: Final = 30.0  # acceleration times speed; WLTC 21, US06 46 at their peaks
 LEAST_STEP_M_S: Final = 0.01
-MAX_GRADE_RATIO: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,7 +13,6 @@ US_PER_DAY: Final = 86_400_000_000
 DAYS_TO_EPOCH: Final = 25_569  # from 1899-12-30 to 1970-01-01
 FRACTION_DIGITS: Final = 14  # of a day: finer than a microsecond
 NUMBER_DIGITS: Final = 7
-LONGEST_ID_DIGITS: Final = 8
 
 
 class TrcWriter:

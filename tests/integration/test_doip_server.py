@@ -5,6 +5,7 @@ import struct
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -289,3 +290,39 @@ def test_an_error_of_the_controller_reaches_who_started_it() -> None:
     with pytest.raises(ExceptionGroup) as caught:
         ask_it()
     assert caught.group_contains(ValueError, match="broken")
+
+
+def heard(server: DoipServer, count: int) -> None:
+    """Wait until so many datagrams have come; it hears itself, as everybody on its port does."""
+    deadline_s = time.monotonic() + HANG_S
+    while server.counts["datagrams"] < count:
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+
+
+def test_a_reset_ends_every_connection_once_it_is_answered() -> None:
+    with entity(port=free_port(), announce_count=1) as (_, server):
+        heard(server, 1)
+        with Tester(server.place.port) as one, Tester(server.place.port, 0x0E01) as other:
+            assert one.ask("10 03").startswith("50 03")
+            assert one.ask("11 01") == "51 01"
+            assert (one.is_closed(), other.is_closed()) == (True, True)
+        heard(server, 2)  # it is back, and says so
+        with Tester(server.place.port) as again:
+            assert again.ask("22 f1 86") == "62 f1 86 01"
+
+
+def test_nobody_is_heard_while_the_controller_starts() -> None:
+    with (
+        entity(reset_s=3600.0) as (controller, server),
+        socket.socket(type=socket.SOCK_DGRAM) as datagrams,
+        Tester(server.place.port) as before,
+    ):
+        assert controller.ask(b"\x11\x01") == b"\x51\x01"  # by whom ever
+        assert before.is_closed()
+        with suppress(ConnectionError), socket.create_connection(("127.0.0.1", server.place.port), HANG_S) as later:
+            assert later.recv(1) == b""
+        assert server.counts["refused_connections"] == 1
+        datagrams.sendto(framed(1), ("127.0.0.1", server.place.port))
+        heard(server, 1)
+        assert server.counts["answered_datagrams"] == 0

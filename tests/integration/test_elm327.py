@@ -4,7 +4,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 
 import can
@@ -226,6 +226,18 @@ def test_the_end_of_the_program_hangs_up() -> None:
         one = stack_client(server)
     assert until(one) == b""
     one.close()
+
+
+def test_silent_clients_make_room_for_others() -> None:
+    with ElmServer(controller(), ("127.0.0.1", 0), idle_s=0.2) as server, ExitStack() as stack:
+        silent = [stack.enter_context(client(server)) for _ in range(MOST_CLIENTS)]
+        assert [until(one) for one in silent] == [b""] * MOST_CLIENTS  # hung up on
+        deadline_s = time.monotonic() + HANG_S
+        answer = b""
+        while not answer and time.monotonic() < deadline_s:  # their places are free a moment later
+            with client(server) as later, suppress(ConnectionError):
+                answer = say(later, b"ATI")
+        assert answer == b"ATI\rELM327 v1.5\r\r>"
 
 
 def test_whoever_others_can_reach_says_so(server: ElmServer) -> None:

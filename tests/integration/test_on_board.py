@@ -17,9 +17,13 @@ from diag_service.diagnosis.results import dump, shift_record
 from diag_service.store import ResultStore, StoreReader
 from ecu_emulator.answering import Answering
 from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.opinion import ClutchOpinion
+from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live import BusChoice, diagnostics_choice
+from ecu_emulator.monitoring import Monitoring
 from ecu_emulator.on_board import (
     LONGEST_COMPLAINT,
     MOST_STARTS,
@@ -36,6 +40,7 @@ from tests.support.builders import shift_result
 from tests.support.histories import fill_store, history
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
+from tests.support.uds.days import HOLDING, TripCar
 
 FLUID = 0x089700
 WORN = ClutchOpinion(fluid=FluidVerdict.CHANGE_FLUID, mu_c=0.118, std_mu_c=0.002, mu_s=0.125, std_mu_s=0.003)
@@ -216,3 +221,35 @@ def test_the_bus_is_named_to_the_service_as_it_was_to_the_emulator() -> None:
 def test_where_it_cannot_be_is_told() -> None:
     with pytest.raises(ConfigError, match="--on-board needs --diagnostics"):
         diagnostics_choice(None, None, None, has_service=True)
+
+
+class Following(FixedOpinion):
+    """An estimate that follows what is driven, and says what the test lets it."""
+
+    is_live = True
+
+
+def test_friction_that_was_known_is_known_after_a_restart(tmp_path: Path) -> None:
+    def started(source: OpinionSource) -> tuple[str, int]:
+        """Return what is told of the friction of clutch 1, and the status of the code of the fluid."""
+        car = TripCar(memory=tmp_path / "tcu.json", on_board=source)
+        with car.answering:
+            car.say(HOLDING)
+            if source.opinions:
+                wait_for(lambda: car.answering.controller.state.opinions == source.opinions)
+            return car.ask("22 03 00"), car.status("P0897")
+
+    unknown = f"62 03 00 {'ff ' * 8}".strip()
+    assert started(Following(None))[0] == unknown
+    known = started(Following(WORN))[0]
+    assert known.startswith("62 03 00 2e 18")
+    again, status = started(Following(None))
+    assert again == known
+    assert status & Status.NOT_TESTED_THIS_CYCLE  # what was known before is no test of today
+    assert started(FixedOpinion(None))[0] == unknown  # a car without an estimate has none
+    half = ClutchOpinion(mu_c=0.125)  # some of it is not available
+    assert started(Following(half))[0] == started(Following(None))[0]
+    with MemoryFile(tmp_path / "tcu.json", shipped_table()) as store:
+        controller = Controller(shipped_table(), values=dict, clock=lambda: 0.0, chance=bytes, store=store)
+        Monitoring(controller).note_cleared()
+    assert started(Following(None))[0] == unknown  # after a change of the fluid

@@ -293,6 +293,47 @@ def test_whom_78_has_promised_a_response_gets_one_that_others_would_not(tmp_path
         monitor.join()
 
 
+@pytest.mark.parametrize(
+    ("request_", "refusal"),
+    [
+        ("02 84 00", "03 7f 84 11"),
+        ("02 11 04", "03 7f 11 12"),
+        ("02 27 01", "03 7f 27 7f"),
+        ("02 10 40", "03 7f 10 7e"),
+    ],
+)
+def test_what_is_not_supported_is_refused_at_once_however_slow_the_disk(
+    tmp_path: Path, request_: str, refusal: str
+) -> None:
+    with SlowFile(tmp_path / "memory.json") as store, Wire(store=store) as wire:
+        store.may_go_on.clear()
+        store.is_waited_for.clear()
+        monitor = threading.Thread(target=wire.controller.report, args=(0x081107, Result.FAILED))
+        monitor.start()
+        try:
+            assert store.is_waited_for.wait(HANG_S)
+            wire.put(request_)
+            assert wire.get_any().startswith(refusal)
+            wire.put(request_, ALL_ID)  # that is nobody's business
+            wire.put("03 22 f1 86")
+            assert wire.get_any().startswith("03 7f 22 78")
+        finally:
+            store.may_go_on.set()
+        assert wire.get().startswith("04 62 f1 86 01")
+        monitor.join()
+
+
+def test_a_sender_waits_as_often_as_it_is_asked_to(wire: Wire) -> None:
+    """ISO 15765-2: only who receives may give up because of too many FC.WAIT."""
+    wire.put("03 22 f1 90")
+    wire.get()
+    for _ in range(25):
+        wire.put("31 00 00")
+    wire.put("30 00 00")
+    assert [wire.get(), wire.get()] == ["21 54 45 4d 55 4c 41 54", "22 45 44 30 30 30 30 31"]
+    assert wire.link.counts.broken_messages == 0
+
+
 def test_identifiers_of_29_bits() -> None:
     ids = Addressing(request_id=0x18DA18F1, response_id=0x18DAF118, functional_id=0x18DB33F1)
     heard: queue.Queue[can.Message] = queue.Queue()
@@ -393,7 +434,7 @@ def test_another_end_asks_long_and_short(is_fd: bool, transport: Transport, addr
         assert ask(b"\x3e\x00") == b"\x7e\x00"
         assert ask(b"\x22" + b"\xf1\x90" * 16) == b"\x62" + VIN[1:] * 16
         assert ask(b"\x2e\xf1\x98" + bytes(1000)) == b"\x7f\x2e\x7f"
-        assert len(ask(b"\x19\x0a")) == 3 + 4 * 17
+        assert len(ask(b"\x19\x0a")) == 3 + 4 * 26
 
 
 def test_hostile_streams_end_nothing() -> None:

@@ -6,10 +6,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.doip.datagrams import announcement, datagram_reply
 from ecu_emulator.diagnostics.doip.listening import Listening
 from ecu_emulator.diagnostics.table import DoipEntity
 
+VIN = 0xF190
 MOST_DELAYED = 64  # identifications that wait for their random pause
 
 
@@ -30,13 +32,15 @@ class DatagramServer:
     ----------
     entity
         Who is asked.
-    vin, open_sockets
-        Return the vehicle's identification number, and how many connections there are, now.
+    controller
+        Who knows the vehicle's identification number, and whether it hears anybody now.
+    open_sockets
+        Returns how many connections there are, now.
     """
 
-    def __init__(self, entity: DoipEntity, *, vin: Callable[[], bytes], open_sockets: Callable[[], int]) -> None:
+    def __init__(self, entity: DoipEntity, controller: Controller, *, open_sockets: Callable[[], int]) -> None:
         self._entity = entity
-        self._vin = vin
+        self._controller = controller
         self._open_sockets = open_sockets
         self._ends: list[asyncio.DatagramTransport] = []
         self._delayed: set[asyncio.TimerHandle] = set()
@@ -56,18 +60,18 @@ class DatagramServer:
         for end in self._ends:
             end.close()
 
-    async def announce(self, everybody: tuple[str, int]) -> None:
-        """Say who one is, as often as a controller that starts does."""
-        await asyncio.sleep(self._pause_s())
+    async def announce(self, everybody: tuple[str, int], delay_s: float = 0.0) -> None:
+        """Say who one is, as often as a controller that starts does, which takes so long [s]."""
+        await asyncio.sleep(delay_s + self._pause_s())
         for _ in range(self._entity.announce_count):
-            self._say(announcement(self._entity, self._vin(), self._entity.version), everybody)
+            self._say(announcement(self._entity, self._controller.datum(VIN), self._entity.version), everybody)
             await asyncio.sleep(self._entity.announce_interval_s)
 
     def take(self, data: bytes, sender: tuple[str, int]) -> None:
         """Answer one datagram, an identification after a random pause."""
         self.counts.datagrams += 1
-        reply = datagram_reply(self._entity, self._vin(), self._open_sockets(), data)
-        if reply is None:
+        reply = datagram_reply(self._entity, self._controller.datum(VIN), self._open_sockets(), data)
+        if reply is None or self._controller.is_asleep:
             return
         if not reply.is_identification:
             self._answer(reply.data, sender)

@@ -23,7 +23,6 @@ TICK_S: Final = 0.01
 READ_BYTES: Final = 4096
 LINGER_S: Final = 1.0  # in which a tester may take what was said before its connection was closed
 PENDING_RATIO: Final = 0.6  # of P2, after which a tester is told to wait
-VIN: Final = 0xF190
 _PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
 
 
@@ -59,12 +58,12 @@ class DoipServer:
         self._step = Step(sockets={})
         self._writers: dict[int, asyncio.StreamWriter] = {}
         self._asks: dict[int, asyncio.Queue[Ask]] = {}
+        self._reset_s = controller.state.asleep_until_s  # until when the last reset takes
+        self._asking_count = 0
         self._silent: set[int] = set()  # connections whose periodic data wait for the response that announces them
         self._tasks: set[asyncio.Task[None]] = set()
         self._pool = ThreadPoolExecutor(1, "DoIP asks")
-        self._datagrams = DatagramServer(
-            self._entity, vin=partial(controller.datum, VIN), open_sockets=lambda: len(self._step.sockets)
-        )
+        self._datagrams = DatagramServer(self._entity, controller, open_sockets=lambda: len(self._step.sockets))
         self._counts = DoipCounts()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._is_over = asyncio.Event()
@@ -120,7 +119,7 @@ class DoipServer:
             servers = await self._listen(partial(self._accept, group))
             await self._datagrams.start(self._sockets)
             self._start(group, self._datagrams.announce(self._sockets.everybody))
-            self._start(group, self._advance())
+            self._start(group, self._advance(group))
             self._is_ready.set()
             try:
                 await self._is_over.wait()
@@ -158,7 +157,7 @@ class DoipServer:
         return task
 
     def _accept(self, group: asyncio.TaskGroup, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if len(self._writers) >= most_connections(self._entity):
+        if self._controller.is_asleep or len(self._writers) >= most_connections(self._entity):
             self._counts.refused_connections += 1
             writer.transport.abort()
             return
@@ -209,14 +208,26 @@ class DoipServer:
             writer.write_eof()
         asyncio.get_running_loop().call_later(LINGER_S, writer.transport.abort)
 
-    async def _advance(self) -> None:
+    async def _advance(self, group: asyncio.TaskGroup) -> None:
         """Let time do what time does."""
         while True:
             await asyncio.sleep(TICK_S)
+            self._note_reset(group)
             self._do(advanced(self._entity, self._step, time.monotonic()))
             for number in self._writers.keys() - self._silent:
                 for message in self._controller.broadcast(number):
                     self._respond(number, message, is_final=False)
+
+    def _note_reset(self, group: asyncio.TaskGroup) -> None:
+        """End all connections once a reset of the controller has been answered; it says who it is as at its start."""
+        reset_s = self._controller.state.asleep_until_s
+        if reset_s == self._reset_s or self._asking_count:
+            return
+        self._reset_s, step = reset_s, self._step
+        for number in step.sockets:
+            step = step.closing(number)
+        self._do(step)
+        self._start(group, self._datagrams.announce(self._sockets.everybody, self._controller.table.timing.reset_s))
 
     # --- the controller -----------------------------------------------------------------------------------------------
 
@@ -227,7 +238,12 @@ class DoipServer:
         try:
             while True:
                 if not self._controller.awaits(number) or not asks.empty():
-                    await self._ask(number, await asks.get())
+                    ask = await asks.get()
+                    self._asking_count += 1
+                    try:
+                        await self._ask(number, ask)
+                    finally:
+                        self._asking_count -= 1
                 else:
                     await asyncio.sleep(TICK_S)
                     response = await loop.run_in_executor(self._pool, self._controller.tick, number)
@@ -247,7 +263,7 @@ class DoipServer:
         patience_s, was_promised = PENDING_RATIO * timing.p2_s, False
         while not (await asyncio.wait([asking], timeout=patience_s))[0]:
             patience_s = AGAIN_RATIO * timing.p2_star_s
-            if ask.payload != KEEP_ALIVE:
+            if ask.payload != KEEP_ALIVE and not self._controller.refuses(ask.payload, number):
                 was_promised = True
                 self._respond(number, bytes([NEGATIVE, ask.payload[0], Nrc.RESPONSE_PENDING]), is_final=False)
         self._respond(number, asking.result().response(was_promised=was_promised), is_final=True)

@@ -46,6 +46,7 @@ class Client:
         interpreter: Interpreter,
         counts: ElmCounts,
         patience_s: float,
+        idle_s: float,
         leave: Callable[["Client"], None],
     ) -> None:
         self.number = number  # by which the controller knows it
@@ -53,6 +54,7 @@ class Client:
         self._interpreter = interpreter
         self._counts = counts
         self._patience_s = patience_s
+        self._idle_s = idle_s
         self._leave = leave
         self._heard = b""
         self._frames: queue.Queue[can.Message] = queue.Queue(MOST_MONITORED)
@@ -131,8 +133,8 @@ class Client:
         return text.decode("ascii", "replace").replace("\ufffd", "?")
 
     def _read(self) -> bool:
-        """Return whether more has come; waits for it."""
-        self._connection.settimeout(None)
+        """Return whether more has come; waits for it, but not for ever: a silent client makes room for others."""
+        self._connection.settimeout(self._idle_s)
         received = self._connection.recv(_READ_BYTES)
         self._connection.settimeout(SEND_TIMEOUT_S)
         self._heard += received.translate(None, _IGNORED)
@@ -174,7 +176,7 @@ class Client:
                 response = self._responses.get_nowait()
                 if service not in {response[0] - 0x40, response[1] if response[0] == NEGATIVE else None}:
                     continue
-                self._say(self._interpreter.late(response))
+                self._say(self._interpreter.lines(response))
                 if response[0] != NEGATIVE or response[2] != Nrc.RESPONSE_PENDING:
                     return []
                 until_s = time.monotonic() + self._patience_s

@@ -26,7 +26,6 @@ NO_DATA: Final = "NO DATA"
 UNABLE: Final = "UNABLE TO CONNECT"
 MOST_RAW_BYTES: Final = 8
 HALF_BITRATE: Final = 250_000
-_LONGEST_MESSAGE: Final = 4095
 _IS_ANYBODY_THERE: Final = b"\x01\x00"
 _ON_CAN: Final = range(0x6, 0x10)
 _ON_K_LINE: Final = range(0x3, 0x6)
@@ -89,10 +88,6 @@ class Interpreter:
         if re.fullmatch(r"[0-9A-F]{2,}", words):
             return self._requested(bytes.fromhex(words[: len(words) & ~1]))  # an odd digit: how many may answer
         return Shown(lines=(UNKNOWN,))
-
-    def late(self, response: bytes) -> tuple[str, ...]:
-        """Return what is shown of a response that came later."""
-        return self._lines(response)
 
     def _requested(self, data: bytes) -> Shown:
         if len(data) > (MOST_SINGLE_BYTES if self.settings.is_formatted else MOST_RAW_BYTES):
@@ -166,9 +161,10 @@ class Interpreter:
         if response is None:
             return Shown(lines=(NO_DATA,))
         is_pending = len(response) == 3 and response[0] == NEGATIVE and response[2] == Nrc.RESPONSE_PENDING
-        return Shown(lines=self._lines(response), awaited=payload[0] if is_pending else None)
+        return Shown(lines=self.lines(response), awaited=payload[0] if is_pending else None)
 
-    def _lines(self, response: bytes) -> tuple[str, ...]:
+    def lines(self, response: bytes) -> tuple[str, ...]:
+        """Return what is shown of a response."""
         frames = framed(response, self._transport.padding)
         if len(frames) > 1 and not self._lets_go_on():
             self._held = frames[1:]

@@ -23,6 +23,7 @@ PORT: Final = 35000  # where adapters on a wireless network listen
 LOOPBACK: Final = "127.0.0.1"
 MOST_CLIENTS: Final = 8
 TICK_S: Final = 0.01
+IDLE_S: Final = 300.0  # a client that says nothing for so long has gone, as DoIP has it
 _LARGEST_PORT: Final = 65535
 
 
@@ -51,6 +52,8 @@ class ElmServer:
         Host and port; port 0: any that is free.
     bitrate
         Of the bus [bit/s], which decides what the protocol is called; None: the usual one.
+    idle_s
+        A client that says nothing for so long is hung up on.
 
     Raises
     ------
@@ -60,11 +63,14 @@ class ElmServer:
         If it cannot listen there.
     """
 
-    def __init__(self, controller: Controller, place: tuple[str, int], bitrate: int | None = None) -> None:
+    def __init__(
+        self, controller: Controller, place: tuple[str, int], bitrate: int | None = None, *, idle_s: float = IDLE_S
+    ) -> None:
         if controller.table.transport.own_address is not None:
             raise ConfigError("an ELM327 does not reach a controller with extended addresses")
         self._controller = controller
         self._bitrate = bitrate
+        self._idle_s = idle_s
         self._is_over = threading.Event()
         self._clients: list[Client] = []
         self._lock = threading.Lock()
@@ -156,7 +162,8 @@ class ElmServer:
             table, number = self._controller.table, -self.counts.clients  # testers over IP have positive numbers
             ask = partial(self._ask, number)
             interpreter = Interpreter(table.addressing, table.transport, ask, self._bitrate)
-            client = Client(number, connection, interpreter, self.counts, table.timing.p2_star_s, self._leave)
+            patience_s = table.timing.p2_star_s
+            client = Client(number, connection, interpreter, self.counts, patience_s, self._idle_s, self._leave)
             self._clients = [*self._clients, client]
         client.start()
 

@@ -90,6 +90,11 @@ def trouble_services(
     if table.troubles:
         yield _snapshots(table, dictionary, names, data)
         yield _extended(table, dictionary, names)
+        choices = worded({record.number: record.name for record in table.extended.values()}, 8)
+        record = value("record", dictionary.simple("record of extended data", choices), 1)
+        with_record = (names.availability, record, *codes[1:])
+        name = "Read trouble codes with extended data"
+        yield simple(name, number, 0x1A, _SEMANTIC, access, request=(record,), response=with_record)
     yield simple("Read supported trouble codes", number, 0x0A, _SEMANTIC, access, response=codes)
     counter = Field(name="counter", kind=Kind.SIGNED, size_bytes=1)
     counted = (names.code, value("counter", dictionary.simple("fault detection counter", described(counter)), 1))
@@ -99,11 +104,11 @@ def trouble_services(
     found = (value("counters", counters),)
     yield simple("Read fault detection counters", number, 0x14, _SEMANTIC, access, response=found)
     if table.has_obd(Profile.UDS):
-        yield from _emission_reports(dictionary, names, access, codes)
+        yield from _emission_reports(table, dictionary, names, access, codes)
 
 
 def _emission_reports(
-    dictionary: Dictionary, names: TroubleNames, access: Access, codes: tuple[Parameter, ...]
+    table: DiagnosticTable, dictionary: Dictionary, names: TroubleNames, access: Access, codes: tuple[Parameter, ...]
 ) -> Iterator[Service]:
     """Yield the reports of SAE J1979-2: codes by masks, and those that no client can clear."""
     number, group = Number.READ_CODES, constant("group", EMISSION_GROUP)
@@ -124,6 +129,10 @@ def _emission_reports(
         response=(group, names.availability, severities, value("format", formats, 1), found),
     )
     permanent = (group, names.availability, value("format", formats, 1), *codes[1:])
+    readiness = constant("readiness_group", 0 if table.obd is None else table.obd.readiness_group)
+    ready = (*permanent[:3], readiness, *codes[1:])
+    name = "Read trouble codes of a readiness group"
+    yield simple(name, number, 0x56, _SEMANTIC, access, request=(group, readiness), response=ready)
     yield simple("Read permanent trouble codes", number, 0x55, _SEMANTIC, access, request=(group,), response=permanent)
 
 

@@ -169,13 +169,14 @@ def _defined(call: Call) -> Result:
     if not described or len(described) % _PIECE_BYTES:
         return Nrc.INCORRECT_LENGTH
     number = int.from_bytes(call.payload[2:4], "big")
-    if not is_definable(call.table, number):
+    if not is_definable(call.table, number) or _is_anothers(call, number):
         return Nrc.REQUEST_OUT_OF_RANGE
     pieces = [
         Piece(
             source=int.from_bytes(described[place : place + 2], "big"),
             start=described[place + 2] - 1,
             size_bytes=described[place + 3],
+            client=call.request.client,
         )
         for place in range(0, len(described), _PIECE_BYTES)
     ]
@@ -202,10 +203,17 @@ def _forgotten(call: Call) -> Result:
     name = call.payload[2:]
     if len(name) not in {0, _NAME_BYTES}:
         return Nrc.INCORRECT_LENGTH
-    if not name:
-        return call.echoed(state=replace(call.state, defined={}))
     number = int.from_bytes(name, "big")
-    if not is_definable(call.table, number):
+    if name and (not is_definable(call.table, number) or _is_anothers(call, number)):
         return Nrc.REQUEST_OUT_OF_RANGE
-    left = {known: pieces for known, pieces in call.state.defined.items() if known != number}
+    left = {
+        known: pieces
+        for known, pieces in call.state.defined.items()
+        if (name and known != number) or _is_anothers(call, known)
+    }
     return call.echoed(name, replace(call.state, defined=left))
+
+
+def _is_anothers(call: Call, number: int) -> bool:
+    """Return whether another client has defined this datum."""
+    return any(piece.client != call.request.client for piece in call.state.defined.get(number, ()))

@@ -15,6 +15,7 @@ KEY_OFF_ON_RESET: Final = 0x02
 SOFT_RESET: Final = 0x03
 CODES_ON: Final = 0x01
 CODES_OFF: Final = 0x02
+ALL_ON: Final = 0x00
 _MS_PER_S: Final = 1e3
 _P2_STAR_STEP_S: Final = 0.01
 _ALL_GROUPS: Final = b"\xff\xff\xff"
@@ -105,6 +106,7 @@ def started(state: ServerState, table: DiagnosticTable, t_s: float, *, is_new_cy
         written=state.written,
         wrong_keys=state.wrong_keys,
         adaptation=state.adaptation,
+        opinions=state.opinions,
         locked_until_s=until_s,
         heard_s=t_s,
     )
@@ -122,7 +124,7 @@ def control_code_setting(call: Call) -> Result:
         return Nrc.INCORRECT_LENGTH
     if option not in {b"", _ALL_GROUPS}:
         return Nrc.REQUEST_OUT_OF_RANGE
-    if refusal := unmet_by_service(call):
+    if call.sub_function != CODES_ON and (refusal := unmet_by_service(call)):  # back to normal is always possible
         return refusal
     return call.echoed(state=replace(call.state, are_codes_updated=call.sub_function == CODES_ON))
 
@@ -138,12 +140,10 @@ def communication_control(call: Call) -> Result:
     kind, network = call.payload[2], call.payload[2] >> 4
     if kind & _RESERVED or not kind & (_NORMAL | _MANAGEMENT) or network not in {0x0, 0xF}:
         return Nrc.REQUEST_OUT_OF_RANGE
-    if refusal := unmet_by_service(call):
+    if call.sub_function != ALL_ON and (refusal := unmet_by_service(call)):  # back to normal is always possible
         return refusal
     receives, sends = call.sub_function in {0x00, 0x01}, call.sub_function in {0x00, 0x02}
     communication = call.state.communication
     if kind & _NORMAL:
         communication = replace(communication, sends_normal=sends, receives_normal=receives)
-    if kind & _MANAGEMENT:
-        communication = replace(communication, sends_management=sends, receives_management=receives)
     return call.echoed(state=replace(call.state, communication=communication))

@@ -15,7 +15,7 @@ from ecu_emulator.diagnostics.memory import (
     TroubleRecord,
     clear,
 )
-from ecu_emulator.diagnostics.obd_descriptions import Profile
+from ecu_emulator.diagnostics.obd_descriptions import IN_USE, Profile
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet_by_service
 from ecu_emulator.diagnostics.services.data import data_of
 from ecu_emulator.diagnostics.services.obd_data import odometer_m
@@ -70,7 +70,10 @@ def cleared(call: Call, group: int) -> ServerState:
 
 def read_codes(call: Call) -> Result:
     """Read trouble codes in one of the ways of service 19."""
-    result = _REPORTS[call.sub_function](call)
+    size_bytes, report = _REPORTS[call.sub_function]
+    if len(call.payload) != size_bytes:
+        return Nrc.INCORRECT_LENGTH
+    result = report(call)
     if isinstance(result, Nrc):
         return result
     if 2 + len(result) > call.table.limits.most_response_bytes:
@@ -82,27 +85,25 @@ def _records(call: Call) -> Iterable[tuple[int, TroubleRecord]]:
     return call.state.memory.records.items()
 
 
-def _masked(call: Call) -> list[bytes]:
-    """Return codes with their status that have one of the bits that the client named."""
-    mask = call.payload[2]
-    return [_code(number) + bytes([record.status]) for number, record in _records(call) if record.status & mask]
+def _masked(call: Call) -> list[int]:
+    """Return the codes that have one of the bits that the client named."""
+    return [number for number, record in _records(call) if record.status & call.payload[2]]
 
 
-def _number_by_mask(call: Call) -> bytes | Nrc:
-    if len(call.payload) != 3:
-        return Nrc.INCORRECT_LENGTH
+def _listed(call: Call, numbers: Iterable[int]) -> bytes:
+    """Return codes with their status."""
+    return b"".join(_code(number) + bytes([call.state.memory.records[number].status]) for number in numbers)
+
+
+def _number_by_mask(call: Call) -> bytes:
     return bytes([ALL_BITS, CODE_FORMAT]) + len(_masked(call)).to_bytes(2, "big")
 
 
-def _codes_by_mask(call: Call) -> bytes | Nrc:
-    if len(call.payload) != 3:
-        return Nrc.INCORRECT_LENGTH
-    return bytes([ALL_BITS]) + b"".join(_masked(call))
+def _codes_by_mask(call: Call) -> bytes:
+    return bytes([ALL_BITS]) + _listed(call, _masked(call))
 
 
-def _snapshot_names(call: Call) -> bytes | Nrc:
-    if len(call.payload) != 2:
-        return Nrc.INCORRECT_LENGTH
+def _snapshot_names(call: Call) -> bytes:
     return b"".join(
         _code(number) + bytes([name]) for number, record in _records(call) for name, _ in _snapshots(record)
     )
@@ -123,8 +124,6 @@ def _kept_by_code(
     call: Call, names: frozenset[int], kept: Callable[[Call, Trouble, TroubleRecord, int], bytes]
 ) -> bytes | Nrc:
     """Return a code, its status and what is kept of it; no more than the status if nothing is."""
-    if len(call.payload) != 2 + _CODE_BYTES + 1:
-        return Nrc.INCORRECT_LENGTH
     number, name = int.from_bytes(call.payload[2:5], "big"), call.payload[5]
     trouble = call.table.troubles.get(number)
     if trouble is None or name not in names:
@@ -147,19 +146,19 @@ def _snapshot_records(_call: Call, _trouble: Trouble, record: TroubleRecord, wan
 
 
 def _extended_records(call: Call, trouble: Trouble, record: TroubleRecord, wanted: int) -> bytes:
-    if record.latest is None:
-        return b""
-    captured = dict(record.latest.extended)
+    captured = {} if record.latest is None else dict(record.latest.extended)
     least = {ALL_RECORDS: 0, ALL_REGULATED_RECORDS: FIRST_REGULATED}
     return b"".join(
-        bytes([number]) + (_counters(described, record) if described.has_counters else captured.get(number, b""))
+        bytes([number])
+        + (_counters(call, described, trouble, record) if described.has_counters else captured.get(number, b""))
         for number in call.table.extended_of(trouble)
-        if (described := call.table.extended[number])
+        if (described := call.table.extended[number]) is IN_USE or record.has_data
         if number == wanted or (wanted in least and number >= least[wanted])
     )
 
 
-def _counters(described: ExtendedRecord, record: TroubleRecord) -> bytes:
+def _counters(call: Call, described: ExtendedRecord, trouble: Trouble, record: TroubleRecord) -> bytes:
+    emissions = call.state.emissions
     return encode(
         described.fields,
         {
@@ -168,20 +167,18 @@ def _counters(described: ExtendedRecord, record: TroubleRecord) -> bytes:
             f"{OF_MEMORY}passed_cycles": record.passed_cycles,
             f"{OF_MEMORY}aged_cycles": record.aged_cycles,
             f"{OF_MEMORY}detection_counter": record.detection_counter,
+            f"{OF_MEMORY}ran_cycles": emissions.ran_cycles.get(trouble.number, 0),
+            f"{OF_MEMORY}driven_cycles": emissions.driven_cycles,
         },
     )
 
 
-def _supported(call: Call) -> bytes | Nrc:
-    if len(call.payload) != 2:
-        return Nrc.INCORRECT_LENGTH
-    return bytes([ALL_BITS]) + b"".join(_code(number) + bytes([record.status]) for number, record in _records(call))
+def _supported(call: Call) -> bytes:
+    return bytes([ALL_BITS]) + _listed(call, call.state.memory.records)
 
 
-def _detection_counters(call: Call) -> bytes | Nrc:
+def _detection_counters(call: Call) -> bytes:
     """Return the codes on their way to a failure that are not there yet."""
-    if len(call.payload) != 2:
-        return Nrc.INCORRECT_LENGTH
     return b"".join(
         _code(number) + bytes([record.detection_counter])
         for number, record in _records(call)
@@ -191,8 +188,6 @@ def _detection_counters(call: Call) -> bytes | Nrc:
 
 def _emission_codes_by_mask(call: Call) -> bytes | Nrc:
     """Return severity, code and status of the codes of OBD that have a bit of each mask."""
-    if len(call.payload) != 5:
-        return Nrc.INCORRECT_LENGTH
     group, status_mask, severity_mask = call.payload[2:5]
     if group != EMISSION_GROUP:
         return Nrc.REQUEST_OUT_OF_RANGE
@@ -206,30 +201,46 @@ def _emission_codes_by_mask(call: Call) -> bytes | Nrc:
 
 
 def _permanent_codes(call: Call) -> bytes | Nrc:
-    if len(call.payload) != 3:
-        return Nrc.INCORRECT_LENGTH
     if call.payload[2] != EMISSION_GROUP:
         return Nrc.REQUEST_OUT_OF_RANGE
-    return bytes([EMISSION_GROUP, ALL_BITS, CODE_FORMAT_J2012]) + b"".join(
-        _code(number) + bytes([call.state.memory.records[number].status])
-        for number in sorted(call.state.emissions.permanent)
-    )
+    permanent = sorted(call.state.emissions.permanent)
+    return bytes([EMISSION_GROUP, ALL_BITS, CODE_FORMAT_J2012]) + _listed(call, permanent)
+
+
+def _codes_by_record(call: Call) -> bytes | Nrc:
+    """Return the codes that can have an extended record."""
+    name, table = call.payload[2], call.table
+    numbers = [number for number, trouble in table.troubles.items() if name in table.extended_of(trouble)]
+    return bytes([ALL_BITS, name]) + _listed(call, numbers) if numbers else Nrc.REQUEST_OUT_OF_RANGE
+
+
+def _codes_by_readiness(call: Call) -> bytes | Nrc:
+    """Return the codes of OBD of a readiness group; there is one, to which all belong."""
+    obd = call.table.obd
+    if obd is None or call.payload[2:] != bytes([EMISSION_GROUP, obd.readiness_group]):
+        return Nrc.REQUEST_OUT_OF_RANGE
+    numbers = [number for number, trouble in call.table.troubles.items() if trouble.lights_lamp]
+    head = bytes([EMISSION_GROUP, ALL_BITS, CODE_FORMAT_J2012, obd.readiness_group])
+    return head + _listed(call, numbers)
 
 
 def _code(number: int) -> bytes:
     return number.to_bytes(_CODE_BYTES, "big")
 
 
-_REPORTS: Final[Mapping[int, Callable[[Call], bytes | Nrc]]] = {
-    0x01: _number_by_mask,
-    0x02: _codes_by_mask,
-    0x03: _snapshot_names,
-    0x04: _snapshot_by_code,
-    0x06: _extended_by_code,
-    0x0A: _supported,
-    0x14: _detection_counters,
-    0x42: _emission_codes_by_mask,
-    0x55: _permanent_codes,
+_Report = Callable[[Call], bytes | Nrc]
+_REPORTS: Final[Mapping[int, tuple[int, _Report]]] = {  # with the length of the request
+    0x01: (3, _number_by_mask),
+    0x02: (3, _codes_by_mask),
+    0x03: (2, _snapshot_names),
+    0x04: (6, _snapshot_by_code),
+    0x06: (6, _extended_by_code),
+    0x0A: (2, _supported),
+    0x14: (2, _detection_counters),
+    0x1A: (3, _codes_by_record),
+    0x42: (5, _emission_codes_by_mask),
+    0x55: (3, _permanent_codes),
+    0x56: (4, _codes_by_readiness),
 }
-EMISSION_REPORTS: Final = frozenset({0x42, 0x55})  # of SAE J1979-2
+EMISSION_REPORTS: Final = frozenset({0x42, 0x55, 0x56})  # of SAE J1979-2
 REPORTS: Final = frozenset(_REPORTS) - EMISSION_REPORTS

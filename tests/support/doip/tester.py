@@ -42,12 +42,13 @@ def entity(
     port: int = 0,
     host: str = "127.0.0.1",
     tls: TlsNode | None = None,
+    reset_s: float = 0.3,
     **settings: float,
 ) -> Iterator[tuple[Controller, DoipServer]]:
     """Run an entity of a parked car; settings are those of the table."""
     table = full_table()
     quick: dict[str, Any] = {"announce_wait_s": 0.0, "announce_count": 0, **settings}
-    table = replace(table, doip=replace(table.doip, **quick))
+    table = replace(table, doip=replace(table.doip, **quick), timing=replace(table.timing, reset_s=reset_s))
     controller = Controller(table, values=lambda: PARKED, clock=time.monotonic, chance=secrets.token_bytes, store=store)
     with DoipServer(controller, Place(host=host, port=port or free_port(), tls=tls)) as server:
         yield controller, server

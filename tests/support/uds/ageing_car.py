@@ -179,6 +179,7 @@ class Car:
             if self._plan.new_fluid_at and self._t_s >= STANDS_S:
                 self._be_asked()
                 break
+        self.controller.warm_up()  # as a drive does that is long enough
         self.say("ended")
         self._clearing.close()
 

@@ -121,7 +121,9 @@ class RandomClient:
         return self.random.choices((0, 1, 2, 3, *range(0x10, 0x1A), 0x77), k=count)
 
     def _report(self) -> bytes:
-        report = self.random.choice((1, 2, 3, 4, 6, 0x0A, 0x14, 5))
+        report = self.random.choice((1, 2, 3, 4, 6, 0x0A, 0x14, 0x1A, 5))
+        if report == 0x1A:
+            return bytes([report, self.random.choice((1, 2, 3, 0x10, 0x91, 0, 0xFF))])
         if report in {1, 2}:
             return bytes([report, self.random.choice((0xFF, 0x08, 0x04, 0, self.random.randrange(256)))])
         if report not in {4, 6}:

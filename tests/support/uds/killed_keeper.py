@@ -26,7 +26,9 @@ STEPS = {"__enter__", "__exit__", "__init__", "load", "save", "_sync_folder", "_
 
 
 def controller(store: MemoryFile) -> Controller:
-    return Controller(shipped_table(), values=dict, clock=lambda: 0.0, chance=bytes, store=store)
+    return Controller(
+        shipped_table(), values=lambda: {"vehicle_speed_m_s": 0.0}, clock=lambda: 0.0, chance=bytes, store=store
+    )
 
 
 def drive(path: Path, acknowledge: int) -> None:

@@ -148,7 +148,14 @@ class PdxClient:
             texts = [scale.compu_const.vt for scale in dop.compu_method.compu_internal_to_phys.compu_scales]
             return [text for text in texts if text != UNDEFINED]
         size = dop.diag_coded_type.bit_length // 8
-        raws = [bytes(size), b"\x01".rjust(size, b"\0"), b"0" * size, *(self.random.randbytes(size) for _ in range(2))]
+        date = bytes.fromhex("260131").rjust(size, b"\0")[-size:]
+        raws = [
+            bytes(size),
+            b"\x01".rjust(size, b"\0"),
+            b"0" * size,
+            date,
+            *(self.random.randbytes(size) for _ in range(2)),
+        ]
         if service.semantic == "SECURITY":
             raws += [key_of(level, SEED[:size]) for level in self.table.levels.values() if level.seed_bytes == size]
         return [self.physical(dop, data) for data in raws]

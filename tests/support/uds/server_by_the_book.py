@@ -7,6 +7,7 @@ import struct
 import tomllib
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cache
 from typing import Any, TypeAlias
 
@@ -202,7 +203,7 @@ class ServerByTheBook:
             level = self.by_number["security"].get(sub if sub & 1 else sub - 1)
             return list(level["sessions"]) if level else []
         known = {
-            0x11: {1, 2, 3}, 0x19: {1, 2, 3, 4, 6, 0x0A, 0x14}, 0x28: {0, 1, 2, 3}, 0x2C: {1, 3}, 0x31: {1, 2, 3},
+            0x11: {1, 2, 3}, 0x19: {1, 2, 3, 4, 6, 0x0A, 0x14, 0x1A}, 0x28: {0, 1, 2, 3}, 0x2C: {1, 3}, 0x31: {1, 2, 3},
             0x3E: {0}, 0x85: {1, 2},
         }  # fmt: skip
         return list(self.by_number["service"][sid]["sessions"]) if sub in known[sid] else []
@@ -264,7 +265,7 @@ class ServerByTheBook:
 
     def _19(self, r: bytes, _t_s: float, _values: Values, _chance: bytes) -> Questions:
         report = r[1] & 0x7F
-        length = {1: 3, 2: 3, 3: 2, 4: 6, 6: 6, 0x0A: 2, 0x14: 2}[report]
+        length = {1: 3, 2: 3, 3: 2, 4: 6, 6: 6, 0x0A: 2, 0x14: 2, 0x1A: 3}[report]
         yield len(r) == length, 0x13
         if report in {4, 6}:
             number, name = int.from_bytes(r[2:5], "big"), r[5]
@@ -273,6 +274,11 @@ class ServerByTheBook:
             trouble = self.troubles[number]
             kept = self._snapshots(trouble, name) if report == 4 else self._extended(trouble, name)
             return bytes([report]) + r[2:5] + bytes([trouble.status]) + kept
+        if report == 0x1A:
+            own = self.by_number["extended"]
+            able = [one for one in self.troubles.values() if r[2] in one.entry.get("extended", own)]
+            yield bool(able), 0x31
+            return b"\x1a\xff" + r[2:] + b"".join(self._code(one) + bytes([one.status]) for one in able)
         return bytes([report]) + self._report(report, r[2] if length == 3 else 0)
 
     def _report(self, report: int, mask: int) -> bytes:
@@ -455,7 +461,11 @@ class ServerByTheBook:
     def _is_sensible(fields: list[dict[str, Any]], data: bytes) -> bool:
         """Whether data of one field, as all that can be written have, may be written."""
         entry = fields[0]
-        if entry["kind"] == "bytes":
+        if entry["kind"] == "bytes":  # a date
+            try:
+                datetime.strptime(data.hex(), "%y%m%d").replace(tzinfo=UTC)
+            except ValueError:
+                return False
             return True
         if entry["kind"] == "text":
             letters = "ABCDEFGHJKLMNPRSTUVWXYZ" if "HJ-NPR" in entry["pattern"] else "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
@@ -509,8 +519,9 @@ class ServerByTheBook:
     def _28(self, r: bytes, _t_s: float, values: Values, _chance: bytes) -> Questions:
         yield len(r) == 3, 0x13
         yield r[2] & 0x0F in {1, 2, 3} and r[2] >> 4 in {0, 15}, 0x31
-        yield from self._service_conditions(0x28, values)
         sub = r[1] & 0x7F
+        if sub:
+            yield from self._service_conditions(0x28, values)
         switches = {0: (True, True), 1: (True, False), 2: (False, True), 3: (False, False)}[sub]  # receive, send
         for bit, which in ((1, "normal"), (2, "management")):
             if r[2] & bit:
@@ -556,6 +567,7 @@ class ServerByTheBook:
     def _85(self, r: bytes, _t_s: float, values: Values, _chance: bytes) -> Questions:
         yield len(r) in {2, 5}, 0x13
         yield r[2:] in {b"", b"\xff\xff\xff"}, 0x31
-        yield from self._service_conditions(0x85, values)
+        if r[1] & 0x7F == 2:
+            yield from self._service_conditions(0x85, values)
         self.updates_codes = r[1] & 0x7F == 1
         return bytes([r[1] & 0x7F])

@@ -24,6 +24,8 @@ HOLDING = {
     "clutch1_slip_rad_s": 0.5, "clutch2_slip_rad_s": 40.0, "clutch1_pressure_pa": 8e5,
     "clutch1_pressure_command_pa": 8e5,
     "clutch2_pressure_pa": 0.2e5, "clutch2_pressure_command_pa": 0.1e5, "input1_speed_rad_s": 146.4,
+    "input2_speed_rad_s": 106.0, "hub_speed_rad_s": 146.4, "engine_speed_rad_s": 146.4,
+    "is_silent_ECM": 0.0, "is_silent_ABS": 0.0, "is_silent_IC": 0.0,
     "output_speed_rad_s": 100.0,
 }  # fmt: skip
 
@@ -43,7 +45,10 @@ def failing(*moments: dict[str, float]) -> set[str]:
 
 def test_a_gear_that_is_held_soundly_passes() -> None:
     said = verdicts(HOLDING, HOLDING)
-    assert set(said) == {"P0711", "P0218", "P0841", "P0780", "P0811", "P0868", "P0776", "P0733", "P2787"}
+    assert set(said) == {
+        "P0711", "P0218", "P0841", "P0846", "P0780", "P0811", "P0868", "P0746", "P0777", "P0733", "P2787", "P0715",
+        "P0716", "U0100", "U0121", "U0155",
+    }  # fmt: skip
     assert set(said.values()) == {TestResult.PREPASSED}
 
 
@@ -54,11 +59,18 @@ def test_a_gear_that_is_held_soundly_passes() -> None:
         ("P0811", {"clutch1_slip_rad_s": -15.0}),
         ("P0218", {"sump_temperature_k": 395.0}),
         ("P0711", {"sump_temperature_k": 500.0}),
-        ("P0841", {"clutch2_pressure_pa": 36e5}),
+        ("P0846", {"clutch2_pressure_pa": 36e5}),
+        ("P0841", {"clutch1_pressure_pa": 36e5}),
         ("P0841", {"clutch1_pressure_pa": -0.9e5, "clutch1_pressure_command_pa": 0.0}),
         ("P0868", {"clutch1_pressure_pa": 5e5}),
-        ("P0776", {"clutch2_pressure_pa": 3e5}),
+        ("P0746", {"clutch1_pressure_pa": 1e5}),  # none of it: the solenoid does nothing
+        ("P0777", {"clutch2_pressure_pa": 3e5}),  # too much
         ("P0733", {"input1_speed_rad_s": 152.0}),
+        ("P0716", {"input1_speed_rad_s": 170.0, "clutch1_slip_rad_s": -23.6}),  # hub and output say something else
+        ("P0716", {"hub_speed_rad_s": 170.0, "clutch1_slip_rad_s": 23.6}),  # so do engine and shaft
+        ("U0100", {"is_silent_ECM": 1.0}),
+        ("U0121", {"is_silent_ABS": 1.0}),
+        ("U0155", {"is_silent_IC": 1.0}),
     ],
 )
 def test_each_fault_fails_its_own_code(code: str, change: dict[str, float]) -> None:
@@ -66,10 +78,44 @@ def test_each_fault_fails_its_own_code(code: str, change: dict[str, float]) -> N
     assert failing(faulty, faulty) == {code}
 
 
-@pytest.mark.parametrize("name", ["sump_temperature_k", "clutch1_pressure_pa"])
-def test_a_sensor_that_says_nothing_fails_its_own_code(name: str) -> None:
+def test_the_other_clutch_has_codes_of_its_own() -> None:
+    fourth = HOLDING | {
+        "current_gear": 4.0, "target_gear": 4.0, "clutch2_pressure_pa": 8e5, "clutch2_pressure_command_pa": 8e5,
+        "clutch1_pressure_pa": 0.2e5, "clutch1_pressure_command_pa": 0.1e5, "input2_speed_rad_s": 107.9,
+        "hub_speed_rad_s": 107.9, "engine_speed_rad_s": 107.9, "clutch2_slip_rad_s": 0.0,
+    }  # fmt: skip
+    assert failing(fourth, fourth) == set()
+    stuck_on, stuck_off = fourth | {"clutch1_pressure_pa": 3e5}, fourth | {"clutch2_pressure_pa": 0.5e5}
+    assert (failing(stuck_on, stuck_on), failing(stuck_off, stuck_off)) == ({"P0747"}, {"P0776"})
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [
+        ("sump_temperature_k", "P0711"),
+        ("clutch1_pressure_pa", "P0841"),
+        ("clutch2_pressure_pa", "P0846"),
+        ("hub_speed_rad_s", "P0715"),
+        ("input1_speed_rad_s", "P0715"),
+        ("input2_speed_rad_s", "P0715"),
+    ],
+)
+def test_a_sensor_that_says_nothing_fails_its_own_code(name: str, code: str) -> None:
     silent = {key: value for key, value in HOLDING.items() if key != name}
-    assert failing(silent, silent) == {"P0711" if name == "sump_temperature_k" else "P0841"}
+    assert failing(silent, silent) == {code}
+
+
+def test_fluid_that_stays_as_it_was_while_the_engine_warms_up_has_a_frozen_sensor() -> None:
+    def warming(fluid_k: float) -> list[dict[str, float]]:
+        return [
+            HOLDING | {"coolant_temperature_k": 290.0 + step, "sump_temperature_k": 290.0 + fluid_k * step}
+            for step in range(45)
+        ]
+
+    assert failing(*warming(0.0)) == {"P0711"}
+    assert failing(*warming(0.02)) == {"P0711"}
+    assert failing(*warming(0.1)) == set()
+    assert failing(*warming(0.0)[:29]) == set()  # it may still be too early
 
 
 def test_a_temperature_that_jumps_is_the_sensors_and_says_nothing_of_heat() -> None:
@@ -92,9 +138,31 @@ def test_nothing_is_said_of_clutches_where_it_cannot_be_known() -> None:
 
 
 def test_a_warm_engine_makes_a_warm_up_cycle() -> None:
-    assert not is_warm({})
-    assert not is_warm({"coolant_temperature_k": 340.0})
-    assert is_warm({"coolant_temperature_k": 350.0})
+    cold = Watch(start_coolant_k=300.0)
+    assert not is_warm(cold, {})
+    assert not is_warm(cold, {"coolant_temperature_k": 340.0})
+    assert is_warm(cold, {"coolant_temperature_k": 350.0})
+    assert not is_warm(Watch(start_coolant_k=340.0), {"coolant_temperature_k": 360.0})  # by 20 K only
+    assert not is_warm(Watch(), {"coolant_temperature_k": 360.0})
+
+
+def test_a_cycle_counts_once_it_was_driven_fast_and_slow_for_long_enough() -> None:
+    idling = {"engine_speed_rad_s": 85.0, "vehicle_speed_m_s": 0.0, "pedal_ratio": 0.0}
+    fast = {"engine_speed_rad_s": 200.0, "vehicle_speed_m_s": 12.0, "pedal_ratio": 0.3}
+
+    def driven(*parts: tuple[dict[str, float], int]) -> bool:
+        watch, t_s = Watch(), 0.0
+        for values, duration_s in parts:
+            for _ in range(duration_s):
+                watch, _ = judge(watch, values, t_s)
+                t_s += 1.0
+        return watch.driven.is_enough
+
+    assert driven((fast, 310), (idling, 31), (fast, 270))
+    assert not driven((fast, 310), (idling, 31), (fast, 240))  # not yet ten minutes
+    assert not driven((fast, 290), (idling, 330))  # not fast for long enough
+    assert not driven((fast, 310), (idling, 20), (fast, 270), (idling, 20))  # never idle for long enough
+    assert not driven((idling | {"engine_speed_rad_s": 0.0}, 700))
 
 
 def test_every_code_that_a_monitor_says_is_in_the_table() -> None:
@@ -145,7 +213,12 @@ def test_a_sound_drive_fails_nothing_and_tests_every_gear(fluid: str) -> None:
         "P0711",
         "P0841",
         "P0868",
+        "P0746",
+        "P0747",
         "P0776",
+        "P0777",
+        "P0715",
+        "P0716",
         "P0780",
         "P0731",
         "P0735",
@@ -160,7 +233,7 @@ def test_launches_creeps_and_stops_of_a_sound_car_fail_nothing(oil_k: float) -> 
     drive = Drive(replace(road_scenario("ideal"), ambient=ambient))
     stretches = islice(drive.stretches(10.0), 24)
     count = failures(sensed(merge([stretch.frames for stretch in stretches])))
-    assert set(count) >= {"P0811", "P0868", "P0776", "P0780", "P0731", "P0732"}
+    assert set(count) >= {"P0811", "P0868", "P0777", "P0780", "P0731", "P0732", "P0716"}
     assert {code: number for code, number in count.items() if number} == {}
 
 
@@ -169,8 +242,12 @@ def test_launches_creeps_and_stops_of_a_sound_car_fail_nothing(oil_k: float) -> 
     [
         ("sump_temperature_k", SensorFaultKind.NOT_AVAILABLE, 0.0, "P0711"),
         ("clutch1_pressure_pa", SensorFaultKind.NOT_AVAILABLE, 0.0, "P0841"),
-        ("clutch2_pressure_pa", SensorFaultKind.OFFSET, 3e5, "P0776"),
-        ("hub_speed_rad_s", SensorFaultKind.OFFSET, 25.0, "P0811"),
+        ("clutch2_pressure_pa", SensorFaultKind.OFFSET, 3e5, "P0777"),
+        ("clutch1_pressure_pa", SensorFaultKind.OFFSET, 3e5, "P0747"),
+        ("clutch2_pressure_pa", SensorFaultKind.NOT_AVAILABLE, 0.0, "P0846"),
+        ("input2_speed_rad_s", SensorFaultKind.NOT_AVAILABLE, 0.0, "P0715"),
+        ("input1_speed_rad_s", SensorFaultKind.OFFSET, 25.0, "P0716"),
+        ("hub_speed_rad_s", SensorFaultKind.OFFSET, 25.0, "P0716"),
         ("output_speed_rad_s", SensorFaultKind.OFFSET, 15.0, "P0732"),
     ],
 )

@@ -9,7 +9,7 @@ import pytest
 
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.server import cycled, switched_on, warmed_up
+from ecu_emulator.diagnostics.server import cycled, driven, switched_on, warmed_up
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
 from ecu_emulator.errors import ConfigError
@@ -18,7 +18,8 @@ from tests.unit.ecu_emulator.diagnostics.bench import Bench
 TEXT = files("ecu_emulator").joinpath("diagnostics/tcu.toml").read_text(encoding="utf-8")
 PROBED_PIDS = sorted(set(range(0x100)) - set(range(0, 0x100, 0x20)))
 DRIVEN = {
-    "engine_speed_rad_s": 209.44, "vehicle_speed_m_s": 27.78, "coolant_temperature_k": 363.15, "time_s": 70_000.0,
+    "engine_speed_rad_s": 209.44, "vehicle_speed_m_s": 27.78, "coolant_temperature_k": 363.15,
+    "engine_run_time_s": 70_000.0,
     "odometer_m": 12_345_678.0, "throttle_ratio": 1.0, "pedal_ratio": 0.5, "ambient_temperature_k": 293.15,
     "manifold_pressure_pa": 60e3, "engine_torque_nm": -25.0,
 }  # fmt: skip
@@ -187,6 +188,7 @@ def test_a_permanent_code_that_nobody_clears_goes_when_it_has_healed(bench: Benc
 
 
 def test_a_failure_after_a_clear_keeps_a_permanent_code(bench: Bench) -> None:
+    bench.values["vehicle_speed_m_s"] = 0.0
     fail(bench, "P0218")
     assert bench.ask("14 FF FF FF") == "54"
     bench.monitor("P0218", TestResult.PASSED)
@@ -196,6 +198,7 @@ def test_a_failure_after_a_clear_keeps_a_permanent_code(bench: Bench) -> None:
 
 
 def test_distances_and_warm_ups_since_a_clear(bench: Bench) -> None:
+    bench.values["vehicle_speed_m_s"] = 0.0
     assert bench.ask("01 21 30 31") == "41 21 00 00 30 00 31 30 3a"  # the lamp was never on; never cleared
     fail(bench, "P0218")
     bench.values["odometer_m"] = 12_350_678.0
@@ -221,6 +224,7 @@ def test_what_obd_keeps_outlives_the_current(bench: Bench, tmp_path: Path) -> No
 
 
 def test_results_of_monitors_are_detection_counters_with_their_limits(bench: Bench) -> None:
+    bench.values["vehicle_speed_m_s"] = 0.0
     assert bench.ask("06 E2") == "46 e2 80 81 00 00 00 00 00 00"  # not run since codes were cleared
     fail(bench, "P0218")
     assert bench.ask("06 E2", to_all=True) == "46 e2 80 81 00 7f ff 80 00 7e"  # 127, at most 126
@@ -257,9 +261,68 @@ def test_obd_by_the_services_of_uds(bench: Bench) -> None:
     assert bench.ask("19 02 08") == "59 02 ff 08 10 54 2f"  # not one of OBD: not cleared
 
 
+@pytest.fixture(name="uds")
+def _uds(bench: Bench) -> Bench:
+    made = Bench(table=table_of("uds"))
+    made.values = {**bench.values, **DRIVEN, "vehicle_speed_m_s": 0.0}
+    return made
+
+
+def test_codes_of_a_readiness_group(uds: Bench) -> None:
+    """ISO 14229-1: group, status availability, format, readiness group, then the codes of OBD, failed or not."""
+    fail(uds, "P0218")
+    told = bytes.fromhex(uds.ask("19 56 33 03"))
+    assert told[:6] == b"\x59\x56\x33\xff\x04\x03"
+    codes = {told[place : place + 3].hex(): told[place + 3] for place in range(6, len(told), 4)}
+    lamps = {trouble.number.to_bytes(3, "big").hex() for trouble in uds.table.troubles.values() if trouble.lights_lamp}
+    assert set(codes) == lamps
+    assert (codes["02184b"], codes["081107"]) == (0xAF, 0x50)
+    for wrong, nrc in (("19 56 33", "13"), ("19 56 33 03 00", "13"), ("19 56 FF 03", "31"), ("19 56 33 01", "31")):
+        assert uds.ask(wrong) == f"7f 19 {nrc}"
+
+
+def test_codes_that_have_a_record_of_extended_data(uds: Bench) -> None:
+    lamps = [trouble for trouble in uds.table.troubles.values() if trouble.lights_lamp]
+    regulated = bytes.fromhex(uds.ask("19 1A 91"))
+    assert regulated[:4] == b"\x59\x1a\xff\x91"
+    assert len(regulated) == 4 + 4 * len(lamps)
+    assert len(bytes.fromhex(uds.ask("19 1A 01"))) == 4 + 4 * len(uds.table.troubles)
+    assert [uds.ask(one) for one in ("19 1A", "19 1A 77", "19 1A 00", "19 1A FF")] == [
+        "7f 19 13", "7f 19 31", "7f 19 31", "7f 19 31",
+    ]  # fmt: skip
+
+
+def test_how_often_a_test_has_run_is_regulated_data(uds: Bench) -> None:
+    """SAE J1979-2, record 91: operation cycles in which it was completed, and those that were driven as they count."""
+    assert uds.ask("19 06 02 18 4B 91") == "59 06 02 18 4b 50 91 00 00 00 00"
+    for is_driven, result in ((True, TestResult.PASSED), (True, None), (False, TestResult.PASSED), (True, None)):
+        if result is not None:
+            uds.monitor("P0218", result)
+        if is_driven:
+            uds.state = driven(driven(uds.state))
+        uds.state = cycled(uds.table, uds.state)
+    assert uds.ask("19 06 02 18 4B 91") == "59 06 02 18 4b 40 91 00 02 00 03"
+    assert uds.ask("19 06 02 18 4B FE") == "59 06 02 18 4b 40 91 00 02 00 03"
+    assert uds.ask("14 FF FF 33") == "54"
+    assert uds.ask("19 06 02 18 4B 91") == "59 06 02 18 4b 50 91 00 02 00 03"  # no client clears that
+    assert uds.ask("19 06 08 10 54 91") == "59 06 08 10 54 50"  # it does not belong to OBD
+
+
+def test_the_use_of_monitors_outlives_the_current(uds: Bench, tmp_path: Path) -> None:
+    uds.monitor("P0218", TestResult.PASSED)
+    uds.state = cycled(uds.table, driven(uds.state))
+    uds.state = driven(uds.state)
+    with MemoryFile(tmp_path / "memory.json", uds.table) as store:
+        store.save(uds.state)
+    with MemoryFile(tmp_path / "memory.json", uds.table) as store:
+        kept = store.load()
+    uds.state = switched_on(uds.table, kept, uds.t_s)  # and with it another cycle is over
+    assert uds.ask("19 06 02 18 4B 91") == "59 06 02 18 4b 40 91 00 01 00 02"
+
+
 def test_the_classic_profile_has_nothing_of_the_other(bench: Bench) -> None:
-    asked = ("22 F4 0C", "19 42 33 08 FF", "19 55 33", "14 FF FF 33")
-    assert [bench.ask(request)[-2:] for request in asked] == ["31", "12", "12", "31"]
+    asked = ("22 F4 0C", "19 42 33 08 FF", "19 55 33", "14 FF FF 33", "19 56 33 03", "19 1A 91", "19 06 02 18 4B 91")
+    assert [bench.ask(request)[-2:] for request in asked] == ["31", "12", "12", "31", "12", "31", "31"]
 
 
 @pytest.mark.parametrize(

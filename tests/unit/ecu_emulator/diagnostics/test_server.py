@@ -1,10 +1,12 @@
 """Dialogues as ISO 14229-1 has them: every service, the order of its checks, sessions, security, silence."""
 
 import struct
+from dataclasses import replace
 
 import pytest
 
 from ecu_emulator.diagnostics.memory import TestResult
+from tests.support.uds.full_table import full_table
 from tests.unit.ecu_emulator.diagnostics.bench import PARKED, Bench
 
 
@@ -28,7 +30,7 @@ def bench() -> Bench:
         ("14 ff ff ff", "54"),
         ("14 ff ff", "7f 14 13"),
         ("14 12 34 56", "7f 14 31"),
-        ("19 01 ff", "59 01 ff 00 00 11"),
+        ("19 01 ff", "59 01 ff 00 00 1a"),
         ("19 01", "7f 19 13"),
         ("19 05 ff", "7f 19 12"),
         ("19 02 08", "59 02 ff"),
@@ -462,3 +464,41 @@ def test_nobody_waits_for_the_response_to_a_client_who_has_gone(bench: Bench) ->
     assert bench.ask("3e 00", client=1) == "7f 3e 21"
     bench.leave(0)
     assert bench.ask("3e 00", client=1) == "7e 00"
+
+
+def test_a_client_leaves_the_data_that_another_one_made_alone(bench: Bench) -> None:
+    assert bench.ask("2c 01 f3 00 f1 90 01 03", client=1) == "6c 01 f3 00"
+    assert bench.ask("2c 01 f3 01 f1 90 01 01", client=2) == "6c 01 f3 01"
+    assert bench.ask("2c 01 f3 00 f1 90 01 01", client=2) == "7f 2c 31"
+    assert bench.ask("2c 03 f3 00", client=2) == "7f 2c 31"
+    assert bench.ask("2c 03", client=2) == "6c 03"  # its own
+    assert bench.ask("22 f3 01", client=2) == "7f 22 31"
+    assert bench.ask("22 f3 00", client=1) == "62 f3 00 57 44 43"
+    bench.leave(1)
+    assert bench.ask("22 f3 00", client=2) == "7f 22 31"
+
+
+@pytest.mark.parametrize("date", ["26 02 28", "24 02 29", "00 02 29", "99 12 31", "26 04 30", "26 10 01"])
+def test_a_date_is_written(bench: Bench, date: str) -> None:
+    bench.unlock()
+    assert bench.ask(f"2e 04 00 {date}") == "6e 04 00"
+    assert bench.ask("22 04 00") == f"62 04 00 {date}"
+
+
+NO_DATES = ("ff ff ff", "26 1a 01", "2a 01 01", "26 01 0f", "26 13 01", "26 00 01", "26 01 32", "26 02 29", "00 00 00")
+
+
+@pytest.mark.parametrize("digits", NO_DATES)
+def test_digits_that_are_no_date_are_not_written(bench: Bench, digits: str) -> None:
+    bench.unlock()
+    assert bench.ask(f"2e 04 00 {digits}") == "7f 2e 31"
+
+
+def test_a_service_may_need_security() -> None:
+    before = full_table()
+    services = {0x85: replace(before.services[0x85], levels=(1,)), 0x28: replace(before.services[0x28], levels=(1,))}
+    bench = Bench(table=replace(before, services={**before.services, **services}))
+    bench.ask("10 03")
+    assert [bench.ask(request) for request in ("85 02", "28 03 01")] == ["7f 85 33", "7f 28 33"]
+    bench.unlock()
+    assert [bench.ask(request) for request in ("85 02", "28 03 01")] == ["c5 02", "68 03"]

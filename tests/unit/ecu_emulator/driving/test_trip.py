@@ -5,10 +5,10 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from benchmarks.tolerance import share_within_tolerance
 from clutch_model.errors import DomainError
 from ecu_emulator.driving.conditions import Car
 from ecu_emulator.driving.states import DriveState, EngineState
-from ecu_emulator.driving.tolerance import share_within_tolerance
 from ecu_emulator.driving.trace import FloatArray, SpeedTrace
 from ecu_emulator.driving.trip import Trip, drive
 from ecu_emulator.plant.columns import Col

@@ -273,7 +273,7 @@ def test_what_comes_later_is_awaited() -> None:
     adapter.take("ATSP6")
     shown = adapter.take("31 01 03 01")
     assert (shown.lines, shown.awaited) == (("7F 31 78 ",), 0x31)
-    assert adapter.late(b"\x71\x01\x03\x01") == ("71 01 03 01 ",)
+    assert adapter.lines(b"\x71\x01\x03\x01") == ("71 01 03 01 ",)
 
 
 def test_monitoring_is_begun() -> None:

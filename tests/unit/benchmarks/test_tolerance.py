@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from benchmarks.tolerance import is_within_tolerance, share_within_tolerance, speed_limits_m_s
 from clutch_model.errors import DomainError
-from ecu_emulator.driving.tolerance import is_within_tolerance, share_within_tolerance, speed_limits_m_s
 from ecu_emulator.driving.trace import FloatArray, SpeedTrace
 
 KM_H = 1.0 / 3.6

@@ -1,0 +1,206 @@
+"""Days of trips with the car parked in between: what becomes of trouble codes, and what counts from the start."""
+
+from dataclasses import replace
+
+import can
+import numpy as np
+import pytest
+
+from canlog.e2e.message_contract import message_contracts
+from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
+from dbc.contract import load_contract
+from ecu_emulator.bus import to_messages
+from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.faults import SensorFault, SensorFaultKind
+from ecu_emulator.recording import Drive
+from tests.support.road import road_scenario, short_trip
+from tests.support.uds.days import EPOCH_S, HOLDING, STEP_S, TripCar
+
+COLD = (293.0, 350.0)  # coolant in the morning, and after the trip [K]
+WARM = (335.0, 350.0)  # after lunch: no warm-up cycle, it becomes warmer by 15 K only
+SLIPPING = {"hub_speed_rad_s": 166.4, "engine_speed_rad_s": 166.4}
+STANDING = {"vehicle_speed_m_s": 0.0}
+CONTRACTS = message_contracts(load_contract())
+OWN_IDS = {one.can_id for one in CONTRACTS.values() if one.sender == "TCU"}
+OTHER_IDS = {one.can_id for one in CONTRACTS.values()} - OWN_IDS
+SHIFT_DATA_ID = CONTRACTS["TCU_Shift"].data_id or 0
+LIFE = 43
+LOOK_S = 0.1
+
+
+def day(car: TripCar) -> None:
+    """Drive three sound trips, the first one with a cold engine."""
+    for coolant_k in (COLD, WARM, WARM):
+        car.park()
+        car.drive(coolant_k)
+
+
+def test_days_of_trips_confirm_heal_and_forget_a_code_as_the_table_says() -> None:
+    """P0811: two cycles to confirm, three to heal, forty warm-ups to forget."""
+    car, seen = TripCar(), []
+    car.drive(COLD, SLIPPING)
+    seen.append(car.status("P0811"))
+    car.park()
+    seen.append(car.status("P0811"))  # nothing is known of the trip that begins
+    car.drive(WARM, SLIPPING)
+    seen.append(car.status("P0811"))
+    for _ in range(4):
+        car.park()
+        car.drive(WARM)
+        seen.append(car.status("P0811"))
+    assert [f"{status:02x}" for status in seen] == ["27", "27", "af", "ac", "a8", "a8", "28"]
+    assert car.ask("03") == "43 01 08 11"
+    assert car.ask("0A") == "4a 00"  # it is no longer permanent
+    days = 0
+    while car.status("P0811") & Status.CONFIRMED and days < LIFE:
+        day(car)
+        days += 1
+    assert days == 40  # in the second trip of the fortieth day: its first one was the warm-up
+    assert car.status("P0811") == 0x20
+    assert car.ask("03") == "43 00"
+    assert car.ask("01 30") == "41 30 29"  # of the day it failed, and of these
+
+
+def test_a_code_that_passes_in_between_is_not_confirmed() -> None:
+    car = TripCar()
+    for fault in (SLIPPING, HOLDING, SLIPPING):
+        car.drive(WARM, fault)
+        car.park()
+        car.drive(WARM, steps=1)
+    assert car.status("P0811") & (Status.PENDING | Status.CONFIRMED) == Status.PENDING
+
+
+def test_what_counts_from_the_start_begins_anew_with_each_trip() -> None:
+    car = TripCar()
+    car.drive(steps=25)
+    assert car.ask("01 1F") == "41 1f 00 0c"
+    operating_s = int(car.ask("22 01 00")[9:].replace(" ", ""), 16) / 100.0
+    assert operating_s == pytest.approx(25 * STEP_S)
+    car.park()
+    car.drive(steps=3)
+    assert car.ask("01 1F") == "41 1f 00 01"
+    car.drive(changes={"engine_speed_rad_s": 0.0}, steps=5)  # a stop: the engine's time stands still
+    car.drive(steps=3)
+    assert car.ask("01 1F") == "41 1f 00 02"
+    assert int(car.ask("22 01 00")[9:].replace(" ", ""), 16) / 100.0 == pytest.approx(11 * STEP_S)
+
+
+def test_a_warm_up_needs_an_engine_that_becomes_warmer() -> None:
+    car = TripCar()
+    for coolant_k in (WARM, (300.0, 340.0), (320.0, 345.0)):
+        car.drive(coolant_k)
+        car.park()
+        car.drive(coolant_k, steps=1)
+        car.park()
+    assert car.ask("01 30") == "41 30 01"
+
+
+def test_a_driven_car_begins_a_cycle_with_each_trip() -> None:
+    """The real car: two trips with a dead sensor confirm its code, the trips after them heal it."""
+    dead = SensorFault(quantity="clutch2_pressure_pa", kind=SensorFaultKind.NOT_AVAILABLE, duration_s=60.0)
+    trips = [short_trip(), *[short_trip(parked_s=1800.0)] * 5]
+    drive = Drive(replace(road_scenario(), sensor_faults=(dead,)), 5.0, planned=iter(trips))
+    car, seen, next_s = TripCar(ignition=drive.ignition), [0x50], LOOK_S
+    for stretch in drive.stretches(STEP_S):
+        for message in to_messages(stretch.frames, EPOCH_S):
+            car.t_s = message.timestamp - EPOCH_S
+            car.answering.send(message)
+            if car.t_s >= next_s:
+                next_s = car.t_s + LOOK_S
+                car.answering.watch()
+        if seen[-1] != (status := car.status("P0846")):
+            seen.append(status)
+    # failed, confirmed in the second trip, passed in the third; three good trips later the lamp is out
+    told = " ".join(f"{status:02x}" for status in seen)
+    assert told == "50 27 65 af ae ec ac e8 a8 e8 a8 68 28"
+
+
+@pytest.mark.parametrize(
+    ("silent", "code"), [("ECM", "U0100"), ("ABS", "U0121"), ("BRK_Vehicle", "U0121"), ("IC", "U0155")]
+)
+def test_a_controller_that_falls_silent_has_its_code(silent: str, code: str) -> None:
+    car = TripCar()
+    car.drive(WARM)
+    car.drive(WARM, steps=25, silent=[silent])
+    failed = {one for one in ("U0100", "U0121", "U0155") if car.status(one) & Status.TEST_FAILED}
+    assert failed == {code}
+    car.drive(WARM)
+    assert not car.status(code) & Status.TEST_FAILED
+
+
+def test_one_that_never_speaks_has_its_code_too() -> None:
+    car = TripCar()
+    car.drive(WARM, silent=["ECM"])
+    assert car.status("U0100") & Status.TEST_FAILED
+
+
+def test_standstill_is_not_believed_of_a_speed_that_nobody_confirms() -> None:
+    car = TripCar()
+    car.drive(changes=STANDING, steps=4)
+    car.drive(steps=4, silent=["ABS"])  # it drives off, and nobody says so
+    assert car.ask("11 01") == "7f 11 88"
+    assert car.ask("22 01 02") == "62 01 02 ff ff"
+    car.drive(changes=STANDING, steps=1)
+    assert car.ask("11 01") == "51 01"
+
+
+def own_frames(car: TripCar) -> list[can.Message]:
+    return [message for message in car.bus.messages if message.arbitration_id in OWN_IDS]
+
+
+def test_a_reset_silences_the_controller_until_it_has_started_and_it_counts_anew() -> None:
+    car = TripCar()
+    car.drive(changes=STANDING, steps=20)
+    car.ask("10 03")
+    car.bus.messages.clear()
+    assert car.ask("11 01") == "51 01"
+    for _ in range(3):  # a frame of each message every 100 ms, for as long as it takes to start
+        car.say(HOLDING | STANDING)
+        car.t_s = round(car.t_s + 0.1, 3)
+        assert own_frames(car) == []
+        assert car.ask("3E 00") == ("" if car.t_s < 10.29 else "7e 00")
+    assert {message.arbitration_id for message in car.bus.messages} == OTHER_IDS  # nobody else is reset
+    for _ in range(20):
+        car.say(HOLDING | STANDING)
+        car.t_s = round(car.t_s + 0.1, 3)
+    shifts = np.array([list(message.data) for message in own_frames(car) if message.arbitration_id == 0x0B3], np.uint8)
+    assert counter_of(shifts).tolist() == [*range(15), *range(5)]
+    assert crc_is_valid(shifts, data_id_remainder(SHIFT_DATA_ID)).all()
+    assert int(car.ask("22 01 00")[9:].replace(" ", ""), 16) / 100.0 == pytest.approx(2.0)
+    assert car.ask("22 F1 86") == "62 f1 86 01"
+    car.bus.messages.clear()
+    car.park()
+    car.drive(steps=2)
+    later = np.array([list(message.data) for message in own_frames(car) if message.arbitration_id == 0x0B3], np.uint8)
+    assert counter_of(later).tolist() == [0, 1]
+
+
+def test_nothing_is_reset_cleared_or_switched_off_while_the_car_drives() -> None:
+    car = TripCar()
+    car.drive(changes={**SLIPPING, "vehicle_speed_m_s": 21.1})  # 76 km/h
+    car.ask("10 03")
+    asked = ("11 01", "28 03 01", "85 02", "14 FF FF FF", "14 08 11 07")
+    assert [car.ask(request) for request in asked] == [
+        "7f 11 88", "7f 28 88", "7f 85 88", "7f 14 22", "7f 14 22",
+    ]  # fmt: skip
+    car.drive(changes=STANDING, steps=1)
+    assert [car.ask(request)[:2] for request in asked[1:]] == ["68", "c5", "54", "54"]
+
+
+def test_a_controller_that_shall_not_listen_knows_only_what_it_senses() -> None:
+    """28 02: it goes on sending."""
+    car = TripCar()
+    car.drive(changes=STANDING, steps=4)
+    car.ask("10 03")
+    assert car.ask("28 02 01") == "68 02"
+    car.bus.messages.clear()
+    car.drive(steps=8)
+    car.ask("3E 00")
+    assert own_frames(car)
+    assert car.ask("22 01 05 02 06").startswith("62 01 05 ff ff 02 06")  # engine speed, fluid
+    assert car.ask("22 02 06") != "62 02 06 ff"
+    assert not car.status("U0100") & Status.FAILED_THIS_CYCLE  # that is the tester's doing
+    assert car.ask("28 03 01") == "7f 28 88"  # it does not know that it stands
+    assert car.ask("28 00 01") == "68 00"  # as it shall be is always possible
+    car.drive(steps=1)
+    assert car.ask("22 01 05") != "62 01 05 ff ff"
