@@ -15,6 +15,7 @@ from fleet_backend.audit_trail import COMMAND_LINE, note_change
 from fleet_backend.choices import Axis
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, UnknownVehicleError
+from fleet_backend.orders import present_fluids, with_orders, without_old_fluid
 from fleet_backend.schema import (
     ALARM_ACKNOWLEDGEMENT,
     FLUID_FILL,
@@ -26,6 +27,7 @@ from fleet_backend.schema import (
 )
 
 Record = Mapping[str, object]
+SEVERITIES: Final = ("no_verdict", "good", "watch", "change_fluid")
 _ROWS_PER_READ: Final = 2000
 _CODE: Final = ("code", "failure_type", "text", "status", "states", "snapshots")
 
@@ -39,8 +41,14 @@ class TableHash:
 
 
 def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
-    """Return the running condition of every clutch, the worst first."""
-    return _records(engine, select(views.FLEET).order_by(views.FLEET.c.place).limit(limit))
+    """Return the running condition of every clutch, the worst first, with the order for its vehicle."""
+    with transaction(engine) as connection:
+        rows = connection.execute(select(views.FLEET).order_by(views.FLEET.c.place)).mappings()
+        told = with_orders(rows, present_fluids(connection))
+    told.sort(key=lambda row: (-SEVERITIES.index(row["condition"]), row["place"]))
+    return [
+        {**row, "place": place, "severity": SEVERITIES.index(row["condition"])} for place, row in enumerate(told, 1)
+    ][:limit]
 
 
 def check_vehicle(engine: Engine, vehicle: str) -> None:
@@ -72,7 +80,10 @@ def clutch_alarms(engine: Engine, *, is_open_only: bool) -> Sequence[Record]:
     """Return the alarms of all clutches, the latest first."""
     table = views.CLUTCH_ALARM
     statement = select(table).order_by(table.c.raised_at.desc(), table.c.vehicle, table.c.clutch)
-    return _records(engine, statement.where(table.c.cleared_at.is_(None)) if is_open_only else statement)
+    statement = statement.where(table.c.cleared_at.is_(None)) if is_open_only else statement
+    with transaction(engine) as connection:
+        told = without_old_fluid(connection, connection.execute(statement).mappings().all())
+    return [one for one in told if one["cleared_at"] is None or not is_open_only]
 
 
 def identity_alarms(engine: Engine) -> Sequence[Record]:

@@ -4,13 +4,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from sqlalchemy import Engine, TextClause, TextualSelect, bindparam, func, select, text
 
 from fleet_backend.database import transaction
 from fleet_backend.months.partitions import has_partitions
 from fleet_backend.months.whereabouts import CLUTCH_STREAM
+from fleet_backend.orders import present_fluids, with_orders
 from fleet_backend.page.records import ClutchNow
 from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, UtcDateTime
 
@@ -92,7 +93,8 @@ _SOME_CLUTCHES: Final = _statements("WHERE k.vehicle IN :vehicles")
 def all_clutches(engine: Engine) -> list[ClutchNow]:
     """Return the running condition of every clutch of the fleet."""
     with transaction(engine) as connection:
-        return [_clutch(row) for row in connection.execute(_ALL_CLUTCHES[has_partitions(engine)]).mappings()]
+        rows = connection.execute(_ALL_CLUTCHES[has_partitions(engine)]).mappings()
+        return list(map(_clutch, with_orders(rows, present_fluids(connection))))
 
 
 def clutches_of(engine: Engine, vehicles: Sequence[str]) -> list[ClutchNow]:
@@ -101,7 +103,8 @@ def clutches_of(engine: Engine, vehicles: Sequence[str]) -> list[ClutchNow]:
     with transaction(engine) as connection:
         for first in range(0, len(vehicles), _MOST_NAMES):
             names = list(vehicles[first : first + _MOST_NAMES])
-            found += [_clutch(row) for row in connection.execute(statement, {"vehicles": names}).mappings()]
+            rows = connection.execute(statement, {"vehicles": names}).mappings()
+            found += map(_clutch, with_orders(rows, present_fluids(connection, names)))
     return found
 
 
@@ -130,6 +133,5 @@ def fills_seen(engine: Engine) -> FillsSeen:
     return FillsSeen(count=count, latest=latest)
 
 
-def _clutch(row: object) -> ClutchNow:
-    values = dict(row)  # type: ignore[call-overload]  # a row of SQLAlchemy
-    return ClutchNow(**{name: values[name] for name in _NAMES})
+def _clutch(row: Mapping[str, Any]) -> ClutchNow:
+    return ClutchNow(**{name: row[name] for name in _NAMES})
