@@ -8,6 +8,7 @@ from typing import Any, Final
 from sqlalchemy import Connection, RowMapping, select
 
 from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT
+from fleet_contract.fills import distinct
 from fleet_contract.orders import NO_VERDICT, UNKNOWN_FLUID, Finding, is_of_earlier_fluid, order_of, unseen_since_new
 
 Row = Mapping[str, Any] | RowMapping
@@ -30,9 +31,10 @@ def present_fluids(connection: Connection, vehicles: Sequence[str] | None = None
     statement = select(table.vehicle, table.filled_at, table.product).order_by(table.filled_at)
     if vehicles is not None:
         statement = statement.where(table.vehicle.in_(vehicles))
-    return {
-        row.vehicle: PresentFluid(filled_at=row.filled_at, product=row.product) for row in connection.execute(statement)
-    }
+    known: dict[str, list[PresentFluid]] = {}
+    for row in connection.execute(statement):
+        known.setdefault(row.vehicle, []).append(PresentFluid(filled_at=row.filled_at, product=row.product))
+    return {vehicle: distinct(own, lambda one: one.filled_at)[-1] for vehicle, own in known.items()}
 
 
 def with_orders(rows: Iterable[Row], fluids: Mapping[str, PresentFluid]) -> list[dict[str, Any]]:

@@ -148,14 +148,16 @@ def verdict_from(table: object) -> ClutchVerdict:
 
 def fill_record(fill: FluidFill) -> JsonObject:
     """Return a fluid fill as it stands in a message; of which vehicle the message says."""
-    return {key: value for key, value in to_plain(fill).items() if key != "vehicle"}
+    left_out = {"vehicle"} if fill.is_withdrawn else {"vehicle", "is_withdrawn"}
+    return {key: value for key, value in to_plain(fill).items() if key not in left_out}
 
 
 def fills_from(table: Mapping[str, object]) -> list[FluidFill]:
-    """Return the fluid fills in a message; raises ResultError if they are none of this version."""
-    fills = table.get("fills")
-    if not isinstance(fills, list):
+    """Return the fluid fills in a message, withdrawn ones too; raises ResultError if they are none of this version."""
+    fills, withdrawn = table.get("fills"), table.get("withdrawn", [])
+    if not isinstance(fills, list) or not isinstance(withdrawn, list):
         raise ResultError("fluid fills are a list")
+    fills = [*fills, *({"filled_at": moment, "is_withdrawn": True} for moment in withdrawn)]
     try:
         return [from_plain({**fill, "vehicle": table.get("vehicle")}, FluidFill) for fill in fills]
     except (TypeError, ValueError) as exc:

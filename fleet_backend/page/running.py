@@ -13,7 +13,7 @@ from fleet_backend.months.partitions import has_partitions
 from fleet_backend.months.whereabouts import CLUTCH_STREAM
 from fleet_backend.orders import present_fluids, with_orders
 from fleet_backend.page.records import ClutchNow
-from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, UtcDateTime
+from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, WITHDRAWN_FILL, UtcDateTime
 
 _MOST_NAMES: Final = 500  # of vehicles in one statement
 # The view running_condition for some vehicles alone: a database does not carry a list of names into a view by itself.
@@ -72,6 +72,7 @@ class FillsSeen:
 
     count: int
     latest: datetime | None
+    withdrawn_count: int = 0
 
 
 def _statement(source: str, where: str) -> TextClause:
@@ -127,10 +128,11 @@ def database_time(engine: Engine) -> datetime:
 
 
 def fills_seen(engine: Engine) -> FillsSeen:
-    """Return how many fluid fills are noted, and the latest."""
+    """Return how many fluid fills are noted and taken back, and the latest."""
     with transaction(engine) as connection:
         count, latest = connection.execute(select(func.count(), func.max(FLUID_FILL.c.filled_at))).one()
-    return FillsSeen(count=count, latest=latest)
+        withdrawn_count = connection.execute(select(func.count()).select_from(WITHDRAWN_FILL)).scalar_one()
+    return FillsSeen(count=count, latest=latest, withdrawn_count=withdrawn_count)
 
 
 def _clutch(row: Mapping[str, Any]) -> ClutchNow:

@@ -1,4 +1,4 @@
-"""One order for a vehicle: whatever verdicts, prognoses and fills there are, nothing that is told contradicts the rest."""
+"""One order for a vehicle: whatever verdicts, prognoses and fills there are, no text contradicts another."""
 
 import re
 from dataclasses import replace
@@ -34,7 +34,10 @@ EARLIER = {  # what programs before wrote as advice
         ),
     ),
     Condition.WATCH: (
-        "Clutch {}: have the fluid changed at the next service: 50 % of its margin against shudder are gone (85 % sure).",
+        (
+            "Clutch {}: have the fluid changed at the next service: 50 % of its margin against shudder are gone "
+            "(85 % sure)."
+        ),
     ),
     Condition.GOOD: (
         "Clutch {}: nothing to do until the next service: its fluid is sound (over 99 % sure).",
@@ -44,8 +47,8 @@ EARLIER = {  # what programs before wrote as advice
         "Clutch {}: drive on and measure again: fewer than 3 of its shifts could be used.",
         "Clutch {}: have its launches looked at: the clutch slips again after it has stuck, its friction says not why.",
         (
-            "Clutch {}: no verdict: the calibration does not fit this vehicle; let diag-service calibrate make its own, "
-            "then measure again."
+            "Clutch {}: no verdict: the calibration does not fit this vehicle; let diag-service calibrate make its "
+            "own, then measure again."
         ),
         "Clutch {}: no verdict: the signals of this vehicle do not tell its friction.",
     ),
