@@ -16,8 +16,8 @@ DATABASE_VARIABLE: Final = "CLUTCHDIAG_DATABASE"
 
 EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_BROKER, EXIT_DATABASE, EXIT_UNKNOWN = range(6)
 _EXIT_TEXT: Final = (
-    "exit status: 0 done, stopped, or nobody reads on; 1 unexpected error, 2 usage or an extra that is not installed, "
-    "3 broker, 4 database, 5 unknown vehicle"
+    "exit status: 0 done, stopped, or the reader closed the pipe; 1 unexpected error; 2 usage or an extra that is not "
+    "installed; 3 broker; 4 database; 5 unknown vehicle"
 )
 _QUARANTINE_LIMIT: Final = 50
 DEFAULT_SERVICE_KM: Final = 15_000
@@ -71,7 +71,7 @@ _INGEST: Final = Command(
         envvar=BROKER_VARIABLE,
     ),
     *_BROKER[1:],
-    Option("--worker NAME", "name of this worker, unlike any other's (default: made up)"),
+    Option("--worker NAME", "unique name of this worker (default: generated)"),
     Option("--alive FILE", "touch this file every 5 s while broker and database answer", FILE),
     Option("--batch N", f"results per transaction (default: {_PACE.batch_size})", INT, default=_PACE.batch_size),
     Option(
@@ -80,7 +80,9 @@ _INGEST: Final = Command(
         FLOAT,
         default=_PACE.patience_s * 1000.0,
     ),
-    Option("--no-bundles", "let vehicles send each result alone, for others who read the topic shift"),
+    Option(
+        "--no-bundles", "ask vehicles to send each result in a message of its own, for other readers of the topic shift"
+    ),
     examples=(
         f"{PROGRAM} ingest --broker mqtts://fleet@broker.example --database postgresql://fleet@db.example/fleet",
     ),
@@ -89,7 +91,7 @@ _TABLE: Final = Command(
     "table",
     "show the running condition of every clutch, the worst first",
     *_QUESTION,
-    Option("--limit N", "show the N worst only", _count),
+    Option("--limit N", "show only the N worst", _count),
     examples=(f"{PROGRAM} table --limit 10",),
 )
 _TREND: Final = Command(
@@ -110,14 +112,14 @@ _ALARMS: Final = Command(
     "alarms",
     "show or acknowledge alarms",
     *_QUESTION,
-    Option("--all", "also those that are cleared"),
+    Option("--all", "include cleared alarms"),
     Option(
         "--acknowledge VEHICLE",
         "acknowledge the latest alarm of its --clutch, or without --clutch what was kept aside on its topics",
     ),
     Option("--clutch", "whose alarm is acknowledged", _CLUTCH),
     Option("--by WHO", "who acknowledges (default: the user)"),
-    Option("--note TEXT", "what is to be remembered of it"),
+    Option("--note TEXT", "a note to keep with it"),
     examples=(
         f"{PROGRAM} alarms --all --json",
         f"{PROGRAM} alarms --acknowledge car1 --clutch 2 --note 'fluid is on order'",
@@ -127,8 +129,8 @@ _QUARANTINE: Final = Command(
     "quarantine",
     "show or forget messages that could not be used",
     *_QUESTION,
-    Option("--limit N", f"show the N latest only (default: {_QUARANTINE_LIMIT})", _count, default=_QUARANTINE_LIMIT),
-    Option("--purge-days D", "forget what is older than D days instead", FLOAT),
+    Option("--limit N", f"show only the N latest (default: {_QUARANTINE_LIMIT})", _count, default=_QUARANTINE_LIMIT),
+    Option("--purge-days D", "delete messages older than D days instead", FLOAT),
     examples=(f"{PROGRAM} quarantine --purge-days 90",),
 )
 _PEERS: Final = Command(
@@ -141,7 +143,7 @@ _PEERS: Final = Command(
 )
 _LOTS: Final = Command(
     "lots",
-    "show what vehicles have in common, as the lot of their fluid; or take it from a table",
+    "show properties that vehicles share, such as the lot of their fluid, or read them from a table",
     *_QUESTION,
     Option("--read FILE", "CSV with a column vehicle and one for each property; empty cells are forgotten", FILE),
     examples=(f"{PROGRAM} lots --read lots.csv", f"{PROGRAM} lots --json"),
@@ -154,7 +156,7 @@ _FILL: Final = Command(
     *_COMMON,
     Option("--at DATE", "ISO 8601, UTC without a zone (default: now)"),
     Option("--odometer-km KM", "reading of the odometer", FLOAT),
-    Option("--note TEXT", "what is to be remembered of it"),
+    Option("--note TEXT", "a note to keep with it"),
     Option(
         "--insist", "note an odometer that does not fit to the results, as after a change of the instrument cluster"
     ),
@@ -169,7 +171,7 @@ _PARTITIONS: Final = Command(
     "make the months in which a PostgreSQL database keeps results, and show all",
     *_QUESTION,
     Option("--ahead N", f"months ahead (default: {_AHEAD_MONTHS})", _count, default=_AHEAD_MONTHS),
-    Option("--back N", "months back, for results of the past that are still to come (default: 0)", _count, default=0),
+    Option("--back N", "months back, for old results that may still arrive (default: 0)", _count, default=0),
     examples=(f"{PROGRAM} partitions --ahead 6",),
 )
 _ROLLUP: Final = Command(
@@ -191,12 +193,12 @@ _SERVE: Final = Command(
     *_COMMON,
     Option(
         "--listen ADDRESS",
-        f"where: HOST:PORT, without --access of this machine's loopback; port 0 is any free one"
+        f"HOST:PORT to listen at, a loopback address unless --access is given; port 0 takes any free one"
         f" (default: {DEFAULT_LISTEN})",
         default=DEFAULT_LISTEN,
     ),
     Option(
-        "--access FILE", "who may read and change what, by a login or behind a proxy that has one (docs/page.md)", FILE
+        "--access FILE", "who may read and change what, by a login here or by a proxy with one (docs/page.md)", FILE
     ),
     examples=(f"{PROGRAM} serve", f"{PROGRAM} serve --listen 127.0.0.1:8090"),
 )
@@ -223,11 +225,11 @@ _WATCH: Final = Command(
     ),
     Option(
         "--silence-days D",
-        f"days without a result that are too many (default: {DEFAULT_SILENCE_DAYS})",
+        f"days without a result until an alarm is raised (default: {DEFAULT_SILENCE_DAYS})",
         FLOAT,
         default=float(DEFAULT_SILENCE_DAYS),
     ),
-    Option("--once", "look at everything once, deliver, and end"),
+    Option("--once", "check everything once, deliver, and end"),
     examples=(
         f"{PROGRAM} watch --webhook https://hooks.example/fleet --secret webhook.secret",
         f"{PROGRAM} watch --mqtt --broker mqtts://fleet@broker.example",
@@ -246,10 +248,10 @@ COMMAND_LINE: Final = Program(
         examples=(f"{PROGRAM} migrate --database sqlite:///fleet.sqlite",),
     ),
     *(_TABLE, _TREND, _ALARMS, _PEERS, _LOTS, _QUARANTINE),
-    Command("seen", "show when each vehicle was heard of", *_QUESTION, examples=(f"{PROGRAM} seen --json",)),
+    Command("seen", "show when each vehicle was last heard from", *_QUESTION, examples=(f"{PROGRAM} seen --json",)),
     Command(
         "codes",
-        "show the trouble codes that controllers tell",
+        "show the trouble codes that controllers report",
         *_QUESTION,
         examples=(f"{PROGRAM} codes", f"{PROGRAM} codes --json"),
     ),

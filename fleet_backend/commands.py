@@ -38,7 +38,7 @@ def execute(options: SimpleNamespace) -> None:
     """Do what a command line asks for; raises FleetBackendError."""
     for name in ("vehicle", "acknowledge", "product", "note", "by"):
         if not (getattr(options, name, None) or "").isprintable():
-            raise ConfigError(f"{name} holds characters that are no text")
+            raise ConfigError(f"{name} holds characters that are not text")
     must_exist = options.command != "migrate"  # a mistyped name must not become an empty fleet
     engine = open_database(options.database or default_database(), must_exist=must_exist)
     try:
@@ -95,7 +95,7 @@ def _rollup(_options: SimpleNamespace, engine: Engine) -> None:
 
 def _retain(options: SimpleNamespace, engine: Engine) -> None:
     done = retain(engine, options.months, now=datetime.now(UTC), by=_user())
-    kept = f"; {done.kept_count} earlier ones stay, the last of their clutches" if done.kept_count else ""
+    kept = f"; {done.kept_count} earlier ones stay, as they are the last of their clutches" if done.kept_count else ""
     sys.stdout.write(f"{done.gone_count} results from before {done.before:%Y-%m} forgotten{kept}\n")
 
 
@@ -179,7 +179,7 @@ def _peers(options: SimpleNamespace, engine: Engine) -> None:
 def _lots(options: SimpleNamespace, engine: Engine) -> None:
     if options.read is not None:
         done = lots.store_lots(engine, lots.read_lots(options.read), at=datetime.now(UTC), by=_user())
-        unheard = f"; of {done.unheard_count} of them nothing was heard so far" if done.unheard_count else ""
+        unheard = f"; of {done.unheard_count} of them have not been heard from" if done.unheard_count else ""
         sys.stdout.write(f"{done.lot_count} properties of {done.vehicle_count} vehicles{unheard}\n")
         return
     known = lots.lots_of(engine)

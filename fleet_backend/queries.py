@@ -62,7 +62,7 @@ def check_vehicle(engine: Engine, vehicle: str) -> None:
         return
     folded = {name.casefold(): name for name in sorted(names)}
     near = [folded[name] for name in get_close_matches(vehicle.casefold(), folded, n=3)]
-    hint = f"did you mean {', '.join(near)}?" if near else "fleet-backend seen lists those that are"
+    hint = f"did you mean {', '.join(near)}?" if near else "fleet-backend seen lists the known ones"
     raise UnknownVehicleError(f"no vehicle {vehicle} is known; {hint}")
 
 

@@ -195,7 +195,7 @@ def lot_standings_table(records: Sequence[Record]) -> Sheet:
 def batches_table(records: Sequence[Record]) -> Sheet:
     """Return whether some vehicles of each type age faster than the others, and which those may be."""
     return _sheet(
-        "Bad batches of which no table knows, among fluids younger than 20,000 km",
+        "Suspected bad batches that no table lists, among fluids younger than 20,000 km",
         records,
         {
             "type": _plain("vehicle_type"),

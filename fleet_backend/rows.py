@@ -121,7 +121,7 @@ def fill_rows(data: Mapping[str, object]) -> list[Row]:
     """Return the rows of the fluid fills that a vehicle knows; of those that are taken back the key alone."""
     fills, withdrawn = data["fills"], data.get("withdrawn", [])
     if not isinstance(fills, list) or not isinstance(withdrawn, list):
-        raise TypeError("a list was promised")
+        raise TypeError("expected a list")
     gone: list[Row] = [{"vehicle": data["vehicle"], "filled_at": moment(one)} for one in withdrawn]
     return gone + [
         {
@@ -139,7 +139,7 @@ def told_fill(row: Mapping[str, object]) -> dict[str, object]:
     """Return a fluid fill, or the key of a withdrawn one, as a message carries it; a long text loses its end."""
     filled_at = row["filled_at"]
     if not isinstance(filled_at, datetime):
-        raise TypeError("a fill without its moment")
+        raise TypeError("a fill without a time")
     key: dict[str, object] = {"filled_at": filled_at.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")}
     if "product" not in row:
         return key | {"is_withdrawn": True}
@@ -225,7 +225,7 @@ def _trust(values: object) -> Row:
 
 def _table(value: object) -> Mapping[str, object]:
     if not isinstance(value, Mapping):
-        raise TypeError(f"an object was promised, not {type(value).__name__}")
+        raise TypeError(f"expected an object, got {type(value).__name__}")
     return value
 
 

@@ -55,7 +55,7 @@ def read_message(topic: str, payload: bytes) -> Incoming:
 def read_event(address: Address, payload: bytes) -> Incoming:
     """Return what an event says that came on the topic of an address, or in a bundle; raises as `read_message` does."""
     if address.channel is Channel.BUNDLE:
-        raise MalformedError("a bundle where one message belongs")
+        raise MalformedError("a bundle in place of a single message")
     event = parse_object(payload, address.channel.max_bytes)
     check_envelope(event)
     data = event["data"]

@@ -83,7 +83,7 @@ def moment_of(text: str | None, now: datetime) -> str:
         moment = datetime.fromisoformat(text)
         moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
     except (ValueError, OverflowError) as exc:
-        raise ConfigError(f"--at {text!r} is no date, such as 2026-01-31 or 2026-01-31T12:00Z") from exc
+        raise ConfigError(f"--at {text!r} is not a date, such as 2026-01-31 or 2026-01-31T12:00Z") from exc
     if moment > now + _CLOCK_ERROR:
         raise ConfigError(f"--at {text} is still to come: note a fill when it is done")
     return iso_utc(moment)

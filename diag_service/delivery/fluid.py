@@ -49,7 +49,7 @@ class FluidExchange:
         try:
             await self._link.send([fluid_message(self._vehicle, iso_utc(datetime.now(UTC)), told, is_to_vehicle=False)])
         except PublishError as exc:  # of a connection that is lost the next message tells
-            _LOG.warning("fluid fills are not told to the fleet: %s", exc)
+            _LOG.warning("the fleet was not told of fluid fills: %s", exc)
 
     def _hear(self, fills: list[FluidFill]) -> None:
         self._heard += fills

@@ -115,7 +115,7 @@ def _unseen_section(found: Findings) -> Section:
             texts.append(f"mapped, but never seen: {', '.join(summary.capability.unseen)}")
         texts.append(f"On the bus: {frames_line(summary.frames)}.")
     else:
-        texts.append("A store keeps results only: what became of the frames, the report of a log says.")
+        texts.append("A store keeps only results. The report of a log tells what happened to its frames.")
     return Section(name="unseen", title="What was not seen, and why", texts=tuple(texts))
 
 

@@ -26,7 +26,7 @@ from diag_service.store import SessionStore, VehicleState, Versions
 
 MAX_PENDING_COUNT = 1000
 NOTHING_KNOWN = (
-    "no message came that the profile knows; try 'diag-service signals LOG --dbc FILE': it lists what a log holds and "
+    "no message of the profile was received; try 'diag-service signals LOG --dbc FILE': it lists what a log holds and "
     "proposes a profile"
 )
 _LOG = logging.getLogger(__name__)

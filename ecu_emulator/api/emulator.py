@@ -204,7 +204,7 @@ class Emulator:
 
     def __enter__(self) -> Self:
         if self._thread is not None:
-            raise ConfigError("an emulator drives once; make another one")
+            raise ConfigError("an emulator drives only once; make another one")
         self._drive = Drive(self.scenario, LIVE_PARKED_S if self._parked_s is None else self._parked_s)
         bus = open_bus(
             self._choice.interface, self._choice.channel, self._choice.bitrate, fd=self._choice.is_fd,

@@ -91,7 +91,7 @@ def silence_finding(vehicle: str, last_heard_at: datetime, now: datetime, limits
     is_wrong = _beyond(
         (now - last_heard_at).total_seconds(), limits.silence_from.total_seconds(), limits.silence_until.total_seconds()
     )
-    reason = f"nothing was heard of it since {last_heard_at:%Y-%m-%d %H:%M} UTC"
+    reason = f"no message received since {last_heard_at:%Y-%m-%d %H:%M} UTC"
     return Finding(subject=_subject(vehicle, WHOLE_VEHICLE, Rule.SILENCE), is_wrong=is_wrong, reason=reason)
 
 
