@@ -83,6 +83,10 @@ _DRIVE: Final = (
     ),
     Option("--mass-kg M", "override the mass of the car", _between(*MASS_RANGE_KG, "kg")),
     Option(
+        "--odometer KM|TRUTH",
+        "what the odometer reads at the start [km], or the truth file of the drive before, from whose end it goes on",
+    ),
+    Option(
         "--routine [OPEN[,CLOSED]]",
         "begin with the workshop routine: number of revs in neutral with open, then with closed clutches "
         f"({DEFAULT_REVS})",

@@ -63,6 +63,7 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
         is_endless=options.endless,
         oil_degc=options.oil_degc,
         mass_kg=options.mass_kg,
+        odometer_m=commands.odometer_from(options.odometer),
         routine=options.routine,
         is_in_workshop=options.command == "run" and options.workshop,
     )

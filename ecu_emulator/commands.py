@@ -6,6 +6,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
@@ -19,7 +20,7 @@ from ecu_emulator.record import LogFile, LogFormat, LogStream, open_log, open_lo
 from ecu_emulator.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.scenario import Ambient, FluidCondition, Routine, Scenario, Truth
 from ecu_emulator.scenario_file import load_scenario, shipped_scenarios
-from ecu_emulator.truth import Totals, TruthWriter, truth_path
+from ecu_emulator.truth import Totals, TruthWriter, read_truth, truth_path
 from program_io.command_line import STANDARD_STREAM
 from program_io.overwriting import refusal
 
@@ -39,6 +40,7 @@ def choose_scenario(
     is_endless: bool = False,
     oil_degc: float | None = None,
     mass_kg: float | None = None,
+    odometer_m: float | None = None,
     routine: tuple[int, int] | None = None,
     is_in_workshop: bool = False,
 ) -> Scenario:
@@ -66,12 +68,31 @@ def choose_scenario(
         endless=scenario.endless or is_endless,
         ambient=scenario.ambient if oil_degc is None else started_at(scenario.ambient, float(k_from_degc(oil_degc))),
         truth=scenario.truth if mass_kg is None else with_mass(scenario.truth, mass_kg),
+        odometer_m=scenario.odometer_m if odometer_m is None else odometer_m,
     )
     if routine is not None:
         scenario = replace(scenario, routine=Routine(open_revs=routine[0], closed_revs=routine[1]))
     if is_in_workshop:
         scenario = replace(scenario, routine=replace(scenario.routine, on_request=True))
     return scenario
+
+
+def odometer_from(said: str | None) -> float | None:
+    """Return the odometer at the start [m]: from kilometres, or from the end of the drive before by its truth file.
+
+    Raises
+    ------
+    ConfigError, RecordError
+        If the drive before did not end in order; if there is no such file.
+    """
+    if said is None:
+        return None
+    with suppress(ValueError):
+        return 1000.0 * float(said)
+    totals = read_truth(Path(said)).totals
+    if totals is None or totals.odometer_m is None:
+        raise ConfigError(f"--odometer {said}: that drive does not tell the odometer at its end")
+    return totals.odometer_m
 
 
 def started_at(ambient: Ambient, oil_k: float) -> Ambient:
@@ -183,6 +204,7 @@ class Recording:
             "shifts": self.totals.shifts,
             "events": self.totals.events,
             "duration_s": self.totals.duration_s,
+            "odometer_m": self.totals.odometer_m,
             "speed_ratio": round(self.speed_ratio, 2),
             "vehicle_seed": self.vehicle_seed,
             "drive_seed": self.drive_seed,

@@ -73,6 +73,7 @@ def drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
         vehicle_seed=scenario.seed_of_vehicle,
         drive_seed=scenario.seed_of_drive,
         drive=scenario.drive,
+        odometer_m=scenario.odometer_m,
         cycles=scenario.cycles,
         fluid=scenario.fluid.condition,
         mu_c=(first.mu_c, second.mu_c),

@@ -109,6 +109,7 @@ class Drive:
         self._frame_count = 0
         self._end_s = 0.0
         self._driven_ms = 0
+        self._odometer_m = scenario.odometer_m
         self.truth: Final = drive_truth(scenario, vehicle)
 
     @property
@@ -121,6 +122,7 @@ class Drive:
             driven_s=self._driven_ms / MS_PER_S,
             frames=self._frame_count,
             faults=self._fault_truths(),
+            odometer_m=self._odometer_m,
         )
 
     @property
@@ -231,6 +233,7 @@ class Drive:
         self._counts.update(map(type, truths))
         self._frame_count += len(frames)
         self._driven_ms += len(rows)
+        self._odometer_m = self._scenario.odometer_m + float(rows[-1, Col.DISTANCE])
         return Stretch(frames=frames, truths=tuple(truths), end_s=self._end_s)
 
     def _begun_trip(self) -> list[TripTruth]:

@@ -40,6 +40,7 @@ class DriveTruth:
     drawn: Mapping[str, float]  # production scatter of this vehicle
     effects: Mapping[str, float] = field(default_factory=dict)  # unknown to the service's model, if switched on
     drive: str = "cycle"
+    odometer_m: float | None = None  # at its start; None in older files
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,6 +129,7 @@ class Totals:
     driven_s: float = 0.0  # without the time for which the car was parked
     frames: int
     faults: tuple[FaultTruth, ...] = ()
+    odometer_m: float | None = None  # at its end, from which the next drive may go on; None in older files
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -152,12 +152,19 @@ _FILL: Final = Command(
     "fill",
     "note that a vehicle got new fluid",
     _VEHICLE,
-    click.Argument(["product"], metavar="PRODUCT", help="name of the fluid"),
+    click.Argument(["product"], metavar="[PRODUCT]", required=False, help="name of the fluid"),
     *_COMMON,
     Option("--at DATE", "ISO 8601, UTC without a zone (default: now)"),
     Option("--odometer-km KM", "reading of the odometer", FLOAT),
     Option("--note TEXT", "a note to keep with it"),
-    examples=(f"{PROGRAM} fill car1 DCTF-II --at 2026-01-31 --odometer-km 61200",),
+    Option(
+        "--insist", "note an odometer that does not fit to the results, as after a change of the instrument cluster"
+    ),
+    Option("--undo", "take back the last fill, or the one at --at: it was noted by mistake"),
+    examples=(
+        f"{PROGRAM} fill car1 DCTF-II --at 2026-01-31 --odometer-km 61200",
+        f"{PROGRAM} fill car1 --undo",
+    ),
 )
 _PARTITIONS: Final = Command(
     "partitions",

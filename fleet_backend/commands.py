@@ -189,18 +189,25 @@ def _lots(options: SimpleNamespace, engine: Engine) -> None:
 
 def _fill(options: SimpleNamespace, engine: Engine) -> None:
     queries.check_vehicle(engine, options.vehicle)
-    at = datetime.now(UTC) if options.at is None else parse_moment(options.at)
+    at = None if options.at is None else parse_moment(options.at)
+    if options.undo:
+        gone = queries.withdraw_fill(engine, options.vehicle, at, by=_user())
+        sys.stdout.write(f"{options.vehicle}: the fill at {gone.isoformat()} is taken back\n")
+        return
+    if options.product is None:
+        raise ConfigError("which fluid? give its name, or --undo to take back the last fill")
     odometer_m = None if options.odometer_km is None else options.odometer_km * 1000.0
-    queries.note_fill(
+    since = queries.note_fill(
         engine,
         options.vehicle,
         options.product,
-        at=at,
+        at=at or datetime.now(UTC),
         odometer_m=odometer_m,
         note=options.note,
         by=_user(),
+        is_insisted=options.insist,
     )
-    sys.stdout.write(f"{options.vehicle}: {options.product} since {at.isoformat()}\n")
+    sys.stdout.write(f"{options.vehicle}: {options.product} since {since.isoformat()}\n")
 
 
 def _serve(options: SimpleNamespace, engine: Engine) -> None:

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from difflib import get_close_matches
 from hashlib import sha256
 from typing import Final
@@ -15,6 +15,7 @@ from fleet_backend.audit_trail import COMMAND_LINE, note_change
 from fleet_backend.choices import Axis
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, UnknownVehicleError
+from fleet_backend.orders import present_fluids, with_orders, without_old_fluid
 from fleet_backend.schema import (
     ALARM_ACKNOWLEDGEMENT,
     FLUID_FILL,
@@ -23,9 +24,12 @@ from fleet_backend.schema import (
     SHIFT_RESULT,
     UNHASHED_COLUMNS,
     VEHICLE,
+    WITHDRAWN_FILL,
 )
+from fleet_contract.fills import SAME_WITHIN, distinct, odometer_complaint
 
 Record = Mapping[str, object]
+SEVERITIES: Final = ("no_verdict", "good", "watch", "change_fluid")
 _ROWS_PER_READ: Final = 2000
 _CODE: Final = ("code", "failure_type", "text", "status", "states", "snapshots")
 
@@ -39,8 +43,14 @@ class TableHash:
 
 
 def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
-    """Return the running condition of every clutch, the worst first."""
-    return _records(engine, select(views.FLEET).order_by(views.FLEET.c.place).limit(limit))
+    """Return the running condition of every clutch, the worst first, with the order for its vehicle."""
+    with transaction(engine) as connection:
+        rows = connection.execute(select(views.FLEET).order_by(views.FLEET.c.place)).mappings()
+        told = with_orders(rows, present_fluids(connection))
+    told.sort(key=lambda row: (-SEVERITIES.index(row["condition"]), row["place"]))
+    return [
+        {**row, "place": place, "severity": SEVERITIES.index(row["condition"])} for place, row in enumerate(told, 1)
+    ][:limit]
 
 
 def check_vehicle(engine: Engine, vehicle: str) -> None:
@@ -72,7 +82,10 @@ def clutch_alarms(engine: Engine, *, is_open_only: bool) -> Sequence[Record]:
     """Return the alarms of all clutches, the latest first."""
     table = views.CLUTCH_ALARM
     statement = select(table).order_by(table.c.raised_at.desc(), table.c.vehicle, table.c.clutch)
-    return _records(engine, statement.where(table.c.cleared_at.is_(None)) if is_open_only else statement)
+    statement = statement.where(table.c.cleared_at.is_(None)) if is_open_only else statement
+    with transaction(engine) as connection:
+        told = without_old_fluid(connection, connection.execute(statement).mappings().all())
+    return [one for one in told if one["cleared_at"] is None or not is_open_only]
 
 
 def identity_alarms(engine: Engine) -> Sequence[Record]:
@@ -155,20 +168,61 @@ def note_fill(
     odometer_m: float | None,
     note: str | None,
     by: str = "",  # who notes it, for the audit; of what a vehicle told nobody
-) -> None:
-    """Note that a vehicle got new fluid; UnknownVehicleError if it never spoke, ConfigError if the fill is known."""
-    key = (FLUID_FILL.c.vehicle == vehicle) & (FLUID_FILL.c.filled_at == at)
+    is_insisted: bool = False,
+) -> datetime:
+    """Note that a vehicle got new fluid, and return since when; UnknownVehicleError if it never spoke.
+
+    Raises
+    ------
+    ConfigError
+        If the fill is known, or its odometer does not fit to the results and nobody insists.
+    """
     with transaction(engine) as connection:
         if not _has(connection, select(VEHICLE.c.vehicle).where(VEHICLE.c.vehicle == vehicle)):
             raise UnknownVehicleError(f"of vehicle {vehicle} there are no results and no state")
-        if _has(connection, select(FLUID_FILL.c.vehicle).where(key)):
-            raise ConfigError(f"the fill of {vehicle} at {at.isoformat()} is noted already")
+        near = select(FLUID_FILL.c.filled_at).where(
+            FLUID_FILL.c.vehicle == vehicle,
+            FLUID_FILL.c.filled_at > at - SAME_WITHIN,
+            FLUID_FILL.c.filled_at < at + SAME_WITHIN,
+        )
+        if (known_at := connection.execute(near).scalar()) is not None:
+            raise ConfigError(f"the fill of {vehicle} at {known_at.isoformat()} is noted already; --undo takes it back")
+        complaint = odometer_complaint(odometer_m, *_readings(connection, vehicle, at))
+        if complaint and not is_insisted:
+            raise ConfigError(complaint)
+        gone = WITHDRAWN_FILL.c
+        while _has(connection, select(gone.vehicle).where(gone.vehicle == vehicle, gone.filled_at == at)):
+            at += timedelta(microseconds=1)  # of a withdrawn one: that moment is taken for good
         connection.execute(
             insert(FLUID_FILL).values(vehicle=vehicle, filled_at=at, product=product, odometer_m=odometer_m, note=note)
         )
         if by:
             told = f"{vehicle}: {product} since {at.isoformat()}: {note or ''}"
             _note(connection, datetime.now(UTC), by, "note fluid fill", told)
+    return at
+
+
+def withdraw_fill(engine: Engine, vehicle: str, at: datetime | None, *, by: str) -> datetime:
+    """Take back the last fill of a vehicle, or that of a moment; return which. Raises ConfigError if there is none."""
+    table = FLUID_FILL.c
+    with transaction(engine) as connection:
+        known: Sequence[datetime] = connection.scalars(select(table.filled_at).where(table.vehicle == vehicle)).all()
+        meant = [one for one in distinct(known, lambda one: one) if at is None or one == at]
+        if not meant:
+            raise ConfigError(f"no fill of {vehicle} is noted{f' at {at.isoformat()}' if at else ''}")
+        gone = [one for one in known if timedelta(0) <= one - meant[-1] < SAME_WITHIN]
+        connection.execute(insert(WITHDRAWN_FILL), [{"vehicle": vehicle, "filled_at": one} for one in gone])
+        connection.execute(delete(FLUID_FILL).where(table.vehicle == vehicle, table.filled_at.in_(gone)))
+        _note(connection, datetime.now(UTC), by, "withdraw fluid fill", f"{vehicle}: {meant[-1].isoformat()}")
+    return meant[-1]
+
+
+def _readings(connection: Connection, vehicle: str, at: datetime) -> Iterator[float | None]:
+    """Yield what the odometer read in the last result before a moment, and in the first after it."""
+    table = SHIFT_RESULT.c
+    known = select(table.odometer_m).where(table.vehicle == vehicle, table.odometer_m.is_not(None)).limit(1)
+    for part, order in ((table.end_at <= at, table.end_at.desc()), (table.end_at > at, table.end_at)):
+        yield connection.execute(known.where(part).order_by(order)).scalar()
 
 
 def table_hash(engine: Engine) -> TableHash:

@@ -40,7 +40,7 @@ def fleet_table(records: Sequence[Record]) -> Sheet:
             "last shift": _moment("end_at", "%Y-%m-%d"),
         },
         dispensable=("fluid", "km", "shifts", "mu_S", "mu_C", "last shift", "P<0", "slope"),
-        remarks=[(f"{record['vehicle']}, clutch {record['clutch']}", _remark(record)) for record in records],
+        remarks=list({str(one["vehicle"]): str(one["order"]) for one in records if one["action"] != "nothing"}.items()),
     )
 
 
@@ -318,11 +318,6 @@ def _moment(name: str, form: str = "%Y-%m-%d %H:%M:%S") -> Cell:
 
 def _condition(record: Record) -> str:
     return str(record["condition"]).replace("_", " ")
-
-
-def _remark(record: Record) -> str:
-    """Return what to do about a clutch; of older programs, which gave no advice, why."""
-    return "" if record["condition"] == "good" else str(record.get("advice") or record["condition_reason"])
 
 
 def _truth(value: object) -> bool | None:

@@ -118,11 +118,12 @@ def status_row(data: Mapping[str, object]) -> Row:
 
 
 def fill_rows(data: Mapping[str, object]) -> list[Row]:
-    """Return the rows of the fluid fills that a vehicle knows."""
-    fills = data["fills"]
-    if not isinstance(fills, list):
+    """Return the rows of the fluid fills that a vehicle knows; of those that are taken back the key alone."""
+    fills, withdrawn = data["fills"], data.get("withdrawn", [])
+    if not isinstance(fills, list) or not isinstance(withdrawn, list):
         raise TypeError("expected a list")
-    return [
+    gone: list[Row] = [{"vehicle": data["vehicle"], "filled_at": moment(one)} for one in withdrawn]
+    return gone + [
         {
             "vehicle": data["vehicle"],
             "filled_at": moment(fill["filled_at"]),
@@ -135,12 +136,15 @@ def fill_rows(data: Mapping[str, object]) -> list[Row]:
 
 
 def told_fill(row: Mapping[str, object]) -> dict[str, object]:
-    """Return a fluid fill of the database as a message carries it; a long text loses its end."""
-    filled_at, product, note = row["filled_at"], str(row["product"]), row["note"]
+    """Return a fluid fill, or the key of a withdrawn one, as a message carries it; a long text loses its end."""
+    filled_at = row["filled_at"]
     if not isinstance(filled_at, datetime):
         raise TypeError("a fill without a time")
-    return {
-        "filled_at": filled_at.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
+    key: dict[str, object] = {"filled_at": filled_at.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")}
+    if "product" not in row:
+        return key | {"is_withdrawn": True}
+    product, note = str(row["product"]), row["note"]
+    return key | {
         "odometer_m": row["odometer_m"],
         "product": None if product == UNNAMED_FLUID else product[:_LONGEST_TEXT] or None,
         "note": str(note)[:_LONGEST_TEXT] if note else None,

@@ -26,18 +26,19 @@ from fleet_backend.alarms.rules import (
     transitions,
     verdict_finding,
 )
+from fleet_backend.database import transaction
 from fleet_backend.errors import DatabaseError
+from fleet_backend.orders import is_alarming_since
 from fleet_backend.page import past
 from fleet_backend.page.keeper import DatabaseSource, Keeper
-from fleet_backend.page.outlook import outlook_of
+from fleet_backend.page.outlook import chance_of, outlook_of, outlook_text
 from fleet_backend.page.populations import latest
-from fleet_backend.page.records import ClutchNow
+from fleet_backend.page.records import ClutchNow, Severity
 from fleet_backend.page.vehicle_state import fills_of
 
 ROUND_S: Final = 10.0
 JUDGING_S: Final = 5.0  # of a round, for prognoses; what is left over is judged in the next, the worst first
 DELIVERY_S: Final = 2.0
-_AGEING: Final = "ageing"  # the outlook with which a prognosis has a trend
 _LOG: Final = logging.getLogger(__name__)
 
 
@@ -58,7 +59,7 @@ class Watch:
         self._orders = orders
         self._now = now
         self._keeper = Keeper(DatabaseSource(engine))
-        self._judged: dict[tuple[str, int], tuple[str, int, str]] = {}
+        self._judged: dict[str, list[tuple[object, ...]]] = {}
 
     def round(self, judging_s: float = JUDGING_S) -> list[Transition]:
         """Look at everything once; return what was raised and cleared.
@@ -92,35 +93,48 @@ class Watch:
         return sum(deliver_all(take, settle, carrier, self._now()) for carrier in self._orders.carriers)
 
     def _findings(self, now: datetime, judging_s: float) -> Iterator[Finding]:
-        for one in self._keeper.snapshot.clutches:
-            yield verdict_finding(one.vehicle, one.clutch, one.condition, one.advice or one.condition_reason)
+        snapshot = self._keeper.snapshot
+        for one in snapshot.clutches:
+            is_old = self._speaks_of_old_fluid(one)
+            yield verdict_finding(one.vehicle, one.clutch, one.condition, one.order, is_old_fluid=is_old)
         for record in queries.last_seen(self._engine):
             heard_at = record["last_result_at"] or record["connected_at"]
             if isinstance(heard_at, datetime):
                 yield silence_finding(str(record["vehicle"]), heard_at, now, self._orders.limits)
         end_s = time.monotonic() + judging_s
-        for one in self._keeper.snapshot.clutches:
-            state = (one.stream, one.seq, one.algorithm_version)
-            if self._judged.get((one.vehicle, one.clutch)) != state:
-                yield from self._judge(one)
-                self._judged[one.vehicle, one.clutch] = state
+        for vehicle in dict.fromkeys(one.vehicle for one in snapshot.clutches):
+            clutches = snapshot.vehicles[vehicle]
+            state: list[tuple[object, ...]] = [
+                (one.stream, one.seq, one.algorithm_version, one.fluid_since) for one in clutches
+            ]
+            if self._judged.get(vehicle) != state:
+                yield from self._judge(vehicle, clutches)
+                self._judged[vehicle] = state
                 if time.monotonic() >= end_s:
                     return
 
-    def _judge(self, one: ClutchNow) -> Iterator[Finding]:
-        """Yield what the past of a clutch says."""
-        limits = self._orders.limits
-        rows = past.results_of(self._engine, one.vehicle, one.clutch)
-        fills = fills_of(self._engine, one.vehicle)
-        last = rows[-limits.unused_events :]
-        unused = sum(row["status"] == "rejected" for row in last)
-        yield quality_finding(one.vehicle, one.clutch, unused, len(last), limits)
-        kept, service_distance_m = latest(self._engine), self._orders.service_distance_m
-        found, _ = outlook_of(one.clutch, rows, fills, service_distance_m, kept) if rows else (None, None)
-        if found is not None:
-            is_ageing = found.outlook == _AGEING and found.change_fluid is not None
-            chance = found.change_fluid.probability_before_service if is_ageing and found.change_fluid else None
-            yield due_finding(one.vehicle, one.clutch, chance, found.sentence, limits)
+    def _speaks_of_old_fluid(self, one: ClutchNow) -> bool:
+        """Return whether a clutch has no verdict, and no alarming one since its fluid was changed."""
+        if one.condition != Severity.NO_VERDICT or one.fluid_since is None:
+            return False
+        with transaction(self._engine) as connection:
+            return not is_alarming_since(connection, one.vehicle, one.clutch, one.fluid_since)
+
+    def _judge(self, vehicle: str, clutches: Sequence[ClutchNow]) -> Iterator[Finding]:
+        """Yield what the past of the clutches of a vehicle says."""
+        limits, kept = self._orders.limits, latest(self._engine)
+        fills, founds = fills_of(self._engine, vehicle), []
+        for one in clutches:
+            rows = past.results_of(self._engine, vehicle, one.clutch)
+            last = rows[-limits.unused_events :]
+            unused = sum(row["status"] == "rejected" for row in last)
+            yield quality_finding(vehicle, one.clutch, unused, len(last), limits)
+            if rows:
+                founds.append(outlook_of(one.clutch, rows, fills, self._orders.service_distance_m, kept))
+        text = f"{clutches[0].order} {outlook_text(founds, clutches[0].action)}"
+        for found in founds:
+            if found is not None:
+                yield due_finding(vehicle, found.clutch, chance_of(found), text, limits)
 
 
 def run_watch(engine: Engine, orders: Orders, *, is_once: bool = False) -> None:

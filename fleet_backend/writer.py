@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from sqlalchemy import Connection, Engine, Insert, Table, and_, false, or_, select, true
+from sqlalchemy import Connection, Engine, Insert, Table, and_, delete, false, or_, select, true
 from sqlalchemy.dialects import postgresql, sqlite
 
 from fleet_backend.copying import copy_results
 from fleet_backend.database import transaction
 from fleet_backend.errors import RowRefusedError
 from fleet_backend.rows import Row, told_fill
-from fleet_backend.schema import CLUTCH, FLUID_FILL, KEY_COLUMNS, QUARANTINE, SHIFT_RESULT, VEHICLE
+from fleet_backend.schema import CLUTCH, FLUID_FILL, KEY_COLUMNS, QUARANTINE, SHIFT_RESULT, VEHICLE, WITHDRAWN_FILL
 from fleet_contract import JsonObject
 
 _MAX_KNOWN: Final = 100_000  # clutches that a worker remembers to have stored
@@ -45,7 +45,8 @@ class Writer:
         self._metrics = _later_wins(make(VEHICLE), "metrics")
         self._controller = _later_wins(make(VEHICLE), "controller")
         self._first_comes = {
-            table.name: make(table).on_conflict_do_nothing() for table in (VEHICLE, CLUTCH, FLUID_FILL, QUARANTINE)
+            table.name: make(table).on_conflict_do_nothing()
+            for table in (VEHICLE, CLUTCH, FLUID_FILL, WITHDRAWN_FILL, QUARANTINE)
         }
 
     def store(self, batch: Batch) -> None:
@@ -74,11 +75,12 @@ class Writer:
         DatabaseAwayError
             If the database does not answer now.
         """
-        statement = select(FLUID_FILL).where(FLUID_FILL.c.vehicle.in_(vehicles)).order_by(FLUID_FILL.c.filled_at)
         found: dict[str, list[JsonObject]] = {}
         with transaction(self._engine) as connection:
-            for row in connection.execute(statement).mappings():
-                found.setdefault(str(row["vehicle"]), []).append(told_fill(dict(row)))
+            for table in (FLUID_FILL, WITHDRAWN_FILL):
+                statement = select(table).where(table.c.vehicle.in_(vehicles)).order_by(table.c.filled_at)
+                for row in connection.execute(statement).mappings():
+                    found.setdefault(str(row["vehicle"]), []).append(told_fill(dict(row)))
         return found
 
     def _store(self, batch: Batch) -> None:
@@ -91,7 +93,7 @@ class Writer:
             _execute(connection, self._metrics, _sorted(batch.metrics, "vehicle"))
             _execute(connection, self._controller, _sorted(batch.controllers, "vehicle"))
             self._put_results(connection, batch.shifts)
-            self._put(connection, FLUID_FILL, _sorted(batch.fills, "vehicle", "filled_at"))
+            self._put_fills(connection, _sorted(batch.fills, "vehicle", "filled_at"))
             self._put(connection, QUARANTINE, _sorted(batch.quarantined, "digest"))
         if len(self._known) > _MAX_KNOWN:
             self._known.clear()
@@ -104,6 +106,15 @@ class Writer:
             copy_results(connection, rows)
         else:
             connection.execute(self._shift, _sorted(rows, *KEY_COLUMNS))
+
+    def _put_fills(self, connection: Connection, rows: Sequence[Row]) -> None:
+        """Store fills; those that anybody has taken back go, whoever still knows them."""
+        self._put(connection, WITHDRAWN_FILL, [row for row in rows if "product" not in row])
+        self._put(connection, FLUID_FILL, [row for row in rows if "product" in row])
+        for vehicle in {row["vehicle"] for row in rows}:
+            gone = select(WITHDRAWN_FILL.c.filled_at).where(WITHDRAWN_FILL.c.vehicle == vehicle)
+            own = (FLUID_FILL.c.vehicle == vehicle, FLUID_FILL.c.filled_at.in_(gone))
+            connection.execute(delete(FLUID_FILL).where(*own))
 
     def _put(self, connection: Connection, table: Table, rows: list[Row]) -> None:
         _execute(connection, self._first_comes[table.name], rows)

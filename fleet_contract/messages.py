@@ -128,10 +128,13 @@ def fluid_message(vehicle: str, produced_at: str, fills: Sequence[JsonObject], *
     """Return the message of all fluid fills that its sender knows, of many the newest.
 
     The vehicle tells the fleet, and the fleet the vehicle. A fill has ``filled_at``, ``odometer_m``, ``product`` and
-    ``note``; the earliest comes first.
+    ``note``; the earliest comes first. Of one that ``is_withdrawn`` only the moment is told.
     """
+    withdrawn = [one["filled_at"] for one in fills if one.get("is_withdrawn")]
+    fills = [one for one in fills if not one.get("is_withdrawn")]
     channel = Channel.FILLS if is_to_vehicle else Channel.FLUID
-    record = _head(channel, vehicle, produced_at) | {"fills": list(fills[-MAX_FILLS:])}
+    record = _head(channel, vehicle, produced_at) | {"fills": fills[-MAX_FILLS:]}
+    record |= {"withdrawn": withdrawn[-MAX_FILLS:]} if withdrawn else {}
     event_id = f"{channel.label}/{produced_at}"
     return _outgoing(channel, vehicle, dump(record), source=vehicle, event_id=event_id, time=produced_at)
 

@@ -78,6 +78,11 @@ class Analysis:
         return {int(record["clutch"]): verdict_from(record) for record in self.summary["clutches"]}
 
     @property
+    def order(self) -> str:
+        """What the vehicle is told to do about its fluid, with what each clutch says of it."""
+        return str(self.summary["order"])
+
+    @property
     def shifts(self) -> ResultTable:
         """A row for each shift; the table that ``analyze -o`` writes."""
         gaps = tuple(Gap(gap) for gap in self.summary["incomplete"])
@@ -126,11 +131,8 @@ class Analysis:
     def _repr_html_(self) -> str:
         """Return what a notebook shows."""
         warnings = "".join(f"<li>{escape(text)}</li>" for text in self.notices)
-        reasons = "".join(
-            f"<p>clutch {clutch}: {escape(verdict.advice or verdict.reason)}</p>"
-            for clutch, verdict in self.verdicts.items()
-        )
-        return f"<p><b>{escape(self._name)}</b>: {escape(self._said)}</p>{reasons}<ul>{warnings}</ul>"
+        order = f"<p>{escape(self.order)}</p>"
+        return f"<p><b>{escape(self._name)}</b>: {escape(self._said)}</p>{order}<ul>{warnings}</ul>"
 
     def _lines(self) -> Iterator[str]:
         yield from (dump(shift_record(result)) for result in self.results)

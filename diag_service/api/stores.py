@@ -86,6 +86,7 @@ def note_fluid(
     odometer_km: float | None = None,
     product: str | None = None,
     note: str | None = None,
+    is_insisted: bool = False,
 ) -> FluidFill:
     """Note new fluid, as ``diag-service fluid-changed`` does: the next shift after it begins a new baseline.
 
@@ -95,6 +96,8 @@ def note_fluid(
         When it was filled, UTC unless it has a zone; by default now.
     odometer_km, product, note
         What is known of it.
+    is_insisted
+        Whether the odometer is right though it does not fit to the results.
     store, vehicle
         The store, and which vehicle of it.
 
@@ -104,4 +107,6 @@ def note_fluid(
         If an argument or the store cannot be used.
     """
     moment = None if at is None else at.isoformat()
-    return noted_fill(Path(store), vehicle, at=moment, odometer_km=odometer_km, product=product, note=note)
+    return noted_fill(
+        Path(store), vehicle, at=moment, odometer_km=odometer_km, product=product, note=note, is_insisted=is_insisted
+    )

@@ -277,10 +277,17 @@ _FLUID_CHANGED: Final = Command(
     Option("--odometer KM", "reading of the odometer [km]", FLOAT),
     Option("--product NAME", "name of the fluid"),
     Option("--note TEXT", "a note to keep with it"),
+    Option(
+        "--insist", "note an odometer that does not fit to the results, as after a change of the instrument cluster"
+    ),
+    Option("--undo", "take back the last fill, or the one at --at: it was noted by mistake"),
     VERBOSE,
     description="Note that the vehicle got new fluid. The shifts after that begin a new baseline; what is known of "
     "sensors and lining stays. A service that is running takes it up before its next shift.",
-    examples=(f"{PROGRAM} fluid-changed car1.sqlite --at 2026-01-31 --odometer 61200 --product DCTF-II",),
+    examples=(
+        f"{PROGRAM} fluid-changed car1.sqlite --at 2026-01-31 --odometer 61200 --product DCTF-II",
+        f"{PROGRAM} fluid-changed car1.sqlite --undo",
+    ),
 )
 COMMAND_LINE: Final = Program(
     PROGRAM,

@@ -11,7 +11,7 @@ from diag_service.diagnosis.records import FluidFill
 from diag_service.diagnosis.results import iso_utc
 from diag_service.errors import ConfigError
 from diag_service.service.stopping import Controls
-from diag_service.store import StoreReader, note_fill
+from diag_service.store import StoreReader, note_fill, withdraw_fill
 
 MOST_CHARACTERS: Final = 200  # of a name or a note
 _CLOCK_ERROR: Final = timedelta(minutes=5)  # by which the clocks of people and machines may differ
@@ -20,6 +20,10 @@ _CLOCK_ERROR: Final = timedelta(minutes=5)  # by which the clocks of people and 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Note the fill in the store; a service that is running takes it up before its next shift."""
     del controls
+    if options.undo:
+        fill = undone_fill(options.store, options.vehicle, at=options.at)
+        sys.stdout.write(f"{fill.vehicle}: the fill at {fill.filled_at} is taken back\n")
+        return
     fill = noted_fill(
         options.store,
         options.vehicle,
@@ -27,6 +31,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         odometer_km=options.odometer,
         product=options.product,
         note=options.note,
+        is_insisted=options.insist,
     )
     sys.stdout.write(
         f"{fill.vehicle}: {fill.product or 'new fluid'} since {fill.filled_at}; "
@@ -42,6 +47,7 @@ def noted_fill(
     odometer_km: float | None,
     product: str | None,
     note: str | None,
+    is_insisted: bool = False,
 ) -> FluidFill:
     """Note a fill in a store and return it; raises ConfigError or StoreError."""
     with StoreReader.open(path) as store:
@@ -53,8 +59,14 @@ def noted_fill(
         product=_text("--product", product),
         note=_text("--note", note),
     )
-    note_fill(path, fill)
-    return fill
+    return note_fill(path, fill, is_insisted=is_insisted)
+
+
+def undone_fill(path: Path, vehicle: str | None, *, at: str | None) -> FluidFill:
+    """Take back the last fill, or that of a moment, and return it; raises ConfigError or StoreError."""
+    with StoreReader.open(path) as store:
+        vehicle = store.vehicle(vehicle)
+    return withdraw_fill(path, vehicle, None if at is None else moment_of(at, datetime.now(UTC)))
 
 
 def moment_of(text: str | None, now: datetime) -> str:

@@ -1,7 +1,5 @@
 """A line per shift and a closing table, for people."""
 
-from collections.abc import Iterable
-
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -23,6 +21,7 @@ from diag_service.diagnosis.summary import (
     values_line,
 )
 from diag_service.tester.trouble_report import ControllerReport
+from fleet_contract.orders import SHOWN_AS, Order
 
 _CONDITION_STYLE = {
     Condition.NO_VERDICT: "dim",
@@ -66,7 +65,7 @@ class ConsoleReporter:
     def _conclude(self, summary: Summary) -> None:
         if summary.gaps:
             self._line(Text(gaps_line(summary.gaps), style="bold red"))
-        for sentence in advice_lines(summary.latest):
+        for sentence in order_lines(summary.order):
             self._line(sentence)
         if summary.latest:
             self._console.print(_clutch_table(summary, is_detailed=self._is_detailed))
@@ -92,10 +91,10 @@ class ConsoleReporter:
         self._console.file.flush()
 
 
-def advice_lines(results: Iterable[ShiftResult]) -> list[Text]:
-    """Return the sentence on the clutch of each result; results of older programs have none."""
-    verdicts = (result.verdict for result in results)
-    return [Text(one.advice, style=_CONDITION_STYLE[one.condition]) for one in verdicts if one.advice is not None]
+def order_lines(order: Order) -> list[Text]:
+    """Return the order for a vehicle, and what each clutch says."""
+    style = _CONDITION_STYLE[Condition[SHOWN_AS[order.action].upper()]]
+    return [Text(order.sentence, style=style), *(Text(reason) for reason in order.reasons)]
 
 
 def shift_head(*, is_detailed: bool = True) -> Text:

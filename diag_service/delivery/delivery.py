@@ -5,6 +5,7 @@ import logging
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from enum import StrEnum
 from itertools import islice
 from typing import Final
@@ -15,7 +16,8 @@ from diag_service.delivery.bundling import Bundling
 from diag_service.delivery.fluid import FluidExchange
 from diag_service.delivery.in_flight import InFlight
 from diag_service.delivery.send_priority import SendPriority
-from diag_service.diagnosis.results import StoredResult, clutch_record, parse_record
+from diag_service.diagnosis.results import StoredResult, clutch_record, iso_utc, parse_shift, shift_record
+from diag_service.diagnosis.summary import of_present_fluid, order_by
 from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore
 from fleet_contract import Outcome, Outgoing, Receipt, clutch_message
@@ -89,7 +91,8 @@ class Delivery:
         self._has_news = False  # since results were last found overdue
         self._is_silent = False
         self._asked_s = 0.0  # when a silent backend was last asked [s of the loop]
-        self._state_position: dict[int, int] = {}  # clutch -> position of the newest result whose state was sent
+        self._newest: dict[int, StoredResult] = {}  # of each clutch
+        self._told: dict[str, bytes] = {}  # topic of the state of a clutch -> what was sent there
         self.wake = asyncio.Event()  # set when there is something new to do
         self._fluid = FluidExchange(state.store, state.vehicle, link, self.wake) if state.shares_fluid else None
 
@@ -101,7 +104,7 @@ class Delivery:
             await self._fluid.listen()
         await asyncio.to_thread(self._state.bundling.begin)
         latest = await asyncio.to_thread(self._state.store.latest, self._state.vehicle)
-        messages = [*greetings, *self._states(latest)]
+        messages = [*greetings, *await asyncio.to_thread(self._states, latest)]
         if messages:
             await self._link.send(messages)
 
@@ -113,14 +116,16 @@ class Delivery:
         if self._fluid is not None:
             await self._fluid.note()
         batch, messages = await asyncio.to_thread(self._next_messages, self._now_s())
+        told, states = self._told.copy(), await asyncio.to_thread(self._states, batch)
         if not batch:
             if self._fluid is not None:
                 await self._fluid.tell()
+            if states:
+                await self._link.send(states)
             return False
         positions = [row.position for row in batch]
-        told = self._state_position.copy()
-        if not await self._sent([*messages, *self._states(batch)], positions):
-            self._state_position = told
+        if not await self._sent([*messages, *states], positions):
+            self._told = told
             return True
         self._state.counts.sent += len(batch)
         for position in positions:
@@ -149,7 +154,8 @@ class Delivery:
     async def _send_held_states(self) -> None:
         if self._are_states_held and not self._state.holds_states:
             self._are_states_held = False
-            await self._link.send(self._states(await asyncio.to_thread(self._state.store.latest, self._state.vehicle)))
+            latest = await asyncio.to_thread(self._state.store.latest, self._state.vehicle)
+            await self._link.send(await asyncio.to_thread(self._states, latest))
 
     @property
     def awaits_receipts(self) -> bool:
@@ -252,14 +258,23 @@ class Delivery:
         self._is_silent, self._asked_s = True, now_s
 
     def _states(self, rows: Sequence[StoredResult]) -> list[Outgoing]:
-        """Return the states of clutches that these results leave, unless a newer one has been told or all are held."""
+        """Return the states of clutches that are not as they were told, unless all are held. Reads the store.
+
+        Both hold the order for the vehicle, so a result of one clutch, or new fluid, may change what the other is told.
+        """
         if self._state.holds_states:
             self._are_states_held = True
             return []
-        newest = {row.clutch: row for row in sorted(rows, key=lambda row: row.position)}
-        news = [row for row in newest.values() if row.position > self._state_position.get(row.clutch, -1)]
-        self._state_position.update({row.clutch: row.position for row in news})
-        return [clutch_message(clutch_record(parse_record(row.text))) for row in news]
+        for row in rows:
+            if row.clutch not in self._newest or self._newest[row.clutch].position < row.position:
+                self._newest[row.clutch] = row
+        fluid = self._state.store.fluid_at(self._state.vehicle, iso_utc(datetime.now(UTC)))
+        known = [parse_shift(row.text) for row in self._newest.values()]
+        order = order_by(known, fluid)
+        states = (clutch_record(shift_record(one), order) for one in of_present_fluid(known, fluid))
+        news = [one for one in map(clutch_message, states) if self._told.get(one.topic) != one.payload]
+        self._told.update({one.topic: one.payload for one in news})
+        return news
 
     @staticmethod
     def _now_s() -> float:

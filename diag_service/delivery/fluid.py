@@ -37,11 +37,11 @@ class FluidExchange:
         fills, self._heard = self._heard, []
         count = await asyncio.to_thread(self._store.add_fills, fills)
         if count:
-            _LOG.log(NOTICE, "told the fleet of %d fluid fill(s)", count)
+            _LOG.log(NOTICE, "the fleet told of %d change(s) of fluid fills", count)
 
     async def tell(self) -> None:
         """Tell the fleet what the vehicle knows, unless this link has carried the same before."""
-        fills = await asyncio.to_thread(self._store.fills, self._vehicle)
+        fills = await asyncio.to_thread(self._store.all_fills, self._vehicle)
         if fills == self._told:
             return
         self._told = fills

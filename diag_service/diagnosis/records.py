@@ -253,3 +253,4 @@ class FluidFill:
     odometer_m: float | None = None
     product: str | None = None  # name of the fluid
     note: str | None = None
+    is_withdrawn: bool = False  # it was noted by mistake, and is taken back for good

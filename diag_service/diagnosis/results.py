@@ -15,6 +15,7 @@ from diag_service.diagnosis.plain_values import from_plain, to_plain
 from diag_service.diagnosis.records import ClutchVerdict, Condition, FluidFill, ShiftResult
 from diag_service.errors import ResultError
 from fleet_contract import Channel, JsonObject, ResultKey, schema
+from fleet_contract.orders import Order
 from program_io.legible import legible_record
 
 SHIFT_SCHEMA: Final = Channel.SHIFT.schema_name
@@ -68,14 +69,23 @@ def shift_record(result: ShiftResult) -> JsonObject:
     return _in_published_order(record, Channel.SHIFT)
 
 
-def clutch_record(shift: JsonObject) -> JsonObject:
-    """Return the state of the clutch after the shift that last engaged it, from the ``shift_record`` of that shift."""
+def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:
+    """Return the state of the clutch after the shift that last engaged it, from the ``shift_record`` of that shift.
+
+    The order is that for the vehicle, the same in the states of both clutches.
+    """
     verdict = shift["verdict"]
     if not isinstance(verdict, dict):
         raise ResultError(f"incomplete {SHIFT_SCHEMA} record: no verdict")
     record = {**verdict, **{key: shift[key] for key in (*_RESULT_KEYS, "end_utc")}}
     record["schema"] = Channel.CLUTCH.schema_name
+    record |= order_record(order)
     return {key: record.get(key) for key in _keys_of(Channel.CLUTCH)}  # results of older programs lack some
+
+
+def order_record(order: Order | None) -> JsonObject:
+    """Return the order for a vehicle as records hold it."""
+    return {"action": None, "order": None} if order is None else {"action": order.action.value, "order": order.text}
 
 
 def status_record(status: ServiceStatus) -> JsonObject:
@@ -138,14 +148,16 @@ def verdict_from(table: object) -> ClutchVerdict:
 
 def fill_record(fill: FluidFill) -> JsonObject:
     """Return a fluid fill as it stands in a message; of which vehicle the message says."""
-    return {key: value for key, value in to_plain(fill).items() if key != "vehicle"}
+    left_out = {"vehicle"} if fill.is_withdrawn else {"vehicle", "is_withdrawn"}
+    return {key: value for key, value in to_plain(fill).items() if key not in left_out}
 
 
 def fills_from(table: Mapping[str, object]) -> list[FluidFill]:
-    """Return the fluid fills in a message; raises ResultError if they are none of this version."""
-    fills = table.get("fills")
-    if not isinstance(fills, list):
+    """Return the fluid fills in a message, withdrawn ones too; raises ResultError if they are none of this version."""
+    fills, withdrawn = table.get("fills"), table.get("withdrawn", [])
+    if not isinstance(fills, list) or not isinstance(withdrawn, list):
         raise ResultError("fluid fills are a list")
+    fills = [*fills, *({"filled_at": moment, "is_withdrawn": True} for moment in withdrawn)]
     try:
         return [from_plain({**fill, "vehicle": table.get("vehicle")}, FluidFill) for fill in fills]
     except (TypeError, ValueError) as exc:

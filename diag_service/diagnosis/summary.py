@@ -1,8 +1,9 @@
 """What a run did, in numbers: frames in, frames refused and why, shifts out. For people and for machines."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from datetime import datetime
 from enum import StrEnum
 from typing import Self
 
@@ -13,12 +14,14 @@ from diag_service.diagnosis.records import (
     ClutchRatio,
     ClutchVerdict,
     Condition,
+    FluidFill,
     ShiftResult,
     Status,
     Tier,
 )
-from diag_service.diagnosis.results import clutch_record, shift_record
+from diag_service.diagnosis.results import clutch_record, order_record, shift_record, utc_from_bus_ns
 from fleet_contract import JsonObject
+from fleet_contract.orders import UNKNOWN_FLUID, Finding, Order, is_of_earlier_fluid, order_of, unseen_since_new
 
 RECENT_COUNT = 8
 SUMMARY_SCHEMA = "clutchdiag/summary/v1"
@@ -127,11 +130,20 @@ class Summary:
     capability: Capability = FULL
     gaps: tuple[Gap, ...] = ()  # why this is a part of the drive; none: it is the whole
     contributions: Contributions = NO_LOGS
+    earlier: Mapping[int, ShiftResult] = field(default_factory=dict)  # the last of each clutch, of earlier runs
+    fluid: FluidFill | None = None  # that is in, if its fill is known
 
     @property
     def latest(self) -> tuple[ShiftResult, ...]:
-        """The last result of each clutch, clutch 1 first; of a part of a drive none has a verdict."""
-        return tuple(unjudged(result, self.gaps) for _, result in sorted(self.shifts.latest.items()))
+        """The last result of each clutch, clutch 1 first; of a part of a drive and of old fluid none has a verdict."""
+        own = (unjudged(result, self.gaps) for _, result in sorted(self.shifts.latest.items()))
+        return of_present_fluid(own, self.fluid)
+
+    @property
+    def order(self) -> Order:
+        """What the vehicle is told, by the last result of each clutch, earlier runs counted."""
+        known = {**self.earlier, **{one.verdict.clutch: one for one in self.latest}}
+        return order_by(known.values(), self.fluid)
 
 
 def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
@@ -147,19 +159,44 @@ def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
     return replace(result, verdict=verdict)
 
 
-def with_new_fluid(result: ShiftResult) -> ShiftResult:
-    """Return the last result of a clutch whose fluid was changed since: of the new one nothing is known yet."""
-    clutch = result.verdict.clutch
-    verdict = ClutchVerdict(
-        clutch=clutch,
+def of_present_fluid(results: Iterable[ShiftResult], fluid: FluidFill | None) -> tuple[ShiftResult, ...]:
+    """Return the last results of clutches; those of an earlier fluid without what they say of that."""
+    filled_at = None if fluid is None else datetime.fromisoformat(fluid.filled_at)
+    return tuple(
+        replace(one, verdict=_unknown(one.verdict)) if is_of_earlier_fluid(_end_at(one), filled_at) else one
+        for one in results
+    )
+
+
+def _unknown(verdict: ClutchVerdict) -> ClutchVerdict:
+    return ClutchVerdict(
+        clutch=verdict.clutch,
         condition=Condition.NO_VERDICT,
-        reason="new fluid, of which no shift is known yet",
+        reason=UNKNOWN_FLUID,
         level_ratio=None,
         friction=None,
         shift_count=0,
-        advice=advice(clutch, Condition.NO_VERDICT, Silence.FEW_SHIFTS),
+        advice=unseen_since_new(verdict.clutch),
     )
-    return replace(result, verdict=verdict)
+
+
+def _end_at(result: ShiftResult) -> datetime:
+    return datetime.fromisoformat(utc_from_bus_ns(result.estimate.end_ns))
+
+
+def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None) -> Order:
+    """Return the order for a vehicle by the last result of each clutch and the fluid that is in."""
+    findings = [
+        Finding(
+            clutch=one.verdict.clutch,
+            condition=one.verdict.condition.name.lower(),
+            text=one.verdict.advice,
+            reason=one.verdict.reason,
+            end_at=_end_at(one),
+        )
+        for one in results
+    ]
+    return order_of(findings, None if fluid is None else datetime.fromisoformat(fluid.filled_at))
 
 
 def gaps_line(gaps: tuple[Gap, ...]) -> str:
@@ -185,7 +222,8 @@ def summary_record(summary: Summary) -> JsonObject:
             "already_stored": summary.shifts.known_count,
             "unpublished": summary.unpublished_count,
         },
-        "clutches": [clutch_record(shift_record(result)) for result in summary.latest],
+        **order_record(summary.order),
+        "clutches": [clutch_record(shift_record(result), summary.order) for result in summary.latest],
         "capability": to_plain(summary.capability),
         "logs": [log_record(log) for log in summary.contributions.logs],
         "idle": list(summary.contributions.idle),

@@ -12,7 +12,6 @@ from diag_service.service.onlookers import LiveRun
 from diag_service.service.session import versions_for
 from diag_service.service.snapshot import Snapshot
 from diag_service.store import Row
-from fleet_contract import CLUTCHES
 from program_io.legible import legible
 from program_io.pages.content import NONE, Advice, Cell, Section, Table, number
 
@@ -41,7 +40,7 @@ def shown(run: LiveRun) -> Shown:
         title=title,
         subtitle=f"{legible(run.source)}; results in {legible(run.store)}",
         number=sum(snapshot.summary.shifts.by_status.values()),
-        advice=tuple(_advice(snapshot)),
+        advice=(advice_of(snapshot.summary.order),),
         sections=(
             bus_section(run, snapshot),
             friction_section(found),
@@ -85,13 +84,6 @@ def _message_rows(snapshot: Snapshot) -> Iterator[tuple[Cell, ...]]:
             str(sum(counts.rejected.values())),
             str(counts.missing),
         )
-
-
-def _advice(snapshot: Snapshot) -> Iterator[Advice]:
-    known = {result.estimate.clutch: advice_of(result) for result in snapshot.clutches}
-    for clutch in CLUTCHES:
-        unseen = f"Clutch {clutch}: no event engaged it yet."
-        yield known.get(clutch) or Advice(condition="no-verdict", word="no verdict", text=unseen)
 
 
 def _shifts_section(run: LiveRun) -> Section:

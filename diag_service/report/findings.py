@@ -9,7 +9,7 @@ from clutch_model.calibration import Calibration
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.records import FluidFill, ShiftResult, Status
-from diag_service.diagnosis.summary import Gap, Summary
+from diag_service.diagnosis.summary import Gap, Summary, of_present_fluid, order_by
 from diag_service.errors import StoppedError
 from diag_service.service.drive import open_drive, stream_of_drive
 from diag_service.service.last_shifts import Example, own_samples
@@ -18,6 +18,7 @@ from diag_service.service.session import Session, versions_for
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import NoStore, Row, StoreReader, Versions
+from fleet_contract.orders import Order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,6 +40,11 @@ class Findings:
     def results(self) -> tuple[ShiftResult, ...]:
         """All results."""
         return tuple(row.result for row in self.rows)
+
+    @property
+    def order(self) -> Order:
+        """What the vehicle is told."""
+        return order_by(self.latest, self.fills[-1] if self.fills else None)
 
 
 class Album:
@@ -111,7 +117,7 @@ def findings_of_store(path: Path, named: str | None, calibration: Calibration) -
         vehicle=vehicle,
         sources=(path.name,),
         rows=same,
-        latest=latest_of(row.result for row in same),
+        latest=of_present_fluid(latest_of(row.result for row in same), fills[-1] if fills else None),
         versions=versions,
         calibration=calibration if versions_for(calibration).calibration == versions.calibration else None,
         fills=fills,

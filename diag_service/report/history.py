@@ -8,11 +8,12 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from diag_service.delivery.console import order_lines
 from diag_service.delivery.words import condition_words
 from diag_service.diagnosis.prognosis import Population, history_of, prognose, without
 from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.records import ClutchVerdict, FluidFill, FrictionEstimate, FrictionTrend, LiningChange
-from diag_service.diagnosis.results import fill_record, utc_from_bus_ns
+from diag_service.diagnosis.results import fill_record, order_record, utc_from_bus_ns
 from diag_service.report.findings import Findings
 from diag_service.store import Row
 from fleet_contract import JsonObject
@@ -79,6 +80,7 @@ def history_records(found: Findings, clutches: Sequence[int]) -> Iterator[JsonOb
         "vehicle": found.vehicle,
         "fills": [fill_record(fill) for fill in found.fills],
         "left_out_count": found.left_out_count,
+        **order_record(found.order),
         "algorithm_version": found.versions.algorithm,
         "calibration_version": found.versions.calibration,
     }
@@ -87,16 +89,14 @@ def history_records(found: Findings, clutches: Sequence[int]) -> Iterator[JsonOb
 def history_lines(
     found: Findings, clutches: Sequence[int], *, most_rows: int, population: Population | None = None
 ) -> Iterator[Text | Table]:
-    """Yield for people: a sentence on each clutch, its future, its fluids, and at most ``most_rows`` of its events.
+    """Yield for people: the order for the vehicle, how far its fluid will go, and of each clutch its fluids and events.
 
     Prognoses begin with what a fleet taught, if that is given.
     """
     left_out = f"; {found.left_out_count} of other versions are left out" if found.left_out_count else ""
     yield Text(f"{found.vehicle}: {len(found.rows)} events{left_out}")
-    for result in found.latest:
-        if result.estimate.clutch in clutches and result.verdict.advice is not None:
-            yield Text(result.verdict.advice)
-    yield from _outlooks(found, clutches, population)
+    yield from order_lines(found.order)
+    yield _outlook(found, population)
     for clutch in clutches:
         periods = periods_of(found, clutch)
         rows = [row for period in periods for row in period.rows]
@@ -107,19 +107,19 @@ def history_lines(
         yield _event_table(clutch, rows, most_rows)
 
 
-def _outlooks(found: Findings, clutches: Sequence[int], population: Population | None) -> Iterator[Text]:
-    """Yield how far the fluid of each clutch that has engaged will go; new fluid is that of the calibration."""
+def _outlook(found: Findings, population: Population | None) -> Text:
+    """Return how far the fluid will go by the clutches that have engaged; new fluid is that of the calibration."""
     if found.calibration is None:
-        yield Text("No prognosis: the calibration of these results is not the shipped one.")
-        return
-    for clutch in sorted({result.estimate.clutch for result in found.results} & set(clutches)):
+        return Text("No prognosis: the calibration of these results is not the shipped one.")
+    outlooks, known = [], ""
+    for clutch in sorted({result.estimate.clutch for result in found.results}):
         past, peers = history_of(found.results, found.fills, clutch), None
         if population is not None:
             vehicle_type, fluid = found.versions.calibration, found.fills[-1].product if found.fills else None
             past, peers = without(past, population.common.get(vehicle_type)), population.of(vehicle_type, fluid)
-        outlook = prognose(clutch, past, found.calibration.clutches[clutch - 1].friction, peers=peers)
+        outlooks.append(prognose(clutch, past, found.calibration.clutches[clutch - 1].friction, peers=peers))
         known = "" if peers is None else f" Before its own results: as {peers.life_count} lives of its peers."
-        yield Text(outlook_line(outlook) + known)
+    return Text(outlook_line(outlooks, found.order.action) + known)
 
 
 def shift_lines(record: JsonObject) -> Iterator[Text]:

@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from canlog.whole_file import replacing
-from diag_service.delivery.words import condition_words
-from diag_service.diagnosis.records import Condition, ShiftResult
-from diag_service.diagnosis.results import SHIFT_SCHEMA, clutch_record, shift_record, utc_from_bus_ns
+from diag_service.diagnosis.results import SHIFT_SCHEMA, clutch_record, order_record, shift_record, utc_from_bus_ns
 from diag_service.diagnosis.summary import capability_line, frames_line, gaps_line, summary_record, values_line
 from diag_service.errors import StoreError
 from diag_service.report.findings import Findings
@@ -20,6 +18,7 @@ from diag_service.report.sections import (
     trend_section,
 )
 from fleet_contract import CLUTCHES, JsonObject
+from fleet_contract.orders import SHOWN_AS, Order
 from program_io.legible import legible, legible_record
 from program_io.pages.content import Advice, Section, Table
 from program_io.pages.environment import templates_of
@@ -53,7 +52,7 @@ def page_of(found: Findings, made_at: str) -> Page:
     return Page(
         title=f"Clutches of {found.vehicle}",
         subtitle=_subtitle(found),
-        advice=tuple(map(advice_of, found.latest)),
+        advice=(advice_of(found.order),),
         sections=sections,
         record=legible_record(record_of(found)),
     )
@@ -64,7 +63,8 @@ def record_of(found: Findings) -> JsonObject:
     return {
         "schema": REPORT_SCHEMA,
         "vehicle": found.vehicle,
-        "clutches": [clutch_record(shift_record(result)) for result in found.latest],
+        **order_record(found.order),
+        "clutches": [clutch_record(shift_record(result), found.order) for result in found.latest],
         "summary": None if found.summary is None else summary_record(found.summary),
     }
 
@@ -83,15 +83,10 @@ def write_page(path: Path, page: Page) -> int:
     return len(content)
 
 
-def advice_of(result: ShiftResult) -> Advice:
-    """Return the sentence on the clutch of a result, with its verdict."""
-    verdict = result.verdict
-    text = verdict.advice or f"Clutch {verdict.clutch}: {condition_words(verdict.condition)}: {verdict.reason}."
-    return Advice(condition=_style(verdict.condition), word=condition_words(verdict.condition), text=text)
-
-
-def _style(condition: Condition) -> str:
-    return condition.name.lower().replace("_", "-")
+def advice_of(order: Order) -> Advice:
+    """Return the order for a vehicle, as a page shows it."""
+    condition = SHOWN_AS[order.action]
+    return Advice(condition=condition.replace("_", "-"), word=condition.replace("_", " "), text=order.text)
 
 
 def _subtitle(found: Findings) -> str:

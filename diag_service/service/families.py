@@ -126,10 +126,13 @@ def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
 
 
 def _advice(snapshot: Snapshot) -> Metric:
-    family = InfoMetricFamily("clutchdiag_clutch_advice", "What to do, by when, how sure.", labels=_CLUTCH_LABELS)
+    family = InfoMetricFamily(
+        "clutchdiag_clutch_advice",
+        "What the vehicle is told, with what each clutch says; the same for both.",
+        labels=_CLUTCH_LABELS,
+    )
     for result in snapshot.clutches:
-        if result.verdict.advice is not None:  # results of older programs have none
-            family.add_metric(_key(result), {"advice": result.verdict.advice})
+        family.add_metric(_key(result), {"advice": snapshot.summary.order.text})
     return family
 
 

@@ -13,8 +13,8 @@ from rich.text import Text
 from canlog.e2e.e2e_state import E2eState
 from canlog.live import BusState
 from diag_service.delivery import News
-from diag_service.delivery.console import advice_lines, shift_head, shift_line, short_shift_head, short_shift_line
-from diag_service.diagnosis.records import Condition, ShiftResult
+from diag_service.delivery.console import order_lines, shift_head, shift_line, short_shift_head, short_shift_line
+from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import frames_line, shifts_line
 from diag_service.service.snapshot import Snapshot
 
@@ -59,15 +59,15 @@ class Monitor:
 def screen(snapshot: Snapshot, size: tuple[int, int] | None = None, hint: str = "") -> RenderableType:
     """Return everything as one picture, within the columns and lines of ``size``; None: as large as it is.
 
-    Where lines are short, sentences that say that nothing is known give way first, then the shifts.
+    Where lines are short, what each clutch says gives way first, then the shifts.
     """
     width, height = size or (WHOLE_WIDTH, sys.maxsize)
     head = _head(snapshot)
     below = [Text(frames_line(snapshot.summary.frames)), Text(shifts_line(snapshot.summary))]
     free = height - _folded_count([head, *below, Text(hint)], width) - len(snapshot.messages) - TABLE_HEADS
-    sentences = advice_lines(snapshot.clutches)
+    sentences = order_lines(snapshot.summary.order)
     if free - _folded_count(sentences, width) < FEW_SHIFTS:
-        sentences = advice_lines(one for one in snapshot.clutches if one.verdict.condition is not Condition.NO_VERDICT)
+        sentences = sentences[:1]
     shown_count = min(max(0, free - _folded_count(sentences, width)), len(snapshot.recent))
     recent = snapshot.recent[len(snapshot.recent) - shown_count :]
     return Group(

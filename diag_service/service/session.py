@@ -17,7 +17,7 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, Posterior
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import iso_utc, parse_shift, utc_from_bus_ns
-from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftStatistics, Summary, frames_line, with_new_fluid
+from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftStatistics, Summary, frames_line, of_present_fluid
 from diag_service.errors import ResultError, StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Diagnosis, Stages
@@ -62,8 +62,8 @@ class Session:
         self._witness = witness
         self._utc_now = utc_now
         self.statistics = ShiftStatistics()
-        self.fluid = store.fluid_at(self.vehicle, utc_now()) if stream is None else None  # as far as its fill is known
-        self._earlier = last_results(store, self.vehicle, self._versions) if stream is None else {}
+        self.fluid = store.fluid_at(self.vehicle, utc_now())  # that is in now, as far as its fill is known
+        self._earlier = last_results(store, self.vehicle, self._versions)
         self._pending: deque[tuple[ShiftResult, VehicleState | None]] = deque()  # what a full disk did not take yet
         self._max_pending_count = max_pending_count
         self._is_disk_full = False
@@ -73,7 +73,7 @@ class Session:
     def latest(self) -> tuple[ShiftResult, ...]:
         """The last result of each clutch, clutch 1 first, of earlier runs too; no verdict where the fluid is newer."""
         known = {**self._earlier, **self.statistics.latest}
-        return tuple(self._of_present_fluid(result) for _, result in sorted(known.items()))
+        return of_present_fluid((result for _, result in sorted(known.items())), self.fluid)
 
     def process(self, event: Event) -> None:
         """Estimate, store and tell one shift; one that is stored already is told again, and changes nothing.
@@ -95,11 +95,12 @@ class Session:
             self._note_full_disk(exc)
 
     def retry(self) -> bool:
-        """Store and tell what a full disk has not taken yet; return whether anything was."""
-        waiting_count = len(self._pending)
+        """Store and tell what a full disk has not taken yet, and look for new fluid; return whether there was any."""
+        waiting_count, fluid = len(self._pending), self.fluid
         with suppress(StoreFullError):
             self._store_pending()
-        return len(self._pending) < waiting_count
+            self.fluid = self._store.fluid_at(self.vehicle, self._utc_now())
+        return len(self._pending) < waiting_count or fluid != self.fluid
 
     def _store_pending(self) -> None:
         """Store and tell what waits, in order; raises StoreFullError at the first that the disk does not take."""
@@ -139,6 +140,8 @@ class Session:
             capability=self.stages.capability(),
             gaps=gaps,
             contributions=contributions,
+            earlier=self._earlier,
+            fluid=self.fluid,
         )
 
     def finish(
@@ -174,15 +177,10 @@ class Session:
         fill = self._store.fluid_at(self.vehicle, utc_from_bus_ns(event.start_ns))
         if fill is None:
             return
-        self.fluid = fill
+        if self._stream is None:
+            self.fluid = fill
         if self.stages.note_fluid(fill.filled_at):
             _LOG.log(NOTICE, "new fluid since %s: a new baseline begins", fill.filled_at)
-
-    def _of_present_fluid(self, result: ShiftResult) -> ShiftResult:
-        fluid = self.fluid
-        if fluid is None or utc_from_bus_ns(result.estimate.start_ns) >= fluid.filled_at:
-            return result
-        return with_new_fluid(result)
 
     def _diagnose(self, event: Event) -> tuple[ShiftResult, VehicleState | None]:
         self._note_fluid(event)

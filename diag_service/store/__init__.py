@@ -1,7 +1,7 @@
 """The result store: an SQLite file that holds every result, the running state and what has not been delivered yet."""
 
 from diag_service.store.file import remove_store
-from diag_service.store.fills import note_fill
+from diag_service.store.fills import note_fill, withdraw_fill
 from diag_service.store.no_store import NoStore, SessionStore
 from diag_service.store.reading import Row, StoreReader, is_store
 from diag_service.store.result_store import ResultStore, VehicleState, Versions
@@ -20,4 +20,5 @@ __all__ = [
     "is_store",
     "note_fill",
     "remove_store",
+    "withdraw_fill",
 ]

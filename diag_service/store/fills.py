@@ -1,61 +1,121 @@
-"""Fluid fills in a store: noted by the workshop at the vehicle, or by its fleet; each once."""
+"""Fluid fills in a store: noted by the workshop at the vehicle, or by its fleet; each once, until it is taken back."""
 
 import sqlite3
 from collections.abc import Iterable
 from contextlib import closing
+from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Final
 
 from diag_service.diagnosis.records import FluidFill
-from diag_service.errors import StoreError
+from diag_service.diagnosis.results import iso_utc
+from diag_service.errors import ConfigError, StoreError
 from diag_service.store.file import connect, translated
+from fleet_contract.fills import SAME_WITHIN, distinct, odometer_complaint
 
-_COLUMNS: Final = "vehicle, filled_at, odometer_m, product, note"
+_NEXT: Final = timedelta(microseconds=1)
+_READING: Final = (
+    "SELECT json_extract(json, '$.odometer_m') FROM result WHERE vehicle = ? AND json_extract(json, '$.odometer_m')"
+    " IS NOT NULL AND json_extract(json, '$.end_utc') {} ? ORDER BY json_extract(json, '$.end_utc') {} LIMIT 1"
+)
 
 
 def add_fills(sql: sqlite3.Connection, fills: Iterable[FluidFill]) -> int:
-    """Note fills within a transaction; one that is known already stays as it is. Return how many were new."""
+    """Note fills within a transaction; one that is known already stays as it is. Return how many were news.
+
+    A fill that is withdrawn is so for good: whoever tells of it again has not heard of that yet.
+    """
     before = sql.total_changes
-    rows = [(one.vehicle, one.filled_at, one.odometer_m, one.product, one.note) for one in fills]
-    sql.executemany(f"INSERT OR IGNORE INTO fill ({_COLUMNS}) VALUES (?, ?, ?, ?, ?)", rows)  # noqa: S608 - our words
+    rows = [(one.vehicle, one.filled_at, one.odometer_m, one.product, one.note, one.is_withdrawn) for one in fills]
+    sql.executemany(
+        "INSERT INTO fill VALUES (?, ?, ?, ?, ?, ?)"
+        " ON CONFLICT DO UPDATE SET is_withdrawn = 1 WHERE excluded.is_withdrawn > is_withdrawn",
+        rows,
+    )
     return sql.total_changes - before
 
 
-def read_fills(sql: sqlite3.Connection, vehicle: str) -> list[FluidFill]:
-    """Return the fills of a vehicle, the earliest first; none in a store of an earlier program."""
+def all_fills(sql: sqlite3.Connection, vehicle: str) -> list[FluidFill]:
+    """Return all fills of a vehicle, withdrawn ones too, the earliest first; none in a store of an earlier program."""
     if not sql.execute("SELECT 1 FROM sqlite_master WHERE name = 'fill'").fetchone():
         return []
-    rows = sql.execute(f"SELECT {_COLUMNS} FROM fill WHERE vehicle = ? ORDER BY filled_at", (vehicle,))  # noqa: S608 - ours
-    return [_fill(row) for row in rows]
+    return [_fill(*row) for row in sql.execute("SELECT * FROM fill WHERE vehicle = ? ORDER BY filled_at", (vehicle,))]
+
+
+def read_fills(sql: sqlite3.Connection, vehicle: str) -> list[FluidFill]:
+    """Return the fills of a vehicle, the earliest first; what was noted twice is one."""
+    return distinct((one for one in all_fills(sql, vehicle) if not one.is_withdrawn), _moment)
 
 
 def latest_fill(sql: sqlite3.Connection, vehicle: str, until: str) -> FluidFill | None:
     """Return the fluid that a vehicle had at a moment, if its fill is known."""
-    row = sql.execute(
-        f"SELECT {_COLUMNS} FROM fill WHERE vehicle = ? AND filled_at <= ? ORDER BY filled_at DESC LIMIT 1",  # noqa: S608 - ours
-        (vehicle, until),
-    ).fetchone()
-    return None if row is None else _fill(row)
+    return next((one for one in reversed(read_fills(sql, vehicle)) if one.filled_at <= until), None)
 
 
-def note_fill(path: Path, fill: FluidFill) -> None:
-    """Note a fill in a store, also while a service owns it: it looks before each shift.
+def note_fill(path: Path, fill: FluidFill, *, is_insisted: bool = False) -> FluidFill:
+    """Note a fill in a store, also while a service owns it: it looks before each shift. Return it as it is kept.
 
     Raises
     ------
     StoreError
         If there is no such store, or the fill is noted already.
+    ConfigError
+        If its odometer does not fit to the results before and after it, and nobody insists.
     """
+    with closing(_open(path)) as connection, translated(str(path)), connection:
+        connection.execute("BEGIN IMMEDIATE")
+        known = all_fills(connection, fill.vehicle)
+        near = [one for one in known if abs(_moment(one) - _moment(fill)) < SAME_WITHIN and not one.is_withdrawn]
+        if near:
+            raise StoreError(
+                f"the fill of {fill.vehicle} at {near[0].filled_at} is noted already; --undo takes it back"
+            )
+        readings = [connection.execute(_READING.format(*how), (fill.vehicle, fill.filled_at)) for how in _HOW]
+        before_m, after_m = ((reading.fetchone() or [None])[0] for reading in readings)
+        complaint = odometer_complaint(fill.odometer_m, before_m, after_m)
+        if complaint and not is_insisted:
+            raise ConfigError(complaint)
+        while any(one.filled_at == fill.filled_at for one in known):  # withdrawn: that moment is taken for good
+            fill = replace(fill, filled_at=iso_utc(_moment(fill) + _NEXT))
+        add_fills(connection, [fill])
+    return fill
+
+
+def withdraw_fill(path: Path, vehicle: str, moment: str | None) -> FluidFill:
+    """Take back the last fill, or the one of a moment, in a store; return it. Raises StoreError if there is none."""
+    with closing(_open(path)) as connection, translated(str(path)), connection:
+        connection.execute("BEGIN IMMEDIATE")
+        known = [one for one in all_fills(connection, vehicle) if not one.is_withdrawn]
+        meant = [one for one in distinct(known, _moment) if moment is None or one.filled_at == moment]
+        if not meant:
+            raise StoreError(f"no fill of {vehicle} is noted{f' at {moment}' if moment else ''}")
+        same = [one for one in known if timedelta(0) <= _moment(one) - _moment(meant[-1]) < SAME_WITHIN]
+        add_fills(connection, [replace(one, is_withdrawn=True) for one in same])
+    return meant[-1]
+
+
+_HOW: Final = (("<=", "DESC"), (">", "ASC"))  # before a fill, after it
+
+
+def _open(path: Path) -> sqlite3.Connection:
     if not path.is_file():
         raise StoreError(f"there is no store {path}")
-    with closing(connect(path)) as connection, translated(str(path)):
-        connection.execute("BEGIN IMMEDIATE")
-        count = add_fills(connection, [fill])
-        connection.execute("COMMIT")
-    if not count:
-        raise StoreError(f"the fill of {fill.vehicle} at {fill.filled_at} is noted already")
+    return connect(path)
 
 
-def _fill(row: tuple[str, str, float | None, str | None, str | None]) -> FluidFill:
-    vehicle, filled_at, odometer_m, product, note = row
-    return FluidFill(vehicle=vehicle, filled_at=filled_at, odometer_m=odometer_m, product=product, note=note)
+def _moment(fill: FluidFill) -> datetime:
+    return datetime.fromisoformat(fill.filled_at)
+
+
+def _fill(
+    vehicle: str, filled_at: str, odometer_m: float | None, product: str | None, note: str | None, gone: int = 0
+) -> FluidFill:
+    return FluidFill(
+        vehicle=vehicle,
+        filled_at=filled_at,
+        odometer_m=odometer_m,
+        product=product,
+        note=note,
+        is_withdrawn=bool(gone),
+    )

@@ -21,7 +21,7 @@ from diag_service.errors import ResultError, StoreError
 from diag_service.store import budget, controller_reports
 from diag_service.store.budget import DroppedCounts
 from diag_service.store.file import connect, connect_in_memory, own, translated
-from diag_service.store.fills import add_fills, latest_fill, read_fills
+from diag_service.store.fills import add_fills, all_fills, latest_fill, read_fills
 from diag_service.store.schema import DELIVERED, QUARANTINED, WAITING
 from fleet_contract import JsonObject, Outcome, Receipt, ResultKey
 from program_io.private_file import keep_private
@@ -264,6 +264,11 @@ class ResultStore:
         """Return the fluid fills of a vehicle, the earliest first."""
         with self._transaction() as sql:
             return read_fills(sql, vehicle)
+
+    def all_fills(self, vehicle: str) -> list[FluidFill]:
+        """Return the fluid fills of a vehicle as the fleet is told them: those taken back too, and all that are one."""
+        with self._transaction() as sql:
+            return all_fills(sql, vehicle)
 
     def fluid_at(self, vehicle: str, moment: str) -> FluidFill | None:
         """Return the fill of the fluid that a vehicle had at a moment (ISO 8601 UTC), if it is known."""

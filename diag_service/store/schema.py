@@ -4,7 +4,7 @@ import sqlite3
 from typing import Final
 
 APPLICATION_ID: Final = 0x434C4449  # "CLDI", in the header of every store
-SCHEMA_VERSION: Final = 4
+SCHEMA_VERSION: Final = 5
 
 WAITING, DELIVERED, QUARANTINED = range(3)  # values of result.published
 
@@ -27,6 +27,7 @@ CREATE TABLE fill (
   PRIMARY KEY (vehicle, filled_at)
 );
 """
+_WITHDRAWN: Final = "ALTER TABLE fill ADD COLUMN is_withdrawn INTEGER NOT NULL DEFAULT 0;"
 _CREATE: Final = f"""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE result (
@@ -53,6 +54,7 @@ CREATE TABLE state (
 );
 {_CONTROLLER}
 {_CREATE_FILL}
+{_WITHDRAWN}
 PRAGMA application_id = {APPLICATION_ID};
 PRAGMA user_version = {SCHEMA_VERSION};
 """
@@ -62,6 +64,7 @@ _STEPS: Final = {
     1: "ALTER TABLE result ADD COLUMN refusal TEXT; PRAGMA user_version = 2;",  # why a backend cannot use a result
     2: f"{_CONTROLLER} PRAGMA user_version = 3;",  # what a controller says of its trouble codes
     3: f"{_CREATE_FILL} PRAGMA user_version = 4;",  # which fluid since when
+    4: f"{_WITHDRAWN} PRAGMA user_version = 5;",  # which fills were noted by mistake
 }
 
 

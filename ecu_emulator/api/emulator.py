@@ -75,6 +75,8 @@ class Emulator:
         Whether it is driven again and again.
     oil_degc, mass_kg : float, optional
         Oil temperature when the drive begins, -15..130 degC; mass of the car, 900..3500 kg.
+    odometer_m : float, optional
+        Odometer when the drive begins; ``truth.totals.odometer_m`` tells where it ended.
     routine : tuple of int, optional
         Revs in neutral before the drive, with open and with closed clutches.
     is_in_workshop : bool
@@ -115,6 +117,7 @@ class Emulator:
         is_endless: bool = False,
         oil_degc: float | None = None,
         mass_kg: float | None = None,
+        odometer_m: float | None = None,
         routine: tuple[int, int] | None = None,
         is_in_workshop: bool = False,
         faults: Iterable[AnyFault] = (),
@@ -132,7 +135,7 @@ class Emulator:
         chosen = choose_scenario(
             scenario if isinstance(scenario, Scenario) else os.fspath(scenario),
             fluid=fluid, seed=seed, vehicle_seed=vehicle_seed, drive_seed=drive_seed, drive=drive, cycles=cycles,
-            is_endless=is_endless, oil_degc=oil_degc, mass_kg=mass_kg, routine=routine,
+            is_endless=is_endless, oil_degc=oil_degc, mass_kg=mass_kg, odometer_m=odometer_m, routine=routine,
             is_in_workshop=is_in_workshop,
         )  # fmt: skip
         self.scenario: Final = with_faults(chosen, faults)

@@ -66,10 +66,10 @@ class Transition:
     at: datetime
 
 
-def verdict_finding(vehicle: str, clutch: int, condition: str, advice: str) -> Finding:
-    """Return what the verdict says; one that is none changes nothing."""
-    is_wrong = None if condition == "no_verdict" else condition == "change_fluid"
-    return Finding(subject=_subject(vehicle, clutch, Rule.VERDICT), is_wrong=is_wrong, reason=advice)
+def verdict_finding(vehicle: str, clutch: int, condition: str, order: str, *, is_old_fluid: bool) -> Finding:
+    """Return what the verdict says; one that is none changes nothing, unless all that spoke was an earlier fluid."""
+    is_wrong = None if condition == "no_verdict" and not is_old_fluid else condition == "change_fluid"
+    return Finding(subject=_subject(vehicle, clutch, Rule.VERDICT), is_wrong=is_wrong, reason=order)
 
 
 def due_finding(vehicle: str, clutch: int, probability: float | None, sentence: str, limits: Limits) -> Finding:

@@ -5,8 +5,9 @@ from typing import Any, Final
 
 from sqlalchemy import Engine
 
+from diag_service.diagnosis.prognosis import Prognosis
 from fleet_backend.page import past
-from fleet_backend.page.outlook import outlook_of
+from fleet_backend.page.outlook import OTHER_CALIBRATION, answer_of, outlook_of
 from fleet_backend.page.populations import latest
 from fleet_backend.page.records import OutlookAnswer, TrendPoint
 from fleet_backend.page.vehicle_state import VehicleState
@@ -24,7 +25,8 @@ class Past:
     """The past of a clutch, and what follows from it."""
 
     trend: tuple[TrendPoint, ...]
-    outlook: OutlookAnswer | None
+    prognosis: Prognosis | None
+    outlook: OutlookAnswer | None  # the same, as it is told
     why_no_outlook: str | None
 
 
@@ -32,8 +34,13 @@ def read_past(engine: Engine, vehicle: str, clutch: int, state: VehicleState, se
     """Read the past of a clutch, and work out how far its fluid will go."""
     rows = past.results_of(engine, vehicle, clutch)
     kept = None if state.population_version is None else latest(engine)
-    told = outlook_of(clutch, rows, state.fills, service_distance_m, kept) if rows else (None, "No result yet.")
-    return Past(trend=tuple(map(point_of, rows)), outlook=told[0], why_no_outlook=told[1])
+    found = outlook_of(clutch, rows, state.fills, service_distance_m, kept) if rows else None
+    return Past(
+        trend=tuple(map(point_of, rows)),
+        prognosis=found,
+        outlook=None if found is None else answer_of(found, rows),
+        why_no_outlook=OTHER_CALIBRATION if found is None else None,
+    )
 
 
 def point_of(row: past.Row) -> TrendPoint:

@@ -78,7 +78,7 @@ def _cells(now: ClutchNow) -> tuple[Cell, ...]:
         wording.vehicle_link(now.vehicle),
         str(now.clutch),
         wording.badge(now.condition),
-        wording.remark(now),
+        now.order,
         wording.friction(now.mu_c),
         wording.friction(now.std_mu_c),
         wording.share(now.level_ratio),

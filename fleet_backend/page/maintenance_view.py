@@ -4,17 +4,19 @@ from collections.abc import Sequence
 from datetime import date, timedelta
 from typing import Final
 
-from diag_service.diagnosis.prognosis import Outlook
+from diag_service.diagnosis.prognosis.sentence import soonest
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, Ask, Kind, Parameter
 from fleet_backend.page.calendar import Entry, calendar_of
 from fleet_backend.page.clutch_past import Past
 from fleet_backend.page.fleet_view import next_of
 from fleet_backend.page.listing import part_of
-from fleet_backend.page.records import ClutchNow, Due, MaintenanceAnswer, Severity, TrendPoint
+from fleet_backend.page.outlook import outlook_text
+from fleet_backend.page.records import ClutchNow, Due, MaintenanceAnswer, TrendPoint
 from fleet_backend.page.vehicle_state import state_of
 from fleet_backend.page.vehicle_view import SERVICE_KM, past_of
 from fleet_backend.page.view import Shown, Sources, View
+from fleet_contract.orders import Action
 from program_io.pages.content import NONE, Cell, Section, Table
 
 MOST: Final = 200  # each takes a prognosis
@@ -82,20 +84,20 @@ def driven_a_day_m(points: Sequence[TrendPoint]) -> float | None:
 def _past(sources: Sources, now: ClutchNow) -> Past:
     state = state_of(sources.engine, now.vehicle)
     if state is None:  # the snapshot knows a vehicle that is not there any more
-        return Past(trend=(), outlook=None, why_no_outlook="No result yet.")
+        return Past(trend=(), prognosis=None, outlook=None, why_no_outlook="No result yet.")
     return past_of(sources, now, state, SERVICE_KM * wording.M_PER_KM)
 
 
 def _due(sources: Sources, now: ClutchNow, today: date) -> Due:
     found = _past(sources, now)
     a_day_m = driven_a_day_m(found.trend)
-    is_ageing = found.outlook is not None and found.outlook.outlook == Outlook.AGEING
-    reach = found.outlook.change_fluid if found.outlook is not None and is_ageing else None
+    both = [_past(sources, one) for one in sources.keeper.snapshot.vehicles.get(now.vehicle, (now,))]
+    reach = soonest(one.prognosis for one in both if one.prognosis is not None)  # both clutches slip in one oil
     quantiles = (None, None, None) if reach is None else (reach.p10_m, reach.p50_m, reach.p90_m)
     days = [_day(now, distance_m, a_day_m) for distance_m in quantiles]
-    if now.condition == Severity.CHANGE_FLUID:
+    if now.action == Action.CHANGE_NOW:
         days = [today] * 3
-    text = found.outlook.sentence if found.outlook else found.why_no_outlook
+    outlook = outlook_text((one.prognosis for one in both), now.action)
     return Due(
         vehicle=now.vehicle,
         clutch=now.clutch,
@@ -104,7 +106,7 @@ def _due(sources: Sources, now: ClutchNow, today: date) -> Due:
         half_by=days[1],
         most_by=days[2],
         distance_a_day_m=a_day_m,
-        text=" ".join(one for one in (now.advice, text) if one),
+        text=f"{now.order} {outlook}",
     )
 
 

@@ -1,6 +1,6 @@
 """Where the fleet meets the pure diagnosis: rows of the database become results again, and those a prognosis."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, Final
 
@@ -8,7 +8,7 @@ from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.clutch import FrictionCurve
 from clutch_model.fingerprint import fingerprint
 from diag_service.diagnosis.prognosis import Prognosis, history_of_estimates, prognose, without
-from diag_service.diagnosis.prognosis.sentence import outlook_line
+from diag_service.diagnosis.prognosis.sentence import outlook_line, soonest
 from diag_service.diagnosis.records import (
     FluidFill,
     FrictionEstimate,
@@ -21,9 +21,10 @@ from fleet_backend.page.past import friction_in
 from fleet_backend.page.populations import Kept
 from fleet_backend.page.records import Fill, OutlookAnswer, ReachAnswer
 from fleet_backend.schema import SCALE_FREE, SCALE_FREE_COLUMNS
+from fleet_contract.orders import Action
 
 Row = Mapping[str, Any]
-_OTHER_CALIBRATION: Final = "No prognosis: the calibration of these results is not the shipped one."
+OTHER_CALIBRATION: Final = "No prognosis: the calibration of these results is not the shipped one."
 
 
 @cache
@@ -77,34 +78,47 @@ def estimate_of(row: Row) -> ShiftEstimate:
 
 def outlook_of(
     clutch: int, rows: Sequence[Row], fills: Sequence[Fill], service_distance_m: float, kept: Kept | None
-) -> tuple[OutlookAnswer | None, str | None]:
-    """Return how far the fluid of a clutch will go by its results, the oldest first, or why that cannot be said.
+) -> Prognosis | None:
+    """Return how far the fluid of a clutch will go by its results, the oldest first; None: of another calibration.
 
     It begins with the population that was kept last.
     """
     calibration = rows[-1]["calibration_version"]
     reference = reference_of(calibration, clutch)
     if reference is None:
-        return None, _OTHER_CALIBRATION
+        return None
     same = [estimate_of(row) for row in rows if row["calibration_version"] == calibration]
     past = history_of_estimates(same, [fluid_fill(rows[-1]["vehicle"], one) for one in fills], clutch)
     peers = None
     if kept is not None:
         past = without(past, kept.population.common.get(calibration))
         peers = kept.population.of(calibration, fills[-1].product if fills else None)
-    found = prognose(clutch, past, reference, service_distance_m=service_distance_m, peers=peers)
-    return _answer(found, _left_out(rows, len(same))), None
+    return prognose(clutch, past, reference, service_distance_m=service_distance_m, peers=peers)
 
 
-def _answer(found: Prognosis, more: Iterator[str]) -> OutlookAnswer:
+def outlook_text(founds: Iterable[Prognosis | None], action: str) -> str:
+    """Return how far the fluid of a vehicle will go, by what is foretold of each clutch; made for pages and alarms."""
+    known = [found for found in founds if found is not None]
+    return outlook_line(known, Action(action)) if known else OTHER_CALIBRATION
+
+
+def chance_of(found: Prognosis) -> float | None:
+    """Return how likely an ageing fluid reaches its limit before the next service; None: it shows no trend."""
+    first = soonest([found])
+    return None if first is None else first.probability_before_service
+
+
+def answer_of(found: Prognosis, rows: Sequence[Row]) -> OutlookAnswer:
+    """Return a prognosis as pages and programs read it; ``rows`` are all results, those of no use included."""
     return OutlookAnswer(
+        clutch=found.clutch,
         outlook=found.outlook.value,
-        sentence=outlook_line(found),
         row_count=found.row_count,
+        left_out_count=found.left_out_count,
         service_distance_m=found.service_distance_m,
         watch=_reach(found.watch),
         change_fluid=_reach(found.change_fluid),
-        assumptions=(*found.assumptions, *more),
+        assumptions=(*found.assumptions, *_left_out(rows)),
     )
 
 
@@ -115,7 +129,8 @@ def _reach(when: Any) -> ReachAnswer | None:  # noqa: ANN401 - a Reach, which th
     return ReachAnswer(**{name: getattr(when, name) for name in names})
 
 
-def _left_out(rows: Sequence[Row], same_count: int) -> Iterator[str]:
+def _left_out(rows: Sequence[Row]) -> Iterator[str]:
+    same_count = sum(row["calibration_version"] == rows[-1]["calibration_version"] for row in rows)
     if same_count < len(rows):
         yield f"{len(rows) - same_count} results of other calibrations are left out"
     assumed = sum(row["mu_c"] is not None and row[f"{SCALE_FREE}correlation"] is None for row in rows)

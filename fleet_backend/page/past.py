@@ -12,6 +12,7 @@ from fleet_backend import views
 from fleet_backend.database import transaction
 from fleet_backend.months.partitions import has_partitions
 from fleet_backend.months.whereabouts import BLOCK, CLUTCH_BLOCK, months_with
+from fleet_backend.orders import without_old_fluid
 from fleet_backend.page.records import ClutchAlarm, Quarantined, ShiftAnswer
 from fleet_backend.schema import (
     FRICTION_COLUMNS,
@@ -83,10 +84,10 @@ def alarms_of(engine: Engine, vehicle: str) -> tuple[ClutchAlarm, ...]:
     """Return the alarms of a vehicle's clutches, the latest first."""
     table = views.CLUTCH_ALARM
     names = [field.name for field in fields(ClutchAlarm)]
-    statement = select(*(table.c[name] for name in names)).where(table.c.vehicle == vehicle)
+    statement = select(table).where(table.c.vehicle == vehicle).order_by(table.c.raised_at.desc())
     with transaction(engine) as connection:
-        rows = connection.execute(statement.order_by(table.c.raised_at.desc())).mappings()
-        return tuple(ClutchAlarm(**row) for row in rows)
+        rows = without_old_fluid(connection, connection.execute(statement).mappings().all())
+    return tuple(ClutchAlarm(**{name: row[name] for name in names}) for row in rows)
 
 
 def shift_of(engine: Engine, vehicle: str, stream: str, seq: int) -> ShiftAnswer | None:

@@ -38,6 +38,9 @@ class ClutchNow:
     end_at: datetime
     stored_at: datetime
     fluid: str | None
+    fluid_since: datetime | None
+    action: str  # what is to be done about the fluid of the vehicle; this and the next the same for both clutches
+    order: str
     stream: str
     seq: int
     algorithm_version: str
@@ -120,9 +123,10 @@ class ReachAnswer:
 class OutlookAnswer:
     """How far the fluid of a clutch will go."""
 
+    clutch: int
     outlook: str
-    sentence: str
     row_count: int
+    left_out_count: int
     service_distance_m: float
     watch: ReachAnswer | None
     change_fluid: ReachAnswer | None
@@ -160,6 +164,9 @@ class VehicleAnswer:
     connected_at: datetime | None
     last_result_at: datetime | None
     service_version: str | None
+    action: str | None  # what is to be done about its fluid; null without any result, as are the next two
+    order: str | None
+    outlook: str | None  # how far the fluid will go, or why that cannot be said
     fills: tuple[Fill, ...]
     alarms: tuple[ClutchAlarm, ...]
     clutches: tuple[ClutchHistory, ...]

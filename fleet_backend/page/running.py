@@ -4,15 +4,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from sqlalchemy import Engine, TextClause, TextualSelect, bindparam, func, select, text
 
 from fleet_backend.database import transaction
 from fleet_backend.months.partitions import has_partitions
 from fleet_backend.months.whereabouts import CLUTCH_STREAM
+from fleet_backend.orders import present_fluids, with_orders
 from fleet_backend.page.records import ClutchNow
-from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, UtcDateTime
+from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, WITHDRAWN_FILL, UtcDateTime
 
 _MOST_NAMES: Final = 500  # of vehicles in one statement
 # The view running_condition for some vehicles alone: a database does not carry a list of names into a view by itself.
@@ -71,6 +72,7 @@ class FillsSeen:
 
     count: int
     latest: datetime | None
+    withdrawn_count: int = 0
 
 
 def _statement(source: str, where: str) -> TextClause:
@@ -92,7 +94,8 @@ _SOME_CLUTCHES: Final = _statements("WHERE k.vehicle IN :vehicles")
 def all_clutches(engine: Engine) -> list[ClutchNow]:
     """Return the running condition of every clutch of the fleet."""
     with transaction(engine) as connection:
-        return [_clutch(row) for row in connection.execute(_ALL_CLUTCHES[has_partitions(engine)]).mappings()]
+        rows = connection.execute(_ALL_CLUTCHES[has_partitions(engine)]).mappings()
+        return list(map(_clutch, with_orders(rows, present_fluids(connection))))
 
 
 def clutches_of(engine: Engine, vehicles: Sequence[str]) -> list[ClutchNow]:
@@ -101,7 +104,8 @@ def clutches_of(engine: Engine, vehicles: Sequence[str]) -> list[ClutchNow]:
     with transaction(engine) as connection:
         for first in range(0, len(vehicles), _MOST_NAMES):
             names = list(vehicles[first : first + _MOST_NAMES])
-            found += [_clutch(row) for row in connection.execute(statement, {"vehicles": names}).mappings()]
+            rows = connection.execute(statement, {"vehicles": names}).mappings()
+            found += map(_clutch, with_orders(rows, present_fluids(connection, names)))
     return found
 
 
@@ -124,12 +128,12 @@ def database_time(engine: Engine) -> datetime:
 
 
 def fills_seen(engine: Engine) -> FillsSeen:
-    """Return how many fluid fills are noted, and the latest."""
+    """Return how many fluid fills are noted and taken back, and the latest."""
     with transaction(engine) as connection:
         count, latest = connection.execute(select(func.count(), func.max(FLUID_FILL.c.filled_at))).one()
-    return FillsSeen(count=count, latest=latest)
+        withdrawn_count = connection.execute(select(func.count()).select_from(WITHDRAWN_FILL)).scalar_one()
+    return FillsSeen(count=count, latest=latest, withdrawn_count=withdrawn_count)
 
 
-def _clutch(row: object) -> ClutchNow:
-    values = dict(row)  # type: ignore[call-overload]  # a row of SQLAlchemy
-    return ClutchNow(**{name: values[name] for name in _NAMES})
+def _clutch(row: Mapping[str, Any]) -> ClutchNow:
+    return ClutchNow(**{name: row[name] for name in _NAMES})

@@ -11,6 +11,7 @@ from fleet_backend.months.partitions import has_partitions
 from fleet_backend.months.whereabouts import CLUTCH_STREAM
 from fleet_backend.page.records import Fill
 from fleet_backend.schema import ALARM_ACKNOWLEDGEMENT, FLUID_FILL, POPULATION, SHIFT_RESULT, VEHICLE
+from fleet_contract.fills import distinct
 
 _OWN: Final[Any] = bindparam("vehicle")
 _NOTED: Final = ALARM_ACKNOWLEDGEMENT.c
@@ -111,4 +112,5 @@ def fills_of(engine: Engine, vehicle: str) -> tuple[Fill, ...]:
 
 
 def _fills(connection: Connection, vehicle: str) -> tuple[Fill, ...]:
-    return tuple(Fill(**row) for row in connection.execute(_FILLS, {"vehicle": vehicle}).mappings())
+    rows = connection.execute(_FILLS, {"vehicle": vehicle}).mappings()
+    return tuple(distinct((Fill(**row) for row in rows), lambda one: one.filled_at))

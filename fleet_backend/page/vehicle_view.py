@@ -7,6 +7,7 @@ from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Kind, Parameter
 from fleet_backend.page.clutch_past import Past, read_past
 from fleet_backend.page.errors import NotFoundError
+from fleet_backend.page.outlook import outlook_text
 from fleet_backend.page.pictures import (
     STD_OF_50_PERCENT,
     STD_OF_90_PERCENT,
@@ -19,6 +20,7 @@ from fleet_backend.page.remembered import Same
 from fleet_backend.page.usual import kind_of
 from fleet_backend.page.vehicle_state import VehicleState, state_of
 from fleet_backend.page.view import Shown, Sources, View
+from fleet_contract.orders import Action
 from program_io.pages.content import NONE, Cell, Figure, Link, Section, Table, spread
 
 SERVICE_KM: Final = 15_000
@@ -48,17 +50,20 @@ def find(sources: Sources, ask: Ask) -> VehicleAnswer:
     usual = tuple(snapshot.usual.get(kind_of(now)) for now in clutches)
 
     def make() -> VehicleAnswer:
+        pasts = [past_of(sources, now, state, service_distance_m) for now in clutches]
+        action, order = (clutches[0].action, clutches[0].order) if clutches else (None, None)
         return VehicleAnswer(
             vehicle=vehicle,
             is_online=state.is_online,
             connected_at=state.connected_at,
             last_result_at=state.last_result_at,
             service_version=state.service_version,
+            action=action,
+            order=order,
+            outlook=None if action is None else outlook_text((one.prognosis for one in pasts), action),
             fills=state.fills,
             alarms=past.alarms_of(sources.engine, vehicle),
-            clutches=tuple(
-                _clutch(sources, now, state, service_distance_m, its) for now, its in zip(clutches, usual, strict=True)
-            ),
+            clutches=tuple(_clutch(*one, state) for one in zip(clutches, pasts, usual, strict=True)),
         )
 
     return sources.vehicles.of((vehicle, service_distance_m), (state, clutches, usual), make)
@@ -73,7 +78,7 @@ def show(answer: VehicleAnswer, ask: Ask, sources: Sources) -> Shown:
         title=f"Vehicle {answer.vehicle}",
         subtitle=_subtitle(answer, sources),
         sections=tuple(one for one in sections if one.texts or one.figures or one.tables),
-        advice=tuple(wording.advice(one.now) for one in answer.clutches),
+        advice=(wording.advice(answer.action, answer.order),) if answer.action and answer.order else (),
         trail=(Link(text="Fleet", href="/"),),
         more=(Link(text="What changed in a week, and why", href=f"/changes?q={answer.vehicle}"),),
         follows=ask.said("vehicle"),
@@ -89,10 +94,7 @@ def past_of(sources: Sources, now: ClutchNow, state: VehicleState, service_dista
     )
 
 
-def _clutch(
-    sources: Sources, now: ClutchNow, state: VehicleState, service_distance_m: float, usual: Usual | None
-) -> ClutchHistory:
-    found = past_of(sources, now, state, service_distance_m)
+def _clutch(now: ClutchNow, found: Past, usual: Usual | None, state: VehicleState) -> ClutchHistory:
     return ClutchHistory(
         now=now,
         outlook=found.outlook,
@@ -111,9 +113,12 @@ def _subtitle(answer: VehicleAnswer, _sources: Sources) -> str:
 
 
 def _outlook_section(answer: VehicleAnswer) -> Section:
-    texts = [one.outlook.sentence if one.outlook else str(one.why_no_outlook) for one in answer.clutches]
-    tables = [_reach_table(one) for one in answer.clutches if one.outlook and one.outlook.change_fluid]
-    return Section(name="outlook", title="How far the fluid will go", texts=tuple(texts), tables=tuple(tables))
+    is_foretold = answer.action not in {Action.CHANGE_NOW, Action.NEW_FLUID}
+    known = [one for one in answer.clutches if is_foretold and one.outlook and one.outlook.change_fluid]
+    texts = () if answer.outlook is None else (answer.outlook,)
+    return Section(
+        name="outlook", title="How far the fluid will go", texts=texts, tables=tuple(map(_reach_table, known))
+    )
 
 
 def _reach_table(clutch: ClutchHistory) -> Table:

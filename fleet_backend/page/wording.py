@@ -4,7 +4,7 @@ from datetime import datetime
 from typing import Final
 from urllib.parse import quote, urlencode
 
-from fleet_backend.page.records import ClutchNow
+from fleet_contract.orders import SHOWN_AS, Action
 from program_io.pages.content import NONE, Advice, Badge, Cell, Link, moment, number
 
 BAND_STD: Final = 2.0
@@ -67,14 +67,10 @@ def words(reasons: tuple[str, ...]) -> str:
     return ", ".join(reason.replace("_", " ") for reason in reasons) or NONE
 
 
-def remark(now: ClutchNow) -> str:
-    """Return what to do about a clutch; of older programs, which gave no advice, why."""
-    return now.advice or f"{condition_word(now.condition)}: {now.condition_reason}"
-
-
-def advice(now: ClutchNow) -> Advice:
-    """Return the sentence on a clutch with its verdict."""
-    return Advice(condition=style(now.condition), word=condition_word(now.condition), text=remark(now))
+def advice(action: str, order: str) -> Advice:
+    """Return the order for a vehicle, shown as the verdict that it comes from."""
+    condition = SHOWN_AS[Action(action)]
+    return Advice(condition=style(condition), word=condition_word(condition), text=order)
 
 
 def vehicle_link(vehicle: str) -> Link:

@@ -13,6 +13,7 @@ from jsonschema import Draft202012Validator
 
 from diag_service.delivery import DeliveryLimits, MqttConnector, Outbox
 from diag_service.diagnosis.results import ServiceStatus, clutch_record, shift_record
+from diag_service.diagnosis.summary import order_by
 from diag_service.store import ResultStore
 from fleet_contract import schema
 from fleet_link import BrokerAddress
@@ -87,8 +88,9 @@ async def test_state_is_retained_and_events_are_not(store: ResultStore, broker: 
         await outbox.close(sender)
     latest = {result.verdict.clutch: result for result in store.results("car1")}
     assert kept.pop("clutchdiag/v1/car1/status")["status"] == "online"
+    order = order_by(latest.values(), None)
     assert kept == {
-        f"clutchdiag/v1/car1/clutch/{clutch}": clutch_record(shift_record(latest[clutch])) for clutch in (1, 2)
+        f"clutchdiag/v1/car1/clutch/{clutch}": clutch_record(shift_record(latest[clutch]), order) for clutch in (1, 2)
     }
 
 

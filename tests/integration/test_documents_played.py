@@ -97,7 +97,8 @@ def _stage(workshop: Path, tmp_path: Path, sqlite_url: str, monkeypatch: pytest.
     shutil.copytree(workshop, stage)
     engine = open_database(sqlite_url)
     worn = [fleet_result(seq, vehicle="CAR1", condition=Condition.CHANGE_FLUID) for seq in (1, 2, 3)]
-    Writer(engine).store(Batch(shifts=[row_of(result) for result in worn], quarantined=[]))
+    rows = [row_of(result) | {"odometer_m": 80_200_000.0} for result in worn]
+    Writer(engine).store(Batch(shifts=rows, quarantined=[]))
     engine.dispose()
     monkeypatch.chdir(stage)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))

@@ -58,7 +58,7 @@ def test_the_table_begins_with_the_worst(capsys: pytest.CaptureFixture[str], fil
     text = told(capsys, filled, "table")
     assert text.index("change fluid") < text.index("good ")
     assert "0.136 ±0.002" in text
-    assert "nothing to do until the next service: its fluid is sound" in text
+    assert "There is no verdict on the fluid yet. Clutch 1: no event engaged it yet. Clutch 2:" in text
     assert [record["vehicle"] for record in told_json(capsys, filled, "table", "--limit", "1")] == ["worn"]
 
 

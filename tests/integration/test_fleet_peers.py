@@ -93,7 +93,7 @@ def test_what_is_usual_is_learned_kept_and_used_and_who_is_not_usual_is_named(
     ]
     assert kept.population == population_from(json.loads(written.read_text(encoding="utf-8")))
     rows = results_of(engine, "car0", 2)
-    among, alone = (outlook_of(2, rows, (), 1.5e7, one)[0] for one in (kept, None))
+    among, alone = (outlook_of(2, rows, (), 1.5e7, one) for one in (kept, None))
     engine.dispose()
     assert among is not None
     assert alone is not None

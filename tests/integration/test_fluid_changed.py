@@ -4,10 +4,12 @@ import lzma
 import re
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from diag_service.diagnosis.records import FluidFill
 from diag_service.store import ResultStore
 from tests.golden.analyses import RECORDINGS
 from tests.support.histories import fill_store, history
@@ -35,7 +37,7 @@ def _store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     old = ended("analyze", recording("case2", folder / "old.log"), "--store", path, "--vehicle", "car1", "--json")
     assert {shift["verdict"]["condition"] for shift in old.shifts[-2:]} == {"change_fluid"}
     between = old.shifts[-1]["end_utc"]
-    noted = ended("fluid-changed", path, "--at", between, "--odometer", "61200", "--product", "DCTF-II")
+    noted = ended("fluid-changed", path, "--at", between, "--odometer", "12346", "--product", "DCTF-II")
     assert (noted.status, noted.err) == (0, "")
     assert f"car1: DCTF-II since {between}" in noted.out
     new = recording("ideal", folder / "new.log", later_s=LATER_S)
@@ -69,7 +71,7 @@ def test_the_past_stays_as_it_was(store: Path) -> None:
 def test_a_fill_is_noted_once(store: Path) -> None:
     (fills,) = (one for one in ended("history", store, "--json").records if one["record"] == "fills")
     fill = fills["fills"][0]
-    assert (fill["odometer_m"], fill["product"]) == (61_200_000.0, "DCTF-II")
+    assert (fill["odometer_m"], fill["product"]) == (12_346_000.0, "DCTF-II")
     ended("fluid-changed", store, "--at", fill["filled_at"]).assert_one_line(4, "is noted already")
 
 
@@ -92,3 +94,73 @@ def test_a_store_of_before_knows_no_fill_and_learns_one(tmp_path: Path) -> None:
     assert ended("history", path, "--json").records[-1]["fills"] == []
     assert ended("fluid-changed", path, "--at", "2020-01-01").status == 0
     assert len(ended("history", path, "--json").records[-1]["fills"]) == 1
+
+
+def test_a_fill_noted_twice_within_a_day_is_one(tmp_path: Path) -> None:
+    path = tmp_path / "car1.sqlite"
+    fill_store(path, history(3))
+    assert ended("fluid-changed", path, "--at", "2026-02-01T12:00").status == 0
+    said = "the fill of car1 at 2026-02-01T12:00:00.000000Z is noted already; --undo takes it back"
+    ended("fluid-changed", path, "--at", "2026-02-02T11:00", "--product", "DCTF").assert_one_line(4, said)
+    with closing(ResultStore.open(path)) as store:  # what a fleet tells is kept, and read as one
+        later = FluidFill(vehicle="car1", filled_at="2026-02-01T18:00:00.000000Z")
+        assert store.add_fills([later]) == 1
+        assert [one.filled_at for one in store.fills("car1")] == ["2026-02-01T12:00:00.000000Z"]
+        assert len(store.all_fills("car1")) == 2
+    assert ended("fluid-changed", path, "--undo").status == 0
+    assert ended("history", path, "--json").records[-1]["fills"] == []
+
+
+@pytest.mark.parametrize(
+    ("odometer", "why"),
+    [
+        ("61200", "the odometer cannot read 61,200 km: it read 12,346 km before; --insist notes it all the same"),
+        ("99999999", "the odometer cannot read 99,999,999 km: no car has driven that far"),
+        ("12000", "the odometer cannot read 12,000 km: it read 12,346 km before; --insist"),
+    ],
+)
+def test_an_odometer_that_does_not_fit_is_refused_unless_somebody_insists(
+    tmp_path: Path, odometer: str, why: str
+) -> None:
+    path, result = tmp_path / "car1.sqlite", history(1)[0]
+    fill_store(path, [replace(result, estimate=replace(result.estimate, odometer_m=12_346_000.0))])
+    words: list[str | Path] = ["fluid-changed", path, "--at", "2026-02-01", "--odometer", odometer]
+    ended(*words).assert_one_line(2, why)
+    assert ended(*words, "--insist").status == 0
+    assert len(ended("history", path, "--json").records[-1]["fills"]) == 1
+
+
+def test_an_odometer_is_held_against_what_came_later_too(tmp_path: Path) -> None:
+    path, result = tmp_path / "car1.sqlite", history(1)[0]
+    fill_store(path, [replace(result, estimate=replace(result.estimate, odometer_m=12_346_000.0))])
+    words: list[str | Path] = ["fluid-changed", path, "--at", "2025-02-01", "--odometer"]
+    ended(*words, "13000").assert_one_line(2, "the odometer cannot read 13,000 km: after that it read 12,346 km")
+    assert ended(*words, "900").status == 0
+
+
+def test_a_fill_is_taken_back_and_noted_again_at_its_moment(tmp_path: Path) -> None:
+    path = tmp_path / "car1.sqlite"
+    fill_store(path, history(40))
+    before = ended("history", path).out
+    assert "Have the fluid changed at the next service." in before
+    assert ended("fluid-changed", path, "--at", "2026-02-01").status == 0
+    closed = ended("history", path).out
+    assert "New fluid since 2026-02-01 00:00 UTC: nothing is known of it yet." in closed
+    assert "at the next service" not in closed
+    undone = ended("fluid-changed", path, "--undo")
+    assert undone.out == "car1: the fill at 2026-02-01T00:00:00.000000Z is taken back\n"
+    assert ended("history", path).out == before
+    ended("fluid-changed", path, "--undo").assert_one_line(4, "no fill of car1 is noted")
+    again = ended("fluid-changed", path, "--at", "2026-02-01", "--product", "DCTF-II")
+    assert "DCTF-II since 2026-02-01T00:00:00.000001Z" in again.out
+    assert len(ended("history", path, "--json").records[-1]["fills"]) == 1
+
+
+def test_a_store_of_before_loses_no_fill(tmp_path: Path) -> None:
+    path = tmp_path / "car1.sqlite"
+    fill_store(path, history(3), [FluidFill(vehicle="car1", filled_at="2026-02-01T00:00:00.000000Z")])
+    with closing(sqlite3.connect(path)) as connection:
+        connection.executescript("ALTER TABLE fill DROP COLUMN is_withdrawn; PRAGMA user_version = 4;")
+    assert len(ended("history", path, "--json").records[-1]["fills"]) == 1
+    assert ended("fluid-changed", path, "--undo").status == 0
+    assert ended("history", path, "--json").records[-1]["fills"] == []

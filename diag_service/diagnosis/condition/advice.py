@@ -1,6 +1,6 @@
-"""One plain sentence for a workshop: what to do about a clutch, by when, and how sure that is.
+"""One plain sentence for a workshop: what a clutch says of its friction, and how sure that is.
 
-"By when" goes as far as today's numbers carry: now, at the next service, or after more drives. Nothing here foretells.
+It holds no order: both clutches slip in one oil, so `fleet_contract.orders` makes one order of what both of them say.
 """
 
 from enum import StrEnum
@@ -12,7 +12,6 @@ from diag_service.diagnosis.condition.thresholds import (
     LEAVE_PROBABILITY,
     MIN_SHIFT_COUNT,
     WATCH_LEVEL_RATIO,
-    WATCH_MARGIN_RATIO,
     WATCH_PROBABILITY,
 )
 from diag_service.diagnosis.records import Condition
@@ -35,24 +34,19 @@ class Cause(StrEnum):
 class Silence(StrEnum):
     """Why nothing is said of a clutch, and what would help."""
 
-    FEW_SHIFTS = f"drive on and measure again: fewer than {MIN_SHIFT_COUNT} of its shifts could be used"
-    MARGIN_UNSURE = "drive on and measure again: its friction is not known well enough yet"
-    LAUNCHES_JUDDER = (
-        "have its launches looked at: the clutch slips again after it has stuck, its friction says not why"
-    )
-    CALIBRATION_MISFIT = (
-        "no verdict: the calibration does not fit this vehicle; let diag-service calibrate make its own, then measure "
-        "again"
-    )
-    SIGNALS_MISSING = "no verdict: the signals of this vehicle do not tell its friction"
-    PART_OF_DRIVE = "no verdict on a part of a drive: measure again on a whole one"
+    FEW_SHIFTS = f"fewer than {MIN_SHIFT_COUNT} of its shifts could be used so far; more drives will tell"
+    MARGIN_UNSURE = "its friction is not known well enough yet; more drives will tell"
+    LAUNCHES_JUDDER = "it slips again after it has stuck when the car starts off, and its friction does not say why"
+    CALIBRATION_MISFIT = "the calibration does not fit this vehicle; diag-service calibrate makes one that does"
+    SIGNALS_MISSING = "the signals of this vehicle do not tell its friction"
+    PART_OF_DRIVE = "only a part of the drive was seen; measure again on a whole one"
 
 
 _WHAT: Final = {
-    Cause.SHUDDER: "its fluid lets it shudder",
+    Cause.SHUDDER: "it can shudder",
     Cause.LEVEL_LOW: f"its friction is below {_PERCENT * CHANGE_LEVEL_RATIO:.0f} % of new",
     Cause.LOSS_LARGE: f"it has lost more than {_PERCENT * (1.0 - CHANGE_LEVEL_RATIO):.0f} % of its own friction",
-    Cause.MARGIN_THIN: f"{_PERCENT * (1.0 - WATCH_MARGIN_RATIO):.0f} % of its margin against shudder are gone",
+    Cause.MARGIN_THIN: "half of its margin against shudder is gone",
     Cause.LEVEL_FALLING: f"its friction is below {_PERCENT * WATCH_LEVEL_RATIO:.0f} % of new",
     Cause.LOSS_BEGUN: f"it has lost more than {_PERCENT * (1.0 - WATCH_LEVEL_RATIO):.0f} % of its own friction",
 }
@@ -69,21 +63,11 @@ def advice(clutch: int, condition: Condition, ground: Cause | Silence | None, pr
         That the cause is there; of a good fluid, that none of them is.
     """
     if isinstance(ground, Silence):
-        what = f"{ground}"
-    elif ground is None:
-        what = _if_good(probability)
-    elif condition is Condition.CHANGE_FLUID:
-        what = f"change the fluid now: {_WHAT[ground]} ({_until_called_off(probability, CHANGE_PROBABILITY)})"
-    else:
-        sure = _until_called_off(probability, WATCH_PROBABILITY)
-        what = f"have the fluid changed at the next service: {_WHAT[ground]} ({sure})"
-    return f"Clutch {clutch}: {what}."
-
-
-def _if_good(probability: float) -> str:
-    if probability >= WATCH_PROBABILITY:
-        return f"nothing to do until the next service: its fluid is sound ({_percent(probability)} sure)"
-    return f"nothing to do now, but measure again after more drives: its fluid is sound ({_percent(probability)} sure)"
+        return f"Clutch {clutch}: {ground}."
+    if ground is None:
+        return f"Clutch {clutch}: its friction is sound ({_percent(probability)} sure)."
+    given_at = CHANGE_PROBABILITY if condition is Condition.CHANGE_FLUID else WATCH_PROBABILITY
+    return f"Clutch {clutch}: {_WHAT[ground]} ({_until_called_off(probability, given_at)})."
 
 
 def _until_called_off(probability: float, given_at: float) -> str:
@@ -91,8 +75,8 @@ def _until_called_off(probability: float, given_at: float) -> str:
     if probability >= given_at:
         return f"{_percent(probability)} sure"
     return (
-        f"{_percent(probability)} sure, after at least {_percent(given_at)}; "
-        f"called off below {_percent(LEAVE_PROBABILITY)}"
+        f"{_percent(probability)} sure now, at least {_percent(given_at)} before; "
+        f"the verdict stands until that falls below {_percent(LEAVE_PROBABILITY)}"
     )
 
 

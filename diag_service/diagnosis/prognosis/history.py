@@ -40,6 +40,7 @@ class History:
     fluid_number: Int64Array  # of the fluid, counted by the fills that are known; never falls
     new_fluids: tuple[int, ...] = ()  # numbers of the fluids that were new when first seen
     left_out_count: int = 0  # used events that miss something or go back in odometer
+    is_fluid_newer: bool = False  # than every row: of the fluid that is in nothing is known
 
     def __post_init__(self) -> None:
         """Check that the columns are a past."""
@@ -58,7 +59,7 @@ class History:
 
     def first(self, count: int) -> Self:
         """Return the history as it was after so many rows."""
-        return self._rows(slice(None, count))
+        return replace(self._rows(slice(None, count)), is_fluid_newer=False)
 
     def since(self, row: int) -> Self:
         """Return the history from a row on."""
@@ -70,7 +71,7 @@ class History:
         return replace(self, **chosen)
 
 
-_COLUMNS: Final = tuple(one.name for one in fields(History) if one.name not in {"new_fluids", "left_out_count"})
+_COLUMNS: Final = tuple(one.name for one in fields(History) if not one.name.startswith(("new_", "left_", "is_")))
 
 
 def history_of(results: Iterable[ShiftResult], fills: Sequence[FluidFill], clutch: int) -> History:
@@ -102,7 +103,8 @@ def history_of_estimates(estimates: Iterable[ShiftEstimate], fills: Sequence[Flu
     columns["fluid_number"] = columns["fluid_number"].astype(np.int64)
     energy_j = _energies(columns.pop("slip_energy_j"))
     history = History(**columns, slip_energy_j=energy_j, left_out_count=left_out)
-    return replace(history, new_fluids=_new_fluids(history, fills))
+    is_newer = len(fills) > (history.fluid_number[-1] if len(history) else 0)
+    return replace(history, new_fluids=_new_fluids(history, fills), is_fluid_newer=bool(is_newer))
 
 
 def _row(estimate: ShiftEstimate) -> dict[str, float] | None:

@@ -81,6 +81,7 @@ class Prognosis:
     service_distance_m: float
     fluid_starts: tuple[FluidStart, ...]
     assumptions: tuple[str, ...]
+    left_out_count: int = 0  # results that no prognosis can use
     margin: ChannelState | None = None
     level: ChannelState | None = None
     lining: Value | None = None  # change of the level of new fluid against that of the first one
@@ -101,7 +102,7 @@ def prognose(
     Peers say what is usual for its kind; without them little is assumed.
     """
     starts = fluid_starts(history) if len(history) else ()
-    row_count = len(history) - starts[-1].row if starts else 0
+    row_count = len(history) - starts[-1].row if starts and not history.is_fluid_newer else 0
     blank = Prognosis(
         clutch=clutch,
         outlook=Outlook.TOO_FEW,
@@ -110,6 +111,7 @@ def prognose(
         service_distance_m=service_distance_m,
         fluid_starts=starts,
         assumptions=assumptions_of(history, starts, service_distance_m, peers),
+        left_out_count=history.left_out_count,
     )
     if row_count < LEAST_ROWS:
         return blank

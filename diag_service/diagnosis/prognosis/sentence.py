@@ -1,50 +1,75 @@
-"""One sentence per clutch for people: how far the fluid will go, as a range, and how sure that is."""
+"""One sentence per vehicle for people: how far its fluid will go, as a range, and how sure that is.
 
+An order is about now and is made from verdicts (`fleet_contract.orders`); here is only what comes later, and nothing
+that an order has said otherwise.
+"""
+
+from collections.abc import Iterable, Sequence
+from math import inf
 from typing import Final
 
 from diag_service.diagnosis.prognosis.assumptions import HORIZON_M, LEAST_ROWS
 from diag_service.diagnosis.prognosis.prognosis import Outlook, Prognosis, Reach
 from diag_service.diagnosis.prognosis.words import M_PER_KM
+from fleet_contract.orders import Action
 
 _PERCENT: Final = 100.0
+_UNKNOWN: Final = "How far the fluid will go cannot be said yet."
 
 
-def outlook_line(found: Prognosis) -> str:
-    """Return what is to be expected of a clutch; never a distance without its range."""
-    if found.change_fluid is None or found.watch is None:
+def outlook_line(founds: Sequence[Prognosis], action: Action) -> str:
+    """Return what is to be expected of the fluid by the prognoses of its clutches; the sooner end of both counts."""
+    return " ".join((_line(founds, action), *_left_out(founds)))
+
+
+def soonest(founds: Iterable[Prognosis]) -> Reach | None:
+    """Return how far an ageing fluid will go: until the first of the clutches has passed its limit; None: no trend."""
+    ends = (one.change_fluid for one in founds if one.outlook is Outlook.AGEING)
+    return min((one for one in ends if one is not None), key=_end, default=None)
+
+
+def _line(founds: Sequence[Prognosis], action: Action) -> str:
+    if action is Action.CHANGE_NOW:
+        return "No prognosis: the fluid is to be changed now."
+    known = [one.change_fluid for one in founds if one.change_fluid is not None]
+    if action is Action.NEW_FLUID or not known:
+        counts = ", ".join(f"clutch {one.clutch} has {one.row_count}" for one in founds)
+        return f"No prognosis yet: it takes {LEAST_ROWS} usable results of a clutch with this fluid; {counts}."
+    first = soonest(founds)
+    if first is None:
+        p10_m = min(HORIZON_M if one.p10_m is None else one.p10_m for one in known)
         return (
-            f"Clutch {found.clutch}: no prognosis yet: it takes {LEAST_ROWS} usable results with this fluid, "
-            f"there are {found.row_count}."
+            _UNKNOWN
+            if p10_m == 0.0
+            else f"No trend yet: left in, the fluid lasts at least {_km(p10_m)} km (90 % sure)."
         )
-    if found.outlook is Outlook.NO_TREND:
-        return f"Clutch {found.clutch}: no trend yet; {_at_least(found.change_fluid)}."
-    chance = found.change_fluid.probability_before_service
+    if first.p90_m == 0.0 or (first.p90_m is None and first.p10_m == 0.0):
+        return _UNKNOWN
     return (
-        f"Clutch {found.clutch}: the fluid ages; change it {_range(found.change_fluid)}, watch it "
-        f"{_range(found.watch)}; {_percent(chance)} that the change is due within the next "
-        f"{found.service_distance_m / M_PER_KM:,.0f} km."
+        f"The fluid ages: left in, it reaches its limit {_range(first)}; {_percent(first.probability_before_service)} "
+        f"that this is within the next {founds[0].service_distance_m / M_PER_KM:,.0f} km."
     )
 
 
+def _end(when: Reach) -> tuple[float, ...]:
+    return tuple(inf if one is None else one for one in (when.p10_m, when.p50_m, when.p90_m))
+
+
+def _left_out(founds: Sequence[Prognosis]) -> list[str]:
+    """Return how many results no prognosis uses, and why."""
+    counts = [f"{one.left_out_count} results of clutch {one.clutch}" for one in founds if one.left_out_count]
+    why = "they miss odometer or oil temperature, or their odometer went back"
+    return [f"Left out: {', '.join(counts)}: {why}."] if counts else []
+
+
 def _range(when: Reach) -> str:
-    if when.p90_m == 0.0:
-        return "now"
     if when.p10_m is None:
         return f"in more than {HORIZON_M / M_PER_KM:,.0f} km"
-    if when.p90_m is None and when.p10_m == 0.0:
-        return "now or much later, nobody can say"
     if when.p90_m is None:
         return f"in more than {_km(when.p10_m)} km (90 % sure)"
     if when.p10_m == 0.0:
         return f"within {_km(when.p90_m)} km (90 % sure)"
     return f"in {_km(when.p10_m)} to {_km(when.p90_m)} km (80 % sure)"
-
-
-def _at_least(when: Reach) -> str:
-    if when.p10_m == 0.0:
-        return "the fluid may be due for a change already"
-    least_m = HORIZON_M if when.p10_m is None else when.p10_m
-    return f"a change of the fluid is at least {_km(least_m)} km away (90 % sure)"
 
 
 def _km(distance_m: float) -> str:

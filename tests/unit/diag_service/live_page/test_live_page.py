@@ -95,7 +95,9 @@ def test_a_reader_hears_that_the_bus_changed_and_there_is_an_end_to_readers(run:
         assert ask(url, "/events")[0] == 503
         latest = run.board.latest
         assert latest is not None
-        run.board.latest = replace(latest, bus=replace(STATUS, interruption_count=9), stuck=None, clutches=())
+        summary = replace(latest.summary, shifts=replace(latest.summary.shifts, latest={}))
+        bus = replace(STATUS, interruption_count=9)
+        run.board.latest = replace(latest, bus=bus, stuck=None, clutches=(), summary=summary)
         run.board.latest = replace(run.board.latest, taken_s=0.0)  # it does not live any more
         answers[0].readline()
         assert answers[0].readline() == b"event: news\n"

@@ -64,15 +64,17 @@ def test_prognoses_begin_with_what_a_fleet_taught() -> None:
         [line.plain for line in history_lines(found, (1,), most_rows=5, population=one) if isinstance(line, Text)]
         for one in (None, Population(life_count=77, peers=(peers,)), Population(life_count=0, peers=()))
     ]
-    alone, among, strangers = ([line for line in lines if line.startswith("Clutch 1:")][1] for lines in told)
+    alone, among, strangers = (lines[4] for lines in told)
     assert among.endswith(" Before its own results: as 77 lives of its peers.")
     assert among.split(" Before")[0] != alone == strangers
 
 
 def test_people_see_the_sentences_first_and_no_more_rows_than_asked_for() -> None:
-    head, first, second, *tables = history_lines(findings(40), (1, 2), most_rows=5)
+    head, order, first, second, outlook, *tables = history_lines(findings(40), (1, 2), most_rows=5)
     assert isinstance(head, Text)
     assert head.plain == "car1: 40 events"
+    assert str(order) == "Have the fluid changed at the next service."
+    assert str(outlook).startswith("No trend yet: left in, the fluid lasts at least ")
     assert str(first).startswith("Clutch 1: ")
     assert str(second).startswith("Clutch 2: ")
     assert [table.row_count for table in tables if isinstance(table, Table)] == [1, 5, 1, 5]
@@ -116,11 +118,14 @@ def test_a_store_with_several_vehicles_wants_a_name(tmp_path: Path) -> None:
     assert findings_of_store(path, "car2", CALIBRATION).vehicle == "car2"
 
 
-def test_the_future_of_each_clutch_is_a_sentence() -> None:
+def test_the_future_of_the_fluid_is_one_sentence() -> None:
     lines = [str(line) for line in history_lines(findings(60), (1, 2), most_rows=5) if isinstance(line, Text)]
-    assert [line[:9] for line in lines[1:]] == ["Clutch 1:", "Clutch 2:"] * 2
-    assert all("km" in line for line in lines[3:])
+    assert [line[:9] for line in lines[2:4]] == ["Clutch 1:", "Clutch 2:"]
+    assert len(lines) == 5
+    assert "km" in lines[4]
     other = [str(line) for line in history_lines(replace(findings(60), calibration=None), (1, 2), most_rows=5)]
     assert "No prognosis: the calibration of these results is not the shipped one." in other
     few = [str(line) for line in history_lines(findings(8), (2,), most_rows=5)]
-    assert "Clutch 2: no prognosis yet: it takes 8 usable results with this fluid, there are 4." in few
+    assert (
+        "No prognosis yet: it takes 8 usable results of a clutch with this fluid; clutch 1 has 3, clutch 2 has 4."
+    ) in few

@@ -18,6 +18,7 @@ from diag_service.errors import StoreError
 from diag_service.report.findings import Album, Findings
 from diag_service.report.page import html_of, page_of, record_of, write_page
 from diag_service.report.pictures import Trend
+from fleet_contract.orders import Action
 from program_io.pages.content import spread
 from tests.support.builders import shift_result
 from tests.support.histories import findings, history
@@ -68,12 +69,19 @@ def read(text: str) -> Reader:
     return reader
 
 
-def test_a_page_begins_with_the_sentences() -> None:
+def test_a_page_begins_with_the_order() -> None:
     found = findings(30)
+    assert found.order.action is Action.CHANGE_AT_SERVICE
     text = html(found)
-    for result in found.latest:
-        assert result.verdict.advice is not None
-        assert text.index(result.verdict.advice) < text.index("<main>")
+    assert text.index(found.order.text) < text.index("<main>")
+    assert text.count('class="watch"') == text.count("<li class=") == 1
+
+
+def test_a_page_closes_the_order_once_new_fluid_is_noted() -> None:
+    fill = FluidFill(vehicle="car1", filled_at="2026-02-01T00:00:00.000000Z")
+    text = html(replace(findings(30), fills=(fill,)))
+    assert "New fluid since 2026-02-01 00:00 UTC: nothing is known of it yet." in text
+    assert "at the next service" not in text
 
 
 def test_the_numbers_are_those_of_the_results_to_the_last_digit() -> None:
@@ -88,7 +96,7 @@ def test_the_numbers_are_those_of_the_results_to_the_last_digit() -> None:
     record = json.loads(reader.record)
     assert (
         record["clutches"]
-        == json.loads(dump({"all": [clutch_record(shift_record(one)) for one in found.latest]}))["all"]
+        == json.loads(dump({"all": [clutch_record(shift_record(one), found.order) for one in found.latest]}))["all"]
     )
     assert record == json.loads(dump(record_of(found)))
 

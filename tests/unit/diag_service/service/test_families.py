@@ -11,7 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from canlog.live import BusState, BusStatus
 from diag_service.diagnosis.records import Condition, FluidFill, ShiftResult
-from diag_service.diagnosis.summary import FrameCounts, ShiftStatistics, Summary, with_new_fluid
+from diag_service.diagnosis.summary import FrameCounts, ShiftStatistics, Summary, of_present_fluid
 from diag_service.service.metrics import SnapshotCollector
 from diag_service.service.snapshot import Board, Snapshot
 from tests.support.builders import rejected, shift_result
@@ -82,7 +82,7 @@ def test_every_number_of_a_verdict_is_there() -> None:
         "verdict good": 1.0,
         "verdict watch": 0.0,
         "verdict change_fluid": 0.0,
-        f"advice_info {verdict.advice}": 1.0,
+        f"advice_info There is no verdict on the fluid yet. Clutch 1: no event engaged it yet. {verdict.advice}": 1.0,
         "shifts_total valid": 1.0,
         "shifts_total rejected": 0.0,
         "shifts_total unobserved": 0.0,
@@ -121,16 +121,21 @@ def test_one_verdict_is_true_at_a_time(condition: Condition) -> None:
 def test_a_result_without_friction_has_its_verdict_and_its_outcome() -> None:
     known = of_clutch(snapshot(rejected(shift_result(1))), 2)
     assert (known["verdict no_verdict"], known["shifts_total rejected"], known["estimate_shifts"]) == (1.0, 1.0, 0.0)
-    assert not [name for name in known if "mu_" in name or "advice" in name]
+    assert not [name for name in known if "mu_" in name]
 
 
 def test_new_fluid_takes_verdict_and_friction_away_but_not_when_the_last_result_was() -> None:
     shown = snapshot(shift_result(1), fluid=FILL)
-    old = replace(shown, clutches=tuple(with_new_fluid(result) for result in shown.clutches))
+    later = replace(FILL, filled_at="2026-02-01T00:00:00.000000Z")
+    summary = replace(shown.summary, fluid=later)
+    old = replace(shown, clutches=of_present_fluid(shown.clutches, later), summary=summary)
     known = of_clutch(old, 2)
     assert (known["verdict no_verdict"], known["last_result_timestamp_seconds"]) == (1.0, MADE_S)
     assert not [name for name in known if "mu_" in name]
-    assert any(name.startswith("advice_info Clutch 2: drive on and measure again") for name in known)
+    assert any(
+        name.startswith("advice_info New fluid since 2026-02-01 00:00 UTC: nothing is known of it yet.")
+        for name in known
+    )
     (filled,) = [sample for sample in samples(old) if sample.name == "clutchdiag_fluid_fill_timestamp_seconds"]
     assert (filled.labels, filled.value) == ({"vehicle": "car1"}, MADE_S - 5.0)
 

@@ -26,7 +26,7 @@ from diag_service.service.monitor import Monitor, screen
 from diag_service.service.snapshot import SILENT_S, STALE_S, Board, RateMeter, Snapshot, SnapshotTaker
 from diag_service.settings.config import ListenAddress, parse_listen_address
 from diag_service.store import ResultStore
-from tests.support.builders import rejected, shift_result
+from tests.support.builders import shift_result
 from tests.support.patience import HANG_S
 from tests.unit.diag_service.service.test_live import gear_frames, session_for
 
@@ -263,21 +263,16 @@ def screen_lines(snapshot: Snapshot, width: int, height: int) -> list[str]:
 
 def test_the_screen_says_what_to_do_and_still_fits_eighty_columns(snapshot: Snapshot) -> None:
     text = advice(2, Condition.WATCH, Cause.MARGIN_THIN, 0.24)
-    assert len(text) > 150
-    results = (shift_result(1), shift_result(2, to_gear=3))
-    shown = replace(
-        snapshot, clutches=tuple(replace(one, verdict=replace(one.verdict, advice=text)) for one in results)
-    )
+    assert len(text) > 100
+    worn = shift_result(1)
+    worn = replace(worn, verdict=replace(worn.verdict, advice=text, condition=Condition.WATCH))
+    statistics = replace(snapshot.summary.shifts, latest={2: worn})
+    shown = replace(snapshot, summary=replace(snapshot.summary, shifts=statistics))
     lines = screen_lines(shown, 80, 24)
     assert max(map(len, lines)) <= 80
     assert len(lines) <= 24
     words = " ".join(" ".join(lines[:10]).split())
-    assert words.count(text) == 2
+    assert text not in words
+    assert words.count("Have the fluid changed at the next service.") == 1
     wide = screen_lines(shown, 200, 50)
-    assert [line.strip() for line in wide].count(text) == 2
-
-
-def test_the_screen_says_nothing_of_a_clutch_without_a_sentence(snapshot: Snapshot) -> None:
-    before = screen_lines(replace(snapshot, clutches=()), 80, 24)
-    assert screen_lines(replace(snapshot, clutches=(rejected(shift_result(1)),)), 80, 24) == before
-    assert not any(line.startswith("Clutch") for line in before)
+    assert [line.strip() for line in wide].count(text) == 1

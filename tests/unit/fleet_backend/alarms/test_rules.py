@@ -48,7 +48,10 @@ def test_an_alarm_is_raised_and_cleared_in_turn(chances: list[float]) -> None:
 
 def test_no_verdict_neither_raises_nor_clears() -> None:
     words = ["no_verdict", "good", "change_fluid", "no_verdict", "change_fluid", "watch"]
-    assert happened([verdict_finding("a", 1, one, "why") for one in words]) == [Event.RAISED, Event.CLEARED]
+    assert happened([verdict_finding("a", 1, one, "why", is_old_fluid=False) for one in words]) == [
+        Event.RAISED,
+        Event.CLEARED,
+    ]
 
 
 @pytest.mark.parametrize(

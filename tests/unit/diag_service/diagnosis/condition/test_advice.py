@@ -1,4 +1,4 @@
-"""The sentence for a workshop: what to do, by when, how sure; nothing that today's numbers do not carry."""
+"""The sentence on one clutch: what its friction is and how sure that is; what to do is no matter of one clutch."""
 
 import re
 from dataclasses import replace
@@ -10,7 +10,7 @@ from diag_service.diagnosis.condition.advice import Cause, Silence, advice
 from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge, no_verdict
 from diag_service.diagnosis.records import ClutchVerdict, Condition
 from diag_service.diagnosis.results import clutch_record, dump, parse_shift, shift_record
-from diag_service.diagnosis.summary import Gap, unjudged
+from diag_service.diagnosis.summary import Gap, order_by, unjudged
 from tests.support.builders import shift_result
 from tests.unit.diag_service.diagnosis.condition.test_condition import aged, believed, uncertain_scale
 
@@ -27,20 +27,13 @@ def verdict_on(
 @pytest.mark.parametrize(
     ("mu_c", "mu_s", "sentence"),
     [
-        (0.140, 0.119, "Clutch 2: nothing to do until the next service: its fluid is sound (over 99 % sure)."),
-        (
-            0.133,
-            0.125,
-            (
-                "Clutch 2: have the fluid changed at the next service: 50 % of its margin against shudder are gone "
-                "(94 % sure)."
-            ),
-        ),
-        (0.119, 0.137, "Clutch 2: change the fluid now: its fluid lets it shudder (over 99 % sure)."),
-        (0.105, 0.085, "Clutch 2: change the fluid now: its friction is below 80 % of new (98 % sure)."),
+        (0.140, 0.119, "Clutch 2: its friction is sound (over 99 % sure)."),
+        (0.133, 0.125, "Clutch 2: half of its margin against shudder is gone (94 % sure)."),
+        (0.119, 0.137, "Clutch 2: it can shudder (over 99 % sure)."),
+        (0.105, 0.085, "Clutch 2: its friction is below 80 % of new (98 % sure)."),
     ],
 )
-def test_a_verdict_says_what_to_do_by_when_and_how_sure_it_is(mu_c: float, mu_s: float, sentence: str) -> None:
+def test_a_verdict_says_why_and_how_sure_it_is_and_gives_no_order(mu_c: float, mu_s: float, sentence: str) -> None:
     assert verdict_on(mu_c, mu_s).advice == sentence
 
 
@@ -50,7 +43,9 @@ def test_a_fluid_of_which_nobody_is_sure_is_not_called_sound_without_saying_so()
     )  # half of the margin left, more or less, and known as well as it ever is
     assert verdict.condition is Condition.GOOD
     assert verdict.advice is not None
-    assert verdict.advice.startswith("Clutch 2: nothing to do now, but measure again after more drives")
+    assert order_by((shift_result(), replace(shift_result(), verdict=replace(verdict, clutch=1))), None).sentence == (
+        "Nothing to do now, but measure again after more drives: the fluid seems sound."
+    )
     (percent,) = re.findall(r"\((\d+) % sure\)", verdict.advice)
     assert 20 < int(percent) < 80
 
@@ -59,7 +54,9 @@ def test_a_verdict_that_merely_stands_says_what_calls_it_off() -> None:
     verdict = verdict_on(0.1295, 0.1285, previous=Condition.CHANGE_FLUID)
     assert verdict.condition is Condition.CHANGE_FLUID
     assert verdict.advice is not None
-    assert verdict.advice.endswith("(26 % sure, after at least 95 %; called off below 20 %).")
+    assert verdict.advice.endswith(
+        "(26 % sure now, at least 95 % before; the verdict stands until that falls below 20 %)."
+    )
 
 
 def test_what_was_lost_of_the_own_friction_is_told_as_that() -> None:
@@ -74,7 +71,7 @@ def test_what_was_lost_of_the_own_friction_is_told_as_that() -> None:
         (verdict_on(0.14, 0.119, shift_count=1), "fewer than 3 of its shifts could be used"),
         (verdict_on(0.14, 0.119, std=0.02), "its friction is not known well enough yet"),
         (no_verdict(2, "clutch pressures"), "the signals of this vehicle do not tell its friction"),
-        (unjudged(shift_result(), (Gap.LOG_CUT,)).verdict, "no verdict on a part of a drive"),
+        (unjudged(shift_result(), (Gap.LOG_CUT,)).verdict, "only a part of the drive was seen"),
     ],
 )
 def test_where_there_is_no_verdict_the_sentence_says_what_would_help(verdict: ClutchVerdict, sentence: str) -> None:
@@ -88,7 +85,7 @@ def test_a_calibration_that_does_not_fit_is_no_matter_of_the_fluid() -> None:
     memory = ConditionMemory(fits=(Fit.MISFITS,) * 5)
     verdict = judge(memory, believed(0.119, 0.137), 1, CALIBRATION)[1]
     assert verdict.advice is not None
-    assert "let diag-service calibrate make its own" in verdict.advice
+    assert "diag-service calibrate makes one that does" in verdict.advice
     assert "% sure" not in verdict.advice
 
 

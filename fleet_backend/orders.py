@@ -1,0 +1,85 @@
+"""The order for each vehicle by what the database holds: the last result of each clutch, and the fluid that is in."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Final
+
+from sqlalchemy import Connection, RowMapping, select
+
+from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT
+from fleet_contract.fills import distinct
+from fleet_contract.orders import NO_VERDICT, UNKNOWN_FLUID, Finding, is_of_earlier_fluid, order_of, unseen_since_new
+
+Row = Mapping[str, Any] | RowMapping
+# What a row keeps of a clutch whose fluid was changed since: all else is of the earlier one.
+_KEPT: Final = ("place", "vehicle", "clutch", "end_at", "stored_at", "odometer_m", "stream", "seq")
+_VERSIONS: Final = ("algorithm_version", "calibration_version")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PresentFluid:
+    """The fluid that is in."""
+
+    filled_at: datetime
+    product: str
+
+
+def present_fluids(connection: Connection, vehicles: Sequence[str] | None = None) -> dict[str, PresentFluid]:
+    """Return the fluid of each vehicle of which a fill is known, of all vehicles or of some."""
+    table = FLUID_FILL.c
+    statement = select(table.vehicle, table.filled_at, table.product).order_by(table.filled_at)
+    if vehicles is not None:
+        statement = statement.where(table.vehicle.in_(vehicles))
+    known: dict[str, list[PresentFluid]] = {}
+    for row in connection.execute(statement):
+        known.setdefault(row.vehicle, []).append(PresentFluid(filled_at=row.filled_at, product=row.product))
+    return {vehicle: distinct(own, lambda one: one.filled_at)[-1] for vehicle, own in known.items()}
+
+
+def with_orders(rows: Iterable[Row], fluids: Mapping[str, PresentFluid]) -> list[dict[str, Any]]:
+    """Return the last results of clutches with the order for their vehicle; those of an earlier fluid say nothing."""
+    by_vehicle: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        by_vehicle.setdefault(row["vehicle"], []).append(dict(row))
+    for vehicle, own in by_vehicle.items():
+        fluid = fluids.get(vehicle)
+        filled_at = None if fluid is None else fluid.filled_at
+        order = order_of(map(_finding, own), filled_at)
+        news = {"action": order.action.value, "order": order.text, "fluid_since": filled_at}
+        news |= {} if fluid is None else {"fluid": fluid.product}
+        for row in own:
+            if is_of_earlier_fluid(row["end_at"], filled_at):
+                row.update(dict.fromkeys(row.keys() - {*_KEPT, *_VERSIONS}), condition=NO_VERDICT, shift_count=0)
+                row.update(condition_reason=UNKNOWN_FLUID, advice=unseen_since_new(row["clutch"]))
+            row.update(news)
+    return [row for own in by_vehicle.values() for row in own]
+
+
+def is_alarming_since(connection: Connection, vehicle: str, clutch: int, filled_at: datetime) -> bool:
+    """Return whether any result since a fluid fill says that the fluid is to be changed."""
+    table = SHIFT_RESULT.c
+    own = (table.vehicle == vehicle, table.clutch == clutch, table.condition == "change_fluid")
+    return connection.execute(select(table.seq).where(*own, table.end_at > filled_at).limit(1)).first() is not None
+
+
+def without_old_fluid(connection: Connection, alarms: Iterable[Row]) -> list[dict[str, Any]]:
+    """Return runs of verdicts to change the fluid; one that only the earlier fluid caused is over since the fill."""
+    told = [dict(alarm) for alarm in alarms]
+    fluids = present_fluids(connection, sorted({one["vehicle"] for one in told if one["cleared_at"] is None}))
+    for one in told:
+        fluid = fluids.get(one["vehicle"])
+        if one["cleared_at"] is None and fluid is not None and is_of_earlier_fluid(one["raised_at"], fluid.filled_at):
+            is_over = not is_alarming_since(connection, one["vehicle"], one["clutch"], fluid.filled_at)
+            one["cleared_at"] = fluid.filled_at if is_over else None
+    return told
+
+
+def _finding(row: Row) -> Finding:
+    return Finding(
+        clutch=row["clutch"],
+        condition=row["condition"],
+        text=row["advice"],
+        reason=row["condition_reason"],
+        end_at=row["end_at"],
+    )
