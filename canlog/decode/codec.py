@@ -13,12 +13,14 @@ from cantools.database.can.signal import Signal
 
 from canlog.arrays import BoolArray, Int64Array, UInt8Array, UInt32Array
 from canlog.database.addressing import (
+    FIRST_FAST_GROUP,
     NOBODY,
     AddressBook,
     address_book,
     find_slot,
     message_address,
     overwritten,
+    parameter_group,
     rows_by_slot,
 )
 from canlog.database.not_available import no_value_codes
@@ -131,7 +133,7 @@ class Codec:
         )
         self._blocks: dict[tuple[int, int], SignalBlock] = {}  # by slot and bytes of the frame
         self._book = address_book([addresses[slot] for slot in kept])
-        self._rules = _slot_rules(self.tables)
+        self._rules = _slot_rules(self.tables, self._book)
         self._is_left_out: BoolArray | None = None  # (messages,) none of its signals was asked for
 
     def only(self, places: Collection[tuple[int, str]]) -> "Codec":
@@ -150,7 +152,7 @@ class Codec:
             np.bool_,
         )
         chosen._blocks = {}  # noqa: SLF001 - of the copy
-        chosen._rules = _slot_rules(chosen.tables)  # noqa: SLF001 - likewise
+        chosen._rules = _slot_rules(chosen.tables, self._book)  # noqa: SLF001 - likewise
         chosen._rules.needed_bytes[is_left_out] = 0  # noqa: SLF001 - pieces of what is not asked for are no loss
         chosen._is_left_out = is_left_out  # noqa: SLF001 - likewise
         return chosen
@@ -205,9 +207,11 @@ class Codec:
         return MessageValues(slot=slot, rows=rows, signals=signals, cut_off=cut_off, words=words)
 
 
-def _slot_rules(tables: Sequence[MessageTable]) -> SlotRules:
+def _slot_rules(tables: Sequence[MessageTable], book: AddressBook) -> SlotRules:
     min_length = np.array([min(table.message.length, FD_PAYLOAD_BYTES) for table in tables], np.int64)
     needed_bytes = np.array([table.needed_bytes for table in tables], np.int64)
+    groups = np.array([parameter_group(table.message.frame_id) for table in tables], np.int64)
+    needed_bytes[(book.is_group != 0) & (groups < FIRST_FAST_GROUP)] = 0  # pieces come as J1939 transport
     is_empty = np.array([not table.signals for table in tables], np.bool_)
     is_plain = ~is_empty & (needed_bytes == 0)  # of nearly all frames
     return SlotRules(min_length, needed_bytes, is_empty, is_plain)

@@ -17,6 +17,7 @@ USUAL_GAPS = 3  # a sender that is slower by habit may take so many of its first
 BETWEEN_TWO_LIMIT_NS = 1_250 * NS_PER_MS  # T2 to T4: between frames of either side
 PADDING = 0xFF
 LAST_NUMBER = 255
+BEGUN = -1  # in place of the last number: a message whose first frame states a length that none has
 PDU2_FORMATS = 240
 
 Key = tuple[int, int, int]  # channel, source, destination
@@ -55,6 +56,13 @@ def _length_in(data: bytes) -> int:
     return data[1] | data[2] << 8
 
 
+def _is_sound(data: bytes, key: Key) -> bool:
+    """Return whether an announcement or a request to send is whole and states a length that there is."""
+    if len(data) < FRAME_BYTES or (key[2] == FOR_ALL) != (data[0] == ANNOUNCE):
+        return False
+    return SHORTEST <= _length_in(data) <= LONGEST and data[3] == -(-_length_in(data) // PACKET_BYTES)
+
+
 def _limit_ns(one: _Open | None, number: int) -> int:
     """Return how long a message for all may be silent before a packet; the packets that are lost took their time."""
     if one is None:
@@ -77,24 +85,26 @@ class J1939Transport:
     def feed(self, t_ns: int, channel: int, can_id: int, data: bytes) -> Transfer | None:
         """Take a frame of transport; return the message that is whole by it."""
         source, destination, form = can_id & 0xFF, can_id >> 8 & 0xFF, can_id >> 16 & 0xFF
-        if len(data) < FRAME_BYTES:
-            self._fault(Fault.WRONG_LENGTH)
-            return None
         key = (channel, source, destination)
+        if not data:
+            self._count_cut(t_ns, key)
+            return None
         if form == DATA:
             return self._packet(t_ns, key, data)
         kind = data[0]
         if kind in {ANNOUNCE, REQUEST_TO_SEND}:
             return self._begin(t_ns, key, can_id, data)
         other = (channel, destination, source)  # of the message that this frame answers
-        if kind == CLEAR_TO_SEND:
-            return self._clear(t_ns, other, data)
-        if kind == END:
-            return self._end(t_ns, other, data)
         if kind == ABORT:
             for one in (other, key):
                 if one in self._open:
                     self._give_up(one, Fault.ABORTED)
+        elif len(data) < FRAME_BYTES:
+            self._count_cut(t_ns, other)
+        elif kind == CLEAR_TO_SEND:
+            return self._clear(t_ns, other, data)
+        elif kind == END:
+            return self._end(t_ns, other, data)
         return None
 
     def due(self, t_ns: int) -> list[Transfer]:
@@ -112,15 +122,11 @@ class J1939Transport:
     def _begin(self, t_ns: int, key: Key, can_id: int, data: bytes) -> Transfer | None:
         before = self._settled(key, Fault.INTERRUPTED)
         self._orphan.pop(key, None)
-        length, packets = data[1] | data[2] << 8, data[3]
-        is_for_all = key[2] == FOR_ALL
-        if (
-            not SHORTEST <= length <= LONGEST
-            or packets != -(-length // PACKET_BYTES)
-            or is_for_all != (data[0] == ANNOUNCE)
-        ):
+        if not _is_sound(data, key):
             self._fault(Fault.WRONG_LENGTH)
+            self._remember(key, BEGUN, t_ns)
             return before
+        length, packets = _length_in(data), data[3]
         if len(self._open) >= MOST_OPEN:
             self._give_up(next(iter(self._open)), Fault.TOO_MANY)
         group = _group_in(data)
@@ -129,6 +135,8 @@ class J1939Transport:
 
     def _packet(self, t_ns: int, key: Key, data: bytes) -> Transfer | None:
         number, one = data[0], self._open.get(key)
+        is_cut = one is not None and len(data) <= min(PACKET_BYTES, one.length - (number - 1) * PACKET_BYTES)
+        data = data.ljust(FRAME_BYTES, bytes([PADDING]))  # the last packet may come without
         is_for_all = key[2] == FOR_ALL
         limit_ns = _limit_ns(one, number) if is_for_all else BETWEEN_TWO_LIMIT_NS
         if one is not None and one.is_complete and t_ns - one.last_ns <= limit_ns and number == one.packets + 1:
@@ -151,6 +159,10 @@ class J1939Transport:
             if number < one.expected or number > one.packets:
                 self._fault(Fault.NO_BEGINNING)  # it is a packet of another message, whose announcement is missing
             return None
+        if is_cut:
+            self._give_up(key, Fault.FRAME_MISSING)
+            self._remember(key, number, t_ns)
+            return None
         one.data[(number - 1) * PACKET_BYTES : number * PACKET_BYTES] = data[1:]
         one.gap_ns = one.gap_ns or t_ns - one.first_ns
         one.had.add(number)
@@ -171,6 +183,7 @@ class J1939Transport:
             one.expected = data[2] if data[1] and 1 <= data[2] <= one.packets else one.expected
             return None
         before = self._settled(key, Fault.INTERRUPTED)
+        is_beginning = is_beginning and self._orphan.get(key, (0, 0))[0] != BEGUN
         if is_beginning or one is not None or self._is_nothing_known(t_ns, key):
             self._fault(Fault.NO_BEGINNING)  # a message begins of which the request is missing
             self._remember(key, max(data[2] - 1, 0), t_ns)
@@ -206,6 +219,13 @@ class J1939Transport:
         if is_another or t_ns - last_ns > limit_ns:
             self._fault(Fault.NO_BEGINNING)
         self._remember(key, number, t_ns)
+
+    def _count_cut(self, t_ns: int, key: Key) -> None:
+        """Count the message of a frame of which too little is left to tell more, once."""
+        one = self._open.get(key)
+        if one is None and self._is_nothing_known(t_ns, key):
+            self._fault(Fault.WRONG_LENGTH)
+            self._remember(key, 0, t_ns)
 
     def _is_nothing_known(self, t_ns: int, key: Key) -> bool:
         """Return whether no message of this connection is counted that may still go on."""

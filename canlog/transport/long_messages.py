@@ -7,11 +7,20 @@ from typing import Final
 from cantools.database import DecodeError
 from cantools.database.can import Message
 
-from canlog.database.addressing import J1939, NOBODY, address_book, find_slot, message_address, overwritten
+from canlog.database.addressing import (
+    FIRST_FAST_GROUP,
+    J1939,
+    NOBODY,
+    address_book,
+    find_slot,
+    message_address,
+    overwritten,
+    parameter_group,
+)
 from canlog.decode.codec import message_table
 from canlog.frames import PAYLOAD_BYTES, FrameBatch
 from canlog.transport.fast_packet import LONGEST as LONGEST_FAST
-from canlog.transport.reassembly import Reassembler, group_of
+from canlog.transport.reassembly import Reassembler
 from canlog.transport.transfers import Transfer, TransferCounts
 
 _NOBODY: Final = int(NOBODY)
@@ -60,8 +69,6 @@ class LongMessages:
         if slot == _NOBODY:
             return LongMessage(transfer=transfer)
         message = self._messages[slot]
-        if len(transfer.data) <= PAYLOAD_BYTES and message.length > len(transfer.data):
-            return LongMessage(transfer=transfer, name=message.name, fault="shorter than the database says")
         try:
             decoded = message.decode(transfer.data, decode_choices=False, allow_truncated=True)
         except (DecodeError, ValueError) as exc:
@@ -69,16 +76,19 @@ class LongMessages:
         if not isinstance(decoded, dict):
             return LongMessage(transfer=transfer, name=message.name, fault="a container of other messages")
         values = {name: value for name, value in decoded.items() if isinstance(value, int | float)}
+        if not values and len(transfer.data) < message.length:
+            return LongMessage(transfer=transfer, name=message.name, fault="shorter than the database says")
         return LongMessage(transfer=transfer, name=message.name, values=values)
 
 
 def fast_groups(messages: Sequence[Message]) -> frozenset[int]:
-    """Return the groups whose own frames can be no more than pieces: fast packets of NMEA 2000."""
+    """Return the groups whose own frames can be no more than pieces: fast packets of NMEA 2000, all of data page 1."""
     return frozenset(
-        group_of(message.frame_id)
+        group
         for message in messages
         if message.is_extended_frame
         and message.protocol == J1939
+        and (group := parameter_group(message.frame_id)) >= FIRST_FAST_GROUP
         and PAYLOAD_BYTES < message.length <= LONGEST_FAST
         and message_table(message).needed_bytes
     )
