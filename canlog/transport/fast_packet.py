@@ -2,14 +2,13 @@
 
 from dataclasses import dataclass, field
 
-from canlog.transport.transfers import MOST_OPEN, NS_PER_MS, Fault, Protocol, Transfer, TransferCounts
+from canlog.transport.transfers import MOST_OPEN, NS_PER_MS, Fault, Protocol, Transfer, TransferCounts, is_padding
 
 FRAME_BYTES = 8
 FIRST_BYTES, NEXT_BYTES = 6, 7
 LONGEST = FIRST_BYTES + 31 * NEXT_BYTES
 LIMIT_NS = 750 * NS_PER_MS
 FRAME_MASK = 0x1F
-PADDING = 0xFF
 
 Key = tuple[int, int]  # channel, identifier with flags
 
@@ -92,7 +91,7 @@ class FastPackets:
         self._orphan[key] = (sequence, number, t_ns)
 
     def _whole(self, key: Key, one: _Open) -> Transfer | None:
-        if any(byte != PADDING for byte in one.data[one.length :]):
+        if not is_padding(one.data[one.length :]):
             self._give_up(key, Fault.FRAME_MISSING)  # bytes beyond the end: frames of another message
             return None
         del self._open[key]

@@ -143,7 +143,7 @@ class IsoTp:
         if length == 0:
             length, start = int.from_bytes(data[2:6]), 6
         if len(data) < CLASSIC_BYTES or not max(SHORTEST_LONG, len(data) - start + 1) <= length <= LONGEST:
-            self._count_orphan(t_ns, key, 0, fault=Fault.WRONG_LENGTH)
+            self._count_orphan(t_ns, key, 0, fault=Fault.WRONG_LENGTH).is_waiting = True  # for flow control
             return
         if len(self._open) >= MOST_OPEN:
             self._give_up(next(iter(self._open)), Fault.TOO_MANY)

@@ -115,6 +115,10 @@ def test_packets_of_a_longer_message_without_announcement_are_not_taken_for_a_sh
         ([(0, TO_CM, "10150003FFCAFE00"), (4, TO_DT, "0101010101010101"), (8, TO_DT, "0601010101010101")], 2),
         ([(0, TO_CM, "10150003FFCAFE00"), (4, BACK_CM, "13150003FFCAFE00"), (60, TO_DT, "0101010101010101")], 2),
         ([(0, TO_CM, "10150003FFCAFE00"), (60, BACK_CM, "130A0002FFCAFE00")], 2),
+        # Of a slow sender packets are lost: the others come as much later.
+        ([(0, TP_CM, "20230005FFCAFE00"), (380, TP_DT, "02" * 8), (760, TP_DT, "04" * 8), (950, TP_DT, "05" * 8)], 1),
+        # A receiver that lets a sender wait, and then begin.
+        ([(0, BACK_CM, "1100FFFFFFCAFE00"), (60, BACK_CM, "110201FFFFCAFE00"), (64, TO_DT, "02" * 8)], 1),
     ],
 )
 def test_what_is_left_of_two_messages_is_counted_twice_and_of_one_once(
@@ -158,6 +162,7 @@ def test_a_last_packet_needs_no_padding() -> None:
             (Protocol.FAST_PACKET, Fault.FRAME_MISSING),
         ),
         ([(0, 0x7E8, "1014010203"), (5, 0x7E8, "21" * 8), (9, 0x7E8, "22" * 8)], WRONG_ISO_TP),
+        ([(0, 0x7E8, "1014010203"), (2, 0x7E0, "3000"), (5, 0x7E8, "21" * 8), (9, 0x7E8, "22" * 8)], WRONG_ISO_TP),
         (
             [(0, 0x7E8, "1018010203040506"), (5, 0x7E8, "210102"), (9, 0x7E8, "22" * 8), (12, 0x7E8, "23" * 8)],
             (Protocol.ISO_TP, Fault.FRAME_MISSING),
@@ -166,6 +171,21 @@ def test_a_last_packet_needs_no_padding() -> None:
 )
 def test_what_is_cut_is_counted_once(lines: list[tuple[int, int, str]], fault: tuple[Protocol, Fault]) -> None:
     assert put_together(*lines) == ([], {fault: 1})
+
+
+def test_a_packet_that_was_cut_may_come_again() -> None:
+    packets = [(4, TO_DT, "0101"), (9, TO_DT, "0101020304050607"), (14, TO_DT, "02080910000000FF"), (18, TO_DT, "0208")]
+    found, incomplete = put_together((0, TO_CM, "100A0002FFCAFE00"), *packets, (22, BACK_CM, "130A0002FFCAFE00"))
+    assert ([one.data.hex() for one in found], incomplete) == (["01020304050607080910"], {})
+
+
+def test_zeros_behind_a_message_are_padding() -> None:
+    found, incomplete = put_together(
+        (0, TP_CM, "200A0002FFCAFE00"), (60, TP_DT, "0101020304050607"), (120, TP_DT, "0208091000000000"),
+        (200, FAST, "0004010203040000"),
+    )  # fmt: skip
+    assert [one.data.hex() for one in found] == ["01020304", "01020304050607080910"]
+    assert incomplete == {}
 
 
 def test_a_frame_of_another_sender_or_channel_does_not_interrupt() -> None:
