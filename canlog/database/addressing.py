@@ -79,6 +79,13 @@ def message_address(
     )
 
 
+def is_of_groups(messages: Sequence[Message]) -> bool:
+    """Return whether messages of 29 bits that do not say so are of J1939: the sender of all is the null address."""
+    return bool(messages) and all(
+        message.protocol is None and message.frame_id & 0xFF == NULL_ADDRESS for message in messages
+    )
+
+
 def parameter_group(can_id: int) -> int:
     """Return the J1939 parameter group number (PGN) of a 29-bit identifier."""
     return int(_group_of(can_id))
