@@ -44,7 +44,8 @@ class _Open:
     def holds(self, number: int, packet: bytes) -> bool:
         """Return whether a packet is there already, and the same."""
         start = (number - 1) * PACKET_BYTES
-        return number in self.had and self.data[start : start + len(packet) - 1] == packet[1:FRAME_BYTES]
+        stop = min(start + len(packet) - 1, self.length)
+        return number in self.had and self.data[start:stop] == packet[1 : 1 + stop - start]
 
     def take(self, t_ns: int, number: int, packet: bytes) -> bool:
         """Add a packet; return whether it can be one of this message."""

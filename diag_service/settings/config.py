@@ -120,7 +120,7 @@ def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
         vehicle=options.vehicle,
         dbc=options.dbc,
         is_lenient=options.lenient,
-        parser_time_s=getattr(options, "parser_time", None),
+        parser_time_s=options.parser_time,
         profile=options.profile,
         calibration=calibration,
         is_strict=getattr(options, "strict", False),

@@ -50,7 +50,6 @@ MEANING: Final = (
         "--parser-time S",
         "seconds of processor time that reading the database may take, with 44 MiB of memory for each (default: 8)",
         INT,
-        default=8,
     ),
     Setting(
         "--profile P",

@@ -89,14 +89,13 @@ def _parse_line(
     while True:
         begin, stop, at = fields.field(text, at, separator)
         role, parameter = program.columns[min(column, width - 1), 0], program.columns[min(column, width - 1), 1]
-        if column >= width and (role != Role.DATA and role != Role.BYTE) and stop > begin:  # noqa: PLR1714 - no tuple
-            role = Role.IGNORED if parameter == fields.REST else -1
-        elif column >= width and stop > begin:
-            role = Role.BYTE  # the bytes of one column are spread over those behind it
-            if separator == BLANKS and 0 <= line[LENGTH] <= line[COUNT]:
-                role = Role.IGNORED  # a comment
+        is_full = 0 <= line[LENGTH] <= line[COUNT] and (separator == BLANKS or line[LENGTH] <= PAYLOAD_BYTES)
+        if column >= width and stop > begin and role != Role.DATA:
+            role = Role.IGNORED if role == Role.BYTE or parameter == fields.REST else -1
         elif column >= width:
-            role = Role.IGNORED
+            role = Role.IGNORED if is_full or stop == begin else Role.BYTE  # bytes of one column, spread; or a comment
+        elif role == Role.BYTE and is_full:
+            role = Role.IGNORED  # a label
         if not _read_field(text, begin, stop, role, parameter, data, row, program, line):
             is_too_long = data.shape[1] < line[COUNT] <= FD_PAYLOAD_BYTES
             return (TOO_LONG if is_too_long else MALFORMED), skip_line(text, at)
@@ -137,7 +136,7 @@ def _read_field(  # noqa: PLR0911 - one for each role
         line[LENGTH] = fields.small_number(text, begin, stop)
         return bool(line[LENGTH] >= 0 or stop == begin)
     if role == Role.CHANNEL:
-        line[CHANNEL] = fields.channel(text, begin, stop)
+        line[CHANNEL] = fields.channel(text, begin, stop, program.channel_names)
         return True
     if role == Role.FLAGS:
         return _read_flags(text, begin, stop, parameter, line)

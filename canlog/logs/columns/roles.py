@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from canlog.arrays import BoolArray, Int64Array
+from canlog.logs.channels import name_hash
 
 
 class Role(IntEnum):
@@ -51,6 +52,7 @@ class Program(NamedTuple):
     separator: int
     tells_by_digits: bool
     has_decimal_comma: bool
+    channel_names: Int64Array  # hashes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,6 +71,7 @@ class Layout:
     has_decimal_comma: bool = False
     wrap_us: int = 0
     names: tuple[str, ...] = field(default=())  # of the columns, as the header has them
+    channel_names: tuple[str, ...] = ()  # numbered from 0; empty: the digits at their ends are their numbers
 
     def has(self, role: Role) -> bool:
         """Return whether there is a column of this role."""
@@ -84,4 +87,5 @@ class Layout:
             separator=self.separator,
             tells_by_digits=self.tells_by_digits,
             has_decimal_comma=self.has_decimal_comma,
+            channel_names=np.array([name_hash(name.encode()) for name in self.channel_names], np.int64),
         )

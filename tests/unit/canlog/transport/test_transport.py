@@ -175,6 +175,7 @@ def test_what_is_cut_is_counted_once(lines: list[tuple[int, int, str]], fault: t
 
 def test_a_packet_that_was_cut_may_come_again() -> None:
     packets = [(4, TO_DT, "0101"), (9, TO_DT, "0101020304050607"), (14, TO_DT, "02080910000000FF"), (18, TO_DT, "0208")]
+    packets[3:3] = [(16, TO_DT, "0208091000000000")]  # padded otherwise than what came before
     found, incomplete = put_together((0, TO_CM, "100A0002FFCAFE00"), *packets, (22, BACK_CM, "130A0002FFCAFE00"))
     assert ([one.data.hex() for one in found], incomplete) == (["01020304050607080910"], {})
 
