@@ -79,11 +79,10 @@ def message_address(
     )
 
 
-def is_of_groups(messages: Sequence[Message]) -> bool:
-    """Return whether messages of 29 bits that do not say so are of J1939: the sender of all is the null address."""
-    return bool(messages) and all(
-        message.protocol is None and message.frame_id & 0xFF == NULL_ADDRESS for message in messages
-    )
+def is_of_groups(messages: Sequence[Message], protocol: str) -> bool:
+    """Return whether messages of 29 bits that do not say so are of J1939: by all their senders, or their database."""
+    is_said = protocol.startswith(("J1939", "NMEA")) or all(one.frame_id & 0xFF == NULL_ADDRESS for one in messages)
+    return is_said and bool(messages) and all(message.protocol is None for message in messages)
 
 
 def parameter_group(can_id: int) -> int:

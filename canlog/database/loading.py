@@ -113,9 +113,9 @@ def load_database(
     _warn_each(file, complaints, len(complaints))
     chosen = _chosen_messages(parsed.database, bus, file, is_lenient=is_lenient)
     long = [message for message in chosen.messages if message.is_extended_frame]
-    if not is_j1939 and is_of_groups(long):
+    if not is_j1939 and is_of_groups(long, _protocol_of(chosen)):
         _LOG.log(
-            NOTICE, "%s: %d messages are matched by their parameter groups (PGN): no sender is named", file, len(long)
+            NOTICE, "%s: %d messages are matched by their parameter groups (PGN), as J1939 has it", file, len(long)
         )
         is_j1939 = True
     for message in long if is_j1939 else ():
@@ -276,6 +276,11 @@ def _chosen_messages(database: Database, bus: str, path: Path, *, is_lenient: bo
         messages=kept, nodes=database.nodes, buses=database.buses, version=database.version,
         dbc_specifics=database.dbc, strict=False,
     )  # fmt: skip
+
+
+def _protocol_of(database: Database) -> str:
+    attribute = database.dbc.attributes.get("ProtocolType") if database.dbc else None
+    return str(attribute.value) if attribute else ""
 
 
 def _twice(message: Message, other: Message) -> str:

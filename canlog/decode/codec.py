@@ -103,32 +103,25 @@ class Codec:
     """The messages of a database as tables: every sender of a J1939 parameter group, every channel.
 
     Of messages with one identifier the last one counts, as in cantools; ``overwritten`` has the others and the last.
-    With ``is_j1939`` all 29-bit identifiers are matched by parameter group, whatever the database says. Values outside
-    a signal's [min|max] are invalid if ``check_range``, codes that say "not available" by their place in the scale if
-    ``check_codes``. Of messages that no frame holds, all signals are there if they are put together (``has_long``).
+    Values outside a signal's [min|max] are invalid if ``check_range``, codes that say "not available" by their place in
+    the scale if ``check_codes``. Of messages that no frame holds, all signals are there if they are put together
+    (``has_long``).
     """
 
     def __init__(
         self,
         messages: Sequence[Message],
         *,
-        is_j1939: bool = False,
         check_range: bool = True,
         check_codes: bool = False,
         has_long: bool = False,
     ) -> None:
-        addresses = [message_address(message, is_j1939=is_j1939) for message in messages]
+        addresses = [message_address(message) for message in messages]
         later = overwritten(addresses)
         self.overwritten = tuple((messages[old], messages[new]) for old, new in later.items())
         kept = [slot for slot in range(len(messages)) if slot not in later]
         self.tables = tuple(
-            message_table(
-                messages[slot],
-                check_range=check_range,
-                check_codes=check_codes,
-                is_j1939=is_j1939,
-                has_long=has_long,
-            )
+            message_table(messages[slot], check_range=check_range, check_codes=check_codes, has_long=has_long)
             for slot in kept
         )
         self._blocks: dict[tuple[int, int], SignalBlock] = {}  # by slot and bytes of the frame
@@ -218,12 +211,7 @@ def _slot_rules(tables: Sequence[MessageTable], book: AddressBook) -> SlotRules:
 
 
 def message_table(
-    message: Message,
-    *,
-    check_range: bool = True,
-    check_codes: bool = False,
-    is_j1939: bool = False,
-    has_long: bool = False,
+    message: Message, *, check_range: bool = True, check_codes: bool = False, has_long: bool = False
 ) -> MessageTable:
     """Return a message with all its signals compiled that can be; if ``has_long``, in payloads of any length."""
     most_bytes = max(FD_PAYLOAD_BYTES, message.length) if has_long else FD_PAYLOAD_BYTES
@@ -231,7 +219,7 @@ def message_table(
     refused: dict[str, str] = {}
     definitions = dict(_labelled(message.signals))
     for name, signal in definitions.items():
-        codes = no_value_codes(message, signal, is_j1939=is_j1939) if check_codes else ()
+        codes = no_value_codes(message, signal) if check_codes else ()
         try:
             signals[name] = compile_signal(message, signal, check_range=check_range, codes=codes, most_bytes=most_bytes)
         except DefinitionError as error:

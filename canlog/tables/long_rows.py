@@ -74,7 +74,7 @@ class LongRows:
     def __init__(self, codec: Codec, pairs: Collection[tuple[int, int]] = ()) -> None:
         self._codec = codec
         self._lengths = [table.needed_bytes if table.signals else 0 for table in codec.tables]
-        self._reassembler: Final = Reassembler(fast_groups([table.message for table in codec.tables]), pairs)
+        self._reassembler: Final = Reassembler(fast_groups(codec.tables), pairs)
         self._is_needed = any(self._lengths)
         self.counts_of: dict[int, int] = {}  # messages that are whole, by slot
 

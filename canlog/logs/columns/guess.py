@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from canlog.frames import FrameBatch
+from canlog.logs.columns.bases import LARGEST_ID, LARGEST_STANDARD_ID
 from canlog.logs.columns.header import ROLE_OF_NAME, named_columns, names_in, separator_of
 from canlog.logs.columns.roles import Role
 
@@ -16,10 +17,8 @@ LEAST_ROWS, LEAST_COLUMNS = 3, 2
 LEAST_RISING: Final = 0.9  # of all steps of a clock; a few may fall where it begins again
 MOST_STANDING: Final = 0.5  # of all steps of a clock
 SHORTEST_ID_DIGITS: Final = 2
-LARGEST_ID: Final = 0x1FFF_FFFF
-LARGEST_STANDARD_ID: Final = 0x7FF
 LEAST_EXTENDED_ID: Final = 0x10_0000  # those of 29 bits begin with a priority: none that is in use is smaller
-LEAST_FITTING, MOST_DISTINCT, FEW_IDS = 0.9, 0.5, 3  # of identifiers; as many as half of the frames, or so few
+LEAST_FITTING, FEW_IDS = 0.9, 3  # of identifiers
 COMMENTS: Final = b"#"
 NUMBER: Final = re.compile(r"[+-]?\d+(?:[.,]\d*)?(?:[eE][+-]?\d+)?")
 CLOCK: Final = re.compile(r"(?:\d{4}[-/]\d\d[-/]\d\d[ T])?\d{1,2}:\d\d:\d\d(?:[.,:]\d+)?\S*")
@@ -47,11 +46,10 @@ def guessed(text: bytes) -> str:
 
 
 def is_traffic(batch: FrameBatch) -> bool:
-    """Return whether frames may be those of a bus: several identifiers of 11 bits or of 29, that come again."""
+    """Return whether frames may be those of a bus: identifiers of 11 bits or of 29, that come again."""
     can_ids = np.unique(batch.can_id & np.uint32(LARGEST_ID))
     are_fitting = (can_ids <= LARGEST_STANDARD_ID) | (can_ids >= LEAST_EXTENDED_ID)
-    are_coming_again = 1 < len(can_ids) <= max(FEW_IDS, MOST_DISTINCT * len(batch))
-    return are_coming_again and bool(np.mean(are_fitting) >= LEAST_FITTING)
+    return len(can_ids) <= max(FEW_IDS, len(batch) // 2) and bool(np.mean(are_fitting) >= LEAST_FITTING)
 
 
 def _roles(names: Sequence[str], rows: Rows, width: int) -> dict[str, list[int]]:

@@ -282,6 +282,16 @@ def test_a_database_of_null_addresses_is_one_of_groups(tmp_path: Path, caplog: p
     assert [Codec(messages).slot_of(EXTENDED_FLAG | one) for one in (0x09F11223, 0x05F10D10)] == [0, 1]
 
 
+@pytest.mark.parametrize(("protocol", "is_of_groups"), [("J1939", True), ("NMEA2000", True), ("", False)])
+def test_the_protocol_of_the_whole_database_counts_where_no_message_has_one(
+    tmp_path: Path, protocol: str, is_of_groups: bool
+) -> None:
+    attribute = f'BA_DEF_ "ProtocolType" STRING ;\nBA_DEF_DEF_ "ProtocolType" "";\nBA_ "ProtocolType" "{protocol}";\n'
+    text = BOAT.replace(f"{0x89F112FE}", f"{0x89F11255}") + attribute
+    messages = load_database(write(tmp_path, text)).messages
+    assert [message.protocol == "j1939" for message in messages] == [is_of_groups] * 2
+
+
 @pytest.mark.parametrize("other", [f"{0x89F113FF} Mast: 8 A", "256 Mast: 8 A"])
 def test_one_sender_more_takes_the_word_of_who_asks(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, other: str
@@ -311,6 +321,11 @@ def test_long_repetitions_are_looked_at_once(tmp_path: Path, piece: str) -> None
 def test_time_to_parse_is_limited(tmp_path: Path) -> None:
     wide = "".join(f'BO_ {k} m{k}: 1785 A\n SG_ s : 0|14000@1+ (1,0) [0|0] "" A\n\n' for k in range(1000))
     assert "takes more than 1 s to parse" in refusal(write(tmp_path, HEAD + wide), parser_time_s=1)
+
+
+def test_who_gives_more_time_gives_more_memory(tmp_path: Path) -> None:
+    said = refusal(write(tmp_path, HEAD + WIDE_PAGES), parser_time_s=9)
+    assert said.endswith("takes more than 396 MiB of memory to parse (--parser-time gives more)")
 
 
 def as_kcd() -> str:

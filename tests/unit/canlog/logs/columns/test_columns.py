@@ -310,7 +310,7 @@ NO_FRAMES = {
         f"2009-06-18Z09:46:{k:02d}.129,{2 + k % 2},{pgn},{36 + k % 3},255,8,ff,e0,6f,fb,ff,ff,{k:02x},ff"
         for k, pgn in enumerate([127251, 60928, 129025, 65280] * 5)
     ],
-    "signalk log": [f"15029791{k:05d};A;2017-08-17T14:12:{k:02d}.106Z,3,{60928 + 6 * k},1,255,8,ff,{k:02x},0,1,ff"
+    "signalk log": [f"15029791{k:05d};A;2017-08-17T14:12:{k:02d}Z,3,{127250 - k % 3 * 66325},1,255,8,ff,{k:02x},0,1,ff"
                     for k in range(20)],
     "nmea 0183": [f"$IIVHW,{k}.1,T,{k},M,01.2{k},N,02,K*{k + 16:02X}" for k in range(20)],
     "temperatures": [f"{k}.5,2{k % 10},1{k % 7},{k + 10:02d},{k + 30:02d},{k + 50:02d}" for k in range(20)],
