@@ -39,7 +39,7 @@ class FrameFate(IntEnum):
     SHORT = 1  # shorter than its message: the signals that fit are decoded
     TRANSPORTED = 2  # a piece of a message that is longer than the frame can be: it needs ISO-TP or J1939 transport
     WITHOUT_SIGNALS = 3  # of a message of which no signal can be decoded
-    UNKNOWN = 4  # of no message of the database
+    UNKNOWN = 4  # not in the database
     REMOTE = 5
     ERROR = 6
     LEFT_OUT = 7  # of a message, or of a time, that was not asked for

@@ -32,7 +32,7 @@ def losses(account: DecodeAccount) -> Iterator[str]:
     if transported := account.transported:
         sizes = {f"{name} ({size} bytes)": frames for name, (size, frames) in transported.items()}
         yield (
-            f"{sum(sizes.values())} frames are pieces of messages longer than a frame, of which no protocol made one: "
+            f"{sum(sizes.values())} frames are pieces of messages longer than a frame, that could not be put together: "
             f"{listing(sizes)}"
         )
     if count := account.transfers.incomplete_count:
@@ -65,8 +65,8 @@ def remarks(account: DecodeAccount) -> Iterator[str]:
         frames = {identifier_text(can_id): count for can_id, count in unknown}
         yield f"{len(unknown)} of {len(account.frames_of_id)} identifiers are not in the database: {listing(frames)}"
     if account.unlisted_count:
-        yield f"{account.unlisted_count} frames have identifiers beyond the first {MAX_IDS}, not told one by one"
-    for attribute, text in (("out_of_range", "outside [min|max]"), ("not_a_number", "that are no numbers")):
+        yield f"{account.unlisted_count} frames have identifiers beyond the first {MAX_IDS}, not listed one by one"
+    for attribute, text in (("out_of_range", "outside [min|max]"), ("not_a_number", "that are not numbers")):
         counts = {account.names.columns[place]: getattr(one, attribute) for place, one in account.signals.items()}
         found = {name: count for name, count in counts.items() if count}
         if found:
@@ -87,7 +87,7 @@ def frame_texts(account: DecodeAccount) -> Iterator[str]:
         FrameFate.SHORT: "decoded in part",
         FrameFate.TRANSPORTED: "pieces of longer messages",
         FrameFate.WITHOUT_SIGNALS: "of messages without signals",
-        FrameFate.UNKNOWN: "of no message of the database",
+        FrameFate.UNKNOWN: "not in the database",
         FrameFate.REMOTE: "remote frames",
         FrameFate.ERROR: "error frames",
         FrameFate.LEFT_OUT: "not asked for",

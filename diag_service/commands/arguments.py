@@ -27,15 +27,14 @@ from program_io.overwriting import FORCE
 EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE, EXIT_INCOMPLETE = range(6)
 EXIT_SIGNALLED = 128  # and the number of the signal, as a shell tells it
 _EXIT_TEXT: Final = (
-    "exit status: 0 done, 1 unexpected error, 2 usage, calibration, DBC or an extra that is not installed, "
-    "3 bus, log or controller, 4 store, 5 a log broke off and was not judged, or --strict was asked for and a log lost "
-    "something or contributed nothing, "
-    "130 stopped early by SIGINT, 143 by SIGTERM; run and monitor usually end by a signal: 0"
+    "exit status: 0 done; 1 unexpected error; 2 usage, calibration, DBC or an extra that is not installed; "
+    "3 bus, log or controller; 4 store; 5 a log is cut off and was not judged, or with --strict a log lost something "
+    "or contributed nothing; 130 stopped early by SIGINT; 143 by SIGTERM. run and monitor end with 0 by a signal."
 )
 _FOLDERS: Final = (
-    "Logs that are named are one drive, put in order of time. A folder is many drives: every log in it, and in the "
-    "folders below, is a drive of its own, judged for itself. With --output a folder that was left half-way, killed "
-    "even, is taken up where it ended."
+    "Logs given by name are one drive, in order of time. A folder is many drives: each log in it, and in the folders "
+    "below, is a drive of its own. With --output an interrupted run over a folder continues where it stopped, even "
+    "after it was killed."
 )
 DEFAULT_BITRATE: Final = 500_000
 
@@ -118,7 +117,7 @@ _ANALYZE: Final = Command(
     ),
     Option(
         "--strict",
-        "stop at the first line or object that is no frame, jump of time or cut, and say where; end with status 5 "
+        "stop at the first line or object that is not a frame, time jump or cut, and say where; end with status 5 "
         "if a log or a channel contributed nothing",
     ),
     _output("write the results to a .jsonl, .csv or .parquet file, too"),
@@ -160,7 +159,7 @@ _INSPECT: Final = Command(
     _COLUMNS,
     Option(
         "-b --bitrate BITRATE",
-        f"bit rate that the bus load is told for [bit/s] (default: {DEFAULT_BITRATE})",
+        f"bit rate for which the bus load is given [bit/s] (default: {DEFAULT_BITRATE})",
         INT,
         default=DEFAULT_BITRATE,
     ),
@@ -250,8 +249,8 @@ _REPORT: Final = Command(
     FORCE,
     *(*MEANING, CONFIG, _COLUMNS, VERBOSE),
     variables=VARIABLES,
-    description="Write what was found as one HTML page that needs no network: what to do, friction over slip, trend, "
-    "single shifts (of logs), quality of the data, what was not seen and why.",
+    description="Write the findings as one HTML page that needs no network. It has what to do, friction over slip, "
+    "trend, single shifts (of logs), quality of the data, and what was not seen and why.",
     examples=(
         f"{PROGRAM} report drive.log -o report.html",
         f"{PROGRAM} report car1.sqlite -o car1.html --calibration car1.toml",
@@ -262,7 +261,7 @@ _HISTORY: Final = Command(
     "show how the friction of each clutch went",
     _STORE,
     _VEHICLE,
-    Option("--clutch", "of this clutch only", Choice([1, 2])),
+    Option("--clutch", "only this clutch", Choice([1, 2])),
     Option("--rows N", "events per clutch in the table, evenly spread (default: 20)", INT, default=20),
     Option("--peers FILE", "begin prognoses with what a fleet taught: fleet-backend peers --write", FILE),
     Option("--json", "JSON lines on standard output: every event, then the fluid fills"),
@@ -284,7 +283,7 @@ _FLUID_CHANGED: Final = Command(
     Option("--at DATE", "when, ISO 8601, UTC without a zone (default: now)"),
     Option("--odometer KM", "reading of the odometer [km]", FLOAT),
     Option("--product NAME", "name of the fluid"),
-    Option("--note TEXT", "what is to be remembered of it"),
+    Option("--note TEXT", "a note to keep with it"),
     VERBOSE,
     description="Note that the vehicle got new fluid. The shifts after that begin a new baseline; what is known of "
     "sensors and lining stays. A service that is running takes it up before its next shift.",

@@ -70,7 +70,7 @@ def _tasks(options: SimpleNamespace, suffix: str) -> list[TableTask]:
     if STANDARD_INPUT in options.logs:
         raise ConfigError("tables of a folder are written by several processes: standard input does not go with them")
     if options.output.exists() and not options.output.is_dir():
-        raise ConfigError(f"{options.output} is no folder: each log of a folder becomes a table of its own")
+        raise ConfigError(f"{options.output} is not a folder: each log of a folder becomes a table of its own")
     tasks = []
     for path in options.logs:
         if path.is_dir() and options.output.resolve().is_relative_to(path.resolve()):

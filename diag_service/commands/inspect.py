@@ -83,7 +83,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         else:
             _show(inspection, options.bitrate, console)
         if not inspection.is_whole:
-            raise StoppedError("stopped early: what was shown last is of a part of the log")
+            raise StoppedError("stopped early: the last table covers only a part of the log")
 
 
 def inspect_log(
@@ -190,7 +190,7 @@ def _tell_left_out(left: LeftOut, options: SimpleNamespace, console: PeopleConso
     if options.json:
         sys.stdout.write(dump(left_out_record(left)) + "\n")
     else:
-        console.print(f"{_on_one_line(left.path)}: no log after all: {left.reason}")
+        console.print(f"{_on_one_line(left.path)}: not a log after all: {left.reason}")
 
 
 def _on_one_line(path: Path) -> str:
@@ -266,7 +266,7 @@ def _row(one: IdTraffic, name: str) -> tuple[str, ...]:
 
 def _protection_lines(links: dict[str, LinkErrors]) -> Sequence[str]:
     if not links:
-        return ["no frame of a message with a protection that is understood"]
+        return ["no frame of a message with a known protection"]
     good = sum(link.good for link in links.values())
     bad = {name: link for name, link in links.items() if link.errors or link.missing}
     lines = [f"end-to-end protection: {good} good frames of {len(links)} messages, {len(bad)} messages with errors"]

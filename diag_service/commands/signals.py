@@ -34,7 +34,7 @@ class Survey:
 
     @property
     def unknown(self) -> int:
-        """Frames of no message of the database."""
+        """Frames not in the database."""
         return self.frames - self._counts.total()
 
     def add(self, path: Path, stop: Trigger, watch: Watch | None = None, columns: str = "") -> None:
@@ -96,8 +96,8 @@ def proposed_profile(
         f"Proposed for {name} and {database.name} by names, units and values: check every line.",
         f"As it stands it reaches {reach}. {missing_for_next(best.keys())}",
         "",
-        *(["The log ends before its own end."] if survey.is_cut else []),
-        f"{survey.frames} frames, {survey.unknown} of them of no message of the database.",
+        *(["The log is cut off."] if survey.is_cut else []),
+        f"{survey.frames} frames, {survey.unknown} of them not in the database.",
         *survey.listing(),
         "",
     ]

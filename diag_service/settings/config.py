@@ -107,7 +107,7 @@ def check_vehicle(vehicle: str) -> str:
     """
     if not is_vehicle(vehicle):
         raise ConfigError(
-            f"{vehicle!r} is no vehicle id: up to 64 letters, digits, '_', '.' or '-', not starting with '.' or '-'"
+            f"{vehicle!r} is not a vehicle id: up to 64 letters, digits, '_', '.' or '-', not starting with '.' or '-'"
         )
     return vehicle
 

@@ -80,7 +80,7 @@ DELIVERY: Final = (
     Setting("--password-file FILE", "holds the broker's password, chmod 600", FILE),
     Setting(
         "--acknowledge",
-        "whose word lets the outbox forget a result; a backend gives it after its commit (default: broker)",
+        "who acknowledges a result before the outbox deletes it; a backend does so after its commit (default: broker)",
         Choice(["broker", "backend"]),
         default="broker",
     ),
@@ -103,7 +103,9 @@ POLL: Final = (
         flag_value=60.0,
     ),
     Setting("--active", "allow requests on the bus: without it the service only listens"),
-    Setting("--ecu ID", "who is asked: identifier of requests, hexadecimal (default: as described, or 7E1)"),
+    Setting(
+        "--ecu ID", "controller that is asked: identifier of its requests, hexadecimal (default: as described, or 7E1)"
+    ),
     Setting("--reply ID", "identifier of answers (default: as described, or by the rules of the standard)"),
     Setting(
         "--description FILE",

@@ -250,12 +250,12 @@ def test_people_are_told_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[
     out = capsys.readouterr().out
     for text in (
         "10 frames: 3 decoded, 2 decoded in part, 1 pieces of longer messages, 1 of messages without signals, ",
-        "1 of no message of the database, 1 remote frames, 1 error frames",
+        "1 not in the database, 1 remote frames, 1 error frames",
         "taken for candump: ",
         "5 rows in",
-        "1 pieces of the log are no frames (1 malformed), the first: line 10",
+        "1 pieces of the log are not frames (1 malformed), the first: line 10",
         "2 frames are shorter than their message: 3 values are not in them",
-        "1 frames are pieces of messages longer than a frame, of which no protocol made one: Long (20 bytes) 1",
+        "1 frames are pieces of messages longer than a frame, that could not be put together: Long (20 bytes) 1",
         "1 signals cannot be decoded: Bad.Outside lies outside its message",
         "1 values outside [min|max], written as sent: Whole.Low 1",
         "1 of 5 identifiers are not in the database: 0x7AB 1",
@@ -305,7 +305,7 @@ def test_jumps_of_time_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 def test_a_cut_log_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = told(tmp_path, capsys, STATES, STATE_LOG[:-5])
-    assert (record["truncated"], record["losses"][0]) == (True, "the log ends before its own end")
+    assert (record["truncated"], record["losses"][0]) == (True, "the log is cut off")
     assert record["frames"]["read"] == record["rows"] == 4
 
 

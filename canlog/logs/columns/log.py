@@ -50,7 +50,7 @@ LABELLED_COLUMNS = "time=1:s,id=2:hex,length=3,data=4-11"  # of HCRL's car hacki
 CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d")
 DATE = re.compile(r"\d{4}[-/]\d\d[-/]\d\d[ T]\d{1,2}:\d\d:\d\d(?:[.,]\d+)?(?P<offset>\S*)$")
 NO_HEADER = "no line names its columns"
-NO_TIMES = "the log has no times: every frame is of 1970-01-01 00:00:00"
+NO_TIMES = "the log has no times: every frame gets the time 1970-01-01 00:00:00"
 
 
 class TableLog(TextLog):
@@ -163,7 +163,7 @@ class ColumnsLog(TableLog):
         as_utc = frames_of(reader, date.encode() + b";1")
         if local_us is not None and len(as_utc):
             self.set_base(local_us - int(as_utc.t_ns[0]) // 1_000)
-            self.notes.append("dates are taken as local time: no offset stands behind them")
+            self.notes.append("dates are taken as local time: they have no UTC offset")
 
 
 def proposed(text: bytes) -> ColumnsLog | None:

@@ -158,7 +158,7 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
     ],
 )
 def test_other_content_is_refused(tmp_path: Path, content: bytes) -> None:
-    assert "not a DBC file" in refusal(write(tmp_path, content))
+    assert "neither a DBC file" in refusal(write(tmp_path, content))
 
 
 @pytest.mark.parametrize(
@@ -225,7 +225,7 @@ WIDE_PAGES: Final = (
         (xml("&c;</NetworkDefinition>", ENTITIES), "defines a document type or entities"),
         (xml("</NetworkDefinition>", '<!DOCTYPE a SYSTEM "file:///etc/passwd">'), "defines a document type"),
         ('<?xml version="1.0"?><AUTOSAR xmlns="http://autosar.org/schema/r4.0"/>', "not an ARXML file"),
-        ("<html><body/></html>", "neither KCD nor ARXML"),
+        ("<html><body/></html>", "neither a DBC file nor a KCD or ARXML"),
         (sym("Len=4000000000\nVar=s unsigned 0,8"), "takes more than 352 MiB of memory"),
         (sym("Len=8\nVar=s unsigned 0,4000000000"), "takes more than 352 MiB of memory"),
         ("FormatVersion=6.0\n[[m]\n", "not a SYM file"),

@@ -155,7 +155,7 @@ def test_who_stands_over_whom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         ("store = ['a', 'b']", "store: must be a file name"),
         ('store = "a\\u0000b"', "store: must be a file name"),
         ("fd = 2\nvehicle = 5", "fd: must be true or false; vehicle: must be a text"),
-        ("vehicle = ", "is no TOML"),
+        ("vehicle = ", "is not TOML"),
         ("[bus]\nchannel = 'vcan0'", "bus: Extra inputs are not permitted"),
     ],
 )
@@ -251,7 +251,7 @@ def test_config_check_prints_what_a_run_would_use(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--vehicle", "a/b"), "no vehicle id"),
+        (("--vehicle", "a/b"), "not a vehicle id"),
         (("--acknowledge", "backend"), "without a broker"),
         (("--cert", "a"), "needs its key"),
         (("--cert", "a", "--key", "b"), "need a broker"),
