@@ -20,6 +20,7 @@ SERVICE_VARIABLES: Final = frozenset(
             "METRICS",
             "ONLY_MAPPED",
             "PAGE",
+            "PARSER_TIME",
             "PASSWORD_FILE",
             "PROFILE",
         ),

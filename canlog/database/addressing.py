@@ -21,6 +21,7 @@ from canlog.jit import array_kernel, inlined_kernel
 
 J1939: Final = "j1939"
 PDU2_FORMATS: Final = 240
+FIRST_FAST_GROUP: Final = 0x1_0000  # NMEA 2000 has fast packets in data page 1 alone; in page 0 a frame is all of it
 NULL_ADDRESS: Final = 0xFE  # what databases write where any sender is meant
 STANDARD_IDS: Final = 0x800
 ANY: Final = -1  # sender or channel: the first one that is heard
@@ -76,6 +77,12 @@ def message_address(
         sender=ANY if sender is None else sender,
         channel=ANY if channel is None else channel,
     )
+
+
+def is_of_groups(messages: Sequence[Message], protocol: str) -> bool:
+    """Return whether messages of 29 bits that do not say so are of J1939: by all their senders, or their database."""
+    is_said = protocol.startswith(("J1939", "NMEA")) or all(one.frame_id & 0xFF == NULL_ADDRESS for one in messages)
+    return is_said and bool(messages) and all(message.protocol is None for message in messages)
 
 
 def parameter_group(can_id: int) -> int:

@@ -2,8 +2,10 @@
 
 import gc
 import re
+import traceback
 from dataclasses import dataclass
 from typing import Final
+from xml.etree.ElementTree import Element
 
 import cantools
 from cantools.database.can import Database, Message
@@ -12,6 +14,9 @@ from canlog.database.dbc_sieve import Offence, Sieve
 
 MOST_SAID: Final = 1_000  # of offences, and of complaints, that are handed over
 ParseError = cantools.Error
+_UNMEANT: Final = (AttributeError, LookupError, TypeError, ValueError)
+_RIDDLE: Final = "Cannot retrieve a child element"
+_VALUE: Final = re.compile(r"'[^']{0,80}'$")
 # Multiplexers that are none, multiplexed signals without one, and floats: what cantools takes as it comes.
 _SUSPECT: Final = re.compile(r"\bSG_\s+\w+\s+m\w*\s*:|\bSG_MUL_VAL_\s+\d|\bSIG_VALTYPE_\s+\d")
 
@@ -92,7 +97,28 @@ def complaints_of(message: Message) -> list[str]:
 
 
 def one_line(error: Exception) -> str:
-    """Return the text of a foreign error, on one line of bearable length."""
+    """Return what is wrong and where, on one line of bearable length, of cantools only what it meant to say."""
     cause = error.__cause__ or error
+    frames = list(traceback.walk_tb(cause.__traceback__))[::-1]  # the innermost first
     text = " ".join(str(cause).split()) or type(cause).__name__
-    return text if len(text) <= 160 else f"{text[:157]}..."
+    if text.startswith(_RIDDLE) or (isinstance(cause, _UNMEANT) and not _is_raised(cause)):
+        value = _VALUE.search(text) if isinstance(cause, ValueError) else None
+        text = f"{value[0]} stands where a number has to be" if value else "something that it needs is missing"
+    places = (_place(one) for frame, _ in frames for one in reversed(frame.f_locals.values()))
+    place = next(filter(None, places), "")
+    text = text if len(text) <= 160 else f"{text[:157]}..."
+    return f"{text.rstrip('.')}, in {place}" if place else text
+
+
+def _is_raised(cause: BaseException) -> bool:
+    """Return whether somebody meant to raise an error; else Python did, at something unforeseen."""
+    last = traceback.extract_tb(cause.__traceback__)[-1:]
+    return bool(last) and (last[0].line or "").startswith("raise")
+
+
+def _place(value: object) -> str:
+    """Return the kind and the name of an element of XML, nothing of anything else."""
+    if not isinstance(value, Element):
+        return ""
+    name = next((one.text for one in value if one.tag.endswith("}SHORT-NAME")), value.get("name"))
+    return f"{value.tag.rpartition('}')[2]} {name[:80]}" if name else ""

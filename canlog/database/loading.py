@@ -21,9 +21,11 @@ from typing import Final
 from cantools.database.can import Database, Message
 
 from canlog.database import database_child, parsed_cache
+from canlog.database.addressing import J1939, is_of_groups
 from canlog.database.database_parsing import Parsed
 from canlog.database.dbc_sieve import Offence
 from canlog.errors import DefinitionError
+from canlog.notice import NOTICE
 from canlog.plain_files import read_small_file
 
 MAX_FILE_BYTES: Final = 32 * 2**20  # the largest public databases have about 5 MB as DBC, some more as ARXML
@@ -46,6 +48,7 @@ _MULTIPLEX_VALUES: Final = re.compile(r"\bSG_MUL_VAL_\s[^;]*+(?:;|\Z)")
 _RANGE: Final = re.compile(r"(?<!\d)(\d++)\s*+-\s*+(\d++)")
 _ROOT: Final = re.compile(r"<(?:[\w.-]+:)?([A-Za-z_][\w.-]*)[\s/>]")
 _BUS_MARK: Final = "#"
+_MORE: Final = " (--parser-time gives more)"
 _NARROW_BYTES: Final = 64  # that tell whether a text without a mark has two bytes for each letter
 _BYTE_ORDER_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")  # of UTF-16
 
@@ -67,7 +70,9 @@ class DatabaseFormat(StrEnum):
 _FORMAT_OF_ROOT: Final = {"NetworkDefinition": DatabaseFormat.KCD, "AUTOSAR": DatabaseFormat.ARXML}
 
 
-def load_database(path: Path, *, is_lenient: bool = False, parser_time_s: int = PARSER_TIME_S) -> Database:
+def load_database(
+    path: Path, *, is_lenient: bool = False, is_j1939: bool = False, parser_time_s: int = PARSER_TIME_S
+) -> Database:
     """Return the messages of a DBC, KCD, ARXML or SYM file; which one it is, its contents say.
 
     Signals that overlap or lie outside their message are warned of, message by message; whether the signals in use
@@ -79,8 +84,11 @@ def load_database(path: Path, *, is_lenient: bool = False, parser_time_s: int = 
         The file; of a network of several buses, ``FILE#BUS`` is one of them.
     is_lenient : bool
         Leave items out of a DBC file that cannot be right, with a warning of each, instead of refusing the file.
+    is_j1939 : bool
+        Match all 29-bit identifiers by their parameter group (J1939, NMEA 2000), whatever the database says. Without,
+        that is done if it says nothing and the sender of all of them is the null address, which no sender has.
     parser_time_s : int
-        How much processor time [s] the parsing may take.
+        How much processor time [s] the parsing may take; beyond the usual 8 s, memory as many times as much.
 
     Raises
     ------
@@ -88,6 +96,8 @@ def load_database(path: Path, *, is_lenient: bool = False, parser_time_s: int = 
         If the file is missing, unreadable, of another format, has no messages, names sizes that no CAN message has,
         takes too much memory or time to parse, or has items that cannot be right.
     """
+    if parser_time_s < 1:
+        raise DefinitionError(f"a database needs at least 1 s to be read, got {parser_time_s} s")
     file, bus = bus_of(path)
     text = _read_text(file)
     database_format = _format_of(text, file)
@@ -101,7 +111,16 @@ def load_database(path: Path, *, is_lenient: bool = False, parser_time_s: int = 
     _warn_each(file, [_said(offence) for offence in parsed.offences], parsed.offence_count)
     complaints = [f"does not load strictly: {complaint}" for complaint in parsed.complaints]
     _warn_each(file, complaints, len(complaints))
-    return _chosen_messages(parsed.database, bus, file, is_lenient=is_lenient)
+    chosen = _chosen_messages(parsed.database, bus, file, is_lenient=is_lenient)
+    long = [message for message in chosen.messages if message.is_extended_frame]
+    if not is_j1939 and is_of_groups(long, _protocol_of(chosen)):
+        _LOG.log(
+            NOTICE, "%s: %d messages are matched by their parameter groups (PGN), as J1939 has it", file, len(long)
+        )
+        is_j1939 = True
+    for message in long if is_j1939 else ():
+        message.protocol = J1939
+    return chosen
 
 
 def _refusal(parsed: Parsed, path: Path) -> str:
@@ -196,7 +215,8 @@ def _parse(text: str, database_format: DatabaseFormat, path: Path, *, is_lenient
 
 def _written_by_child(text: str, database_format: DatabaseFormat, path: Path, mode: str, parser_time_s: int) -> bytes:
     """Return the pickle of what came of the text in a process of its own."""
-    words = (database_format, str(PARSER_BYTES), str(parser_time_s), mode)
+    most_bytes = PARSER_BYTES * max(parser_time_s, PARSER_TIME_S) // PARSER_TIME_S
+    words = (database_format, str(most_bytes), str(parser_time_s), mode)
     command = [sys.executable, "-P", "-m", database_child.__name__, *words]
     folders = os.pathsep.join(folder for folder in sys.path if folder)
     try:
@@ -205,17 +225,17 @@ def _written_by_child(text: str, database_format: DatabaseFormat, path: Path, mo
             input=text.encode(errors="replace"),
             capture_output=True,
             check=False,
-            timeout=MAX_WAIT_S,
+            timeout=MAX_WAIT_S + parser_time_s,
             env={**os.environ, "PYTHONPATH": folders},
         )
     except subprocess.TimeoutExpired as error:
-        raise DefinitionError(f"{path} was not parsed within {MAX_WAIT_S:.0f} s") from error
+        raise DefinitionError(f"{path} was not parsed within {MAX_WAIT_S + parser_time_s:.0f} s") from error
     except OSError as error:
         raise DefinitionError(f"cannot start the process that parses {path}: {error.strerror or error}") from error
     if done.returncode == database_child.OUT_OF_MEMORY or b"MemoryError" in done.stderr:
-        raise DefinitionError(f"{path} takes more than {PARSER_BYTES // 2**20} MiB of memory to parse")
+        raise DefinitionError(f"{path} takes more than {most_bytes // 2**20} MiB of memory to parse{_MORE}")
     if done.returncode in OUT_OF_TIME:
-        raise DefinitionError(f"{path} takes more than {parser_time_s} s to parse")
+        raise DefinitionError(f"{path} takes more than {parser_time_s} s to parse{_MORE}")
     if done.returncode != 0:
         lines = done.stderr.decode(errors="replace").strip().splitlines() or ["the parser ended without a result"]
         raise DefinitionError(f"{path} is not {database_format.in_words}: {lines[-1][:200]}")
@@ -256,6 +276,11 @@ def _chosen_messages(database: Database, bus: str, path: Path, *, is_lenient: bo
         messages=kept, nodes=database.nodes, buses=database.buses, version=database.version,
         dbc_specifics=database.dbc, strict=False,
     )  # fmt: skip
+
+
+def _protocol_of(database: Database) -> str:
+    attribute = database.dbc.attributes.get("ProtocolType") if database.dbc else None
+    return str(attribute.value) if attribute else ""
 
 
 def _twice(message: Message, other: Message) -> str:

@@ -13,12 +13,14 @@ from cantools.database.can.signal import Signal
 
 from canlog.arrays import BoolArray, Int64Array, UInt8Array, UInt32Array
 from canlog.database.addressing import (
+    FIRST_FAST_GROUP,
     NOBODY,
     AddressBook,
     address_book,
     find_slot,
     message_address,
     overwritten,
+    parameter_group,
     rows_by_slot,
 )
 from canlog.database.not_available import no_value_codes
@@ -101,37 +103,30 @@ class Codec:
     """The messages of a database as tables: every sender of a J1939 parameter group, every channel.
 
     Of messages with one identifier the last one counts, as in cantools; ``overwritten`` has the others and the last.
-    With ``is_j1939`` all 29-bit identifiers are matched by parameter group, whatever the database says. Values outside
-    a signal's [min|max] are invalid if ``check_range``, codes that say "not available" by their place in the scale if
-    ``check_codes``. Of messages that no frame holds, all signals are there if they are put together (``has_long``).
+    Values outside a signal's [min|max] are invalid if ``check_range``, codes that say "not available" by their place in
+    the scale if ``check_codes``. Of messages that no frame holds, all signals are there if they are put together
+    (``has_long``).
     """
 
     def __init__(
         self,
         messages: Sequence[Message],
         *,
-        is_j1939: bool = False,
         check_range: bool = True,
         check_codes: bool = False,
         has_long: bool = False,
     ) -> None:
-        addresses = [message_address(message, is_j1939=is_j1939) for message in messages]
+        addresses = [message_address(message) for message in messages]
         later = overwritten(addresses)
         self.overwritten = tuple((messages[old], messages[new]) for old, new in later.items())
         kept = [slot for slot in range(len(messages)) if slot not in later]
         self.tables = tuple(
-            message_table(
-                messages[slot],
-                check_range=check_range,
-                check_codes=check_codes,
-                is_j1939=is_j1939,
-                has_long=has_long,
-            )
+            message_table(messages[slot], check_range=check_range, check_codes=check_codes, has_long=has_long)
             for slot in kept
         )
         self._blocks: dict[tuple[int, int], SignalBlock] = {}  # by slot and bytes of the frame
         self._book = address_book([addresses[slot] for slot in kept])
-        self._rules = _slot_rules(self.tables)
+        self._rules = _slot_rules(self.tables, self._book)
         self._is_left_out: BoolArray | None = None  # (messages,) none of its signals was asked for
 
     def only(self, places: Collection[tuple[int, str]]) -> "Codec":
@@ -150,7 +145,7 @@ class Codec:
             np.bool_,
         )
         chosen._blocks = {}  # noqa: SLF001 - of the copy
-        chosen._rules = _slot_rules(chosen.tables)  # noqa: SLF001 - likewise
+        chosen._rules = _slot_rules(chosen.tables, self._book)  # noqa: SLF001 - likewise
         chosen._rules.needed_bytes[is_left_out] = 0  # noqa: SLF001 - pieces of what is not asked for are no loss
         chosen._is_left_out = is_left_out  # noqa: SLF001 - likewise
         return chosen
@@ -205,21 +200,18 @@ class Codec:
         return MessageValues(slot=slot, rows=rows, signals=signals, cut_off=cut_off, words=words)
 
 
-def _slot_rules(tables: Sequence[MessageTable]) -> SlotRules:
+def _slot_rules(tables: Sequence[MessageTable], book: AddressBook) -> SlotRules:
     min_length = np.array([min(table.message.length, FD_PAYLOAD_BYTES) for table in tables], np.int64)
     needed_bytes = np.array([table.needed_bytes for table in tables], np.int64)
+    groups = np.array([parameter_group(table.message.frame_id) for table in tables], np.int64)
+    needed_bytes[(book.is_group != 0) & (groups < FIRST_FAST_GROUP)] = 0  # pieces come as J1939 transport
     is_empty = np.array([not table.signals for table in tables], np.bool_)
     is_plain = ~is_empty & (needed_bytes == 0)  # of nearly all frames
     return SlotRules(min_length, needed_bytes, is_empty, is_plain)
 
 
 def message_table(
-    message: Message,
-    *,
-    check_range: bool = True,
-    check_codes: bool = False,
-    is_j1939: bool = False,
-    has_long: bool = False,
+    message: Message, *, check_range: bool = True, check_codes: bool = False, has_long: bool = False
 ) -> MessageTable:
     """Return a message with all its signals compiled that can be; if ``has_long``, in payloads of any length."""
     most_bytes = max(FD_PAYLOAD_BYTES, message.length) if has_long else FD_PAYLOAD_BYTES
@@ -227,7 +219,7 @@ def message_table(
     refused: dict[str, str] = {}
     definitions = dict(_labelled(message.signals))
     for name, signal in definitions.items():
-        codes = no_value_codes(message, signal, is_j1939=is_j1939) if check_codes else ()
+        codes = no_value_codes(message, signal) if check_codes else ()
         try:
             signals[name] = compile_signal(message, signal, check_range=check_range, codes=codes, most_bytes=most_bytes)
         except DefinitionError as error:

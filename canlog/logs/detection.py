@@ -15,7 +15,7 @@ from canlog.logs.asc import AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog
 from canlog.logs.captures import capture_of
-from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, proposed
+from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, is_traffic, proposed
 from canlog.logs.columns.canhacker import CanHacker, is_canhacker_header
 from canlog.logs.columns.canking import LAYOUT as CANKING
 from canlog.logs.columns.canking import is_canking_header
@@ -249,7 +249,8 @@ def _by_named_columns(text: bytes) -> Detected | None:
     if not _has_frames(log, text):
         return None
     number = log.layout.header_lines
-    return Detected(format=LogFormat.COLUMNS, evidence=f"line {number} names its columns: {log.taken_for}")
+    what = f"line {number} names its columns" if number else "its lines are those of HCRL's car hacking data set"
+    return Detected(format=LogFormat.COLUMNS, evidence=f"{what}: {log.taken_for}")
 
 
 def _has_frames(log: ColumnsLog, text: bytes) -> bool:
@@ -311,4 +312,4 @@ def _has_frames_by(choice: str, text: bytes) -> bool:
         log.look_ahead(text)
     except SourceError:
         return False
-    return _has_frames(log, text)
+    return _has_frames(log, text) and is_traffic(frames_of(log, text))

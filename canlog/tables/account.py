@@ -16,6 +16,7 @@ from canlog.tables.names import BARE_ID, Place, TableNames, flagged_id
 from canlog.transport import TransferCounts
 
 MAX_IDS: Final = 65_536  # that are counted one by one: no bus has as many, a log of noise has
+TESTER_GROUPS: Final = frozenset({0xDA00, 0xDB00})  # of ISO-TP, which is not J1939
 _NO_DATA: Final = np.uint32(REMOTE_FLAG | ERROR_FLAG)
 
 
@@ -149,6 +150,16 @@ class DecodeAccount:
         """Identifiers of no message, with flags, and how often they came; the most frequent first."""
         unknown = [(can_id, count) for can_id, count in self.frames_of_id.items() if not self.codec.knows(can_id)]
         return sorted(unknown, key=lambda one: (-one[1], one[0]))
+
+    @property
+    def of_group_count(self) -> int:
+        """How many frames would be of a message by their group; 0 if identifiers of 29 bits fit as they are."""
+        long = {can_id for can_id in self.frames_of_id if can_id & EXTENDED_FLAG}
+        if any(map(self.codec.knows, long)):
+            return 0
+        messages = [table.message for table in self.codec.tables if table.message.is_extended_frame]
+        groups = {parameter_group(message.frame_id) for message in messages} - TESTER_GROUPS
+        return sum(self.frames_of_id[can_id] for can_id in long if parameter_group(can_id & BARE_ID) in groups)
 
     @property
     def known_count(self) -> int:

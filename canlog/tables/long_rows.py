@@ -10,7 +10,7 @@ from canlog.arrays import Int64Array, UInt8Array
 from canlog.database.addressing import NOBODY
 from canlog.decode.bit_fields import PayloadWords
 from canlog.decode.codec import Codec, FrameMatch, MessageValues
-from canlog.frames import COLUMNS, PAYLOAD_BYTES, FrameBatch, empty_batch
+from canlog.frames import COLUMNS, FrameBatch, empty_batch
 from canlog.transport import Reassembler, Transfer, TransferCounts
 from canlog.transport.long_messages import fast_groups
 
@@ -74,7 +74,7 @@ class LongRows:
     def __init__(self, codec: Codec, pairs: Collection[tuple[int, int]] = ()) -> None:
         self._codec = codec
         self._lengths = [table.needed_bytes if table.signals else 0 for table in codec.tables]
-        self._reassembler: Final = Reassembler(fast_groups([table.message for table in codec.tables]), pairs)
+        self._reassembler: Final = Reassembler(fast_groups(codec.tables), pairs)
         self._is_needed = any(self._lengths)
         self.counts_of: dict[int, int] = {}  # messages that are whole, by slot
 
@@ -94,11 +94,11 @@ class LongRows:
             yield self._stretch(rest, self._codec.match(rest), found)
 
     def _known(self, transfers: Sequence[Transfer]) -> list[tuple[int, Transfer]]:
-        """Return the messages that the database has signals of, with their slots; what fits into a frame is none."""
+        """Return the messages that the database calls longer than a frame, with their slots."""
         found = []
         for one in transfers:
             slot = self._codec.slot_of(one.can_id)
-            if slot != NOBODY and self._lengths[slot] and len(one.data) > PAYLOAD_BYTES:
+            if slot != NOBODY and self._lengths[slot]:
                 found.append((slot, one))
                 self.counts_of[slot] = self.counts_of.get(slot, 0) + 1
         return found

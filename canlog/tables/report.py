@@ -22,6 +22,11 @@ def losses(account: DecodeAccount) -> Iterator[str]:
     yield from lost_texts(account.log)
     if account.frames_of_id and not account.known_count:
         yield _why_nothing(account)
+    if count := account.of_group_count:
+        yield (
+            f"{count} frames have the parameter group (PGN) of a message of the database, but another identifier: "
+            "--match group decodes them"
+        )
     if cut_off := sum(counts.cut_off for counts in account.signals.values()):
         yield f"{fates[FrameFate.SHORT]} frames are shorter than their message: {cut_off} values are not in them"
     if transported := account.transported:

@@ -2,14 +2,13 @@
 
 from dataclasses import dataclass, field
 
-from canlog.transport.transfers import MOST_OPEN, NS_PER_MS, Fault, Protocol, Transfer, TransferCounts
+from canlog.transport.transfers import MOST_OPEN, NS_PER_MS, Fault, Protocol, Transfer, TransferCounts, is_padding
 
 FRAME_BYTES = 8
 FIRST_BYTES, NEXT_BYTES = 6, 7
 LONGEST = FIRST_BYTES + 31 * NEXT_BYTES
 LIMIT_NS = 750 * NS_PER_MS
 FRAME_MASK = 0x1F
-PADDING = 0xFF
 
 Key = tuple[int, int]  # channel, identifier with flags
 
@@ -48,7 +47,7 @@ class FastPackets:
             is_another = sequence != one.sequence
             self._give_up(key, Fault.INTERRUPTED if is_another else Fault.FRAME_MISSING)
             if not is_another:
-                self._orphan[key] = (sequence, number, t_ns)
+                self._remember(key, sequence, number, t_ns)
                 return None
             one = None
         if one is None:
@@ -56,6 +55,9 @@ class FastPackets:
             return None
         one.data += data[1:FRAME_BYTES]
         one.frames, one.last_ns = one.frames + 1, t_ns
+        if len(one.data) < one.length and len(data) < FRAME_BYTES:
+            self._give_up(key, Fault.FRAME_MISSING)  # only the last frame needs no padding
+            return None
         return self._whole(key, one) if len(one.data) >= one.length else None
 
     def close(self) -> None:
@@ -67,8 +69,9 @@ class FastPackets:
         if key in self._open:
             self._give_up(key, Fault.INTERRUPTED)
         self._orphan.pop(key, None)
-        if len(data) < FRAME_BYTES or not 0 < data[1] <= LONGEST:
+        if len(data) < 2 or not 0 < data[1] <= LONGEST or len(data) < min(FRAME_BYTES, 2 + data[1]):
             self._fault(Fault.WRONG_LENGTH)
+            self._remember(key, sequence, 0, t_ns)
             return None
         if len(self._open) >= MOST_OPEN:
             self._give_up(next(iter(self._open)), Fault.TOO_MANY)
@@ -80,12 +83,15 @@ class FastPackets:
         last = self._orphan.get(key)
         if last is None or last[0] != sequence or number <= last[1] or t_ns - last[2] > LIMIT_NS:
             self._fault(Fault.NO_BEGINNING)
+        self._remember(key, sequence, number, t_ns)
+
+    def _remember(self, key: Key, sequence: int, number: int, t_ns: int) -> None:
         if len(self._orphan) >= MOST_OPEN and key not in self._orphan:
             del self._orphan[next(iter(self._orphan))]
         self._orphan[key] = (sequence, number, t_ns)
 
     def _whole(self, key: Key, one: _Open) -> Transfer | None:
-        if any(byte != PADDING for byte in one.data[one.length :]):
+        if not is_padding(one.data[one.length :]):
             self._give_up(key, Fault.FRAME_MISSING)  # bytes beyond the end: frames of another message
             return None
         del self._open[key]
@@ -103,7 +109,7 @@ class FastPackets:
 
     def _give_up(self, key: Key, fault: Fault) -> None:
         one = self._open.pop(key)
-        self._orphan[key] = (one.sequence, one.frames - 1, one.last_ns)
+        self._remember(key, one.sequence, one.frames - 1, one.last_ns)
         self._fault(fault)
 
     def _fault(self, fault: Fault) -> None:

@@ -139,14 +139,11 @@ class IsoTp:
         self._leave(key, Fault.INTERRUPTED)
         if peer is not None:
             self._leave(peer, Fault.INTERRUPTED)
-        if len(data) < CLASSIC_BYTES:
-            self._fault(Fault.WRONG_LENGTH)
-            return
-        length, start = (data[0] & 0x0F) << 8 | data[1], 2
+        length, start = (data[0] & 0x0F) << 8 | int.from_bytes(data[1:2]), 2
         if length == 0:
             length, start = int.from_bytes(data[2:6]), 6
-        if not max(SHORTEST_LONG, len(data) - start + 1) <= length <= LONGEST:
-            self._fault(Fault.WRONG_LENGTH)
+        if len(data) < CLASSIC_BYTES or not max(SHORTEST_LONG, len(data) - start + 1) <= length <= LONGEST:
+            self._count_orphan(t_ns, key, 0, fault=Fault.WRONG_LENGTH).is_waiting = True  # for flow control
             return
         if len(self._open) >= MOST_OPEN:
             self._give_up(next(iter(self._open)), Fault.TOO_MANY)
@@ -192,7 +189,7 @@ class IsoTp:
         if one is None:
             self._without_beginning(t_ns, key, peer, sequence)
             return None
-        if sequence != one.sequence:
+        if sequence != one.sequence or len(data) < min(one.frame_bytes, one.length - len(one.data) + 1):
             self._give_up(key, Fault.FRAME_MISSING)
             self._orphan[key].go_on_with(t_ns, sequence)
             return None
@@ -219,9 +216,11 @@ class IsoTp:
         if peer is not None:
             self._leave(peer, Fault.INTERRUPTED)  # who begins to send has received what the other side sent
 
-    def _count_orphan(self, t_ns: int, key: Key, last: int, block: int = 0) -> _Orphan:
+    def _count_orphan(
+        self, t_ns: int, key: Key, last: int, block: int = 0, fault: Fault = Fault.NO_BEGINNING
+    ) -> _Orphan:
         """Count a message of which this is the first that is left; ``block`` frames are allowed."""
-        self._fault(Fault.NO_BEGINNING)
+        self._fault(fault)
         if len(self._orphan) >= MOST_OPEN and key not in self._orphan:
             self._forget(next(iter(self._orphan)))
         orphan = self._orphan[key] = _Orphan(last, t_ns, block=block, allowed=block)

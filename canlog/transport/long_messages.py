@@ -2,19 +2,16 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 from cantools.database import DecodeError
 from cantools.database.can import Message
 
-from canlog.database.addressing import J1939, NOBODY, address_book, find_slot, message_address, overwritten
-from canlog.decode.codec import message_table
+from canlog.database.addressing import FIRST_FAST_GROUP, J1939, NOBODY, parameter_group
+from canlog.decode.codec import Codec, MessageTable
 from canlog.frames import PAYLOAD_BYTES, FrameBatch
 from canlog.transport.fast_packet import LONGEST as LONGEST_FAST
-from canlog.transport.reassembly import Reassembler, group_of
+from canlog.transport.reassembly import Reassembler
 from canlog.transport.transfers import Transfer, TransferCounts
-
-_NOBODY: Final = int(NOBODY)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,12 +32,8 @@ class LongMessages:
     """
 
     def __init__(self, messages: Sequence[Message], pairs: Collection[tuple[int, int]] = ()) -> None:
-        addresses = [message_address(message) for message in messages]
-        later = overwritten(addresses)
-        kept = [slot for slot in range(len(messages)) if slot not in later]
-        self._messages = [messages[slot] for slot in kept]
-        self._book = address_book([addresses[slot] for slot in kept])
-        self._reassembler = Reassembler(fast_groups=fast_groups(self._messages), pairs=pairs)
+        self._codec = Codec(messages, has_long=True)
+        self._reassembler = Reassembler(fast_groups=fast_groups(self._codec.tables), pairs=pairs)
 
     @property
     def counts(self) -> TransferCounts:
@@ -56,12 +49,10 @@ class LongMessages:
         yield from map(self._decoded, self._reassembler.close())
 
     def _decoded(self, transfer: Transfer) -> LongMessage:
-        slot = int(find_slot(self._book, transfer.can_id))
-        if slot == _NOBODY:
+        slot = self._codec.slot_of(transfer.can_id)
+        if slot == NOBODY:
             return LongMessage(transfer=transfer)
-        message = self._messages[slot]
-        if len(transfer.data) <= PAYLOAD_BYTES and message.length > len(transfer.data):
-            return LongMessage(transfer=transfer, name=message.name, fault="shorter than the database says")
+        message = self._codec.tables[slot].message
         try:
             decoded = message.decode(transfer.data, decode_choices=False, allow_truncated=True)
         except (DecodeError, ValueError) as exc:
@@ -69,16 +60,13 @@ class LongMessages:
         if not isinstance(decoded, dict):
             return LongMessage(transfer=transfer, name=message.name, fault="a container of other messages")
         values = {name: value for name, value in decoded.items() if isinstance(value, int | float)}
+        if not values and len(transfer.data) < message.length:
+            return LongMessage(transfer=transfer, name=message.name, fault="shorter than the database says")
         return LongMessage(transfer=transfer, name=message.name, values=values)
 
 
-def fast_groups(messages: Sequence[Message]) -> frozenset[int]:
-    """Return the groups whose own frames can be no more than pieces: fast packets of NMEA 2000."""
-    return frozenset(
-        group_of(message.frame_id)
-        for message in messages
-        if message.is_extended_frame
-        and message.protocol == J1939
-        and PAYLOAD_BYTES < message.length <= LONGEST_FAST
-        and message_table(message).needed_bytes
-    )
+def fast_groups(tables: Sequence[MessageTable]) -> frozenset[int]:
+    """Return the groups whose own frames can be no more than pieces: fast packets of NMEA 2000, all of data page 1."""
+    messages = [table.message for table in tables if PAYLOAD_BYTES < table.needed_bytes <= LONGEST_FAST]
+    groups = {parameter_group(one.frame_id) for one in messages if one.is_extended_frame and one.protocol == J1939}
+    return frozenset(group for group in groups if group >= FIRST_FAST_GROUP)

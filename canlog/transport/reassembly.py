@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import BoolArray, UInt32Array
+from canlog.database.addressing import parameter_group
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.transport.fast_packet import FastPackets
 from canlog.transport.isotp import IsoTp
@@ -17,12 +18,6 @@ ANSWER_OFFSET: Final = 8
 PHYSICAL_FORMAT, FUNCTIONAL_FORMAT = 0xDA, 0xDB  # ISO 15765-2, 29 bits: source and destination in the identifier
 _EXTENDED: Final = int(EXTENDED_FLAG)
 _NO_DATA: Final = np.uint32(REMOTE_FLAG | ERROR_FLAG)
-
-
-def group_of(can_id: int) -> int:
-    """Return the parameter group of a 29-bit identifier, without a destination."""
-    group = can_id >> 8 & 0x3FFFF
-    return group if group >> 8 & 0xFF >= 240 else group & 0x3FF00
 
 
 class Reassembler:
@@ -93,7 +88,7 @@ class Reassembler:
         form, page = can_id >> 16 & 0xFF, can_id >> 24 & 3
         if page == 0 and form in {DATA, MANAGEMENT}:
             return "j1939"
-        if group_of(can_id) in self._fast_groups:
+        if parameter_group(can_id) in self._fast_groups:
             return "fast"
         return "isotp" if page == 0 and form in {PHYSICAL_FORMAT, FUNCTIONAL_FORMAT} else ""
 

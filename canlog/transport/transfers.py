@@ -29,6 +29,11 @@ class Fault(StrEnum):
     TOO_MANY = "too_many"  # so many at a time that the oldest was given up
 
 
+def is_padding(data: bytes | bytearray) -> bool:
+    """Return whether bytes behind a message say nothing: 0xFF, as the standards have it, or 0, as some devices do."""
+    return not data.strip(b"\xff\0")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transfer:
     """A whole message; ``destination`` is an address of J1939, -1 where the protocol has none."""

@@ -40,7 +40,14 @@ DEFAULT_BITRATE: Final = 500_000
 
 
 _JSON_LINES: Final = Option("--json", "JSON lines on standard output, text on standard error")
-_DATABASE: Final = tuple(option for option in MEANING if option.name in {"dbc", "lenient"})
+_DATABASE: Final = tuple(option for option in MEANING if option.name in {"dbc", "lenient", "parser_time"})
+_MATCH: Final = Option(
+    "--match BY",
+    "by what frames of 29 bits are known: what the database says, or group: all by their parameter group, as J1939 and "
+    "NMEA 2000 have it (default: database)",
+    Choice(["database", "group"]),
+    default="database",
+)
 _COLUMNS: Final = Option(
     "--columns ROLES",
     "of a log that is a table: which column is which, time=Time,id=ID,data=D1-D8 by name or number, a unit or base "
@@ -148,7 +155,7 @@ _INSPECT: Final = Command(
     "inspect",
     "show what traffic a log holds",
     _logs("log file, or folder of files; - is standard input"),
-    *_DATABASE,
+    *(*_DATABASE, _MATCH),
     _COLUMNS,
     Option(
         "-b --bitrate BITRATE",
@@ -187,7 +194,7 @@ _DECODE: Final = Command(
         "whatever the name of the output says (default of standard output: csv; of a folder: parquet)",
         Choice(["parquet", "csv", "jsonl", "arrow", "mf4"]),
     ),
-    *_DATABASE,
+    *(*_DATABASE, _MATCH),
     _COLUMNS,
     Option(
         "--layout",

@@ -14,7 +14,7 @@ from diag_service.commands.table_choice import check_messages, choice_of, planne
 from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
-from diag_service.mapping.databases import open_database
+from diag_service.mapping.databases import asked_database
 from diag_service.service.stopping import Controls
 from fleet_contract import JsonObject
 from program_io.command_line import STANDARD_STREAM
@@ -36,7 +36,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         raise ConfigError("--jobs is for folders: the logs that were named are one table")
     table_format = table_format_of(options.output, options.format, is_folder=is_of_messages)
     _check(options, table_format)
-    messages = open_database(options.dbc, is_lenient=options.lenient).messages
+    messages = asked_database(options).messages
     plan = planned(choice_of(options), messages)
     check_messages(options.output, plan, table_format, is_forced=options.force)
     is_piped = options.output == STANDARD_STREAM

@@ -21,7 +21,7 @@ from diag_service.commands.table_choice import check_messages, choice_of, planne
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
-from diag_service.mapping.databases import open_database
+from diag_service.mapping.databases import asked_database
 from diag_service.service.stopping import Controls
 from program_io.overwriting import replacement_refusal
 
@@ -37,7 +37,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     except OutputError as exc:
         raise ConfigError(str(exc)) from exc
     jobs = job_count(options.jobs)
-    messages = open_database(options.dbc, is_lenient=options.lenient).messages
+    messages = asked_database(options).messages
     plan = planned(choice, messages)  # complains of signals and times that are none
     tasks = _tasks(options, "" if plan.shape is TableShape.MESSAGES else SUFFIX_OF_FORMAT[table_format])
     for task in tasks:

@@ -25,7 +25,7 @@ from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoppedError
-from diag_service.mapping.databases import open_database
+from diag_service.mapping.databases import asked_database
 from diag_service.service.stopping import Controls, Trigger
 from fleet_contract import JsonObject
 
@@ -62,7 +62,7 @@ class Inspection:
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Inspect one log after the other; raises StoppedError if that was stopped."""
-    messages = open_database(options.dbc, is_lenient=options.lenient).messages
+    messages = asked_database(options).messages
     console = PeopleConsole()
     columns = options.columns or ""
     for path, is_found in _files(options, columns, console):

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 from diag_service.console.terminal import PeopleConsole
-from diag_service.mapping.databases import open_database
+from diag_service.mapping.databases import asked_database
 from diag_service.service import bus_run
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import bus_config, diagnosis_config
@@ -16,7 +16,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         from diag_service.commands.conversations import Conversations  # noqa: PLC0415 - see above
         from diag_service.commands.conversations_live import follow_bus  # noqa: PLC0415 - see above
 
-        messages = open_database(options.dbc, is_lenient=options.lenient).messages
+        messages = asked_database(options).messages
         follow_bus(
             bus_config(options), Conversations(messages, options.pairs or ""), controls.stop, PeopleConsole().print
         )

@@ -79,12 +79,14 @@ def proposed_profile(
     stop: Trigger,
     *,
     is_lenient: bool,
+    parser_time_s: int | None = None,
     watch: Watch | None = None,
     columns: str = "",
 ) -> str:
     """Return a profile, as the text of a TOML file, whose comments say what signals the log holds."""
     database = dbc or DBC_PATH
-    survey = Survey(Codec(open_database(dbc, is_lenient=is_lenient).messages, check_codes=True))
+    messages = open_database(dbc, is_lenient=is_lenient, parser_time_s=parser_time_s).messages
+    survey = Survey(Codec(messages, check_codes=True))
     survey.add(log, stop, watch, columns)
     name, stem = (shown_name(log), "piped") if log == STANDARD_INPUT else (log.name, log.stem)
     best = candidates(survey.statistics())
@@ -110,6 +112,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
             options.dbc,
             controls.stop,
             is_lenient=options.lenient,
+            parser_time_s=options.parser_time,
             watch=line.watch,
             columns=options.columns or "",
         )

@@ -1,16 +1,28 @@
 """The database that a user names, or the shipped one."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 from cantools.database.can import Database
 
-from canlog.database.loading import load_database
+from canlog.database.loading import PARSER_TIME_S, load_database
 from dbc.contract import DBC_PATH, load_contract
 
 
-def open_database(path: Path | None, *, is_lenient: bool = False) -> Database:
-    """Return the database of a file, or the shipped one, which needs no care; raises DefinitionError.
+def open_database(
+    path: Path | None, *, is_lenient: bool = False, is_j1939: bool = False, parser_time_s: int | None = None
+) -> Database:
+    """Return the database of a file, as `load_database` does, or the shipped one, which needs no care."""
+    if path is None or path == DBC_PATH:
+        return load_contract()
+    return load_database(path, is_lenient=is_lenient, is_j1939=is_j1939, parser_time_s=parser_time_s or PARSER_TIME_S)
 
-    ``is_lenient`` leaves items out that cannot be right, with a warning of each, instead of refusing the file.
-    """
-    return load_contract() if path in {None, DBC_PATH} else load_database(path, is_lenient=is_lenient)
+
+def asked_database(options: SimpleNamespace) -> Database:
+    """Return the database that a command line names, read as that says; raises DefinitionError."""
+    return open_database(
+        options.dbc,
+        is_lenient=options.lenient,
+        is_j1939=getattr(options, "match", "") == "group",
+        parser_time_s=options.parser_time,
+    )

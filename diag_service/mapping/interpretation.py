@@ -41,7 +41,9 @@ class Interpretation:
         return Decoder(self.database, self.profile)
 
 
-def interpret(dbc: Path | None, profile: Path | None, *, is_lenient: bool = False) -> Interpretation:
+def interpret(
+    dbc: Path | None, profile: Path | None, *, is_lenient: bool = False, parser_time_s: int | None = None
+) -> Interpretation:
     """Return what the user named, checked; without a profile the shipped one that fits the database is taken and told.
 
     Raises ConfigError if a file cannot be used, or no profile fits.
@@ -49,12 +51,12 @@ def interpret(dbc: Path | None, profile: Path | None, *, is_lenient: bool = Fals
     if dbc is None and profile is None:
         return Interpretation(database=open_database(None), profile=load_profile(), files=())
     if profile is None:
-        database = open_database(dbc, is_lenient=is_lenient)
+        database = open_database(dbc, is_lenient=is_lenient, parser_time_s=parser_time_s)
         fit = choose_profile(database)
         _LOG.log(NOTICE, "%s", fit.said)
         return Interpretation(database=database, profile=fit.profile, files=_files(dbc, fit.profile, None))
     named = find_profile(profile)
-    database = open_database(dbc or named.database, is_lenient=is_lenient)
+    database = open_database(dbc or named.database, is_lenient=is_lenient, parser_time_s=parser_time_s)
     if named.is_lenient:
         fit = fit_of(database, named)
         if fit.tier is None:

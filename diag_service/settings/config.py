@@ -33,13 +33,14 @@ class DiagnosisConfig:
     broker: BrokerAddress | None = None
     is_strict: bool = False  # of logs: stop at the first fault
     is_lenient: bool = False  # of the database: leave out what cannot be right
+    parser_time_s: int | None = None  # that the database may take; None: the usual
     columns: str = ""  # of logs that are tables: which is which; empty: their header says
     acknowledge: Acknowledge = Acknowledge.BROKER
     budget_bytes: int | None = None  # of the store; None: no limit
 
     def interpretation(self) -> Interpretation:
         """Return what frames mean; raises ConfigError."""
-        return interpret(self.dbc, self.profile, is_lenient=self.is_lenient)
+        return interpret(self.dbc, self.profile, is_lenient=self.is_lenient, parser_time_s=self.parser_time_s)
 
     def __post_init__(self) -> None:
         """Check what depends on each other."""
@@ -119,6 +120,7 @@ def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
         vehicle=options.vehicle,
         dbc=options.dbc,
         is_lenient=options.lenient,
+        parser_time_s=options.parser_time,
         profile=options.profile,
         calibration=calibration,
         is_strict=getattr(options, "strict", False),

@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from cantools.database.can import Database
 
+from canlog.errors import DefinitionError
 from diag_service.commands.arguments import parse_arguments
 from diag_service.errors import IncompleteError, StoppedError
 from diag_service.service.stopping import Controls, Trigger
@@ -90,6 +91,48 @@ def told(tmp_path: Path, capsys: pytest.CaptureFixture[str], database: str, log:
 def log_of(*frames: str) -> str:
     """Return a candump log."""
     return "".join(f"({1 + place / 1000:.6f}) can0 {frame}\n" for place, frame in enumerate(frames))
+
+
+SAILS = """VERSION ""
+BU_: A
+BO_ {} Sails: 8 A
+ SG_ Area : 0|8@1+ (1,0) [0|0] "" A
+
+BO_ 256 Cabin: 1 A
+ SG_ Light : 0|8@1+ (1,0) [0|0] "" A
+"""
+SAILS_LOG = log_of("09F11223#0700000000000000", "05F11224#0800000000000000", "100#01")
+
+
+@pytest.mark.parametrize(("words", "areas"), [((), [None] * 3), (("--match", "group"), [7.0, 8.0, None])])
+def test_groups_are_matched_where_that_is_asked_for_and_proposed_where_it_would_help(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], areas: list[float | None]
+) -> None:
+    database = SAILS.format(0x89F11255)
+    rows = decoded(tmp_path, database, SAILS_LOG, *words)
+    assert [row.get("Sails.Area") for row in rows if row["message"] == "Sails"] == [one for one in areas if one]
+    capsys.readouterr()
+    proposal = (
+        "2 frames have the parameter group (PGN) of a message of the database, but another identifier: "
+        "--match group decodes them"
+    )
+    assert (proposal in told(tmp_path, capsys, database, SAILS_LOG, *words)["losses"]) == (not words)
+
+
+def test_nothing_is_proposed_where_an_identifier_fits_or_testers_speak(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for can_id, log in (
+        (0x89F11255, log_of("09F11255#0700000000000000", "05F11224#0800000000000000")),
+        (0x98DA10F1, log_of("18DAF110#0700000000000000", "100#01")),
+    ):
+        assert "--match" not in str(told(tmp_path, capsys, SAILS.format(can_id), log)["losses"])
+
+
+def test_the_time_to_read_a_database_is_an_option(tmp_path: Path) -> None:
+    with pytest.raises(DefinitionError, match="needs at least 1 s to be read, got -1 s"):
+        decoded(tmp_path, SAILS.format(0x89F11255), SAILS_LOG, "--parser-time", "-1")
+    assert decoded(tmp_path, SAILS.format(0x89F11255), SAILS_LOG, "--parser-time", "30")
 
 
 STATE_LOG = log_of("100#00000000", "100#09640000", "100#0AFFFF00", "100#07FEFF00", "100#0B010000")
@@ -284,13 +327,14 @@ def test_strict_as_a_process_has_its_own_status(tmp_path: Path) -> None:
 
 def test_a_database_that_matches_nothing_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = log_of("18FEF100#0000000000000000", "101#00", "101#00")
-    database = STATES.replace("BO_ 256", "BO_ 2566844926").replace(" 256 ", " 2566844926 ")  # 18FEF1FE, 29 bits
+    database = STATES.replace("BO_ 256", f"BO_ {0x98FEF155}").replace(" 256 ", f" {0x98FEF155} ")
     record = told(tmp_path, capsys, database, log)
     assert record["identifiers"]["known"] == 0
-    (loss,) = record["losses"]
+    loss, proposal = record["losses"]
+    assert proposal.startswith("1 frames have the parameter group")
     assert loss == (
-        "0 of 2 identifiers are in this database; nearest: 0x101 of the log to 0x18FEF1FE Brake; 0x18FEF100 of the log "
-        "to 0x18FEF1FE Brake (the same J1939 parameter group, but the database does not call the message one of J1939)"
+        "0 of 2 identifiers are in this database; nearest: 0x101 of the log to 0x18FEF155 Brake; 0x18FEF100 of the log "
+        "to 0x18FEF155 Brake (the same J1939 parameter group, but the database does not call the message one of J1939)"
     )
     assert record["rows"] == 0
     with pytest.raises(IncompleteError, match="0 of 2 identifiers are in this database"):

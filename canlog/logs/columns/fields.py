@@ -13,6 +13,7 @@ from canlog.logs.text_kernels import BLANK, HEX_VALUE, NEWLINE, RETURN, TAB
 QUOTE, COMMA, POINT, COLON, MINUS, PLUS, ZERO = ord('"'), ord(","), ord("."), ord(":"), ord("-"), ord("+"), ord("0")
 LETTER_H, LETTER_X, LETTER_Z = ord("h"), ord("x"), ord("z")
 SQUARE, SQUARE_END, SLASH = ord("["), ord("]"), ord("/")
+NAME_SEED, NAME_FACTOR = -3750763034362895579, 1099511628211  # FNV-1a, 64 bits
 REST = -1  # in place of a parameter: what stands behind the last column is passed over
 MOST_ID_DIGITS = 10
 LARGEST_ID = 0x1FFF_FFFF
@@ -101,8 +102,16 @@ def small_number(text: UInt8Array, begin: int, stop: int) -> int:
 
 
 @array_kernel
-def channel(text: UInt8Array, begin: int, stop: int) -> int:
-    """Return the number at the end of a name of a bus, 0 if there is none."""
+def channel(text: UInt8Array, begin: int, stop: int, names: Int64Array) -> int:
+    """Return the place of a name of a bus among known ones; without those the number at its end, 0 if there is none."""
+    if names.size:
+        wanted = NAME_SEED
+        for at in range(begin, stop):
+            wanted = (wanted ^ int(text[at])) * NAME_FACTOR
+        for index in range(names.size):
+            if names[index] == wanted:
+                return index
+        return int(names.size)  # a name that came late
     value, factor, at = 0, 1, stop
     while at > begin and 48 <= text[at - 1] <= 57 and factor <= 100:
         at -= 1

@@ -5,6 +5,10 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Final
 
+import numpy as np
+
+from canlog.frames import FrameBatch
+from canlog.logs.columns.bases import LARGEST_ID, LARGEST_STANDARD_ID
 from canlog.logs.columns.header import ROLE_OF_NAME, named_columns, names_in, separator_of
 from canlog.logs.columns.roles import Role
 
@@ -13,7 +17,8 @@ LEAST_ROWS, LEAST_COLUMNS = 3, 2
 LEAST_RISING: Final = 0.9  # of all steps of a clock; a few may fall where it begins again
 MOST_STANDING: Final = 0.5  # of all steps of a clock
 SHORTEST_ID_DIGITS: Final = 2
-LARGEST_ID: Final = 0x1FFF_FFFF
+LEAST_EXTENDED_ID: Final = 0x10_0000  # those of 29 bits begin with a priority: none that is in use is smaller
+LEAST_FITTING, FEW_IDS = 0.9, 3  # of identifiers
 COMMENTS: Final = b"#"
 NUMBER: Final = re.compile(r"[+-]?\d+(?:[.,]\d*)?(?:[eE][+-]?\d+)?")
 CLOCK: Final = re.compile(r"(?:\d{4}[-/]\d\d[-/]\d\d[ T])?\d{1,2}:\d\d:\d\d(?:[.,:]\d+)?\S*")
@@ -38,6 +43,13 @@ def guessed(text: bytes) -> str:
     if width < LEAST_COLUMNS or len(rows) < LEAST_ROWS:
         return ""
     return _in_words(_roles(names, rows, width), names)
+
+
+def is_traffic(batch: FrameBatch) -> bool:
+    """Return whether frames may be those of a bus: identifiers of 11 bits or of 29, that come again."""
+    can_ids = np.unique(batch.can_id & np.uint32(LARGEST_ID))
+    are_fitting = (can_ids <= LARGEST_STANDARD_ID) | (can_ids >= LEAST_EXTENDED_ID)
+    return len(can_ids) <= max(FEW_IDS, len(batch) // 2) and bool(np.mean(are_fitting) >= LEAST_FITTING)
 
 
 def _roles(names: Sequence[str], rows: Rows, width: int) -> dict[str, list[int]]:
@@ -117,7 +129,7 @@ def _all(cells: Sequence[str], pattern: re.Pattern[str]) -> bool:
 
 def _in_words(found: dict[str, list[int]], names: Sequence[str]) -> str:
     """Return places as ``--columns`` takes them: by names where they are there and clear, else by numbers."""
-    if not found.get("id") or not found.get("data"):
+    if not found.get("id") or not found.get("data") or not (found.get("time") or found.get("length")):
         return ""
     are_clear = len(set(names)) == len(names) and all(name and not set(name) & set(",=:-.") for name in names)
     shown = [name if are_clear else str(place + 1) for place, name in enumerate(names)]

@@ -46,6 +46,7 @@ SYNONYMS: Final[Mapping[Role, tuple[str, ...]]] = MappingProxyType(
         Role.TIME: (
             "timestamp", "abstime", "absolutetime", "timeabs", "time", "datetime", "epoch", "timestampepoch",
             "timeoffset", "systemtime", "t", "zeit", "zeitstempel", "temps", "offset", "reltime", "relativetime",
+            "unixtime", "unixtimestamp", "epochtime", "unix",
         ),
         Role.ID: (
             "id", "canid", "arbitrationid", "arbid", "identifier", "messageid", "msgid", "frameid", "canidentifier",
@@ -57,10 +58,11 @@ SYNONYMS: Final[Mapping[Role, tuple[str, ...]]] = MappingProxyType(
         ),
         Role.LENGTH: (
             "dlc", "len", "length", "datalength", "datalen", "datalengthcode", "size", "nbytes", "bytecount", "lng",
+            "messagelength", "msglen",
         ),
         Role.CHANNEL: (
             "bus", "channel", "chn", "chan", "ch", "can", "interface", "network", "port", "busid", "canbus",
-            "canchannel", "kanal",
+            "canchannel", "kanal", "buschannel", "channelid", "busnumber", "channelnumber",
         ),
         Role.EXTENDED: (
             "extended", "ext", "xtd", "ide", "isextended", "isextendedid", "extendedid", "eff", "frameformat",
@@ -75,6 +77,8 @@ SYNONYMS: Final[Mapping[Role, tuple[str, ...]]] = MappingProxyType(
     }
 )  # fmt: skip
 BYTE_NAME: Final = re.compile(r"(?:d|b|db|data|byte|databyte|datab)(\d{1,2})")
+NUMBER_IN_BRACKETS: Final = re.compile(r"[\[(](\d+)[)\]]")
+NO_BASE: Final = 0  # of identifiers: they tell it themselves
 UNIT_IN_BRACKETS: Final = re.compile(r"[\[(](?P<unit>[^)\]]*)[)\]]")
 MARKS: Final = re.compile(r"[\W_]+")
 
@@ -139,6 +143,10 @@ def named_columns(names: Sequence[str]) -> tuple[Column, ...]:
         place = next((plain.index(synonym) for synonym in synonyms if synonym in plain), None)
         if place is not None and columns[place].role is Role.IGNORED:
             columns[place] = Column(role=role, parameter=_parameter(role, names[place]))
+    if not any(column.role is Role.TIME for column in columns):
+        for place in [place for place, word in enumerate(plain) if "time" in word][:1]:
+            if columns[place].role is Role.IGNORED:
+                columns[place] = Column(role=Role.TIME, parameter=_parameter(Role.TIME, names[place]))
     if not any(column.role is Role.DATA for column in columns):
         for place in _byte_places(plain):
             columns[place] = Column(role=Role.BYTE, parameter=_parameter(Role.BYTE, names[place]))
@@ -183,6 +191,7 @@ def in_unit(columns: Sequence[Column], unit: int) -> tuple[Column, ...]:
 
 
 def _plain(name: str) -> str:
+    name = NUMBER_IN_BRACKETS.sub(r"\1", name)
     bare = MARKS.sub("", UNIT_IN_BRACKETS.sub("", name).casefold())
     unit = _unit_behind(name)
     return bare.removesuffix(unit) if unit else bare or MARKS.sub("", name.casefold())
@@ -203,7 +212,7 @@ def _unit_in(name: str) -> int | None:
 
 def _base_in(name: str) -> int:
     words = MARKS.split(name.casefold())
-    return next((base for word, base in BASES.items() if word in words or _ends_with(words, word)), HEXADECIMAL)
+    return next((base for word, base in BASES.items() if word in words or _ends_with(words, word)), NO_BASE)
 
 
 def _ends_with(words: Sequence[str], word: str) -> bool:
@@ -214,7 +223,9 @@ def _parameter(role: Role, name: str) -> int:
     if role is Role.TIME:
         unit = _unit_in(name)
         return SECONDS if unit is None else unit
-    return _base_in(name) if role in {Role.ID, Role.DATA, Role.BYTE} else 0
+    if role in {Role.DATA, Role.BYTE}:
+        return _base_in(name) or HEXADECIMAL
+    return _base_in(name) if role is Role.ID else 0
 
 
 def _chosen_parameter(role: Role, option: str, name: str, part: str) -> int:

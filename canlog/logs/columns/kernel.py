@@ -133,15 +133,16 @@ def _role_of(
     """Return what a field is, and the parameter of that; -1 if there may be none in its place."""
     last = len(program.columns) - 1
     role, parameter = program.columns[min(column, last), 0], program.columns[min(column, last), 1]
+    is_full = 0 <= line[LENGTH] <= line[COUNT] and (program.separator == BLANKS or line[LENGTH] <= PAYLOAD_BYTES)
     if column <= last:
-        return role, parameter
+        return (Role.IGNORED if role == Role.BYTE and is_full else role), parameter  # a label where bytes would be
     if not has_text:
         return Role.IGNORED, 0
-    if role != Role.DATA and role != Role.BYTE and role != Role.MESSAGE:  # noqa: PLR1714 - no tuple in a kernel
-        return (Role.IGNORED if parameter == fields.REST else -1), 0
-    if program.separator == BLANKS and 0 <= line[LENGTH] <= line[COUNT]:
-        return Role.IGNORED, 0  # a comment
-    return (Role.MESSAGE if role == Role.MESSAGE else Role.BYTE), parameter  # of one column, spread over others
+    if role == Role.MESSAGE:
+        return (Role.IGNORED if is_full and program.separator == BLANKS else Role.MESSAGE), parameter
+    if role != Role.DATA:
+        return (Role.IGNORED if role == Role.BYTE or parameter == fields.REST else -1), 0
+    return (Role.IGNORED if is_full else Role.BYTE), parameter  # a comment, or bytes of one column, spread over others
 
 
 @array_kernel
@@ -185,7 +186,7 @@ def _read_field(  # noqa: C901, PLR0911 - one for each role
         line[LENGTH] = fields.small_number(text, begin, stop)
         return bool(line[LENGTH] >= 0 or stop == begin)
     if role == Role.CHANNEL:
-        line[CHANNEL] = fields.channel(text, begin, stop)
+        line[CHANNEL] = fields.channel(text, begin, stop, program.channel_names)
         return True
     if role == Role.FLAGS:
         return _read_flags(text, begin, stop, parameter, line)
@@ -217,7 +218,7 @@ def _read_bytes(
     """Read bytes to those that are there; return whether they fit."""
     if role == Role.DATA and is_word(text, begin, REMOTE_WORD):  # "Remote request DLC = 8", as IXXAT writes it
         line[MEANING] |= REMOTE_FLAG
-        line[LENGTH] = max(line[LENGTH], fields.channel(text, begin, stop))
+        line[LENGTH] = max(line[LENGTH], fields.channel(text, begin, stop, program.channel_names[:0]))
         return True
     if role == Role.MESSAGE:
         message = line[MESSAGE:SEEN].reshape(1, -1)

@@ -10,8 +10,11 @@ from canlog.arrays import Int64Array, UInt8Array
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.logs.asc_dates import date_us
+from canlog.logs.channels import MOST_CHANNELS
+from canlog.logs.columns.bases import base_of
 from canlog.logs.columns.header import (
     MICROSECONDS,
+    NO_BASE,
     SECONDS,
     Proposal,
     are_numbers,
@@ -38,12 +41,13 @@ from canlog.logs.tables.time_unit import bus_load_ratio, is_plausible
 from canlog.logs.text_log import TextLog, frames_of
 
 HEADER_LINES_LOOKED_AT = 20
-SAMPLE_LINES = 200
+SAMPLE_LINES = 2_000
 LEAST_COLUMNS = 2
 COMMENTS = b"#"
 ENOUGH_BYTES = 8  # of a table without lengths: a frame with so many is whole
 WHOLE_BYTE_AT_END = re.compile(rb"[0-9A-Fa-f]{2}[\"\s]*$")
-LARGEST_ID = 0x1FFF_FFFF
+LABELLED = re.compile(rb"\d+\.\d+,[0-9A-Fa-f]{3,8},[0-8](?:,[0-9A-Fa-f]{2}){0,8},[RT]\s*")  # R: regular, T: injected
+LABELLED_COLUMNS = "time=1:s,id=2:hex,length=3,data=4-11"  # of HCRL's car hacking data set, which has no header
 CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d")
 DATE = re.compile(r"\d{4}[-/]\d\d[-/]\d\d[ T]\d{1,2}:\d\d:\d\d(?:[.,]\d+)?(?P<offset>\S*)$")
 NO_HEADER = "no line names its columns"
@@ -114,7 +118,7 @@ class ColumnsLog(TableLog):
         body = lines[number : number + SAMPLE_LINES]
         rows = [names_in(line, separator) for line in body if line.strip() and not line.startswith(COMMENTS)]
         self.taken_for = found.in_words()
-        columns = tuple(self._based(column, place, rows) for place, column in enumerate(found.columns))
+        columns = tuple(self._based(column, place, rows, found.names) for place, column in enumerate(found.columns))
         self.set_layout(
             Layout(
                 columns=columns,
@@ -124,20 +128,27 @@ class ColumnsLog(TableLog):
                 tells_by_digits=_tells_by_digits(_values(columns, Role.ID, rows)),
                 has_decimal_comma=separator != ord(","),
                 names=found.names,
+                channel_names=self._channel_names(_values(columns, Role.CHANNEL, rows)),
             )
         )
         self._settle_times(found, rows, b"\n".join(body))
 
-    def _based(self, column: Column, place: int, rows: Sequence[tuple[str, ...]]) -> Column:
+    def _based(self, column: Column, place: int, rows: Sequence[tuple[str, ...]], names: Sequence[str]) -> Column:
         """Return a column with its numbers in the base that they must have."""
-        if column.role is not Role.ID or column.parameter != HEXADECIMAL:
+        if column.role is not Role.ID or column.parameter != NO_BASE:
             return column
-        values = [row[place] for row in rows if place < len(row) and row[place]]
-        is_bare = all(value.isdigit() and value.isascii() for value in values)
-        if values and is_bare and any(int(value, 16) > LARGEST_ID for value in values if len(value) <= 16):
-            self.notes.append("identifiers are taken as decimal: as hexadecimal they would be too large")
-            return replace(column, parameter=DECIMAL)
-        return column
+        base, why = base_of((row[place] for row in rows if place < len(row)), names)
+        if why:
+            self.notes.append(f"identifiers are taken as {'decimal' if base == DECIMAL else 'hexadecimal'}: {why}")
+        return replace(column, parameter=base)
+
+    def _channel_names(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return the names of channels whose numbers at their ends do not tell them apart, in the order they came."""
+        seen = tuple(dict.fromkeys(names))[:MOST_CHANNELS]
+        if len({(re.search(r"\d*$", name) or [""])[0] for name in seen}) == len(seen):
+            return ()
+        self.notes.append(f"channels are numbered by name: {', '.join(f'{n} {name}' for n, name in enumerate(seen))}")
+        return seen
 
     def _settle_times(self, found: Proposal, rows: Sequence[tuple[str, ...]], body: bytes) -> None:
         """Find out what the times count, and from when."""
@@ -209,6 +220,9 @@ def _header_of(lines: Sequence[bytes], choice: str) -> tuple[int, int, Proposal]
             return number, separator, chosen(choice, names)
         except SourceError as exc:
             complaint = complaint or exc
+    sample = [line for line in lines if line.strip()][:HEADER_LINES_LOOKED_AT]
+    if not choice and sum(LABELLED.fullmatch(line) is not None for line in sample) * 2 > len(sample):
+        return _numbered(lines, LABELLED_COLUMNS)
     raise complaint or SourceError(NO_HEADER)
 
 
@@ -216,7 +230,8 @@ def _numbered(lines: Sequence[bytes], choice: str) -> tuple[int, int, Proposal]:
     """Return the same of columns that are named by their numbers: the header ends where the first frame is."""
     separator = separator_of(next((line for line in lines if line.strip() and not line.startswith(COMMENTS)), b""))
     found, reader = chosen(choice, ()), TableLog()
-    reader.set_layout(Layout(columns=found.columns, separator=separator, has_decimal_comma=separator != ord(",")))
+    columns = tuple(replace(one, parameter=HEXADECIMAL) if one.role is Role.ID else one for one in found.columns)
+    reader.set_layout(Layout(columns=columns, separator=separator, has_decimal_comma=separator != ord(",")))
     numbers = range(min(len(lines), HEADER_LINES_LOOKED_AT))
     first = next((number for number in numbers if len(frames_of(reader, lines[number]))), 0)
     return first, separator, found

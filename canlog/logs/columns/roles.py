@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from canlog.arrays import BoolArray, Int64Array
+from canlog.logs.channels import name_hash
 
 
 class Role(IntEnum):
@@ -61,6 +62,7 @@ class Program(NamedTuple):
     has_decimal_comma: bool
     has_messages: bool  # bytes are those of a message, which may be longer than a frame
     is_spread: bool  # columns may be missing, or stand behind bytes
+    channel_names: Int64Array  # hashes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,6 +81,7 @@ class Layout:
     has_decimal_comma: bool = False
     wrap_us: int = 0
     names: tuple[str, ...] = field(default=())  # of the columns, as the header has them
+    channel_names: tuple[str, ...] = ()  # numbered from 0; empty: the digits at their ends are their numbers
 
     def has(self, role: Role) -> bool:
         """Return whether there is a column of this role."""
@@ -96,4 +99,5 @@ class Layout:
             has_decimal_comma=self.has_decimal_comma,
             has_messages=self.has(Role.MESSAGE),
             is_spread=self.has(Role.COUNTED),
+            channel_names=np.array([name_hash(name.encode()) for name in self.channel_names], np.int64),
         )

@@ -1,6 +1,7 @@
 """Databases of other people: good ones load, bad ones are refused with one clear line and without harm."""
 
 import logging
+import re
 import resource
 from pathlib import Path
 from typing import Final
@@ -234,6 +235,77 @@ def test_hostile_database_is_refused_within_the_limits(tmp_path: Path, text: str
     assert complaint in refusal(write(tmp_path, text))
 
 
+ARXML: Final = (DATA / "engine.arxml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (
+            re.sub("<FRAME-LENGTH>.*?</FRAME-LENGTH>", "", ARXML),
+            "something that it needs is missing, in CAN-FRAME Engine",
+        ),
+        (re.sub("(<BAUDRATE>)[^<]+", r"\1fast", ARXML), "'fast' stands where a number has to be, in CAN-CLUSTER "),
+        (
+            re.sub("<FRAME-REF .*?</FRAME-REF>", "", ARXML),
+            "something that it needs is missing, in CAN-FRAME-TRIGGERING Engine",
+        ),
+        (
+            re.sub("(?s)<UNIT>.*?</UNIT>", "", ARXML),
+            'reference UNIT-REF of type "UNIT": /Network/Rpm, in COMPU-METHOD QuarterRpm',
+        ),
+        (kcd('length="8"', 'offset="high" length="8"'), "'high' stands where a number has to be"),
+    ],
+)
+def test_a_refusal_says_in_plain_words_what_is_wrong_and_where(tmp_path: Path, text: str, complaint: str) -> None:
+    said = refusal(write(tmp_path, text))
+    assert complaint in said
+    assert not re.search("NoneType|could not convert|literal|Traceback|Error", said)
+
+
+BOAT: Final = f"""VERSION ""
+BU_: A
+BO_ {0x89F112FE} Sails: 8 A
+ SG_ Area : 0|8@1+ (1,0) [0|0] "" A
+
+BO_ {0x8DF10DFE} Rudder: 8 A
+ SG_ Angle : 0|8@1+ (1,0) [0|0] "" A
+"""
+SAID_GROUPS: Final = "their parameter groups (PGN)"
+
+
+def test_a_database_of_null_addresses_is_one_of_groups(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, logger="canlog"):
+        messages = load_database(write(tmp_path, BOAT)).messages
+    assert [message.protocol for message in messages] == ["j1939", "j1939"]
+    assert [SAID_GROUPS in record.getMessage() for record in caplog.records] == [True]
+    assert [Codec(messages).slot_of(EXTENDED_FLAG | one) for one in (0x09F11223, 0x05F10D10)] == [0, 1]
+
+
+@pytest.mark.parametrize(("protocol", "is_of_groups"), [("J1939", True), ("NMEA2000", True), ("", False)])
+def test_the_protocol_of_the_whole_database_counts_where_no_message_has_one(
+    tmp_path: Path, protocol: str, is_of_groups: bool
+) -> None:
+    attribute = f'BA_DEF_ "ProtocolType" STRING ;\nBA_DEF_DEF_ "ProtocolType" "";\nBA_ "ProtocolType" "{protocol}";\n'
+    text = BOAT.replace(f"{0x89F112FE}", f"{0x89F11255}") + attribute
+    messages = load_database(write(tmp_path, text)).messages
+    assert [message.protocol == "j1939" for message in messages] == [is_of_groups] * 2
+
+
+@pytest.mark.parametrize("other", [f"{0x89F113FF} Mast: 8 A", "256 Mast: 8 A"])
+def test_one_sender_more_takes_the_word_of_who_asks(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, other: str
+) -> None:
+    path = write(tmp_path, BOAT + f'BO_ {other}\n SG_ Top : 0|8@1+ (1,0) [0|0] "" A\n')
+    is_standard = other.startswith("256 ")
+    kinds = [None if not is_standard else "j1939"] * 2 + [None]
+    with caplog.at_level(logging.INFO, logger="canlog"):
+        assert [message.protocol for message in load_database(path).messages] == kinds
+        asked = load_database(path, is_j1939=True).messages
+    assert [message.protocol for message in asked] == ["j1939", "j1939", None if is_standard else "j1939"]
+    assert sum(SAID_GROUPS in record.getMessage() for record in caplog.records) == is_standard
+
+
 def test_entities_are_found_in_any_encoding(tmp_path: Path) -> None:
     text = xml("&c;</NetworkDefinition>", ENTITIES)
     assert "defines a document type" in refusal(write(tmp_path, text.encode("utf-16")))
@@ -249,6 +321,11 @@ def test_long_repetitions_are_looked_at_once(tmp_path: Path, piece: str) -> None
 def test_time_to_parse_is_limited(tmp_path: Path) -> None:
     wide = "".join(f'BO_ {k} m{k}: 1785 A\n SG_ s : 0|14000@1+ (1,0) [0|0] "" A\n\n' for k in range(1000))
     assert "takes more than 1 s to parse" in refusal(write(tmp_path, HEAD + wide), parser_time_s=1)
+
+
+def test_who_gives_more_time_gives_more_memory(tmp_path: Path) -> None:
+    said = refusal(write(tmp_path, HEAD + WIDE_PAGES), parser_time_s=9)
+    assert said.endswith("takes more than 396 MiB of memory to parse (--parser-time gives more)")
 
 
 def as_kcd() -> str:

@@ -43,6 +43,9 @@ def put_together(*lines: tuple[int, int, str]) -> tuple[list[Transfer], dict[tup
 TP_CM, TP_DT = 0x9CECFF00, 0x9CEBFF00
 TO_CM, TO_DT, BACK_CM = 0x9CECF900, 0x9CEBF900, 0x9CEC00F9
 FAST = 0x89F80501
+WRONG_J1939 = Protocol.J1939_TP, Fault.WRONG_LENGTH
+WRONG_FAST = Protocol.FAST_PACKET, Fault.WRONG_LENGTH
+WRONG_ISO_TP = Protocol.ISO_TP, Fault.WRONG_LENGTH
 
 
 @pytest.mark.parametrize(
@@ -112,6 +115,10 @@ def test_packets_of_a_longer_message_without_announcement_are_not_taken_for_a_sh
         ([(0, TO_CM, "10150003FFCAFE00"), (4, TO_DT, "0101010101010101"), (8, TO_DT, "0601010101010101")], 2),
         ([(0, TO_CM, "10150003FFCAFE00"), (4, BACK_CM, "13150003FFCAFE00"), (60, TO_DT, "0101010101010101")], 2),
         ([(0, TO_CM, "10150003FFCAFE00"), (60, BACK_CM, "130A0002FFCAFE00")], 2),
+        # Of a slow sender packets are lost: the others come as much later.
+        ([(0, TP_CM, "20230005FFCAFE00"), (380, TP_DT, "02" * 8), (760, TP_DT, "04" * 8), (950, TP_DT, "05" * 8)], 1),
+        # A receiver that lets a sender wait, and then begin.
+        ([(0, BACK_CM, "1100FFFFFFCAFE00"), (60, BACK_CM, "110201FFFFCAFE00"), (64, TO_DT, "02" * 8)], 1),
     ],
 )
 def test_what_is_left_of_two_messages_is_counted_twice_and_of_one_once(
@@ -119,6 +126,67 @@ def test_what_is_left_of_two_messages_is_counted_twice_and_of_one_once(
 ) -> None:
     found, incomplete = put_together(*lines)
     assert (found, sum(incomplete.values())) == ([], counted)
+
+
+def test_a_last_packet_needs_no_padding() -> None:
+    for last, tail in (("02080910", ""), ("0208091011", "11")):
+        lines = [(0, TP_CM, "200A0002FFCAFE00"), (60, TP_DT, "0101020304050607"), (120, TP_DT, last)]
+        found, incomplete = put_together(*lines)
+        assert ([one.data.hex() for one in found], incomplete) == ([] if tail else ["01020304050607080910"], {
+            (Protocol.J1939_TP, Fault.FRAME_MISSING): 1,
+        } if tail else {})  # fmt: skip
+    found, incomplete = put_together(
+        (0, FAST, "000401020304"), (9, FAST, "200701020304050607"[:16]), (12, FAST, "2107")
+    )
+    assert [one.data.hex() for one in found] == ["01020304", "01020304050607"]
+    assert incomplete == {}
+
+
+@pytest.mark.parametrize(
+    ("lines", "fault"),
+    [
+        # A packet that is cut: it cannot be of this message, and nothing of it is counted again.
+        (
+            [(0, TP_CM, "20150003FFCAFE00"), (60, TP_DT, "01010203"), (120, TP_DT, "02" * 8), (180, TP_DT, "03" * 8)],
+            (Protocol.J1939_TP, Fault.FRAME_MISSING),
+        ),
+        ([(0, TP_CM, "200A0002FFCAFE00"), (60, TP_DT, "")], (Protocol.J1939_TP, Fault.CUT_OFF)),
+        ([(0, TO_CM, "100A0009FFCAFE00"), (5, BACK_CM, "110201FFFFCAFE00"), (9, TO_DT, "01" * 8)], WRONG_J1939),
+        ([(0, TP_CM, "200A0002"), (60, TP_DT, "01" * 8), (120, TP_DT, "02" * 8)], WRONG_J1939),
+        ([(0, TP_CM, "200A0009FFCAFE00"), (60, TP_DT, "01" * 8), (120, TP_DT, "02" * 8)], WRONG_J1939),
+        ([(0, BACK_CM, "1302"), (60, TO_DT, "0201020304050607")], WRONG_J1939),
+        ([(0, FAST, "0014010203"), (9, FAST, "01" * 8), (18, FAST, "02" * 8)], WRONG_FAST),
+        ([(0, FAST, "00FF010203040506"), (9, FAST, "01" * 8), (18, FAST, "02" * 8)], WRONG_FAST),
+        (
+            [(0, FAST, "0014010203040506"), (9, FAST, "010101"), (18, FAST, "02" * 8), (27, FAST, "03" * 8)],
+            (Protocol.FAST_PACKET, Fault.FRAME_MISSING),
+        ),
+        ([(0, 0x7E8, "1014010203"), (5, 0x7E8, "21" * 8), (9, 0x7E8, "22" * 8)], WRONG_ISO_TP),
+        ([(0, 0x7E8, "1014010203"), (2, 0x7E0, "3000"), (5, 0x7E8, "21" * 8), (9, 0x7E8, "22" * 8)], WRONG_ISO_TP),
+        (
+            [(0, 0x7E8, "1018010203040506"), (5, 0x7E8, "210102"), (9, 0x7E8, "22" * 8), (12, 0x7E8, "23" * 8)],
+            (Protocol.ISO_TP, Fault.FRAME_MISSING),
+        ),
+    ],
+)
+def test_what_is_cut_is_counted_once(lines: list[tuple[int, int, str]], fault: tuple[Protocol, Fault]) -> None:
+    assert put_together(*lines) == ([], {fault: 1})
+
+
+def test_a_packet_that_was_cut_may_come_again() -> None:
+    packets = [(4, TO_DT, "0101"), (9, TO_DT, "0101020304050607"), (14, TO_DT, "02080910000000FF"), (18, TO_DT, "0208")]
+    packets[3:3] = [(16, TO_DT, "0208091000000000")]  # padded otherwise than what came before
+    found, incomplete = put_together((0, TO_CM, "100A0002FFCAFE00"), *packets, (22, BACK_CM, "130A0002FFCAFE00"))
+    assert ([one.data.hex() for one in found], incomplete) == (["01020304050607080910"], {})
+
+
+def test_zeros_behind_a_message_are_padding() -> None:
+    found, incomplete = put_together(
+        (0, TP_CM, "200A0002FFCAFE00"), (60, TP_DT, "0101020304050607"), (120, TP_DT, "0208091000000000"),
+        (200, FAST, "0004010203040000"),
+    )  # fmt: skip
+    assert [one.data.hex() for one in found] == ["01020304", "01020304050607080910"]
+    assert incomplete == {}
 
 
 def test_a_frame_of_another_sender_or_channel_does_not_interrupt() -> None:
@@ -143,6 +211,19 @@ def test_long_messages_are_decoded_by_the_database() -> None:
     assert together.counts.in_words() == [
         "j1939 tp: 1 whole messages, 0 incomplete", "fast packet: 1 whole messages, 0 incomplete",
     ]  # fmt: skip
+
+
+def test_a_fast_packet_shorter_than_the_database_says_is_decoded_as_far_as_it_goes() -> None:
+    text = DBC.replace(" SG_ Latitude", ' SG_ First : 32|16@1+ (1,0) [0|0] "" A\n SG_ Latitude')
+    loaded = load_string(text, "dbc")
+    assert isinstance(loaded, Database)
+    lines = [(0, FAST, "4006010203040506"), (9, FAST, "6004010203040506"), (12, FAST, "80020102")]
+    together = LongMessages(loaded.messages)
+    assert [(one.values, one.fault) for one in together.feed(batch_of(frames(lines[0], lines[2])))] == [
+        ({"First": 0x0605}, ""), (None, "shorter than the database says"),
+    ]  # fmt: skip
+    assert list(together.feed(batch_of(frames(lines[1])))) == []  # bytes beyond the end are not padding
+    assert together.counts.incomplete == {(Protocol.FAST_PACKET, Fault.FRAME_MISSING): 1}
 
 
 def test_many_senders_at_a_time_are_bounded() -> None:

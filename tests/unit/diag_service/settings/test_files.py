@@ -35,6 +35,7 @@ VALUES: dict[str, str | int | float | bool] = {
     "fd": True,
     "only_mapped": True,
     "lenient": True,
+    "parser_time": 60,
     "duration": 12.5,
     "metrics": "9100",
     "page": 8080,

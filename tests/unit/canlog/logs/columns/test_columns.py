@@ -139,7 +139,7 @@ def test_what_is_left_open_is_said() -> None:
     ]  # fmt: skip
     log = ColumnsLog()
     read(log, "ID,Data\n123,01\n")
-    assert "no times" in log.notes[0]
+    assert "no times" in log.notes[-1]
 
 
 @pytest.mark.parametrize(
@@ -270,3 +270,112 @@ def test_what_stands_behind_the_bytes_of_canking_is_read() -> None:
 def test_a_line_of_canking_that_lacks_something_is_counted(line: str) -> None:
     batch, counts = read(TableLog(CANKING), "0 123 1 11 1.5 R\n" + line)
     assert (len(batch), counts.first_rejected) == (1, "line 2: malformed")
+def table(head: str, *cells: tuple[str, str]) -> str:
+    """Return a table of times, identifiers and bytes."""
+    return head + "".join(f"{k * 0.01:.2f},{one},0,{data}\n" for k, (one, data) in enumerate(cells))
+
+
+@pytest.mark.parametrize(
+    ("text", "can_ids", "said"),
+    [
+        # Cabana and the first loggers of panda write decimal numbers, the later ones and libpanda as well.
+        (table("time,addr,bus,data\n", ("53", "0acc"), ("344", "c0")), [53, 344], "decimal: its header is Cabana's"),
+        (table("time,addr,bus,data\n", ("0x35", "0acc"), ("0x158", "c0")), [0x35, 0x158], ""),
+        ("Bus,MessageID,Message\n0,344,c000\n1,53,00\n", [344, 53], "decimal: its header is Panda's"),
+        ("Time,Bus,MessageID,Message,MessageLength\n1.5,1,344,c000,2\n1.6,0,53,00ff,2\n", [344, 53], "decimal"),
+        # As hexadecimal 1349 would be no identifier of 11 bits, and too short for one of 29.
+        (table("Time,ID,Bus,Data\n", ("53", "0a"), ("1349", "0b")), [53, 1349], "decimal: as hexadecimal 1349"),
+        (table("Time,ID,Bus,Data\n", ("053", "0a"), ("130", "0b")), [0x53, 0x130], "hexadecimal: they have leading"),
+        (table("Time,ID,Bus,Data\n", ("153", "0a"), ("130", "0b")), [0x153, 0x130], "hexadecimal: nothing shows"),
+        # A letter decides where there are some of them, not one among many.
+        (table("Time,ID,Bus,Data\n", ("53", "0a"), ("1A0", "0b")), [0x53, 0x1A0], ""),
+        (table("Time,ID,Bus,Data\n", *((f"{k * 53}", "0a") for k in range(1, 36)), ("1A0", "0b")),
+         [k * 53 for k in range(1, 36)], "decimal: 1 of 36 has letters"),
+    ],
+)  # fmt: skip
+def test_the_base_of_identifiers_is_told_by_the_whole_column(text: str, can_ids: list[int], said: str) -> None:
+    log = ColumnsLog()
+    batch, _ = read(log, text)
+    assert batch.can_id.tolist() == can_ids
+    notes = [note for note in log.notes if note.startswith("identifiers are taken as")]
+    assert len(notes) == bool(said)
+    assert not said or notes[0].startswith(f"identifiers are taken as {said}")
+
+
+@pytest.mark.parametrize(("choice", "can_id"), [("id=addr:dec", 153), ("id=addr:hex", 0x153), ("id=2:hex", 0x153)])
+def test_who_says_a_base_overrules_what_it_looks_like(choice: str, can_id: int) -> None:
+    words = choice if "addr" in choice else f"time=1,{choice}"
+    log = ColumnsLog(f"{words},data={'data' if 'addr' in choice else '4'}")
+    batch, _ = read(log, table("time,addr,bus,data\n", ("153", "0acc"), ("1349", "c0")))
+    assert int(batch.can_id[0]) & 0x1FFFFFFF == can_id
+    assert not any("identifiers" in note for note in log.notes)
+
+
+def test_a_range_of_columns_ends_where_it_says() -> None:
+    batch, counts = read(ColumnsLog("time=1:s,id=2:hex,data=3-9"), "1.0,123,1,2,3,4,5,6,7,8\n2.0,123,1,2,3,4,5,6,7,x\n")
+    assert ([data for _, _, data in rows(batch)], counts.rejected) == (["01020304050607"] * 2, {})
+
+
+HCRL = (
+    "1478198376.389427,0316,8,05,21,68,09,21,21,00,6f,R\n1478198376.389636,018f,2,fe,5b,R\n"
+    "1478198376.389864,0000,8,00,00,00,00,00,00,00,00,T\n1478198376.390000,05f0,0,R\n"
+)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "", "Timestamp,ID,DLC,DATA0,DATA1,DATA2,DATA3,DATA4,DATA5,DATA6,DATA7,Flag\n",
+        "Timestamp,ID,DLC,DATA[0],DATA[1],DATA[2],DATA[3],DATA[4],DATA[5],DATA[6],DATA[7],Flag\n",
+    ],
+)  # fmt: skip
+def test_labels_behind_bytes_are_none(header: str) -> None:
+    assert detect((header + HCRL).encode()).format is LogFormat.COLUMNS
+    batch, counts = read(ColumnsLog(), header + HCRL)
+    assert rows(batch) == [
+        (1_478_198_376_389_427, 0x316, "052168092121006f"), (1_478_198_376_389_636, 0x18F, "fe5b"),
+        (1_478_198_376_389_864, 0, "00" * 8), (1_478_198_376_390_000, 0x5F0, ""),
+    ]  # fmt: skip
+    assert counts.rejected == {}
+
+
+def test_columns_have_more_names() -> None:
+    text = "Unix Time,BusChannel,ID,MessageLength,Data\n1478198376.5,2,1A0,1,05\n1478198376.6,3,1A0,1,06\n"
+    log = ColumnsLog()
+    batch, counts = read(log, text)
+    assert (batch.channel.tolist(), counts.rejected) == ([2, 3], {})
+    assert rows(batch)[0] == (1_478_198_376_500_000, 0x1A0, "05")
+    batch, _ = read(ColumnsLog(), "Vehicle time (ms),ID,Data\n1500,1A0,05\n")
+    assert rows(batch) == [(1_500_000, 0x1A0, "05")]
+
+
+def test_channels_that_have_names_are_numbered_and_told() -> None:
+    log = ColumnsLog()
+    names = ["HS CAN", "MS CAN", "HS CAN", "LIN"]
+    text = "Time,Network,ID,Data\n" + "".join(f"{k}.5,{name},1A0,05\n" for k, name in enumerate(names))
+    batch, _ = read(log, text)
+    assert batch.channel.tolist() == [0, 1, 0, 2]
+    assert "channels are numbered by name: 0 HS CAN, 1 MS CAN, 2 LIN" in log.notes
+    log = ColumnsLog()
+    batch, _ = read(log, "Time [s],Bus,ID,Data\n1.5,can1,1A0,05\n1.6,CAN 2,1A0,05\n")
+    assert (batch.channel.tolist(), log.notes) == ([1, 2], [])
+
+
+NO_FRAMES = {
+    "canboat plain": [
+        f"2009-06-18Z09:46:{k:02d}.129,{2 + k % 2},{pgn},{36 + k % 3},255,8,ff,e0,6f,fb,ff,ff,{k:02x},ff"
+        for k, pgn in enumerate([127251, 60928, 129025, 65280] * 5)
+    ],
+    "signalk log": [f"15029791{k:05d};A;2017-08-17T14:12:{k:02d}Z,3,{127250 - k % 3 * 66325},1,255,8,ff,{k:02x},0,1,ff"
+                    for k in range(20)],
+    "nmea 0183": [f"$IIVHW,{k}.1,T,{k},M,01.2{k},N,02,K*{k + 16:02X}" for k in range(20)],
+    "temperatures": [f"{k}.5,2{k % 10},1{k % 7},{k + 10:02d},{k + 30:02d},{k + 50:02d}" for k in range(20)],
+    "persons": [f"{k};{5000 + 17 * k};{k % 9};{k + 20};{k + 30}" for k in range(20)],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NO_FRAMES)
+def test_no_columns_are_proposed_without_evidence(name: str) -> None:
+    with pytest.raises(SourceError) as refusal:
+        detect(("\n".join(NO_FRAMES[name]) + "\n").encode())
+    assert "perhaps" not in str(refusal.value)
