@@ -57,7 +57,7 @@ def _as_a_library() -> Iterator[None]:
 
 
 def asker(bus: can.BusABC, **more: Any) -> diag_service.UdsTester:  # noqa: ANN401 - arguments of the tester
-    return diag_service.UdsTester(bus, is_active=True, listen_s=0.05, timeout_s=20.0, **more)
+    return diag_service.UdsTester(bus, is_active=True, listen_s=0.05, timeout_s=HANG_S, **more)
 
 
 def test_answers_are_those_of_the_commands(bus: can.BusABC, capfd: pytest.CaptureFixture[str]) -> None:
@@ -153,7 +153,7 @@ def test_a_bus_is_lent(bus: can.BusABC, car: Vehicle) -> None:
 
 def test_a_scan_finds_what_the_command_finds(bus: can.BusABC) -> None:
     found = diag_service.scan_controllers(
-        bus, first=0x7E0, last=0x7E2, is_active=True, wait_s=0.15, listen_s=0.6, timeout_s=20.0
+        bus, first=0x7E0, last=0x7E2, is_active=True, wait_s=0.15, listen_s=0.6, timeout_s=HANG_S
     )
     record = told("scan", *BUS, "--first", "7E0", "--last", "7E2", "--wait", "0.15")
     assert [found_record(one) for one in found.controllers] == record["controllers"]
@@ -168,7 +168,7 @@ def test_over_ip() -> None:
             "doip": f"127.0.0.1:{server.place.port}",
             "ecu": 0x1011,
             "is_active": True,
-            "timeout_s": 20.0,
+            "timeout_s": HANG_S,
         }
         with diag_service.UdsTester(**place) as tester:
             assert [code.code for code in tester.trouble_codes(has_details=False)] == ["P0811"]
