@@ -127,7 +127,7 @@ class Analysis:
         """Return what a notebook shows."""
         warnings = "".join(f"<li>{escape(text)}</li>" for text in self.notices)
         reasons = "".join(
-            f"<p>clutch {clutch}: {escape(verdict.advice or verdict.reason)}</p>"
+            f"<p>{escape(verdict.advice or f'Clutch {clutch}: {verdict.reason}')}</p>"
             for clutch, verdict in self.verdicts.items()
         )
         return f"<p><b>{escape(self._name)}</b>: {escape(self._said)}</p>{reasons}<ul>{warnings}</ul>"
