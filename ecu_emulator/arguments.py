@@ -13,8 +13,8 @@ from program_io.overwriting import FORCE
 
 PROGRAM: Final = "ecu-emulator"
 EXIT_TEXT: Final = (
-    "exit status: 0 done or stopped, 1 unexpected error, 2 usage, scenario or an extra that is not installed, 3 bus, "
-    "4 file, 130 interrupted twice"
+    "exit status: 0 done or stopped; 1 unexpected error; 2 usage, scenario or an extra that is not installed; 3 bus; "
+    "4 file; 130 interrupted twice"
 )
 NS_PER_S: Final = 1_000_000_000
 DEFAULT_REVS: Final = "4,4"
@@ -84,7 +84,7 @@ _DRIVE: Final = (
     Option("--mass-kg M", "override the mass of the car", _between(*MASS_RANGE_KG, "kg")),
     Option(
         "--routine [OPEN[,CLOSED]]",
-        "begin with the workshop routine: so many revs in neutral with open, then with closed clutches "
+        "begin with the workshop routine: number of revs in neutral with open, then with closed clutches "
         f"({DEFAULT_REVS})",
         _rev_counts,
         flag_value=DEFAULT_REVS,
@@ -120,7 +120,7 @@ _RUN: Final = Command(
     ),
     Option("--doip-certificate FILE", "answer over IP by TLS as well, with this certificate (PEM)", FILE),
     Option("--doip-key FILE", "its key, unless that is in the same file", FILE),
-    Option("--doip-tls-port PORT", f"where TLS is spoken (default: {DOIP_TLS_PORT})", INT, default=DOIP_TLS_PORT),
+    Option("--doip-tls-port PORT", f"port for TLS (default: {DOIP_TLS_PORT})", INT, default=DOIP_TLS_PORT),
     Option("--diagnostic-memory FILE", "keep trouble codes in this file, over restarts", FILE),
     Option(
         "--elm327 [[HOST:]PORT]",

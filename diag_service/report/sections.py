@@ -31,7 +31,7 @@ from fleet_contract import CLUTCHES
 from program_io.pages.content import NONE, Cell, Figure, Key, Section, Table, number, spread
 
 WHAT_CURVES_SAY: Final = (
-    "New fluid rubs more the faster the clutch slips. Old fluid rubs less at high slip and more at low slip. Where the "
+    "New fluid: friction rises with slip speed. Old fluid: it is lower at high slip and higher at low slip. Where the "
     "curve falls to the right, the clutch can shudder."
 )
 MOST_ROWS: Final = 100  # of the table of events
@@ -109,7 +109,7 @@ def quality_section(found: Findings) -> Section:
     reasons = Counter(reason for result in found.results for reason in result.estimate.reasons)
     total = len(found.results)
     by_status = {status.value: counts[status] for status in Status}
-    tables = [_share_table("What the data of the events were worth", by_status, total)]
+    tables = [_share_table("Quality of the data of the events", by_status, total)]
     if reasons:
         named = {reason.value.replace("_", " "): count for reason, count in reasons.most_common()}
         tables.append(_share_table("Why events were not used", named, total))
@@ -158,7 +158,7 @@ def _trend_figure(trend: Trend, results: list[ShiftResult]) -> Figure:
         caption=f"Clutch {clutch}: trend of mu_C",
         keys=(
             Key(style=f"dots clutch{clutch}", text="single events"),
-            Key(style=f"clutch{clutch}", text="estimate, all until then"),
+            Key(style=f"clutch{clutch}", text="estimate from all events so far"),
             Key(style=f"band clutch{clutch}", text=BAND_WORDS),
             *THRESHOLD_KEYS,
         ),

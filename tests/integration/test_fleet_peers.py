@@ -73,7 +73,7 @@ def test_what_is_usual_is_learned_kept_and_used_and_who_is_not_usual_is_named(
     address: str, table: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     assert main(["lots", "--database", address, "--read", str(table)]) == 0
-    assert capsys.readouterr().out == "35 properties of 18 vehicles; of 1 of them nothing was heard so far\n"
+    assert capsys.readouterr().out == "35 properties of 18 vehicles; of 1 of them have not been heard from\n"
     written = tmp_path / "peers.json"
     assert main(["peers", "--database", address, "--json", "--keep", "--write", str(written)]) == 0
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]

@@ -81,10 +81,12 @@ def test_every_file_is_listed_with_what_it_was_taken_for(folder: Path, capsys: p
     assert "a message database (DBC): it belongs behind --dbc" in listed["car.dbc"]
     assert (listed["empty.log"], listed["gone.log"]) == (
         "no log: the file is empty",
-        "no log: a link that leads nowhere",
+        "no log: a broken link",
     )
     assert "the SQLite file has no table of messages as python-can writes it" in listed["other.db"]
-    assert any(line.startswith(f"{folder}/torn.blf: no log after all: no CAN frame in this blf log") for line in said)
+    assert any(
+        line.startswith(f"{folder}/torn.blf: not a log after all: no CAN frame in this blf log") for line in said
+    )
     for name, frames in (("archive.zip/day 1.log", 50), ("packed.blf.gz", 50), ("table.csv", 50)):
         assert any(line.startswith(f"{folder}/{name}: ") and f", {frames} frames" in line for line in said[16:])
 
@@ -118,7 +120,10 @@ def test_what_may_not_be_read_is_listed_too(tmp_path: Path) -> None:
     told = subprocess.run(
         [*without, sys.executable, "-c", TELL, tmp_path], capture_output=True, text=True, check=True, timeout=HANG_S
     )
-    assert told.stdout.splitlines() == ["sealed: a folder that may not be read", "sealed.log: Permission denied"]
+    assert told.stdout.splitlines() == [
+        "sealed: a folder without permission to read it",
+        "sealed.log: Permission denied",
+    ]
 
 
 TELL = """

@@ -139,7 +139,7 @@ def test_what_cannot_be_done_is_an_exception_with_the_words_of_the_program(drive
         diag_service.analyze(tmp_path)
     with pytest.raises(diag_service.ConfigError, match="no log is named"):
         diag_service.analyze([])
-    with pytest.raises(diag_service.ConfigError, match="no vehicle id"):
+    with pytest.raises(diag_service.ConfigError, match="not a vehicle id"):
         diag_service.analyze(drive_log, vehicle="../car")
     with pytest.raises(diag_service.DefinitionError):
         diag_service.analyze(drive_log, dbc=missing)

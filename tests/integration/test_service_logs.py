@@ -93,7 +93,7 @@ def test_damage_in_a_log_is_counted_and_told(drive_log: Path, tmp_path: Path) ->
     assert ended.status == 0
     assert ended.summary["frames"]["rejected"]["bad_crc"] == len(crc_spoilt)
     assert ended.summary["frames"]["unreadable"] == {"malformed": 1}
-    assert "damaged.log: 1 pieces of the log are no frames" in ended.err
+    assert "damaged.log: 1 pieces of the log are not frames" in ended.err
     assert ended.err.count("\n") == 1
 
 

@@ -83,7 +83,7 @@ async def test_a_reporter_that_blocks_holds_up_nobody(store: ResultStore, caplog
     await run(ListSource(cut(gear_frames(SHIFTS), 50)), session_for(store, reporter), outbox=linked(link, store))
     assert sorted(result.seq for result in link.results) == [1, 2, 3, 4, 5]
     assert reporter.dropped >= 2
-    assert "does not take them" in caplog.text
+    assert "does not accept them" in caplog.text
     blocking.let_go.set()
 
 
