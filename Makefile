@@ -9,6 +9,7 @@ SEEDS ?=
 RUNTIME ?=
 SCENARIO ?=
 BROKER ?=
+ORDER ?=
 # Only a hang takes so long: the guest's tests take three minutes, seven beside other work.
 VCAN_LIMIT_S ?= 3600
 # Hundreds of programs start in the tests; where bytecode is not kept, each of them compiles two hundred modules first.
@@ -19,6 +20,7 @@ OPENBLAS_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS
 
 PY = "$(VENV)/bin/python"
+SHUFFLED = $(if $(ORDER),--order-seed "$(ORDER)")
 # The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.
 BENCHMARKS = decode estimator fleet_ingest live_bus live_latency outbox plant readers service service_memory start
 
@@ -30,7 +32,7 @@ help:
 	@echo "                   SCENARIO=case2 for another drive, BROKER=mqtt://host for a broker of your own"
 	@echo "make fleet         broker, database, two ingest workers, three vehicles with different fluids; the fleet, worst first, and its page"
 	@echo "make check         format, lint, types, import contracts, DBC, unit and property tests (under 2 minutes)"
-	@echo "make test          everything CI runs, the tests on a real vcan included"
+	@echo "make test          everything CI runs, the tests on a real vcan included; ORDER=n shuffles them"
 	@echo "make bench         speed and size figures"
 	@echo "make accuracy      estimates against the truth over many seeds; SEEDS=n for fewer or more"
 	@echo "make reproduce     tables and pictures of SAE 2015-01-1146 as an HTML report; SEEDS=n draws of the noise"
@@ -154,11 +156,11 @@ test-both: setup
 # Three workers keep two cores busy: one of them mostly waits, for a drive in real time, a broker or a process that was killed.
 test-host: setup
 	@echo "test: on this machine, $$(uname -sr)"
-	@$(PY) -m pytest -m "not vcan" -n 3 --dist worksteal
+	@$(PY) -m pytest -m "not vcan" -n 3 --dist worksteal $(SHUFFLED)
 
 test-vcan: setup
 	@echo "test: on a real vcan"
-	@$(PY) -m tests.uml.run --time-limit "$(VCAN_LIMIT_S)" -- $(PY) -m pytest -m vcan tests/e2e tests/integration
+	@$(PY) -m tests.uml.run --time-limit "$(VCAN_LIMIT_S)" -- $(PY) -m pytest -m vcan $(SHUFFLED) tests/e2e tests/integration
 
 clean:
 	rm -rf "$${XDG_CACHE_HOME:-$$HOME/.cache}/clutchdiag" "$(VENV)" build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

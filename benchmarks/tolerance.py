@@ -66,4 +66,4 @@ def share_within_tolerance(trace: SpeedTrace, t_s: FloatArray, speed_m_s: FloatA
     if not (np.all(durations_s > 0.0) and np.all(np.isfinite(speed_m_s))):
         raise DomainError("times of a driven speed must increase, and its speeds be finite")
     is_within = is_within_tolerance(trace, t_s[:-1], speed_m_s[:-1])
-    return float(durations_s @ is_within / (t_s[-1] - t_s[0]))
+    return float(durations_s[is_within].sum() / durations_s.sum())

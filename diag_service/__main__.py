@@ -1,7 +1,14 @@
-"""``python -m diag_service``: the same as ``diag-service``."""
+"""``diag-service``, or ``python -m diag_service``."""
 
 import sys
 
-from diag_service.cli import main
+from program_io.starting import run_program
 
-sys.exit(main())
+
+def main() -> int:
+    """Run the program and return its exit status."""
+    return run_program("diag_service.cli")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

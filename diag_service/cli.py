@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from importlib import import_module
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
 
@@ -79,11 +80,30 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
 
     set_up_notices(options.verbose)
     commands = import_module(f"diag_service.commands.{options.command.replace('-', '_')}")
-    commands.execute(options, _patient(controls) if _reads_standard_input(options) else controls)
+    try:
+        commands.execute(options, _patient(controls) if _reads_standard_input(options) else controls)
+    except SourceError as exc:
+        if text := _about_store(options):
+            raise ConfigError(text) from exc
+        raise
+
+
+def _about_store(options: SimpleNamespace) -> str | None:
+    """Return what there is to say to who takes a store of results for a log."""
+    from diag_service.store.reading import is_store  # noqa: PLC0415 - only where something is wrong
+
+    for path in _logs(options):
+        if isinstance(path, Path) and is_store(path):
+            return f"{path} is a store of results, no log: {PROGRAM} report {path} shows what is in it"
+    return None
+
+
+def _logs(options: SimpleNamespace) -> Sequence[Path | str]:
+    return (getattr(options, "log", None) or "", *getattr(options, "logs", ()))
 
 
 def _reads_standard_input(options: SimpleNamespace) -> bool:
-    return STANDARD_STREAM in (getattr(options, "log", None), *getattr(options, "logs", ()))
+    return STANDARD_STREAM in _logs(options)
 
 
 def _widen_standard_input() -> None:

@@ -198,6 +198,14 @@ _PDX: Final = Command(
     _VERBOSE,
     examples=(f"{PROGRAM} pdx -o tcu.pdx", f"{PROGRAM} pdx my.toml -o my.pdx"),
 )
+_DBC: Final = Command(
+    "dbc",
+    "write the database of the emulated vehicle, for every program that reads DBC files",
+    Option("-o --output FILE", "DBC file to write (default: standard output)", FILE),
+    FORCE,
+    _VERBOSE,
+    examples=(f"{PROGRAM} dbc -o dct.dbc", f"{PROGRAM} dbc | cantools list -"),
+)
 COMMAND_LINE: Final = Program(
     PROGRAM,
     "Puts an emulated dual-clutch vehicle on a CAN bus or into a log.",
@@ -205,6 +213,7 @@ COMMAND_LINE: Final = Program(
     _RUN,
     _RECORD,
     _PDX,
+    _DBC,
     Command(
         "scenarios",
         "list the scenarios that ship with the program",

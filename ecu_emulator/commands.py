@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from importlib import resources
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
@@ -116,6 +117,15 @@ def list_scenarios() -> None:
         sys.stdout.write(hanging(f"{name:<12} ", load_scenario(name).description, width) + "\n")
 
 
+def write_dbc(path: Path | None, *, is_forced: bool) -> None:
+    """Write the database of the emulated vehicle, to standard output without a path; raises as ``save_pdx`` does."""
+    database = resources.files("dbc").joinpath("dct.dbc").read_bytes()
+    if path is None:
+        sys.stdout.buffer.write(database)
+    else:
+        _save(database, path, is_forced=is_forced)
+
+
 def write_pdx(table: Path | None, path: Path, *, is_json: bool, is_forced: bool = False) -> None:
     """Write what a controller can be asked for diagnostic tools, and say so; raises what ``save_pdx`` raises."""
     described, size_bytes = save_pdx(table, path, is_forced=is_forced)
@@ -141,15 +151,19 @@ def save_pdx(table: Path | None, path: Path, *, is_forced: bool) -> tuple["Diagn
 
     if table is not None and path.absolute() == table.absolute():
         raise ConfigError(f"table and package cannot both be {path}")
-    if text := refusal(path, is_forced=is_forced):
-        raise ConfigError(text)
     described = shipped_table() if table is None else load_table(table)
     package = pdx_package(described)
+    _save(package, path, is_forced=is_forced)
+    return described, len(package)
+
+
+def _save(content: bytes, path: Path, *, is_forced: bool) -> None:
+    if text := refusal(path, is_forced=is_forced):
+        raise ConfigError(text)
     try:
-        path.write_bytes(package)
+        path.write_bytes(content)
     except OSError as exc:
         raise RecordError(f"cannot write {path}: {exc.strerror or exc}") from exc
-    return described, len(package)
 
 
 def hanging(head: str, text: str, width: int | None) -> str:
@@ -241,18 +255,24 @@ def write_log(
         raise ConfigError(f"log and truth cannot both be {path}")
     drive = Drive(scenario, longest_stay_s)
     began_s = time.perf_counter()
-    with (
-        _open(path, log_format, start_ns, channel) as log,
-        TruthWriter(truth_file) as writer,
-    ):
-        writer.drive(drive.truth)
-        for stretch in drive.stretches(LONG_STRETCH_S):
-            log.write(stretch.frames)
-            writer.write(stretch.truths)
-            show(drive.totals, time.perf_counter() - began_s)
-            if stop.is_set():
-                break
-        writer.totals(drive.totals)
+    writer: TruthWriter | None = None
+    try:
+        with (
+            _open(path, log_format, start_ns, channel) as log,
+            TruthWriter(truth_file) as writer,
+        ):
+            writer.drive(drive.truth)
+            for stretch in drive.stretches(LONG_STRETCH_S):
+                log.write(stretch.frames)
+                writer.write(stretch.truths)
+                show(drive.totals, time.perf_counter() - began_s)
+                if stop.is_set():
+                    break
+            writer.totals(drive.totals)
+    except RecordError:
+        if writer is not None and path != STANDARD_STREAM and truth_file.is_file():
+            truth_file.unlink()  # nobody needs the truth of a log that is not there
+        raise
     return Recording(
         path=path,
         truth=truth_file,
@@ -309,7 +329,7 @@ def record(
     name, beside = ("standard output", truth) if is_piped else (path, made.truth)
     console.print(
         f"{state}{name}: {totals.frames} frames, {totals.shifts} shifts, {totals.driven_s:.1f} s of driving "
-        f"in {made.took_s:.1f} s ({made.speed_ratio:.0f} x real time){f'; truth in {beside}' if beside else ''}",
+        f"in {made.took_s:.1f} s{f'; truth in {beside}' if beside else ''}",
         markup=False,
     )
     if is_json:

@@ -1,7 +1,14 @@
-"""``python -m fleet_backend``: the same as ``fleet-backend``."""
+"""``fleet-backend``, or ``python -m fleet_backend``."""
 
 import sys
 
-from fleet_backend.cli import main
+from program_io.starting import run_program
 
-sys.exit(main())
+
+def main() -> int:
+    """Run the program and return its exit status."""
+    return run_program("fleet_backend.cli")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

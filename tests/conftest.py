@@ -11,6 +11,7 @@ pytest_plugins = [
     "tests.plugins.disk",
     "tests.plugins.drives",
     "tests.plugins.image",
+    "tests.plugins.order",
     "tests.plugins.postgres",
     "tests.plugins.run_report",
     "tests.plugins.vcan",

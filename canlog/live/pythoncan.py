@@ -1,6 +1,7 @@
 """Live frames from any other interface of python-can: a reader thread whose end the service sees."""
 
 import asyncio
+import logging
 import threading
 import time
 from collections.abc import AsyncIterator, Mapping, Sequence
@@ -28,18 +29,22 @@ from canlog.live.sources import SILENCE_S, Silence, SourceCounts
 POLL_S = 0.1  # how soon the thread notices that it shall stop
 MESSAGES_PER_BATCH = 256
 JOIN_S = 3.0  # for a driver that does not return
+MANY_FRAMES = 1_000  # as many do not come at once
 NOW_S = 5.0  # frames older than this have another clock: no reader is so late
 LAST_BATCHES = 64  # what an interface may still hold; bounded, for the bus may never fall silent
 NS_PER_US = 1_000
 US_PER_S = 1e6
 
+_LOG = logging.getLogger(__name__)
+
 
 class PythonCanSource:
     """Frames of an open python-can bus, which this object owns from now on unless it is not ``is_owner``.
 
-    python-can keeps times as floating-point seconds; they are rounded to whole microseconds. What an interface loses
-    before python-can hands it over is not known, so ``kernel_dropped`` stays 0. Where frames have other times than this
-    machine's, as those of a simulation, silence is not told: in their time it may be short.
+    python-can keeps times as floating-point seconds; they are rounded to whole microseconds, and a message without one
+    gets that of its receipt. What an interface loses before python-can hands it over is not known, so
+    ``kernel_dropped`` stays 0. Where frames have other times than this machine's, as those of a simulation, silence is
+    not told: in their time it may be short.
     """
 
     def __init__(
@@ -50,6 +55,8 @@ class PythonCanSource:
         self.description = description
         self._queue = queue or FrameQueue()
         self._received = 0
+        self._own_s: float | None = None  # the last time of a bus whose clock is not this machine's
+        self._still_ns: int | None = None  # the time of all frames until now
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(target=self._read, name="python-can reader", daemon=True)
         self._thread.start()
@@ -101,13 +108,40 @@ class PythonCanSource:
             message = self._bus.recv(timeout=0.0 if messages else timeout_s)
             if message is None:
                 break
+            self._stamp(message)
             messages.append(message)
         return messages
 
+    def _stamp(self, message: can.Message) -> None:
+        """Give a message without a time that of its receipt; where the bus has its own clock, the last one heard."""
+        if message.timestamp:
+            self._own_s = None if _is_of_now(message) else message.timestamp
+        else:
+            message.timestamp = time.time() if self._own_s is None else self._own_s
+
     def _offer(self, messages: Sequence[can.Message]) -> None:
-        self._received += len(messages)
-        if messages:
-            self._queue.offer(to_batch(messages))
+        if not messages:
+            return
+        batch = to_batch(messages)
+        self._look_at_times(batch)
+        self._received += len(batch)
+        self._queue.offer(batch)
+
+    def _look_at_times(self, batch: FrameBatch) -> None:
+        """Say so, once, if the times of the first frames do not go on."""
+        if self._received == 0:
+            self._still_ns = int(batch.t_ns[0])
+        if self._still_ns is None:
+            return
+        if (batch.t_ns[: MANY_FRAMES - self._received] != self._still_ns).any():
+            self._still_ns = None
+        elif self._received + len(batch) >= MANY_FRAMES:
+            self._still_ns = None
+            _LOG.warning(
+                "%s: its first %s frames all have the same time, so nothing can be found in them: "
+                "the sender has to give each its own time, or none",
+                self.description, f"{MANY_FRAMES:,}",
+            )  # fmt: skip
 
 
 def _is_of_now(message: can.Message) -> bool:

@@ -121,8 +121,9 @@ def quality_section(found: Findings) -> Section:
 
 
 def _numbers_table(verdict: ClutchVerdict) -> Table:
+    count = verdict.shift_count
     return Table(
-        caption=f"Clutch {verdict.clutch}: running estimate from {verdict.shift_count} shifts",
+        caption=f"Clutch {verdict.clutch}: running estimate from {count} {'shift' if count == 1 else 'shifts'}",
         head=("quantity", "value", "standard deviation"),
         rows=tuple(_number_rows(verdict)),
     )

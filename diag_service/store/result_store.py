@@ -83,10 +83,13 @@ class ResultStore:
         cannot be created, read or written, is not a store, is newer than this program or is in use.
         """
         path = path.absolute()
-        descriptor = own(path)
+        descriptor, is_new = own(path), not path.exists()
         try:
             store = cls(connect(path), descriptor, str(path), budget_bytes)
         except BaseException:
+            if is_new:  # what a full disk left of it is no store
+                for suffix in ("", "-wal", "-shm"):
+                    Path(f"{path}{suffix}").unlink(missing_ok=True)
             os.close(descriptor)
             raise
         keep_private(path)

@@ -40,9 +40,24 @@ class Gateway:
             return
         if is_struck and self._fault == "alter":
             message.data[3] ^= 0x10
-        self._target.send(message)
+        self._target.send(outgoing(message))
         if held := self._held.pop(message.arbitration_id, None):
-            self._target.send(held)
+            self._target.send(outgoing(held))
+
+
+def outgoing(received: can.Message) -> can.Message:
+    """Return a new message for the other bus: when the old one was received is none of its business."""
+    return can.Message(
+        arbitration_id=received.arbitration_id,
+        is_extended_id=received.is_extended_id,
+        is_remote_frame=received.is_remote_frame,
+        is_error_frame=received.is_error_frame,
+        is_fd=received.is_fd,
+        bitrate_switch=received.bitrate_switch,
+        error_state_indicator=received.error_state_indicator,
+        dlc=received.dlc,
+        data=received.data,
+    )
 
 
 def run(source: dict, target: dict, fault: str, stop: Event, on_ready: Callable[[], None]) -> None:

@@ -1,8 +1,14 @@
-"""``python -m fleet_backend.certificates``."""
+"""``fleet-certificates``, or ``python -m fleet_backend.certificates``."""
 
 import sys
 
-from fleet_backend.certificates.cli import main
+from program_io.starting import run_program
+
+
+def main() -> int:
+    """Run the program and return its exit status."""
+    return run_program("fleet_backend.certificates.cli")
+
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -9,6 +9,7 @@ from dataclasses import asdict
 import pytest
 
 from canlog.live import medium
+from tests.support.patience import HANG_S
 from tests.support.reach import FRAME_COUNT, Case, Reach
 
 IPV4, IPV6 = "239.74.163.2", "ff15:7079:7468:6f6e:6465:6d6f:6d63:6173"
@@ -42,7 +43,7 @@ def reaches(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Reach]:
         capture_output=True,
         text=True,
         check=False,
-        timeout=300,
+        timeout=HANG_S,
         env={name: value for name, value in os.environ.items() if not name.startswith("CAN_")},
     )
     assert answer.returncode == 0, answer.stderr

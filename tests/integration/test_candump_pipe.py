@@ -2,7 +2,6 @@
 
 import lzma
 import subprocess
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 from tests.golden.analyses import RECORDINGS
 from tests.integration.test_piped_logs import without
 from tests.plugins.drives import send_time_s
+from tests.support.bus_end import wait_for_listener
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 from tests.support.service import PROGRAM, Ended, environment
@@ -20,7 +20,6 @@ pytestmark = pytest.mark.vcan
 
 END_S = 4.0  # of the drive: its first gear change is over, the second one goes on
 RECEIVE_BYTES = 1 << 24  # for all frames of it: a machine that stands still for a while loses none of them
-LISTENERS = Path("/proc/net/can/rcvlist_all")
 
 
 @contextmanager
@@ -30,11 +29,7 @@ def candump(
     """Run can-utils' candump until the block ends; the bus is heard by so many programs when this returns."""
     with subprocess.Popen(["candump", *words, "-r", str(RECEIVE_BYTES), vcan], cwd=folder, stdout=output) as process:
         try:
-            deadline_s = time.monotonic() + HANG_S
-            while LISTENERS.read_text(encoding="ascii").count(f" {vcan} ") < listener_count:
-                assert process.poll() is None
-                assert time.monotonic() < deadline_s
-                time.sleep(0.01)
+            wait_for_listener(vcan, listener_count, process)
             yield process
         finally:
             process.terminate()

@@ -73,7 +73,7 @@ def test_python_asks_by_tls_as_well(node: DoipServer, folder: Path) -> None:
     def asked(authority: str) -> list[str]:
         place = f"127.0.0.1:{tls_port(node)}"
         with diag_service.UdsTester(
-            doip=place, doip_authority=folder / authority, ecu=0x1011, is_active=True, timeout_s=20.0
+            doip=place, doip_authority=folder / authority, ecu=0x1011, is_active=True, timeout_s=HANG_S
         ) as tester:
             return [code.code for code in tester.trouble_codes(has_details=False)]
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,8 +11,10 @@ import time
 from pathlib import Path
 
 import can
+import cantools
 import pytest
 
+from dbc.contract import load_contract
 from ecu_emulator import __version__
 from ecu_emulator.cli import main
 from ecu_emulator.truth import read_truth, truth_path
@@ -39,7 +42,7 @@ def test_record_writes_log_and_truth(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert (result["shifts"], result["finished"]) == (10, True)
     assert truth.totals is not None
     assert (truth.totals.frames, truth.totals.shifts, len(truth.shifts)) == (len(lines), 10, 10)
-    assert "x real time" in captured.err
+    assert re.search(r"[\d.]+ s of driving in [\d.]+ s; truth in ", captured.err)
 
 
 def test_the_same_drive_gives_the_same_files(tmp_path: Path) -> None:
@@ -260,3 +263,17 @@ def test_unexpected_errors_are_one_line_too(
     assert error_line(capsys) == "ecu-emulator: error: unexpected RuntimeError: wires crossed"
     assert main(["scenarios", "-v"]) == 1
     assert "Traceback" in capsys.readouterr().err
+
+
+def test_the_database_of_the_car_is_printed_or_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "car.dbc"
+    assert main(["dbc"]) == 0
+    printed = capsys.readouterr().out
+    assert main(["dbc", "-o", str(path)]) == 0
+    assert path.read_bytes() == printed.encode()
+    database = cantools.database.load_file(path)
+    assert isinstance(database, cantools.database.can.Database)
+    assert {one.name for one in database.messages} == {one.name for one in load_contract().messages}
+    assert main(["dbc", "-o", str(path)]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert main(["dbc", "-o", str(tmp_path), "--force"]) == 4

@@ -25,6 +25,7 @@ from fleet_contract import Outgoing, shift_message
 from tests.plugins.broker import Mosquitto
 from tests.support.fleet import fleet_result, row_of
 from tests.support.fleet_worker import Step, worker
+from tests.support.patience import HANG_S
 from tests.support.poison import poison_messages
 from tests.support.resending_edge import ResendingEdge
 
@@ -194,7 +195,7 @@ def test_poison_is_kept_aside_and_does_not_delay_the_good(
         edge.keep(sent)
         edge.deliver()
         for info in infos:
-            info.wait_for_publish(120.0)
+            info.wait_for_publish(HANG_S)
         client.disconnect()
         client.loop_stop()
         _wait_until(lambda: len(queries.quarantined(engine, 5000)) == len(set(poison)))
@@ -208,7 +209,7 @@ def _is_dead(pid: int) -> bool:
     return not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
 
 
-def _wait_until(is_done: Callable[[], bool], timeout_s: float = 120.0) -> None:
+def _wait_until(is_done: Callable[[], bool], timeout_s: float = HANG_S) -> None:
     deadline_s = time.monotonic() + timeout_s
     while not is_done():
         assert time.monotonic() < deadline_s

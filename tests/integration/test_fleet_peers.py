@@ -1,6 +1,7 @@
 """What a fleet teaches, from the database to the table: what is usual, and who ages faster."""
 
 import json
+import shutil
 import sqlite3
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -39,19 +40,24 @@ def driven(vehicle: str, count: int, stretch: float) -> list[ShiftResult]:
     ]
 
 
-@pytest.fixture(name="address", scope="module")
-def _address(tmp_path_factory: pytest.TempPathFactory) -> str:
+@pytest.fixture(name="fleet", scope="module")
+def _fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Store a fleet in which the fluid of one lot ages three times as fast, and one vehicle has another calibration."""
-    folder: Path = tmp_path_factory.mktemp("fleet")
-    address = f"sqlite:///{folder / 'fleet.sqlite'}"
-    engine = open_database(address)
+    path: Path = tmp_path_factory.mktemp("fleet") / "fleet.sqlite"
+    engine = open_database(f"sqlite:///{path}")
     migrate(engine)
     results = [one for car in range(CARS) for one in driven(f"car{car}", 40 + car, 1000.0)]
     results += [one for car in FAST for one in driven(car, 50, 330.0)]
     rows = [row_of(one) for one in (*results, fleet_result(1, vehicle="other"))]
     Writer(engine).store(Batch(shifts=rows))
     engine.dispose()
-    return address
+    return path
+
+
+@pytest.fixture(name="address")
+def _address(fleet: Path, tmp_path: Path) -> str:
+    """Return a database of that fleet that is the test's own."""
+    return f"sqlite:///{shutil.copy(fleet, tmp_path)}"
 
 
 @pytest.fixture(name="table")

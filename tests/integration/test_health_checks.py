@@ -12,11 +12,11 @@ import pytest
 
 from tests.plugins.broker import Mosquitto, free_port
 from tests.support.image.compose import read_compose
+from tests.support.patience import HANG_S
 from tests.support.replay import INTERFACE, free_bus
 from tests.support.service import service
 
 SERVICES = read_compose(Path(__file__).parents[2] / "docker-compose.yml")["services"]
-HANG_S = 300.0
 
 
 def is_well(name: str, **replaced: str) -> bool:

@@ -21,6 +21,7 @@ from clutch_model.friction import FrictionLaw, kinetic_friction
 mu = kinetic_friction(10.0, FrictionLaw(0.1, 0.12, 5.0, 1.0, 0.1))
 print(*(name.rpartition(".")[2] for name in compiled))
 """
+REPOSITORY = Path(__file__).parents[2]
 COLD = {"kinetic_friction", "stribeck_weights"}
 
 
@@ -103,6 +104,12 @@ def test_a_law_that_moved_to_another_module_is_compiled_there(tmp_path: Path, ca
     checkout.move("friction", "lining_friction")
     assert checkout.compiled("lining_friction") == COLD
     assert checkout.compiled("lining_friction") == set()
+
+
+def test_the_time_of_a_first_compilation_is_told_in_one_way() -> None:
+    told = "takes up to a minute"
+    for page in ("docs/usage.md", "docs/python.md", "canlog/README.md", "canlog/kernel_cache.py"):
+        assert told in (REPOSITORY / page).read_text(encoding="utf-8"), page
 
 
 def test_machine_code_that_cannot_be_loaded_is_made_anew(tmp_path: Path, cache: Path) -> None:

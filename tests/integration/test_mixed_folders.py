@@ -15,6 +15,7 @@ import pytest
 from diag_service.batch.drives import find_drives
 from diag_service.cli import main
 from ecu_emulator.record import open_log
+from tests.support.patience import HANG_S
 from tests.support.traffic import START_NS, random_frames
 
 LINES = b"".join(b" (1767225600.%06d)  can0  0A0   [2]  %02X 01\n" % (k * 1_000, k) for k in range(50))
@@ -117,7 +118,7 @@ def test_what_may_not_be_read_is_listed_too(tmp_path: Path) -> None:
     # Root passes every permission bit unless it gives that up.
     without = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search") if os.getuid() == 0 else ()
     told = subprocess.run(
-        [*without, sys.executable, "-c", TELL, tmp_path], capture_output=True, text=True, check=True, timeout=100
+        [*without, sys.executable, "-c", TELL, tmp_path], capture_output=True, text=True, check=True, timeout=HANG_S
     )
     assert told.stdout.splitlines() == [
         "sealed: a folder without permission to read it",
@@ -129,6 +130,7 @@ TELL = """
 import sys
 from pathlib import Path
 from diag_service.batch.drives import sorted_out
+from tests.support.patience import HANG_S
 found, others = sorted_out(Path(sys.argv[1]))
 for one in others:
     print(f"{one.path.name}: {one.reason}")

@@ -19,6 +19,7 @@ from diag_service.batch.journal import Entry
 from diag_service.batch.tables import write_results
 from diag_service.diagnosis.results import shift_record
 from tests.support.builders import shift_result
+from tests.support.patience import HANG_S
 
 ODD = b"log\xe9-\xff[b]"  # Latin-1, no text at all, and what looks like rich's markup
 SHOWN = "log\\xe9-\\xff[b]"
@@ -56,7 +57,7 @@ def run_in_locale(locale: str, module: str, *words: str | Path, cwd: Path) -> To
         cwd=cwd,
         env={**os.environ, "LC_ALL": locale},
         capture_output=True,
-        timeout=300,
+        timeout=HANG_S,
         check=False,
     )
     return checked(done.returncode, done.stdout, done.stderr)

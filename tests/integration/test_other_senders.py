@@ -15,11 +15,11 @@ import pytest
 
 from canlog.live.opening import MulticastBus
 from ecu_emulator.other_senders import WORTH_SAYING, OtherSenders
+from tests.support.patience import HANG_S
 from tests.support.replay import UdpBus, free_bus
 from tests.support.service import service
 
 OWN = (0x0A0, 0x0B0)
-HANG_S = 300.0
 
 Ends = tuple[can.BusABC, can.BusABC]
 

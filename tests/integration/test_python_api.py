@@ -88,7 +88,9 @@ def test_it_is_what_json_prints_and_disturbs_nothing(drive_log: Path, capsys: py
     assert analysis.verdicts[2] == analysis.results[-1].verdict
     assert analysis.frames["decoded"] == analysis.summary["frames"]["decoded"] > 0
     assert repr(analysis).startswith(f"<diag_service.Analysis of {drive_log}: {SHIFT_COUNT} shifts, clutch 1 ")
-    assert str(drive_log) in analysis._repr_html_()
+    shown = analysis._repr_html_()
+    assert str(drive_log) in shown
+    assert [shown.lower().count(f"clutch {clutch}: ") for clutch in (1, 2)] == [1, 1]
     by_clutch = {row["clutch"]: row for row in analysis.clutches}
     assert [by_clutch[clutch]["shift_count"] for clutch in (1, 2)] == [
         analysis.verdicts[clutch].shift_count for clutch in (1, 2)

@@ -16,6 +16,7 @@ from clutch_model.calibration import nominal_calibration
 from fleet_contract import schema
 from tests.plugins.broker import Mosquitto, free_port
 from tests.plugins.drives import SHIFT_COUNT
+from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 from tests.support.replay import INTERFACE, free_bus
 from tests.support.service import PROGRAM, environment, run_service, service
@@ -286,3 +287,14 @@ def test_results_that_nobody_keeps_are_told(drive_log: Path, tmp_path: Path) -> 
 def test_version(tmp_path: Path) -> None:
     ended = run_service(tmp_path, "--version")
     assert (ended.status, ended.out) == (0, "diag-service 0.1.0\n")
+
+
+@pytest.mark.parametrize("command", ["analyze", "inspect", "signals"])
+def test_who_takes_a_store_for_a_log_is_told_what_shows_it(drive_log: Path, tmp_path: Path, command: str) -> None:
+    store = tmp_path / "car.sqlite"
+    assert ended("analyze", drive_log, "--store", store).status == 0
+    told = ended(command, store)
+    assert told.status == 2
+    assert told.err == (
+        f"diag-service: error: {store} is a store of results, no log: diag-service report {store} shows what is in it\n"
+    )

@@ -3,10 +3,7 @@
 import asyncio
 import socket
 import struct
-import subprocess
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -20,6 +17,7 @@ from canlog.live.frame_queue import FrameQueue
 from canlog.live.read_schedule import ReadSchedule
 from canlog.live.socketcan import SocketCanSource
 from canlog.logs import read_log
+from tests.support.bus_end import candump
 from tests.support.patience import HANG_S
 from tests.support.rough_bus import is_guest
 from tests.support.starvation import again_if_starved
@@ -54,22 +52,11 @@ def send_numbers(channel: str, count: int, *, gap_s: float = 0.0) -> int:
     return taken
 
 
-@contextmanager
-def candump(channel: str, path: Path) -> Iterator[None]:
-    """Record the bus with can-utils' candump, listening before this returns."""
-    with path.open("wb") as log, subprocess.Popen(["candump", "-L", channel], stdout=log) as process:
-        time.sleep(0.5)
-        yield
-        time.sleep(0.5)
-        process.terminate()
-
-
 async def test_a_candump_of_the_same_bus_is_identical(vcan: str, tmp_path: Path) -> None:
     path = tmp_path / "bus.log"
     with candump(vcan, path):
         source = await open_source("socketcan", vcan)
         collector = asyncio.create_task(collect(source))
-        await asyncio.sleep(0.5)
         sent = await asyncio.to_thread(send_numbers, vcan, 3_000, gap_s=0.0002)
         await source.aclose()
     live = join(await collector)

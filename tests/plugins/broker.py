@@ -14,7 +14,6 @@ import pytest
 from tests.support.patience import HANG_S
 
 _PROGRAM_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
-_START_S = 10.0
 
 
 class Mosquitto:
@@ -75,7 +74,7 @@ class Mosquitto:
             self._process = subprocess.Popen(
                 [_program("mosquitto"), "-c", str(self._config)], stdout=log, stderr=subprocess.STDOUT
             )
-        deadline_s = time.monotonic() + _START_S
+        deadline_s = time.monotonic() + HANG_S
         while True:
             with socket.socket() as probe:
                 if probe.connect_ex(("127.0.0.1", self.port)) == 0:

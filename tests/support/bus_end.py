@@ -11,26 +11,44 @@ from itertools import cycle
 from pathlib import Path
 from typing import Self
 
+import psutil
+
 from tests.support.patience import HANG_S
 from tests.support.wire import CONTRACTS, DATABASE
 
 _FRAME = struct.Struct("=IB3x8s")
 STRANGER_ID = 0x7A0  # in no database
 _QUIET_S = 0.5
+_RECEIVERS = Path("/proc/net/can")
 RECEIVE_BYTES = str(8 << 20)  # ten seconds of bus: what a busy machine may keep a program waiting for
+
+
+def listener_count(channel: str) -> int:
+    """Return how often the kernel hands frames of a bus on."""
+    return sum(path.read_text(encoding="ascii").count(f" {channel} ") for path in _RECEIVERS.glob("rcvlist_*"))
+
+
+def wait_for_listener(channel: str, count: int, process: "subprocess.Popen[bytes] | subprocess.Popen[str]") -> None:
+    """Return when a program that does not say so listens: when frames of the bus are handed on so often."""
+    deadline_s = time.monotonic() + HANG_S
+    while listener_count(channel) < count:
+        assert process.poll() is None
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
 
 
 @contextmanager
 def candump(channel: str, path: Path) -> Iterator[None]:
     """Record a bus with can-utils' candump, from before this yields until the bus has been quiet."""
+    before = listener_count(channel)
     with (
         path.open("wb") as log,
         subprocess.Popen(["candump", "-L", "-r", RECEIVE_BYTES, channel], stdout=log) as process,
     ):
-        time.sleep(_QUIET_S)
+        wait_for_listener(channel, before + 1, process)
         yield
-        written = -1
-        while written != path.stat().st_size:  # it may be behind
+        written, dump = -1, psutil.Process(process.pid)
+        while written != path.stat().st_size or dump.status() == psutil.STATUS_RUNNING:  # it may be behind
             written = path.stat().st_size
             time.sleep(_QUIET_S)
         process.terminate()

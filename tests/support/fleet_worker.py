@@ -16,7 +16,6 @@ from contextlib import asynccontextmanager, contextmanager
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Final
 
 from sqlalchemy import Connection, Engine, event
 
@@ -28,8 +27,7 @@ from fleet_backend.ingest import FILTERS, Inbox, Worker
 from fleet_backend.writer import Batch, Writer
 from fleet_contract import JsonObject, Outgoing
 from fleet_link import Message
-
-START_S: Final = 120.0
+from tests.support.patience import HANG_S
 
 
 class Step(StrEnum):
@@ -120,11 +118,11 @@ def worker(folder: Path, broker: str, database: str, *more: str, module: str = "
         yield child.pid
     finally:
         child.terminate()
-        child.wait(START_S)
+        child.wait(HANG_S)
 
 
 def _wait_for(log: Path, text: str, child: "subprocess.Popen[bytes]") -> None:
-    deadline_s = time.monotonic() + START_S
+    deadline_s = time.monotonic() + HANG_S
     while text not in log.read_text(encoding="utf-8"):
         assert child.poll() is None, log.read_text(encoding="utf-8")
         assert time.monotonic() < deadline_s, log.read_text(encoding="utf-8")

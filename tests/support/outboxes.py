@@ -9,6 +9,7 @@ from diag_service.delivery import Outbox
 from diag_service.diagnosis.results import ServiceStatus
 from diag_service.store import ResultStore, VehicleState, Versions
 from tests.support.builders import shift_result
+from tests.support.patience import HANG_S
 
 NOW: Final = "2026-01-01T00:00:00.000000Z"
 STATE: Final = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
@@ -39,7 +40,7 @@ async def sending(outbox: Outbox) -> AsyncIterator[asyncio.Task[None]]:
         await asyncio.gather(sender, return_exceptions=True)
 
 
-async def until(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+async def until(condition: Callable[[], bool], timeout_s: float = HANG_S) -> None:
     """Return when a condition holds that lives in another thread or process; fail the test if it never does."""
     async with asyncio.timeout(timeout_s):
         while not condition():  # noqa: ASYNC110 - nobody tells when it does

@@ -11,6 +11,7 @@ import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
 from fleet_contract import Outgoing
+from tests.support.patience import HANG_S
 
 RESEND_S: Final = 1.0  # first, then twice as long each time
 _CONNECT_S: Final = 0.05
@@ -51,7 +52,7 @@ class ResendingEdge:
         with self._changed:
             self._waiting |= {_key_of(message): message for message in messages}
 
-    def deliver(self, timeout_s: float = 120.0) -> None:
+    def deliver(self, timeout_s: float = HANG_S) -> None:
         """Send what is kept, again and again, until every receipt is here; fail the test if they never come."""
         deadline_s, pause_s = time.monotonic() + timeout_s, RESEND_S / 2.0
         while (count := self.waiting_count) > 0:

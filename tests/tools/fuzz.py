@@ -18,7 +18,7 @@ import tempfile
 import time
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
@@ -313,15 +313,24 @@ def check_batch(batch: FrameBatch) -> None:
     assert not batch.data[np.arange(batch.width) >= batch.length[:, None]].any()
 
 
-def fuzz(name: str, minutes: float, first_seed: int) -> int:
-    """Fuzz one reader; return how many logs it read."""
+def seeds(first: int, minutes: float) -> Iterator[int]:
+    """Return the numbers of the rounds: one after the other until the time is over, and one in any case."""
+    end_s = time.monotonic() + 60.0 * minutes
+    yield first
+    while time.monotonic() < end_s:
+        first += 1
+        yield first
+
+
+def fuzz(name: str, of_rounds: Iterable[int]) -> int:
+    """Fuzz one reader, a round for each of the numbers that its logs come from; return how many logs it read."""
     reader, sound = (READERS | ALONE)[name]
     sounds = sound if isinstance(sound, tuple) else (sound,)
     logs = st.one_of([(packed_contents if name == "blf-objects" else contents)(one) for one in sounds])
-    end_s, rounds = time.monotonic() + 60.0 * minutes, 0
-    while time.monotonic() < end_s:
+    rounds = 0
+    for of_round in of_rounds:
 
-        @seed(first_seed + rounds)
+        @seed(of_round)
         @settings(
             max_examples=EXAMPLES_PER_ROUND, deadline=None, database=None, suppress_health_check=list(HealthCheck)
         )
@@ -343,7 +352,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     for name in options.reader or READERS:
-        print(f"{name}: {fuzz(name, options.minutes, options.seed)} logs read, nothing wrong", flush=True)
+        print(f"{name}: {fuzz(name, seeds(options.seed, options.minutes))} logs read, nothing wrong", flush=True)
     return 0
 
 

@@ -30,6 +30,12 @@ def test_the_trace_itself_is_within() -> None:
         assert share_within_tolerance(one, t_s, np.interp(t_s, one.t_s, one.speed_m_s)) == 1.0
 
 
+def test_a_whole_drive_within_is_exactly_one_wherever_its_times_lie_in_memory() -> None:
+    for length in range(2, 2000):
+        t_s = np.linspace(0.0, 1e-3 * (length - 1), length)
+        assert share_within_tolerance(CONSTANT, t_s, np.full(length, 10.0)) == 1.0
+
+
 @pytest.mark.parametrize(("error_km_h", "is_within"), [
     (0.0, True), (1.99, True), (-1.99, True), (2.0, True), (-2.0, True), (2.01, False), (-2.01, False),
 ])  # fmt: skip

@@ -14,9 +14,9 @@ from fleet_backend.ingest import Inbox, Worker
 from fleet_backend.sign_of_life import answers, give_signs, prepare
 from fleet_backend.writer import Writer
 from tests.support.fleet import NOW
+from tests.support.patience import HANG_S
 
 PERIOD_S = 0.01
-HANG_S = 60.0
 
 
 @asynccontextmanager

@@ -133,6 +133,14 @@ def test_nothing_from_outside_becomes_markup(evil: str) -> None:
     assert json.loads(read(text).record)["vehicle"] == evil
 
 
+def test_one_shift_is_no_shifts() -> None:
+    found = findings(30)
+    (last, *rest) = found.latest
+    text = html(replace(found, latest=(replace(last, verdict=replace(last.verdict, shift_count=1)), *rest)))
+    assert f"Clutch {last.verdict.clutch}: running estimate from 1 shift<" in text
+    assert "1 shifts" not in text
+
+
 def test_a_history_without_anything_says_so() -> None:
     nothing = replace(findings(1), rows=(), latest=())
     text = html(nothing)

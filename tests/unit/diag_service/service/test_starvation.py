@@ -157,13 +157,13 @@ async def test_a_driver_that_fails_once_is_opened_again(
     with open_bus("virtual", "starvation") as sender:
         with monkeypatch.context() as patched:
             patched.setattr(type(sender), "_recv_internal", _fail)
-            await asyncio.wait_for(has_broken.wait(), 5.0)
+            await asyncio.wait_for(has_broken.wait(), HANG_S)
         async with asyncio.timeout(HANG_S):
             while 0x123 not in heard:
                 sender.send(can.Message(arbitration_id=0x123, is_extended_id=False))
                 await asyncio.sleep(0.01)
     await source.aclose()
-    await asyncio.wait_for(listening, 5.0)
+    await asyncio.wait_for(listening, HANG_S)
     assert heard[0] == "break"
     assert "is read again" in caplog.text
 

@@ -1,0 +1,49 @@
+"""The first moments of a program: Ctrl-C while it is loading."""
+
+import signal
+import subprocess
+import sys
+from importlib.metadata import distribution
+from pathlib import Path
+
+import pytest
+
+from tests.support.patience import HANG_S
+
+REPOSITORY = Path(__file__).parents[2]
+START = "import sys; from program_io.starting import run_program; sys.exit(run_program('slow_program'))"
+LOADING = f"import time\nprint('here', flush=True)\ntime.sleep({HANG_S})\n"
+RUNNING = f"import time\ndef main():\n    print('here', flush=True)\n    time.sleep({HANG_S})\n"
+ASKING = "import click\ndef main():\n    print('here', flush=True)\n    raise click.Abort\n"
+
+
+@pytest.mark.parametrize("source", [LOADING, RUNNING, ASKING], ids=["loading", "running", "asking"])
+def test_ctrl_c_ends_a_program_that_heeds_nothing_yet_without_a_word(tmp_path: Path, source: str) -> None:
+    (tmp_path / "slow_program.py").write_text(source, encoding="utf-8")
+    with subprocess.Popen(
+        [sys.executable, "-c", START],
+        env={"PYTHONPATH": f"{tmp_path}:{REPOSITORY}"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "here\n"
+        program.send_signal(signal.SIGINT)
+        out, err = program.communicate(timeout=HANG_S)
+    assert (program.returncode, out, err) == (130, "", "")
+
+
+def test_every_program_begins_so_and_loads_nothing_of_others_before() -> None:
+    scripts = [one for one in distribution("clutchdiag").entry_points if one.group == "console_scripts"]
+    assert len(scripts) == 4
+    for one in scripts:
+        code = (
+            f"import sys; before = set(sys.modules); from {one.module} import {one.attr}; "
+            "print({name.partition('.')[0] for name in set(sys.modules) - before} - sys.stdlib_module_names)"
+        )
+        told = subprocess.run(
+            [sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, check=True, timeout=HANG_S
+        )
+        loaded = eval(told.stdout)  # noqa: S307 - what the line above printed
+        assert loaded <= {"canlog", "program_io", one.module.partition(".")[0]}
