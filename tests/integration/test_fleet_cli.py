@@ -151,7 +151,7 @@ def test_a_new_sqlite_database_is_made_ready_by_migrate(capsys: pytest.CaptureFi
         (["ingest"], 2, "no broker"),
         (["ingest", "--broker", "mqtt://x", "--batch", "0"], 2, "a batch must be"),
         (["alarms", "--acknowledge", "good", "--clutch", "1"], 2, "no alarm"),
-        (["fill", "good", "oil", "--at", "never"], 2, "no date"),
+        (["fill", "good", "oil", "--at", "never"], 2, "not a date"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_line(
