@@ -1,8 +1,8 @@
 """The order for each vehicle by what the database holds: the last result of each clutch, and the fluid that is in."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
+from operator import itemgetter
 from typing import Any, Final
 
 from sqlalchemy import Connection, RowMapping, select
@@ -13,16 +13,11 @@ from fleet_contract.orders import NO_VERDICT, UNKNOWN_FLUID, Finding, is_of_earl
 
 Row = Mapping[str, Any] | RowMapping
 # What a row keeps of a clutch whose fluid was changed since: all else is of the earlier one.
-_KEPT: Final = ("place", "vehicle", "clutch", "end_at", "stored_at", "odometer_m", "stream", "seq")
-_VERSIONS: Final = ("algorithm_version", "calibration_version")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PresentFluid:
-    """The fluid that is in."""
-
-    filled_at: datetime
-    product: str
+_KEPT: Final = frozenset({
+    *("place", "vehicle", "clutch", "end_at", "stored_at", "odometer_m", "stream", "seq"),
+    *("algorithm_version", "calibration_version"),
+})  # fmt: skip
+PresentFluid = tuple[datetime, str]  # since when which fluid is in
 
 
 def present_fluids(connection: Connection, vehicles: Sequence[str] | None = None) -> dict[str, PresentFluid]:
@@ -33,8 +28,8 @@ def present_fluids(connection: Connection, vehicles: Sequence[str] | None = None
         statement = statement.where(table.vehicle.in_(vehicles))
     known: dict[str, list[PresentFluid]] = {}
     for row in connection.execute(statement):
-        known.setdefault(row.vehicle, []).append(PresentFluid(filled_at=row.filled_at, product=row.product))
-    return {vehicle: distinct(own, lambda one: one.filled_at)[-1] for vehicle, own in known.items()}
+        known.setdefault(row.vehicle, []).append((row.filled_at, row.product))
+    return {vehicle: distinct(own, itemgetter(0))[-1] for vehicle, own in known.items()}
 
 
 def with_orders(rows: Iterable[Row], fluids: Mapping[str, PresentFluid]) -> list[dict[str, Any]]:
@@ -43,14 +38,12 @@ def with_orders(rows: Iterable[Row], fluids: Mapping[str, PresentFluid]) -> list
     for row in rows:
         by_vehicle.setdefault(row["vehicle"], []).append(dict(row))
     for vehicle, own in by_vehicle.items():
-        fluid = fluids.get(vehicle)
-        filled_at = None if fluid is None else fluid.filled_at
+        filled_at, product = fluids.get(vehicle, (None, own[0]["fluid"]))
         order = order_of(map(_finding, own), filled_at)
-        news = {"action": order.action.value, "order": order.text, "fluid_since": filled_at}
-        news |= {} if fluid is None else {"fluid": fluid.product}
+        news = {"action": order.action.value, "order": order.text, "fluid_since": filled_at, "fluid": product}
         for row in own:
             if is_of_earlier_fluid(row["end_at"], filled_at):
-                row.update(dict.fromkeys(row.keys() - {*_KEPT, *_VERSIONS}), condition=NO_VERDICT, shift_count=0)
+                row.update(dict.fromkeys(row.keys() - _KEPT), condition=NO_VERDICT, shift_count=0)
                 row.update(condition_reason=UNKNOWN_FLUID, advice=unseen_since_new(row["clutch"]))
             row.update(news)
     return [row for own in by_vehicle.values() for row in own]
@@ -68,10 +61,10 @@ def without_old_fluid(connection: Connection, alarms: Iterable[Row]) -> list[dic
     told = [dict(alarm) for alarm in alarms]
     fluids = present_fluids(connection, sorted({one["vehicle"] for one in told if one["cleared_at"] is None}))
     for one in told:
-        fluid = fluids.get(one["vehicle"])
-        if one["cleared_at"] is None and fluid is not None and is_of_earlier_fluid(one["raised_at"], fluid.filled_at):
-            is_over = not is_alarming_since(connection, one["vehicle"], one["clutch"], fluid.filled_at)
-            one["cleared_at"] = fluid.filled_at if is_over else None
+        filled_at, _ = fluids.get(one["vehicle"], (None, ""))
+        if one["cleared_at"] is None and filled_at is not None and one["raised_at"] <= filled_at:
+            is_over = not is_alarming_since(connection, one["vehicle"], one["clutch"], filled_at)
+            one["cleared_at"] = filled_at if is_over else None
     return told
 
 

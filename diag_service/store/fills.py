@@ -40,7 +40,10 @@ def all_fills(sql: sqlite3.Connection, vehicle: str) -> list[FluidFill]:
     """Return all fills of a vehicle, withdrawn ones too, the earliest first; none in a store of an earlier program."""
     if not sql.execute("SELECT 1 FROM sqlite_master WHERE name = 'fill'").fetchone():
         return []
-    return [_fill(*row) for row in sql.execute("SELECT * FROM fill WHERE vehicle = ? ORDER BY filled_at", (vehicle,))]
+    cursor = sql.execute("SELECT * FROM fill WHERE vehicle = ? ORDER BY filled_at", (vehicle,))
+    names = [column for column, *_ in cursor.description]
+    rows = (dict(zip(names, row, strict=True)) for row in cursor)
+    return [FluidFill(**{**row, "is_withdrawn": bool(row.get("is_withdrawn"))}) for row in rows]
 
 
 def read_fills(sql: sqlite3.Connection, vehicle: str) -> list[FluidFill]:
@@ -106,16 +109,3 @@ def _open(path: Path) -> sqlite3.Connection:
 
 def _moment(fill: FluidFill) -> datetime:
     return datetime.fromisoformat(fill.filled_at)
-
-
-def _fill(
-    vehicle: str, filled_at: str, odometer_m: float | None, product: str | None, note: str | None, gone: int = 0
-) -> FluidFill:
-    return FluidFill(
-        vehicle=vehicle,
-        filled_at=filled_at,
-        odometer_m=odometer_m,
-        product=product,
-        note=note,
-        is_withdrawn=bool(gone),
-    )

@@ -213,3 +213,43 @@ def test_a_page_for_everybody_is_refused(capsys: pytest.CaptureFixture[str], fil
     assert main(["serve", "--database", str(filled.url), "--listen", "0.0.0.0:8090"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "others could read the fleet there without a login" in line
+
+
+def test_a_fill_closes_the_order_in_the_table_and_is_taken_back(
+    capsys: pytest.CaptureFixture[str], filled: Engine
+) -> None:
+    before = told_json(capsys, filled, "table")
+    assert {row["action"] for row in before if row["vehicle"] == "worn"} == {"change_now"}
+    told(capsys, filled, "fill", "worn", "DCTF-II", "--at", "2026-03-01", "--odometer-km", "1")
+    closed = [row for row in told_json(capsys, filled, "table") if row["vehicle"] == "worn"]
+    assert {(row["condition"], row["action"], row["mu_c"]) for row in closed} == {("no_verdict", "new_fluid", None)}
+    assert "New fluid since 2026-03-01 00:00 UTC: nothing is known of it yet." in told(capsys, filled, "table")
+    assert "change_fluid" not in told(capsys, filled, "alarms", "--json")
+    (alarm,) = [one for one in told_json(capsys, filled, "alarms", "--all") if one["alarm"] == "clutch"]
+    assert alarm["cleared_at"] == "2026-03-01T00:00:00+00:00"
+    told(capsys, filled, "fill", "worn", "--undo")
+    assert told_json(capsys, filled, "table") == before
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["DCTF", "--at", "2026-03-01", "--odometer-km", "61200"], "the odometer cannot read 61,200 km: it read 1 km"),
+        (["DCTF", "--odometer-km", "99999999", "--insist"], ""),
+        (["--undo"], "no fill of worn is noted"),
+        ([], "which fluid? give its name"),
+    ],
+)
+def test_a_fill_that_cannot_be_is_refused(
+    capsys: pytest.CaptureFixture[str], filled: Engine, words: list[str], why: str
+) -> None:
+    database = filled.url.render_as_string(hide_password=False)
+    assert main(["fill", "--database", database, "worn", *words]) == (2 if why else 0)
+    assert why in capsys.readouterr().err
+
+
+def test_a_fill_noted_twice_within_a_day_is_one(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
+    told(capsys, filled, "fill", "worn", "DCTF", "--at", "2026-03-01T12:00")
+    database = filled.url.render_as_string(hide_password=False)
+    assert main(["fill", "--database", database, "worn", "DCTF", "--at", "2026-03-02T11:00"]) == 2
+    assert "is noted already" in capsys.readouterr().err

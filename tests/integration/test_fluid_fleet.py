@@ -11,7 +11,7 @@ from sqlalchemy import Engine, select
 
 from diag_service.delivery import DeliveryLimits, MqttConnector, Outbox
 from diag_service.diagnosis.records import FluidFill
-from diag_service.store import ResultStore
+from diag_service.store import ResultStore, withdraw_fill
 from fleet_backend import queries
 from fleet_backend.broker import connected
 from fleet_backend.choices import Pace
@@ -100,3 +100,25 @@ async def test_fills_travel_both_ways_and_survive_a_restart_of_everything(
         FluidFill(vehicle="car1", filled_at="2026-02-01T12:00:00.000000Z", product="DCTF 75W", note="workshop"),
     ]
     assert len(known_to_the_fleet(engine)) == 2
+
+
+async def test_a_fill_that_is_taken_back_at_either_end_is_so_at_both(
+    broker: Mosquitto, engine: Engine, tmp_path: Path
+) -> None:
+    path = tmp_path / "car1.sqlite"
+    async with world(broker, engine, path) as store:
+        put(store, range(1, 4))
+        store.add_fills([OWN])
+        await until(lambda: len(known_to_the_fleet(engine)) == 1)
+    queries.note_fill(engine, "car1", "DCTF 75W", at=OF_THE_FLEET, odometer_m=None, note=None)
+    queries.withdraw_fill(engine, "car1", datetime(2026, 1, 1, tzinfo=UTC), by="ann")
+    async with world(broker, engine, path) as store:
+        await until(lambda: [fill.product for fill in store.fills("car1")] == ["DCTF 75W"])
+    withdraw_fill(path, "car1", None)
+    async with world(broker, engine, path) as store:
+        await until(lambda: known_to_the_fleet(engine) == [])
+        assert store.fills("car1") == []
+    async with world(broker, engine, path) as store:  # nothing that is told brings them back
+        put(store, [4])
+        await until(lambda: store.unpublished_count("car1") == 0)
+        assert (store.fills("car1"), known_to_the_fleet(engine)) == ([], [])

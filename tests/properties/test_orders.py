@@ -18,7 +18,7 @@ from diag_service.diagnosis.records import Condition, FluidFill, ShiftResult
 from diag_service.diagnosis.results import clutch_record, iso_utc, shift_record, utc_from_bus_ns
 from diag_service.diagnosis.summary import of_present_fluid, order_by
 from diag_service.report.page import advice_of
-from fleet_backend.orders import PresentFluid, with_orders
+from fleet_backend.orders import with_orders
 from fleet_backend.page import wording
 from fleet_contract.orders import Action, Order
 from tests.support.builders import shift_result
@@ -175,7 +175,7 @@ def test_all_who_tell_tell_the_same(known: list[ShiftResult], fluid: FluidFill |
     rows = [
         {**row_of(one), "shift_count": one.verdict.shift_count, "fluid": None, "fluid_since": None} for one in known
     ]
-    filled = {} if fluid is None else {"car1": PresentFluid(filled_at=moment_of(fluid), product="DCTF-II")}
+    filled = {} if fluid is None else {"car1": (moment_of(fluid), "DCTF-II")}
     states = of_present_fluid(known, fluid)
     for row, state in zip(with_orders(rows, filled), states, strict=True):
         told = clutch_record(shift_record(state), order)
