@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array
+from canlog.parquet.compact import varint
 from canlog.parquet.packing import (
     DELTA_BLOCK,
     GROUP,
@@ -13,7 +14,6 @@ from canlog.parquet.packing import (
     index_keys,
     pack_differences,
     pack_presence,
-    pack_repeated,
     pack_runs,
 )
 
@@ -56,17 +56,10 @@ class Packer:
         """Return which of some values each row has, as a page of Parquet has it: a width, then runs and packed bits."""
         width = bits_for(value_count)
         if value_count == 1:
-            return self.repeated(index[:1], np.array([len(index)], np.int32), value_count)
+            return bytes([width]) + _run(len(index), 0)
         out = self._room((len(index) + GROUP) * width // 8 + (len(index) // GROUP + 2) * _HEAD_BYTES)
         out[0] = width
         return out[: 1 + pack_runs(index, width, out[1:])].tobytes()
-
-    def repeated(self, index: Int32Array, repeats: Int32Array, value_count: int) -> bytes:
-        """Return the same where row k stands for ``repeats[k]`` rows."""
-        width = bits_for(value_count)
-        out = self._room((len(index) + 1) * _HEAD_BYTES)
-        out[0] = width
-        return out[: 1 + pack_repeated(index, repeats, width, out[1:])].tobytes()
 
     def differences(self, value: Int64Array) -> bytes:
         """Return whole numbers that differ little from each other."""
@@ -80,12 +73,17 @@ class Packer:
 
     def everywhere(self, count: int) -> bytes:
         """Return that all of ``count`` rows have a value."""
-        return self.repeated(np.ones(1, np.int32), np.array([count], np.int32), 2)[1:]  # without the width
+        return _run(count, 1)
 
     def _room(self, size: int) -> UInt8Array:
         if len(self._out) < size:
             self._out = np.empty(size, np.uint8)
         return self._out
+
+
+def _run(length: int, value: int) -> bytes:
+    """Return a run of a value of up to eight bits."""
+    return varint(length << 1) + bytes([value])
 
 
 def bits_for(value_count: int) -> int:

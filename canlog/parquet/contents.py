@@ -38,11 +38,7 @@ def numbers(distinct: FloatArray, index: Int32Array, packer: Packer) -> Content:
     """Return numbers: the different ones, and which of them each row has."""
     if len(distinct) > MOST_DISTINCT_SHARE * len(index):
         return Content(PLAIN, distinct[index].tobytes(), _number_limits(distinct))
-    return coded_numbers(distinct, packer.runs(index, len(distinct)))
-
-
-def coded_numbers(distinct: FloatArray, body: bytes) -> Content:
-    """Return numbers of which ``body``, made by a packer, says which each row has."""
+    body = packer.runs(index, len(distinct))
     return Content(DICTIONARY, body, _number_limits(distinct), distinct.tobytes(), len(distinct))
 
 

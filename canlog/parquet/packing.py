@@ -154,20 +154,6 @@ def pack_runs(index: Int32Array, width: int, out: UInt8Array) -> int:
 
 
 @array_kernel
-def pack_repeated(index: Int32Array, repeats: Int32Array, width: int, out: UInt8Array) -> int:
-    """Write numbers, each as often as ``repeats`` says, as runs; return how many bytes that took."""
-    at = row = 0
-    while row < index.size:
-        value, length = index[row], 0
-        while row < index.size and index[row] == value:
-            length += repeats[row]
-            row += 1
-        if length:
-            at = put_run(out, at, length, value, width)
-    return at
-
-
-@array_kernel
 def pack_presence(row: Int64Array, count: int, out: UInt8Array) -> int:
     """Write which of ``count`` rows have a value, as definition levels of 0 and 1; return how many bytes that took.
 

@@ -23,12 +23,10 @@ from canlog.tables.layouts import LongLayout, Values, WideLayout
 from canlog.tables.long_rows import LongRows
 from canlog.tables.names import TableNames, table_names
 from canlog.tables.outputs import TableFormat
-from canlog.tables.parquet_long import LongParquet
-from canlog.tables.parquet_messages import MessageParquet
-from canlog.tables.parquet_tables import GROUP_FRAMES, GROUP_VALUES, WideParquet
 from canlog.tables.selection import EVERYTHING, Span, chosen_places
 from canlog.tables.sinks import ColumnRows, MessageRows, TableSink
 from canlog.tables.table_folder import TableFolder, message_files, table_folder
+from canlog.tables.wide_parquet import GROUP_FRAMES, GROUP_VALUES, WideParquet
 from canlog.whole_file import replacing
 
 MAX_CELLS: Final = 4_000_000  # of a row group: 32 MB of numbers
@@ -83,10 +81,8 @@ class Plan:
             return replace(self, span=span)
         return replace(self, span=span, codec=self.codec.only(chosen_places(self.names.columns, signals)))
 
-    def widest(self, origins: Origins | None = None) -> WideLayout | LongLayout:
-        """Return the columns that any log of the database can need."""
-        if self.shape is TableShape.LONG:
-            return LongLayout(self.codec.tables, self.names, self.values, origins)
+    def widest(self, origins: Origins | None = None) -> WideLayout:
+        """Return the wide columns that any log of the database can need."""
         return WideLayout(self.codec.tables, self.names, self.values, range(len(self.codec.tables)), origins)
 
     def layout(
@@ -94,7 +90,7 @@ class Plan:
     ) -> WideLayout | LongLayout:
         """Return the columns; for wide rows all frames are looked at, for the messages that occur are the columns."""
         if self.shape is TableShape.LONG:
-            return self.widest(origins)
+            return LongLayout(self.codec.tables, self.names, self.values, origins)
         seen: set[int] = set()
         together = LongRows(self.codec, self.pairs)
         for stretch in together.stretches(batches()):
@@ -104,7 +100,7 @@ class Plan:
         return WideLayout(self.codec.tables, self.names, self.values, sorted(seen), origins)
 
     def size(self, layout: WideLayout | LongLayout | None = None, *, is_live: bool = False) -> GroupSize:
-        """Return how much a group of rows holds: of Parquet, or of columns that are all in memory.
+        """Return how much a group of rows holds whose columns are all in memory.
 
         ``layout`` are these columns; None: of one message only.
         """
@@ -115,8 +111,8 @@ class Plan:
         return GroupSize(frames=self.max_frames, values=values, is_live=is_live)
 
     @property
-    def size_of_parquet(self) -> GroupSize:
-        """Return how much a group of rows of Parquet holds."""
+    def size_of_wide_parquet(self) -> GroupSize:
+        """Return how much a group of rows holds whose columns take no memory for what is null."""
         return GroupSize(frames=self.max_frames, values=self.max_values)
 
 
@@ -208,14 +204,11 @@ class _Writing:
 
     def _sink(self, output: BinaryIO | TableFolder, account: DecodeAccount) -> tuple[TableSink, GroupSize]:
         """Return what takes the frames, and how many at a time."""
-        plan, origins, is_parquet = self.plan, self.logs.origins, self.table_format is TableFormat.PARQUET
+        plan, origins = self.plan, self.logs.origins
         if isinstance(output, TableFolder):
-            if is_parquet:
-                return MessageParquet(output, account, plan.values, origins), plan.size_of_parquet
             return MessageRows(output, self.table_format, account, plan.values, origins), plan.size()
-        if is_parquet:
-            kind = WideParquet if plan.shape is TableShape.WIDE else LongParquet
-            return kind(ColumnFile(output), account, plan.widest(origins), origins), plan.size_of_parquet
+        if self.table_format is TableFormat.PARQUET and plan.shape is TableShape.WIDE:
+            return WideParquet(ColumnFile(output), account, plan.widest(origins), origins), plan.size_of_wide_parquet
         if self.table_format is TableFormat.MF4:
             from canlog.tables.mf4_table import Mf4Table  # noqa: PLC0415 - for this format alone
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from canlog.arrays import BoolArray, Int64Array
-from canlog.database.addressing import NOBODY, rows_by_slot
+from canlog.database.addressing import NOBODY
 from canlog.decode.codec import Codec, FrameFate
 from canlog.frame_columns import join
 from canlog.frames import PAYLOAD_BYTES, FrameBatch
@@ -36,21 +36,6 @@ class FrameGroup:
         slot = self.slot.copy()
         slot[self.long.rows] = NOBODY
         return slot
-
-    def by_message(self) -> Iterator[tuple[int, "FrameGroup"]]:
-        """Yield the messages that occur, each with its rows."""
-        for slot, rows in rows_by_slot(self.slot, len(self.has_short)):
-            yield (
-                slot,
-                FrameGroup(
-                    frames=self.frames[rows],
-                    slot=self.slot[rows],
-                    channel=self.channel[rows],
-                    log=None if self.log is None else self.log[rows],
-                    has_short=self.has_short,
-                    long=None if self.long is None else self.long.among(rows),
-                ),
-            )
 
 
 @dataclass(slots=True)

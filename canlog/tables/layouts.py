@@ -181,10 +181,6 @@ class LongLayout(TableLayout):
         """What is to be known of columns."""
         return {}
 
-    def described(self, slots: Collection[int]) -> tuple[dict[str, str], dict[str, dict[str, str]]]:  # noqa: ARG002 - as of wide ones
-        """Return both: they are always the same."""
-        return self.kinds, self.metadata
-
     def columns(self, group: FrameGroup, found: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
         """Return the number of rows and the columns of one row group, in their order."""
         parts = [part for one in found for part in self._parts(one)]
@@ -273,7 +269,7 @@ def _name_column(names: Sequence[str], which: Int32Array) -> Column:
     arrow = load_pyarrow()
     known = {name: code for code, name in enumerate(dict.fromkeys(names))}
     codes = np.array([*(known[name] for name in names), NAMELESS], np.int32)[which]  # NAMELESS is the last place, too
-    indices = _column(codes, codes != NAMELESS)
+    indices = _column(np.maximum(codes, 0), codes != NAMELESS)  # readers check the codes of what is null as well
     return arrow.DictionaryArray.from_arrays(indices, arrow.array(list(known), arrow.string()))
 
 

@@ -46,14 +46,6 @@ class LongPayloads:
             rows=self.rows[kept] - start, slot=self.slot[kept], length=self.length[kept], data=self.data[kept]
         )
 
-    def among(self, rows: Int64Array) -> "LongPayloads | None":
-        """Return those in some rows, rising, which are counted by their places there; None if there are none."""
-        is_meant = np.isin(self.rows, rows)
-        if not is_meant.any():
-            return None
-        kept = {name: getattr(self, name)[is_meant] for name in ("slot", "length", "data")}
-        return LongPayloads(rows=np.searchsorted(rows, self.rows[is_meant]), **kept)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:

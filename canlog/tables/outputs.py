@@ -1,4 +1,4 @@
-"""The formats that tables are written in, and how columns become CSV, JSON lines and the stream format of Arrow."""
+"""The formats that tables are written in, and how columns become Parquet, CSV, JSON lines and a stream of Arrow."""
 
 import json
 import math
@@ -7,7 +7,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Any, BinaryIO, Final, Protocol
 
-from canlog.parquet_file import NAME_TYPE, TIME_TYPE, arrow_schema, load_pyarrow
+from canlog.parquet_file import NAME_TYPE, TIME_TYPE, ParquetTable, arrow_schema, load_pyarrow
 
 
 class TableFormat(StrEnum):
@@ -58,7 +58,7 @@ def open_columns(
     kinds: Mapping[str, str],
     metadata: Mapping[str, Mapping[str, str]],
 ) -> ColumnSink:
-    """Begin a table of columns as text or as a stream of Arrow, named with their types as of ``ParquetTable``.
+    """Begin a table of columns, named with their types as of ``ParquetTable``.
 
     Raises
     ------
@@ -66,6 +66,8 @@ def open_columns(
         If pyarrow is not installed.
     """
     match table_format:
+        case TableFormat.PARQUET:
+            return ParquetTable(output, kinds, metadata)
         case TableFormat.CSV:
             return _Csv(output, kinds)
         case TableFormat.JSON_LINES:

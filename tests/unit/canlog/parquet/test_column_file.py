@@ -135,6 +135,3 @@ def test_runs_and_packed_bits_follow_the_specification(most: int) -> None:
             values = np.repeat(rng.integers(0, most, count), rng.integers(1, longest + 1, count))[:count]
             index = values.astype(np.int32)
             assert hybrid_values(packer.runs(index, most), count) == values.tolist()
-        repeats = rng.integers(0, 5, count).astype(np.int32)
-        expected = np.repeat(values, repeats).tolist()
-        assert hybrid_values(packer.repeated(index, repeats, most), len(expected)) == expected

@@ -1,6 +1,5 @@
-"""Decoded frames as wide and long Parquet: time and space go by the values that there are, not by the cells."""
+"""Decoded frames as wide Parquet: time and space go by the values that there are, not by the cells."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Final
@@ -19,15 +18,15 @@ from canlog.tables.coded_signals import NAMELESS, CodedSignal, coded_signal
 from canlog.tables.frame_contents import frame_contents
 from canlog.tables.frame_stock import FrameGroup
 from canlog.tables.inputs import Origins
-from canlog.tables.layouts import LongLayout, Values, WideLayout
+from canlog.tables.layouts import Values, WideLayout
 from canlog.tables.names import TEXT_SUFFIX, Place
 
 GROUP_FRAMES: Final = 1_048_576  # of a group of rows, at most
 GROUP_VALUES: Final = 4_718_592  # likewise
 
 
-class ParquetRows(ABC):
-    """What wide and long tables share.
+class WideParquet:
+    """A row per frame, and a column for each signal of the messages that occur.
 
     Parameters
     ----------
@@ -42,26 +41,54 @@ class ParquetRows(ABC):
     """
 
     def __init__(
-        self, file: ColumnFile, account: DecodeAccount, layout: WideLayout | LongLayout, origins: Origins | None = None
+        self, file: ColumnFile, account: DecodeAccount, layout: WideLayout, origins: Origins | None = None
     ) -> None:
         self._file = file
         self._account = account
-        self._tables = account.codec.tables
         self._layout = layout
         self._names = layout.names
         self._values = layout.values
         self._origins = origins
 
-    @abstractmethod
     def write_group(self, group: FrameGroup) -> None:
-        """Write frames as a group of rows."""
+        """Write frames, a row for each."""
+        count = len(group)
+        everywhere = self._file.everywhere(count)
+        kinds = self._layout.frame_kinds
+        for name, content in frame_contents(group, self._names.messages, self._origins, self._file.packer).items():
+            self._file.add(name, kinds[name], everywhere, content)
+        for one in self._carriers(group):
+            levels = self._file.levels(one.frames, count)
+            for name in one.signals:
+                coded = self._coded(one, name)
+                if len(one.frames):
+                    self._write_signal((one.slot, name), one.frames, levels, coded)
+        self._file.end_group(count)
+        self._account.row_count += count
+
+    def _write_signal(self, place: Place, frames: Int64Array, levels: Levels, coded: CodedSignal) -> None:
+        """Write the numbers of a signal in some frames, and its texts if they are wanted."""
+        column, values, index = self._names.columns[place], coded.values, coded.index
+        texts, file = self._layout.texts.get(place), self._file
+        if texts is not None and coded.texts is not None:
+            code = coded.texts[index]
+            is_named = code != NAMELESS
+            if is_named.any():
+                named = file.levels(frames[is_named], levels.row_count)
+                body = file.packer.runs(code[is_named], len(texts.names))
+                file.add(column + TEXT_SUFFIX, NAME_TYPE, named, contents.names(texts.names, body))
+                if self._values is Values.TEXTS:
+                    values, index = without(coded.texts != NAMELESS, values, index)
+                    levels = file.levels(frames[~is_named], levels.row_count)
+        if levels.present_count:
+            file.add(column, "float64", levels, contents.numbers(values, index, file.packer))
 
     def close(self) -> None:
         """Write the end of the file."""
         kinds, notes = self._layout.described(self._account.seen_slots)
         self._file.close(kinds, notes)
 
-    def discard(self) -> None:  # noqa: B027 - nothing else is to be done
+    def discard(self) -> None:
         """Leave what there is: without its end it is no file of this kind."""
 
     def _carriers(self, group: FrameGroup) -> Iterable[Carriers]:
@@ -105,43 +132,6 @@ def _payloads(
     data[:, : frames.width] = frames.data[rows]
     data[place, : long.data.shape[1]] = long.data
     yield rows, group.slot[rows], data, length
-
-
-class WideParquet(ParquetRows):
-    """A row per frame, and a column for each signal of the messages that occur."""
-
-    def write_group(self, group: FrameGroup) -> None:
-        """Write frames, a row for each."""
-        count = len(group)
-        everywhere = self._file.everywhere(count)
-        kinds = self._layout.frame_kinds
-        for name, content in frame_contents(group, self._names.messages, self._origins, self._file.packer).items():
-            self._file.add(name, kinds[name], everywhere, content)
-        for one in self._carriers(group):
-            levels = self._file.levels(one.frames, count)
-            for name in one.signals:
-                coded = self._coded(one, name)
-                if len(one.frames):
-                    self._write_signal((one.slot, name), one.frames, levels, coded)
-        self._file.end_group(count)
-        self._account.row_count += count
-
-    def _write_signal(self, place: Place, frames: Int64Array, levels: Levels, coded: CodedSignal) -> None:
-        """Write the numbers of a signal in some frames, and its texts if they are wanted."""
-        column, values, index = self._names.columns[place], coded.values, coded.index
-        texts, file = self._layout.texts.get(place), self._file
-        if texts is not None and coded.texts is not None:
-            code = coded.texts[index]
-            is_named = code != NAMELESS
-            if is_named.any():
-                named = file.levels(frames[is_named], levels.row_count)
-                body = file.packer.runs(code[is_named], len(texts.names))
-                file.add(column + TEXT_SUFFIX, NAME_TYPE, named, contents.names(texts.names, body))
-                if self._values is Values.TEXTS:
-                    values, index = without(coded.texts != NAMELESS, values, index)
-                    levels = file.levels(frames[~is_named], levels.row_count)
-        if levels.present_count:
-            file.add(column, "float64", levels, contents.numbers(values, index, file.packer))
 
 
 def without(is_left_out: BoolArray, values: FloatArray, index: Int32Array) -> tuple[FloatArray, Int32Array]:
