@@ -91,7 +91,7 @@ def test_all_brief_and_masked_codes(bus: can.BusABC, controller: Controller) -> 
 
 def test_codes_are_cleared_and_nobody_is_asked_before() -> None:
     with failing_car("python clears"), can.Bus("python clears", "virtual") as bus, asker(bus) as tester:
-        with pytest.raises(diag_service.ConfigError, match=r"P2787 is not among .* tells: P0811, P0218"):
+        with pytest.raises(diag_service.ConfigError, match=r"P2787 is not among .* reports: P0811, P0218"):
             tester.clear_trouble_codes("P2787")
         with pytest.raises(diag_service.RefusedError, match="request out of range"):
             tester.clear_trouble_codes(0x123456)

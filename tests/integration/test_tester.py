@@ -157,7 +157,7 @@ def test_codes_are_cleared_one_by_one_and_all_together(monkeypatch: pytest.Monke
         assert shown.endswith("what is left:\nno trouble codes\n")
         assert (controller.state.memory.records[SUMP].status, controller.state.session) == (CLEARED, 1)
         away = ended("dtc", "--clear", "P2787", *bus, "--active")
-        away.assert_one_line(2, "P2787 is not among the trouble codes that the controller tells: none")
+        away.assert_one_line(2, "P2787 is not among the trouble codes that the controller reports: none")
         unknown = ended("dtc", "--clear", "123456", *bus, "--active")
         unknown.assert_one_line(3, "refuses 14 12 34 56: request out of range (31)")
 
@@ -334,7 +334,7 @@ def test_silence_is_told_in_one_line(car: Vehicle) -> None:
         (["dtc", "--mask", "1FF"], 2, "--mask must be hexadecimal, 0 to FF"),
         (["dtc", "--timeout", "0"], 2, "--timeout must be 0.001 to 3600 s, got 0"),
         (["dtc", "--listen", "nan"], 2, "--listen must be 0 to 3600 s, got nan"),
-        (["did", "no such", "-d", "dct"], 2, "'no such' is no datum"),
+        (["did", "no such", "-d", "dct"], 2, "'no such' is not a datum"),
         (["routine", "1", "start", "--unlock", "2=00"], 2, "--unlock must be LEVEL=MASK"),
         (["routine", "1", "start", "--options", "0"], 2, "--options must be hexadecimal bytes"),
         (["dtc", "--clear", "oil"], 2, "--clear must be all, obd, a code such as P0811 or P0811-07, or three bytes"),
