@@ -45,6 +45,14 @@ class SilentError(ControllerError):
     """A controller did not answer in time: check its address, or ask again later."""
 
 
+class PendingError(SilentError):
+    """A controller asked for more time again and again, and never answered: ask later."""
+
+
+class MalformedError(ControllerError):
+    """A controller's answer breaks the rules of the standard: nothing that it says is believed."""
+
+
 class RefusedError(ControllerError):
     """A controller answered that it will not; ``code`` is its negative response code."""
 

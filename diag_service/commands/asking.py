@@ -31,8 +31,8 @@ def ask_one(
     question: Question[_AnswerT],
     show: Callable[[_AnswerT], tuple[Record, Iterable[str]]],
     stop: Trigger,
-) -> None:
-    """Listen, then ask one controller; without ``--active`` say what it would be asked.
+) -> _AnswerT | None:
+    """Listen, ask one controller, show and return the answer; without ``--active`` say what it would be asked.
 
     Parameters
     ----------
@@ -54,18 +54,20 @@ def ask_one(
     target = _target(options, description)
     if not options.active:
         place = target if isinstance(target, DoipPlace) else target.bus
-        tell_wish(options.command, wanted, heard(place, options.listen), is_json=options.json)
-        return
+        tell_wish(options.command, wanted, heard(place, options.listen, lambda: not stop.is_set), is_json=options.json)
+        return None
     with (
         ReadingLine() as line,
         asking(target, manners, goes_on=waiting(line, "waiting for the controller", stop)) as (tester, _),
     ):
         known = recognised(tester, description)
-        record, lines = show(question.ask(tester, known))
+        answer = question.ask(tester, known)
+        record, lines = show(answer)
         line.clear()
         head: Record = {"controller": tester.where, "description": known.name}
         more: Record = {"dialogue": dialogue_record(tester.counts)}
         write(outcome(options.command, is_asked=True, **head, **record, **more), lines, is_json=options.json)
+        return answer
 
 
 def waiting(line: ReadingLine, what: str, stop: Trigger) -> Callable[[], bool]:

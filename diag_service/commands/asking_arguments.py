@@ -27,7 +27,7 @@ _ASKING: Final = (
     Option("--reply ID", "identifier of answers (default: as described, or by the rules of the standard)"),
     Option("--address BYTE", "extended addressing: the address of the controller, hexadecimal"),
     Option("--active", "send requests"),
-    Option("--listen S", "how long to listen before (default: 1)", FLOAT, default=1.0),
+    Option("--listen S", "how long to listen before (default: 5)", FLOAT, default=5.0),
     Option("--timeout S", "how long an answer may take to begin (default: 1)", FLOAT, default=1.0),
 )
 _DESCRIPTION: Final = Option(
@@ -113,8 +113,8 @@ SCAN: Final = Command(
     *(CONFIG, JSON, VERBOSE),
     variables=VARIABLES,
     description=(
-        "Find the controllers on a bus and what each can be asked, by questions that change nothing: tester present, "
-        f"the default session, data that identify it, the number of its trouble codes. {_LISTENS}"
+        "Find the controllers on a bus and what each can be asked, by questions that change nothing, no "
+        f"session either: tester present, data that identify it, the number of its trouble codes. {_LISTENS}"
     ),
     examples=(f"{PROGRAM} scan -i socketcan -c can0 --active", f"{PROGRAM} scan -c can0 --extended --active --json"),
 )

@@ -2,8 +2,10 @@
 
 from collections.abc import Iterable, Sequence
 from types import SimpleNamespace
+from typing import Final
 
 from diag_service.commands.asking import ask_one
+from diag_service.errors import ControllerError
 from diag_service.service.stopping import Controls
 from diag_service.tester.addresses import hexadecimal
 from diag_service.tester.questions import LARGEST_SESSION, DataQuestion
@@ -11,11 +13,24 @@ from diag_service.tester.reading import DataAnswer
 from diag_service.tester.report import data_lines, data_record
 from diag_service.tester.trouble_report import Record
 
+MOST_NAMED: Final = 3  # in the line that says what was not told
+
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
-    """Read data and show them; without names, all that the description has."""
+    """Read data and show them; without names, all that the description has.
+
+    Raises
+    ------
+    ControllerError
+        If a datum that was named, or every one, was not told, or an answer cannot be right.
+    """
     session = hexadecimal(options.session, "--session", LARGEST_SESSION)
-    ask_one(options, DataQuestion(words=tuple(options.data), session=session), _shown, controls.stop)
+    answers = ask_one(options, DataQuestion(words=tuple(options.data), session=session), _shown, controls.stop) or ()
+    missing = [one for one in answers if one.values is None]
+    if any(one.fault for one in missing) or (missing and (options.data or len(missing) == len(answers))):
+        named = [f"{one.number:04X}: {one.trouble}" for one in missing[:MOST_NAMED]]
+        more = [f"and {len(missing) - MOST_NAMED} more"] if len(missing) > MOST_NAMED else []
+        raise ControllerError(f"{len(missing)} of {len(answers)} data were not told: {'; '.join(named + more)}")
 
 
 def _shown(answers: Sequence[DataAnswer]) -> tuple[Record, Iterable[str]]:

@@ -25,7 +25,9 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     plan = _plan(options)
     stop = controls.stop
     if not options.active:
-        tell_wish("scan", plan.requests, heard(plan.place, plan.listen_s), is_json=options.json)
+        tell_wish(
+            "scan", plan.requests, heard(plan.place, plan.listen_s, lambda: not stop.is_set), is_json=options.json
+        )
     else:
         with ReadingLine() as line:
             found = scan(plan, goes_on=waiting(line, _what(plan), stop))

@@ -15,13 +15,13 @@ from diag_service.tester.addresses import parse_address
 from diag_service.tester.asking import BusTarget, asking
 from diag_service.tester.description import Description
 from diag_service.tester.description_file import find_description
+from diag_service.tester.listening import LISTEN_S
 from diag_service.tester.manners import Manners
 from diag_service.tester.opening import BusName, address_for, check_libraries
 from diag_service.tester.reading import read_troubles
 from diag_service.tester.recognising import recognised
 from diag_service.tester.trouble_report import ControllerReport
 
-LISTEN_S: Final = 0.5
 LONGEST_BACKOFF: Final = 16.0  # times the period, between attempts that fail
 JOIN_S: Final = 3.0  # how long an ending service waits for a question that is under way
 _LOG: Final = logging.getLogger(__name__)
@@ -83,7 +83,7 @@ class Poller:
                 failed_in_a_row = 0
             else:
                 if not failed_in_a_row:
-                    _LOG.warning("the controller was not asked: %s; trying again, less and less often", problem)
+                    _LOG.warning("the trouble codes were not read: %s; trying again, less and less often", problem)
                 failed_in_a_row += 1
                 self.failure_count += 1
             self._is_over.wait(pause_s(self._period_s, failed_in_a_row))

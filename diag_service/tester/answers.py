@@ -1,6 +1,6 @@
 """What an answer says: whether it belongs to a request, and what a negative one means (ISO 14229-1, annex A)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 POSITIVE: Final = 0x40  # added to the service in a positive response
@@ -29,6 +29,32 @@ _REPEATED: Final[Mapping[int, int]] = {
     SESSION: 1, READ_TROUBLE: 1, READ_DATA: 2, SECURITY: 1, ROUTINE: 3, TESTER_PRESENT: 1,
 }  # fmt: skip
 _WITHOUT_SUB_FUNCTION: Final = frozenset({READ_DATA})
+
+# How many bytes a positive response has, at least and at most; None: as many as there are.
+_LENGTHS: Final[Mapping[int, tuple[int, int | None]]] = {
+    SESSION: (6, 6), CLEAR: (1, 1), READ_DATA: (4, None), ROUTINE: (4, None), TESTER_PRESENT: (2, 2),
+}  # fmt: skip
+COUNT_BY_MASK, BY_MASK, SNAPSHOTS, EXTENDED, SUPPORTED, WITH_RECORD, READINESS = (
+    0x01,
+    0x02,
+    0x04,
+    0x06,
+    0x0A,
+    0x1A,
+    0x56,
+)
+HEAD_BYTES: Final[Mapping[int, int]] = {  # of service 19, by its sub-function: what comes before codes and records
+    COUNT_BY_MASK: 6, BY_MASK: 3, SNAPSHOTS: 6, EXTENDED: 6, SUPPORTED: 3, WITH_RECORD: 4, READINESS: 6,
+}  # fmt: skip
+ROW_BYTES: Final = 4  # a trouble code and its status
+_ABOUT: Final[Mapping[int, Sequence[tuple[int, int, int]]]] = {  # repeated: place, place asked, length
+    SNAPSHOTS: ((2, 2, 3),), EXTENDED: ((2, 2, 3),), WITH_RECORD: ((3, 2, 1),), READINESS: ((2, 2, 1), (5, 3, 1)),
+}  # fmt: skip
+_FORMAT_PLACES: Final[Mapping[int, int]] = {COUNT_BY_MASK: 3, READINESS: 4}
+_FORMATS: Final = range(5)  # of trouble codes: what is more is reserved
+_NEGATIVE_BYTES: Final = 3
+_LEAST_DOUBLED: Final = 4  # bytes: the half of a shorter answer may come twice by chance
+_SHOWN_BYTES: Final = 24
 
 _REFUSALS: Final[Mapping[int, str]] = {
     0x10: "general reject",
@@ -85,6 +111,11 @@ def request_text(request: bytes) -> str:
     return request.hex(" ").upper()
 
 
+def shown(response: bytes) -> str:
+    """Return a response as people write it, its beginning if it is long."""
+    return request_text(response[:_SHOWN_BYTES]) + (" ..." if len(response) > _SHOWN_BYTES else "")
+
+
 def belongs(request: bytes, response: bytes) -> bool:
     """Return whether a response is one to this request, not a late one to another.
 
@@ -99,3 +130,55 @@ def belongs(request: bytes, response: bytes) -> bool:
     if asked and request[0] not in _WITHOUT_SUB_FUNCTION:
         asked[0] &= ~SUPPRESS & 0xFF
     return response[1 : 1 + count] == bytes(asked)
+
+
+def fault(request: bytes, response: bytes) -> str:
+    """Return what is wrong with a response that belongs to a request, empty if nothing is (ISO 14229-1)."""
+    if response[0] == NEGATIVE:
+        if len(response) == _NEGATIVE_BYTES and not response[2]:
+            return "it is negative and gives no reason"
+        return _length_fault(response, _NEGATIVE_BYTES, _NEGATIVE_BYTES)
+    half = len(response) // 2
+    if half >= _LEAST_DOUBLED and response[:half] == response[half:]:
+        return "it holds the same answer twice"
+    if request[0] == READ_TROUBLE:
+        return _trouble_fault(request, response)
+    least, most = _LENGTHS.get(request[0], (1, None))
+    if request[0] == SECURITY:
+        least, most = (3, None) if request[1] % 2 else (2, 2)  # a seed; a key was taken
+    return _length_fault(response, least, most)
+
+
+def _length_fault(response: bytes, least: int, most: int | None) -> str:
+    if least <= len(response) and (most is None or len(response) <= most):
+        return ""
+    due = f"{least}" if least == most else f"at least {least}"
+    return f"{due} {'byte is' if most == 1 else 'bytes are'} due, and it has {len(response)}"
+
+
+def _trouble_fault(request: bytes, response: bytes) -> str:
+    kind = response[1]
+    head = HEAD_BYTES.get(kind, 2)
+    if kind == WITH_RECORD and len(response) == head - 1:  # no code has that record
+        return ""
+    if length_fault := _length_fault(response, head, head if kind == COUNT_BY_MASK else None):
+        return length_fault
+    for place, asked_place, count in _ABOUT.get(kind, ()):
+        told, asked = response[place : place + count], request[asked_place : asked_place + count]
+        if told != asked:
+            return f"it is about {request_text(told)}, not about {request_text(asked)}"
+    if kind in _FORMAT_PLACES and (number := response[_FORMAT_PLACES[kind]]) not in _FORMATS:
+        return f"its trouble codes have the unknown format {number:02X}"
+    if kind == BY_MASK and not response[2] & request[2]:
+        return f"the controller keeps none of the status bits that were asked for, only {response[2]:02X}"
+    return _rows_fault(response[head:]) if kind in {BY_MASK, SUPPORTED, WITH_RECORD, READINESS} else ""
+
+
+def _rows_fault(rows: bytes) -> str:
+    if len(rows) % ROW_BYTES:
+        return "its last trouble code is cut off"
+    codes = [rows[place : place + ROW_BYTES] for place in range(0, len(rows), ROW_BYTES)]
+    numbers = [code[:-1] for code in codes if any(code)]  # some fill up with zeros
+    if not all(map(any, numbers)):
+        return "it names the trouble code 000000, which is none"
+    return "it names a trouble code twice" if len(set(numbers)) < len(numbers) else ""

@@ -53,13 +53,15 @@ def asking(
             yield tester, None
         return
     with opened_bus(target.bus) as bus:
-        traffic = listen(bus, target.listen_s)
+        traffic = listen(bus, target.listen_s, goes_on)
         check_alone(traffic, target.address)
         with dialogue_on(bus, target.address, manners, is_fd=target.is_fd, goes_on=goes_on) as tester:
             yield tester, traffic
 
 
-def heard(place: BusName | can.BusABC | DoipPlace, listen_s: float) -> Traffic | None:
+def heard(
+    place: BusName | can.BusABC | DoipPlace, listen_s: float, goes_on: Callable[[], bool] = lambda: True
+) -> Traffic | None:
     """Return what is heard where something would be asked; None: over IP there is nothing to hear.
 
     Raises
@@ -70,7 +72,7 @@ def heard(place: BusName | can.BusABC | DoipPlace, listen_s: float) -> Traffic |
     if isinstance(place, DoipPlace):
         return None
     with opened_bus(place) as bus:
-        return listen(bus, listen_s)
+        return listen(bus, listen_s, goes_on)
 
 
 def check_time(name: str, value_s: float, *, least_s: float) -> None:

@@ -2,15 +2,18 @@
 
 import logging
 import time
+from collections.abc import Callable
 from typing import Final
 
 import can
 
 from canlog.live.pythoncan import one_line
-from diag_service.errors import ControllerError
+from diag_service.errors import ControllerError, SilentError, StoppedError
 from diag_service.tester.addresses import CanAddress, is_extended
+from diag_service.tester.answers import request_text
 from diag_service.tester.frames import CLASSIC_BYTES, PADDING, send
 from diag_service.tester.libraries import BaseConnection, TimeoutException, isotp
+from diag_service.tester.manners import STOPPED
 
 LONGEST_MESSAGE: Final = 65_535
 TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr
@@ -19,6 +22,7 @@ FD_BYTES: Final = 64
 MOST_OLD_FRAMES: Final = 10_000  # thrown away before a request
 LONGEST_RECEPTION_S: Final = 60.0  # of one message, whose frames come within their own timeout
 PATIENCE_S: Final = 0.05
+_BREAKS: Final = (isotp.errors.ConsecutiveFrameTimeoutError, isotp.errors.WrongSequenceNumberError)
 _LOGGER: Final = "diag_service.isotp"  # the library warns of every odd frame
 logging.getLogger(_LOGGER).setLevel(logging.CRITICAL + 1)
 
@@ -34,15 +38,26 @@ class CanConnection(BaseConnection):
         Whether requests go out in CAN FD frames.
     padding
         What fills frames up to eight bytes.
+    goes_on
+        Asked while a message is on its way; False ends that with StoppedError.
     """
 
-    def __init__(self, bus: can.BusABC, address: CanAddress, *, is_fd: bool = False, padding: int = PADDING) -> None:
+    def __init__(
+        self,
+        bus: can.BusABC,
+        address: CanAddress,
+        *,
+        is_fd: bool = False,
+        padding: int = PADDING,
+        goes_on: Callable[[], bool] = lambda: True,
+    ) -> None:
         super().__init__("CAN")
         self._bus = bus
         self._address = address
         self._is_open = False
         self._next: isotp.CanMessage | None = None
-        self._is_broken = False
+        self._goes_on = goes_on
+        self._is_sent_in_part = self._is_broken_off = False
         self._layer = isotp.TransportLayerLogic(
             rxfn=self._taken,
             txfn=self._put,
@@ -89,19 +104,19 @@ class CanConnection(BaseConnection):
 
         Raises
         ------
-        TimeoutException
+        SilentError
             If the controller does not say in time that it goes on receiving.
         ControllerError
             If the bus does not take it.
         """
         del timeout  # the transport layer has its own
-        self._is_broken = False
+        self._is_sent_in_part = False
         self._layer.send(payload)
         self._layer.process()
         while self._layer.transmitting():
             self._turn(PATIENCE_S)
-        if self._is_broken:
-            raise TimeoutException("not taken in full")  # type: ignore[no-untyped-call]  # likewise
+        if self._is_sent_in_part:
+            raise SilentError(f"{self._address} does not take the whole of the request {request_text(payload)}")
 
     def specific_wait_frame(self, timeout: float | None = None) -> bytes:
         """Return the next message; one that has begun in time may take its time.
@@ -110,9 +125,12 @@ class CanConnection(BaseConnection):
         ------
         TimeoutException
             If none begins in time.
+        SilentError
+            If one begins and breaks off.
         ControllerError
             If the bus cannot be read.
         """
+        self._is_broken_off = False
         begun_s = time.monotonic()
         until_s = begun_s + (LONGEST_RECEPTION_S if timeout is None else timeout)
         while (message := self._layer.recv()) is None:
@@ -122,10 +140,14 @@ class CanConnection(BaseConnection):
             if left_s <= 0.0:
                 raise TimeoutException("no answer")  # type: ignore[no-untyped-call]  # the library has no annotation here
             self._turn(min(PATIENCE_S, left_s))
+            if self._is_broken_off:
+                raise SilentError(f"{self._address} began an answer and broke it off")
         return bytes(message)
 
     def _turn(self, patience_s: float) -> None:
         """Let the transport layer see the next frame for it, if one comes, and do what is due."""
+        if not self._goes_on():
+            raise StoppedError(STOPPED)
         due_s = self._layer.next_cf_delay()
         self._next = self._receive(patience_s if due_s is None else min(patience_s, due_s))
         self._layer.process()
@@ -158,8 +180,9 @@ class CanConnection(BaseConnection):
         )
         send(self._bus, message)
 
-    def _note(self, _error: Exception) -> None:
-        self._is_broken = True
+    def _note(self, error: Exception) -> None:
+        self._is_sent_in_part = True
+        self._is_broken_off |= isinstance(error, _BREAKS)
 
 
 def _isotp_address(address: CanAddress) -> isotp.Address:

@@ -84,7 +84,7 @@ class Datum:
     @property
     def size_bytes(self) -> int | None:
         """How many bytes it has; None if only the controller knows."""
-        return None if not self.fields[-1].size_bytes else sum(one.size_bytes for one in self.fields)
+        return fields_size_bytes(self.fields)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,6 +153,11 @@ class Description:
         code, failure_type = code_text(number), number & 0xFF
         fitting = [one for one in self.troubles if one.code == code and one.failure_type in {None, failure_type}]
         return max(fitting, key=lambda one: one.failure_type is not None).text if fitting else ""
+
+
+def fields_size_bytes(fields: tuple[Field, ...]) -> int | None:
+    """Return how many bytes fields have; None if only the controller knows."""
+    return sum(one.size_bytes for one in fields) if fields and fields[-1].size_bytes else None
 
 
 def code_text(number: int) -> str:

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Final, Self
 
-from diag_service.errors import ControllerError, RefusedError, SilentError, StoppedError
-from diag_service.tester.answers import BUSY, SECURITY, SESSION, belongs, refusal_text, request_text
+from diag_service.errors import ControllerError, MalformedError, PendingError, RefusedError, SilentError, StoppedError
+from diag_service.tester.answers import BUSY, SECURITY, SESSION, belongs, fault, refusal_text, request_text, shown
 from diag_service.tester.libraries import (
     BaseConnection,
     Client,
@@ -18,7 +18,7 @@ from diag_service.tester.libraries import (
     UnexpectedResponseException,
     default_client_config,
 )
-from diag_service.tester.manners import DEFAULT_SESSION, DialogueCounts, Manners
+from diag_service.tester.manners import DEFAULT_SESSION, STOPPED, DialogueCounts, Manners
 
 LOOK_S: Final = 0.1  # how soon it notices that it shall stop
 _KEY: Final = 1  # added to the level that asked for the seed
@@ -38,7 +38,7 @@ class Dialogue:
     manners
         How patient it is.
     pause
-        Waits for so many seconds.
+        Waits for so many seconds; by default it notices when it shall stop.
     goes_on
         Asked while an answer is waited for; False ends that with StoppedError.
     """
@@ -49,15 +49,17 @@ class Dialogue:
         where: str,
         manners: Manners | None = None,
         *,
-        pause: Callable[[float], object] = time.sleep,
+        pause: Callable[[float], object] | None = None,
         goes_on: Callable[[], bool] = lambda: True,
     ) -> None:
         self.where = where
         self.manners = manners or Manners()
         self.counts = DialogueCounts()
-        self._pause = pause
+        self._goes_on = goes_on
+        self._pause = pause or self._rest
         self._filter = _Matching(connection, self.counts, goes_on)
-        self._client = Client(self._filter, _client_config(self.manners))
+        self._pending = 0
+        self._client = Client(self._filter, _client_config(self.manners, self._note_pending))
         self._last_s = float("-inf")
 
     def __enter__(self) -> Self:
@@ -76,6 +78,8 @@ class Dialogue:
         ------
         RefusedError, SilentError
             If it will not, or does not answer.
+        MalformedError
+            If its answer breaks the rules of the standard.
         ControllerError
             If the connection is broken.
         """
@@ -89,6 +93,8 @@ class Dialogue:
                     raise
                 self.counts.busy += 1
                 self._pause(self.manners.busy_pause_s * 2.0 ** (busy - 1))
+            except PendingError:  # it has the question
+                raise
             except SilentError:
                 silent += 1
                 self.counts.silent += 1
@@ -100,22 +106,50 @@ class Dialogue:
         if gap_s > 0.0:
             self._pause(gap_s)
         self.counts.requests += 1
-        self._filter.request = request
+        self._filter.begin(request)
+        self._pending = 0
+        begun_s = time.monotonic()
         try:
             response = self._client.send_request(Request.from_payload(request))
         except NegativeResponseException as exc:
+            self._check(request, bytes(exc.response.original_payload or b""))
             self.counts.refusals += 1
             code = int(exc.response.code or 0)
             text = f"{self.where} refuses {request_text(request)}: {refusal_text(code)}"
             raise RefusedError(text, code) from exc
         except TimeoutException as exc:
-            text = f"{self.where} does not answer {request_text(request)}"
-            raise SilentError(text) from exc
+            if self._pending:
+                times = "once" if self._pending == 1 else f"{self._pending} times"
+                text = (
+                    f"{self.where} asked for more time {times} in {time.monotonic() - begun_s:.0f} s and never answered"
+                )
+                raise PendingError(f"{text} {request_text(request)}") from exc
+            stray = self._filter.stray
+            more = f": what came instead, last {shown(stray)}, is no answer to it" if stray else ""
+            raise SilentError(f"{self.where} does not answer {request_text(request)}{more}") from exc
         except (InvalidResponseException, UnexpectedResponseException, OSError, RuntimeError) as exc:
             raise ControllerError(f"{self.where}: {' '.join(str(exc).split())}") from exc
         finally:
             self._last_s = time.monotonic()
-        return b"" if response is None else bytes(response.original_payload or b"")
+        if response is None:
+            return b""
+        return self._check(request, bytes(response.original_payload or b""))
+
+    def _check(self, request: bytes, response: bytes) -> bytes:
+        if wrong := fault(request, response):
+            text = f"{self.where} answers {request_text(request)} with {shown(response)}, which is no valid answer"
+            raise MalformedError(f"{text}: {wrong}")
+        return response
+
+    def _note_pending(self) -> None:
+        self._pending += 1
+
+    def _rest(self, duration_s: float) -> None:
+        until_s = time.monotonic() + duration_s
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            if not self._goes_on():
+                raise StoppedError(STOPPED)
+            time.sleep(min(LOOK_S, left_s))
 
     def may_ask(self, request: bytes) -> bytes | RefusedError:
         """Return the positive response, or the refusal; raises as ``ask`` otherwise."""
@@ -157,12 +191,13 @@ class Dialogue:
         self.ask(bytes([SECURITY, level + _KEY]) + key)
 
 
-def _client_config(manners: Manners) -> Any:  # noqa: ANN401 - a typed dictionary of the library, of which this is a part
+def _client_config(manners: Manners, on_pending: Callable[[], None]) -> Any:  # noqa: ANN401 - a typed dictionary of the library, of which this is a part
     return {
         **default_client_config,
         "request_timeout": manners.longest_s,
         "p2_timeout": manners.p2_s,
         "p2_star_timeout": manners.p2_star_s,
+        "nrc78_callback": on_pending,
         "logger_name": _LOGGER,
         "use_server_timing": False,  # a controller tells its own time, not that of the bus and of this machine
     }
@@ -176,7 +211,11 @@ class _Matching(BaseConnection):
         self._inner = inner
         self._counts = counts
         self._goes_on = goes_on
-        self.request = b""
+        self.request = self.stray = b""
+
+    def begin(self, request: bytes) -> None:
+        """Wait for answers to this request from now on."""
+        self.request, self.stray = request, b""
 
     def open(self) -> "_Matching":
         self._inner.open()
@@ -206,7 +245,8 @@ class _Matching(BaseConnection):
                     raise
                 payload = b""
             if not self._goes_on():
-                raise StoppedError("stopped early: not everything was asked")
+                raise StoppedError(STOPPED)
             if payload is None or belongs(self.request, payload):
                 return payload
             self._counts.stray += bool(payload)
+            self.stray = payload or self.stray

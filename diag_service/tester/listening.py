@@ -1,16 +1,17 @@
 """What a bus says before anything is asked on it: whether it is in use, and whether another tester is at work."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
 import can
 
 from canlog.live.pythoncan import one_line
-from diag_service.errors import ControllerError
+from diag_service.errors import ControllerError, StoppedError
 from diag_service.tester.addresses import CanAddress, id_text, is_request
 
-LISTEN_S: Final = 1.0
+LISTEN_S: Final = 5.0  # S3 of a controller (ISO 14229-2): a tester that keeps a session speaks at least so often
 _PATIENCE_S: Final = 0.1
 
 
@@ -36,18 +37,22 @@ class Traffic:
         return tuple(sorted(can_id for can_id in self.can_ids if is_request(can_id) or can_id in own))
 
 
-def listen(bus: can.BusABC, duration_s: float = LISTEN_S) -> Traffic:
+def listen(bus: can.BusABC, duration_s: float = LISTEN_S, goes_on: Callable[[], bool] = lambda: True) -> Traffic:
     """Return what is heard on a bus for so long.
 
     Raises
     ------
     ControllerError
         If it cannot be read.
+    StoppedError
+        If it shall not go on.
     """
     until_s = time.monotonic() + duration_s
     frame_count = error_count = 0
     can_ids = set[int]()
     while (left_s := until_s - time.monotonic()) > 0.0:
+        if not goes_on():
+            raise StoppedError("stopped early: nothing was asked")
         try:
             message = bus.recv(min(_PATIENCE_S, left_s))
         except (can.CanError, OSError, ValueError) as exc:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Final
 
 DEFAULT_SESSION: Final = 0x01
+STOPPED: Final = "stopped early: not everything was asked"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -152,7 +152,7 @@ def dialogue_on(
 
     mask = 0x1FFF_FFFF if is_extended(address.response_id) else 0x7FF
     bus.set_filters([{"can_id": address.response_id, "can_mask": mask, "extended": is_extended(address.response_id)}])
-    return Dialogue(CanConnection(bus, address, is_fd=is_fd), str(address), manners, goes_on=goes_on)
+    return Dialogue(CanConnection(bus, address, is_fd=is_fd, goes_on=goes_on), str(address), manners, goes_on=goes_on)
 
 
 @contextmanager

@@ -4,15 +4,24 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-from diag_service.errors import RefusedError
-from diag_service.tester.answers import READ_DATA, READ_TROUBLE, ROUTINE, refusal_text
-from diag_service.tester.description import Description, Values, read_fields
+from diag_service.errors import MalformedError, RefusedError
+from diag_service.tester.answers import (
+    BY_MASK,
+    EXTENDED,
+    READ_DATA,
+    READ_TROUBLE,
+    ROUTINE,
+    SNAPSHOTS,
+    SUPPORTED,
+    refusal_text,
+    shown,
+)
+from diag_service.tester.description import Description, Values, fields_size_bytes, read_fields
 from diag_service.tester.trouble import TroubleCode, read_codes, read_extended, read_snapshots
 
 if TYPE_CHECKING:
     from diag_service.tester.dialogue import Dialogue
 
-COUNT_BY_MASK, BY_MASK, SNAPSHOTS, EXTENDED, SUPPORTED = 0x01, 0x02, 0x04, 0x06, 0x0A
 ALL_RECORDS: Final = 0xFF
 FAILED_MASK: Final = 0xAF  # all bits but those that tell of a test that did not run
 START, STOP, RESULTS = 0x01, 0x02, 0x03
@@ -21,18 +30,24 @@ ACTIONS: Final = {"start": START, "stop": STOP, "results": RESULTS}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataAnswer:
-    """What a controller says of one datum: its bytes and what they mean, or why it will not tell."""
+    """What a controller says of one datum: its bytes and what they mean, or why there are none."""
 
     number: int
     name: str
     data: bytes = b""
     values: Values | None = None
     refusal: int | None = None
+    fault: str = ""  # what is wrong with its answer
 
     @property
     def refusal_text(self) -> str:
         """Why it will not tell, empty if it does."""
         return "" if self.refusal is None else refusal_text(self.refusal)
+
+    @property
+    def trouble(self) -> str:
+        """Why there are no values, empty if there are."""
+        return self.refusal_text or self.fault
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,10 +98,17 @@ def read_data(tester: "Dialogue", description: Description, numbers: Iterable[in
 
 def _read_datum(tester: "Dialogue", description: Description, number: int) -> DataAnswer:
     name = description.data_name(number)
-    answer = tester.may_ask(bytes([READ_DATA]) + number.to_bytes(2, "big"))
+    try:
+        answer = tester.may_ask(bytes([READ_DATA]) + number.to_bytes(2, "big"))
+    except MalformedError as exc:
+        return DataAnswer(number=number, name=name, fault=str(exc))
     if isinstance(answer, RefusedError):
         return DataAnswer(number=number, name=name, refusal=answer.code)
     data = answer[3:]
+    if (size := description.size_bytes(number)) not in {None, len(data)}:
+        return DataAnswer(
+            number=number, name=name, fault=f"its length in bytes is described as {size}, and it came as {shown(data)}"
+        )
     return DataAnswer(number=number, name=name, data=data, values=description.values(number, data))
 
 
@@ -103,6 +125,11 @@ def control_routine(
     request = bytes([ROUTINE, ACTIONS[action]]) + number.to_bytes(2, "big") + options
     data = tester.ask(request)[4:]
     routine = description.routines.get(number)
-    fields = () if routine is None else routine.results  # an answer to a start may be the last one, too
+    fields = () if routine is None else routine.results
+    if (size := fields_size_bytes(fields)) not in {None, len(data)}:
+        if ACTIONS[action] == RESULTS:
+            text = f"{tester.where}: the length in bytes of the results of routine {number:04X} is described as {size}"
+            raise MalformedError(f"{text}, and they came as {shown(data) or 'nothing'}")
+        fields = ()  # an answer to a start may hold the results, or something else
     name = "" if routine is None else routine.name
     return RoutineAnswer(number=number, name=name, action=action, data=data, values=read_fields(fields, data))

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from diag_service.errors import ControllerError
+from diag_service.errors import ControllerError, PendingError
 from diag_service.tester.answers import READ_DATA
 from diag_service.tester.description import UNKNOWN, Description
 from diag_service.tester.description_file import shipped
@@ -23,6 +23,8 @@ def recognised(tester: "Dialogue", description: Description = UNKNOWN) -> Descri
             continue
         try:
             response = tester.ask(bytes([READ_DATA]) + described.identity.number.to_bytes(2, "big"))
+        except PendingError:  # whoever asks next would wait as long
+            raise
         except ControllerError:  # it will not tell, or not answer: the question that follows says so
             continue
         if response[3:].rstrip(b"\0 ").decode("latin-1") == described.identity.text:

@@ -32,6 +32,7 @@ def data_record(answer: DataAnswer) -> Record:
         "values": None if answer.values is None else dict(answer.values),
         "refusal": answer.refusal,
         "refusal_text": answer.refusal_text,
+        "fault": answer.fault,
     }
 
 
@@ -90,7 +91,7 @@ def dialogue_record(counts: DialogueCounts) -> Record:
 def data_lines(answers: Sequence[DataAnswer]) -> Iterator[str]:
     """Yield a line for each datum."""
     rows = [
-        (f"{one.number:04X}", one.name, one.refusal_text if one.values is None else values_text(one.values))
+        (f"{one.number:04X}", one.name, one.trouble if one.values is None else values_text(one.values))
         for one in answers
     ]
     yield from columns(("data", "name", "value"), rows)

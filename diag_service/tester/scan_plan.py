@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Final
 import can
 
 from canlog.notice import NOTICE
-from diag_service.errors import ConfigError, StoppedError
+from diag_service.errors import ConfigError, PendingError, StoppedError
 from diag_service.tester.addresses import LARGEST_STANDARD_ID, CanAddress, id_text
 from diag_service.tester.answers import TESTER_PRESENT, request_text
-from diag_service.tester.description import STANDARD_DATA
+from diag_service.tester.description import STANDARD_DATA, UNKNOWN
 from diag_service.tester.listening import LISTEN_S, Traffic, check_alone, listen
 from diag_service.tester.manners import Manners
 from diag_service.tester.opening import BusName, DoipPlace, dialogue_on, dialogue_over_ip, opened_bus
@@ -105,7 +105,7 @@ def scan(plan: ScanPlan, *, goes_on: Callable[[], bool] = lambda: True) -> Scan:
         with dialogue_over_ip(plan.place, plan.manners, goes_on=goes_on) as tester:
             return Scan(traffic=None, controllers=(_explored(tester, plan, None),))
     with opened_bus(plan.place) as bus:
-        traffic = listen(bus, plan.listen_s)
+        traffic = listen(bus, plan.listen_s, goes_on)
         check_alone(traffic)
         _LOG.log(NOTICE, "listened: %s; asking %d identifiers", traffic, len(plan.request_ids))
         addresses = find_addresses(bus, plan.request_ids, traffic.can_ids, wait_s=plan.wait_s, goes_on=goes_on)
@@ -127,4 +127,8 @@ def _controllers(
 
 
 def _explored(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) -> Found:
-    return explore(tester, recognised(tester), plan.data, address=address)
+    try:
+        known = recognised(tester)
+    except PendingError:
+        known = UNKNOWN
+    return explore(tester, known, plan.data, address=address)

@@ -9,16 +9,19 @@ from typing import TYPE_CHECKING, Final
 import can
 
 from canlog.live.pythoncan import one_line
-from diag_service.errors import ControllerError, RefusedError, SilentError
+from diag_service.errors import ControllerError, MalformedError, PendingError, RefusedError, SilentError
 from diag_service.tester.addresses import (
     FIXED_PHYSICAL,
     FUNCTIONAL_ID,
     LARGEST_STANDARD_ID,
     TESTER_ADDRESS,
     CanAddress,
+    id_text,
     is_extended,
+    is_request,
 )
 from diag_service.tester.answers import (
+    COUNT_BY_MASK,
     NEGATIVE,
     NOT_SUPPORTED,
     ONLY_ELSEWHERE,
@@ -26,13 +29,12 @@ from diag_service.tester.answers import (
     READ_DATA,
     READ_TROUBLE,
     SERVICE_NAMES,
-    SESSION,
     TESTER_PRESENT,
     refusal_text,
 )
 from diag_service.tester.description import STANDARD_DATA, Description
 from diag_service.tester.frames import CLASSIC_BYTES, PADDING, send
-from diag_service.tester.reading import COUNT_BY_MASK, FAILED_MASK, DataAnswer, read_data
+from diag_service.tester.reading import FAILED_MASK, DataAnswer, read_data
 
 if TYPE_CHECKING:
     from diag_service.tester.dialogue import Dialogue
@@ -41,12 +43,13 @@ WAIT_S: Final = 0.06  # P2 of a controller, and a little for the bus
 SUSPECTS: Final = 4  # addresses whose answer may come so late that it seems to be the next one's
 MOST_SILENT: Final = 3  # questions without an answer after which a controller is left alone
 _PRESENT: Final = bytes([0x02, TESTER_PRESENT, 0x00])  # a single frame: TesterPresent
+_FRAME: Final = _PRESENT.ljust(CLASSIC_BYTES, bytes([PADDING]))
 _ANSWERS: Final = (bytes([0x02, TESTER_PRESENT + POSITIVE, 0x00]), bytes([0x03, NEGATIVE, TESTER_PRESENT]))
 
-# What services are tried with. None of them changes what a controller keeps or does: neither 11, 14, 2E, 31 nor 34-37.
+# What services are tried with. None changes a session, or what a controller keeps or does: neither 10, 11, 14, 2E, 31
+# nor 34-37.
 PROBES: Final = (
     (TESTER_PRESENT, bytes([TESTER_PRESENT, 0x00])),
-    (SESSION, bytes([SESSION, 0x01])),
     (READ_DATA, bytes([READ_DATA, 0xF1, 0x90])),
     (READ_TROUBLE, bytes([READ_TROUBLE, COUNT_BY_MASK, FAILED_MASK])),
 )
@@ -109,7 +112,7 @@ def find_addresses(
     Raises
     ------
     ControllerError
-        If the bus cannot be used.
+        If the bus cannot be used, or another tester begins to ask.
     """
     found: dict[int, CanAddress] = {}  # by the identifier of the answers
     recent: deque[int] = deque(maxlen=SUSPECTS)
@@ -139,8 +142,7 @@ def _confirmed(bus: can.BusABC, suspects: Iterable[int], response_id: int, wait_
 def _answering(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: int | None = None) -> frozenset[int]:
     """Ask once and return the identifiers of the answers that come in time; the wanted one ends the wait."""
     if request_id is not None:
-        data = _PRESENT.ljust(CLASSIC_BYTES, bytes([PADDING]))
-        send(bus, can.Message(arbitration_id=request_id, is_extended_id=is_extended(request_id), data=data))
+        send(bus, can.Message(arbitration_id=request_id, is_extended_id=is_extended(request_id), data=_FRAME))
     until_s = time.monotonic() + wait_s
     found = set[int]()
     while (left_s := until_s - time.monotonic()) > 0.0 and (wanted is None or wanted not in found):
@@ -148,7 +150,14 @@ def _answering(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: i
             message = bus.recv(left_s)
         except (can.CanError, OSError, ValueError) as exc:
             raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
-        if message is not None and not message.is_error_frame and bytes(message.data[:3]) in _ANSWERS:
+        if message is None or message.is_error_frame:
+            continue
+        if is_request(message.arbitration_id) and bytes(message.data) != _FRAME:  # ours may come back
+            asked = id_text(message.arbitration_id)
+            raise ControllerError(
+                f"another tester began to ask on this bus (requests on {asked}): the scan gave way to it"
+            )
+        if bytes(message.data[:3]) in _ANSWERS:
             found.add(message.arbitration_id)
     return frozenset(found)
 
@@ -159,15 +168,13 @@ def explore(
 ) -> Found:  # fmt: skip
     """Return what one controller can be asked; its data are tried by number."""
     services = tuple(_tried(tester, number, request) for number, request in PROBES)
-    is_readable = any(one.number == READ_DATA and one.is_there for one in services)
+    answered = {one.number for one in services if one.is_there and not one.remark}
     return Found(
         where=tester.where,
         address=address,
         services=services,
-        data=tuple(_data_of(tester, description, numbers)) if is_readable else (),
-        code_count=_code_count(tester)
-        if any(one.number == READ_TROUBLE and one.is_there for one in services)
-        else None,
+        data=tuple(_data_of(tester, description, numbers)) if READ_DATA in answered else (),
+        code_count=_code_count(tester) if READ_TROUBLE in answered else None,
     )
 
 
@@ -178,8 +185,10 @@ def _tried(tester: "Dialogue", number: int, request: bytes) -> ServiceAnswer:
         is_there = exc.code not in NOT_SUPPORTED
         remark = refusal_text(exc.code) if exc.code in NOT_SUPPORTED | ONLY_ELSEWHERE else ""
         return ServiceAnswer(number=number, is_there=is_there, remark=remark)
-    except SilentError:
-        return ServiceAnswer(number=number, is_there=False, remark="no answer")
+    except SilentError as exc:
+        return ServiceAnswer(number=number, is_there=isinstance(exc, PendingError), remark=str(exc))
+    except MalformedError as exc:
+        return ServiceAnswer(number=number, is_there=True, remark=str(exc))
     return ServiceAnswer(number=number, is_there=True, remark="")
 
 
@@ -188,9 +197,9 @@ def _data_of(tester: "Dialogue", description: Description, numbers: Iterable[int
     for number in numbers:
         try:
             (answer,) = read_data(tester, description, [number])
-        except SilentError:
+        except SilentError as exc:
             silent += 1
-            if silent >= MOST_SILENT:
+            if silent >= MOST_SILENT or isinstance(exc, PendingError):
                 return
             continue
         if answer.refusal is None:
@@ -203,4 +212,4 @@ def _code_count(tester: "Dialogue") -> int | None:
         response = tester.ask(bytes([READ_TROUBLE, COUNT_BY_MASK, FAILED_MASK]))
     except ControllerError:
         return None
-    return int.from_bytes(response[4:6], "big") if len(response) >= 6 else None
+    return int.from_bytes(response[4:6], "big")

@@ -4,9 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from diag_service.errors import MalformedError
+from diag_service.tester.answers import EXTENDED, HEAD_BYTES, ROW_BYTES, SNAPSHOTS, shown
 from diag_service.tester.description import Description, Values, code_text, read_fields
 
-CODE_BYTES: Final = 3
+CODE_BYTES: Final = ROW_BYTES - 1
 STATUS_BITS: Final = (
     "failed",
     "failed this cycle",
@@ -67,11 +69,10 @@ class TroubleCode:
 
 
 def read_codes(response: bytes, description: Description) -> tuple[TroubleCode, ...]:
-    """Return the codes in a response to 19 02 or 19 0A; zeros at the end, with which some fill up, are none."""
-    content = response[3:]
-    step = CODE_BYTES + 1
+    """Return the codes in a valid response that lists them; zeros at the end, with which some fill up, are none."""
+    content = response[HEAD_BYTES[response[1]] :]
     found = []
-    for place in range(0, len(content) - CODE_BYTES, step):
+    for place in range(0, len(content), ROW_BYTES):
         number = int.from_bytes(content[place : place + CODE_BYTES], "big")
         if number:
             status = content[place + CODE_BYTES]
@@ -80,13 +81,20 @@ def read_codes(response: bytes, description: Description) -> tuple[TroubleCode, 
 
 
 def read_snapshots(response: bytes, description: Description) -> tuple[Snapshot, ...]:
-    """Return the snapshots in a response to 19 04: each has a number, a count and that many data with their numbers."""
-    content = response[2 + CODE_BYTES + 1 :]
+    """Return the snapshots in a response to 19 04: each has a number, a count and that many data with their numbers.
+
+    Raises
+    ------
+    MalformedError
+        If the last one is cut off.
+    """
+    content = response[HEAD_BYTES[SNAPSHOTS] :]
     found = []
-    while len(content) >= 2 and any(content):
+    while any(content):
+        _check_whole(response, content, 2)
         number, count = content[0], content[1]
         data, content = _data_of(content[2:], count, description)
-        is_complete = len(data) == count
+        is_complete = count > 0 and len(data) == count  # 0: they were too many to be counted
         found.append(Snapshot(number=number, data=data, rest=b"" if is_complete else content))
         if not is_complete:
             break
@@ -97,12 +105,12 @@ def _data_of(content: bytes, count: int, description: Description) -> tuple[dict
     """Return so many data by name, fewer if one is of unknown length, and the bytes behind them."""
     data: dict[str, Values] = {}
     for _ in range(count):
-        if len(content) < 2:
-            break
+        _check_whole(content, content, 2)
         number = int.from_bytes(content[:2], "big")
         size = description.size_bytes(number)
-        if size is None or len(content) < 2 + size:
+        if size is None:
             break
+        _check_whole(content, content, 2 + size)
         name = description.data_name(number)
         data[f"{name} ({number:04X})" if name in data else name] = description.values(number, content[2 : 2 + size])
         content = content[2 + size :]
@@ -110,17 +118,29 @@ def _data_of(content: bytes, count: int, description: Description) -> tuple[dict
 
 
 def read_extended(response: bytes, description: Description) -> tuple[Snapshot, ...]:
-    """Return the records of extended data in a response to 19 06: each has a number and what belongs to it."""
-    content = response[2 + CODE_BYTES + 1 :]
+    """Return the records of extended data in a response to 19 06: each has a number and what belongs to it.
+
+    Raises
+    ------
+    MalformedError
+        If the last one is cut off.
+    """
+    content = response[HEAD_BYTES[EXTENDED] :]
     found = []
-    while content and any(content):
-        number, content = content[0], content[1:]
-        record = description.extended.get(number)
+    while any(content):
+        record = description.extended.get(content[0])
         size = None if record is None else record.size_bytes
-        if record is None or size is None or len(content) < size:
+        _check_whole(response, content, 1 + (size or 1))
+        number, content = content[0], content[1:]
+        if record is None or size is None:
             found.append(Snapshot(number=number, data={}, rest=content))
             break
         values = read_fields(record.fields, content[:size])
         found.append(Snapshot(number=number, data={record.name: values}))
         content = content[size:]
     return tuple(found)
+
+
+def _check_whole(response: bytes, content: bytes, size_bytes: int) -> None:
+    if len(content) < size_bytes:
+        raise MalformedError(f"what was kept of a trouble code is cut off: {shown(response)}")

@@ -77,7 +77,7 @@ def test_another_tester_is_left_in_peace(tmp_path: Path, monkeypatch: pytest.Mon
             run = ended("run", *words, *POLL)
         assert set(car.heard) == {0x7E1}
     assert run.status == 0
-    assert "warning: the controller was not asked: another tester is asking on this bus (requests on 7E1)" in run.err
+    assert "warning: the trouble codes were not read: another tester is asking on this bus (requests on 7E1)" in run.err
 
 
 @pytest.mark.parametrize(

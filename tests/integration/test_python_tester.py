@@ -77,7 +77,7 @@ def test_answers_are_those_of_the_commands(bus: can.BusABC, capfd: pytest.Captur
     assert in_session.values is not None
     assert capfd.readouterr() == ("", "")
     assert [trouble_record(code) for code in codes] == told("dtc", *BUS)["codes"]
-    assert [data_record(one) for one in data] == told("did", *asked, *BUS)["data"]
+    assert [data_record(one) for one in data] == ended("did", *asked, *BUS, "--json").records[0]["data"]
     assert routine_record(started) == told("routine", "0305", "start", "--unlock", f"1={MASK}", *BUS)["routine"]
 
 
@@ -259,9 +259,9 @@ async def test_why_a_controller_was_not_asked_is_a_notice() -> None:
         far.shutdown()
         async with diag_service.diagnose(near, poll=diag_service.Poll(period_s=1.0, bus=far)) as live:
             async with asyncio.timeout(HANG_S):
-                while not any("was not asked" in notice for notice in live.analysis.notices):  # noqa: ASYNC110 - as above
+                while not any("were not read" in notice for notice in live.analysis.notices):  # noqa: ASYNC110 - as above
                     await asyncio.sleep(0.01)
-    assert any("the controller was not asked: the bus cannot be read" in one for one in live.analysis.notices)
+    assert any("the trouble codes were not read: the bus cannot be read" in one for one in live.analysis.notices)
 
 
 def test_a_pdx_is_the_one_of_the_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -54,7 +54,7 @@ def test_it_asks_again_after_a_failure_and_says_so_once(caplog: pytest.LogCaptur
     assert poller.failure_count == 2
     assert told[0] == report()
     assert [record.getMessage() for record in caplog.records] == [
-        "the controller was not asked: silent; trying again, less and less often",
+        "the trouble codes were not read: silent; trying again, less and less often",
         "the controller answers again",
     ]
 

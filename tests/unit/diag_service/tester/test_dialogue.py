@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from diag_service.errors import ControllerError, RefusedError, SilentError, StoppedError
+from diag_service.errors import ControllerError, MalformedError, PendingError, RefusedError, SilentError, StoppedError
 from diag_service.tester.dialogue import Dialogue
 from diag_service.tester.libraries import BaseConnection, TimeoutException
 from diag_service.tester.manners import Manners
@@ -63,7 +63,28 @@ def test_a_controller_that_asks_for_patience_gets_it() -> None:
 
 def test_patience_ends() -> None:
     tester = Dialogue(Endless("7f 22 78"), "7E1", Manners(p2_s=0.01, p2_star_s=0.01, longest_s=0.05, most_silent=1))
-    with pytest.raises(SilentError, match=r"^7E1 does not answer 22 F1 90$"):
+    with pytest.raises(PendingError, match=r"^7E1 asked for more time \d+ times in 0 s and never answered 22 F1 90$"):
+        tester.ask(VIN)
+
+
+def test_who_asked_for_time_once_and_says_no_more_is_not_asked_again() -> None:
+    tester, connection, _ = dialogue_of(["7f 22 78"], ["62 f1 90 41"])
+    with pytest.raises(PendingError, match=r"^7E1 asked for more time once in 0 s and never answered 22 F1 90$"):
+        tester.ask(VIN)
+    assert len(connection.asked) == 1
+
+
+def test_an_answer_that_breaks_the_rules_is_an_error() -> None:
+    tester, _, _ = dialogue_of(["59 02"])
+    text = "^7E1 answers 19 02 AF with 59 02, which is no valid answer: at least 3 bytes are due, and it has 2$"
+    with pytest.raises(MalformedError, match=text):
+        tester.ask(bytes.fromhex("19 02 af"))
+
+
+def test_who_shall_stop_does_not_wait_for_a_busy_controller() -> None:
+    looks = iter([True, True, False])
+    tester = Dialogue(Scripted(*[["7f 22 21"]] * 9), "7E1", Manners(busy_pause_s=60.0), goes_on=lambda: next(looks))
+    with pytest.raises(StoppedError, match="not everything was asked"):
         tester.ask(VIN)
 
 
@@ -111,7 +132,8 @@ def test_late_answers_to_others_are_passed_over() -> None:
 
 def test_only_others_answers_are_silence() -> None:
     tester = Dialogue(Endless("62 f1 87 00"), "7E1", QUICK)
-    with pytest.raises(SilentError):
+    text = "^7E1 does not answer 22 F1 90: what came instead, last 62 F1 87 00, is no answer to it$"
+    with pytest.raises(SilentError, match=text):
         tester.ask(VIN)
     assert tester.counts.stray > 0
 

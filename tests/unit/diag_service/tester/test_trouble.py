@@ -1,7 +1,10 @@
 """Answers of service 19 taken apart, also those of controllers that are not described."""
 
-from diag_service.tester.answers import belongs
-from diag_service.tester.description import UNKNOWN, Datum, Description, Field, Kind, Trouble
+import pytest
+
+from diag_service.errors import MalformedError
+from diag_service.tester.answers import belongs, fault
+from diag_service.tester.description import Datum, Description, Field, Kind, Trouble
 from diag_service.tester.trouble import read_codes, read_extended, read_snapshots
 
 SPEED = Field(name="speed", kind=Kind.UNSIGNED, size_bytes=2, unit="km/h", resolution=0.01, invalid=0xFFFF)
@@ -31,9 +34,59 @@ def test_codes_have_text_and_states() -> None:
     assert [(one.is_pending, one.is_confirmed) for one in codes] == [(False, True), (False, True), (True, False)]
 
 
-def test_a_cut_answer_gives_what_is_whole() -> None:
-    assert [one.code for one in read_codes(bytes.fromhex("59 02 FF 081107 2F 0897"), UNKNOWN)] == ["P0811"]
-    assert read_codes(bytes.fromhex("59 02"), UNKNOWN) == ()
+@pytest.mark.parametrize(
+    ("request_hex", "response_hex", "text"),
+    [
+        ("19 02 AF", "59 02", "at least 3 bytes are due, and it has 2"),
+        ("19 02 AF", "59 02 FF 08 11", "its last trouble code is cut off"),
+        ("19 02 AF", "59 02 FF 081107 2F 0897", "its last trouble code is cut off"),
+        ("19 02 AF", "59 02 FF 000000 2F", "it names the trouble code 000000, which is none"),
+        ("19 0A", "59 0A FF 081107 2F 081107 08", "it names a trouble code twice"),
+        ("19 02 AF", "59 02 10", "the controller keeps none of the status bits that were asked for, only 10"),
+        ("19 01 AF", "59 01 FF 42 0001", "its trouble codes have the unknown format 42"),
+        ("19 01 AF", "59 01 FF 01 0001 00", "6 bytes are due, and it has 7"),
+        ("19 04 081107 FF", "59 04 081100 2F", "it is about 08 11 00, not about 08 11 07"),
+        ("19 06 081107 91", "59 06 081107", "at least 6 bytes are due, and it has 5"),
+        ("19 1A 91", "59 1A FF 92 081107 2F", "it is about 92, not about 91"),
+        ("19 56 33 01", "59 56 33 FF 04 02", "it is about 02, not about 01"),
+        ("19 56 33 01", "59 56 D0 FF 04 01", "it is about D0, not about 33"),
+        ("19 56 33 01", "59 56 33 FF 09 01", "its trouble codes have the unknown format 09"),
+        ("10 03", "50 03", "6 bytes are due, and it has 2"),
+        ("14 FFFFFF", "54 00", "1 byte is due, and it has 2"),
+        ("22 F190", "62 F190", "at least 4 bytes are due, and it has 3"),
+        ("22 F190", "62 F190 41 62 F190 41", "it holds the same answer twice"),
+        ("27 01", "67 01", "at least 3 bytes are due, and it has 2"),
+        ("27 02 1234", "67 02 00", "2 bytes are due, and it has 3"),
+        ("31 01 0301", "71 01 03", "at least 4 bytes are due, and it has 3"),
+        ("3E 00", "7E 00 00", "2 bytes are due, and it has 3"),
+        ("22 F190", "7F 22 31 00", "3 bytes are due, and it has 4"),
+        ("22 F190", "7F 22 00", "it is negative and gives no reason"),
+        ("19 02 AF", "59 02 FF", ""),
+        ("19 02 AF", "59 02 FF 081107 2F 000000 00", ""),
+        ("19 1A 91", "59 1A FF", ""),
+        ("19 56 33 01", "59 56 33 FF 04 01 081107 2F", ""),
+        ("31 01 0301", "71 01 0301", ""),
+    ],
+)
+def test_what_breaks_the_rules_is_named(request_hex: str, response_hex: str, text: str) -> None:
+    assert fault(bytes.fromhex(request_hex), bytes.fromhex(response_hex)) == text
+
+
+@pytest.mark.parametrize("kept", ["01", "01 01", "01 01 01", "01 01 0102 12", "01 02 0102 1234"])
+def test_a_snapshot_that_is_cut_off_is_none(kept: str) -> None:
+    with pytest.raises(MalformedError, match="cut off"):
+        read_snapshots(bytes.fromhex(f"59 04 081107 2F {kept}"), KNOWN)
+
+
+@pytest.mark.parametrize("kept", ["01", "10 12", "77"])
+def test_extended_data_that_are_cut_off_are_none(kept: str) -> None:
+    with pytest.raises(MalformedError, match="cut off"):
+        read_extended(bytes.fromhex(f"59 06 081107 2F {kept}"), KNOWN)
+
+
+def test_a_snapshot_of_an_unknown_number_of_data_stays_bytes() -> None:
+    (found,) = read_snapshots(bytes.fromhex("59 04 081107 2F 01 00 0102 1234"), KNOWN)
+    assert (found.data, found.rest) == ({}, bytes.fromhex("0102 1234"))
 
 
 def test_snapshots_are_data_with_their_units() -> None:
