@@ -27,6 +27,8 @@ from tests.uml.vcan import native_vcan
 BOOT_LIMIT_S = 300.0  # a second and a half; only what hangs takes longer, whatever else the machine does
 INIT = Path(__file__).with_name("init.sh")
 PACKAGE = "user-mode-linux"
+COMPILERS = "cc", "gcc", "tcc"
+WIDE_REGISTERS = Path(__file__).with_name("wide_registers.c")
 UNAVAILABLE = 69  # EX_UNAVAILABLE of sysexits.h
 TIMED_OUT = 124  # as timeout(1)
 
@@ -116,7 +118,7 @@ def run_guest(kernel: str, command: Sequence[str], memory: str, limit_s: float) 
         with on_one_core():
             process = subprocess.Popen(
                 boot,
-                env=boot_environment(folder, memory),
+                env=boot_environment(folder, memory) | wide_registers(folder),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
@@ -157,6 +159,19 @@ def boot_environment(folder: Path, memory: str) -> dict[str, str]:
     shared = Path("/dev/shm")  # noqa: S108 - the host's own tmpfs, the fastest place
     has_room = shared.is_dir() and shutil.disk_usage(shared).free > size_bytes
     return {"PATH": os.environ.get("PATH", os.defpath), "TMPDIR": str(shared if has_room else folder)}
+
+
+def wide_registers(folder: Path) -> dict[str, str]:
+    """Return what lets the kernel start on a processor with tiles (AMX), whose registers are larger than it knows."""
+    if "amx_tile" not in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace"):
+        return {}
+    compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
+    if compiler is None:
+        say("vcan: User-Mode Linux needs a C compiler on this processor (apt-get install tcc)")
+        return {}
+    library = folder / "wide_registers.so"
+    subprocess.run([compiler, "-shared", "-fPIC", "-nostdlib", "-o", library, WIDE_REGISTERS], check=True)
+    return {"LD_PRELOAD": str(library)}
 
 
 def write_job(folder: Path, command: Sequence[str], marker: str) -> None:

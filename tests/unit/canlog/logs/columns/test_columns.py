@@ -270,6 +270,8 @@ def test_what_stands_behind_the_bytes_of_canking_is_read() -> None:
 def test_a_line_of_canking_that_lacks_something_is_counted(line: str) -> None:
     batch, counts = read(TableLog(CANKING), "0 123 1 11 1.5 R\n" + line)
     assert (len(batch), counts.first_rejected) == (1, "line 2: malformed")
+
+
 def table(head: str, *cells: tuple[str, str]) -> str:
     """Return a table of times, identifiers and bytes."""
     return head + "".join(f"{k * 0.01:.2f},{one},0,{data}\n" for k, (one, data) in enumerate(cells))
