@@ -118,12 +118,12 @@ class SentValues:
 
     @property
     def silences(self) -> dict[str, float]:
-        """Of every other controller whether it has fallen silent, 1 or 0: any of its messages counts."""
-        late = self._late
-        return {
-            f"{SILENCE}{node}": float(any(self._others[can_id].node == node for can_id in late))
-            for node in {other.node for other in self._others.values()}
-        }
+        """Of every other controller whether it has fallen silent, 1 or 0: any message that it has ever sent counts."""
+        late, found = self._late, dict[str, float]()
+        for node in {other.node for other in self._others.values()}:
+            own = {can_id for can_id, other in self._others.items() if other.node == node}
+            found[f"{SILENCE}{node}"] = float(bool(late & (own & self._payloads.keys() or own)))
+        return found
 
     @property
     def _late(self) -> set[int]:

@@ -57,7 +57,7 @@ def test_a_workshop_tester_asks_a_car_that_drives(bus: tuple[list[str], dict[str
     speed, gears, engine, fluid = told.pop("live").values()
     assert told == {
         "vin": "WDCTEMULATED00001",
-        "supported": 17,
+        "supported": 26,
         "by mask": 0,
         "confirmed": [],
         "snapshots": 0,
@@ -66,7 +66,7 @@ def test_a_workshop_tester_asks_a_car_that_drives(bus: tuple[list[str], dict[str
         "session": 3,
         "no key": 0x33,
         "written": "CLUTCHSHOP",
-        "reset while driving": 0x88,
+        "while driving": [0x88, 0x88, 0x88, 0x22],
         "routine": 0x31,
         "default": 1,
     }

@@ -134,6 +134,12 @@ def test_one_that_never_speaks_has_its_code_too() -> None:
     assert car.status("U0100") & Status.TEST_FAILED
 
 
+def test_a_message_that_a_car_does_not_send_at_all_is_not_missed() -> None:
+    car = TripCar()
+    car.drive(WARM, steps=25, silent=["ECM_State"])  # as along the shift cycle
+    assert not car.status("U0100") & Status.FAILED_THIS_CYCLE
+
+
 def test_standstill_is_not_believed_of_a_speed_that_nobody_confirms() -> None:
     car = TripCar()
     car.drive(changes=STANDING, steps=4)

@@ -131,13 +131,13 @@ def dialogue(client: Client) -> dict[str, Any]:
     client.unlock_security_access(1)
     client.write_data_by_identifier(0xF198, "CLUTCHSHOP")
     told["written"] = asked.read_data_by_identifier([0xF198]).service_data.values[0xF198]
-    client.control_dtc_setting(2)
     client.control_dtc_setting(1)
-    client.communication_control(3, 1)
     client.communication_control(0, 1)
-    told["reset while driving"] = refusal(lambda: client.ecu_reset(1))
+    told["while driving"] = [
+        refusal(lambda: client.ecu_reset(1)), refusal(lambda: client.control_dtc_setting(2)),
+        refusal(lambda: client.communication_control(3, 1)), refusal(lambda: client.clear_dtc(0xFFFFFF)),
+    ]  # fmt: skip
     told["routine"] = refusal(lambda: client.start_routine(0x0999))
-    client.clear_dtc(0xFFFFFF)
     with client.suppress_positive_response(wait_nrc=False):
         client.tester_present()
     client.change_session(1)
