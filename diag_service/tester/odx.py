@@ -48,7 +48,7 @@ def load_odx(path: Path) -> Description:
     except OSError as exc:
         raise ConfigError(f"cannot read {path}: {exc.strerror or exc}") from exc
     except Exception as exc:
-        raise ConfigError(f"{path} is no ODX that can be used: {' '.join(str(exc).split())}") from exc
+        raise ConfigError(f"{path} is not ODX that can be used: {' '.join(str(exc).split())}") from exc
     layers = [*database.ecu_variants, *database.base_variants]
     if not layers:
         raise ConfigError(f"{path} describes no controller")
