@@ -1,14 +1,11 @@
-"""``diag-service``, or ``python -m diag_service``."""
+"""``python -m diag_service``, and ``diag-service`` itself."""
 
 import sys
+from functools import partial
 
 from program_io.starting import run_program
 
-
-def main() -> int:
-    """Run the program and return its exit status."""
-    return run_program("diag_service.cli")
-
+main = partial(run_program, "diag_service.cli")
 
 if __name__ == "__main__":
     sys.exit(main())

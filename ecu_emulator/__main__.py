@@ -1,14 +1,11 @@
-"""``ecu-emulator``, or ``python -m ecu_emulator``."""
+"""``python -m ecu_emulator``, and ``ecu-emulator`` itself."""
 
 import sys
+from functools import partial
 
 from program_io.starting import run_program
 
-
-def main() -> int:
-    """Run the program and return its exit status."""
-    return run_program("ecu_emulator.cli")
-
+main = partial(run_program, "ecu_emulator.cli")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,14 +1,11 @@
-"""``fleet-backend``, or ``python -m fleet_backend``."""
+"""``python -m fleet_backend``, and ``fleet-backend`` itself."""
 
 import sys
+from functools import partial
 
 from program_io.starting import run_program
 
-
-def main() -> int:
-    """Run the program and return its exit status."""
-    return run_program("fleet_backend.cli")
-
+main = partial(run_program, "fleet_backend.cli")
 
 if __name__ == "__main__":
     sys.exit(main())

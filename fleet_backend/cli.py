@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Final
 
 from fleet_backend.arguments import (
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         _check_environment()
         with standard_output():
-            _load_commands().execute(options)
+            _load_commands(options).execute(options)
     except KeyboardInterrupt:
         return EXIT_OK
     except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
@@ -54,14 +54,21 @@ def _check_environment() -> None:
         raise ConfigError(str(exc)) from exc
 
 
-def _load_commands() -> ModuleType:
+def _extras(options: SimpleNamespace) -> str:
+    """Return all extras that a command needs; each of the others brings what `fleet` brings."""
+    if options.command in {"serve", "watch"}:
+        return "page,oidc" if getattr(options, "access", None) else "page"
+    return "nats" if str(getattr(options, "broker", "")).startswith("nats") else "fleet"
+
+
+def _load_commands(options: SimpleNamespace) -> ModuleType:
     """Return the module of the commands; raises ExtraMissingError where what it needs is not installed."""
     try:
         return import_module("fleet_backend.commands")
     except ModuleNotFoundError as exc:
         if exc.name is None or exc.name.startswith(("fleet_backend", "fleet_contract")):
             raise
-        raise ExtraMissingError(exc.name) from exc
+        raise ExtraMissingError(exc.name, _extras(options)) from exc
 
 
 def _set_up_log(verbosity: int) -> None:

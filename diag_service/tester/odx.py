@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Iterator, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -38,7 +39,7 @@ def load_odx(path: Path) -> Description:
     ExtraMissingError
         If odxtools is not installed.
     """
-    odxtools = load_extra("odxtools", "PDX files need odxtools", "odx")
+    odxtools = load_extra("odxtools", "PDX files need odxtools", "odx" if find_spec("udsoncan") else "odx,uds")
     try:
         check_plain_file(path, MOST_BYTES)
         with warnings.catch_warnings():

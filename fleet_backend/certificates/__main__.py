@@ -1,14 +1,11 @@
-"""``fleet-certificates``, or ``python -m fleet_backend.certificates``."""
+"""``python -m fleet_backend.certificates``, and ``fleet-certificates`` itself."""
 
 import sys
+from functools import partial
 
 from program_io.starting import run_program
 
-
-def main() -> int:
-    """Run the program and return its exit status."""
-    return run_program("fleet_backend.certificates.cli")
-
+main = partial(run_program, "fleet_backend.certificates.cli")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -70,9 +70,24 @@ def test_every_command_of_the_backend_says_what_to_install(plain: PlainInstall, 
     database = ["--database", f"sqlite:///{tmp_path}/fleet.sqlite"]
     told = plain.run_all("fleet_backend.cli", [[one, *database, *more.get(one, [])] for one in commands])
     assert [outcome.status for outcome in told] == [2] * len(commands)
-    for outcome in told:
-        one_line("fleet-backend", "fleet", outcome.err)
+    for command, outcome in zip(commands, told, strict=True):
+        one_line("fleet-backend", "page" if command in {"serve", "watch"} else "fleet", outcome.err)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_extras_are_asked_for_at_once(plain: PlainInstall, tmp_path: Path) -> None:
+    access, package = tmp_path / "access.toml", tmp_path / "car.pdx"
+    database = ["--database", "sqlite:///fleet.sqlite"]
+    runs = {
+        "page,oidc": ["serve", *database, "--access", str(access)],
+        "nats": ["ingest", *database, "--broker", "nats://127.0.0.1"],
+    }
+    told = plain.run_all("fleet_backend.cli", list(runs.values()), cwd=tmp_path)
+    for extras, outcome in zip(runs, told, strict=True):
+        one_line("fleet-backend", extras, outcome.err)
+    words = ["dtc", "-i", "virtual", "-c", "x", "--active", "--description", str(package)]
+    (asked,) = plain.run_all("diag_service.cli", [words], cwd=tmp_path)
+    one_line("diag-service", "odx,uds", asked.err)
 
 
 def test_every_command_that_makes_certificates_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:

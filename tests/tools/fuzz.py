@@ -322,7 +322,7 @@ def seeds(first: int, minutes: float) -> Iterator[int]:
         yield first
 
 
-def fuzz(name: str, of_rounds: Iterable[int]) -> int:
+def fuzz(name: str, of_rounds: Iterable[int], *, examples: int = EXAMPLES_PER_ROUND) -> int:
     """Fuzz one reader, a round for each of the numbers that its logs come from; return how many logs it read."""
     reader, sound = (READERS | ALONE)[name]
     sounds = sound if isinstance(sound, tuple) else (sound,)
@@ -331,16 +331,14 @@ def fuzz(name: str, of_rounds: Iterable[int]) -> int:
     for of_round in of_rounds:
 
         @seed(of_round)
-        @settings(
-            max_examples=EXAMPLES_PER_ROUND, deadline=None, database=None, suppress_health_check=list(HealthCheck)
-        )
+        @settings(max_examples=examples, deadline=None, database=None, suppress_health_check=list(HealthCheck))
         @given(logs)
         def one_round(text: bytes) -> None:
             check(reader, text, has_lines=not name.startswith(WITHOUT_LINES))
 
         one_round()
         rounds += 1
-    return rounds * EXAMPLES_PER_ROUND
+    return rounds * examples
 
 
 def main() -> int:
