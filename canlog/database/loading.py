@@ -67,7 +67,7 @@ class DatabaseFormat(StrEnum):
 _FORMAT_OF_ROOT: Final = {"NetworkDefinition": DatabaseFormat.KCD, "AUTOSAR": DatabaseFormat.ARXML}
 
 
-def load_database(path: Path, *, is_lenient: bool = False, parser_time_s: int = PARSER_TIME_S) -> Database:
+def load_database(path: Path | str, *, is_lenient: bool = False, parser_time_s: int = PARSER_TIME_S) -> Database:
     """Return the messages of a DBC, KCD, ARXML or SYM file; which one it is, its contents say.
 
     Signals that overlap or lie outside their message are warned of, message by message; whether the signals in use
@@ -75,7 +75,7 @@ def load_database(path: Path, *, is_lenient: bool = False, parser_time_s: int = 
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         The file; of a network of several buses, ``FILE#BUS`` is one of them.
     is_lenient : bool
         Leave items out of a DBC file that cannot be right, with a warning of each, instead of refusing the file.
@@ -88,7 +88,7 @@ def load_database(path: Path, *, is_lenient: bool = False, parser_time_s: int = 
         If the file is missing, unreadable, of another format, has no messages, names sizes that no CAN message has,
         takes too much memory or time to parse, or has items that cannot be right.
     """
-    file, bus = bus_of(path)
+    file, bus = bus_of(Path(path))
     text = _read_text(file)
     database_format = _format_of(text, file)
     if database_format == DatabaseFormat.DBC:
