@@ -22,7 +22,7 @@ from canlog.tables.inputs import LogSet, Origins
 from canlog.tables.layouts import LongLayout, Values, WideLayout
 from canlog.tables.long_rows import LongRows
 from canlog.tables.names import TableNames, table_names
-from canlog.tables.outputs import TableFormat
+from canlog.tables.outputs import TableFormat, check_libraries
 from canlog.tables.selection import EVERYTHING, Span, chosen_places
 from canlog.tables.sinks import ColumnRows, MessageRows, TableSink
 from canlog.tables.table_folder import TableFolder, message_files, table_folder
@@ -157,6 +157,7 @@ def decode_logs(
     ExtraMissingError
         If the library that writes the format is not installed.
     """
+    check_libraries(table_format, paths)
     is_read_twice = _is_read_twice(plan, table_format)
     with LogSet(paths, is_stopped, is_read_twice=is_read_twice, watch=watch, columns=columns) as logs:
         return _Writing(logs, plan, table_format, is_stopped).write(output)

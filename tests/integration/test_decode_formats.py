@@ -6,6 +6,7 @@ import math
 import re
 import struct
 from datetime import datetime
+from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
@@ -339,3 +340,29 @@ def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: p
     assert "--jobs is for folders" in ended("decode", "drive.log", "-o", "b.csv", "--jobs", "2").err
     assert "standard input does not go with them" in ended("decode", "logs", "-", "-o", "tables").err
     assert "neither shape nor values applies" in ended(*words, "--format", "mf4", "--layout", "long").err
+
+
+@pytest.mark.parametrize(
+    ("missing", "log", "output", "told"),
+    [
+        ("pyarrow", "drive.log", "out.csv", "csv needs pyarrow: pip install 'clutchdiag[parquet]'"),
+        ("pyarrow", "drive.log", "out.parquet", "parquet needs pyarrow: pip install 'clutchdiag[parquet]'"),
+        (
+            "pyarrow asammdf zstandard",
+            "drive.mf4.zst",
+            "out.jsonl",
+            "jsonl needs pyarrow, MF4 logs need asammdf, logs inside zstd need zstandard: pip install 'clutchdiag[mf4,",
+        ),
+    ],
+)
+def test_all_that_is_to_be_installed_is_told_at_once(
+    folder: Path, missing: str, log: str, output: str, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / log).write_text(LINES[0], encoding="ascii")
+    find = PathFinder.find_spec
+    monkeypatch.setattr(
+        PathFinder, "find_spec", lambda name, *more: None if name in missing.split() else find(name, *more)
+    )
+    result = ended("decode", log, "--dbc", "car.dbc", "-o", output)
+    assert result.status != 0
+    assert told in result.err
