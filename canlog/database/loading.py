@@ -151,7 +151,7 @@ def _format_of(text: str, path: Path) -> DatabaseFormat:
         return DatabaseFormat.DBC
     root = _ROOT.search(head)
     if root is None or root[1] not in _FORMAT_OF_ROOT:
-        raise DefinitionError(f"{path} is not a DBC file, and of XML neither KCD nor ARXML")
+        raise DefinitionError(f"{path} is neither a DBC file nor a KCD or ARXML file")
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise DefinitionError(f"{path} defines a document type or entities, which no {root[1]} file needs")
     return _FORMAT_OF_ROOT[root[1]]
@@ -217,7 +217,7 @@ def _written_by_child(text: str, database_format: DatabaseFormat, path: Path, mo
     if done.returncode in OUT_OF_TIME:
         raise DefinitionError(f"{path} takes more than {parser_time_s} s to parse")
     if done.returncode != 0:
-        lines = done.stderr.decode(errors="replace").strip().splitlines() or ["the parser ended without a word"]
+        lines = done.stderr.decode(errors="replace").strip().splitlines() or ["the parser ended without a result"]
         raise DefinitionError(f"{path} is not {database_format.in_words}: {lines[-1][:200]}")
     return done.stdout
 

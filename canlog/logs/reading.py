@@ -51,7 +51,7 @@ class LogReader(Iterator[FrameBatch]):
     """The frames of one log, once, oldest first as far as it is in order.
 
     A strict one stops with an error at the first line, object or record that is no frame and not meant to be anything
-    else, at the first jump of time, and where the file ends before its own end.
+    else, at the first jump of time, and where the file is cut off.
     """
 
     def __init__(self, path: Path, contents: Contents, *, is_strict: bool = False) -> None:

@@ -80,7 +80,7 @@ def _check(options: SimpleNamespace, table_format: TableFormat) -> None:
     if is_piped and table_format not in STREAMED:
         raise ConfigError(f"{table_format} does not go to standard output; csv, jsonl and arrow do")
     if is_piped and options.json:
-        raise ConfigError("the table goes to standard output: there is no room for --json")
+        raise ConfigError("the table goes to standard output: --json cannot be used")
     is_of_messages = options.layout == TableShape.MESSAGES
     if is_piped and is_of_messages:
         raise ConfigError("tables of messages are a folder, and do not go to standard output")
