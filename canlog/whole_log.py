@@ -1,11 +1,13 @@
 """A log, and its signals as arrays and tables: batch by batch, or all of it in memory."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from cantools.database.can import Database
@@ -14,6 +16,7 @@ from canlog.arrays import FloatArray, Int64Array
 from canlog.database.loading import database_of
 from canlog.extras import load_extra
 from canlog.frame_columns import join
+from canlog.frame_table import frame_table
 from canlog.frames import FrameBatch
 from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_log
 from canlog.parquet_file import arrow_schema, load_pyarrow
@@ -22,9 +25,12 @@ from canlog.tables.decoding import MAX_CELLS, Plan, TableShape
 from canlog.tables.frame_stock import FrameGroup
 from canlog.tables.groups import columns_of, groups, stretches, values_in
 from canlog.tables.inputs import log_paths
-from canlog.tables.layouts import ShapeName, Values, ValuesName
+from canlog.tables.layouts import ShapeName, TableShapeName, Values, ValuesName, WideLayout
 from canlog.tables.report import losses
+from canlog.tables.sinks import message_layout
 from canlog.transport import LongMessage, LongMessages
+
+WARNED_CELLS: Final = 50_000_000  # of a wide table: 0.4 GB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,11 +64,13 @@ class Log:
         *,
         is_strict: bool = False,
         max_cells: int = MAX_CELLS,
+        warned_cells: int = WARNED_CELLS,
         columns: str = "",
     ) -> None:
         self.paths = tuple(paths)
         self.path = self.paths[0]
         self._is_strict = is_strict
+        self._warned_cells = warned_cells
         self._columns = columns
         self._plan = replace(Plan.of(database.messages), max_cells=max_cells)
         with ExitStack() as stack:
@@ -94,7 +102,8 @@ class Log:
         return len(self.frames)
 
     def __repr__(self) -> str:
-        return f"<canlog.Log {', '.join(map(str, self.paths))}: {self.format}, {len(self)} frames>"
+        count = f", {len(self)} frames" if "_whole" in vars(self) else ""  # nothing is read for a name
+        return f"<canlog.Log {', '.join(map(str, self.paths))}: {self.format}{count}>"
 
     @cached_property
     def account(self) -> DecodeAccount:
@@ -109,22 +118,26 @@ class Log:
         """What of the log is not among the signals though it should be, in words; empty if nothing is missing."""
         return list(losses(self.account))
 
-    def signals(self) -> dict[str, Samples]:
+    def signals(self, *, is_raw: bool = False) -> dict[str, Samples]:
         """Return the signals that occur, by the names that columns of tables have: ``Message.Signal``.
 
-        Values are as cantools decodes them, whatever the database says of their range; a signal has the frames that
-        carry it and no others.
+        Values are as cantools decodes them, whatever the database says of their range, and NaN where the code says
+        that there is no value, unless ``is_raw``. A signal has the frames that carry it and no others.
         """
+        plan = self._plan_of(is_raw=is_raw)
         rows: dict[tuple[int, str], list[Int64Array]] = {}
         values: dict[tuple[int, str], list[FloatArray]] = {}
         times: list[Int64Array] = []
-        start, account = 0, self._new_account()
+        start, account = 0, self._new_account(plan)
         for group in self._groups(account):
             for one in values_in(group, account):
                 for name, decoded in one.signals.items():
                     kept = slice(None) if decoded.is_present is None else decoded.is_present
                     rows.setdefault((one.slot, name), []).append(one.rows[kept] + start)
-                    values.setdefault((one.slot, name), []).append(decoded.value[kept])
+                    value = decoded.value
+                    if plan.is_measured and decoded.is_good is not None:
+                        value = np.where(decoded.is_good, value, np.nan)
+                    values.setdefault((one.slot, name), []).append(value[kept])
             times.append(group.frames.t_ns)
             start += len(group)
         t_ns = np.concatenate(times) if times else np.empty(0, np.int64)
@@ -149,34 +162,81 @@ class Log:
         together = LongMessages([table.message for table in self._plan.codec.tables])
         return [*together.feed(self.frames), *together.close()]
 
-    def to_arrow(self, shape: ShapeName = "wide", values: ValuesName = "numbers") -> Any:  # noqa: ANN401 - untyped
-        """Return the signals as a table of pyarrow, the one that ``write_parquet`` writes.
+    def to_arrow(
+        self, shape: TableShapeName = "messages", values: ValuesName = "numbers", *, is_raw: bool = False
+    ) -> Any:  # noqa: ANN401 - untyped
+        """Return the signals as tables of pyarrow by message, or as one table.
 
         Parameters
         ----------
         shape
-            Of a row: ``wide`` for one a frame with a column for each signal, ``long`` for one a value.
+            ``messages`` for a table of each message that occurs, by its name, with a row per frame; ``long`` for one
+            table with a row per value, ``wide`` for one with a row per frame and a column per signal: most of its
+            cells are empty, and a warning tells if it takes much memory.
         values
             What stands for a value that the database names: its number, its name, or both in two columns.
+        is_raw
+            Whether codes that say that there is no value are numbers; else they are null, as in pandas NaN.
 
         Raises
         ------
         ExtraMissingError
             If pyarrow is not installed.
         """
-        reader = self.batches(shape, values)
-        return load_pyarrow().Table.from_batches(reader, schema=reader.schema).unify_dictionaries()
+        if shape == "messages":
+            return self._message_tables(Values(values), self._plan_of(is_raw=is_raw))
+        reader = self.batches(shape, values, is_raw=is_raw)
+        batches = self._watched(reader) if shape == "wide" else reader
+        return load_pyarrow().Table.from_batches(batches, schema=reader.schema).unify_dictionaries()
+
+    def _message_tables(self, values: Values, plan: Plan) -> dict[str, Any]:
+        arrow, account = load_pyarrow(), DecodeAccount(codec=plan.codec, names=plan.names)
+        layouts: dict[int, WideLayout] = {}
+        batches: dict[int, list[Any]] = {}
+        for group in groups(stretches(self._streamed(), account), plan.codec, plan.size()):
+            found = sorted(values_in(group, account), key=lambda one: one.slot)
+            for slot, parts in groupby(found, key=lambda one: one.slot):
+                if slot not in layouts:
+                    layouts[slot] = message_layout(account, slot, values, None, is_measured=plan.is_measured)
+                _, columns = layouts[slot].columns(group, list(parts))
+                schema = arrow_schema(layouts[slot].kinds, layouts[slot].metadata)
+                batches.setdefault(slot, []).append(arrow.record_batch(list(columns.values()), schema=schema))
+        return {
+            plan.names.messages[slot]: arrow.Table.from_batches(batches[slot]).unify_dictionaries()
+            for slot in sorted(batches)
+        }
+
+    def _watched(self, reader: Any) -> Iterator[Any]:  # noqa: ANN401 - untyped
+        """Yield the batches of a wide table, with a warning as soon as they are many cells."""
+        row_count, column_count = 0, len(reader.schema)
+        is_told = False
+        for batch in reader:
+            row_count += len(batch)
+            if not is_told and row_count * column_count > self._warned_cells:
+                is_told = True
+                size = f"{row_count} rows and {column_count} columns takes {8e-9 * row_count * column_count:.1f} GB"
+                told = f"a table of {size} and is not complete; the shapes messages and long have no empty cells"
+                warnings.warn(told, stacklevel=4)
+            yield batch
+
+    def frames_to_arrow(self) -> Any:  # noqa: ANN401 - untyped
+        """Return the frames themselves as a table of pyarrow, a row for each; no database is needed.
+
+        Columns are ``time``, ``channel``, ``id``, ``is_extended``, ``is_remote``, ``is_error``, ``is_fd`` and ``data``.
+        """
+        return frame_table(self.frames)
 
     def batches(
         self,
         shape: ShapeName = "wide",
         values: ValuesName = "numbers",
         *,
-        signals: Sequence[str] = (),
+        signals: Sequence[str] | str = (),
         begin: str | float | None = None,
         end: str | float | None = None,
+        is_raw: bool = False,
     ) -> Any:  # noqa: ANN401 - untyped
-        """Return a ``pyarrow.RecordBatchReader`` of the table of ``to_arrow``, which reads the files as it is read.
+        """Return a ``pyarrow.RecordBatchReader`` of one table of ``to_arrow``, which reads the files as it is read.
 
         It takes no more memory than a batch, however long the log is. For wide rows the files are read twice, for the
         messages that occur are the columns. ``signals``, ``begin`` and ``end`` are those of ``write_table``.
@@ -187,7 +247,7 @@ class Log:
             If pyarrow is not installed.
         """
         arrow = load_pyarrow()
-        whole = replace(self._plan, shape=TableShape(shape), values=Values(values))
+        whole = replace(self._plan_of(is_raw=is_raw), shape=TableShape(shape), values=Values(values))
         plan = whole.part(signals, begin, end)
         account = DecodeAccount(codec=plan.codec, names=plan.names)
         layout = plan.layout(lambda: plan.span.part(self._streamed(), account.leave_out))
@@ -202,15 +262,25 @@ class Log:
         """Return the wide table as a stream that any library of Arrow takes."""
         return self.batches().__arrow_c_stream__(requested_schema)
 
-    def to_pandas(self, shape: ShapeName = "wide", values: ValuesName = "numbers") -> Any:  # noqa: ANN401 - optional
-        """Return the table of ``to_arrow`` as a DataFrame of pandas; ExtraMissingError if that is not installed."""
+    def to_pandas(
+        self, shape: TableShapeName = "messages", values: ValuesName = "numbers", *, is_raw: bool = False
+    ) -> Any:  # noqa: ANN401 - optional
+        """Return what ``to_arrow`` does as DataFrames of pandas; ExtraMissingError if that is not installed."""
         load_extra("pandas", "to_pandas() needs pandas")
-        return self.to_arrow(shape, values).to_pandas()
+        tables = self.to_arrow(shape, values, is_raw=is_raw)
+        if isinstance(tables, dict):
+            return {name: table.to_pandas() for name, table in tables.items()}
+        return tables.to_pandas()
 
-    def to_polars(self, shape: ShapeName = "wide", values: ValuesName = "numbers") -> Any:  # noqa: ANN401 - optional
-        """Return the table of ``to_arrow`` as a DataFrame of polars; ExtraMissingError if that is not installed."""
+    def to_polars(
+        self, shape: TableShapeName = "messages", values: ValuesName = "numbers", *, is_raw: bool = False
+    ) -> Any:  # noqa: ANN401 - optional
+        """Return what ``to_arrow`` does as DataFrames of polars; ExtraMissingError if that is not installed."""
         polars = load_extra("polars", "to_polars() needs polars")
-        return polars.from_arrow(self.to_arrow(shape, values))
+        tables = self.to_arrow(shape, values, is_raw=is_raw)
+        if isinstance(tables, dict):
+            return {name: polars.from_arrow(table) for name, table in tables.items()}
+        return polars.from_arrow(tables)
 
     def _opened(self, stack: ExitStack) -> list[LogReader]:
         opened = (read_log(path, is_strict=self._is_strict, columns=self._columns) for path in self.paths)
@@ -224,16 +294,24 @@ class Log:
         with ExitStack() as stack:
             yield from merged_by_time(self._opened(stack))
 
-    def _new_account(self) -> DecodeAccount:
-        return DecodeAccount(codec=self._plan.codec, names=self._plan.names, log=self.counts)
+    def _plan_of(self, *, is_raw: bool) -> Plan:
+        return self._plan if is_raw else self._measured_plan
+
+    @cached_property
+    def _measured_plan(self) -> Plan:
+        return self._plan.measured()
+
+    def _new_account(self, plan: Plan | None = None) -> DecodeAccount:
+        plan = plan or self._plan
+        return DecodeAccount(codec=plan.codec, names=plan.names, log=self.counts)
 
     def _groups(self, account: DecodeAccount) -> Iterator[FrameGroup]:
-        return groups(stretches([self.frames], account), self._plan.codec, self._plan.size())
+        return groups(stretches([self.frames], account), account.codec, self._plan.size())
 
 
 def read(
     path: Path | str | Sequence[Path | str],
-    database: Database | Path | str,
+    database: Database | Path | str | None = None,
     *,
     is_strict: bool = False,
     is_lenient: bool = False,
@@ -249,7 +327,8 @@ def read(
         A log of any format that ``canlog.LogFormat`` lists, perhaps compressed; its contents say which. Or several:
         their frames are put in the order of time.
     database
-        A DBC, KCD, ARXML or SYM file, ``FILE#BUS`` for one bus of several, or what ``load_database`` made of one.
+        A DBC, KCD, ARXML or SYM file, ``FILE#BUS`` for one bus of several, or what ``load_database`` made of one;
+        without one there are frames and no signals.
     is_strict
         Whether the first line or object that is no frame is an error; else it is counted.
     is_lenient
@@ -264,4 +343,5 @@ def read(
     DefinitionError
         If the database cannot be used.
     """
-    return Log(log_paths(path), database_of(database, is_lenient=is_lenient), is_strict=is_strict, columns=columns)
+    known = Database() if database is None else database_of(database, is_lenient=is_lenient)
+    return Log(log_paths(path), known, is_strict=is_strict, columns=columns)

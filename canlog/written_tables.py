@@ -11,11 +11,10 @@ from canlog.database.loading import database_of
 from canlog.errors import OutputError
 from canlog.tables.decoding import Plan, TableShape, decode_logs
 from canlog.tables.inputs import log_paths
-from canlog.tables.layouts import Values, ValuesName
+from canlog.tables.layouts import TableShapeName, Values, ValuesName
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, TableFormat
 from canlog.tables.report import losses
 
-TableShapeName = Literal["wide", "long", "messages"]
 FormatName = Literal["parquet", "csv", "jsonl", "arrow", "mf4"]
 
 
@@ -31,7 +30,7 @@ class TableChoice:
         As of ``Log.to_arrow``, and ``messages`` for a folder with a table of its own for each message; an MF4 file has
         a group for each message, and numbers.
     signals
-        Only these: ``Message.Signal`` or the signal alone, both with ``*`` for anything; by default all.
+        Only these: ``Message.Signal`` or the signal alone, both with ``*`` for anything; by default all. A text is one.
     begin, end
         Only what lies between: seconds from the first frame, or a time as ISO 8601, in UTC unless it says otherwise.
     columns
@@ -43,7 +42,7 @@ class TableChoice:
     table_format: FormatName | None = None
     shape: TableShapeName = "wide"
     values: ValuesName = "numbers"
-    signals: Sequence[str] = ()
+    signals: Sequence[str] | str = ()
     begin: str | float | None = None
     end: str | float | None = None
     columns: str = ""

@@ -71,7 +71,7 @@ _FORMAT_OF_ROOT: Final = {"NetworkDefinition": DatabaseFormat.KCD, "AUTOSAR": Da
 
 
 def load_database(
-    path: Path, *, is_lenient: bool = False, is_j1939: bool = False, parser_time_s: int = PARSER_TIME_S
+    path: Path | str, *, is_lenient: bool = False, is_j1939: bool = False, parser_time_s: int = PARSER_TIME_S
 ) -> Database:
     """Return the messages of a DBC, KCD, ARXML or SYM file; which one it is, its contents say.
 
@@ -80,7 +80,7 @@ def load_database(
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
         The file; of a network of several buses, ``FILE#BUS`` is one of them.
     is_lenient : bool
         Leave items out of a DBC file that cannot be right, with a warning of each, instead of refusing the file.
@@ -98,7 +98,7 @@ def load_database(
     """
     if parser_time_s < 1:
         raise DefinitionError(f"a database needs at least 1 s to be read, got {parser_time_s} s")
-    file, bus = bus_of(path)
+    file, bus = bus_of(Path(path))
     text = _read_text(file)
     database_format = _format_of(text, file)
     if database_format == DatabaseFormat.DBC:

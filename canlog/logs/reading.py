@@ -6,7 +6,7 @@ from functools import partial
 from io import BufferedReader
 from pathlib import Path
 from types import MappingProxyType
-from typing import BinaryIO, cast
+from typing import BinaryIO, Self, cast
 
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
@@ -126,6 +126,12 @@ class LogReader(Iterator[FrameBatch]):
         self._be_strict()
         self.watch(self)
         return batch
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def close(self) -> None:
         """Close the file; reading to the end does it, too."""

@@ -22,7 +22,7 @@ from canlog.tables.inputs import LogSet, Origins
 from canlog.tables.layouts import LongLayout, Values, WideLayout
 from canlog.tables.long_rows import LongRows
 from canlog.tables.names import TableNames, table_names
-from canlog.tables.outputs import TableFormat
+from canlog.tables.outputs import TableFormat, check_libraries
 from canlog.tables.selection import EVERYTHING, Span, chosen_places
 from canlog.tables.sinks import ColumnRows, MessageRows, TableSink
 from canlog.tables.table_folder import TableFolder, message_files, table_folder
@@ -53,6 +53,7 @@ class Plan:
     max_frames: int = GROUP_FRAMES  # of a row group of Parquet
     max_values: int = GROUP_VALUES  # likewise
     span: Span = EVERYTHING
+    is_measured: bool = False  # whether codes that say "not available" are no values
     pairs: tuple[tuple[int, int], ...] = ()  # identifiers of requests and answers, as of ``LongRows``
 
     @classmethod
@@ -66,6 +67,12 @@ class Plan:
         codec = Codec(messages, has_long=True)
         return cls(codec=codec, names=table_names(codec.tables), shape=shape, values=values)
 
+    def measured(self) -> "Plan":
+        """Return the plan for the same messages in which codes that say "not available" are no values."""
+        messages = [table.message for table in self.codec.tables]
+        codec = Codec(messages, check_range=False, check_codes=True, has_long=True)
+        return replace(self, codec=codec, is_measured=True)
+
     def part(self, signals: Sequence[str], begin: str | float | None, end: str | float | None) -> "Plan":
         """Return the plan for some signals, all if none is named, and for the stretch between two times.
 
@@ -76,7 +83,7 @@ class Plan:
         SourceError
             If a text is no time.
         """
-        span = Span.of(begin, end)
+        span, signals = Span.of(begin, end), [signals] if isinstance(signals, str) else signals
         if not signals:
             return replace(self, span=span)
         return replace(self, span=span, codec=self.codec.only(chosen_places(self.names.columns, signals)))
@@ -90,14 +97,15 @@ class Plan:
     ) -> WideLayout | LongLayout:
         """Return the columns; for wide rows all frames are looked at, for the messages that occur are the columns."""
         if self.shape is TableShape.LONG:
-            return LongLayout(self.codec.tables, self.names, self.values, origins)
+            return LongLayout(self.codec.tables, self.names, self.values, origins, is_measured=self.is_measured)
         seen: set[int] = set()
         together = LongRows(self.codec, self.pairs)
         for stretch in together.stretches(batches()):
             counts = stretch.match.counts[:-1, list(HAS_VALUES)]
             seen.update(np.flatnonzero(counts.sum(axis=1)).tolist())
         seen.update(together.counts_of)
-        return WideLayout(self.codec.tables, self.names, self.values, sorted(seen), origins)
+        slots = sorted(seen)
+        return WideLayout(self.codec.tables, self.names, self.values, slots, origins, is_measured=self.is_measured)
 
     def size(self, layout: WideLayout | LongLayout | None = None, *, is_live: bool = False) -> GroupSize:
         """Return how much a group of rows holds whose columns are all in memory.
@@ -149,6 +157,7 @@ def decode_logs(
     ExtraMissingError
         If the library that writes the format is not installed.
     """
+    check_libraries(table_format, paths)
     is_read_twice = _is_read_twice(plan, table_format)
     with LogSet(paths, is_stopped, is_read_twice=is_read_twice, watch=watch, columns=columns) as logs:
         return _Writing(logs, plan, table_format, is_stopped).write(output)

@@ -27,6 +27,7 @@ MESSAGE, SIGNAL, VALUE, TEXT, UNIT = "message", "signal", "value", "text", "unit
 FRAME_KINDS: Final = {TIME: TIME_TYPE, CHANNEL: "int64", ID: "int32", IS_EXTENDED: BOOL_TYPE, MESSAGE: NAME_TYPE}
 _BARE_ID: Final = np.uint32(0x1FFF_FFFF)
 ShapeName = Literal["wide", "long"]
+TableShapeName = Literal["wide", "long", "messages"]
 ValuesName = Literal["numbers", "texts", "both"]
 Column = Any  # of pyarrow, which is untyped
 
@@ -54,8 +55,11 @@ class TableLayout:
         values: Values,
         slots: Sequence[int],
         origins: Origins | None = None,
+        *,
+        is_measured: bool = False,
     ) -> None:
         self._tables = tables
+        self._is_measured = is_measured  # null is what the codec says is no measurement, too
         self.names = names
         self.values = values
         self._origins = origins
@@ -100,8 +104,10 @@ class WideLayout(TableLayout):
         values: Values,
         slots: Sequence[int],
         origins: Origins | None = None,
+        *,
+        is_measured: bool = False,
     ) -> None:
-        super().__init__(tables, names, values, slots, origins)
+        super().__init__(tables, names, values, slots, origins, is_measured=is_measured)
         self._places = [(slot, name) for slot in slots for name in tables[slot].signals]
 
     @property
@@ -159,6 +165,8 @@ class WideLayout(TableLayout):
                 cells.put_codes(place, rows, codes)
                 if self.values is Values.TEXTS:
                     is_there = codes == NAMELESS if is_there is None else is_there & (codes == NAMELESS)
+            if self._is_measured and decoded.is_good is not None:
+                is_there = decoded.is_good if is_there is None else is_there & decoded.is_good
             cells.put(place, rows, decoded.value, is_there)
 
 
@@ -166,9 +174,15 @@ class LongLayout(TableLayout):
     """A row per value."""
 
     def __init__(
-        self, tables: Sequence[MessageTable], names: TableNames, values: Values, origins: Origins | None = None
+        self,
+        tables: Sequence[MessageTable],
+        names: TableNames,
+        values: Values,
+        origins: Origins | None = None,
+        *,
+        is_measured: bool = False,
     ) -> None:
-        super().__init__(tables, names, values, range(len(tables)), origins)
+        super().__init__(tables, names, values, range(len(tables)), origins, is_measured=is_measured)
 
     @property
     def kinds(self) -> dict[str, str]:
@@ -192,14 +206,17 @@ class LongLayout(TableLayout):
         columns = self._frame_columns(group, rows[order])
         columns[MESSAGE] = _name_column([self.names.messages[part.place[0]] for part in parts], which)
         columns[SIGNAL] = _name_column([part.place[1] for part in parts], which)
-        columns[VALUE] = np.concatenate([part.value for part in parts])[order]
+        value = np.concatenate([part.value for part in parts])[order]
+        is_good = np.concatenate([part.is_good for part in parts])[order]
+        text: dict[str, Column] = {}
         if self.values is not Values.NUMBERS:
             arrow = load_pyarrow()
             texts = arrow.concat_arrays([_name_column(part.names, part.codes) for part in parts])
-            columns[TEXT] = texts.take(arrow.array(order))
+            text = {TEXT: texts.take(arrow.array(order))}
             if self.values is Values.TEXTS:
-                is_nameless = columns[TEXT].is_null().to_numpy(zero_copy_only=False)
-                columns[VALUE] = _column(columns[VALUE], is_nameless)
+                is_good &= text[TEXT].is_null().to_numpy(zero_copy_only=False)
+        columns[VALUE] = value if is_good.all() else _column(value, is_good)
+        columns.update(text)
         columns[UNIT] = _name_column([self.unit(part.place) for part in parts], which)
         return len(rows), columns
 
@@ -211,7 +228,10 @@ class LongLayout(TableLayout):
             codes, names = np.full(len(rows), NAMELESS, np.int32), tuple[str, ...]()
             if place in self.texts:
                 codes, names = self.texts[place].codes(one.words)[kept], self.texts[place].names
-            yield _Part(place, rows, value, codes, names)
+            is_good = np.ones(len(rows), np.bool_)
+            if self._is_measured and decoded.is_good is not None:
+                is_good = decoded.is_good[kept]
+            yield _Part(place, rows, value, is_good, codes, names)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,6 +241,7 @@ class _Part:
     place: Place
     rows: Int64Array  # (n,) of the batch
     value: FloatArray  # (n,)
+    is_good: BoolArray  # (n,) whether the value is to be shown
     codes: Int32Array  # (n,) of ``names``
     names: tuple[str, ...]
 

@@ -2,11 +2,14 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
+from importlib.machinery import PathFinder
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, BinaryIO, Final, Protocol
 
+from canlog.extras import extra_missing
 from canlog.parquet_file import NAME_TYPE, TIME_TYPE, ParquetTable, arrow_schema, load_pyarrow
 
 
@@ -37,6 +40,25 @@ ARROW_COMPRESSION: Final = (
     "lz4"  # most cells of a wide table are empty, and take longer to be written than to be packed
 )
 _TEXT: Final = "string"
+
+
+def check_libraries(table_format: TableFormat, logs: Sequence[Path]) -> None:
+    """Raise ExtraMissingError if a library is missing that writes a format, or that logs need, as their names say."""
+    is_mf4 = table_format is TableFormat.MF4
+    needs = [("asammdf" if is_mf4 else "pyarrow", "mf4" if is_mf4 else "parquet")]
+    if PathFinder.find_spec(needs[0][0]) is not None:
+        return  # what a log needs in spite of its name, its contents say
+    words = [f"{table_format} needs {needs[0][0]}"]
+    suffixes = {suffix.lower() for log in logs for suffix in log.suffixes}
+    if not is_mf4 and suffixes & {".mf4", ".mdf"}:
+        needs.append(("asammdf", "mf4"))
+        words.append("MF4 logs need asammdf")
+    if suffixes & {".zst", ".zstd"}:
+        needs.append(("zstandard", "zstd"))
+        words.append("logs inside zstd need zstandard")
+    missing = [number for number, (module, _) in enumerate(needs) if PathFinder.find_spec(module) is None]
+    extras = sorted({needs[number][1] for number in missing})
+    raise extra_missing(", ".join(words[number] for number in missing), ",".join(extras))
 
 
 class ColumnSink(Protocol):

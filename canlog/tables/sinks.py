@@ -94,7 +94,9 @@ class MessageRows:
         return self._open[slot]
 
 
-def message_layout(account: DecodeAccount, slot: int, values: Values, origins: Origins | None) -> WideLayout:
+def message_layout(
+    account: DecodeAccount, slot: int, values: Values, origins: Origins | None, *, is_measured: bool = False
+) -> WideLayout:
     """Return the columns of the table of one message, called as its signals are."""
     names = account.names.of_message(slot, frame_kinds(origins))
-    return WideLayout(account.codec.tables, names, values, [slot], origins)
+    return WideLayout(account.codec.tables, names, values, [slot], origins, is_measured=is_measured)

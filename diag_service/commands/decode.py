@@ -6,9 +6,8 @@ from types import SimpleNamespace
 from typing import BinaryIO, Final
 
 from canlog.logs import STANDARD_INPUT, is_folder, shown_name
-from canlog.parquet_file import load_pyarrow
 from canlog.tables.decoding import Decoded, TableShape, decode_logs
-from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat
+from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat, check_libraries
 from canlog.tables.report import account_record, frame_texts, losses, remarks, values_text
 from diag_service.commands.table_choice import check_messages, choice_of, planned
 from diag_service.console.reading import ReadingLine
@@ -93,8 +92,7 @@ def _check(options: SimpleNamespace, table_format: TableFormat) -> None:
         raise ConfigError("an MF4 file has a group per message and numbers: neither --layout nor --values applies")
     if not is_piped and not is_of_messages and (text := replacement_refusal(options.output, is_forced=options.force)):
         raise ConfigError(text)
-    if table_format is not TableFormat.MF4:
-        load_pyarrow()
+    check_libraries(table_format, options.logs)
 
 
 def _place(options: SimpleNamespace) -> str:

@@ -38,7 +38,7 @@ from canlog.kernel_cache import on_compiling
 compiled = []
 on_compiling(compiled.append)
 {THREE_LINES}
-polars, pandas = table, log.to_pandas()
+polars, pandas = table, log.to_pandas("wide")
 {MORE_LINES}
 columns = [name for name in pandas.columns if "." in name]
 print(json.dumps({{

@@ -51,6 +51,7 @@ def test_the_frames_are_those_of_the_file(log: canlog.Log) -> None:
     assert log.frames.can_id.tolist()[:4] == [0x100, 0x101, 0x100, 0x101]
     assert log.frames.data[3].tolist() == [1, 4, 0, 0, 0, 0, 0, 0]
     assert log.format is canlog.LogFormat.CANDUMP
+    assert len(log) == 8
     assert repr(log) == f"<canlog.Log {log.path}: candump, 8 frames>"
 
 
@@ -97,10 +98,11 @@ def test_tables_in_memory_are_those_of_the_file(drive: Path, shape: ShapeName, v
     database = canlog.load_database(drive.with_name("car.dbc"))
     log = canlog.read(drive, database)
     assert canlog.write_parquet(drive, database, output, canlog.TableChoice(shape=shape, values=values)) == log.losses
-    table = log.to_arrow(shape, values)
+    table = log.to_arrow(shape, values, is_raw=True)
     assert table.to_pylist() == pl.read_parquet(output).to_dicts()
-    assert log.to_polars(shape, values).to_dicts() == table.to_pylist()
-    pd.testing.assert_frame_equal(log.to_pandas(shape, values), pd.read_parquet(output), check_categorical=False)
+    assert log.to_polars(shape, values, is_raw=True).to_dicts() == table.to_pylist()
+    frame = log.to_pandas(shape, values, is_raw=True)
+    pd.testing.assert_frame_equal(frame, pd.read_parquet(output), check_categorical=False)
 
 
 def test_a_table_is_pieced_together(drive: Path) -> None:
@@ -110,17 +112,19 @@ def test_a_table_is_pieced_together(drive: Path) -> None:
     drive.write_text(lines, encoding="ascii")
     database = canlog.load_database(drive.with_name("car.dbc"))
     log = canlog.Log([drive], database, max_cells=70)
-    table = log.to_arrow(values="texts")
+    table = log.to_arrow("wide", "texts")
     assert table.num_rows == 900
     assert table["message"].num_chunks > 10
-    assert log.to_polars(values="texts").to_dicts() == canlog.read(drive, database).to_polars(values="texts").to_dicts()
+    whole = canlog.read(drive, database)
+    assert log.to_polars("wide", "texts").to_dicts() == whole.to_polars("wide", "texts").to_dicts()
 
 
 def test_a_database_that_matches_nothing_gives_an_empty_table(log: canlog.Log, drive: Path) -> None:
     drive.write_text("(1.000000) can0 7AB#00\n", encoding="ascii")
     other = canlog.read(drive, drive.with_name("car.dbc"))
     assert other.signals() == {}
-    assert other.to_pandas().empty
+    assert other.to_pandas() == {}
+    assert other.to_pandas("wide").empty
     assert other.to_polars("long").is_empty()
     assert other.to_polars("long").columns == log.to_polars("long").columns
     assert "0 of 1 identifiers are in this database" in other.losses[0]

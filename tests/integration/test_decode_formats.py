@@ -7,6 +7,7 @@ import re
 import struct
 import zipfile
 from datetime import datetime
+from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
@@ -354,3 +355,29 @@ def test_every_log_of_an_archive_becomes_a_table(folder: Path) -> None:
     assert written == ["week 1/monday.log.parquet", "week 1/tuesday.log.parquet"]
     alone = str(decoded("drive.log"))  # as a text: nan is not equal to itself
     assert [str(pq.read_table(folder / "tables" / one).to_pylist()) for one in written] == [alone, alone]
+
+
+@pytest.mark.parametrize(
+    ("missing", "log", "output", "told"),
+    [
+        ("pyarrow", "drive.log", "out.csv", "csv needs pyarrow: pip install 'clutchdiag[parquet]'"),
+        ("pyarrow", "drive.log", "out.parquet", "parquet needs pyarrow: pip install 'clutchdiag[parquet]'"),
+        (
+            "pyarrow asammdf zstandard",
+            "drive.mf4.zst",
+            "out.jsonl",
+            "jsonl needs pyarrow, MF4 logs need asammdf, logs inside zstd need zstandard: pip install 'clutchdiag[mf4,",
+        ),
+    ],
+)
+def test_all_that_is_to_be_installed_is_told_at_once(
+    folder: Path, missing: str, log: str, output: str, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / log).write_text(LINES[0], encoding="ascii")
+    find = PathFinder.find_spec
+    monkeypatch.setattr(
+        PathFinder, "find_spec", lambda name, *more: None if name in missing.split() else find(name, *more)
+    )
+    result = ended("decode", log, "--dbc", "car.dbc", "-o", output)
+    assert result.status != 0
+    assert told in result.err

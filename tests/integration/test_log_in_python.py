@@ -1,0 +1,122 @@
+"""What a notebook asks a log for: values that are measurements, dense tables, nothing read that was not asked for."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pytest
+
+import canlog
+from canlog.errors import DefinitionError
+
+DBC = """VERSION ""
+BU_: A
+BO_ 256 Engine: 4 A
+ SG_ Speed : 0|16@1+ (0.25,0) [0|8000] "rpm" A
+ SG_ Gear : 16|8@1+ (1,0) [0|3] "" A
+BO_ 512 Brake: 1 A
+ SG_ Pedal : 0|8@1+ (0.4,0) [0|100] "%" A
+VAL_ 256 Speed 65535 "NotAvailable" ;
+VAL_ 512 Pedal 255 "not available" ;
+"""
+LOG = """(1.000000) can0 100#FFFF0100
+(1.001000) can1 100#A00F0900
+(1.002000) can0 200#FF
+(1.003000) can0 200#0A
+(1.004000) can0 00000123##1112233445566778899AABBCC
+(1.005000) can0 7AB#R
+"""
+
+
+@pytest.fixture(name="drive")
+def _drive(tmp_path: Path) -> Path:
+    (tmp_path / "car.dbc").write_text(DBC, encoding="utf-8")
+    (tmp_path / "drive.log").write_text(LOG, encoding="ascii")
+    return tmp_path
+
+
+def opened(drive: Path) -> canlog.Log:
+    return canlog.read(drive / "drive.log", drive / "car.dbc")
+
+
+def test_codes_that_say_not_available_are_no_values(drive: Path) -> None:
+    log = opened(drive)
+    speed = log.signals()["Engine.Speed"]
+    assert math.isnan(speed.value[0])
+    assert speed.value[1] == 1000.0
+    assert log.signals()["Engine.Gear"].value.tolist() == [1.0, 9.0]  # outside its range, but sent
+    assert log.signals(is_raw=True)["Engine.Speed"].value.tolist() == [16383.75, 1000.0]
+
+
+@pytest.mark.parametrize("values", ["numbers", "both"])
+def test_tables_have_nothing_where_there_is_no_value(drive: Path, values: Any) -> None:  # noqa: ANN401 - a word
+    log = opened(drive)
+    assert log.to_arrow("wide", values)["Engine.Speed"].to_pylist() == [None, 1000.0, None, None]
+    assert log.to_arrow("wide", values, is_raw=True)["Engine.Speed"].to_pylist() == [16383.75, 1000.0, None, None]
+    assert log.to_arrow("long", values)["value"].to_pylist() == [None, 1.0, 1000.0, 9.0, None, 4.0]
+    assert log.to_polars("long", values, is_raw=True)["value"].to_list() == [16383.75, 1.0, 1000.0, 9.0, 102.0, 4.0]
+    assert log.to_pandas("messages", values)["Engine"]["Speed"].isna().tolist() == [True, False]
+    if values == "both":
+        assert log.to_arrow("wide", values)["Engine.Speed.text"].to_pylist()[0] == "NotAvailable"
+        assert log.to_arrow("long", values)["text"].to_pylist()[0] == "NotAvailable"
+
+
+def test_a_table_per_message_is_what_comes_by_itself(drive: Path) -> None:
+    log = opened(drive)
+    tables = log.to_pandas()
+    assert list(tables) == ["Engine", "Brake"]
+    assert [list(table.columns[-2:]) for table in tables.values()] == [["Speed", "Gear"], ["message", "Pedal"]]
+    assert all(isinstance(table, pd.DataFrame) for table in tables.values())
+    assert all(isinstance(table, pl.DataFrame) for table in log.to_polars().values())
+    assert all(isinstance(table, pa.Table) for table in log.to_arrow().values())
+
+
+def test_a_wide_table_that_takes_much_memory_is_warned_of(drive: Path) -> None:
+    log = canlog.Log([drive / "drive.log"], canlog.load_database(drive / "car.dbc"), warned_cells=10)
+    with pytest.warns(UserWarning, match="a table of 4 rows and 8 columns takes .* messages"):
+        log.to_pandas("wide")
+    log.to_pandas()
+    log.to_pandas("long")
+
+
+def test_its_name_reads_nothing(drive: Path) -> None:
+    log = opened(drive)
+    (drive / "drive.log").unlink()
+    assert repr(log) == f"<canlog.Log {drive / 'drive.log'}: candump>"
+
+
+def test_a_path_may_be_a_text(drive: Path) -> None:
+    assert len(canlog.load_database(str(drive / "car.dbc")).messages) == 2
+
+
+def test_a_lone_pattern_is_one_pattern(drive: Path) -> None:
+    output = drive / "part.parquet"
+    paths = drive / "drive.log", drive / "car.dbc", output
+    canlog.write_table(*paths, canlog.TableChoice(signals="Engine*"))
+    assert [name for name in pl.read_parquet(output).columns if "." in name] == ["Engine.Speed", "Engine.Gear"]
+    with pytest.raises(DefinitionError):
+        canlog.write_table(*paths, canlog.TableChoice(signals="A*"))
+
+
+def test_a_reader_closes_its_file(drive: Path) -> None:
+    with canlog.read_log(drive / "drive.log") as reader:
+        next(reader)
+    assert reader.has_ended
+
+
+def test_frames_are_a_table_without_a_database(drive: Path) -> None:
+    table = canlog.read(drive / "drive.log").frames_to_arrow()
+    rows = table.to_pylist()
+    assert [row["id"] for row in rows] == [0x100, 0x100, 0x200, 0x200, 0x123, 0x7AB]
+    assert [row["channel"] for row in rows] == [0, 1, 0, 0, 0, 0]
+    assert [row["data"] for row in rows][2:] == [b"\xff", b"\n", bytes.fromhex("112233445566778899AABBCC"), b""]
+    assert [(row["is_extended"], row["is_fd"], row["is_remote"]) for row in rows][4:] == [
+        (True, True, False),
+        (False, False, True),
+    ]
+    assert pl.from_arrow(table)["data"].to_list() == table.to_pandas()["data"].tolist()  # type: ignore[index]
+    assert np.asarray(table["time"].cast(pa.int64())).tolist()[:2] == [10**9, 10**9 + 1_000_000]
