@@ -36,7 +36,7 @@ _DESCRIPTION: Final = Option(
     "says it is)",
     FILE,
 )
-_SESSION_TEXT: Final = "session to ask in, hexadecimal; left in the end"
+_SESSION_TEXT: Final = "session to ask in, hexadecimal; the default session is restored at the end"
 DTC: Final = Command(
     "dtc",
     "read the trouble codes of a controller, or clear them",
@@ -52,7 +52,11 @@ DTC: Final = Command(
         "obd, a code such as P0811 or P0811-07, or three bytes in hexadecimal",
         flag_value="all",
     ),
-    Option("--session N", "session to clear in, hexadecimal; left in the end (default: 01)", default="01"),
+    Option(
+        "--session N",
+        "session to clear in, hexadecimal; the default session is restored at the end (default: 01)",
+        default="01",
+    ),
     *(CONFIG, JSON, VERBOSE),
     variables=VARIABLES,
     description=f"Read the trouble codes of a controller, with what it kept of the failure, or clear them. {_LISTENS}",
@@ -85,7 +89,7 @@ ROUTINE: Final = Command(
         ["action"], type=Choice(["start", "stop", "results"]), metavar="ACTION", help="start, stop, results"
     ),
     *(*_ASKING, _DESCRIPTION),
-    Option("--options BYTES", "what it is started with, hexadecimal", default=""),
+    Option("--options BYTES", "options of the start, hexadecimal", default=""),
     Option(
         "--patience S",
         "how long a controller is given that says it takes longer, response pending (default: 600)",

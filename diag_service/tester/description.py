@@ -230,7 +230,7 @@ def _find(word: str, names: Mapping[int, str], what: str) -> int:
     if re.fullmatch(r"(?:0x)?[0-9A-F]{1,4}", word, re.IGNORECASE):
         return int(word, 16)
     known = "; it has " + ", ".join(sorted(names.values())) if names else ""
-    raise ConfigError(f"{word!r} is no {what}: give its number in hexadecimal or its name{known}")
+    raise ConfigError(f"{word!r} is not a {what}: give its number in hexadecimal or its name{known}")
 
 
 def _text(number: int, name: str, size_bytes: int = 0) -> Datum:
