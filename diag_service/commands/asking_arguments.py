@@ -43,6 +43,8 @@ DTC: Final = Command(
     *(*_ASKING, _DESCRIPTION),
     Option("--mask BYTE", "status bits of which a code must have one, hexadecimal (default: AF)", default="AF"),
     Option("--all", "all codes that the controller knows, also those that never failed"),
+    Option("--readiness GROUP", "the codes of OBD in a readiness group (SAE J1979-2), hexadecimal, in place of --mask"),
+    Option("--record N", "the codes that have a record of extended data, such as 91, hexadecimal, in place of --mask"),
     Option("--brief", "without snapshots and extended data"),
     Option(
         "--clear [GROUP]",

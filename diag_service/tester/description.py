@@ -269,4 +269,15 @@ STANDARD_DATA: Final[Mapping[int, Datum]] = {
         )
     },
 }
+# SAE J1979-2: records of extended data that controllers of all makers keep of a trouble code of OBD.
+STANDARD_EXTENDED: Final[Mapping[int, Datum]] = {
+    0x91: Datum(
+        number=0x91,
+        name="in-use performance of the monitor",
+        fields=(
+            Field(name="completed", kind=Kind.UNSIGNED, size_bytes=2),
+            Field(name="conditions met", kind=Kind.UNSIGNED, size_bytes=2),
+        ),
+    )
+}
 UNKNOWN: Final = Description(name="a controller without description", data=STANDARD_DATA)

@@ -47,19 +47,26 @@ class TroubleQuestion:
 
     mask: int = FAILED_MASK
     has_details: bool = True  # snapshots and extended data
+    group: int | None = None  # a readiness group, in place of the mask
+    record: int | None = None  # of extended data: codes that have it, in place of the mask
 
     def __post_init__(self) -> None:
         check_number("mask", self.mask, 0xFF)
+        if self.group is not None and self.record is not None:
+            raise ConfigError("ask for a readiness group or for a record, not for both")
 
     def requests(self, description: Description) -> list[str]:
         """Return what would be sent."""
         del description
         details = ["19 04 and 19 06: what was kept of each code"] if self.has_details else []
-        return [f"{request_text(trouble_request(self.mask))}: the codes", *details]
+        request = trouble_request(self.mask, group=self.group, record=self.record)
+        return [f"{request_text(request)}: the codes", *details]
 
     def ask(self, tester: "Dialogue", description: Description) -> tuple[TroubleCode, ...]:
         """Ask."""
-        return read_troubles(tester, description, self.mask, has_details=self.has_details)
+        return read_troubles(
+            tester, description, self.mask, has_details=self.has_details, group=self.group, record=self.record
+        )
 
 
 def agreed(where: str, codes: Sequence[TroubleCode]) -> bool:

@@ -10,9 +10,11 @@ from diag_service.tester.answers import (
     EXTENDED,
     READ_DATA,
     READ_TROUBLE,
+    READINESS,
     ROUTINE,
     SNAPSHOTS,
     SUPPORTED,
+    WITH_RECORD,
     refusal_text,
     shown,
 )
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from diag_service.tester.dialogue import Dialogue
 
 ALL_RECORDS: Final = 0xFF
+EMISSIONS: Final = 0x33  # functional group (ISO 14229-1, annex D)
 FAILED_MASK: Final = 0xAF  # all bits but those that tell of a test that did not run
 START, STOP, RESULTS = 0x01, 0x02, 0x03
 ACTIONS: Final = {"start": START, "stop": STOP, "results": RESULTS}
@@ -61,29 +64,43 @@ class RoutineAnswer:
     values: Values
 
 
-def trouble_request(mask: int) -> bytes:
-    """Return the question for codes with a status bit of the mask; 0: for all that the controller knows."""
+def trouble_request(mask: int, *, group: int | None = None, record: int | None = None) -> bytes:
+    """Return the question for codes with a status bit of the mask; 0: for all that the controller knows.
+
+    With a group or a record it is that for the codes of OBD of a readiness group, or for those with a record of
+    extended data, whatever their status (SAE J1979-2).
+    """
+    if group is not None:
+        return bytes([READ_TROUBLE, READINESS, EMISSIONS, group])
+    if record is not None:
+        return bytes([READ_TROUBLE, WITH_RECORD, record])
     return bytes([READ_TROUBLE, BY_MASK, mask]) if mask else bytes([READ_TROUBLE, SUPPORTED])
 
 
 def read_troubles(
-    tester: "Dialogue", description: Description, mask: int = FAILED_MASK, *, has_details: bool = True
+    tester: "Dialogue",
+    description: Description,
+    mask: int = FAILED_MASK,
+    *,
+    has_details: bool = True,
+    group: int | None = None,
+    record: int | None = None,
 ) -> tuple[TroubleCode, ...]:
     """Return the trouble codes that `trouble_request` asks for.
 
     With details each comes with its snapshots and extended data, as far as the controller has them.
     """
-    codes = read_codes(tester.ask(trouble_request(mask)), description)
+    codes = read_codes(tester.ask(trouble_request(mask, group=group, record=record)), description)
     if not has_details:
         return codes
-    return tuple(_with_details(tester, description, code) for code in codes)
+    return tuple(_with_details(tester, description, code, ALL_RECORDS if record is None else record) for code in codes)
 
 
-def _with_details(tester: "Dialogue", description: Description, code: TroubleCode) -> TroubleCode:
+def _with_details(tester: "Dialogue", description: Description, code: TroubleCode, record: int) -> TroubleCode:
     """Return a code with what was kept of it; a controller that keeps nothing, or will not tell, is no error."""
-    tail = code.number.to_bytes(3, "big") + bytes([ALL_RECORDS])
-    snapshots = tester.may_ask(bytes([READ_TROUBLE, SNAPSHOTS]) + tail)
-    extended = tester.may_ask(bytes([READ_TROUBLE, EXTENDED]) + tail)
+    number = code.number.to_bytes(3, "big")
+    snapshots = tester.may_ask(bytes([READ_TROUBLE, SNAPSHOTS]) + number + bytes([ALL_RECORDS]))
+    extended = tester.may_ask(bytes([READ_TROUBLE, EXTENDED]) + number + bytes([record]))
     return replace(
         code,
         snapshots=() if isinstance(snapshots, RefusedError) else read_snapshots(snapshots, description),

@@ -6,7 +6,7 @@ from typing import Final
 
 from diag_service.errors import MalformedError
 from diag_service.tester.answers import EXTENDED, HEAD_BYTES, ROW_BYTES, SNAPSHOTS, shown
-from diag_service.tester.description import Description, Values, code_text, read_fields
+from diag_service.tester.description import STANDARD_EXTENDED, Description, Values, code_text, read_fields
 
 CODE_BYTES: Final = ROW_BYTES - 1
 STATUS_BITS: Final = (
@@ -128,7 +128,7 @@ def read_extended(response: bytes, description: Description) -> tuple[Snapshot, 
     content = response[HEAD_BYTES[EXTENDED] :]
     found = []
     while any(content):
-        record = description.extended.get(content[0])
+        record = description.extended.get(content[0]) or STANDARD_EXTENDED.get(content[0])
         size = None if record is None else record.size_bytes
         _check_whole(response, content, 1 + (size or 1))
         number, content = content[0], content[1:]

@@ -50,6 +50,9 @@ def frames_of(message: bytes) -> Frames:
     return [first, *(bytes([0x20 | number & 0x0F]) + piece for number, piece in enumerate(following, 1))]
 
 
+_IDENTIFIER = {"5904": 4, "5906": 4, "591a": 3, "5956": 5}  # where an answer names what it is about; others at byte 2
+
+
 def _flipped(message: bytes, place: int) -> bytes:
     changed = bytearray(message)
     if place < len(changed):
@@ -74,7 +77,7 @@ WAYS: Mapping[str, Callable[[bytes, bytes], Frames]] = {
     "head alone": lambda _, right: frames_of(right[:2]),
     "a byte long": lambda _, right: frames_of(right + b"\x2f"),
     "wrong echo": lambda _, right: frames_of(_flipped(right, 1)),
-    "other identifier": lambda _, right: frames_of(_flipped(right, 4 if right[:1] == b"\x59" and right[1] & 4 else 2)),
+    "other identifier": lambda _, right: frames_of(_flipped(right, _IDENTIFIER.get(right[:2].hex(), 2))),
     "cut": lambda _, right: _cut(right),
     "empty": lambda _request, _right: [b"\x00"],
     "other service": lambda _, right: frames_of(_flipped(right, 0)),
