@@ -71,7 +71,7 @@ def fill(engine: Engine) -> None:
     statuses = [status_row({**told, **versions, "vehicle": vehicle}) for vehicle in FLEET]
     Writer(engine).store(Batch(shifts=shifts, statuses=statuses))
     for vehicle in ("car1", "car3"):
-        queries.note_fill(engine, vehicle, "DCTF 75W", at=START, odometer_m=80_211_000.0, note=None)
+        queries.note_fill(engine, vehicle, "DCTF 75W", at=START, odometer_m=12_345_000.0, note=None)
 
 
 def ask(connection: Connection, statement: str) -> list[Mapping[str, Any]]:
