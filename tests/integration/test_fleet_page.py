@@ -24,7 +24,7 @@ from fleet_backend.page.site import OPENAPI_PATH, VIEWS
 from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
 from program_io.pages.headers import SAFE_HEADERS as HEADERS
-from tests.support.browsing import chromium, complaints_of, new_page
+from tests.support.browsing import chromium, complaints_of, new_page, refused_in
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
 from tests.support.fleet_page import ACCESS, MARKUP, fill_database, headers_of, raise_alarms, served
 from tests.support.histories import fill_store, history
@@ -199,6 +199,7 @@ def test_a_real_browser_shows_every_page_to_everybody(address: str, database: st
         writer.dispose()
         page.get_by_text("the newest 5 events").wait_for()
         assert refused == []  # by the policy for contents
+        complaints |= {f"{path}, refused": refused_in(browser, address + path) for path in PAGES[:-1]}
         complaints["an alarm with its form"] = acknowledge_by_keyboard(browser, workshop)
         admin = new_page(browser, has_axe=True, headers=headers_of("root"))
         complaints["the audit"] = complaints_of(admin, f"{workshop}/audit", "light", has_picture=False)
