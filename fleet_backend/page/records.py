@@ -56,6 +56,34 @@ class FleetAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleNow:
+    """A vehicle as its worse clutch is."""
+
+    vehicle: str
+    clutch: int  # the worse one, of which the verdict is
+    condition: str
+    condition_reason: str
+    advice: str | None
+    level_ratio: float | None
+    probability_negative_slope: float | None
+    odometer_m: float | None
+    fluid: str | None
+    calibration_version: str
+    end_at: datetime
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehiclesAnswer:
+    """A part of the fleet's vehicles; ``counts`` of the whole fleet by verdict; ``next`` continues it."""
+
+    vehicles: tuple[VehicleNow, ...]
+    matching_count: int
+    vehicle_count: int
+    counts: Mapping[str, int]
+    next: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Fill:
     """New fluid."""
 
@@ -287,6 +315,7 @@ class Due:
     vehicle: str
     clutch: int
     condition: str
+    is_overdue: bool  # its limit is passed, or more probably so than not
     due_from: date | None  # it lasts until then with a probability of 90 %
     half_by: date | None
     most_by: date | None

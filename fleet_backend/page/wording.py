@@ -4,7 +4,7 @@ from datetime import datetime
 from typing import Final
 from urllib.parse import quote, urlencode
 
-from fleet_backend.page.records import ClutchNow
+from fleet_backend.page.records import ClutchNow, VehicleNow
 from program_io.pages.content import NONE, Advice, Badge, Cell, Link, moment, number
 
 BAND_STD: Final = 2.0
@@ -67,8 +67,8 @@ def words(reasons: tuple[str, ...]) -> str:
     return ", ".join(reason.replace("_", " ") for reason in reasons) or NONE
 
 
-def remark(now: ClutchNow) -> str:
-    """Return what to do about a clutch; of older programs, which gave no advice, why."""
+def remark(now: ClutchNow | VehicleNow) -> str:
+    """Return what to do about a clutch or a vehicle; of older programs, which gave no advice, why."""
     return now.advice or f"{condition_word(now.condition)}: {now.condition_reason}"
 
 
@@ -88,7 +88,9 @@ def alarm_href(vehicle: str, clutch: int, rule: str, number_of_it: int) -> str:
     return f"/alarm?{words_of_it}"
 
 
-def shift_link(text: str, vehicle: str, stream: str, seq: int) -> Link:
-    """Return the link to an event."""
+def shift_link(text: str, vehicle: str, stream: str, seq: int, *, at: datetime | None = None) -> Link:
+    """Return the link to an event; ``at`` is the moment that the text tells, if it does."""
     words_of_it = urlencode({"stream": stream, "seq": seq})
-    return Link(text=text, href=f"/vehicles/{quote(vehicle, safe='')}/shift?{words_of_it}")
+    return Link(
+        text=text, href=f"/vehicles/{quote(vehicle, safe='')}/shift?{words_of_it}", iso=at.isoformat() if at else ""
+    )

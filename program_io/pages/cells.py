@@ -32,7 +32,8 @@ def _cell(one: Cell) -> str:
     if isinstance(one, Number):
         return f'<data value="{escape(one.value)}">{escape(one.text)}</data>'
     if isinstance(one, Link):
-        return f'<a href="{escape(one.href)}">{escape(one.text)}</a>'
+        text = f'<time datetime="{escape(one.iso)}">{escape(one.text)}</time>' if one.iso else escape(one.text)
+        return f'<a href="{escape(one.href)}">{text}</a>'
     if isinstance(one, Moment):
         return f'<time datetime="{escape(one.iso)}">{escape(one.text)}</time>'
     badge: Badge = one

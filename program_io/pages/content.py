@@ -27,6 +27,7 @@ class Link:
 
     text: str
     href: str
+    iso: str = ""  # of a text that is a moment
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -64,7 +64,8 @@ _CUT = """least => {
     const box = one.getBoundingClientRect();
     if (!box.width || !box.height || one.closest("svg, .skip, [hidden], .cards thead")) continue;
     const text = one.textContent.slice(0, 60);
-    if (box.right > width + 1 || box.left < -1) said.push(`${one.tagName} ends at ${box.right} of ${width} px: ${text}`);
+    if (box.right > width + 1 || box.left < -1)
+      said.push(`${one.tagName} ends at ${box.right} of ${width} px: ${text}`);
     if (one.scrollWidth > one.clientWidth + 4 && getComputedStyle(one).overflowX !== "visible")
       said.push(`${one.tagName} hides ${one.scrollWidth - one.clientWidth} px: ${one.getAttribute("aria-label")}`);
   }
