@@ -7,12 +7,11 @@ from bisect import bisect_right
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Final, TypeVar
+from typing import Final
 
 from fleet_backend.page.errors import NotFoundError
-from fleet_backend.page.records import ClutchNow, Severity, VehicleNow
+from fleet_backend.page.records import ClutchNow, Severity
 
-NowT = TypeVar("NowT", ClutchNow, VehicleNow)
 Place = tuple[int, float, float, str, int]  # sorts as the view fleet_worst_first does
 _SEVERITY: Final = {Severity.CHANGE_FLUID: 0, Severity.WATCH: 1, Severity.GOOD: 2, Severity.NO_VERDICT: 3}
 _NO_LEVEL: Final = 9.0  # of the view
@@ -38,8 +37,8 @@ class Part:
     next: str | None
 
 
-def place_of(now: ClutchNow | VehicleNow) -> Place:
-    """Return where a clutch or a vehicle stands in the fleet: the smaller the worse."""
+def place_of(now: ClutchNow) -> Place:
+    """Return where a clutch stands in the fleet: the smaller the worse."""
     severity = _SEVERITY.get(Severity(now.condition), len(_SEVERITY))
     falling = now.probability_negative_slope or 0.0
     return severity, -falling, now.level_ratio or _NO_LEVEL, now.vehicle, now.clutch
@@ -50,8 +49,8 @@ def worst_first(clutches: Iterable[ClutchNow]) -> tuple[ClutchNow, ...]:
     return tuple(sorted(clutches, key=place_of))
 
 
-def matching(clutches: Sequence[NowT], wanted: Wanted) -> list[NowT]:
-    """Return the clutches or vehicles that are looked for, in the order in which they come."""
+def matching(clutches: Sequence[ClutchNow], wanted: Wanted) -> list[ClutchNow]:
+    """Return the clutches that are looked for, in the order in which they come."""
     found = list(clutches)
     if wanted.name_part:
         part = wanted.name_part.casefold()

@@ -7,8 +7,7 @@ from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
 from fleet_backend.page.fleet_view import EMPTY, FILTERS, choices, next_of, subtitle, wanted
 from fleet_backend.page.overview import SORTS, answer_of, vehicles_of
-from fleet_backend.page.records import VehicleNow, VehiclesAnswer
-from fleet_backend.page.remembered import Same
+from fleet_backend.page.records import ClutchNow, VehiclesAnswer
 from fleet_backend.page.view import Choice, Shown, Sources, View
 from program_io.pages.content import Cell, Link, Section, Table
 
@@ -17,48 +16,41 @@ _COLUMNS: Final = (
     *(("vehicle", "vehicle"), ("verdict", ""), ("what to do", ""), ("of new", "level"), ("km", "km")),
     *(("fluid", "fluid"), ("type", "type"), ("last event (UTC)", "last")),
 )
-_WORST: Final = ("", "worst first")
+_ORDERS: Final = (  # for screens that show no heads of columns
+    ("", "worst first"),
+    *((sign + name, f"{text} {way}") for text, name in _COLUMNS if name for sign, way in (("", "up"), ("-", "down"))),
+)
 
 
 def find(sources: Sources, ask: Ask) -> VehiclesAnswer:
     """Return the vehicles that are asked for."""
-    snapshot, looked_for = sources.keeper.snapshot, wanted(ask)
-    sort, after, limit = ask.text("sort"), ask.text("after"), ask.count("limit")
+    snapshot = sources.keeper.snapshot
     vehicles = sources.fleets.of("", snapshot.number, lambda: vehicles_of(snapshot.vehicles))
-    return sources.overviews.of(
-        (looked_for, sort, after, limit),
-        snapshot.number,
-        lambda: answer_of(vehicles, looked_for, sort, after, limit),
-    )
+    return answer_of(vehicles, wanted(ask), ask.text("sort"), ask.text("after"), ask.count("limit"))
 
 
 def show(answer: VehiclesAnswer, ask: Ask, sources: Sources) -> Shown:
     """Return the page of the fleet."""
-    caption = f"Vehicles: {answer.matching_count} of {answer.vehicle_count}"
+    sort = ask.text("sort") or ""
+    way = "descending" if sort.startswith("-") else "ascending"
     table = Table(
-        caption=caption,
+        caption=f"Vehicles: {answer.matching_count} of {answer.vehicle_count}",
         head=tuple(_head(text, name, ask) for text, name in _COLUMNS),
         rows=tuple(map(_cells, answer.vehicles)),
-        sorted_by=_sorted_by(ask),
+        sorted_by=([name for _, name in _COLUMNS].index(sort.removeprefix("-")), way) if sort else None,
     )
     texts = () if answer.vehicles else ("No vehicle fits these filters." if answer.vehicle_count else EMPTY,)
-    title = "In the order of a column" if ask.text("sort") else "Worst first"
+    title = "In the order of a column" if sort else "Worst first"
+    counts = ((one, f"{wording.condition_word(one)}: {count}") for one, count in answer.counts.items() if count)
     return Shown(
         title="Fleet",
         subtitle=subtitle(answer, sources),
-        more=tuple(_count(condition, count) for condition, count in answer.counts.items() if count),
+        more=tuple(Link(text=text, href=f"/?{urlencode({'condition': one})}") for one, text in counts),
         sections=(Section(name="vehicles", title=title, texts=texts, tables=(table,) if answer.vehicles else ()),),
-        choices=(
-            *choices(ask, sources),
-            Choice(name="sort", label="Order", value=ask.text("sort") or "", options=_options()),
-        ),
+        choices=(*choices(ask, sources), Choice(name="sort", label="Order", value=sort, options=_ORDERS)),
         next=next_of("/", ask, answer.next),
         follows="",
     )
-
-
-def _count(condition: str, count: int) -> Link:
-    return Link(text=f"{wording.condition_word(condition)}: {count}", href=f"/?{urlencode({'condition': condition})}")
 
 
 def _head(text: str, name: str, ask: Ask) -> str | Link:
@@ -70,24 +62,7 @@ def _head(text: str, name: str, ask: Ask) -> str | Link:
     return Link(text=text, href=f"/?{urlencode({**said, 'sort': word})}")
 
 
-def _sorted_by(ask: Ask) -> tuple[int, str] | None:
-    sort = ask.text("sort")
-    if sort is None:
-        return None
-    place = [name for _, name in _COLUMNS].index(sort.removeprefix("-"))
-    return place, "descending" if sort.startswith("-") else "ascending"
-
-
-def _options() -> tuple[tuple[str, str], ...]:
-    """Return the orders as a list, for screens that show no heads of columns."""
-    columns = [(name, text) for text, name in _COLUMNS if name]
-    return (_WORST, *((f"{sign}{name}", f"{text} {way}") for name, text in columns for sign, way in _WAYS))
-
-
-_WAYS: Final = (("", "upwards"), ("-", "downwards"))
-
-
-def _cells(one: VehicleNow) -> tuple[Cell, ...]:
+def _cells(one: ClutchNow) -> tuple[Cell, ...]:
     return (
         wording.vehicle_link(one.vehicle),
         wording.badge(one.condition),
@@ -107,11 +82,11 @@ VIEW: Final = View(
     text="Every vehicle as its worse clutch is, the worst first, and how many have each verdict.",
     parameters=(*FILTERS, AFTER, _SORT, LIMIT),
     answer=VehiclesAnswer,
-    row=VehicleNow,
+    row=ClutchNow,
     find=find,
     show=show,
     rows=lambda answer: answer.vehicles,
     subtitle=subtitle,
-    state=Same,
+    state=lambda answer: (answer.vehicles, tuple(answer.counts.values()), answer.matching_count, answer.next),
     asks_database=False,
 )

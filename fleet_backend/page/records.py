@@ -56,27 +56,10 @@ class FleetAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class VehicleNow:
-    """A vehicle as its worse clutch is."""
-
-    vehicle: str
-    clutch: int  # the worse one, of which the verdict is
-    condition: str
-    condition_reason: str
-    advice: str | None
-    level_ratio: float | None
-    probability_negative_slope: float | None
-    odometer_m: float | None
-    fluid: str | None
-    calibration_version: str
-    end_at: datetime
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class VehiclesAnswer:
-    """A part of the fleet's vehicles; ``counts`` of the whole fleet by verdict; ``next`` continues it."""
+    """A part of the vehicles, each by its worse clutch; ``counts`` of all by verdict; ``next`` continues it."""
 
-    vehicles: tuple[VehicleNow, ...]
+    vehicles: tuple[ClutchNow, ...]
     matching_count: int
     vehicle_count: int
     counts: Mapping[str, int]

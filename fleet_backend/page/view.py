@@ -13,13 +13,12 @@ from fleet_backend.page.clutch_past import Past
 from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.listing import Part
 from fleet_backend.page.news import News
-from fleet_backend.page.records import VehicleAnswer, VehicleNow, VehiclesAnswer
+from fleet_backend.page.records import ClutchNow, VehicleAnswer
 from fleet_backend.page.remembered import Remembered
 from program_io.pages.content import Advice, Link, Section
 
 MOST_POINTS: Final = 60_000  # of trends that are kept, a kilobyte each
 MOST_PARTS: Final = 200_000  # clutches in lists that are kept, eight bytes each
-MOST_ROWS: Final = 20_000  # of overviews that are kept, a kilobyte each
 MOST_LETTERS: Final = 20_000_000  # of pages that are kept, two bytes each
 
 
@@ -34,10 +33,7 @@ class Sources:
     pasts: Remembered[Past] = field(default_factory=lambda: Remembered(MOST_POINTS, lambda one: len(one.trend)))
     vehicles: Remembered[VehicleAnswer] = field(default_factory=lambda: Remembered(MOST_POINTS, _points))
     parts: Remembered[Part] = field(default_factory=lambda: Remembered(MOST_PARTS, lambda one: len(one.clutches)))
-    fleets: Remembered[tuple[VehicleNow, ...]] = field(default_factory=lambda: Remembered(0, len))  # one
-    overviews: Remembered[VehiclesAnswer] = field(
-        default_factory=lambda: Remembered(MOST_ROWS, lambda one: len(one.vehicles) + 1)
-    )
+    fleets: Remembered[tuple[ClutchNow, ...]] = field(default_factory=lambda: Remembered(0, len))  # one
     pages: "Remembered[Drawn]" = field(default_factory=lambda: Remembered(MOST_LETTERS, lambda one: len(one.body)))
 
 

@@ -4,7 +4,7 @@ from datetime import datetime
 from typing import Final
 from urllib.parse import quote, urlencode
 
-from fleet_backend.page.records import ClutchNow, VehicleNow
+from fleet_backend.page.records import ClutchNow
 from program_io.pages.content import NONE, Advice, Badge, Cell, Link, moment, number
 
 BAND_STD: Final = 2.0
@@ -67,8 +67,8 @@ def words(reasons: tuple[str, ...]) -> str:
     return ", ".join(reason.replace("_", " ") for reason in reasons) or NONE
 
 
-def remark(now: ClutchNow | VehicleNow) -> str:
-    """Return what to do about a clutch or a vehicle; of older programs, which gave no advice, why."""
+def remark(now: ClutchNow) -> str:
+    """Return what to do about a clutch; of older programs, which gave no advice, why."""
     return now.advice or f"{condition_word(now.condition)}: {now.condition_reason}"
 
 

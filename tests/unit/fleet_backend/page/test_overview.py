@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.listing import Wanted
 from fleet_backend.page.overview import SORTS, answer_of, vehicles_of
-from fleet_backend.page.records import ClutchNow, VehicleNow
+from fleet_backend.page.records import ClutchNow
 from tests.support.fleet import NOW
 from tests.support.fleet_page import clutch_now
 
@@ -27,7 +27,7 @@ CLUTCHES = st.builds(
 FLEETS = st.lists(CLUTCHES, max_size=8, unique_by=lambda one: (one.vehicle, one.clutch))
 
 
-def by_vehicle(clutches: list[ClutchNow]) -> tuple[VehicleNow, ...]:
+def by_vehicle(clutches: list[ClutchNow]) -> tuple[ClutchNow, ...]:
     return vehicles_of(
         {one.vehicle: tuple(each for each in clutches if each.vehicle == one.vehicle) for one in clutches}
     )
