@@ -48,7 +48,7 @@ def show(answer: FleetAnswer, ask: Ask, sources: Sources) -> Shown:
     """Return the page of the clutches."""
     counted = f"{answer.matching_count} of {answer.clutch_count} clutches"
     table = Table(caption=f"Clutches, worst first: {counted}", head=_HEAD, rows=tuple(map(_cells, answer.clutches)))
-    texts = () if answer.clutches else ("Nothing in the fleet is like that." if answer.clutch_count else EMPTY,)
+    texts = () if answer.clutches else ("No vehicle matches these filters." if answer.clutch_count else EMPTY,)
     return Shown(
         title="Clutches",
         subtitle=subtitle(answer, sources),
@@ -69,7 +69,7 @@ def next_of(path: str, ask: Ask, after: str | None) -> str | None:
     return f"{path}?{urlencode({**said, 'after': after})}"
 
 
-EMPTY: Final = "Nothing was heard of any vehicle yet. fleet-backend ingest brings results into this database."
+EMPTY: Final = "No vehicle has been heard from yet. fleet-backend ingest brings results into this database."
 _HEAD: Final = (
     *("vehicle", "clutch", "verdict", "what to do", "mu_C", "std", "of new", "P(falling slope)", "shifts", "km"),
     *("fluid", "last event (UTC)"),

@@ -43,7 +43,7 @@ def show(answer: MaintenanceAnswer, ask: Ask, _sources: Sources) -> Shown:
     """Return the page of maintenance."""
     head = ("vehicle", "clutch", "verdict", "due", "due from", "half by", "most by", "km a day", "what to do")
     table = Table(caption="When fluids are due, by day", head=head, rows=tuple(map(_cells, answer.clutches)))
-    texts = (_WORDS,) if answer.clutches else ("Nothing was heard of any vehicle yet.",)
+    texts = (_WORDS,) if answer.clutches else ("No vehicle has been heard from yet.",)
     return Shown(
         title="Maintenance",
         subtitle=f"{len(answer.clutches)} of {answer.clutch_count} clutches",

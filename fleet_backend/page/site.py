@@ -126,7 +126,7 @@ def _problem(exc: Exception) -> tuple[int, str, str]:
         return exc.status, exc.title, str(exc)
     if isinstance(exc, DatabaseError):
         _LOG.warning("%s", exc)
-        return 503, "The database does not answer", "It is tried again; so may you, in a few seconds."
+        return 503, "The database does not answer", "The server keeps trying. Load this page again in a few seconds."
     if isinstance(exc, HTTPException):
         return exc.status_code, exc.detail, "The pages there are: " + ", ".join(link.href for link in NAVIGATION)
     return 500, "This did not work", "The server's log says why."

@@ -42,7 +42,7 @@ def find(sources: Sources, ask: Ask) -> VehicleAnswer:
     vehicle, service_distance_m = ask.said("vehicle"), ask.count("service_km") * wording.M_PER_KM
     state = state_of(sources.engine, vehicle)
     if state is None:
-        raise NotFoundError(f"nothing was ever heard of a vehicle {vehicle}")
+        raise NotFoundError(f"no message was ever received of a vehicle {vehicle}")
     snapshot = sources.keeper.snapshot
     clutches = snapshot.vehicles.get(vehicle, ())
     usual = tuple(snapshot.usual.get(kind_of(now)) for now in clutches)
@@ -104,7 +104,7 @@ def _clutch(
 
 
 def _subtitle(answer: VehicleAnswer, _sources: Sources) -> str:
-    state = {None: "its service never said that it is there", True: "online", False: "offline"}[answer.is_online]
+    state = {None: "no sign of life from its service yet", True: "online", False: "offline"}[answer.is_online]
     since = f" since {answer.connected_at:%Y-%m-%d %H:%M} UTC" if answer.connected_at and answer.is_online else ""
     last = f", last result {answer.last_result_at:%Y-%m-%d %H:%M} UTC" if answer.last_result_at else ", no result yet"
     return f"{state}{since}{last}"
@@ -143,7 +143,9 @@ def _clutch_section(answer: VehicleAnswer, clutch: ClutchHistory) -> Section:
     number = clutch.now.clutch
     texts = []
     if clutch.result_count > len(clutch.trend):
-        texts.append(f"The newest {len(clutch.trend)} of {clutch.result_count} stored results, older versions counted.")
+        texts.append(
+            f"The newest {len(clutch.trend)} of {clutch.result_count} stored results, older versions included."
+        )
     if clutch.usual is not None:
         texts.append(_usual_text(clutch.usual, clutch.now.mu_c))
     figures = []

@@ -34,11 +34,11 @@ from tests.support.patience import HANG_S
 SHIFT = "/vehicles/car1/shift?stream=stream-1&seq=59"
 LISTS = ("/", "/clutches", "/changes?since=2020-01-01", "/quarantine", "/alarms?state=all", "/maintenance")
 EMPTY = {
-    "/": "Nothing was heard of any vehicle yet.",
-    "/clutches": "Nothing was heard of any vehicle yet.",
+    "/": "No vehicle has been heard from yet.",
+    "/clutches": "No vehicle has been heard from yet.",
     "/alarms": "There is none.",
-    "/maintenance": "Nothing was heard of any vehicle yet.",
-    "/changes": "Nothing became different.",
+    "/maintenance": "No vehicle has been heard from yet.",
+    "/changes": "Nothing changed.",
     "/quarantine": "Every message could be used.",
     "/audit": "Nobody changed anything.",
 }
@@ -274,13 +274,13 @@ def test_no_markup_comes_from_outside(reader: httpx.Client) -> None:
 @pytest.mark.parametrize(
     ("path", "status", "detail"),
     [
-        ("/vehicles/nobody", 404, "nothing was ever heard of a vehicle nobody"),
+        ("/vehicles/nobody", 404, "no message was ever received of a vehicle nobody"),
         ("/vehicles/car1/shift?stream=stream-1&seq=999", 404, "car1 has no event 999 in this stream"),
         ("/vehicles/car1/shift?stream=stream-1", 400, "seq: is missing"),
         ("/vehicles/..%2f..%2fetc", 404, ""),
         ("/?limit=0", 400, "limit: must be a whole number from 1 to"),
-        ("/?after=x", 404, "after: no place in a list"),
-        ("/?q=%00", 400, "q: holds characters that are no text"),
+        ("/?after=x", 404, "after: not a position in a list"),
+        ("/?q=%00", 400, "q: holds characters that are not text"),
         ("/?colour=red", 400, "'colour': no word of this address"),
         ("/static/..%2fsite.py", 404, ""),
         ("/static/page.html", 404, ""),

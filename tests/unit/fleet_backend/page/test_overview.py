@@ -74,5 +74,5 @@ def test_a_vehicle_is_as_its_worse_clutch() -> None:
 def test_a_place_of_another_order_is_none() -> None:
     vehicles = by_vehicle([clutch_now("a"), clutch_now("b")])
     after = answer_of(vehicles, ANY, "km", None, 1).next
-    with pytest.raises(NotFoundError, match="no place in a list"):
+    with pytest.raises(NotFoundError, match="not a position in a list"):
         answer_of(vehicles, ANY, "vehicle", after, 1)
