@@ -26,9 +26,10 @@ ENV PATH=/opt/clutchdiag/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     NUMBA_CACHE_DIR=/var/cache/clutchdiag \
     XDG_STATE_HOME=/var/lib
-RUN useradd --system --no-create-home clutchdiag \
+RUN useradd --system --no-create-home --user-group --uid 10001 clutchdiag \
  && install -d -o clutchdiag -g clutchdiag /var/cache/clutchdiag /var/lib/clutchdiag
-USER clutchdiag
+# By number: who runs it with runAsNonRoot (Kubernetes) can tell that it is not root.
+USER 10001:10001
 # Compile the numerical kernels; a host with another processor compiles them again at its first start. A volume on the
 # cache's folder begins with what is in the image, and keeps what such a host has compiled.
 RUN ecu-emulator record /tmp/warm.log --scenario noise_only --cycles 1 \

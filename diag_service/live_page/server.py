@@ -25,7 +25,9 @@ LOOK_S: Final = 0.5
 MOST_READERS: Final = 20
 _NAMES: Final = frozenset({"127.0.0.1", "localhost", "[::1]"})
 _KEEP: Final = "max-age=3600"
-_STATIC: Final[Mapping[str, str]] = MappingProxyType({"style.css": "text/css", "live.js": "text/javascript"})
+_STATIC: Final[Mapping[str, str]] = MappingProxyType({
+    "style.css": "text/css", "live.js": "text/javascript", "icon.svg": "image/svg+xml",
+})  # fmt: skip
 
 Answer = Callable[[StartResponse], Iterable[bytes]]
 

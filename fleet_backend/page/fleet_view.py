@@ -1,4 +1,4 @@
-"""The fleet, worst first."""
+"""The clutches of the fleet, worst first."""
 
 from typing import Final
 from urllib.parse import urlencode
@@ -12,25 +12,28 @@ from fleet_backend.page.view import Choice, Shown, Sources, View
 from program_io.pages.content import Cell, Section, Table
 
 _WANTED: Final = {"q": "name_part", "condition": "condition", "fluid": "fluid", "calibration": "calibration"}
-_PARAMETERS: Final = (
+FILTERS: Final = (
     Parameter(name="q", text="a part of the vehicle's name", longest=64),
     Parameter(name="condition", text="verdict", choices=tuple(one.value for one in Severity)),
     Parameter(name="fluid", text="fluid that is in, as it was noted"),
     Parameter(name="calibration", text="calibration of the results, which stands for the type of vehicle"),
-    AFTER,
-    LIMIT,
 )
+
+
+def wanted(ask: Ask) -> Wanted:
+    """Return what the filters of a question look for."""
+    return Wanted(**{field: ask.text(name) for name, field in _WANTED.items()})
 
 
 def find(sources: Sources, ask: Ask) -> FleetAnswer:
     """Return the clutches that are asked for."""
     snapshot = sources.keeper.snapshot
-    wanted = Wanted(**{field: ask.text(name) for name, field in _WANTED.items()})
+    looked_for = wanted(ask)
     after, limit = ask.text("after"), ask.count("limit")
     part = sources.parts.of(
-        (wanted, after, limit),
+        (looked_for, after, limit),
         snapshot.number,
-        lambda: part_of(matching(snapshot.clutches, wanted), after, limit),
+        lambda: part_of(matching(snapshot.clutches, looked_for), after, limit),
     )
     return FleetAnswer(
         clutches=part.clutches,
@@ -42,18 +45,18 @@ def find(sources: Sources, ask: Ask) -> FleetAnswer:
 
 
 def show(answer: FleetAnswer, ask: Ask, sources: Sources) -> Shown:
-    """Return the page of the fleet."""
+    """Return the page of the clutches."""
     counted = f"{answer.matching_count} of {answer.clutch_count} clutches"
     table = Table(caption=f"Clutches, worst first: {counted}", head=_HEAD, rows=tuple(map(_cells, answer.clutches)))
-    texts = () if answer.clutches else ("No vehicle matches these filters." if answer.clutch_count else _EMPTY,)
+    texts = () if answer.clutches else ("No vehicle matches these filters." if answer.clutch_count else EMPTY,)
     return Shown(
-        title="Fleet",
-        subtitle=_subtitle(answer, sources),
+        title="Clutches",
+        subtitle=subtitle(answer, sources),
         sections=(
             Section(name="clutches", title="Worst first", texts=texts, tables=(table,) if answer.clutches else ()),
         ),
-        choices=_choices(ask, sources),
-        next=next_of("/", ask, answer.next),
+        choices=choices(ask, sources),
+        next=next_of("/clutches", ask, answer.next),
         follows="",
     )
 
@@ -66,7 +69,7 @@ def next_of(path: str, ask: Ask, after: str | None) -> str | None:
     return f"{path}?{urlencode({**said, 'after': after})}"
 
 
-_EMPTY: Final = "No vehicle has been heard from yet. fleet-backend ingest brings results into this database."
+EMPTY: Final = "No vehicle has been heard from yet. fleet-backend ingest brings results into this database."
 _HEAD: Final = (
     *("vehicle", "clutch", "verdict", "what to do", "mu_C", "std", "of new", "P(falling slope)", "shifts", "km"),
     *("fluid", "last event (UTC)"),
@@ -90,7 +93,8 @@ def _cells(now: ClutchNow) -> tuple[Cell, ...]:
     )
 
 
-def _choices(ask: Ask, sources: Sources) -> tuple[Choice, ...]:
+def choices(ask: Ask, sources: Sources) -> tuple[Choice, ...]:
+    """Return the filters as a form."""
     snapshot = sources.keeper.snapshot
     conditions = [(one.value, wording.condition_word(one.value)) for one in Severity]
     lists = (
@@ -107,22 +111,24 @@ def _choices(ask: Ask, sources: Sources) -> tuple[Choice, ...]:
     )
 
 
-def _subtitle(answer: FleetAnswer, sources: Sources) -> str:
-    return f"{len(sources.keeper.snapshot.vehicles)} vehicles, read at {answer.read_at:%H:%M:%S} UTC"
+def subtitle(_answer: object, sources: Sources) -> str:
+    """Return how many vehicles there are, and when they were read."""
+    snapshot = sources.keeper.snapshot
+    return f"{len(snapshot.vehicles)} vehicles, read at {snapshot.read_at:%H:%M:%S} UTC"
 
 
 VIEW: Final = View(
     name="fleet",
-    page_path="/",
+    page_path="/clutches",
     api_path="/api/v1/clutches",
     text="The running condition of every clutch, the worst first.",
-    parameters=_PARAMETERS,
+    parameters=(*FILTERS, AFTER, LIMIT),
     answer=FleetAnswer,
     row=ClutchNow,
     find=find,
     show=show,
     rows=lambda answer: answer.clutches,
-    subtitle=_subtitle,
+    subtitle=subtitle,
     state=lambda answer: (Same(answer.clutches), answer.matching_count, answer.clutch_count, answer.next),
     asks_database=False,
 )

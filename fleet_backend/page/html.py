@@ -15,6 +15,7 @@ from program_io.pages.environment import templates_of
 _ADMIN_PAGES: Final = (Link(text="Audit", href="/audit"),)
 NAVIGATION: Final = (
     Link(text="Fleet", href="/"),
+    Link(text="Clutches", href="/clutches"),
     Link(text="Alarms", href="/alarms"),
     Link(text="Maintenance", href="/maintenance"),
     Link(text="Changes", href="/changes"),

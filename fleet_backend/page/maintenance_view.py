@@ -1,6 +1,6 @@
 """Which fluids are due when: the prognosis in days, as far as is known how much each vehicle is driven."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import date, timedelta
 from typing import Final
 
@@ -17,15 +17,15 @@ from fleet_backend.page.vehicle_state import state_of
 from fleet_backend.page.vehicle_view import SERVICE_KM, past_of
 from fleet_backend.page.view import Shown, Sources, View
 from fleet_contract.orders import Action
-from program_io.pages.content import NONE, Cell, Section, Table
+from program_io.pages.content import NONE, Badge, Cell, Moment, Section, Table
 
 MOST: Final = 200  # each takes a prognosis
 LOOKED_BACK: Final = timedelta(days=90)  # over which it is counted how much a vehicle is driven
 LEAST: Final = timedelta(days=1)
 _HORIZON: Final = timedelta(days=3653)
 _WORDS: Final = (
-    "Due from: the day until which the fluid lasts with a probability of 90 %. Half by, most by: until then it has to "
-    "be changed with a probability of 50 and 90 %. Days are counted by the distance of the last 90 days."
+    "Due from: it is 90 % likely that the fluid lasts until this day. 50 % and 90 % due by: it is so likely that the "
+    "fluid has to be changed by this day. Days are counted by the distance of the last 90 days."
 )
 _LIMIT: Final = Parameter(name="limit", text="how many at most", kind=Kind.COUNT, most=MOST, default=50)
 
@@ -35,7 +35,7 @@ def find(sources: Sources, ask: Ask) -> MaintenanceAnswer:
     clutches = sources.keeper.snapshot.clutches
     part = part_of(clutches, ask.text("after"), ask.count("limit"))
     return MaintenanceAnswer(
-        clutches=tuple(_due(sources, now, ask.now.date()) for now in part.clutches),
+        clutches=by_day(_due(sources, now, ask.now.date()) for now in part.clutches),
         clutch_count=len(clutches),
         next=part.next,
     )
@@ -43,8 +43,8 @@ def find(sources: Sources, ask: Ask) -> MaintenanceAnswer:
 
 def show(answer: MaintenanceAnswer, ask: Ask, _sources: Sources) -> Shown:
     """Return the page of maintenance."""
-    head = ("vehicle", "clutch", "verdict", "due from", "half by", "most by", "km a day", "what to do")
-    table = Table(caption="When fluids are due, the worst first", head=head, rows=tuple(map(_cells, answer.clutches)))
+    head = ("vehicle", "clutch", "verdict", "due", "due from", "50 % due by", "90 % due by", "km a day", "what to do")
+    table = Table(caption="When fluids are due, by day", head=head, rows=tuple(map(_cells, answer.clutches)))
     texts = (_WORDS,) if answer.clutches else ("No vehicle has been heard from yet.",)
     return Shown(
         title="Maintenance",
@@ -67,6 +67,11 @@ def calendar(answer: MaintenanceAnswer, ask: Ask) -> bytes:
         if one.due_from is not None
     )
     return calendar_of("Fluids of the fleet", entries, ask.now)
+
+
+def by_day(due: Iterable[Due]) -> tuple[Due, ...]:
+    """Return what is due in the order of its days, what is overdue first, what has no day last."""
+    return tuple(sorted(due, key=lambda one: (not one.is_overdue, one.due_from or date.max)))
 
 
 def driven_a_day_m(points: Sequence[TrendPoint]) -> float | None:
@@ -102,6 +107,7 @@ def _due(sources: Sources, now: ClutchNow, today: date) -> Due:
         vehicle=now.vehicle,
         clutch=now.clutch,
         condition=now.condition,
+        is_overdue=now.action == Action.CHANGE_NOW or (days[1] is not None and days[1] < today),
         due_from=days[0],
         half_by=days[1],
         most_by=days[2],
@@ -117,11 +123,15 @@ def _day(now: ClutchNow, distance_m: float | None, a_day_m: float | None) -> dat
 
 
 def _cells(one: Due) -> tuple[Cell, ...]:
-    days = (NONE if day is None else day.isoformat() for day in (one.due_from, one.half_by, one.most_by))
+    days = (
+        NONE if day is None else Moment(iso=day.isoformat(), text=day.isoformat())
+        for day in (one.due_from, one.half_by, one.most_by)
+    )
     return (
         wording.vehicle_link(one.vehicle),
         str(one.clutch),
         wording.badge(one.condition),
+        Badge(style="change-fluid", text="overdue") if one.is_overdue else NONE,
         *days,
         wording.km(one.distance_a_day_m),
         one.text,
@@ -132,7 +142,7 @@ VIEW: Final = View(
     name="maintenance",
     page_path="/maintenance",
     api_path="/api/v1/maintenance",
-    text="When the fluids of the fleet are due, the worst first.",
+    text="When the fluids of the fleet are due: a part has the worst clutches, in the order of their days.",
     parameters=(AFTER, _LIMIT),
     answer=MaintenanceAnswer,
     row=Due,

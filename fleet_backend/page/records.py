@@ -59,6 +59,17 @@ class FleetAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class VehiclesAnswer:
+    """A part of the vehicles, each by its worse clutch; ``counts`` of all by verdict; ``next`` continues it."""
+
+    vehicles: tuple[ClutchNow, ...]
+    matching_count: int
+    vehicle_count: int
+    counts: Mapping[str, int]
+    next: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Fill:
     """New fluid."""
 
@@ -294,6 +305,7 @@ class Due:
     vehicle: str
     clutch: int
     condition: str
+    is_overdue: bool  # its limit is passed, or more probably so than not
     due_from: date | None  # it lasts until then with a probability of 90 %
     half_by: date | None
     most_by: date | None

@@ -24,6 +24,7 @@ from fleet_backend.page import (
     changes_view,
     fleet_view,
     maintenance_view,
+    overview_view,
     quarantine_view,
     shift_view,
     vehicle_view,
@@ -39,7 +40,7 @@ from fleet_backend.page.routes import EVENTS_PATH, Endpoints, api_parameters
 from fleet_backend.page.view import Sources
 
 VIEWS: Final = (
-    *(fleet_view.VIEW, vehicle_view.VIEW, shift_view.VIEW),
+    *(overview_view.VIEW, fleet_view.VIEW, vehicle_view.VIEW, shift_view.VIEW),
     *(alarms_view.VIEW, alarm_view.VIEW, maintenance_view.VIEW, changes_view.VIEW),
     *(quarantine_view.VIEW, audit_view.VIEW),
 )
@@ -102,7 +103,7 @@ def _static_endpoint() -> Callable[[Request], Response]:
 def _static_entries() -> list[Traversable]:
     own = [one for one in resources.files("fleet_backend.page").joinpath("static").iterdir() if one.is_file()]
     shared = resources.files("program_io.pages").joinpath("templates")
-    return [*own, shared.joinpath("style.css"), shared.joinpath("live.js")]
+    return [*own, *(shared.joinpath(name) for name in ("style.css", "live.js", "times.js", "icon.svg"))]
 
 
 async def _tell(request: Request, exc: Exception) -> Response:

@@ -188,7 +188,7 @@ def _usual_text(usual: Usual, mu_c: float | None) -> str:
 def _trend_cells(point: TrendPoint) -> tuple[Cell, ...]:
     std = point.running_std_mu_c
     return (
-        wording.shift_link(f"{point.end_at:%Y-%m-%d %H:%M}", point.vehicle, point.stream, point.seq),
+        wording.shift_link(f"{point.end_at:%Y-%m-%d %H:%M}", point.vehicle, point.stream, point.seq, at=point.end_at),
         wording.km(point.odometer_m),
         wording.friction(point.running_mu_c),
         wording.friction(None if std is None else STD_OF_50_PERCENT * std),
@@ -199,7 +199,9 @@ def _trend_cells(point: TrendPoint) -> tuple[Cell, ...]:
 
 def _event_cells(point: TrendPoint) -> tuple[Cell, ...]:
     return (
-        wording.shift_link(f"{point.end_at:%Y-%m-%d %H:%M:%S}", point.vehicle, point.stream, point.seq),
+        wording.shift_link(
+            f"{point.end_at:%Y-%m-%d %H:%M:%S}", point.vehicle, point.stream, point.seq, at=point.end_at
+        ),
         wording.km(point.odometer_m),
         wording.plain(point.kind and point.kind.replace("_", " ")),
         point.status,

@@ -13,7 +13,7 @@ from fleet_backend.page.clutch_past import Past
 from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.listing import Part
 from fleet_backend.page.news import News
-from fleet_backend.page.records import VehicleAnswer
+from fleet_backend.page.records import ClutchNow, VehicleAnswer
 from fleet_backend.page.remembered import Remembered
 from program_io.pages.content import Advice, Link, Section
 
@@ -33,6 +33,7 @@ class Sources:
     pasts: Remembered[Past] = field(default_factory=lambda: Remembered(MOST_POINTS, lambda one: len(one.trend)))
     vehicles: Remembered[VehicleAnswer] = field(default_factory=lambda: Remembered(MOST_POINTS, _points))
     parts: Remembered[Part] = field(default_factory=lambda: Remembered(MOST_PARTS, lambda one: len(one.clutches)))
+    fleets: Remembered[tuple[ClutchNow, ...]] = field(default_factory=lambda: Remembered(0, len))  # one
     pages: "Remembered[Drawn]" = field(default_factory=lambda: Remembered(MOST_LETTERS, lambda one: len(one.body)))
 
 

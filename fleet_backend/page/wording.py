@@ -84,7 +84,9 @@ def alarm_href(vehicle: str, clutch: int, rule: str, number_of_it: int) -> str:
     return f"/alarm?{words_of_it}"
 
 
-def shift_link(text: str, vehicle: str, stream: str, seq: int) -> Link:
-    """Return the link to an event."""
+def shift_link(text: str, vehicle: str, stream: str, seq: int, *, at: datetime | None = None) -> Link:
+    """Return the link to an event; ``at`` is the moment that the text tells, if it does."""
     words_of_it = urlencode({"stream": stream, "seq": seq})
-    return Link(text=text, href=f"/vehicles/{quote(vehicle, safe='')}/shift?{words_of_it}")
+    return Link(
+        text=text, href=f"/vehicles/{quote(vehicle, safe='')}/shift?{words_of_it}", iso=at.isoformat() if at else ""
+    )

@@ -27,6 +27,7 @@ class Link:
 
     text: str
     href: str
+    iso: str = ""  # of a text that is a moment
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +54,8 @@ class Table:
     """A table; the first cell of each row is its name."""
 
     caption: str
-    head: tuple[str, ...]
+    head: tuple[str | Link, ...]  # a link sorts by its column
+    sorted_by: tuple[int, str] | None = None  # place of a column, and ascending or descending
     rows: tuple[tuple[Cell, ...], ...]
 
 

@@ -13,8 +13,8 @@ from markupsafe import Markup
 
 from canlog.arrays import FloatArray, Int64Array
 
-WIDTH, HEIGHT = 720, 300
-_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 24, 14, 40
+WIDTH, HEIGHT = 720, 310
+_LEFT, _RIGHT, _TOP, _BOTTOM = 62, 24, 14, 50  # with room for larger letters on a small screen
 _TICK_COUNT: Final = 6
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 _DECIMALS: Final = 1  # of a pixel
@@ -122,15 +122,15 @@ class Plot:
         for tick in self.x.ticks:
             place = self._pixels_x(np.array([tick]))[0]
             self._path(f"M{_text(place)} {_TOP}V{bottom}", "grid")
-            self._words(self.x.tick_text(tick), place, bottom + 15, "middle")
+            self._words(self.x.tick_text(tick), place, bottom + 18, "middle")
         for tick in self.y.ticks:
             place = self._pixels_y(np.array([tick]))[0]
             self._path(f"M{_LEFT} {_text(place)}H{right}", "grid")
-            self._words(self.y.tick_text(tick), _LEFT - 6, place + 4, "end")
+            self._words(self.y.tick_text(tick), _LEFT - 6, place + 4, "end tick")
         self._path(f"M{_LEFT} {_TOP}V{bottom}H{right}", "axis")
         self._words(self.x.label, (_LEFT + right) / 2, self._height - 6, "middle name")
         middle = (_TOP + bottom) / 2
-        name = self._words(self.y.label, 14, middle, "middle name")
+        name = self._words(self.y.label, 14, middle, "middle name side")
         name.set("transform", f"rotate(-90 14 {_text(middle)})")
 
     def _points(self, x: FloatArray, y: FloatArray) -> str:

@@ -25,7 +25,7 @@ WORDS = {"shift": {"stream": "stream-1", "seq": "59"}, "alarm": ALARM_WORDS}
 NOBODY, STRANGER, VIEWER, WORKSHOP, ADMIN = "", "mallory", "eve", "ann", "root"
 ROUTES = {  # what each may do: nobody logged in, somebody without a role, viewer, workshop, admin
     **dict.fromkeys(
-        ("fleet", "vehicle", "shift", "alarms", "alarm", "maintenance", "changes", "quarantine"),
+        ("vehicles", "fleet", "vehicle", "shift", "alarms", "alarm", "maintenance", "changes", "quarantine"),
         (401, 403, 200, 200, 200),
     ),
     "audit": (401, 403, 403, 403, 200),

@@ -24,7 +24,7 @@ from fleet_backend.page.site import OPENAPI_PATH, VIEWS
 from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
 from program_io.pages.headers import SAFE_HEADERS as HEADERS
-from tests.support.browsing import chromium, complaints_of, new_page
+from tests.support.browsing import chromium, complaints_of, new_page, refused_in
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
 from tests.support.fleet_page import ACCESS, MARKUP, fill_database, headers_of, raise_alarms, served
 from tests.support.histories import fill_store, history
@@ -32,9 +32,10 @@ from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 
 SHIFT = "/vehicles/car1/shift?stream=stream-1&seq=59"
-LISTS = ("/", "/changes?since=2020-01-01", "/quarantine", "/alarms?state=all", "/maintenance")
+LISTS = ("/", "/clutches", "/changes?since=2020-01-01", "/quarantine", "/alarms?state=all", "/maintenance")
 EMPTY = {
     "/": "No vehicle has been heard from yet.",
+    "/clutches": "No vehicle has been heard from yet.",
     "/alarms": "There is none.",
     "/maintenance": "No vehicle has been heard from yet.",
     "/changes": "Nothing changed.",
@@ -46,6 +47,7 @@ TABLES_ONLY = {*LISTS, "/vehicles/nobody"}
 ALARM = "vehicle=worn&clutch=2&rule=verdict&number=1"
 OTHER_ALARM = "vehicle=worn&clutch=0&rule=silence&number=1"
 ADDRESSES = {
+    "vehicles": "/api/v1/vehicles",
     "fleet": "/api/v1/clutches",
     "vehicle": "/api/v1/vehicles/car1",
     "shift": f"/api/v1{SHIFT}",
@@ -184,11 +186,10 @@ def test_a_real_browser_shows_every_page_to_everybody(address: str, database: st
         page.keyboard.press("Tab")
         assert page.evaluate("document.activeElement.textContent") == "Skip to the content"
         page.keyboard.press("Enter")
-        for name in ("Vehicle", "Verdict", "Fluid", "Type"):
+        for name in ("Vehicle", "Verdict", "Fluid", "Type", "Order"):
             page.keyboard.press("Tab")
             assert page.evaluate("document.activeElement.labels[0].textContent") == name
-        for _ in range(3):  # the button, the table that scrolls, the first vehicle
-            page.keyboard.press("Tab")
+        pressed_until(page, "Tab", "worn")
         page.keyboard.press("Enter")
         page.wait_for_url("**/vehicles/worn")
         assert page.locator("h1").text_content() == "Vehicle worn"
@@ -199,6 +200,7 @@ def test_a_real_browser_shows_every_page_to_everybody(address: str, database: st
         writer.dispose()
         page.get_by_text("the newest 5 events").wait_for()
         assert refused == []  # by the policy for contents
+        complaints |= {f"{path}, refused": refused_in(browser, address + path) for path in PAGES[:-1]}
         complaints["an alarm with its form"] = acknowledge_by_keyboard(browser, workshop)
         admin = new_page(browser, has_axe=True, headers=headers_of("root"))
         complaints["the audit"] = complaints_of(admin, f"{workshop}/audit", "light", has_picture=False)
@@ -232,7 +234,7 @@ def test_the_same_numbers_are_in_message_database_interface_file_page_and_report
         assert running in report
     (now,) = [each for each in told(reader, "/api/v1/clutches?q=car1")["clutches"] if each["clutch"] == 1]
     assert now["mu_c"] in report
-    assert {now[name] for name in ("mu_c", "std_mu_c", "level_ratio")} <= values_in(reader.get("/?q=car1").text)
+    assert {now[name] for name in ("mu_c", "std_mu_c", "level_ratio")} <= values_in(reader.get("/clutches?q=car1").text)
 
 
 def test_files_have_the_numbers_of_the_interface(reader: httpx.Client) -> None:
@@ -253,7 +255,7 @@ def test_the_fleet_is_in_the_order_of_the_view(reader: httpx.Client, address: st
     found = [(one["vehicle"], one["clutch"], one["mu_c"]) for one in first["clutches"] + second["clutches"]]
     assert (first["clutch_count"], second["next"]) == (4, None)
     assert found[0][:2] == ("worn", 2)
-    more = re.search(r'<a href="([^"]*)" rel="next">', reader.get("/?limit=2&condition=").text)
+    more = re.search(r'<a href="([^"]*)" rel="next">', reader.get("/clutches?limit=2&condition=").text)
     assert more is not None
     following = reader.get(unescape(more[1]))
     assert "good.1" in following.text
@@ -291,7 +293,7 @@ def test_what_cannot_be_answered_is_said_to_people_and_programs(
     page = reader.get(path)
     assert (page.status_code, page.headers["content-type"]) == (status, "text/html; charset=utf-8")
     assert detail in unescape(page.text)
-    asked = path.replace("/?", "/clutches?")
+    asked = path.replace("/?", "/vehicles?")
     problem = reader.get(f"/api/v1{asked}")
     assert (problem.status_code, problem.headers["content-type"]) == (status, "application/problem+json")
     assert detail in problem.json()["detail"]

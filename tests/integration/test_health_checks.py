@@ -24,7 +24,7 @@ def is_well(name: str, **replaced: str) -> bool:
     kind, *words = SERVICES[name]["healthcheck"]["test"]
     text = json.dumps(words)
     for old, new in replaced.items():
-        text = text.replace({"port": "9464", "alive": "/tmp/alive"}[old], new)  # noqa: S108 - of the container
+        text = text.replace({"port": "9464", "alive": "/tmp/alive", "page": "${PAGE_PORT:-8090}"}[old], new)  # noqa: S108 - of the container
     words = json.loads(text)
     words = ["/bin/sh", "-c", *words] if kind == "CMD-SHELL" else [sys.executable, *words[1:]]
     return subprocess.run(words, capture_output=True, check=False, timeout=HANG_S).returncode == 0
@@ -75,5 +75,15 @@ def test_a_worker_is_well_while_it_has_broker_and_database(tmp_path: Path, broke
         [sys.executable, "-m", "fleet_backend", *words, "--alive", str(alive)], stderr=subprocess.PIPE, text=True
     )
     assert wait_until_well("ingest", program, alive=str(alive))
+    program.send_signal(signal.SIGTERM)
+    program.communicate(timeout=HANG_S)
+
+
+def test_the_page_is_well_while_it_answers(sqlite_url: str) -> None:
+    port = str(free_port())
+    assert not is_well("page", page=port)
+    words = ["serve", "--listen", f"127.0.0.1:{port}", "--database", sqlite_url]
+    program = subprocess.Popen([sys.executable, "-m", "fleet_backend", *words], stdout=subprocess.PIPE, text=True)
+    assert wait_until_well("page", program, page=port)
     program.send_signal(signal.SIGTERM)
     program.communicate(timeout=HANG_S)

@@ -83,8 +83,9 @@ def test_the_lock_of_the_installer_holds_it_alone_with_its_hashes(image: PlainIm
 def test_the_image_runs_as_a_user_of_its_own_that_owns_its_folders(image: PlainImage) -> None:
     last = image.stages[-1]
     users = [entry.text for entry in last.instructions if entry.name == "USER"]
-    assert users == ["clutchdiag"]
+    assert users == ["10001:10001"]
     made = " ".join(entry.text for entry in last.instructions if entry.name == "RUN")
+    assert "--user-group --uid 10001 clutchdiag " in made
     owned = made.split("install -d -o clutchdiag -g clutchdiag ")[1].split(" && ")[0].split()
     variables = last.environment
     assert variables["NUMBA_CACHE_DIR"] in owned

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.browsing import chromium, complaints_of, new_page
+from tests.support.browsing import chromium, complaints_of, new_page, refused_in
 from tests.support.patience import HANG_S
 from tests.support.replay import INTERFACE, Replay, free_bus
 from tests.support.service import Service, service
@@ -33,6 +33,7 @@ def look_at_the_page_of(running: Service) -> None:
         for scheme, width in (("light", 1280), ("dark", 360)):
             page = new_page(browser, width, has_axe=True)
             assert complaints_of(page, found[1], scheme) == []
+        assert refused_in(browser, found[1]) == []
         page = new_page(browser)
         page.goto(found[1])
         page.get_by_text("Renews itself.").wait_for()

@@ -56,3 +56,61 @@ def complaints_of(page: Page, url: str, scheme: str, *, has_picture: bool = True
         said.append("no picture")
     found = Axe().run(page).response["violations"]
     return said + [f"{one['id']}: {one['nodes'][0]['html']}" for one in found]
+
+
+_CUT = """least => {
+  const said = [], width = document.documentElement.clientWidth;
+  for (const one of document.querySelectorAll("main *, header *, footer *")) {
+    const box = one.getBoundingClientRect();
+    if (!box.width || !box.height || one.closest("svg, .skip, [hidden], .cards thead")) continue;
+    const text = one.textContent.slice(0, 60);
+    if (box.right > width + 1 || box.left < -1)
+      said.push(`${one.tagName} ends at ${box.right} of ${width} px: ${text}`);
+    if (one.scrollWidth > one.clientWidth + 4 && getComputedStyle(one).overflowX !== "visible")
+      said.push(`${one.tagName} hides ${one.scrollWidth - one.clientWidth} px: ${one.getAttribute("aria-label")}`);
+  }
+  for (const plot of document.querySelectorAll("svg.plot")) {
+    const frame = plot.getBoundingClientRect();
+    for (const text of plot.querySelectorAll("text")) {
+      const size = parseFloat(getComputedStyle(text).fontSize) * plot.getScreenCTM().a;
+      const box = text.getBoundingClientRect();
+      if (size < least) said.push(`${size.toFixed(1)} px is too small to read: ${text.textContent}`);
+      if (box.left < frame.left - 1 || box.right > frame.right + 1 || box.bottom > frame.bottom + 1)
+        said.push(`sticks out of its picture: ${text.textContent}`);
+    }
+  }
+  return said;
+}"""
+READABLE_PX = 10.0  # of the letters in a picture
+
+
+def cut_in(page: Page) -> list[str]:
+    """Return what of a page that is open cannot be seen: cut off, hidden behind a scroll bar, too small to read."""
+    found: list[str] = page.evaluate(_CUT, READABLE_PX)
+    return found
+
+
+def height_of(page: Page) -> int:
+    """Return the height of a page that is open, in pixels."""
+    return int(page.evaluate("document.documentElement.scrollHeight"))
+
+
+_ICON = """async () => {
+  const link = document.querySelector("link[rel=icon]");
+  if (!link) return ["no icon is named"];
+  const image = new Image();
+  image.src = link.href;
+  return image.decode().then(() => [], () => [`the icon cannot be shown: ${link.href}`]);
+}"""
+
+
+def refused_in(browser: Browser, url: str, headers: Mapping[str, str] = NOTHING) -> list[str]:
+    """Return what the browser refuses or complains of on a page, its icon asked for as well, its policy in force."""
+    page = new_page(browser, headers=headers)
+    said: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto(url)
+    said += page.evaluate(_ICON)
+    page.context.close()
+    return said

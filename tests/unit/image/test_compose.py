@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import socket
 import subprocess
 import time
 from importlib import import_module
@@ -107,3 +108,62 @@ def test_the_services_health_check_asks_where_it_serves() -> None:
     command = SERVICES["service"]["command"]
     address = command[command.index("--metrics") + 1]
     assert f"http://{address}/readyz" in json.dumps(SERVICES["service"]["healthcheck"]["test"])
+
+
+def said_by(name: str, folder: Path, *, replaced: dict[str, str], **environment: str) -> tuple[int, str]:
+    """Run the script of a service, with a stand-in for mosquitto that tells its configuration."""
+    *shell, script = SERVICES[name]["command"]
+    assert shell == ["sh", "-c"]
+    stand_in = folder / "mosquitto"
+    stand_in.write_text('#!/bin/sh\ncat "$2"\n', encoding="utf-8")
+    stand_in.chmod(0o755)
+    for old, new in replaced.items():
+        assert old in script
+        script = script.replace(old, new)
+    variables = {"PATH": f"{folder}:{os.environ['PATH']}", **environment}
+    done = subprocess.run(["/bin/sh", "-c", script], capture_output=True, text=True, check=False, env=variables)
+    return done.returncode, done.stdout + done.stderr
+
+
+def test_a_port_that_is_taken_is_told(tmp_path: Path) -> None:
+    config = {"/tmp/fleet.conf": str(tmp_path / "fleet.conf")}  # noqa: S108 - of the container
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        port = str(other.getsockname()[1])
+        other.listen()
+        status, said = said_by("broker", tmp_path, replaced=config, BROKER_PORT=port)
+        assert (status, f"Port {port} is taken" in said, "BROKER_PORT=1885" in said) == (1, True, True)
+    status, said = said_by("broker", tmp_path, replaced=config, BROKER_PORT=port)
+    assert (status, said.splitlines()[0]) == (0, f"listener {port} 127.0.0.1")
+
+
+def test_a_bus_that_is_not_there_is_told_after_a_stated_wait(tmp_path: Path) -> None:
+    there = {"/sys/class/net/vcan0": str(tmp_path)}
+    assert said_by("bus", tmp_path, replaced=there) == (0, "")
+    missing = {"/sys/class/net/vcan0": str(tmp_path / "none"), "sleep 1": "true"}
+    status, said = said_by("bus", tmp_path, replaced=missing)
+    assert status == 1
+    first, *_, last = said.splitlines()
+    assert first == "Waiting for vcan0, 60 s more at most."
+    assert last.startswith("There is no vcan0 after 60 s: sudo modprobe vcan")
+    assert SERVICES["service"]["depends_on"]["bus"] == {"condition": "service_completed_successfully"}
+    assert SERVICES["emulator"]["depends_on"] == {"service": {"condition": "service_healthy"}}
+
+
+def test_the_broker_has_one_port_everywhere() -> None:
+    text = (ROOT / "docker-compose.yml").read_text(encoding="utf-8")
+    settings = [line for line in text.splitlines() if not line.startswith("#")]
+    assert [line for line in settings if "1883" in line and "${BROKER_PORT:-1883}" not in line] == []
+
+
+def test_the_page_is_asked_where_it_is_served() -> None:
+    command = SERVICES["page"]["command"]
+    address = command[command.index("--listen") + 1]
+    assert f"http://{address}/" in json.dumps(SERVICES["page"]["healthcheck"]["test"])
+
+
+def test_the_image_runs_as_a_number_that_is_not_root() -> None:
+    (user,) = [entry.text for entry in LAST.instructions if entry.name == "USER"]
+    assert re.fullmatch(r"[1-9]\d*:[1-9]\d*", user)
+    (made,) = [entry.text for entry in LAST.instructions if entry.name == "RUN" and "useradd" in entry.text]
+    assert f"--uid {user.partition(':')[0]} " in made

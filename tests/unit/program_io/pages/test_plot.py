@@ -22,7 +22,7 @@ def points(path: str) -> list[tuple[float, float]]:
 
 
 def test_a_line_goes_through_its_points() -> None:
-    plot = Plot("line", UNIT, UNIT, height=300)
+    plot = Plot("line", UNIT, UNIT, height=310)
     plot.line(np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.5, 1.0]), "line")
     (x0, y0), (x1, y1), (x2, y2) = points(drawn(plot, "line"))
     assert (x0, x2) == (62.0, WIDTH - 24.0)

@@ -1,0 +1,78 @@
+"""The overview: each vehicle once, as its worse clutch is, in every order, nothing left out and nothing twice."""
+
+from datetime import timedelta
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fleet_backend.page.errors import NotFoundError
+from fleet_backend.page.listing import Wanted
+from fleet_backend.page.overview import SORTS, answer_of, vehicles_of
+from fleet_backend.page.records import ClutchNow
+from tests.support.fleet import NOW
+from tests.support.fleet_page import clutch_now
+
+ANY = Wanted()
+CLUTCHES = st.builds(
+    clutch_now,
+    st.sampled_from(["car1", "car2", "Taxi.7", "_9"]),
+    st.sampled_from([1, 2]),
+    condition=st.sampled_from(["change_fluid", "watch", "good", "no_verdict"]),
+    level_ratio=st.none() | st.floats(0.1, 1.5),
+    odometer_m=st.none() | st.floats(0.0, 1e9),
+    fluid=st.none() | st.sampled_from(["DCTF", "other"]),
+    end_at=st.integers(0, 5).map(lambda days: NOW + timedelta(days=days)),
+)
+FLEETS = st.lists(CLUTCHES, max_size=8, unique_by=lambda one: (one.vehicle, one.clutch))
+
+
+def by_vehicle(clutches: list[ClutchNow]) -> tuple[ClutchNow, ...]:
+    return vehicles_of(
+        {one.vehicle: tuple(each for each in clutches if each.vehicle == one.vehicle) for one in clutches}
+    )
+
+
+@given(FLEETS, st.sampled_from([None, *SORTS]), st.integers(1, 3))
+def test_parts_in_every_order_are_the_whole(fleet: list[ClutchNow], sort: str | None, limit: int) -> None:
+    vehicles = by_vehicle(fleet)
+    whole = answer_of(vehicles, ANY, sort, None, 99)
+    after, found = None, list[str]()
+    for _ in range(len(vehicles) + 1):
+        part = answer_of(vehicles, ANY, sort, after, limit)
+        found += [one.vehicle for one in part.vehicles]
+        after = part.next
+        if after is None:
+            break
+    assert found == [one.vehicle for one in whole.vehicles]
+    assert sorted(found) == sorted(one.vehicle for one in vehicles)
+    assert sum(whole.counts.values()) == whole.matching_count == len(vehicles)
+    if sort is not None and not sort.startswith("-"):
+        assert found == [one.vehicle for one in answer_of(vehicles, ANY, f"-{sort}", None, 99).vehicles][::-1]
+
+
+def test_a_vehicle_is_as_its_worse_clutch() -> None:
+    fleet = [
+        clutch_now("a", 1, condition="good", odometer_m=2e6, end_at=NOW + timedelta(days=1), fluid="new"),
+        clutch_now("a", 2, condition="watch", advice="watch it"),
+        clutch_now("b", 1, condition="good"),
+        clutch_now("c", 1, condition="change_fluid"),
+    ]
+    found = answer_of(by_vehicle(fleet), ANY, None, None, 50)
+    assert [(one.vehicle, one.condition) for one in found.vehicles] == [
+        ("c", "change_fluid"),
+        ("a", "watch"),
+        ("b", "good"),
+    ]
+    one = found.vehicles[1]
+    assert (one.clutch, one.advice, one.odometer_m, one.fluid) == (2, "watch it", 2e6, "new")
+    assert dict(found.counts) == {"change_fluid": 1, "watch": 1, "good": 1, "no_verdict": 0}
+    watched = answer_of(by_vehicle(fleet), Wanted(condition="good"), None, None, 50)
+    assert [one.vehicle for one in watched.vehicles] == ["b"]
+
+
+def test_a_place_of_another_order_is_none() -> None:
+    vehicles = by_vehicle([clutch_now("a"), clutch_now("b")])
+    after = answer_of(vehicles, ANY, "km", None, 1).next
+    with pytest.raises(NotFoundError, match="not a position in a list"):
+        answer_of(vehicles, ANY, "vehicle", after, 1)
