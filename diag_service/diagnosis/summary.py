@@ -35,12 +35,12 @@ class Gap(StrEnum):
     """Why a run has seen a part of its drive only."""
 
     STOPPED = "stopped_early"
-    LOG_CUT = "log_cut"  # the file ends before its own end
+    LOG_CUT = "log_cut"  # the file is cut off
 
 
 GAP_TEXT = {
     Gap.STOPPED: "stopped early",
-    Gap.LOG_CUT: "a log broke off before its own end",
+    Gap.LOG_CUT: "a log is cut off",
 }
 
 
@@ -168,7 +168,7 @@ def gaps_line(gaps: tuple[Gap, ...]) -> str:
     """Return why there is no verdict, for people; empty if nothing is missing."""
     if not gaps:
         return ""
-    return f"{', '.join(GAP_TEXT[gap] for gap in gaps)}: this is a part of the drive, which gets no verdict"
+    return f"{', '.join(GAP_TEXT[gap] for gap in gaps)}: only a part of the drive was read, which gets no verdict"
 
 
 def summary_record(summary: Summary) -> JsonObject:
