@@ -16,13 +16,13 @@ from canlog.arrays import FloatArray, Int64Array
 from canlog.database.loading import database_of
 from canlog.extras import load_extra
 from canlog.frame_columns import join
-from canlog.frame_table import frame_table
 from canlog.frames import FrameBatch
 from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_log
 from canlog.parquet_file import arrow_schema, load_pyarrow
 from canlog.tables.account import DecodeAccount
 from canlog.tables.decoding import MAX_CELLS, Plan, TableShape
 from canlog.tables.frame_stock import FrameGroup
+from canlog.tables.frame_table import frame_table
 from canlog.tables.groups import columns_of, groups, stretches, values_in
 from canlog.tables.inputs import log_paths
 from canlog.tables.layouts import ShapeName, TableShapeName, Values, ValuesName, WideLayout

@@ -25,6 +25,7 @@ from fleet_contract.orders import UNKNOWN_FLUID, Finding, Order, is_of_earlier_f
 
 RECENT_COUNT = 8
 SUMMARY_SCHEMA = "clutchdiag/summary/v1"
+NAMED_SIGNALS = 3  # of those that lost values
 _FRAME_KEYS = {"invalid": "invalid_signals"}  # public, where they are not the names of `FrameCounts`
 TIER_TEXT = {
     Tier.FRICTION: "friction",
@@ -60,6 +61,7 @@ class FrameCounts:
     missing: int = 0  # never on this side of the bus, as alive counters tell
     invalid_values: int = 0  # not available or out of range, in decoded frames
     invalid: Mapping[str, Mapping[str, int]] = field(default_factory=dict)  # the same: signal -> reason -> values
+    invalid_at_first: Mapping[str, int] = field(default_factory=dict)  # of these before a signal's first real value
     unreadable: Mapping[str, int] = field(default_factory=dict)  # lines or objects of a log, reason -> count
 
     @property
@@ -209,6 +211,7 @@ def gaps_line(gaps: tuple[Gap, ...]) -> str:
 def summary_record(summary: Summary) -> JsonObject:
     """Return the numbers as the final JSON object of a run."""
     frames = {_FRAME_KEYS.get(name, name): value for name, value in to_plain(summary.frames).items()}
+    frames.pop("invalid_at_first", None)  # for people
     return {
         "schema": SUMMARY_SCHEMA,
         "vehicle": summary.vehicle,
@@ -245,9 +248,22 @@ def frames_line(frames: FrameCounts) -> str:
 
 
 def values_line(frames: FrameCounts) -> str:
-    """Return which signals lost how many values and why, as one line for people; empty if none did."""
-    signals = [_with_reasons(signal, frames.invalid[signal]) for signal in sorted(frames.invalid)]
-    return f"values that are no measurements: {', '.join(signals)}" if signals else ""
+    """Return which signals lost values after they had any, as one line for people; empty if none did."""
+    lost = {
+        signal: sum(reasons.values()) - frames.invalid_at_first.get(signal, 0)
+        for signal, reasons in sorted(frames.invalid.items())
+    }
+    most = sorted((signal for signal in lost if lost[signal] > 0), key=lambda signal: -lost[signal])
+    if not most:
+        return ""
+    named = ", ".join(f"{signal} ({lost[signal]})" for signal in most[:NAMED_SIGNALS])
+    rest = len(most) - NAMED_SIGNALS
+    more = f" and {rest} more signal{'s' if rest > 1 else ''}" if rest > 0 else ""
+    count, plural = sum(lost[signal] for signal in most), "s" if len(most) > 1 else ""
+    values = f"{count} values of {len(most)} signal{plural} were no measurements"
+    if count == 1:
+        values = "1 value of 1 signal was no measurement"
+    return f"{values} after the first real one: {named}{more}"
 
 
 def shifts_line(summary: Summary) -> str:

@@ -69,6 +69,8 @@ class Decoder:
         self._apart = [(slot, columns) for slot, columns in self._apart if columns]
         self._signal_count = len(self.signals)
         self._invalid: dict[Signal, InvalidCounts] = {}
+        self._invalid_at_first: dict[Signal, int] = {}  # before a signal's first real value
+        self._slot_of = {column.signal: slot for slot, one in enumerate(self._messages) for column in one.columns}
         self._seen: set[Signal] = set()
         self.last_ns: int | None = None  # bus time of the last frame
         self._is_interrupted = False
@@ -130,6 +132,7 @@ class Decoder:
             missing=int(self._monitor.missing.sum()),
             invalid_values=sum(sum(reasons.values()) for reasons in invalid.values()),
             invalid=invalid,
+            invalid_at_first={signal.value: count for signal, count in self._invalid_at_first.items() if count},
         )
 
     @property
@@ -215,7 +218,11 @@ class Decoder:
         """Return the samples of accepted frames, and when messages failed."""
         decoded = self._pass.decode(segment, verdicts)
         for signal, counts in decoded.invalid.items():
-            self._count_invalid(signal, counts)
+            if signal in self._seen:
+                self._count_invalid(signal, counts)
+                continue
+            own = segment.t_ns[decoded.rows(self._slot_of[signal])]
+            self._count_invalid(signal, counts, own, decoded.samples.get(signal))
         bad_frame_ns = _bad_frame_ns(segment, verdicts) if decoded.has_bad else _NEVER
         if not self._apart:
             return decoded.samples, bad_frame_ns
@@ -231,8 +238,6 @@ class Decoder:
             words = PayloadWords(segment.data, rows)
             for column in columns:
                 one = column.table.decode(words)
-                if one.invalid.total:
-                    self._count_invalid(column.signal, one.invalid)
                 good = slice(None) if one.is_good is None else one.is_good
                 if len(kept := rows[good]):
                     found[column.signal] = Series(
@@ -241,10 +246,19 @@ class Decoder:
                         value=column.to_si(one.value[good]),
                         period_ns=self._messages[slot].period_ns,
                     )
+                if one.invalid.total:
+                    own = segment.t_ns[rows]
+                    self._count_invalid(column.signal, one.invalid, own, found.get(column.signal))
         return found
 
-    def _count_invalid(self, signal: Signal, counts: InvalidCounts) -> None:
+    def _count_invalid(
+        self, signal: Signal, counts: InvalidCounts, t_ns: Int64Array = _NEVER, real: Series | None = None
+    ) -> None:
+        """Count values; of a signal without any until now, in frames of times ``t_ns``, those before the real ones."""
         self._invalid[signal] = self._invalid.get(signal, NO_INVALID).plus(counts)
+        if signal not in self._seen:
+            early = counts.total if real is None else int(np.count_nonzero(t_ns < real.t_ns[0]))
+            self._invalid_at_first[signal] = self._invalid_at_first.get(signal, 0) + min(early, counts.total)
 
 
 def _rejected(row: Int64Array) -> dict[FrameReason, int]:

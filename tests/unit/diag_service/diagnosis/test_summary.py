@@ -1,5 +1,7 @@
 """What is said of the capability of a run."""
 
+from dataclasses import replace
+
 import pytest
 
 from diag_service.diagnosis.records import Tier
@@ -57,10 +59,20 @@ def test_which_signals_lost_values_and_why() -> None:
     invalid = {"pedal_ratio": {"out_of_range": 1}, "engine_speed_rad_s": {"not_available": 3, "out_of_range": 2}}
     frames = FrameCounts(invalid_values=6, invalid=invalid)
     assert values_line(frames) == (
-        "values that are no measurements: engine_speed_rad_s (3 not available, 2 out of range), "
-        "pedal_ratio (1 out of range)"
+        "6 values of 2 signals were no measurements after the first real one: engine_speed_rad_s (5), pedal_ratio (1)"
+    )
+    at_first = {"engine_speed_rad_s": 2, "pedal_ratio": 1}
+    assert values_line(replace(frames, invalid_at_first=at_first)) == (
+        "3 values of 1 signal were no measurements after the first real one: engine_speed_rad_s (3)"
+    )
+    assert values_line(replace(frames, invalid_at_first={"engine_speed_rad_s": 5, "pedal_ratio": 1})) == ""
+    many = FrameCounts(invalid={f"signal{number}": {"not_available": number} for number in range(1, 28)})
+    assert values_line(many) == (
+        "378 values of 27 signals were no measurements after the first real one: signal27 (27), signal26 (26), "
+        "signal25 (25) and 24 more signals"
     )
     assert values_line(FrameCounts()) == ""
     record = summary_record(summary_of(frames))
     assert isinstance(record["frames"], dict)
     assert record["frames"]["invalid_signals"] == invalid
+    assert "invalid_at_first" not in record["frames"]

@@ -87,7 +87,21 @@ def test_not_available_values_are_left_out_and_counted() -> None:
         "input2_speed_rad_s": {"not_available": 3},
     }
     assert stage.counts.invalid_values == 4
+    assert stage.counts.invalid_at_first == {"input2_speed_rad_s": 3}
     assert stage.counts.decoded == 3
+
+
+@pytest.mark.parametrize("cut", range(1, 6))
+def test_values_before_the_first_real_one_are_told_apart_wherever_the_stream_is_cut(cut: int) -> None:
+    values = {quantity: np.full(6, 100.0) for quantity in FrameEncoder(DATABASE).quantities("TCU_InputSpeeds")}
+    values["hub_speed_rad_s"] = np.array([np.nan, np.nan, 100.0, np.nan, 101.0, np.nan])
+    readings = Readings(message="TCU_InputSpeeds", t_s=np.linspace(0.0, 0.05, 6), values=values)
+    batch = received(FrameEncoder(DATABASE).encode(readings))
+    stage = decoder()
+    for part in (batch[:cut], batch[cut:]):
+        stage.feed(part)
+    assert stage.counts.invalid == {"hub_speed_rad_s": {"not_available": 4}}
+    assert stage.counts.invalid_at_first == {"hub_speed_rad_s": 2}
 
 
 def test_bad_and_missing_frames_are_timed() -> None:
