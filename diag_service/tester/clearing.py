@@ -40,7 +40,7 @@ class Group:
         found = tuple(code.number for code in codes if code.code == self.word)
         if not found:
             known = ", ".join(dict.fromkeys(code.code for code in codes)) or "none"
-            raise ConfigError(f"{self.word} is not among the trouble codes that the controller tells: {known}")
+            raise ConfigError(f"{self.word} is not among the trouble codes that the controller reports: {known}")
         return found
 
 
