@@ -143,7 +143,13 @@ class UdsTester:
         self._stack.close()
 
     def trouble_codes(
-        self, mask: int = FAILED_MASK, *, is_all: bool = False, has_details: bool = True
+        self,
+        mask: int = FAILED_MASK,
+        *,
+        is_all: bool = False,
+        has_details: bool = True,
+        readiness: int | None = None,
+        record: int | None = None,
     ) -> tuple[TroubleCode, ...]:
         """Return the trouble codes: ``diag-service dtc``.
 
@@ -155,8 +161,11 @@ class UdsTester:
             Whether to return all that the controller knows instead, also those that never failed.
         has_details
             Whether to ask for snapshots and extended data of each.
+        readiness, record
+            A readiness group, or a record of extended data, whose codes are wanted instead (SAE J1979-2).
         """
-        return self._ask(TroubleQuestion(mask=0 if is_all else mask, has_details=has_details))
+        mask = 0 if is_all else mask
+        return self._ask(TroubleQuestion(mask=mask, has_details=has_details, group=readiness, record=record))
 
     def clear_trouble_codes(
         self,

@@ -17,13 +17,7 @@ MOST_NAMED: Final = 3  # in the line that says what was not told
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
-    """Read data and show them; without names, all that the description has.
-
-    Raises
-    ------
-    ControllerError
-        If a datum that was named, or every one, was not told, or an answer cannot be right.
-    """
+    """Read data and show them; without names, all that the description has. ControllerError: not all was told."""
     session = hexadecimal(options.session, "--session", LARGEST_SESSION)
     answers = ask_one(options, DataQuestion(words=tuple(options.data), session=session), _shown, controls.stop) or ()
     missing = [one for one in answers if one.values is None]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from diag_service.errors import ConfigError
 from diag_service.tester.answers import CLEAR
 from diag_service.tester.description import SYSTEMS, Description
-from diag_service.tester.reading import read_troubles
+from diag_service.tester.reading import read_troubles, trouble_request
 from diag_service.tester.trouble import CODE_BYTES, TroubleCode
 
 if TYPE_CHECKING:
@@ -106,12 +106,12 @@ def clear_troubles(
     RefusedError, SilentError, ControllerError
         As a `Dialogue` does.
     """
-    before = read_troubles(tester, description, mask, has_details=False)
+    before = read_troubles(tester, description, trouble_request(mask), has_details=False)
     groups = group.numbers(before)
     if not is_agreed(before):
         return Clearing(groups=(), before=before, after=before)
     with tester.session(session):
         for number in groups:
             tester.ask(clear_request(number))
-    after = read_troubles(tester, description, mask, has_details=False)
+    after = read_troubles(tester, description, trouble_request(mask), has_details=False)
     return Clearing(groups=groups, before=before, after=after)

@@ -59,14 +59,15 @@ class TroubleQuestion:
         """Return what would be sent."""
         del description
         details = ["19 04 and 19 06: what was kept of each code"] if self.has_details else []
-        request = trouble_request(self.mask, group=self.group, record=self.record)
-        return [f"{request_text(request)}: the codes", *details]
+        return [f"{request_text(self._request)}: the codes", *details]
 
     def ask(self, tester: "Dialogue", description: Description) -> tuple[TroubleCode, ...]:
         """Ask."""
-        return read_troubles(
-            tester, description, self.mask, has_details=self.has_details, group=self.group, record=self.record
-        )
+        return read_troubles(tester, description, self._request, has_details=self.has_details)
+
+    @property
+    def _request(self) -> bytes:
+        return trouble_request(self.mask, group=self.group, record=self.record)
 
 
 def agreed(where: str, codes: Sequence[TroubleCode]) -> bool:

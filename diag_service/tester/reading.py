@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 ALL_RECORDS: Final = 0xFF
 EMISSIONS: Final = 0x33  # functional group (ISO 14229-1, annex D)
 FAILED_MASK: Final = 0xAF  # all bits but those that tell of a test that did not run
+FAILED: Final = bytes([READ_TROUBLE, BY_MASK, FAILED_MASK])  # the question for them
 START, STOP, RESULTS = 0x01, 0x02, 0x03
 ACTIONS: Final = {"start": START, "stop": STOP, "results": RESULTS}
 
@@ -78,22 +79,17 @@ def trouble_request(mask: int, *, group: int | None = None, record: int | None =
 
 
 def read_troubles(
-    tester: "Dialogue",
-    description: Description,
-    mask: int = FAILED_MASK,
-    *,
-    has_details: bool = True,
-    group: int | None = None,
-    record: int | None = None,
+    tester: "Dialogue", description: Description, request: bytes = FAILED, *, has_details: bool = True
 ) -> tuple[TroubleCode, ...]:
-    """Return the trouble codes that `trouble_request` asks for.
+    """Return the trouble codes for which a `trouble_request` asks.
 
     With details each comes with its snapshots and extended data, as far as the controller has them.
     """
-    codes = read_codes(tester.ask(trouble_request(mask, group=group, record=record)), description)
+    codes = read_codes(tester.ask(request), description)
     if not has_details:
         return codes
-    return tuple(_with_details(tester, description, code, ALL_RECORDS if record is None else record) for code in codes)
+    record = request[2] if request[1] == WITH_RECORD else ALL_RECORDS
+    return tuple(_with_details(tester, description, code, record) for code in codes)
 
 
 def _with_details(tester: "Dialogue", description: Description, code: TroubleCode, record: int) -> TroubleCode:

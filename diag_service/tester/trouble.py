@@ -81,13 +81,7 @@ def read_codes(response: bytes, description: Description) -> tuple[TroubleCode, 
 
 
 def read_snapshots(response: bytes, description: Description) -> tuple[Snapshot, ...]:
-    """Return the snapshots in a response to 19 04: each has a number, a count and that many data with their numbers.
-
-    Raises
-    ------
-    MalformedError
-        If the last one is cut off.
-    """
+    """Return the snapshots in a response to 19 04: each with its number and data; MalformedError: cut off."""
     content = response[HEAD_BYTES[SNAPSHOTS] :]
     found = []
     while any(content):
@@ -118,13 +112,7 @@ def _data_of(content: bytes, count: int, description: Description) -> tuple[dict
 
 
 def read_extended(response: bytes, description: Description) -> tuple[Snapshot, ...]:
-    """Return the records of extended data in a response to 19 06: each has a number and what belongs to it.
-
-    Raises
-    ------
-    MalformedError
-        If the last one is cut off.
-    """
+    """Return the records of extended data in a response to 19 06, each with its number; MalformedError: cut off."""
     content = response[HEAD_BYTES[EXTENDED] :]
     found = []
     while any(content):

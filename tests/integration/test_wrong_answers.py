@@ -6,6 +6,7 @@ from typing import Any
 import can
 import pytest
 
+import diag_service
 from diag_service.errors import ControllerError, SilentError, StoppedError
 from diag_service.tester.addresses import CanAddress
 from diag_service.tester.can_link import CanConnection
@@ -125,3 +126,15 @@ def test_polling_tells_nobody_of_a_wrong_answer(tmp_path: Path) -> None:
     assert run.status == 0, run
     assert [record for record in run.records if record["schema"] == "clutchdiag/controller/v1"] == []
     assert "the trouble codes were not read: 7E1 (answers 7E9) answers 19 02 AF with 59 02" in run.err
+
+
+def test_readiness_from_python() -> None:
+    with (
+        wrong_ecu("python"),
+        can.Bus("python", "virtual") as bus,
+        diag_service.UdsTester(bus, is_active=True, listen_s=0.0, timeout_s=20.0) as tester,
+    ):
+        (code,) = tester.trouble_codes(readiness=0x01, has_details=False)
+        (same,) = tester.trouble_codes(record=0x91)
+    assert (code.code, same.code) == ("P0811", "P0811")
+    assert same.extended[0].data == {"in-use performance of the monitor": {"completed": 5, "conditions met": 16}}
