@@ -292,7 +292,7 @@ def record(
     """
     is_piped = path == STANDARD_STREAM
     if is_piped and is_json:
-        raise ConfigError("the log goes to standard output: there is no room for --json")
+        raise ConfigError("the log goes to standard output: --json cannot be used")
     outputs = (truth,) if is_piped else (path, truth or truth_path(path))
     if text := refusal(*outputs, is_forced=is_forced):
         raise ConfigError(text)
