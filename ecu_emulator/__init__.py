@@ -12,6 +12,7 @@ from canlog.on_demand import on_demand as _on_demand
 
 if typing.TYPE_CHECKING:
     from ecu_emulator.api.choices import Answers
+    from ecu_emulator.api.dbc import write_dbc
     from ecu_emulator.api.emulator import Emulator
     from ecu_emulator.api.pdx import write_pdx
     from ecu_emulator.commands import Recording
@@ -38,6 +39,7 @@ __all__ = [
     "load_scenario",
     "read_truth",
     "shipped_scenarios",
+    "write_dbc",
     "write_pdx",
 ]
 
@@ -45,6 +47,7 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "ecu_emulator.api.choices": ("Answers",),
+    "ecu_emulator.api.dbc": ("write_dbc",),
     "ecu_emulator.api.emulator": ("Emulator",),
     "ecu_emulator.api.pdx": ("write_pdx",),
     "ecu_emulator.commands": ("Recording",),

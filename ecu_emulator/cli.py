@@ -53,7 +53,7 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
         commands.write_pdx(options.table, options.output, is_json=options.json, is_forced=options.force)
         return
     if options.command == "dbc":
-        commands.write_dbc(options.output, is_forced=options.force)
+        commands.save_dbc(options.output, is_forced=options.force)
         return
     scenario = commands.choose_scenario(
         options.scenario,

@@ -117,13 +117,17 @@ def list_scenarios() -> None:
         sys.stdout.write(hanging(f"{name:<12} ", load_scenario(name).description, width) + "\n")
 
 
-def write_dbc(path: Path | None, *, is_forced: bool) -> None:
-    """Write the database of the emulated vehicle, to standard output without a path; raises as ``save_pdx`` does."""
+def save_dbc(path: Path | None, *, is_forced: bool) -> int:
+    """Write the database of the emulated vehicle, to standard output without a path; return its size [bytes].
+
+    Raises ConfigError or RecordError if the file is there already or cannot be written.
+    """
     database = resources.files("dbc").joinpath("dct.dbc").read_bytes()
     if path is None:
         sys.stdout.buffer.write(database)
     else:
         _save(database, path, is_forced=is_forced)
+    return len(database)
 
 
 def write_pdx(table: Path | None, path: Path, *, is_json: bool, is_forced: bool = False) -> None:

@@ -15,7 +15,7 @@ import cantools
 import pytest
 
 from dbc.contract import load_contract
-from ecu_emulator import __version__
+from ecu_emulator import __version__, write_dbc
 from ecu_emulator.cli import main
 from ecu_emulator.truth import read_truth, truth_path
 from tests.support.patience import HANG_S
@@ -271,6 +271,7 @@ def test_the_database_of_the_car_is_printed_or_written(tmp_path: Path, capsys: p
     printed = capsys.readouterr().out
     assert main(["dbc", "-o", str(path)]) == 0
     assert path.read_bytes() == printed.encode()
+    assert write_dbc(path) == path.stat().st_size == len(printed)
     database = cantools.database.load_file(path)
     assert isinstance(database, cantools.database.can.Database)
     assert {one.name for one in database.messages} == {one.name for one in load_contract().messages}
