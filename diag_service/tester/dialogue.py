@@ -125,7 +125,7 @@ class Dialogue:
                 )
                 raise PendingError(f"{text} {request_text(request)}") from exc
             stray = self._filter.stray
-            more = f": what came instead, last {shown(stray)}, is no answer to it" if stray else ""
+            more = f": what came instead, last {shown(stray)}, does not answer it" if stray else ""
             raise SilentError(f"{self.where} does not answer {request_text(request)}{more}") from exc
         except (InvalidResponseException, UnexpectedResponseException, OSError, RuntimeError) as exc:
             raise ControllerError(f"{self.where}: {' '.join(str(exc).split())}") from exc
@@ -137,7 +137,7 @@ class Dialogue:
 
     def _check(self, request: bytes, response: bytes) -> bytes:
         if wrong := fault(request, response):
-            text = f"{self.where} answers {request_text(request)} with {shown(response)}, which is no valid answer"
+            text = f"{self.where} answers {request_text(request)} with {shown(response)}, which is not a valid answer"
             raise MalformedError(f"{text}: {wrong}")
         return response
 

@@ -24,6 +24,7 @@ PACKAGES = (
     "fleet_link",
     "program_io",
 )
+EARLIER = "_EARLIER"  # so begin the names of texts of earlier versions, which are read and not shown
 _MAX_WORDS = 32
 _WORDS = re.compile(r"[A-Za-z]{2,}[,;:]? [A-Za-z({]")
 _CODE = re.compile(
@@ -96,12 +97,18 @@ def _texts_of_module(place: str, source: str) -> Iterator[ShownText]:
         and node.body
         and isinstance(node.body[0], ast.Expr)
     }
+    only_read = {
+        id(part)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.AnnAssign) and ast.unparse(node.target).startswith(EARLIER)
+        for part in ast.walk(node)
+    }
     parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in ast.walk(node)}
     for node in ast.walk(tree):
         if isinstance(node, ast.JoinedStr):
             text = _joined(node)
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            if id(node) in docstrings or id(node) in parts:
+            if id(node) in docstrings | parts | only_read:
                 continue
             text = node.value
         else:

@@ -76,7 +76,7 @@ def test_who_asked_for_time_once_and_says_no_more_is_not_asked_again() -> None:
 
 def test_an_answer_that_breaks_the_rules_is_an_error() -> None:
     tester, _, _ = dialogue_of(["59 02"])
-    text = "^7E1 answers 19 02 AF with 59 02, which is no valid answer: at least 3 bytes are due, and it has 2$"
+    text = "^7E1 answers 19 02 AF with 59 02, which is not a valid answer: at least 3 bytes are due, and it has 2$"
     with pytest.raises(MalformedError, match=text):
         tester.ask(bytes.fromhex("19 02 af"))
 
@@ -132,7 +132,7 @@ def test_late_answers_to_others_are_passed_over() -> None:
 
 def test_only_others_answers_are_silence() -> None:
     tester = Dialogue(Endless("62 f1 87 00"), "7E1", QUICK)
-    text = "^7E1 does not answer 22 F1 90: what came instead, last 62 F1 87 00, is no answer to it$"
+    text = "^7E1 does not answer 22 F1 90: what came instead, last 62 F1 87 00, does not answer it$"
     with pytest.raises(SilentError, match=text):
         tester.ask(VIN)
     assert tester.counts.stray > 0
