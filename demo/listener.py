@@ -27,7 +27,8 @@ class ClutchState:
     reason: str
     friction: FrictionEstimate | None  # running estimate, all shifts combined
     shift_count: int
-    advice: str | None = None  # what to do, by when, how sure; None of older programs
+    advice: str | None = None  # what the clutch says, how sure; None of older programs
+    order: str | None = None  # what to do about the fluid of the vehicle; likewise
 
 
 class Listener:
@@ -142,7 +143,8 @@ async def _connected(address: BrokerAddress) -> AsyncIterator[aiomqtt.Client]:
 
 def _clutch_state(message: aiomqtt.Message) -> ClutchState:
     try:
-        verdict = verdict_from(_read(message).data)
+        data = _read(message).data
+        verdict = verdict_from(data)
     except (ContractError, ResultError) as exc:
         raise DemoError(f"the broker keeps what is no clutch state: {exc}") from exc
     return ClutchState(
@@ -152,6 +154,7 @@ def _clutch_state(message: aiomqtt.Message) -> ClutchState:
         friction=verdict.friction,
         shift_count=verdict.shift_count,
         advice=verdict.advice,
+        order=None if data.get("order") is None else str(data["order"]),
     )
 
 

@@ -20,7 +20,7 @@ from demo.outcome import SHIFTS_PER_CYCLE, Outcome, complaints, frame_account
 from demo.picture import draw
 from demo.programs import EMULATOR, SERVICE, Program, output_files, program, run
 from demo.scan_tool import ScanTool
-from demo.table import live_line, print_outcome, verdict_lines
+from demo.table import live_line, order_lines, print_outcome, verdict_lines
 from demo.traces import recorded_shift
 from diag_service.diagnosis.records import ShiftResult
 from ecu_emulator.truth import read_truth
@@ -107,6 +107,8 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
         if clutch in outcome.clutches:
             for line in verdict_lines(outcome.clutches[clutch]):
                 console.print(line, soft_wrap=True)
+    for line in order_lines(outcome.clutches.values()):
+        console.print(line, soft_wrap=True)
     console.print(scan_tool.line, soft_wrap=True)
     return 1 if found else 0
 

@@ -1,7 +1,7 @@
 """What the demonstration shows: a line per shift, the closing tables, the verdicts."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from rich import box
 from rich.console import Console
@@ -99,6 +99,12 @@ def verdict_lines(state: ClutchState) -> Iterator[Text]:
     yield verdict_line(state)
     if state.advice is not None:
         yield Text(f"         {state.advice}")
+
+
+def order_lines(states: Iterable[ClutchState]) -> Iterator[Text]:
+    """Yield the one order for the vehicle, which the states of both clutches tell."""
+    for order in dict.fromkeys(state.order for state in states if state.order is not None):
+        yield Text(f"order:   {order}")
 
 
 def _table(title: str) -> Table:

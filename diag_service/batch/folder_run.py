@@ -195,7 +195,7 @@ class FolderLines:
         """Tell of all of them."""
         if not self._as_json:
             left_out = f", {self._left_out} files left out" if self._left_out else ""
-            cut = f", {totals['cut']} broke off and have no verdict" if totals["cut"] else ""
+            cut = f", {totals['cut']} are cut off and have no verdict" if totals["cut"] else ""
             what = f"{totals['drives']} drives, {totals['shifts']} shifts, {totals['failed']} could not be read"
             self._write(f"{what}{cut}{left_out}")
 

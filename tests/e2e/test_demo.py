@@ -69,8 +69,9 @@ def test_aged_fluid_is_found(tmp_path: Path) -> None:
     assert status == 0, said
     assert sum("after its end" in line for line in said.splitlines()) == 10, said
     assert verdicts(said) == AGED, said
+    assert "Change the fluid now." in said
     for clutch in (1, 2):
-        assert f"Clutch {clutch}: change the fluid now: " in said
+        assert f"Clutch {clutch}: it can shudder " in said
     assert said.splitlines()[-1] == SCANNED, said
     assert "unexplained: 0" in said
     assert (folder / "demo.png").read_bytes().startswith(b"\x89PNG")

@@ -104,7 +104,7 @@ async def test_a_message_that_is_no_acknowledgement_is_told_and_ignored(
         await until(lambda: outbox.counts.sent >= 1)
         for payload in (b"\xff", b"{" * 300_000, b"{}"):
             await client.publish("clutchdiag/v1/car1/ack", payload, qos=1)
-        await until(lambda: caplog.text.count("a message to us is ignored") == 3)
+        await until(lambda: caplog.text.count("a message to this service is ignored") == 3)
     assert store.unpublished_count("car1") == 1
 
 

@@ -46,7 +46,7 @@ def test_requests_and_answers_are_shown(log: Path, capsys: pytest.CaptureFixture
     assert main(["inspect", str(log), "--conversations", "--pairs", "79B:7BB"]) == 0
     said = capsys.readouterr().out
     assert "iso tp: 8 whole messages, 1 incomplete (1 cut off)" in said
-    assert "4 requests, 1 without an answer, 0 answers to no request" in said
+    assert "4 requests, 1 without an answer, 0 answers without a request" in said
     assert (
         "7E0 ReadDataByIdentifier: 22 F1 90 -> 7E8 62 F1 90 57 46 57 30 30 30 31 32 33 34 36 37 38 ... (20 bytes) "
         "after 30.0 ms, response pending 1 times"

@@ -53,7 +53,7 @@ def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "drive.log").write_text("".join(f"{line}\n" for line in LINES), encoding="ascii")
     monkeypatch.chdir(tmp_path)
     # Read once: reading a foreign database takes a process of its own.
-    monkeypatch.setattr("diag_service.commands.decode.open_database", lambda *_, **__: MESSAGES)
+    monkeypatch.setattr("diag_service.commands.decode.asked_database", lambda *_, **__: MESSAGES)
     return tmp_path
 
 
@@ -249,7 +249,7 @@ def test_head_of_a_stream_is_no_error(folder: Path) -> None:
     [
         (("-o", "out.xlsx"), 2, "written as .parquet, .csv, .jsonl, .arrows, .mf4, or as --format says"),
         (("-o", "-", "--format", "parquet"), 2, "parquet does not go to standard output"),
-        (("-o", "-", "--json"), 2, "no room for --json"),
+        (("-o", "-", "--json"), 2, "--json cannot be used"),
         (("-o", "out.mf4", "--layout", "long"), 2, "neither --layout nor --values applies"),
         (("-o", "car.dbc", "--format", "csv"), 2, "car.dbc is there already; --force writes over it"),
         (("-o", "none/out.csv"), 4, "cannot write none/out.csv: No such file"),
@@ -297,7 +297,7 @@ def test_a_part_that_cannot_be_is_told(folder: Path) -> None:
     assert folder.is_dir()
     for words, text in (
         (("--signals", "Brake.Sped"), "no signal is called Brake.Sped; there is Brake.Speed"),
-        (("--from", "noon"), "'noon' is no time"),
+        (("--from", "noon"), "'noon' is not a time"),
     ):
         told = ended("decode", "drive.log", *words, "-o", "part.csv")
         assert (told.status, text in told.err) == (2, True), told.err
@@ -314,7 +314,7 @@ def test_a_log_is_read_no_further_than_its_part(folder: Path) -> None:
 
 
 def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diag_service.commands.decode_folder.open_database", lambda *_, **__: MESSAGES)
+    monkeypatch.setattr("diag_service.commands.decode_folder.asked_database", lambda *_, **__: MESSAGES)
     whole = decoded("drive.log")
     (folder / "logs" / "day").mkdir(parents=True)
     (folder / "logs" / "notes.txt").write_text("What was measured", encoding="ascii")

@@ -199,7 +199,7 @@ def test_a_provider_that_is_away_keeps_nobody_waiting() -> None:
         words = {"client_id": CLIENT_ID, "secret": CLIENT_SECRET, "return_address": "", "name_claim": "email"}
         provider = OpenIdProvider(Client(issuer=gone.issuer, **words))
         lying = OpenIdProvider(Client(issuer=f"{gone.issuer}/", **words))
-        with pytest.raises(ProviderAwayError, match="does not say what it should"):
+        with pytest.raises(ProviderAwayError, match="does not describe itself as it should"):
             lying.address(Attempt.begin("/", 0.0))
         asked = len(gone.asked)
         with pytest.raises(ProviderAwayError, match="does not answer"):

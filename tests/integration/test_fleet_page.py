@@ -36,7 +36,7 @@ LISTS = ("/", "/clutches", "/changes?since=2020-01-01", "/quarantine", "/alarms?
 EMPTY = {
     "/": "No vehicle has been heard from yet.",
     "/clutches": "No vehicle has been heard from yet.",
-    "/alarms": "There is none.",
+    "/alarms": "No alarms.",
     "/maintenance": "No vehicle has been heard from yet.",
     "/changes": "Nothing changed.",
     "/quarantine": "Every message could be used.",
@@ -281,7 +281,7 @@ def test_no_markup_comes_from_outside(reader: httpx.Client) -> None:
         ("/?limit=0", 400, "limit: must be a whole number from 1 to"),
         ("/?after=x", 404, "after: not a position in a list"),
         ("/?q=%00", 400, "q: holds characters that are not text"),
-        ("/?colour=red", 400, "'colour': no word of this address"),
+        ("/?colour=red", 400, "'colour': not a parameter of this address"),
         ("/static/..%2fsite.py", 404, ""),
         ("/static/page.html", 404, ""),
         ("/nowhere", 404, ""),

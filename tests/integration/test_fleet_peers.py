@@ -111,11 +111,11 @@ def test_what_is_usual_is_learned_kept_and_used_and_who_is_not_usual_is_named(
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("car,lot\na,1\n", "a head is wanted"),
+        ("car,lot\na,1\n", "the header must name"),
         ("vehicle,lot\na,1,2\n", "line 2: 3 values for 2 columns"),
-        ("vehicle,lot\na,1\na,2\n", "line 3: no vehicle, or one that is there already"),
-        ("vehicle,lot\na,\x07\n", "is no word"),
-        ("vehicle,lot\na," + 201 * "x" + "\n", "is no word"),
+        ("vehicle,lot\na,1\na,2\n", "line 3: the vehicle is missing or listed twice"),
+        ("vehicle,lot\na,\x07\n", "is not a word"),
+        ("vehicle,lot\na," + 201 * "x" + "\n", "is not a word"),
     ],
 )
 def test_a_table_that_is_none_changes_nothing(

@@ -46,7 +46,7 @@ def test_a_terminal_breaks_no_word_and_loses_no_vehicle(
     shown = in_terminal(width, MODULE, *question, "--database", database)
     assert (shown.status, shown.err) == (0, b"")
     told = [line for line in shown.lines if line.strip("─")]
-    cut = next((index for index, line in enumerate(told) if line.startswith("Left out at this")), len(told))
+    cut = next((index for index, line in enumerate(told) if line.startswith("Hidden at this")), len(told))
     reasons = re.sub(r"(\S+), clutch (\d): ", r"\1 \2 ", "\n".join(told[cut:])).split()  # "vehicle, clutch 2: ..."
     assert {word for line in told[:cut] for word in line.split()} <= known
     assert {VIN, LONGEST, "taxi-1"} & known <= {word for line in told for word in line.split()} | set(reasons)

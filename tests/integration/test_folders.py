@@ -81,7 +81,7 @@ def test_what_cannot_be_read_and_what_is_left_out_is_told_and_stops_nothing(driv
         (("{log}", "-o", "{tmp}/none/out.csv"), StoreError, "No such file"),
         (("{log}", "-o", "{tmp}/out.csv", "--jobs", "0"), ConfigError, "at least 1"),
         (("{log}", "--vehicle-from", "path"), ConfigError, "--vehicle-from is for folders"),
-        (("{tmp}", "--vehicle-from", "path", "--vehicle", "car"), ConfigError, "choose"),
+        (("{tmp}", "--vehicle-from", "path", "--vehicle", "car"), ConfigError, "use only one of them"),
         (("{tmp}", "-"), ConfigError, "standard input does not go with them"),
         (("{log}", "--jobs", "2"), ConfigError, "--jobs is for folders"),
         (("{tmp}", "--store", "{tmp}/s.sqlite"), ConfigError, "neither --store"),
@@ -119,5 +119,5 @@ def test_a_folder_below_names_the_vehicle(drive_log: Path, tmp_path: Path) -> No
 
 def test_folders_that_are_no_vehicles_are_told(drive_log: Path, tmp_path: Path) -> None:
     fill_folder(tmp_path / "fleet" / "my car", drive_log, 1)
-    with pytest.raises(ConfigError, match=r"drive.*: 'my car' is no vehicle id"):
+    with pytest.raises(ConfigError, match=r"drive.*: 'my car' is not a vehicle id"):
         analyze.execute(parse_arguments(["analyze", str(tmp_path / "fleet"), "--vehicle-from", "path"]), Controls())

@@ -219,7 +219,7 @@ def test_a_log_that_takes_too_long_or_breaks_the_program_is_a_row(tmp_path: Path
         (("s3://b/logs",), ConfigError, "--lake PLACE"),
         (("{logs}", "--scheduler", "tls://h"), ConfigError, "is for a lake"),
         (("{logs}", "--retry"), ConfigError, "--retry is for a lake"),
-        (("{logs}", "--lake", "{logs}/lake"), ConfigError, "must not lie within each other"),
+        (("{logs}", "--lake", "{logs}/lake"), ConfigError, "must not contain each other"),
         (("{logs}", "--lake", "{tmp}/lake", "--json"), ConfigError, "--json does not go with --lake"),
         (("{logs}", "--lake", "{tmp}/lake", "--scheduler", "tcp://127.0.0.1:1"), ConfigError, "tls:// only"),
         (("{logs}", "--lake", "{tmp}/lake", "--scheduler", "tls://127.0.0.1:1"), ConfigError, "--ca, --cert and --key"),

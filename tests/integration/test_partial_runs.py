@@ -89,7 +89,7 @@ def test_people_read_that_an_analysis_was_stopped(cycle_log: Path) -> None:
     assert ended.status == 130
     said, table = ended.out.split("condition", 1)
     assert "stopped early" in said
-    assert "no verdict on a part of a drive" in said
+    assert "only a part of the drive was seen" in said
     assert "no verdict" in table
     assert "good" not in table
 
@@ -123,8 +123,8 @@ def test_a_log_that_broke_off_carries_no_verdict(cycle_log: Path, cut_log: Path,
     text = run_service(tmp_path / "text", "analyze", log)
     assert text.status == 5
     said, table = text.out.split("condition", 1)
-    assert "a log broke off" in said
-    assert "no verdict on a part of a drive" in said
+    assert "a log is cut off" in said
+    assert "only a part of the drive was seen" in said
     assert "good" not in table
 
 
@@ -139,7 +139,7 @@ def test_a_cut_log_among_many_has_no_verdict_in_the_tables(cut_log: Path, cycle_
     ended = run_service(tmp_path / "run", "analyze", tmp_path / "logs", "-o", tmp_path / "out.csv", "--jobs", "1")
     assert ended.status == 0, ended.err
     assert "cut.log: " in ended.out
-    assert "a log broke off" in ended.out
+    assert "a log is cut off" in ended.out
     assert "10 shifts" in ended.out
     with (tmp_path / "out.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -159,7 +159,7 @@ def test_a_folder_run_that_was_stopped_goes_on_later(cycle_log: Path, drive_log:
     arguments = ("analyze", folder, "-o", tmp_path / "out.jsonl", "--jobs", "1", "--json")
     ended = stopped(signal.SIGINT, *arguments)
     assert ended.status == 130, ended.err
-    assert "the same command goes on" in ended.err
+    assert "run the same command again" in ended.err
     assert not (tmp_path / "out.jsonl").exists()
     again = run_service(tmp_path / "again", *arguments)
     assert again.status == 0, again.err

@@ -187,8 +187,8 @@ def test_over_ip() -> None:
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"channel": "x", "interface": "virtual"}, "handed over open or named"),
-        ({"doip": "127.0.0.1"}, "handed over open or named"),
+        ({"channel": "x", "interface": "virtual"}, "either an open bus or an interface"),
+        ({"doip": "127.0.0.1"}, "either an open bus or an interface"),
         ({"doip_authority": "ca.crt"}, "doip_authority needs doip"),
         ({"reply": 0x7E9}, "reply and address need ecu"),
         ({"ecu": 0x7E1, "address": 0x100}, "address must be 0 to FF"),
@@ -241,7 +241,7 @@ async def test_codes_are_asked_for_while_the_bus_is_diagnosed(car: Vehicle, tmp_
 
 
 def test_a_bus_that_was_handed_over_is_polled_by_another_end(bus: can.BusABC) -> None:
-    with pytest.raises(diag_service.ConfigError, match=r"give Poll\(bus=...\) another end"):
+    with pytest.raises(diag_service.ConfigError, match=r"give Poll\(bus=...\) a connection"):
         diag_service.diagnose(bus, poll=diag_service.Poll())
     with pytest.raises(diag_service.ConfigError, match="--poll must be at least 1 s"):
         diag_service.diagnose(interface="virtual", channel=CHANNEL, poll=diag_service.Poll(period_s=0.5))

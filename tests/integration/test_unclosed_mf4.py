@@ -34,7 +34,7 @@ def unclosed(cycle_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_log_that_was_not_closed_gets_its_verdict(unclosed: Path) -> None:
     told = ended("analyze", unclosed, "--json", "--strict")
     assert told.status == 0, told.err
-    assert f"{unclosed}: the log was not closed by its writer" in told.err
+    assert f"{unclosed}: the recorder did not close the log" in told.err
     assert (told.summary["complete"], told.summary["incomplete"]) == (True, [])
     assert "good" in {clutch["condition"] for clutch in told.summary["clutches"]}
 
@@ -52,11 +52,11 @@ def test_decode_loses_nothing_of_a_log_that_was_not_closed(unclosed: Path, tmp_p
     assert told.status == 0, told.err
     record = json.loads(told.out)
     assert (record["unfinished"], record["losses"]) == (True, [])
-    assert "not closed by its writer" in ended("decode", unclosed, "-o", tmp_path / "again.parquet").out
+    assert "the recorder did not close the log" in ended("decode", unclosed, "-o", tmp_path / "again.parquet").out
 
 
 def test_inspect_and_signals_take_it_for_whole(unclosed: Path) -> None:
     inspected = ended("inspect", unclosed, "--json")
     assert json.loads(inspected.out)["complete"]
-    assert "not closed by its writer" in ended("inspect", unclosed).out
+    assert "the recorder did not close the log" in ended("inspect", unclosed).out
     assert "ends before its own end" not in ended("signals", unclosed).out

@@ -281,24 +281,24 @@ WILD_GRAMMARS: Mapping[str, Grammar] = MappingProxyType({
             _table(",", lambda t_us: f"{START_S + t_us // 1_000_000}.{t_us % 1_000_000:06d}"),
             (",".join(("Time [s]", *TABLE_NAMES)),),
         ),
-        has_fd=True, has_fd_flags=False, channels=10,
+        has_fd=True, has_fd_flags=False, channels=10, leaves_open=True,
     ),
     "columns with tabs and dates": Grammar(
         write=by_hand(
             _table("\t", lambda t_us: f"{EPOCH + timedelta(seconds=START_S, microseconds=t_us):%Y-%m-%dT%H:%M:%S.%fZ}"),
             ("# a comment", "\t".join(("Timestamp", *TABLE_NAMES))), "\r\n",
         ),
-        has_fd=True, has_fd_flags=False, channels=10,
+        has_fd=True, has_fd_flags=False, channels=10, leaves_open=True,
     ),
     "columns in decimal": Grammar(
         write=by_hand(
             _table(";", lambda t_us: f"{t_us // 1_000_000},{t_us % 1_000_000:06d}", base="d"),
             ("Zeit_s;Kanal;ID (dec);Extended;RTR;Error;Dir;DLC;Data (dec)",),
         ),
-        start_us=0, has_fd=True, has_fd_flags=False, channels=10,
+        start_us=0, has_fd=True, has_fd_flags=False, channels=10, leaves_open=True,
     ),
     "columns for bytes": Grammar(
         write=by_hand(_bytes_table, ("t_us;Msg Id;D0;D1;D2;D3;D4;D5;D6;D7;Len;Ext;Comment",)), start_us=0,
-        has_remote=False, has_error=False, has_direction=False,
+        has_remote=False, has_error=False, has_direction=False, leaves_open=True,
     ),
 })  # fmt: skip

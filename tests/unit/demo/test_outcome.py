@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from demo.outcome import MAX_ERROR_STD, FrameAccount, Outcome, complaints, frame_account
-from demo.table import clutch_table, frame_lines, shift_table, verdict_line, verdict_lines
+from demo.table import clutch_table, frame_lines, order_lines, shift_table, verdict_line, verdict_lines
 from diag_service.diagnosis.records import FrictionEstimate, Reason, Status
 from tests.unit.demo.outcomes import FRICTION, good_frames, good_outcome
 
@@ -145,3 +145,9 @@ def test_below_the_verdict_stands_what_to_do() -> None:
         "         Clutch 1: change the fluid now.",
     ]
     assert len(list(verdict_lines(replace(state, advice=None)))) == 1
+
+
+def test_the_order_for_the_vehicle_is_printed_once() -> None:
+    ordered = replace(good_outcome().clutches[1], order="Change the fluid now.")
+    assert [line.plain for line in order_lines([ordered, ordered])] == ["order:   Change the fluid now."]
+    assert list(order_lines([replace(ordered, order=None)])) == []
