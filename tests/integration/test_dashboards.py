@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import pytest
 from sqlalchemy import Connection, Engine, create_engine
@@ -46,16 +47,19 @@ SILENT = "Clutch {}: change the fluid now. The vehicle is silent at present, thi
 @pytest.fixture(name="fleet", scope="module")
 def _fleet(postgres_server: PostgresServer, postgres_template: str) -> Iterator[Connection]:
     """Yield the database of three vehicles, as Grafana's role sees it."""
-    url = postgres_server.create("dashboards", postgres_template)
+    # A name of its own: a worker that takes tests of this file twice makes it twice.
+    url = postgres_server.create(f"dashboards_{uuid4().hex}", postgres_template)
     owner = open_database(url)
     fill(owner)
     with owner.begin() as connection:
         ask(connection, (FOLDER / "reader.sql").read_text(encoding="utf-8"))
-    owner.dispose()
     reader = create_engine(url.replace("clutchdiag@", "grafana@"), isolation_level="AUTOCOMMIT")
     with reader.connect() as connection:
         yield connection
     reader.dispose()
+    with owner.begin() as connection:
+        ask(connection, "DROP ROLE grafana")
+    owner.dispose()
 
 
 def fill(engine: Engine) -> None:
