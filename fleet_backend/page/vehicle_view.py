@@ -106,7 +106,7 @@ def _clutch(now: ClutchNow, found: Past, usual: Usual | None, state: VehicleStat
 
 
 def _subtitle(answer: VehicleAnswer, _sources: Sources) -> str:
-    state = {None: "no sign of life from its service yet", True: "online", False: "offline"}[answer.is_online]
+    state = {None: "state of its service unknown", True: "online", False: "offline"}[answer.is_online]
     since = f" since {answer.connected_at:%Y-%m-%d %H:%M} UTC" if answer.connected_at and answer.is_online else ""
     last = f", last result {answer.last_result_at:%Y-%m-%d %H:%M} UTC" if answer.last_result_at else ", no result yet"
     return f"{state}{since}{last}"
