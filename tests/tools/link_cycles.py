@@ -21,6 +21,7 @@ from typing import Self
 
 import numpy as np
 
+from canlog.e2e.profile1 import COUNTER_PERIOD
 from ecu_emulator.frames import FrameEncoder
 from ecu_emulator.readings import Readings
 from tests.support.service import Ended, Service, service
@@ -55,6 +56,7 @@ class ShiftSender:
         self.channel = channel
         self.is_shifting = threading.Event()
         self._is_over = threading.Event()
+        self._begin = 0  # of the payloads, for the counter that comes next
         self._thread = threading.Thread(target=self._send, name="shift sender")
 
     def __enter__(self) -> Self:
@@ -73,11 +75,14 @@ class ShiftSender:
             self._is_over.wait(CYCLE_S)
 
     def _drive(self, raw: socket.socket) -> None:
-        """Send one shift after the other until the interface fails."""
+        """Send one shift after the other until the interface fails; alive counters go on where they were."""
         payloads = shift_payloads()
         while True:
             for number, payload in enumerate(payloads):
+                if number < self._begin:
+                    continue
                 raw.send(_FRAME.pack(CONTRACTS["TCU_Shift"].can_id, 8, payload))
+                self._begin = (number + 1) % COUNTER_PERIOD
                 if number < OPEN_AFTER:
                     self.is_shifting.clear()
                 elif number > OPEN_AFTER + 5:
