@@ -135,7 +135,7 @@ _QUARANTINE: Final = Command(
 )
 _PEERS: Final = Command(
     "peers",
-    "learn how fluids of each type usually age, and show which clutches and lots age faster than others",
+    "learn how fluids of each type usually age, and show which lots age faster than others",
     *_QUESTION,
     Option("--keep", "keep what was learned as the next version: prognoses begin with it"),
     Option("--write FILE", "write what was learned as JSON, for diag-service history --peers", FILE),
