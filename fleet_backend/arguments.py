@@ -6,8 +6,8 @@ from typing import Final
 
 import click
 
+from clutchdiag_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Option, Program, parse
 from fleet_backend.choices import Axis, Pace
-from program_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Option, Program, parse
 
 PROGRAM: Final = "fleet-backend"
 BROKER_VARIABLE: Final = "CLUTCHDIAG_BROKER"  # these keep passwords out of the process list
