@@ -64,7 +64,7 @@ def _extras(options: SimpleNamespace) -> str:
 def _load_commands(options: SimpleNamespace) -> ModuleType:
     """Return the module of the commands; raises ExtraMissingError where what it needs is not installed."""
     try:
-        return import_module("fleet_backend.commands")
+        return import_module("fleet_backend.follow" if options.command == "follow" else "fleet_backend.commands")
     except ModuleNotFoundError as exc:
         if exc.name is None or exc.name.startswith(("fleet_backend", "fleet_contract")):
             raise
