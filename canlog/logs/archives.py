@@ -1,4 +1,4 @@
-"""Zip archives as folders of logs: ``drives.zip/monday.log`` is the path of what lies inside.
+"""Zip and tar archives as folders of logs: ``drives.zip/monday.log`` is the path of what lies inside.
 
 Nothing is written to the disk under a name that an archive gives, and no size that it states is trusted: the directory
 of the archive and every member are read up to a limit.
@@ -8,13 +8,17 @@ import io
 import struct
 import zipfile
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
-from typing import IO, BinaryIO, Final
+from typing import BinaryIO, Final, Protocol, cast
 
 from canlog.errors import SourceError
 from canlog.logs.compressed import check_growth
+from canlog.logs.detection import PROBE_BYTES
 from canlog.logs.log_counts import LogCounts, LogReject
+from canlog.logs.tars import TarContents, TarMember, is_compressed_tar, is_tar, tar_infos, tar_refusal
 
 ZIP_MAGICS: Final = (b"PK\x03\x04", b"PK\x05\x06")  # a first member, or an archive of nothing
 MOST_MEMBERS: Final = 1_000
@@ -32,6 +36,13 @@ UNICODE_PATH, EXTRA_HEADER = 0x7075, struct.Struct("<HH")  # its version and the
 KNOWN_METHODS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
+class MemberContents(Protocol):
+    """What is in a member."""
+
+    def read1(self, size: int, /) -> bytes:
+        """Return up to so many bytes, none at the end."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Member:
     """A file in an archive."""
@@ -39,13 +50,20 @@ class Member:
     name: str
     packed_bytes: int
     refusal: str  # why it cannot be read; empty if it can
-    info: zipfile.ZipInfo
-    archive: zipfile.ZipFile  # its directory is read once for all
+    kind: str  # of its archive: zip or tar
+    open: Callable[[], MemberContents]  # the directory of the archive is read once for all
 
 
 def is_archive(probe: bytes) -> bool:
-    """Return whether the first bytes of a file are those of a zip archive."""
-    return probe.startswith(ZIP_MAGICS)
+    """Return whether the first bytes of a file are those of a zip archive, or of an uncompressed tar archive."""
+    return probe.startswith(ZIP_MAGICS) or is_tar(probe)
+
+
+def has_members(stream: BinaryIO) -> bool:
+    """Return whether a file is an archive, a compressed one, too; it is at its beginning before and after."""
+    probe = stream.read(PROBE_BYTES)
+    stream.seek(0)
+    return is_archive(probe) or is_compressed_tar(stream, probe)
 
 
 def split_member(path: Path) -> tuple[Path, str]:
@@ -61,6 +79,13 @@ def members_of(stream: BinaryIO) -> tuple[Member, ...]:
 
     Raises SourceError if it is damaged, encrypted as a whole, or has more of them than any collection of logs.
     """
+    stream.seek(0)
+    probe = stream.read(PROBE_BYTES)
+    stream.seek(0)
+    return _zip_members(stream) if probe.startswith(ZIP_MAGICS) else _tar_members(stream, probe)
+
+
+def _zip_members(stream: BinaryIO) -> tuple[Member, ...]:
     try:
         _check_directory(stream)
         archive = zipfile.ZipFile(stream)  # closing it closes nothing: the file is ours
@@ -70,20 +95,34 @@ def members_of(stream: BinaryIO) -> tuple[Member, ...]:
         raise SourceError(f"the zip archive is damaged: {exc}") from exc
     if len(infos) > MOST_MEMBERS:
         raise SourceError(f"the zip archive holds {len(infos)} files; more than {MOST_MEMBERS} are not looked at")
-    found = ((info, _name_of(info)) for info in infos)
     return tuple(
         Member(
-            name=_plain(name), packed_bytes=info.compress_size, refusal=_refusal(info, name), info=info, archive=archive
+            name=_plain(name),
+            packed_bytes=info.compress_size,
+            refusal=_zip_refusal(info) or _name_refusal(name),
+            kind="zip",
+            open=cast("Callable[[], MemberContents]", partial(archive.open, info)),
         )
-        for info, name in found
+        for info, name in ((info, _name_of(info)) for info in infos)
     )
+
+
+def _tar_members(stream: BinaryIO, probe: bytes) -> tuple[Member, ...]:
+    contents, found = TarContents(stream, probe), list[Member]()
+    for info in tar_infos(contents):
+        if len(found) == MOST_MEMBERS:
+            raise SourceError(f"the tar archive holds more than {MOST_MEMBERS} files: these are not looked at")
+        refusal = tar_refusal(info) or _name_refusal(info.name)
+        opened = partial(TarMember, contents, info)
+        found.append(Member(name=_plain(info.name), packed_bytes=info.size, refusal=refusal, kind="tar", open=opened))
+    return tuple(found)
 
 
 def find_member(members: tuple[Member, ...], name: str) -> Member:
     """Return the member of a name; raises SourceError if there is none."""
     found = [member for member in members if member.name == _plain(name)]
     if not found:
-        raise SourceError(f"the zip archive holds no {name}")
+        raise SourceError(f"the archive holds no {name}")
     return found[-1]  # of two that are called alike the last one counts, as unpacking leaves it
 
 
@@ -112,15 +151,19 @@ def _name_of(info: zipfile.ZipInfo) -> str:
         return info.filename
 
 
-def _refusal(info: zipfile.ZipInfo, name: str) -> str:
+def _zip_refusal(info: zipfile.ZipInfo) -> str:
     if info.flag_bits & ENCRYPTED_FLAG:
         return "it is encrypted: unpack it first"
+    if info.compress_type not in KNOWN_METHODS:
+        return f"it is packed by method {info.compress_type}, not by deflate: unpack it first"
+    return ""
+
+
+def _name_refusal(name: str) -> str:
     if not name:
         return "it has no name: unpack it first"
     if ".." in PurePosixPath(_plain(name)).parts:
         return "its name leads out of the archive: unpack it first"
-    if info.compress_type not in KNOWN_METHODS:
-        return f"it is packed by method {info.compress_type}, not by deflate: unpack it first"
     return ""
 
 
@@ -155,21 +198,23 @@ class MemberStream(io.RawIOBase):
             raise SourceError(member.refusal)
         self._file = stream
         self._member = member
+        at = stream.tell()  # what inflates a compressed archive goes on from here
         self._file_bytes = stream.seek(0, io.SEEK_END)
-        self._contents: IO[bytes] | None = None
+        stream.seek(at)
+        self._contents: MemberContents | None = None
         self.restart(LogCounts())
 
     @property
     def name(self) -> str:
         """What it is, for people."""
-        return f"{self._member.name} in the zip archive"
+        return f"{self._member.name} in the {self._member.kind} archive"
 
     def restart(self, counts: LogCounts) -> None:
         """Begin again, and count damage here from now on."""
         self._counts = counts
         self._given_bytes = 0
         try:
-            self._contents = self._member.archive.open(self._member.info)
+            self._contents = self._member.open()
         except (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, struct.error, EOFError) as exc:
             raise SourceError(f"{self.name} is damaged: {exc}") from exc
 
@@ -181,7 +226,7 @@ class MemberStream(io.RawIOBase):
         """Fill the buffer as far as the next piece goes; 0 at the end."""
         view, contents = memoryview(buffer), self._contents
         try:
-            piece = contents.read1(min(len(view), PIECE_BYTES)) if contents is not None else b""  # type: ignore[attr-defined]  # a ZipExtFile
+            piece = contents.read1(min(len(view), PIECE_BYTES)) if contents is not None else b""
         except EOFError:
             piece = self._end(LogReject.CUT_OFF)
         except (zipfile.BadZipFile, zlib.error):

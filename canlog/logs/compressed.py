@@ -39,19 +39,19 @@ class InflatedStream(io.RawIOBase):
 
     def __init__(self, stream: BinaryIO, compression: Compression) -> None:
         self._stream = stream
-        self._kind = compression
+        self.kind = compression
         self.restart(LogCounts())
 
     @property
     def name(self) -> str:
         """What it is, for people."""
-        return f"the {self._kind} file"
+        return f"the {self.kind} file"
 
     def restart(self, counts: LogCounts) -> None:
         """Begin again, and count damage here from now on."""
         self._stream.seek(0)
         self._counts = counts
-        self._inflater: Inflater | None = new_inflater(self._kind)
+        self._inflater: Inflater | None = new_inflater(self.kind)
         self._taken_bytes = 0
         self._given_bytes = 0
 
@@ -106,11 +106,11 @@ class InflatedStream(io.RawIOBase):
         if following:
             position = self._stream.tell() - len(following)
             self._stream.seek(position)
-            if compression_of(self._stream.read(LONGEST_MAGIC)) is not self._kind:
+            if compression_of(self._stream.read(LONGEST_MAGIC)) is not self.kind:
                 self._end(LogReject.DAMAGED)
                 return
             self._stream.seek(position)
-            self._inflater = new_inflater(self._kind)
+            self._inflater = new_inflater(self.kind)
 
     def _end(self, reason: LogReject) -> None:
         self._inflater = None

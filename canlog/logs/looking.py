@@ -6,7 +6,7 @@ from io import BufferedReader
 from pathlib import Path
 
 from canlog.errors import SourceError
-from canlog.logs.archives import is_archive
+from canlog.logs.archives import has_members
 from canlog.logs.detection import Detected, LogFormat
 from canlog.logs.reading import read_log
 from canlog.logs.unpacking import looks_inside
@@ -22,10 +22,10 @@ def is_folder(path: Path) -> bool:
     """Return whether a path stands for several logs: a folder, or an archive that holds more than one."""
     try:
         with BufferedReader(open_plain_file(path)) as stream:
-            has_members = is_archive(stream.peek(4))
+            is_archive = has_members(stream)
     except OSError:
         return path.is_dir()
-    return has_members and sum(not one.reason for one in looked_at(path)) > 1
+    return is_archive and sum(not one.reason for one in looked_at(path)) > 1
 
 
 def why_no_log(path: Path, columns: str = "") -> str:
@@ -47,7 +47,7 @@ def looked_at(path: Path, columns: str = "") -> list[Looked]:
     """Return what a file is taken for by its first bytes; of an archive, what each file inside it is taken for."""
     try:
         with BufferedReader(open_plain_file(path)) as stream:
-            inside = list(looks_inside(stream, columns)) if is_archive(stream.peek(4)) else []
+            inside = list(looks_inside(stream, columns)) if has_members(stream) else []
     except (OSError, SourceError):
         inside = []
     return [_looked_inside(path / member.name, found, columns) for member, found in inside] or [

@@ -10,15 +10,15 @@ from tempfile import TemporaryDirectory
 from typing import BinaryIO, cast
 
 from canlog.errors import SourceError
-from canlog.logs.archives import Member, MemberStream, find_member, is_archive, members_of
+from canlog.logs.archives import Member, MemberStream, find_member, has_members, is_archive, members_of
 from canlog.logs.compressed import InflatedStream
 from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, detect, detect_as_columns
 from canlog.logs.inflaters import compression_of
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.piped import KeptFile
+from canlog.logs.tars import is_tar
 
 MOST_NAMED = 3  # members of an archive, in an error
-TAR_MAGIC, TAR_PLACE = b"ustar", 257
 COPY_BYTES = 1024 * 1024
 PackedStream = InflatedStream | MemberStream
 
@@ -53,7 +53,7 @@ def contents_of(stream: BinaryIO, member: str = "", columns: str = "") -> Conten
     """
     probe = stream.read(PROBE_BYTES)
     stream.seek(0)
-    if is_archive(probe):
+    if has_members(stream):
         return _unpacked(MemberStream(stream, _meant(stream, member, columns)), columns)
     if member:
         raise SourceError("it is a file, not an archive")
@@ -84,11 +84,11 @@ def _meant(stream: BinaryIO, name: str, columns: str) -> Member:
     if logs:
         named = ", ".join(member.name for member in logs[:MOST_NAMED])
         raise SourceError(
-            f"the zip archive holds {len(logs)} logs ({named}{', ...' if len(logs) > MOST_NAMED else ''}): "
+            f"the {logs[0].kind} archive holds {len(logs)} logs ({named}{', ...' if len(logs) > MOST_NAMED else ''}): "
             f"name one, behind the archive and a slash"
         )
     first = next((f": {member.name}: {reason}" for member, reason in looks), "")
-    raise SourceError(f"the zip archive holds no log{first}")
+    raise SourceError(f"the {looks[0][0].kind if looks else 'empty'} archive holds no log{first}")
 
 
 def _unpacked(packed: PackedStream, columns: str) -> Contents:
@@ -106,9 +106,8 @@ def _detected(packed: PackedStream, columns: str) -> Detected:
     beginning = _beginning(packed)
     inner = compression_of(beginning)
     if inner is not None or is_archive(beginning):
-        raise SourceError(f"it is packed twice: {inner or 'zip'} inside {packed.name}; unpack it once")
-    if beginning[TAR_PLACE:].startswith(TAR_MAGIC):
-        raise SourceError(f"a tar archive inside {packed.name}: unpack it first")
+        inside = inner or ("tar" if is_tar(beginning) else "zip")
+        raise SourceError(f"it is packed twice: {inside} inside {packed.name}; unpack it once")
     return detect_as_columns(beginning, columns) if columns else detect(beginning)
 
 

@@ -1,18 +1,22 @@
 """Zip archives: which of their files is meant, what is refused, and what damage does."""
 
+import bz2
 import gzip
 import io
+import lzma
 import struct
 import tarfile
 import zipfile
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
 import pytest
+import zstandard
 
 from canlog.errors import SourceError
-from canlog.logs import LogReject, looked_at, read_log
+from canlog.logs import LogReject, is_folder, looked_at, read_log
 from canlog.logs.archives import END_MAGIC, MOST_MEMBERS
 from canlog.logs.log_counts import LogCounts
 
@@ -68,13 +72,80 @@ def encrypted() -> bytes:
     return bytes(contents)
 
 
-def tar() -> bytes:
+def tarred(members: dict[str, bytes], packing: str = "", form: int = tarfile.PAX_FORMAT) -> bytes:
     stream = io.BytesIO()
-    with tarfile.open(fileobj=stream, mode="w:gz") as archive:
-        info = tarfile.TarInfo("drive.log")
-        info.size = len(LOG)
-        archive.addfile(info, io.BytesIO(LOG))
+    with tarfile.open(fileobj=stream, mode="w", format=form) as archive:
+        for name, contents in members.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(contents)
+            archive.addfile(info, io.BytesIO(contents))
+    return PACKED_BY[packing](stream.getvalue())
+
+
+PACKED_BY: dict[str, Callable[[bytes], bytes]] = {
+    "": bytes,
+    "gz": gzip.compress,
+    "bz2": bz2.compress,
+    "xz": lzma.compress,
+    "zst": zstandard.ZstdCompressor().compress,
+}
+
+
+def tar_of(kind: bytes, **fields: object) -> bytes:
+    """Return an archive of a log and of something that is no file."""
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w") as archive:
+        other = tarfile.TarInfo("other.log")
+        other.type, other.linkname = kind, "/etc/passwd"
+        for name, value in fields.items():
+            setattr(other, name, value)
+        archive.addfile(other)
     return stream.getvalue()
+
+
+@pytest.mark.parametrize("packing", PACKED_BY)
+@pytest.mark.parametrize("form", [tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT])
+def test_logs_in_a_tar_archive_are_read_like_those_in_a_zip_archive(packing: str, form: int, tmp_path: Path) -> None:
+    path = tmp_path / f"drives.tar.{packing}"
+    deep = f"{'d' * 90}/{'e' * 40}.log"
+    path.write_bytes(tarred({"read me.txt": b"On the second day.", "a.log": LOG, deep: LOG[:51_000]}, packing, form))
+    assert is_folder(path)
+    assert [str(one.path.relative_to(path)) for one in looked_at(path) if not one.reason] == ["a.log", deep]
+    with pytest.raises(SourceError, match=r"the tar archive holds 2 logs \(a\.log, d+/e+\.log\): name one"):
+        read_log(path)
+    assert frames(path / "a.log") == (3_000, LogCounts(frames=3_000))
+    assert frames(path / deep)[0] == LOG[:51_000].count(b"\n")
+    with pytest.raises(SourceError, match=r"holds no e\.log"):
+        read_log(path / "e.log")
+    (tmp_path / "one").write_bytes(tarred({"a.log": LOG}, packing, form))
+    assert frames(tmp_path / "one")[0] == 3_000
+    assert not is_folder(tmp_path / "one")
+
+
+@pytest.mark.parametrize(
+    ("contents", "reason"),
+    [
+        (tar_of(tarfile.SYMTYPE), "other.log: it is a link"),
+        (tar_of(tarfile.LNKTYPE), "other.log: it is a link"),
+        (tar_of(tarfile.CHRTYPE), "it is a device or the like"),
+        (tarred({"day/../../drive.log": LOG}), "its name leads out of the archive"),
+        (tarred({"inner.tar": tarred({"drive.log": LOG})}), "packed twice: tar inside inner.tar in the tar archive"),
+        (gzip.compress(tarred({"drive.log": LOG}, "xz")), "packed twice: xz inside the gzip file"),
+        (tarred({f"{k}": b"" for k in range(MOST_MEMBERS + 1)}), "more than 1000 files"),
+        (tarred({"drive.log": LOG})[:40_000], "the tar archive is damaged"),
+        (tarred({"drive.log": LOG}, "gz")[:-3_000], "the tar archive is damaged"),
+        (tarred({"a.log": LOG, "b.log": LOG}).replace(b"b.log\0", b"b.lo?\0"), "no header"),
+        (tarred({"drive.log": LOG + bytes(100 << 20)}, "gz"), "more than 256 times its size"),
+        (tar_of(tarfile.XHDTYPE, size=1 << 30), "the tar archive has a header of 10737"),
+        (tar_of(tarfile.REGTYPE, pax_headers={"size": "-512"}), "damaged"),
+        (tar_of(tarfile.REGTYPE, size=1 << 40), "damaged"),
+    ],
+)  # fmt: skip
+def test_what_is_refused_of_a_tar_archive_has_a_reason(contents: bytes, reason: str, tmp_path: Path) -> None:
+    path = tmp_path / "drive.tar"
+    path.write_bytes(contents)
+    with pytest.raises(SourceError, match=reason):
+        list(read_log(path))
 
 
 def vast_directory() -> bytes:
@@ -97,7 +168,6 @@ def vast_directory() -> bytes:
         (zipped({"drive.log.gz": gzip.compress(LOG)}), "packed twice: gzip inside drive.log.gz"),
         (gzip.compress(zipped({"drive.log": LOG})), "packed twice: zip inside the gzip file"),
         (gzip.compress(gzip.compress(LOG)), "packed twice: gzip inside the gzip file"),
-        (tar(), "a tar archive inside the gzip file: unpack it first"),
         (zipped({f"{k}": b"" for k in range(MOST_MEMBERS + 1)}), "holds 1001 files; more than 1000"),
         (vast_directory(), "lists 1073741824 bytes of names"),
         (zipped({"drive.log": LOG})[:-30], "cut off: its directory is missing"),
