@@ -17,7 +17,7 @@ from clutch_model.units import k_from_degc
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.overwriting import refusal
 from ecu_emulator.drive_names import DriveName
-from ecu_emulator.errors import ConfigError, RecordError
+from ecu_emulator.errors import ConfigError, ExtraMissingError, RecordError
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.record import LogFile, LogFormat, LogStream, open_log, open_log_stream
 from ecu_emulator.recording import LONG_STRETCH_S, Drive
@@ -149,9 +149,15 @@ def save_pdx(table: Path | None, path: Path, *, is_forced: bool) -> tuple["Diagn
     ------
     ConfigError, RecordError
         If the table cannot be used, or the file is there already or cannot be written.
+    ExtraMissingError
+        If odxtools is not installed.
     """
-    from ecu_emulator.diagnostics.pdx.package import pdx_package  # noqa: PLC0415 - for this command alone
-    from ecu_emulator.diagnostics.table_file import load_table, shipped_table  # noqa: PLC0415 - likewise
+    from ecu_emulator.diagnostics.table_file import load_table, shipped_table  # noqa: PLC0415 - for this command alone
+
+    try:
+        from ecu_emulator.diagnostics.pdx.package import pdx_package  # noqa: PLC0415 - likewise
+    except ImportError as exc:
+        raise ExtraMissingError("PDX files need odxtools: pip install 'clutchdiag[odx]'") from exc
 
     if table is not None and path.absolute() == table.absolute():
         raise ConfigError(f"table and package cannot both be {path}")

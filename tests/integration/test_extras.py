@@ -91,6 +91,13 @@ def test_extras_are_asked_for_at_once(plain: PlainInstall, tmp_path: Path) -> No
     one_line("diag-service", "odx,uds", asked.err)
 
 
+def test_a_pdx_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
+    (told,) = plain.run_all("ecu_emulator.cli", [["pdx", "-o", str(tmp_path / "tcu.pdx")]])
+    assert told.status == 2
+    one_line("ecu-emulator", "odx", told.err)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_every_command_that_makes_certificates_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
     folder = ["--folder", str(tmp_path / "certificates")]
     runs = [["init", *folder], ["server", "broker", "--host", "localhost", *folder], ["client", "car1", *folder]]
