@@ -7,7 +7,7 @@ from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import EXTENDED_FLAG, FD_PAYLOAD_BYTES
 from canlog.jit import array_kernel, inlined_kernel
 from canlog.logs.columns.roles import BLANKS, HEXADECIMAL, Role, packed_word
-from canlog.logs.text_kernels import BLANK, HEX_VALUE, LONGEST_NUMBER, NEWLINE, RETURN, TAB, decimal
+from canlog.logs.text_kernels import BLANK, HEX_VALUE, LONGEST_NUMBER, NEWLINE, RETURN, TAB, day_number, decimal
 
 NO_TIME = -(1 << 62)  # a time may be negative
 
@@ -20,7 +20,6 @@ MOST_ID_DIGITS = 10
 LARGEST_ID = 0x1FFF_FFFF
 MOST_CHANNEL, MOST_LENGTH = 255, 255
 SECOND_US, DAY_S = 1_000_000, 86_400
-DAYS_OF_400_YEARS, DAYS_TO_EPOCH = 146_097, 719_468  # of the Gregorian calendar, counted from March
 MOST_FRACTION_DIGITS = 9
 MOST_HOURS = 9_999
 TRUE, FALSE = packed_word("true"), packed_word("false")
@@ -286,18 +285,9 @@ def date_us(text: UInt8Array, begin: int, stop: int) -> int:
     day_us, at = clock_us(text, begin + 11, stop)
     if day_us == NO_TIME:
         return NO_TIME
-    value_us = _day_number(year, month, day) * DAY_S * SECOND_US + day_us
+    value_us = day_number(year, month, day) * DAY_S * SECOND_US + day_us
     offset_s = _offset_s(text, at, stop)
     return NO_TIME if offset_s == NO_TIME else value_us - offset_s * SECOND_US
-
-
-@array_kernel
-def _day_number(year: int, month: int, day: int) -> int:
-    """Return how many days a date is behind the epoch."""
-    shifted = year - (month <= 2)
-    day_of_year = (153 * (month + (-3 if month > 2 else 9)) + 2) // 5 + day - 1
-    days = shifted // 400 * DAYS_OF_400_YEARS + shifted % 400 * 365 + shifted % 400 // 4 - shifted % 400 // 100
-    return int(days + day_of_year - DAYS_TO_EPOCH)
 
 
 @array_kernel
@@ -328,9 +318,7 @@ def stamp_us(text: UInt8Array, begin: int, stop: int, year: int) -> int:  # noqa
         return NO_TIME
     if count == DAY_DIGITS:
         return value_us + (day - 1) * DAY_S * SECOND_US
-    return (
-        value_us + _day_number(rest // 10_000 if count == MOST_STAMP_DIGITS else year, month, day) * DAY_S * SECOND_US
-    )
+    return value_us + day_number(rest // 10_000 if count == MOST_STAMP_DIGITS else year, month, day) * DAY_S * SECOND_US
 
 
 @array_kernel

@@ -11,13 +11,11 @@ from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.logs.asc_dates import date_us
 from canlog.logs.channels import MOST_CHANNELS
-from canlog.logs.columns.bases import base_of
 from canlog.logs.columns.header import (
-    MICROSECONDS,
     NO_BASE,
-    SECONDS,
     Proposal,
     are_numbers,
+    base_of,
     chosen,
     in_unit,
     names_in,
@@ -36,10 +34,10 @@ from canlog.logs.columns.message_kernel import (
     NOW_US,
     WRAP_US,
 )
-from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, Column, Layout, Role
+from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, MICROSECONDS, SECONDS, Column, Layout, Role
 from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_log import TextLog, frames_of
-from canlog.logs.time_unit import bus_load_ratio, is_plausible
+from canlog.logs.time_unit import UNIT_NAMES, likely_unit
 
 HEADER_LINES_LOOKED_AT = 20
 SAMPLE_LINES = 2_000
@@ -174,8 +172,7 @@ class ColumnsLog(TableLog):
             self._take_unit(_likely_unit(layout, times, body))
 
     def _take_unit(self, unit: int) -> None:
-        name = {6: "seconds", 3: "milliseconds", 0: "microseconds", -3: "nanoseconds"}[unit]
-        self.notes.append(f"times are taken as {name}: the header does not say")
+        self.notes.append(f"times are taken as {UNIT_NAMES[unit]}: the header does not say")
         self.set_layout(replace(self.layout, columns=in_unit(self.layout.columns, unit)))
 
     def _take_dates_as_local(self, date: str) -> None:
@@ -270,5 +267,4 @@ def _likely_unit(layout: Layout, times: Sequence[str], body: bytes) -> int:
         return SECONDS
     reader = TableLog()
     reader.set_layout(replace(layout, columns=in_unit(layout.columns, MICROSECONDS), header_lines=0))
-    load_ratio = bus_load_ratio(frames_of(reader, body))
-    return next((unit for unit in (MICROSECONDS, 3, SECONDS) if is_plausible(load_ratio / 10**unit)), MICROSECONDS)
+    return likely_unit(frames_of(reader, body))[0]
