@@ -6,8 +6,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Final
 
+from clutchdiag_io.legible import legible
 from diag_service.console.notices import OWN
-from program_io.legible import legible
 
 _FOUND: ContextVar[list[str] | None] = ContextVar("notices of this run", default=None)
 

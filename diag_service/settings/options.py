@@ -10,9 +10,9 @@ from typing import Any, Final
 
 import click
 
+from clutchdiag_io.command_line import FILE, FLOAT, INT, Choice
 from diag_service.errors import ConfigError
 from diag_service.settings.setting import Setting
-from program_io.command_line import FILE, FLOAT, INT, Choice
 
 VARIABLES: Final = "CLUTCHDIAG"  # begins the environment variables, such as CLUTCHDIAG_BROKER
 

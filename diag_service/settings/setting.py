@@ -4,8 +4,8 @@ from typing import Any, Final
 
 import click
 
+from clutchdiag_io.command_line import Choice, Option
 from diag_service.errors import ConfigError
-from program_io.command_line import Choice, Option
 
 _KINDS: Final = {
     "boolean": "true or false",

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Any, Final
 
+from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, spread
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Kind, Parameter
 from fleet_backend.page.clutch_past import Past, read_past
@@ -21,7 +22,6 @@ from fleet_backend.page.usual import kind_of
 from fleet_backend.page.vehicle_state import VehicleState, state_of
 from fleet_backend.page.view import Shown, Sources, View
 from fleet_contract.orders import Action
-from program_io.pages.content import NONE, Cell, Figure, Link, Section, Table, spread
 
 SERVICE_KM: Final = 15_000
 _MOST_SERVICE_KM: Final = 300_000

@@ -7,6 +7,7 @@ from typing import Any, Final
 from markupsafe import Markup
 from sqlalchemy import Engine
 
+from clutchdiag_io.pages.content import Advice, Link, Section
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import Ask, Parameter
 from fleet_backend.page.clutch_past import Past
@@ -15,7 +16,6 @@ from fleet_backend.page.listing import Part
 from fleet_backend.page.news import News
 from fleet_backend.page.records import ClutchNow, VehicleAnswer
 from fleet_backend.page.remembered import Remembered
-from program_io.pages.content import Advice, Link, Section
 
 MOST_POINTS: Final = 60_000  # of trends that are kept, a kilobyte each
 MOST_PARTS: Final = 200_000  # clutches in lists that are kept, eight bytes each

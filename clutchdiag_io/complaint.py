@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from typing import Final
 
-from program_io.legible import legible
+from clutchdiag_io.legible import legible
 
 EXIT_UNEXPECTED: Final = 1
 Kinds = type[Exception] | tuple[type[Exception], ...]

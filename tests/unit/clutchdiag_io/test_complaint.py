@@ -2,7 +2,7 @@
 
 import pytest
 
-from program_io.complaint import complain
+from clutchdiag_io.complaint import complain
 
 STATUSES = (((FileNotFoundError, KeyError), 2), (OSError, 3))
 

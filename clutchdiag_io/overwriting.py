@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Final
 
-from program_io.command_line import Option
+from clutchdiag_io.command_line import Option
 
 FORCE: Final = Option("--force", "write over a file that is there already")
 

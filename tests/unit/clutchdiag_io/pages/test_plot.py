@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from program_io.pages.plot import WIDTH, Axis, Plot, thinned
+from clutchdiag_io.pages.plot import WIDTH, Axis, Plot, thinned
 
 UNIT = Axis(low=0.0, high=1.0, label="x")
 

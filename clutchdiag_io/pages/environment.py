@@ -4,9 +4,9 @@ from typing import Final
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-from program_io.pages.cells import rows_markup
+from clutchdiag_io.pages.cells import rows_markup
 
-_OWN: Final = "program_io.pages"  # brings style.css and parts.html
+_OWN: Final = "clutchdiag_io.pages"  # brings style.css and parts.html
 
 
 def templates_of(package: str) -> Environment:

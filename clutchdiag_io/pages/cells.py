@@ -6,7 +6,7 @@ from typing import Final
 
 from markupsafe import Markup, escape
 
-from program_io.pages.content import Badge, Cell, Link, Moment, Number
+from clutchdiag_io.pages.content import Badge, Cell, Link, Moment, Number
 
 LONG: Final = 30  # letters: what has more gets a line of its own on a narrow screen
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import click
 import pytest
 
-from program_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Group, Option, Program, parse
+from clutchdiag_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Group, Option, Program, parse
 
 ANSWER = Command(
     "answer",
