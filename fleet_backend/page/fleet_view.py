@@ -6,10 +6,10 @@ from urllib.parse import urlencode
 from clutchdiag_io.pages.content import Cell, Section, Table
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
+from fleet_backend.page.cache import Same
 from fleet_backend.page.listing import Wanted, matching, part_of
 from fleet_backend.page.outlook import type_of
 from fleet_backend.page.records import ClutchNow, FleetAnswer, Severity
-from fleet_backend.page.remembered import Same
 from fleet_backend.page.view import Choice, Shown, Sources, View
 
 _WANTED: Final = {"q": "name_part", "condition": "condition", "fluid": "fluid", "calibration": "calibration"}

@@ -36,7 +36,7 @@ class _Kept(Generic[ValueT]):
     value: ValueT
 
 
-class Remembered(Generic[ValueT]):
+class Cache(Generic[ValueT]):
     """Values by their keys, for many threads; those that nobody asked for longest are forgotten first.
 
     Parameters

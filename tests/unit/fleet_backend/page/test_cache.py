@@ -1,6 +1,6 @@
 """What was worked out is kept while what it was made of stays the same, in bounded memory, and not for ever."""
 
-from fleet_backend.page.remembered import LONGEST_S, Remembered, Same
+from fleet_backend.page.cache import LONGEST_S, Cache, Same
 
 
 class Maker:
@@ -16,7 +16,7 @@ class Maker:
 
 
 def test_a_value_is_made_once_for_each_state() -> None:
-    remembered, make = Remembered(10, len), Maker()
+    remembered, make = Cache(10, len), Maker()
     first = remembered.of("a", 1, make)
     assert remembered.of("a", 1, make) is first
     assert remembered.of("b", 1, make) is not first
@@ -33,7 +33,7 @@ def test_a_value_is_the_same_as_itself_alone() -> None:
 
 def test_what_nobody_asked_for_longest_goes_first_and_all_goes_in_time() -> None:
     now_s = 0.0
-    remembered, make = Remembered(5, len, clock=lambda: now_s), Maker(2)
+    remembered, make = Cache(5, len, clock=lambda: now_s), Maker(2)
     for key in ("a", "b", "a", "c"):
         remembered.of(key, 0, make)
     assert make.count == 3
@@ -47,6 +47,6 @@ def test_what_nobody_asked_for_longest_goes_first_and_all_goes_in_time() -> None
 
 
 def test_one_value_is_kept_however_large_it_is() -> None:
-    remembered, make = Remembered(1, len), Maker(7)
+    remembered, make = Cache(1, len), Maker(7)
     assert remembered.of("a", 0, make) is remembered.of("a", 0, make)
     assert make.count == 1
