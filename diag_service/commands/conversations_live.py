@@ -6,13 +6,13 @@ from typing import Final
 
 from canlog.errors import SourceError
 from canlog.live import BusOpener, LinkBreak, LiveSource, Silence, supervise
+from clutch_model.units import NS_PER_S
 from diag_service.commands.conversations import Conversations
 from diag_service.service.live import close_in_time
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import BusConfig
 
 LOOK_PERIOD_S: Final = 0.25
-NS_PER_S: Final = 1e9
 Show = Callable[[str], object]
 
 

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from clutch_model.units import NS_PER_S
 from diag_service.delivery.words import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis.records import ClutchVerdict, QualityPart, ShiftResult, Status
 from diag_service.diagnosis.results import utc_from_bus_ns
@@ -15,7 +16,6 @@ from diag_service.report.pictures import (
     BAND_WORDS,
     MOST_MOMENTS,
     MOST_POINTS,
-    NS_PER_S,
     PANELS,
     THRESHOLD_KEYS,
     Panel,

@@ -21,7 +21,6 @@ from ecu_emulator.api.choices import (
     check_word,
     diagnostics_of,
     fault_of,
-    ns_of,
     with_faults,
 )
 from ecu_emulator.api.truth_memory import SharedTruth, TruthMemory
@@ -32,6 +31,7 @@ from ecu_emulator.arguments import (
     MOST_PARKED_S,
     OIL_RANGE_DEGC,
     PARKED_RANGE_S,
+    ns_of,
 )
 from ecu_emulator.bus import open_bus
 from ecu_emulator.commands import Recording, choose_scenario, write_log

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu, tcu_data
 from ecu_emulator.driving import places
@@ -19,8 +20,6 @@ from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.integration import advance_millisecond, settle
 from ecu_emulator.plant.loop import Machine, hold_car, obey, record_bodies, record_clutches, sense_plant
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Road(NamedTuple):

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from canlog.arrays import FloatArray
 from ecu_emulator import tcu_data
 from ecu_emulator.driving import places
 from ecu_emulator.driving.conditions import Car, DriveConditions
@@ -23,8 +23,6 @@ from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
 from ecu_emulator.plant.powertrain import believe, drive_law
 from ecu_emulator.plant.records import as_record
 from ecu_emulator.plant.stability import check_step
-
-FloatArray = npt.NDArray[np.float64]
 
 BLOCK_S = 10.0
 _IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure
