@@ -25,7 +25,7 @@ from diag_service.report.pictures import (
     shift_picture,
     trend_picture,
 )
-from diag_service.service.last_shifts import Example
+from diag_service.service.onlookers import Example
 from diag_service.store import Row
 from fleet_contract import CLUTCHES
 from program_io.pages.content import NONE, Cell, Figure, Key, Section, Table, number, spread

@@ -3,7 +3,7 @@
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu, tcu_data
-from ecu_emulator.driving import places as at
+from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.gear_choice import low_rad_s
 from ecu_emulator.driving.laws import DrivingLaw, gear_speed_rad_s, overrun_nm, shift_shaft
 from ecu_emulator.driving.states import EventKind

@@ -3,7 +3,7 @@
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu_data
-from ecu_emulator.driving import places as at
+from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.laws import DrivingLaw, overrun_nm, pulls_on_wheels
 from ecu_emulator.driving.pedal import pedal_for_force
 from ecu_emulator.driving.states import DriveState

@@ -5,7 +5,7 @@ import math
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, kernel
 from ecu_emulator import tcu_data
-from ecu_emulator.driving import places as at
+from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.laws import DrivingLaw, idle_rad_s, overrun_nm, pulls_on_wheels
 from ecu_emulator.driving.pedal import asked_force_n
 from ecu_emulator.driving.states import DriveState, EngineState

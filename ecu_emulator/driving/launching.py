@@ -5,7 +5,7 @@ import math
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, kernel
 from ecu_emulator import tcu, tcu_data
-from ecu_emulator.driving import places as at
+from ecu_emulator.driving import indices as at
 from ecu_emulator.driving import standing
 from ecu_emulator.driving.laws import DrivingLaw, end_event, enter_state, idle_rad_s
 from ecu_emulator.driving.parameters import LaunchParameters

@@ -7,7 +7,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu_data
-from ecu_emulator.driving import places as at
+from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.parameters import DrivingParameters
 from ecu_emulator.driving.states import DriveState, EventKind
 from ecu_emulator.plant.loop import DriveLaw

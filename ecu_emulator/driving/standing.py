@@ -4,7 +4,7 @@ from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu, tcu_data
 from ecu_emulator.driving import gear_choice
-from ecu_emulator.driving import places as at
+from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.laws import (
     DrivingLaw,
     begin_event,
