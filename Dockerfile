@@ -11,7 +11,7 @@ COPY ecu_emulator ecu_emulator
 COPY fleet_backend fleet_backend
 COPY fleet_contract fleet_contract
 COPY fleet_link fleet_link
-COPY program_io program_io
+COPY clutchdiag_io clutchdiag_io
 # The lock's own uv installs the project: the lock then constrains, so only what the project needs comes in,
 # and every file is held against the lock's hashes.
 RUN awk '/^[^ #]/ { keep = /^uv==/ } keep' requirements.lock > /tmp/uv.lock \

@@ -15,7 +15,7 @@ VCAN_LIMIT_S ?= 3600
 # Hundreds of programs start in the tests; where bytecode is not kept, each of them compiles two hundred modules first.
 PYTHONDONTWRITEBYTECODE =
 export PYTHONDONTWRITEBYTECODE
-# Matrices are small here: a second thread would take time and gain none, as program_io.one_thread says.
+# Matrices are small here: a second thread would take time and gain none, as clutchdiag_io.one_thread says.
 OPENBLAS_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS
 
@@ -24,13 +24,14 @@ SHUFFLED = $(if $(ORDER),--order-seed "$(ORDER)")
 # The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.
 BENCHMARKS = decode estimator fleet_ingest live_bus live_latency outbox plant readers service service_memory start
 
-.PHONY: help setup setup-system demo fleet check static static-and-warm test warm test-both test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom clean
+.PHONY: help setup setup-system demo fleet docs check static static-and-warm test warm test-both test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom clean
 
 help:
 	@echo "make setup         virtual environment in $(VENV) with the locked requirements and the project"
 	@echo "make demo          emulator and service on one bus, a live line per shift, a table and a picture"
 	@echo "                   SCENARIO=case2 for another drive, BROKER=mqtt://host for a broker of your own"
 	@echo "make fleet         broker, database, two ingest workers, three vehicles with different fluids; the fleet, worst first, and its page"
+	@echo "make docs          the documents as a site with a search: build/site/index.html; fails on a broken link"
 	@echo "make check         format, lint, types, import contracts, DBC, unit and property tests (under 2 minutes)"
 	@echo "make test          everything CI runs, the tests on a real vcan included; ORDER=n shuffles them"
 	@echo "make bench         speed and size figures"
@@ -89,6 +90,10 @@ demo: setup
 
 fleet: setup
 	@$(PY) -m demo.fleet
+
+docs: setup
+	@NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict --quiet
+	@echo "docs: build/site/index.html"
 
 bench: setup
 	@set -e; for name in $(BENCHMARKS); do \

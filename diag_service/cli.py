@@ -11,8 +11,12 @@ from types import SimpleNamespace
 from typing import Final
 
 from canlog.errors import DefinitionError, ExtraMissingError, InputLeftError, OutputError, SourceError
-from canlog.late_modules import TESTER, wait_with
+from canlog.lazy_imports import TESTER, wait_with
 from canlog.pipe_size import widen
+from clutchdiag_io.command_line import STANDARD_STREAM
+from clutchdiag_io.complaint import Kinds, complain
+from clutchdiag_io.one_thread import reckon_in_one_thread
+from clutchdiag_io.standard_output import standard_output
 from diag_service.commands.arguments import (
     EXIT_CONFIG,
     EXIT_INCOMPLETE,
@@ -25,10 +29,6 @@ from diag_service.commands.arguments import (
 from diag_service.commands.asking_arguments import PROGRAM
 from diag_service.errors import ConfigError, ControllerError, IncompleteError, StoppedError, StoreError
 from diag_service.service.stopping import Controls, PatientTrigger, Trigger, ignore
-from program_io.command_line import STANDARD_STREAM
-from program_io.complaint import Kinds, complain
-from program_io.one_thread import reckon_in_one_thread
-from program_io.standard_output import standard_output
 
 COUNTS_WANTED: Final = tuple(number for number in signal.Signals if number.name == "SIGUSR1")  # POSIX alone has it
 

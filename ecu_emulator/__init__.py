@@ -8,7 +8,7 @@ need and no more: the command line answers before the plant's compiler is loaded
 
 import typing
 
-from canlog.on_demand import on_demand as _on_demand
+from canlog.lazy_imports import on_demand as _on_demand
 
 if typing.TYPE_CHECKING:
     from ecu_emulator.api.choices import Answers

@@ -7,9 +7,9 @@ from typing import Final
 
 import click
 
+from clutchdiag_io.command_line import FILE, INT, Choice, Command, Option, Program, parse
+from clutchdiag_io.overwriting import FORCE
 from ecu_emulator.drive_names import DriveName
-from program_io.command_line import FILE, INT, Choice, Command, Option, Program, parse
-from program_io.overwriting import FORCE
 
 PROGRAM: Final = "ecu-emulator"
 EXIT_TEXT: Final = (

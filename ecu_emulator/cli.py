@@ -10,11 +10,11 @@ from threading import Event
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Final
 
+from clutchdiag_io.complaint import complain
+from clutchdiag_io.overwriting import refusal
+from clutchdiag_io.standard_output import standard_output
 from ecu_emulator.arguments import PROGRAM, parse_arguments
 from ecu_emulator.errors import BusError, ConfigError, ExtraMissingError, RecordError
-from program_io.complaint import complain
-from program_io.overwriting import refusal
-from program_io.standard_output import standard_output
 
 if TYPE_CHECKING:
     from types import FrameType

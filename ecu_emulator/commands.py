@@ -15,6 +15,8 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from clutch_model.units import k_from_degc
+from clutchdiag_io.command_line import STANDARD_STREAM
+from clutchdiag_io.overwriting import refusal
 from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive_names import DriveName
 from ecu_emulator.errors import ConfigError, RecordError
@@ -24,8 +26,6 @@ from ecu_emulator.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.scenario import Ambient, FluidCondition, Routine, Scenario, Truth
 from ecu_emulator.scenario_file import load_scenario, shipped_scenarios
 from ecu_emulator.truth import Totals, TruthWriter, read_truth, truth_path
-from program_io.command_line import STANDARD_STREAM
-from program_io.overwriting import refusal
 
 if TYPE_CHECKING:
     from ecu_emulator.diagnostics.table import DiagnosticTable

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from clutchdiag_io.sign_of_life import give_sign, make_sign
 from ecu_emulator.errors import RecordError
-from program_io.sign_of_life import give_sign, make_sign
 
 
 class SignOfLife:

@@ -6,8 +6,8 @@ from typing import Final
 
 import click
 
+from clutchdiag_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Option, Program, parse
 from fleet_backend.choices import Axis, Pace
-from program_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Option, Program, parse
 
 PROGRAM: Final = "fleet-backend"
 BROKER_VARIABLE: Final = "CLUTCHDIAG_BROKER"  # these keep passwords out of the process list
@@ -135,7 +135,7 @@ _QUARANTINE: Final = Command(
 )
 _PEERS: Final = Command(
     "peers",
-    "learn how fluids of each type usually age, and show which clutches and lots age faster than others",
+    "learn how fluids of each type usually age, and show which lots age faster than others",
     *_QUESTION,
     Option("--keep", "keep what was learned as the next version: prognoses begin with it"),
     Option("--write FILE", "write what was learned as JSON, for diag-service history --peers", FILE),
@@ -236,6 +236,16 @@ _WATCH: Final = Command(
         f"{PROGRAM} watch --mail smtp://mail.example --from fleet@example.org --to workshop@example.org --once",
     ),
 )
+_FOLLOW: Final = Command(
+    "follow",
+    "show what vehicles find as it arrives, until Ctrl-C; needs no database",
+    click.Argument(["broker"], metavar="BROKER", help=f"mqtt[s]://[user[:password]@]host[:port]; -: {BROKER_VARIABLE}"),
+    click.Argument(["vehicles"], nargs=-1, metavar="[VEHICLE...]", help="only these"),
+    Option("--json", "one JSON object per line"),
+    *_BROKER[1:],
+    VERBOSE,
+    examples=(f"{PROGRAM} follow mqtt://localhost", f"{PROGRAM} follow mqtts://fleet@broker.example car1 car2 --json"),
+)
 COMMAND_LINE: Final = Program(
     PROGRAM,
     "Keeps the results of a fleet and answers questions about it.",
@@ -247,7 +257,7 @@ COMMAND_LINE: Final = Program(
         *_COMMON,
         examples=(f"{PROGRAM} migrate --database sqlite:///fleet.sqlite",),
     ),
-    *(_TABLE, _TREND, _ALARMS, _PEERS, _LOTS, _QUARANTINE),
+    *(_FOLLOW, _TABLE, _TREND, _ALARMS, _PEERS, _LOTS, _QUARANTINE),
     Command("seen", "show when each vehicle was last heard from", *_QUESTION, examples=(f"{PROGRAM} seen --json",)),
     Command(
         "codes",

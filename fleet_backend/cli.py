@@ -8,6 +8,9 @@ from importlib import import_module
 from types import ModuleType, SimpleNamespace
 from typing import Final
 
+from clutchdiag_io.complaint import complain
+from clutchdiag_io.one_thread import reckon_in_one_thread
+from clutchdiag_io.standard_output import standard_output
 from fleet_backend.arguments import (
     EXIT_BROKER,
     EXIT_CONFIG,
@@ -19,9 +22,6 @@ from fleet_backend.arguments import (
 )
 from fleet_backend.errors import BrokerError, ConfigError, DatabaseError, ExtraMissingError, UnknownVehicleError
 from fleet_contract import VariableError, check_variables
-from program_io.complaint import complain
-from program_io.one_thread import reckon_in_one_thread
-from program_io.standard_output import standard_output
 
 _STATUSES: Final = (
     (ConfigError, EXIT_CONFIG),
@@ -64,7 +64,7 @@ def _extras(options: SimpleNamespace) -> str:
 def _load_commands(options: SimpleNamespace) -> ModuleType:
     """Return the module of the commands; raises ExtraMissingError where what it needs is not installed."""
     try:
-        return import_module("fleet_backend.commands")
+        return import_module("fleet_backend.follow" if options.command == "follow" else "fleet_backend.commands")
     except ModuleNotFoundError as exc:
         if exc.name is None or exc.name.startswith(("fleet_backend", "fleet_contract")):
             raise
@@ -74,7 +74,7 @@ def _load_commands(options: SimpleNamespace) -> ModuleType:
 def _set_up_log(verbosity: int) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter(f"%(asctime)s {PROGRAM}: %(levelname)s: %(message)s"))
-    for name in ("fleet_backend", "fleet_link", "program_io", "uvicorn"):
+    for name in ("fleet_backend", "fleet_link", "clutchdiag_io", "uvicorn"):
         own = logging.getLogger(name)
         own.handlers, own.propagate = [handler], False
         own.setLevel(logging.DEBUG if verbosity else logging.INFO)

@@ -164,14 +164,11 @@ def _peers(options: SimpleNamespace, engine: Engine) -> None:
         _page_part("fleet_backend.page.populations").write(options.write, found.population, version)
     if options.json:
         kept_as = [] if version is None else [{"record": "population", "version": version}]
-        report.write_json([*found.usual, *found.clutches, *found.lots, *found.batches, *kept_as], sys.stdout)
+        report.write_json([*found.usual, *found.lots, *kept_as], sys.stdout)
         return
     report.show(report.usual_table(found.usual, found.clutch_count, found.left_out_count), sys.stdout, options.width)
-    report.show(report.peers_table(found.clutches), sys.stdout, options.width)
     if found.lots:
         report.show(report.lot_standings_table(found.lots), sys.stdout, options.width)
-    if found.batches:
-        report.show(report.batches_table(found.batches), sys.stdout, options.width)
     if version is not None:
         sys.stdout.write(f"kept as population {version}\n")
 

@@ -12,8 +12,8 @@ from typing import Any, Final
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, exc, make_url
 
+from clutchdiag_io.private_file import create_private, keep_private
 from fleet_backend.errors import ConfigError, DatabaseAwayError, DatabaseError, ExtraMissingError, RowRefusedError
-from program_io.private_file import create_private, keep_private
 
 _NOT_OURS: Final = frozenset({SQLITE_ERROR, SQLITE_NOTADB, SQLITE_CORRUPT})  # no pause puts these right
 _IN_MEMORY: Final = frozenset({None, "", ":memory:"})

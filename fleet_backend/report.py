@@ -154,25 +154,6 @@ def usual_table(records: Sequence[Record], clutch_count: int, left_out_count: in
     )
 
 
-def peers_table(records: Sequence[Record]) -> Sheet:
-    """Return how each clutch ages against its peers, the fastest first."""
-    named = sum(bool(record["is_faster_than_peers"]) for record in records)
-    return _sheet(
-        f"Faster than their peers: {named} of {len(records)} clutches; of those named at most one in ten by chance",
-        records,
-        {
-            "vehicle": _plain("vehicle"),
-            "clutch": _plain("clutch"),
-            "faster than peers": lambda record: "yes" if record["is_faster_than_peers"] else "no",
-            "times as fast": _number("loss_ratio", "{:.2f}"),
-            "deviations": _number("z", "{:+.1f}"),
-            "km with this fluid": _number("distance_m", "{:.0f}", scale=1e-3),
-            "fluid": _plain("fluid"),
-        },
-        dispensable=("fluid", "deviations"),
-    )
-
-
 def lot_standings_table(records: Sequence[Record]) -> Sheet:
     """Return how the lots stand, the worst first."""
     named = sum(bool(record["is_faster_than_others"]) for record in records)
@@ -190,29 +171,6 @@ def lot_standings_table(records: Sequence[Record]) -> Sheet:
         },
         dispensable=("e-value", "± %"),
     )
-
-
-def batches_table(records: Sequence[Record]) -> Sheet:
-    """Return whether some vehicles of each type age faster than the others, and which those may be."""
-    return _sheet(
-        "Suspected bad batches that no table lists, among fluids younger than 20,000 km",
-        records,
-        {
-            "type": _plain("vehicle_type"),
-            "vehicles": _plain("vehicle_count"),
-            "a batch": lambda record: "yes" if record["is_found"] else "no",
-            "share, %": _number("share", "{:.0f}", scale=100.0),
-            "times as fast": _number("loss_ratio", "{:.1f}"),
-            "may belong to it": lambda record: _likeliest(record["likeliest"]),
-            "likelihood ratio, log": _number("log_likelihood_ratio", "{:.1f}"),
-        },
-        dispensable=("likelihood ratio, log",),
-    )
-
-
-def _likeliest(chances: object) -> str:
-    found = chances.items() if isinstance(chances, Mapping) else ()
-    return ", ".join(f"{name} ({100.0 * chance:.0f} %)" for name, chance in found) or _NONE
 
 
 def lots_table(records: Sequence[Record]) -> Sheet:

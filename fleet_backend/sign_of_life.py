@@ -7,9 +7,9 @@ from typing import Final
 from sqlalchemy import Engine, select
 from sqlalchemy.exc import SQLAlchemyError
 
+from clutchdiag_io.sign_of_life import give_sign, make_sign
 from fleet_backend.errors import ConfigError
 from fleet_backend.ingest import Worker
-from program_io.sign_of_life import give_sign, make_sign
 
 PERIOD_S: Final = 5.0
 RETRY_S: Final = 0.5  # how soon it is told that all is well again

@@ -2,7 +2,7 @@
 
     python -m benchmarks.prognosis --lives 200 --jobs 2
     python -m benchmarks.prognosis --decompose                  # what limits the median, trouble by trouble
-    python -m benchmarks.prognosis --population                 # what a fleet teaches, and whether it finds a bad batch
+    python -m benchmarks.prognosis --population                 # what a fleet teaches
     python -m benchmarks.prognosis --lots --lives 480           # whether a bad lot of vehicles is found in time
     python -m benchmarks.prognosis --fills --lives 1000         # how soon forgotten fills are found, beside an oracle
     python -m benchmarks.prognosis --error-model --lives 8      # the errors of the lives beside whole simulated drives
@@ -27,7 +27,6 @@ from benchmarks.prognosis.error_model import errors_table, rows_of
 from benchmarks.prognosis.evaluation import LATE_MARKS, MARKS, METHODS, Account, Forecast, account_of
 from benchmarks.prognosis.fills import fill_account_of, fills_table
 from benchmarks.prognosis.fleets import TYPES, population_tables
-from benchmarks.prognosis.hidden import hidden_table
 from benchmarks.prognosis.lives import life_km_of, life_of
 from benchmarks.prognosis.lots import lots_table, stock_of
 from benchmarks.prognosis.scores import crps, is_covered, is_near
@@ -192,7 +191,7 @@ def _parser() -> argparse.ArgumentParser:
     other.add_argument(
         "--error-model", action="store_true", help="errors of the lives beside those of whole simulated drives"
     )
-    other.add_argument("--population", action="store_true", help="what a fleet teaches; whether it finds a bad batch")
+    other.add_argument("--population", action="store_true", help="what a fleet teaches")
     other.add_argument("--fills", action="store_true", help="how soon forgotten fills are found, beside an oracle")
     other.add_argument("--lots", action="store_true", help="whether a bad lot of vehicles is found in time")
     return parser
@@ -217,7 +216,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     elif arguments.lots:
         stock = stock_of(seeds[0], len(seeds), partial(each, jobs=arguments.jobs))
         console.print(lots_table(stock, seeds[0]))
-        console.print(hidden_table(stock, seeds[0]))
     else:
         _study(console, seeds, arguments.jobs)
     console.print(f"{processor_s() - began_s:.0f} s of processor time")

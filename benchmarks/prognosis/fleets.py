@@ -1,11 +1,10 @@
 """What a fleet teaches: types whose fluids last differently, learned from some vehicles, tried on others.
 
-Vehicles of a type have all troubles of the single lives. New ones are foretold with and without what was learned. In
-another fleet a batch of a twentieth has fluid that ages twice as fast, and is to be found.
+Vehicles of a type have all troubles of the single lives. New ones are foretold with and without what was learned.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from typing import Final, Protocol, TypeVar
@@ -13,7 +12,7 @@ from typing import Final, Protocol, TypeVar
 import numpy as np
 from rich.table import Table
 
-from benchmarks.prognosis.lives import DRIVEN_KM, ERRORS, Life, life_of
+from benchmarks.prognosis.lives import DRIVEN_KM, ERRORS, life_of
 from benchmarks.prognosis.scores import PROBABILITIES, crps, is_covered
 from benchmarks.prognosis.truth import REFERENCE, Fleet
 from canlog.arrays import FloatArray
@@ -27,7 +26,6 @@ from diag_service.diagnosis.prognosis import (
     hindsights,
     learn,
     prognose,
-    standings,
     with_bends,
 )
 
@@ -39,11 +37,6 @@ TYPES: Final = {  # median life of fluid [km]; vehicles of one type scatter less
 }
 TYPE_LOG_STD: Final = 0.2
 MARKS: Final = (0.1, 0.25, 0.5, 0.75)
-BATCH: Final = 20  # every twentieth vehicle is of the bad batch
-BATCH_FACTOR: Final = 0.5  # of the life
-BATCH_FLEET: Final = Fleet(life_log_std=TYPE_LOG_STD, stream=62)
-BATCH_SIZE: Final = 200  # vehicles
-LOOKS_KM: Final = (5_000.0, 7_500.0, 10_000.0, 12_500.0, 15_000.0, 17_500.0, 20_000.0, 25_000.0, 30_000.0)
 M_PER_KM: Final = 1000.0
 
 
@@ -157,69 +150,6 @@ def bends_table(population: Population) -> Table:
     return table
 
 
-def is_of_batch(number: int) -> bool:
-    """Return whether a vehicle of a fleet is of the bad batch; all kinds of lives are in it."""
-    return number % BATCH == number // BATCH % BATCH
-
-
-def _batch_fleet(number: int) -> Fleet:
-    usual_km = BATCH_FLEET.usual_km * (BATCH_FACTOR if is_of_batch(number) else 1.0)
-    return replace(BATCH_FLEET, usual_km=usual_km)
-
-
-def ageings_of_number(number: int, first_seed: int, until_km: float) -> list[Ageing]:
-    """Return what a vehicle of the fleet with the bad batch says."""
-    return ageings_of_seed(first_seed + number, str(number), _batch_fleet(number), until_km)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
-    """What is named when all vehicles have driven so far."""
-
-    odometer_km: float
-    named: int  # of the batch
-    batch: int
-    false: int  # named, and not of the batch
-
-    @property
-    def is_found(self) -> bool:
-        """Whether at least half of the batch is named."""
-        return 2 * self.named >= self.batch
-
-
-def look_of(odometer_km: float, lives: Sequence[Ageing]) -> Look:
-    """Return what is named of a fleet that is held against itself."""
-    same = [replace(life, kind=Kind(vehicle_type="one", fluid="usual")) for life in lives]
-    named = [one for one in standings(same, learn(same)) if one.is_named]
-    numbers = [int(one.ageing.vehicle.split()[0]) for one in named]
-    hit = sum(is_of_batch(number) for number in numbers)
-    batch = sum(is_of_batch(number) for number in range(BATCH_SIZE))
-    return Look(odometer_km=odometer_km, named=hit, batch=batch, false=len(named) - hit)
-
-
-def batch_half_km(first_seed: int) -> float:
-    """Return the odometer at which the median of the batch has lost half of its life."""
-    lives: list[Life] = [
-        life_of(first_seed + number, ERRORS, _batch_fleet(number))
-        for number in range(BATCH_SIZE)
-        if is_of_batch(number)
-    ]
-    return 0.5 * float(np.median([life.truth.expected_km if life.begin_km else life.life_km for life in lives]))
-
-
-def batch_table(looks: Sequence[Look], half_km: float) -> Table:
-    """Return when a bad batch is found, and what is named beside it."""
-    table = Table(
-        "driven, km", "of the batch named", "others named", "false share",
-        title=f"A batch of {100.0 / BATCH:.0f} % with half the life; half of its median's is over at {half_km:,.0f} km",
-    )  # fmt: skip
-    for look in looks:
-        total = look.named + look.false
-        share = f"{100.0 * look.false / total:.0f} %" if total else "-"
-        table.add_row(f"{look.odometer_km:,.0f}", f"{look.named} of {look.batch}", str(look.false), share)
-    return table
-
-
 class Each(Protocol):
     """Does the same for many cases, maybe in several processes."""
 
@@ -228,7 +158,7 @@ class Each(Protocol):
 
 
 def population_tables(first_seed: int, count: int, each: Each) -> list[Table]:
-    """Learn from some vehicles of each type, try on others, look for the batch."""
+    """Learn from some vehicles of each type, try on others."""
     known, new = range(first_seed, first_seed + count), range(first_seed + count, first_seed + 2 * count)
     learned: list[Ageing] = []
     for name in TYPES:
@@ -243,13 +173,8 @@ def population_tables(first_seed: int, count: int, each: Each) -> list[Table]:
     for name in TYPES:
         tell = partial(told_of_seed, fleet=fleet_of(name), peers=population.of(name, "usual"))
         told += chain.from_iterable(each(tell, new))
-    looks = []
-    for odometer_km in LOOKS_KM:
-        see = partial(ageings_of_number, first_seed=first_seed, until_km=odometer_km)
-        looks.append(look_of(odometer_km, list(chain.from_iterable(each(see, range(BATCH_SIZE))))))
     return [
         peers_table(population),
         bends_table(population),
         told_table(told),
-        batch_table(looks, batch_half_km(first_seed)),
     ]

@@ -12,11 +12,16 @@ from typing import Final, Protocol, TypeVar
 import numpy as np
 from rich.table import Table
 
-from benchmarks.prognosis.fleets import BATCH_FACTOR, BATCH_FLEET, BATCH_SIZE, LOOKS_KM, ageings_of_seed
+from benchmarks.prognosis.fleets import TYPE_LOG_STD, ageings_of_seed
 from benchmarks.prognosis.lives import ERRORS, life_of
+from benchmarks.prognosis.truth import Fleet
 from diag_service.diagnosis.prognosis import Ageing, Kind, Lot, LotStanding, learn, lot_standings
 
 ResultT = TypeVar("ResultT")
+BAD_FACTOR: Final = 0.5  # of the life
+VEHICLES: Final = Fleet(life_log_std=TYPE_LOG_STD, stream=62)
+FLEET_SIZE: Final = 200  # vehicles
+LOOKS_KM: Final = (5_000.0, 7_500.0, 10_000.0, 12_500.0, 15_000.0, 17_500.0, 20_000.0, 25_000.0, 30_000.0)
 BAD_COUNT: Final = 10  # of a fleet
 FLEETS: Final = 200
 MONTHS, PLANTS = 12, 3
@@ -64,7 +69,7 @@ class Found:
 
 def vehicle_of(seed: int, *, is_bad: bool) -> Vehicle:
     """Return the vehicle of a seed, its fluid good or bad."""
-    fleet = replace(BATCH_FLEET, usual_km=BATCH_FLEET.usual_km * (BATCH_FACTOR if is_bad else 1.0))
+    fleet = replace(VEHICLES, usual_km=VEHICLES.usual_km * (BAD_FACTOR if is_bad else 1.0))
     life = life_of(seed, ERRORS, fleet)
     looks = (ageings_of_seed(seed, "one", fleet, until_km) for until_km in LOOKS_KM)
     return Vehicle(
@@ -80,22 +85,22 @@ def drawn_from(stock: Stock, seed: int, bad_count: int) -> list[Vehicle]:
 
 def _drawn(stock: Stock, rng: np.random.Generator, bad_count: int) -> list[Vehicle]:
     vehicles = [stock.bad[row] for row in rng.choice(len(stock.bad), bad_count, replace=False)]
-    return vehicles + [stock.good[row] for row in rng.choice(len(stock.good), BATCH_SIZE - bad_count, replace=False)]
+    return vehicles + [stock.good[row] for row in rng.choice(len(stock.good), FLEET_SIZE - bad_count, replace=False)]
 
 
 def found_in(seed: int, stock: Stock, bad_count: int, lot_size: int) -> Found:
     """Draw a fleet, look at it again and again, and return what was named."""
     rng = np.random.default_rng([seed, 70])
     vehicles = _drawn(stock, rng, bad_count)
-    months = np.concatenate((rng.integers(0, 2, bad_count), rng.integers(0, MONTHS, BATCH_SIZE - bad_count)))
-    plants = rng.integers(0, PLANTS, BATCH_SIZE)
+    months = np.concatenate((rng.integers(0, 2, bad_count), rng.integers(0, MONTHS, FLEET_SIZE - bad_count)))
+    plants = rng.integers(0, PLANTS, FLEET_SIZE)
     lots = {
         str(row): (
             Lot(name="fluid lot", value=f"{row // lot_size:02}"),
             Lot(name="month", value=f"{months[row]:02}"),
             Lot(name="plant", value=str(plants[row])),
         )
-        for row in range(BATCH_SIZE)
+        for row in range(FLEET_SIZE)
     }
     named: dict[Lot, float] = {}
     for look, odometer_km in enumerate(LOOKS_KM):
@@ -138,7 +143,7 @@ def lots_table(stock: Stock, first_seed: int) -> Table:
     """Return whether bad lots are found, and what is named beside them."""
     table = Table(
         "fleets with", "fleets", "found in time", "found at, median", "any false lot", "false lots of named",
-        "sound vehicles of named", title=f"Lots named in {len(LOOKS_KM)} looks at fleets of {BATCH_SIZE} vehicles",
+        "sound vehicles of named", title=f"Lots named in {len(LOOKS_KM)} looks at fleets of {FLEET_SIZE} vehicles",
     )  # fmt: skip
     for name, (bad_vehicles, lot_size) in CASES.items():
         work = partial(found_in, stock=stock, bad_count=bad_vehicles, lot_size=lot_size)

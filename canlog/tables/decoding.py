@@ -15,7 +15,6 @@ from canlog.frames import FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader
 from canlog.logs.piped import never
 from canlog.logs.reading import Watch
-from canlog.parquet.column_file import ColumnFile
 from canlog.tables.account import DecodeAccount
 from canlog.tables.groups import GroupSize, groups, stretches
 from canlog.tables.inputs import LogSet, Origins
@@ -26,11 +25,12 @@ from canlog.tables.outputs import TableFormat, check_libraries
 from canlog.tables.selection import EVERYTHING, Span, chosen_places
 from canlog.tables.sinks import ColumnRows, MessageRows, TableSink
 from canlog.tables.table_folder import TableFolder, message_files, table_folder
-from canlog.tables.wide_parquet import GROUP_FRAMES, GROUP_VALUES, WideParquet
 from canlog.whole_file import replacing
 
-MAX_CELLS: Final = 4_000_000  # of a row group: 32 MB of numbers
+MAX_CELLS: Final = 8_000_000  # of a row group: 64 MB of numbers
 CELLS_PER_VALUE: Final = 8  # of the long table
+GROUP_FRAMES: Final = 1_048_576  # of a row group, at most
+GROUP_VALUES: Final = 4_718_592  # likewise
 
 
 class TableShape(StrEnum):
@@ -50,7 +50,7 @@ class Plan:
     shape: TableShape = TableShape.WIDE
     values: Values = Values.NUMBERS
     max_cells: int = MAX_CELLS  # of a row group
-    max_frames: int = GROUP_FRAMES  # of a row group of Parquet
+    max_frames: int = GROUP_FRAMES  # likewise
     max_values: int = GROUP_VALUES  # likewise
     span: Span = EVERYTHING
     is_measured: bool = False  # whether codes that say "not available" are no values
@@ -88,10 +88,6 @@ class Plan:
             return replace(self, span=span)
         return replace(self, span=span, codec=self.codec.only(chosen_places(self.names.columns, signals)))
 
-    def widest(self, origins: Origins | None = None) -> WideLayout:
-        """Return the wide columns that any log of the database can need."""
-        return WideLayout(self.codec.tables, self.names, self.values, range(len(self.codec.tables)), origins)
-
     def layout(
         self, batches: Callable[[], Iterable[FrameBatch]], origins: Origins | None = None
     ) -> WideLayout | LongLayout:
@@ -114,14 +110,10 @@ class Plan:
         """
         most = self.max_cells
         if isinstance(layout, WideLayout):
-            return GroupSize(frames=max(1, most // len(layout.kinds)), values=self.max_values, is_live=is_live)
+            frames = max(1, min(self.max_frames, most // len(layout.kinds)))
+            return GroupSize(frames=frames, values=self.max_values, is_live=is_live)
         values = max(1, most // CELLS_PER_VALUE) if layout else most
         return GroupSize(frames=self.max_frames, values=values, is_live=is_live)
-
-    @property
-    def size_of_wide_parquet(self) -> GroupSize:
-        """Return how much a group of rows holds whose columns take no memory for what is null."""
-        return GroupSize(frames=self.max_frames, values=self.max_values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,7 +157,7 @@ def decode_logs(
 
 def _is_read_twice(plan: Plan, table_format: TableFormat) -> bool:
     """Return whether the columns depend on all of the frames."""
-    return table_format not in {TableFormat.MF4, TableFormat.PARQUET} and plan.shape is TableShape.WIDE
+    return table_format is not TableFormat.MF4 and plan.shape is TableShape.WIDE
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,8 +208,6 @@ class _Writing:
         plan, origins = self.plan, self.logs.origins
         if isinstance(output, TableFolder):
             return MessageRows(output, self.table_format, account, plan.values, origins), plan.size()
-        if self.table_format is TableFormat.PARQUET and plan.shape is TableShape.WIDE:
-            return WideParquet(ColumnFile(output), account, plan.widest(origins), origins), plan.size_of_wide_parquet
         if self.table_format is TableFormat.MF4:
             from canlog.tables.mf4_table import Mf4Table  # noqa: PLC0415 - for this format alone
 

@@ -4,7 +4,7 @@ Nothing is null that a frame carries: null are signals of other messages, of oth
 behind the end of a short frame.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Final, Literal
@@ -17,10 +17,10 @@ from canlog.database.addressing import sort_by_slot
 from canlog.decode.codec import MessageTable, MessageValues
 from canlog.frames import EXTENDED_FLAG
 from canlog.parquet_file import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
-from canlog.tables.coded_signals import NAMELESS, Int32Array, ValueTexts
 from canlog.tables.frame_stock import FrameGroup
 from canlog.tables.inputs import Origins
 from canlog.tables.names import TEXT_SUFFIX, Place, TableNames
+from canlog.tables.value_texts import NAMELESS, Int32Array, ValueTexts
 
 LOG, TIME, CHANNEL, ID, IS_EXTENDED = "log", "time", "channel", "id", "is_extended"
 MESSAGE, SIGNAL, VALUE, TEXT, UNIT = "message", "signal", "value", "text", "unit"
@@ -113,28 +113,17 @@ class WideLayout(TableLayout):
     @property
     def kinds(self) -> dict[str, str]:
         """Names and types of the columns."""
-        return self._kinds(self._places)
-
-    @property
-    def metadata(self) -> dict[str, dict[str, str]]:
-        """What is to be known of columns."""
-        return self._metadata(self._places)
-
-    def described(self, slots: Collection[int]) -> tuple[dict[str, str], dict[str, dict[str, str]]]:
-        """Return both, of the messages among ``slots`` alone."""
-        places = [place for place in self._places if place[0] in slots]
-        return self._kinds(places), self._metadata(places)
-
-    def _kinds(self, places: Sequence[Place]) -> dict[str, str]:
         kinds = dict(self.frame_kinds)
-        for place in places:
+        for place in self._places:
             kinds[self.names.columns[place]] = "float64"
             if place in self.texts:
                 kinds[self.names.columns[place] + TEXT_SUFFIX] = NAME_TYPE
         return kinds
 
-    def _metadata(self, places: Sequence[Place]) -> dict[str, dict[str, str]]:
-        return {self.names.columns[place]: {UNIT: unit} for place in places if (unit := self.unit(place))}
+    @property
+    def metadata(self) -> dict[str, dict[str, str]]:
+        """What is to be known of columns."""
+        return {self.names.columns[place]: {UNIT: unit} for place in self._places if (unit := self.unit(place))}
 
     def columns(self, group: FrameGroup, found: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
         """Return the number of rows and the columns of one row group, in their order."""

@@ -199,7 +199,7 @@ def analyze_by_paper(
 ) -> PaperAnalysis:
     """Analyse the logs of one drive as ``diag-service analyze --estimator paper`` does; arguments as of ``analyze``.
 
-    Raises what ``analyze`` raises, and ExtraMissingError if SciPy is not installed.
+    Raises what ``analyze`` raises.
     """
     shifts: list[PaperShift] = []
     with collected_notices() as notices:

@@ -14,6 +14,7 @@ from typing import Protocol, TextIO
 
 from canlog.errors import SourceError
 from canlog.notice import NOTICE
+from clutchdiag_io.overwriting import replacement_refusal
 from diag_service.batch.drives import Drive, LeftOut, find_drives, left_out_record
 from diag_service.batch.journal import Entry, Journal
 from diag_service.batch.processes import job_count, progress_bar, shared_out
@@ -27,7 +28,6 @@ from diag_service.service.drive import stream_of
 from diag_service.service.session import versions_for
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
-from program_io.overwriting import replacement_refusal
 
 ACCOUNT_VERSION = "4"  # of what a journal keeps of a drive; entries of an older one are made anew
 _LOG = logging.getLogger(__name__)

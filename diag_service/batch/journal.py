@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from clutchdiag_io.file_lock import lock
+from clutchdiag_io.private_file import OPEN_FLAGS, PRIVATE_MODE, keep_private
 from diag_service.diagnosis.results import dump
 from diag_service.errors import StoreError
 from fleet_contract import JsonObject
-from program_io.file_lock import lock
-from program_io.private_file import OPEN_FLAGS, PRIVATE_MODE, keep_private
 
 JOURNAL_SCHEMA = "clutchdiag/journal/v1"
 

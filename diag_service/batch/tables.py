@@ -9,11 +9,11 @@ from pathlib import Path
 
 from canlog.parquet_file import BOOL_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
 from canlog.whole_file import replacing
+from clutchdiag_io.legible import legible
 from diag_service.batch.journal import Entry
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, StoreError
 from fleet_contract import Channel, JsonObject, schema
-from program_io.legible import legible
 
 BATCH_ROWS = 4096
 MOMENT = "moment"

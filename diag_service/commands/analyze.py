@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 from canlog.logs import STANDARD_INPUT, is_folder
 from canlog.notice import NOTICE
+from clutchdiag_io.overwriting import replacement_refusal
 from diag_service.console.reading import ReadingLine
 from diag_service.delivery import AllReporters, MemoryReporter
 from diag_service.diagnosis.summary import Gap
@@ -16,7 +17,6 @@ from diag_service.service.drive import insist
 from diag_service.service.drive_run import run_recorded
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import DiagnosisConfig, diagnosis_config
-from program_io.overwriting import replacement_refusal
 
 _LOG = logging.getLogger(__name__)
 

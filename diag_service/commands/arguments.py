@@ -6,10 +6,7 @@ from typing import Any, Final
 
 import click
 
-from diag_service.commands.asking_arguments import DID, DTC, JSON, PROGRAM, ROUTINE, SCAN
-from diag_service.commands.lake_arguments import CLUSTER, LAKE, LAKE_OPTIONS
-from diag_service.settings.options import BUS, CONFIG, DELIVERY, MEANING, PAGE, POLL, VARIABLES
-from program_io.command_line import (
+from clutchdiag_io.command_line import (
     FILE,
     FILE_OR_STORE,
     FLOAT,
@@ -22,7 +19,10 @@ from program_io.command_line import (
     Program,
     parse,
 )
-from program_io.overwriting import FORCE
+from clutchdiag_io.overwriting import FORCE
+from diag_service.commands.asking_arguments import DID, DTC, JSON, PROGRAM, ROUTINE, SCAN
+from diag_service.commands.lake_arguments import CLUSTER, LAKE, LAKE_OPTIONS
+from diag_service.settings.options import BUS, CONFIG, DELIVERY, MEANING, PAGE, POLL, VARIABLES
 
 EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE, EXIT_INCOMPLETE = range(6)
 EXIT_SIGNALLED = 128  # and the number of the signal, as a shell tells it

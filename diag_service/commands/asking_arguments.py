@@ -4,8 +4,8 @@ from typing import Final
 
 import click
 
+from clutchdiag_io.command_line import FILE, FLOAT, VERBOSE, Choice, Command, Option
 from diag_service.settings.options import BUS, CONFIG, VARIABLES
-from program_io.command_line import FILE, FLOAT, VERBOSE, Choice, Command, Option
 
 PROGRAM: Final = "diag-service"
 JSON: Final = Option("--json", "one JSON object on standard output")

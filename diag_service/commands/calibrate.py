@@ -2,11 +2,11 @@
 
 from types import SimpleNamespace
 
+from clutchdiag_io.overwriting import replacement_refusal
 from diag_service.errors import ConfigError
 from diag_service.service import calibrate_run
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import diagnosis_config
-from program_io.overwriting import replacement_refusal
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:

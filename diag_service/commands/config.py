@@ -8,10 +8,10 @@ from urllib.parse import urlsplit
 
 import tomli_w
 
+from clutchdiag_io.legible import legible
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import bus_config, diagnosis_config
 from diag_service.settings.options import SETTINGS
-from program_io.legible import legible
 
 _LOG = logging.getLogger(__name__)
 

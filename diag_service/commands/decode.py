@@ -9,6 +9,8 @@ from canlog.logs import STANDARD_INPUT, is_folder, shown_name
 from canlog.tables.decoding import Decoded, TableShape, decode_logs
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat, check_libraries
 from canlog.tables.report import account_record, frame_texts, losses, remarks, values_text
+from clutchdiag_io.command_line import STANDARD_STREAM
+from clutchdiag_io.overwriting import replacement_refusal
 from diag_service.commands.table_choice import check_messages, choice_of, planned
 from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
@@ -16,8 +18,6 @@ from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.databases import asked_database
 from diag_service.service.stopping import Controls
 from fleet_contract import JsonObject
-from program_io.command_line import STANDARD_STREAM
-from program_io.overwriting import replacement_refusal
 
 NOTHING_KNOWN: Final = "is it the right database? Try diag-service signals LOG --dbc FILE, which lists what it finds"
 

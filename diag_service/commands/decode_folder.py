@@ -14,6 +14,7 @@ from canlog.logs import STANDARD_INPUT, is_folder
 from canlog.notice import NOTICE
 from canlog.tables.decoding import TableShape
 from canlog.tables.outputs import SUFFIX_OF_FORMAT, TableFormat
+from clutchdiag_io.overwriting import replacement_refusal
 from diag_service.batch.drives import find_drives, left_out_record
 from diag_service.batch.processes import job_count, shared_out
 from diag_service.batch.tables_of_logs import TableDone, TableTask, begin_tables, write_own_table
@@ -23,7 +24,6 @@ from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.databases import asked_database
 from diag_service.service.stopping import Controls
-from program_io.overwriting import replacement_refusal
 
 _LOG = logging.getLogger(__name__)
 

@@ -4,8 +4,8 @@ from typing import Final
 
 import click
 
+from clutchdiag_io.command_line import FILE, FILE_OR_STORE, FLOAT, INT, VERBOSE, Command, Group, Option
 from diag_service.commands.asking_arguments import JSON, PROGRAM
-from program_io.command_line import FILE, FILE_OR_STORE, FLOAT, INT, VERBOSE, Command, Group, Option
 
 DEFAULT_LIMIT_S: Final = 600.0  # an hour of a bus takes half a minute
 _LAKE: Final = click.Argument(

@@ -7,6 +7,8 @@ from types import SimpleNamespace
 
 from canlog.logs import STANDARD_INPUT
 from canlog.logs.reading import Watch
+from clutchdiag_io.legible import legible
+from clutchdiag_io.overwriting import replacement_refusal
 from diag_service.console.reading import ReadingLine
 from diag_service.errors import ConfigError
 from diag_service.report.findings import Findings, findings_of_logs, findings_of_store
@@ -16,8 +18,6 @@ from diag_service.service.session import utc_now
 from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import DiagnosisConfig, diagnosis_config
 from diag_service.store import is_store
-from program_io.legible import legible
-from program_io.overwriting import replacement_refusal
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:

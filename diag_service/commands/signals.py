@@ -11,6 +11,7 @@ from canlog.decode.codec import Codec
 from canlog.logs import STANDARD_INPUT, read_log, shown_name
 from canlog.logs.reading import Watch
 from canlog.traffic import NS_PER_S
+from clutchdiag_io.legible import legible
 from dbc.contract import DBC_PATH
 from diag_service.console.reading import ReadingLine
 from diag_service.errors import StoppedError
@@ -18,7 +19,6 @@ from diag_service.mapping.databases import open_database
 from diag_service.mapping.proposal import SignalStatistics, candidates, profile_text
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.service.stopping import Controls, Trigger
-from program_io.legible import legible
 
 
 class Survey:

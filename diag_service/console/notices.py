@@ -9,13 +9,13 @@ from typing import Final
 
 from canlog.kernel_cache import announce_compiling
 from canlog.notice import NOTICE
-from program_io.legible import legible
+from clutchdiag_io.legible import legible
 
 _FOUND: ContextVar[list[str] | None] = ContextVar("notices of this run", default=None)
 
 
 _PROGRAM = "diag-service"
-OWN = ("diag_service", "canlog", "fleet_link", "program_io")  # whose messages are shown without being asked for
+OWN = ("diag_service", "canlog", "fleet_link", "clutchdiag_io")  # whose messages are shown without being asked for
 COMPILING = "diag_service.compiling"
 
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Final, Self, TextIO
 
 from canlog.logs import LogReader
+from clutchdiag_io.legible import legible
 from diag_service.console.terminal import CLEAR
-from program_io.legible import legible
 
 PATIENCE_S: Final = 2.0  # so long nobody asks
 PERIOD_S: Final = 0.2

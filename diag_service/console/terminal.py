@@ -11,7 +11,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from program_io.legible import legible
+from clutchdiag_io.legible import legible
 
 INDENT: Final = "    "  # of what goes on in the next line
 CLEAR: Final = "\r\x1b[K"  # takes away what stands on the last line

@@ -11,12 +11,12 @@ from datetime import UTC, datetime, timedelta
 from functools import cache
 from typing import Final
 
+from clutchdiag_io.legible import legible_record
 from diag_service.diagnosis.plain_values import from_plain, to_plain
 from diag_service.diagnosis.records import ClutchVerdict, Condition, FluidFill, ShiftResult
 from diag_service.errors import ResultError
 from fleet_contract import Channel, JsonObject, ResultKey, schema
 from fleet_contract.orders import Order
-from program_io.legible import legible_record
 
 SHIFT_SCHEMA: Final = Channel.SHIFT.schema_name
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)

@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
+from clutchdiag_io.legible import legible
+from clutchdiag_io.pages.content import NONE, Advice, Cell, Section, Table, number
 from diag_service.diagnosis.summary import frames_line
 from diag_service.report.findings import Findings
 from diag_service.report.page import advice_of
@@ -12,8 +14,6 @@ from diag_service.service.onlookers import LiveRun
 from diag_service.service.session import versions_for
 from diag_service.service.snapshot import Snapshot
 from diag_service.store import Row
-from program_io.legible import legible
-from program_io.pages.content import NONE, Advice, Cell, Section, Table, number
 
 _MESSAGES_HEAD: Final = ("message", "1/s", "nominal 1/s", "protection", "decoded", "rejected", "missing")
 

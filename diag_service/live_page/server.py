@@ -13,12 +13,12 @@ from wsgiref.types import StartResponse, WSGIEnvironment
 
 from jinja2 import Environment
 
+from clutchdiag_io.pages.environment import templates_of
+from clutchdiag_io.pages.headers import SAFE_HEADERS, host_of
 from diag_service.live_page.sections import shown
 from diag_service.service.onlookers import LiveRun
 from diag_service.service.web import serving_web
 from diag_service.settings.config import ListenAddress
-from program_io.pages.environment import templates_of
-from program_io.pages.headers import SAFE_HEADERS, host_of
 
 RENEWED_S: Final = 5.0  # rates and counts are shown anew, whatever happens
 LOOK_S: Final = 0.5
@@ -125,4 +125,4 @@ def _templates() -> Environment:
 
 @cache
 def _file(name: str) -> bytes:
-    return resources.files("program_io.pages").joinpath("templates").joinpath(name).read_bytes()
+    return resources.files("clutchdiag_io.pages").joinpath("templates").joinpath(name).read_bytes()

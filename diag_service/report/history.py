@@ -8,6 +8,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from clutchdiag_io.pages.content import spread
 from diag_service.delivery.console import order_lines
 from diag_service.delivery.words import condition_words
 from diag_service.diagnosis.prognosis import Population, history_of, prognose, without
@@ -17,7 +18,6 @@ from diag_service.diagnosis.results import fill_record, order_record, utc_from_b
 from diag_service.report.findings import Findings
 from diag_service.store import Row
 from fleet_contract import JsonObject
-from program_io.pages.content import spread
 
 HISTORY_SCHEMA: Final = "clutchdiag/history/v1"
 UNKNOWN_FLUID: Final = "fluid of unknown age"

@@ -6,6 +6,9 @@ from pathlib import Path
 from typing import Final
 
 from canlog.whole_file import replacing
+from clutchdiag_io.legible import legible, legible_record
+from clutchdiag_io.pages.content import Advice, Section, Table
+from clutchdiag_io.pages.environment import templates_of
 from diag_service.diagnosis.results import SHIFT_SCHEMA, clutch_record, order_record, shift_record, utc_from_bus_ns
 from diag_service.diagnosis.summary import capability_line, frames_line, gaps_line, summary_record, values_line
 from diag_service.errors import StoreError
@@ -19,9 +22,6 @@ from diag_service.report.sections import (
 )
 from fleet_contract import CLUTCHES, JsonObject
 from fleet_contract.orders import SHOWN_AS, Order
-from program_io.legible import legible, legible_record
-from program_io.pages.content import Advice, Section, Table
-from program_io.pages.environment import templates_of
 
 REPORT_SCHEMA: Final = "clutchdiag/report/v1"
 _PACKAGE: Final = "diag_service.report"

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from clutch_model.units import NS_PER_S
+from clutchdiag_io.pages.content import NONE, Cell, Figure, Key, Section, Table, number, spread
 from diag_service.delivery.words import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis.records import ClutchVerdict, QualityPart, ShiftResult, Status
 from diag_service.diagnosis.results import utc_from_bus_ns
@@ -28,7 +29,6 @@ from diag_service.report.pictures import (
 from diag_service.service.onlookers import Example
 from diag_service.store import Row
 from fleet_contract import CLUTCHES
-from program_io.pages.content import NONE, Cell, Figure, Key, Section, Table, number, spread
 
 WHAT_CURVES_SAY: Final = (
     "New fluid: friction rises with slip speed. Old fluid: it is lower at high slip and higher at low slip. Where the "

@@ -10,6 +10,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from clutchdiag_io.legible import legible
+from clutchdiag_io.standard_output import discard
 from diag_service.console.terminal import PeopleConsole
 from diag_service.delivery import (
     Acknowledge,
@@ -29,8 +31,6 @@ from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore, remove_store
 from fleet_contract import Outgoing, config_message, metrics_message
-from program_io.legible import legible
-from program_io.standard_output import discard
 
 _LOG = logging.getLogger(__name__)
 

@@ -9,7 +9,6 @@ from typing import TextIO
 from rich import box
 from rich.table import Table
 
-from canlog.extras import load_extra
 from canlog.logs.reading import Watch
 from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
@@ -51,11 +50,7 @@ def run_paper(
     begin: Callable[[], None] = lambda: None,  # called when the logs are open
     watch: Watch | None = None,  # of how far the reading is
 ) -> PaperRun:
-    """Call ``use`` with each shift of a drive; return what they say together and what became of the frames.
-
-    Raises ExtraMissingError if SciPy is not installed.
-    """
-    load_extra("scipy", "the paper's method needs SciPy", "paper")
+    """Call ``use`` with each shift of a drive; return what they say together and what became of the frames."""
     decoder = config.interpretation().decoder()
     stages = Stages(decoder, config.calibration, Posterior.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())

@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import click
 
+from clutchdiag_io.command_line import FILE, FLOAT, INT, Choice, Option
 from diag_service.errors import ConfigError
-from program_io.command_line import FILE, FLOAT, INT, Choice, Option
 
 _KINDS: Final = {
     "boolean": "true or false",

@@ -7,10 +7,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+from clutchdiag_io.file_lock import lock
+from clutchdiag_io.private_file import OPEN_FLAGS, PRIVATE_MODE, create_private
 from diag_service.errors import StoreError, StoreFullError
 from diag_service.store.schema import APPLICATION_ID, SCHEMA_VERSION, create_tables, migrate
-from program_io.file_lock import lock
-from program_io.private_file import OPEN_FLAGS, PRIVATE_MODE, create_private
 
 _BUSY_TIMEOUT_S: Final = 5.0  # for a person who reads the store with another program
 _NO_ROOM: Final = frozenset({sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE, sqlite3.SQLITE_IOERR_FSYNC})

@@ -15,6 +15,7 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Final, Self
 
+from clutchdiag_io.private_file import keep_private
 from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.results import StoredResult, dump, parse_shift, shift_record
 from diag_service.errors import ResultError, StoreError
@@ -24,7 +25,6 @@ from diag_service.store.file import connect, connect_in_memory, own, translated
 from diag_service.store.fills import add_fills, all_fills, latest_fill, read_fills
 from diag_service.store.schema import DELIVERED, QUARANTINED, WAITING
 from fleet_contract import JsonObject, Outcome, Receipt, ResultKey
-from program_io.private_file import keep_private
 
 _BY_KEY: Final = (
     " FROM result WHERE vehicle = ? AND stream = ? AND seq = ? AND algorithm_version = ? AND calibration_version = ?"

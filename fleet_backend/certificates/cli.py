@@ -8,9 +8,9 @@ from typing import Final
 
 import click
 
+from clutchdiag_io.command_line import FILE, FLOAT, Command, Option, Program, parse
+from clutchdiag_io.complaint import complain
 from fleet_backend.certificates.errors import CertificateError
-from program_io.command_line import FILE, FLOAT, Command, Option, Program, parse
-from program_io.complaint import complain
 
 PROGRAM: Final = "fleet-certificates"
 EXIT_OK, EXIT_USAGE = 0, 2

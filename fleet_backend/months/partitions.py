@@ -14,7 +14,7 @@ from sqlalchemy import Connection, Engine, text
 
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError
-from fleet_backend.months.whereabouts import TABLE, moved_only
+from fleet_backend.months.locations import TABLE, moved_only
 
 __all__ = [
     "AHEAD_MONTHS",

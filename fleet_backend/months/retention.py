@@ -9,6 +9,7 @@ from sqlalchemy import Connection, Engine, bindparam, delete, func, select, text
 from fleet_backend.audit_trail import COMMAND_LINE, note_change
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError
+from fleet_backend.months.locations import forget, moved_only, note_going
 from fleet_backend.months.partitions import (
     TABLE,
     has_partitions,
@@ -20,7 +21,6 @@ from fleet_backend.months.partitions import (
     months_on,
     name_of,
 )
-from fleet_backend.months.whereabouts import forget, moved_only, note_going
 from fleet_backend.schema import CLUTCH_MONTH, SHIFT_RESULT, UtcDateTime
 
 MOST_KEPT: Final = 1200

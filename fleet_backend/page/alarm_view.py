@@ -5,6 +5,7 @@ from typing import Final
 
 from sqlalchemy import Engine, select
 
+from clutchdiag_io.pages.content import Cell, Link, Section, Table
 from fleet_backend.alarm_tables import ALARM
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Note
@@ -16,7 +17,6 @@ from fleet_backend.page.asking import VEHICLE, Ask, Kind, Parameter
 from fleet_backend.page.errors import AskError, NotFoundError
 from fleet_backend.page.records import Alarm
 from fleet_backend.page.view import Action, Field, Form, Shown, Sources, View
-from program_io.pages.content import Cell, Link, Section, Table
 
 _KEY: Final = (
     Parameter(name="vehicle", text=VEHICLE.text, is_required=True, pattern=VEHICLE.pattern, longest=VEHICLE.longest),

@@ -5,6 +5,7 @@ from typing import Any, Final
 
 from sqlalchemy import Engine, RowMapping, and_, or_, select
 
+from clutchdiag_io.pages.content import Cell, Link, Section, Table
 from fleet_backend.alarm_tables import ALARM
 from fleet_backend.alarms.rules import Rule
 from fleet_backend.database import transaction
@@ -14,7 +15,6 @@ from fleet_backend.page.fleet_view import next_of
 from fleet_backend.page.listing import cursor, read_moment
 from fleet_backend.page.records import Alarm, AlarmsAnswer
 from fleet_backend.page.view import Choice, Shown, Sources, View
-from program_io.pages.content import Cell, Link, Section, Table
 
 _KEY: Final = ("vehicle", "clutch", "rule", "number")
 _STATES: Final = ("open", "waiting", "all")

@@ -4,6 +4,7 @@ from typing import Final
 
 from sqlalchemy import or_, select
 
+from clutchdiag_io.pages.content import Section, Table
 from fleet_backend.alarm_tables import AUDIT
 from fleet_backend.database import transaction
 from fleet_backend.page import wording
@@ -13,7 +14,6 @@ from fleet_backend.page.fleet_view import next_of
 from fleet_backend.page.listing import cursor, read_moment_and_name
 from fleet_backend.page.records import AuditAnswer, AuditEntry
 from fleet_backend.page.view import Shown, Sources, View
-from program_io.pages.content import Section, Table
 
 
 def find(sources: Sources, ask: Ask) -> AuditAnswer:

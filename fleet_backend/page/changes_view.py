@@ -3,6 +3,7 @@
 from datetime import timedelta
 from typing import Final
 
+from clutchdiag_io.pages.content import Cell, Section, Table
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Kind, Parameter
 from fleet_backend.page.changes import changes_of
@@ -10,7 +11,6 @@ from fleet_backend.page.fleet_view import next_of
 from fleet_backend.page.listing import Wanted, matching, part_of
 from fleet_backend.page.records import Change, ChangesAnswer
 from fleet_backend.page.view import Choice, Shown, Sources, View
-from program_io.pages.content import Cell, Section, Table
 
 USUAL: Final = timedelta(days=7)
 

@@ -7,7 +7,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from program_io.pages.headers import SAFE_HEADERS, host_of
+from clutchdiag_io.pages.headers import SAFE_HEADERS, host_of
 
 _KEEP_NOTHING: Final = "no-store"  # of what says something of vehicles
 

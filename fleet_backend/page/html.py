@@ -6,11 +6,11 @@ from typing import Final
 from jinja2 import Environment
 from markupsafe import Markup
 
+from clutchdiag_io.pages.content import Link
+from clutchdiag_io.pages.environment import templates_of
 from fleet_backend.page.access import NOBODY, Role, Viewer
 from fleet_backend.page.files import Format
 from fleet_backend.page.view import Drawn, Shown, View
-from program_io.pages.content import Link
-from program_io.pages.environment import templates_of
 
 _ADMIN_PAGES: Final = (Link(text="Audit", href="/audit"),)
 NAVIGATION: Final = (

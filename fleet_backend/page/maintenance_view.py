@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from datetime import date, timedelta
 from typing import Final
 
+from clutchdiag_io.pages.content import NONE, Badge, Cell, Moment, Section, Table
 from diag_service.diagnosis.prognosis.sentence import soonest
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, Ask, Kind, Parameter
@@ -17,7 +18,6 @@ from fleet_backend.page.vehicle_state import state_of
 from fleet_backend.page.vehicle_view import SERVICE_KM, past_of
 from fleet_backend.page.view import Shown, Sources, View
 from fleet_contract.orders import Action
-from program_io.pages.content import NONE, Badge, Cell, Moment, Section, Table
 
 MOST: Final = 200  # each takes a prognosis
 LOOKED_BACK: Final = timedelta(days=90)  # over which it is counted how much a vehicle is driven

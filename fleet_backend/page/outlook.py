@@ -39,6 +39,11 @@ def shipped_calibration() -> str:
     return f"{calibration.version}+{fingerprint(calibration)}"
 
 
+def type_of(calibration_version: str) -> str:
+    """Return the vehicle type that a calibration describes: its name, or the version where it is not at hand."""
+    return _shipped().name if calibration_version == shipped_calibration() else calibration_version
+
+
 def reference_of(calibration_version: str, clutch: int) -> FrictionCurve | None:
     """Return the friction of a clutch with new fluid; None for a calibration that is not at hand."""
     if calibration_version != shipped_calibration():

@@ -3,13 +3,14 @@
 from typing import Final
 from urllib.parse import urlencode
 
+from clutchdiag_io.pages.content import Cell, Link, Section, Table
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
 from fleet_backend.page.fleet_view import EMPTY, FILTERS, choices, next_of, subtitle, wanted
+from fleet_backend.page.outlook import type_of
 from fleet_backend.page.overview import SORTS, answer_of, vehicles_of
 from fleet_backend.page.records import ClutchNow, VehiclesAnswer
 from fleet_backend.page.view import Choice, Shown, Sources, View
-from program_io.pages.content import Cell, Link, Section, Table
 
 _SORT: Final = Parameter(name="sort", text="column to sort by, - for downwards; the worst first", choices=SORTS)
 _COLUMNS: Final = (
@@ -70,7 +71,7 @@ def _cells(one: ClutchNow) -> tuple[Cell, ...]:
         wording.share(one.level_ratio),
         wording.km(one.odometer_m),
         wording.plain(one.fluid),
-        one.calibration_version,
+        type_of(one.calibration_version),
         wording.minute(one.end_at),
     )
 

@@ -10,8 +10,8 @@ from sqlalchemy import Engine, Interval, Select, and_, func, literal, or_, selec
 
 from fleet_backend import views
 from fleet_backend.database import transaction
+from fleet_backend.months.locations import BLOCK, CLUTCH_BLOCK, months_with
 from fleet_backend.months.partitions import has_partitions
-from fleet_backend.months.whereabouts import BLOCK, CLUTCH_BLOCK, months_with
 from fleet_backend.orders import without_old_fluid
 from fleet_backend.page.records import ClutchAlarm, Quarantined, ShiftAnswer
 from fleet_backend.schema import (

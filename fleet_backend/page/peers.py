@@ -1,4 +1,4 @@
-"""What the fluids of the fleet have in common, by type and fluid; which clutches and lots age faster than others."""
+"""What the fluids of the fleet have in common, by type and fluid; which lots age faster than others."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,8 +11,6 @@ from sqlalchemy import Engine, select
 from clutch_model.clutch import FrictionCurve
 from diag_service.diagnosis.prognosis import (
     Ageing,
-    Batch,
-    ChannelName,
     Common,
     Hindsight,
     History,
@@ -23,13 +21,11 @@ from diag_service.diagnosis.prognosis import (
     Population,
     ageings,
     common_of,
-    hidden_batches,
     hindsights,
     history_of_estimates,
     learn,
     lot_standings,
     monthly,
-    standings,
     with_bends,
     without,
 )
@@ -41,20 +37,17 @@ from fleet_backend.page.vehicle_state import fills_of
 from fleet_backend.schema import CLUTCH
 
 MOST_LOOKED_BACK: Final = 200  # clutches of a type, evenly spread: how lives bend is learned from no more
-MOST_LIKELIEST: Final = 10  # vehicles of a batch that are shown, if no more are named
 Key = tuple[str, int]  # vehicle and clutch
 Record = Mapping[str, object]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetAgeing:
-    """What was learned of a fleet, and how each clutch and each lot stands in it; JSON-ready records."""
+    """What was learned of a fleet, and how each lot stands in it; JSON-ready records."""
 
     population: Population
     usual: Sequence[Record]
-    clutches: Sequence[Record]  # the fastest first
     lots: Sequence[Record]  # the worst first
-    batches: Sequence[Record]  # of which no table knows, one of each type with enough vehicles
     clutch_count: int  # looked at
     left_out_count: int  # of them: of a calibration that is not at hand
 
@@ -76,7 +69,7 @@ class _Clutch:
 
 
 def fleet_ageing(engine: Engine) -> FleetAgeing:
-    """Learn from all clutches of a fleet, one after the other, and hold each against its peers.
+    """Learn from all clutches of a fleet, one after the other, and hold each lot against the others.
 
     They do not fit into memory together, so they are read twice: for what all share, then without that.
     """
@@ -93,9 +86,7 @@ def fleet_ageing(engine: Engine) -> FleetAgeing:
     return FleetAgeing(
         population=population,
         usual=list(_usual(population)),
-        clutches=list(_standings(every, population)),
         lots=list(_lots(lot_standings(every, population, lots))),
-        batches=list(map(_batch_record, hidden_batches(every))),
         clutch_count=len(keys),
         left_out_count=len(keys) - len(lives),
     )
@@ -162,21 +153,6 @@ def _lots(found: Iterable[LotStanding]) -> Iterator[Record]:
         }
 
 
-def _batch_record(one: Batch) -> Record:
-    likeliest = max(MOST_LIKELIEST, len(one.named)) if one.is_found else 0
-    return {
-        "record": "batch",
-        "vehicle_type": one.vehicle_type,
-        "vehicle_count": one.vehicle_count,
-        "log_likelihood_ratio": one.log_ratio,
-        "is_found": one.is_found,
-        "share": one.share if one.is_found else None,
-        "loss_ratio": one.loss_ratio if one.is_found else None,
-        "likeliest": dict(list(one.probability.items())[:likeliest]),
-        "named": list(one.named) if one.is_found else [],
-    }
-
-
 def _usual(population: Population) -> Iterator[Record]:
     for peers in population.peers:
         for name, usual in peers.channels.items():
@@ -193,20 +169,3 @@ def _usual(population: Population) -> Iterator[Record]:
                 "bend_life_count": peers.bend_life_count,
                 "bends": {f"{factor:g}": chance for factor, chance in peers.bends.items()},
             }
-
-
-def _standings(lives: Sequence[Ageing], population: Population) -> Iterator[Record]:
-    for one in standings(lives, population):
-        life = one.ageing
-        yield {
-            "record": "clutch",
-            "vehicle": life.vehicle,
-            "clutch": life.clutch,
-            "fluid": life.kind.fluid,
-            "distance_m": life.distance_m,
-            "loss_per_m": life.courses[ChannelName.MARGIN].loss_per_m,
-            "loss_ratio": one.loss_ratio,
-            "z": one.z,
-            "probability": one.probability,
-            "is_faster_than_peers": one.is_named,
-        }

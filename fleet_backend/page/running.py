@@ -9,8 +9,8 @@ from typing import Any, Final
 from sqlalchemy import Engine, TextClause, TextualSelect, bindparam, func, select, text
 
 from fleet_backend.database import transaction
+from fleet_backend.months.locations import CLUTCH_STREAM
 from fleet_backend.months.partitions import has_partitions
-from fleet_backend.months.whereabouts import CLUTCH_STREAM
 from fleet_backend.orders import present_fluids, with_orders
 from fleet_backend.page.records import ClutchNow
 from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, WITHDRAWN_FILL, UtcDateTime

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from clutch_model.units import degc_from_k
+from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Link, Section, Table, number
 from diag_service.report.pictures import curve_figure
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Kind, Parameter
@@ -11,7 +12,6 @@ from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.outlook import friction_of, reference_of
 from fleet_backend.page.records import ShiftAnswer
 from fleet_backend.page.view import Shown, Sources, View
-from program_io.pages.content import NONE, Advice, Cell, Figure, Link, Section, Table, number
 
 _PARAMETERS: Final = (
     VEHICLE,

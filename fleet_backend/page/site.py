@@ -102,7 +102,7 @@ def _static_endpoint() -> Callable[[Request], Response]:
 
 def _static_entries() -> list[Traversable]:
     own = [one for one in resources.files("fleet_backend.page").joinpath("static").iterdir() if one.is_file()]
-    shared = resources.files("program_io.pages").joinpath("templates")
+    shared = resources.files("clutchdiag_io.pages").joinpath("templates")
     return [*own, *(shared.joinpath(name) for name in ("style.css", "live.js", "times.js", "icon.svg"))]
 
 

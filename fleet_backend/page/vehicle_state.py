@@ -7,8 +7,8 @@ from typing import Any, Final
 from sqlalchemy import BigInteger, Connection, Engine, Select, bindparam, cast, func, select
 
 from fleet_backend.database import transaction
+from fleet_backend.months.locations import CLUTCH_STREAM
 from fleet_backend.months.partitions import has_partitions
-from fleet_backend.months.whereabouts import CLUTCH_STREAM
 from fleet_backend.page.records import Fill
 from fleet_backend.schema import ALARM_ACKNOWLEDGEMENT, FLUID_FILL, POPULATION, SHIFT_RESULT, VEHICLE
 from fleet_contract.fills import distinct

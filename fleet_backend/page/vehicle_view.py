@@ -3,8 +3,10 @@
 from collections.abc import Iterator
 from typing import Any, Final
 
+from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, spread
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Kind, Parameter
+from fleet_backend.page.cache import Same
 from fleet_backend.page.clutch_past import Past, read_past
 from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.outlook import outlook_text
@@ -16,12 +18,10 @@ from fleet_backend.page.pictures import (
     course_picture,
 )
 from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, TrendPoint, Usual, VehicleAnswer
-from fleet_backend.page.remembered import Same
 from fleet_backend.page.usual import kind_of
 from fleet_backend.page.vehicle_state import VehicleState, state_of
 from fleet_backend.page.view import Shown, Sources, View
 from fleet_contract.orders import Action
-from program_io.pages.content import NONE, Cell, Figure, Link, Section, Table, spread
 
 SERVICE_KM: Final = 15_000
 _MOST_SERVICE_KM: Final = 300_000

@@ -7,15 +7,15 @@ from typing import Any, Final
 from markupsafe import Markup
 from sqlalchemy import Engine
 
+from clutchdiag_io.pages.content import Advice, Link, Section
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import Ask, Parameter
+from fleet_backend.page.cache import Cache
 from fleet_backend.page.clutch_past import Past
 from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.listing import Part
 from fleet_backend.page.news import News
 from fleet_backend.page.records import ClutchNow, VehicleAnswer
-from fleet_backend.page.remembered import Remembered
-from program_io.pages.content import Advice, Link, Section
 
 MOST_POINTS: Final = 60_000  # of trends that are kept, a kilobyte each
 MOST_PARTS: Final = 200_000  # clutches in lists that are kept, eight bytes each
@@ -30,11 +30,11 @@ class Sources:
     keeper: Keeper
     news: News
     writer: Engine | None = None  # where somebody may change something
-    pasts: Remembered[Past] = field(default_factory=lambda: Remembered(MOST_POINTS, lambda one: len(one.trend)))
-    vehicles: Remembered[VehicleAnswer] = field(default_factory=lambda: Remembered(MOST_POINTS, _points))
-    parts: Remembered[Part] = field(default_factory=lambda: Remembered(MOST_PARTS, lambda one: len(one.clutches)))
-    fleets: Remembered[tuple[ClutchNow, ...]] = field(default_factory=lambda: Remembered(0, len))  # one
-    pages: "Remembered[Drawn]" = field(default_factory=lambda: Remembered(MOST_LETTERS, lambda one: len(one.body)))
+    pasts: Cache[Past] = field(default_factory=lambda: Cache(MOST_POINTS, lambda one: len(one.trend)))
+    vehicles: Cache[VehicleAnswer] = field(default_factory=lambda: Cache(MOST_POINTS, _points))
+    parts: Cache[Part] = field(default_factory=lambda: Cache(MOST_PARTS, lambda one: len(one.clutches)))
+    fleets: Cache[tuple[ClutchNow, ...]] = field(default_factory=lambda: Cache(0, len))  # one
+    pages: "Cache[Drawn]" = field(default_factory=lambda: Cache(MOST_LETTERS, lambda one: len(one.body)))
 
 
 def _points(answer: VehicleAnswer) -> int:

@@ -53,6 +53,7 @@ ELSEWHERE = {
     "diag-service analyze later.log": "tests/integration/test_calibrate_story.py",
     "export": "tests/integration/test_fleet_cli.py",
     "fleet-backend ingest": "tests/e2e/test_fleet_chaos.py",
+    "fleet-backend follow": "tests/integration/test_follow.py",
     "fleet-backend migrate": "tests/integration/test_fleet_cli.py",
     "fleet-backend partitions": "tests/integration/test_fleet_months.py",
     "fleet-backend serve": "tests/integration/test_fleet_page.py",

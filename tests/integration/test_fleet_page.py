@@ -16,6 +16,7 @@ from icalendar import Calendar
 from jsonschema import Draft202012Validator
 from playwright.sync_api import Browser, Page
 
+from clutchdiag_io.pages.headers import SAFE_HEADERS as HEADERS
 from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database
@@ -23,7 +24,6 @@ from fleet_backend.intake import batch_of, take
 from fleet_backend.page.site import OPENAPI_PATH, VIEWS
 from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
-from program_io.pages.headers import SAFE_HEADERS as HEADERS
 from tests.support.browsing import chromium, complaints_of, new_page, refused_in
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
 from tests.support.fleet_page import ACCESS, MARKUP, fill_database, headers_of, raise_alarms, served

@@ -1,4 +1,4 @@
-"""What a fleet teaches, from the database to the table: what is usual, and who ages faster."""
+"""What a fleet teaches, from the database to the table: what is usual, and which lots age faster."""
 
 import json
 import shutil
@@ -22,7 +22,7 @@ from fleet_backend.migrate import migrate
 from fleet_backend.page.outlook import outlook_of
 from fleet_backend.page.past import results_of
 from fleet_backend.page.populations import keep, latest
-from fleet_backend.report import batches_table, lot_standings_table, show
+from fleet_backend.report import lot_standings_table, show
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 from tests.support.histories import history
@@ -69,7 +69,7 @@ def _table(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_is_usual_is_learned_kept_and_used_and_who_is_not_usual_is_named(
+def test_what_is_usual_is_learned_kept_and_used_and_bad_lots_are_named(
     address: str, table: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     assert main(["lots", "--database", address, "--read", str(table)]) == 0
@@ -78,13 +78,10 @@ def test_what_is_usual_is_learned_kept_and_used_and_who_is_not_usual_is_named(
     assert main(["peers", "--database", address, "--json", "--keep", "--write", str(written)]) == 0
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     usual = [one for one in records if one["record"] == "usual"]
-    clutches = [one for one in records if one["record"] == "clutch"]
     lots = [one for one in records if one["record"] == "lot"]
     assert {one["channel"] for one in usual} == {"margin", "level"}
     assert {one["life_count"] for one in usual} == {2 * (CARS + len(FAST))}
-    assert {one["vehicle"] for one in clutches[: 2 * len(FAST)]} == set(FAST)
-    assert clutches[0]["loss_ratio"] == pytest.approx(3.0, rel=0.3)
-    assert {one["vehicle"] for one in clutches if one["is_faster_than_peers"]} <= set(FAST)
+    assert {one["record"] for one in records} == {"usual", "lot", "population"}
     assert [(one["name"], one["value"]) for one in lots if one["is_faster_than_others"]] == [("fluid lot", "B7")]
     assert records[-1] == {"record": "population", "version": 1}
 
@@ -160,8 +157,8 @@ def test_a_fleet_of_one_teaches_nothing(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["peers", "--database", address, "--keep"]) == 0
     text = capsys.readouterr().out
     assert "learned from 3 clutches; 1 of another calibration are left out" in text
-    assert "Faster than their peers: 0 of 0 clutches" in text
     assert "Lots" not in text
+    assert "aster than" not in text
     assert text.endswith("kept as population 1\n")
     assert main(["lots", "--database", address]) == 0
     assert "Properties of 0 vehicles" in capsys.readouterr().out
@@ -176,17 +173,6 @@ def test_people_read_which_lots_are_bad() -> None:
     assert "Lots that age faster than the others: 1 of 2" in text.getvalue()
     lines = [line.split() for line in text.getvalue().splitlines()]
     assert ["fluid", "lot", "B7", "yes", "9", "1.92", "10", "5e+04"] in lines
-
-
-def test_people_read_which_vehicles_may_be_of_a_bad_batch() -> None:
-    usual = {"vehicle_count": 200, "log_likelihood_ratio": 4.2, "named": []}
-    bad = usual | {"vehicle_type": "a", "is_found": True, "share": 0.05, "loss_ratio": 2.0, "likeliest": {"v7": 0.93}}
-    none = usual | {"vehicle_type": "b", "is_found": False, "share": None, "loss_ratio": None, "likeliest": {}}
-    text = StringIO()
-    show(batches_table([bad, none]), text, None)
-    lines = [line.split() for line in text.getvalue().splitlines()]
-    assert ["a", "200", "yes", "5", "2.0", "v7", "(93", "%)", "4.2"] in lines
-    assert ["b", "200", "no", "-", "-", "-", "4.2"] in lines
 
 
 def test_either_database_keeps_lots_and_populations(engine: Engine) -> None:

@@ -18,9 +18,9 @@ ROOMS = [
     "fleet_backend",
     "fleet_contract",
     "fleet_link",
-    "program_io",
+    "clutchdiag_io",
 ]
-MOST_LINES = 350
+MOST_LINES = 600
 MOST_PARAMETERS = 9  # of a kernel: beyond it a record says what belongs together
 
 

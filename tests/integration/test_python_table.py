@@ -13,9 +13,9 @@ import pytest
 
 import diag_service
 import ecu_emulator
+from clutchdiag_io.command_line import Program
 from diag_service.commands.arguments import COMMAND_LINE as DIAG_SERVICE
 from ecu_emulator.arguments import COMMAND_LINE as ECU_EMULATOR
-from program_io.command_line import Program
 from tests.support.documents import page_text
 
 SECTION = page_text("docs/python.md").partition("## Command by command\n")[2].partition("\n## ")[0]

@@ -11,7 +11,7 @@ import pytest
 from tests.support.patience import HANG_S
 
 REPOSITORY = Path(__file__).parents[2]
-START = "import sys; from program_io.starting import run_program; sys.exit(run_program('slow_program'))"
+START = "import sys; from clutchdiag_io.starting import run_program; sys.exit(run_program('slow_program'))"
 LOADING = f"import time\nprint('here', flush=True)\ntime.sleep({HANG_S})\n"
 RUNNING = f"import time\ndef main():\n    print('here', flush=True)\n    time.sleep({HANG_S})\n"
 ASKING = "import click\ndef main():\n    print('here', flush=True)\n    raise click.Abort\n"
@@ -34,6 +34,20 @@ def test_ctrl_c_ends_a_program_that_heeds_nothing_yet_without_a_word(tmp_path: P
     assert (program.returncode, out, err) == (130, "", "")
 
 
+def test_a_library_that_another_wheel_took_away_is_named(tmp_path: Path) -> None:
+    (tmp_path / "slow_program.py").write_text("import sys\nsys.modules['canlog'] = None\nimport canlog\n")
+    told = subprocess.run(
+        [sys.executable, "-c", START],
+        env={"PYTHONPATH": f"{tmp_path}:{REPOSITORY}"},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=HANG_S,
+    )
+    again = "pip install --force-reinstall --no-deps clutchdiag"
+    assert (told.returncode, told.stderr) == (1, f"error: the library canlog is gone; put it back: {again}\n")
+
+
 def test_every_program_begins_so_and_loads_nothing_of_others_before() -> None:
     scripts = [one for one in distribution("clutchdiag").entry_points if one.group == "console_scripts"]
     assert len(scripts) == 4
@@ -46,4 +60,4 @@ def test_every_program_begins_so_and_loads_nothing_of_others_before() -> None:
             [sys.executable, "-c", code], cwd=REPOSITORY, capture_output=True, text=True, check=True, timeout=HANG_S
         )
         loaded = eval(told.stdout)  # noqa: S307 - what the line above printed
-        assert loaded <= {"canlog", "program_io", one.module.partition(".")[0]}
+        assert loaded <= {"canlog", "clutchdiag_io", one.module.partition(".")[0]}

@@ -6,6 +6,7 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -357,6 +358,32 @@ def _mf4_channels(path: Path, *, ignore: bool) -> Iterator[list[Any]]:
                 ]
 
 
+def _mf4_by_mdfreader(path: Path) -> list[Any]:
+    """Return the same by a library that shares nothing with the one that writes; it is used where it is installed."""
+    from mdfreader import Mdf, MdfInfo  # noqa: PLC0415 - optional
+
+    mdf, cells = Mdf(str(path)), list[Any]()
+    start_ns = MdfInfo(str(path))["HD"]["hd_start_time_ns"]
+    for time_name, names in mdf.masterChannelList.items():
+        times_s = mdf[time_name]["data"].tolist()
+        for name in names:
+            if "invalid_bit" not in mdf[name]:
+                continue
+            (_, _, _), (channel, _, _), (group, _, _) = mdf[name]["id"]
+            byte, bit = divmod(mdf[name]["invalid_bit"], 8)
+            is_none = mdf[mdf[name]["invalid_channel"]]["data"].reshape(len(times_s), -1)[:, byte] >> bit & 1
+            cells += [
+                (group.rpartition(", channel")[0], channel.rpartition(".")[2], start_ns + round(t_s * 1e9), number)
+                for t_s, value, is_left_out in zip(times_s, mdf[name]["data"].tolist(), is_none.tolist(), strict=True)
+                if not is_left_out
+                for number in (_number(value, has_nan=True),)
+            ]
+    return cells
+
+
+MF4_READERS: Final[dict[str, Reader]] = {"asammdf": _mf4_by_channels, "asammdf, marks": _mf4_by_marks}
+if find_spec("mdfreader") is not None:
+    MF4_READERS["mdfreader"] = _mf4_by_mdfreader
 READERS: Final[Mapping[TableFormat, Mapping[str, Reader]]] = MappingProxyType(
     {
         TableFormat.PARQUET: {
@@ -370,6 +397,6 @@ READERS: Final[Mapping[TableFormat, Mapping[str, Reader]]] = MappingProxyType(
             "pyarrow": lambda path: _of_arrow(pa.ipc.open_stream(path).read_all()),
             "polars": lambda path: _of_polars(pl.read_ipc_stream(path)),
         },
-        TableFormat.MF4: {"asammdf": _mf4_by_channels, "asammdf, marks": _mf4_by_marks},
+        TableFormat.MF4: MF4_READERS,
     }
 )

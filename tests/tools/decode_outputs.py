@@ -3,6 +3,7 @@
     python -m tests.tools.decode_outputs [--cases 2000] [--first 1]
 
 Layouts wide, long and messages, as Parquet, CSV, JSON lines and Arrow, and MF4. A case is made of its number alone.
+MF4 is read by mdfreader as well, where that is installed (`pip install mdfreader`; GPL, so no part of the lock).
 """
 
 import argparse

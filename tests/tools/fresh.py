@@ -23,7 +23,7 @@ from typing import Final
 from tests.support.documents import ROOT, page_text
 from tests.unit.test_packaging import PACKAGES, PIN, lock_lines
 
-EXTRAS: Final = "diagnostics,parquet,paper,test,uds"
+EXTRAS: Final = "diagnostics,parquet,test,uds"
 BESIDE: Final = ("matplotlib", "pandas", "polars")  # which the page and the notebook use
 SOURCES: Final = ("pyproject.toml", "README.md", "LICENSE", *PACKAGES)
 FAULTS: Final = ("none", "drop", "alter", "swap")

@@ -22,7 +22,7 @@ PACKAGES = (
     "fleet_backend",
     "fleet_contract",
     "fleet_link",
-    "program_io",
+    "clutchdiag_io",
 )
 EARLIER = "_EARLIER"  # so begin the names of texts of earlier versions, which are read and not shown
 _MAX_WORDS = 32

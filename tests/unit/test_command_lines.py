@@ -7,11 +7,11 @@ from pathlib import Path
 import click
 import pytest
 
+from clutchdiag_io.command_line import Command, Program, parse
 from diag_service.commands.arguments import COMMAND_LINE as DIAG_SERVICE
 from ecu_emulator.arguments import COMMAND_LINE as ECU_EMULATOR
 from fleet_backend.arguments import COMMAND_LINE as FLEET_BACKEND
 from fleet_backend.certificates.cli import COMMAND_LINE as FLEET_CERTIFICATES
-from program_io.command_line import Command, Program, parse
 
 PROGRAMS = {str(program.name): program for program in (DIAG_SERVICE, ECU_EMULATOR, FLEET_BACKEND, FLEET_CERTIFICATES)}
 

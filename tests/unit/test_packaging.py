@@ -20,7 +20,7 @@ PACKAGES = (
     "fleet_backend",
     "fleet_contract",
     "fleet_link",
-    "program_io",
+    "clutchdiag_io",
 )
 SUBPACKAGES = sorted(
     ".".join(path.parent.relative_to(ROOT).parts)

@@ -40,7 +40,7 @@ def nothing(silence: Silence, reason: str) -> Finding:
 
 
 def _because(condition: Condition, cause: Cause, probability: float, facts: str) -> Finding:
-    reason = f"{cause} ({probability:.2f}): {facts}"
+    reason = f"{cause} ({_likely(probability)}): {facts}"
     return Finding(condition=condition, reason=reason, ground=cause, probability=probability)
 
 
@@ -101,7 +101,7 @@ def decide(
     is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
     if not is_sure and _may_be_thin(own_thin, common_thin, previous):
         by_either = max(own_thin, common_thin)
-        return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({by_either:.3f}): {facts}")
+        return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({_likely(by_either)}): {facts}")
     return _unless_they_judder(launches, 1.0 - probability, facts)
 
 
@@ -120,13 +120,17 @@ def _unless_they_judder(launches: Launches, probability: float, facts: str) -> F
 
 def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend | None, shift_count: int) -> str:
     facts = (
-        f"mu-v slope negative with probability {friction.probability_negative_slope:.3f}, "
+        f"a negative mu-v slope is {_likely(friction.probability_negative_slope)}, "
         f"mu_C {100.0 * level.mean:.0f} +- {100.0 * level.stdev:.0f} % of new"
     )
     if since is not None:
         change, std = 100.0 * since.change_mu_c_ratio, 100.0 * since.std_change_mu_c_ratio
         facts += f", {change:+.1f} +- {std:.1f} % since the baseline"
     return f"{facts}, {shift_count} shifts"
+
+
+def _likely(probability: float) -> str:
+    return f"{100.0 * probability:.1f} % likely"
 
 
 def _lost(since: FrictionTrend | None, level_ratio: float) -> float:

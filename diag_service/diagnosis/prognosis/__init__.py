@@ -1,12 +1,10 @@
 """Prognosis: from the past results of one clutch to how far its fluid will go, with how sure that is."""
 
-from diag_service.diagnosis.prognosis.batches import Batch, hidden_batches
 from diag_service.diagnosis.prognosis.bends import Hindsight
 from diag_service.diagnosis.prognosis.channels import ChannelName
 from diag_service.diagnosis.prognosis.common import Common, Monthly, common_course, common_of, monthly, without
 from diag_service.diagnosis.prognosis.history import History, history_of, history_of_estimates
 from diag_service.diagnosis.prognosis.lots import Lot, LotStanding, lot_standings
-from diag_service.diagnosis.prognosis.outliers import Standing, standings
 from diag_service.diagnosis.prognosis.passage import Passage
 from diag_service.diagnosis.prognosis.past_lives import ageings, hindsights
 from diag_service.diagnosis.prognosis.population import Ageing, Kind, Peers, Population, Usual, learn, with_bends
@@ -15,7 +13,6 @@ from diag_service.diagnosis.prognosis.written import population_from, population
 
 __all__ = [
     "Ageing",
-    "Batch",
     "ChannelName",
     "Common",
     "Hindsight",
@@ -29,12 +26,10 @@ __all__ = [
     "Peers",
     "Population",
     "Prognosis",
-    "Standing",
     "Usual",
     "ageings",
     "common_course",
     "common_of",
-    "hidden_batches",
     "hindsights",
     "history_of",
     "history_of_estimates",
@@ -44,7 +39,6 @@ __all__ = [
     "population_from",
     "population_record",
     "prognose",
-    "standings",
     "with_bends",
     "without",
 ]

@@ -13,9 +13,9 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis.channels import ChannelName
-from diag_service.diagnosis.prognosis.outliers import FALSE_SHARE, z_score
-from diag_service.diagnosis.prognosis.population import Ageing, Population, location_and_scatter
+from diag_service.diagnosis.prognosis.population import Ageing, Course, Population, Usual, location_and_scatter
 
+FALSE_SHARE: Final = 0.10  # of the lots that are named
 LEAST_VEHICLES: Final = 3  # of a lot: fewer are single vehicles
 LOT_LOG_STD: Final = 0.05  # by which sound lots differ, natural logarithm of the loss
 BAD_RATIOS: Final = (1.25, 1.5, 2.0, 3.0)  # of the loss of bad lots, each as likely as the other
@@ -120,3 +120,13 @@ def _standing(lot: Lot, own: Sequence[_Vehicle]) -> LotStanding:
         e_value=float(np.mean(np.exp((effect * mean - 0.5 * effect**2) / variance))),
         is_named=False,
     )
+
+
+def z_score(course: Course, usual: Usual) -> tuple[float, float]:
+    """Return by how many deviations a loss is more than usual, and how much one is; scatter is that of logarithms."""
+    faster = max(course.loss_per_m, 0.0) / usual.loss_per_m
+    if faster <= 1.0:
+        std = float(np.hypot(course.loss_std_per_m / usual.loss_per_m, usual.loss_log_std))
+        return (course.loss_per_m / usual.loss_per_m - 1.0) / std, std
+    std = float(np.hypot(usual.loss_log_std, course.loss_std_per_m / course.loss_per_m))
+    return float(np.log(faster)) / std, std

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from alembic import op
 
-from fleet_backend.months.whereabouts import FILL, FOLLOW, MAKE
+from fleet_backend.months.locations import FILL, FOLLOW, MAKE
 
 revision: str = "r0009"
 down_revision: str | None = "r0008"

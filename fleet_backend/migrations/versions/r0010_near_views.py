@@ -41,7 +41,7 @@ SELECT v.vehicle, v.is_online, v.connected_at, v.service_version, v.metrics_at, 
 ) AS last_result_at
 FROM vehicle AS v
 """
-# A block has the 1024 positions of whereabouts.BLOCK, which can change with the tables and views only.
+# A block has the 1024 positions of locations.BLOCK, which can change with the tables and views only.
 # Runs of verdicts that say change_fluid, from those blocks alone that hold such a verdict, and from those behind them
 # up to one that certainly holds another: in which there is one version of each result, and none that was replaced.
 CLUTCH_ALARM: Final = """

@@ -1,11 +1,13 @@
 """Speed and acceleration, pressure and its rate by a steady Kalman filter, docs/model.md eqs. (11) to (16).
 
-Its gain is constant, so the whole record is one linear filter.
+SciPy solves for its gain, filterpy runs it. Both take a second to load, and only this method needs them.
 """
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -38,14 +40,16 @@ class SteadyKalman:
 
     def __call__(self, samples: FloatArray, period_s: float) -> Rated:
         """Return the filtered signal and rate; the filter starts at the first sample, at rest."""
-        from scipy.signal import lfilter  # noqa: PLC0415 - scipy takes a second; only this method needs it
-
-        decay = 1.0 - self.value_gain + period_s * self.rate_gain_1_s
-        denominator = (1.0, self.value_gain - 2.0, decay)
-        departure = samples - samples[0]
-        value = lfilter((0.0, self.value_gain, decay - 1.0), denominator, departure)
-        rate = lfilter((0.0, self.rate_gain_1_s, -self.rate_gain_1_s), denominator, departure)
-        return Rated(value=samples[0] + value, rate=rate)
+        kalman = _kalman_filter()
+        kalman.F = np.array([[1.0, period_s], [0.0, 1.0]])
+        kalman.H = np.array([[1.0, 0.0]])
+        kalman.K = np.linalg.solve(kalman.F, [[self.value_gain], [self.rate_gain_1_s]])  # L = F*K
+        found = np.empty((len(samples), 2))
+        for row, departure in zip(found, samples - samples[0], strict=True):
+            row[:] = kalman.x[:, 0]
+            kalman.update_steadystate(departure)
+            kalman.predict_steadystate()
+        return Rated(value=samples[0] + found[:, 0], rate=found[:, 1])
 
     def rate_noise_1_s(self, period_s: float) -> float:
         """Return the standard deviation of the rate per standard deviation of white noise in the samples [1/s].
@@ -55,6 +59,13 @@ class SteadyKalman:
         beta = period_s * self.rate_gain_1_s
         alpha = self.value_gain - beta
         return math.sqrt(2.0 / (alpha * (4.0 - 2.0 * alpha - beta))) * beta / period_s
+
+
+def _kalman_filter() -> Any:  # noqa: ANN401 - filterpy is untyped
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it loads matplotlib, whose own dependencies are deprecated
+        from filterpy.kalman import KalmanFilter  # noqa: PLC0415 - as said above
+    return KalmanFilter(dim_x=2, dim_z=1)
 
 
 def steady_kalman_gain(period_s: float, rate_variance: float, sample_variance: float) -> tuple[float, float]:
@@ -67,7 +78,7 @@ def steady_kalman_gain(period_s: float, rate_variance: float, sample_variance: f
     rate_variance, sample_variance : float
         q and r, in squared units of the rate's derivative and of the samples.
     """
-    from scipy.linalg import solve_discrete_are  # noqa: PLC0415 - as above
+    from scipy.linalg import solve_discrete_are  # noqa: PLC0415 - as said above
 
     # Scaled states (w, T*dw/dt) and unit measurement noise: the raw equation is too ill-conditioned.
     transition = np.array([[1.0, 1.0], [0.0, 1.0]])
@@ -93,7 +104,7 @@ def quiet_filter(period_s: float, sample_std: float, rate_std: float) -> SteadyK
     ValueError
         If no filter of this period does.
     """
-    from scipy.optimize import brentq  # noqa: PLC0415 - as above
+    from scipy.optimize import brentq  # noqa: PLC0415 - as said above
 
     def excess(tracking_decade: float) -> float:
         return tracker(tracking_decade, period_s).rate_noise_1_s(period_s) * sample_std / rate_std - 1.0

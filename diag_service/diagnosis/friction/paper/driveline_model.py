@@ -120,7 +120,7 @@ def _discretised(
     rate: FloatArray, by_torque: FloatArray, diffusion: FloatArray, period_s: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return transition, response to a held engine torque, and covariance of the noise (Van Loan's way)."""
-    from scipy.linalg import expm  # noqa: PLC0415 - scipy takes a second; only this method needs it
+    from scipy.linalg import expm  # noqa: PLC0415 - it takes a second to load
 
     size = len(rate)
     forced = np.zeros((size + 1, size + 1))

@@ -7,6 +7,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from clutchdiag_io.pages.headers import SAFE_HEADERS
 from diag_service.delivery import MemoryReporter
 from diag_service.errors import ConfigError
 from diag_service.live_page import opened_page
@@ -16,7 +17,6 @@ from diag_service.service.session import Session
 from diag_service.service.snapshot import Board, SnapshotTaker
 from diag_service.settings.config import DiagnosisConfig, ListenAddress
 from diag_service.store import ResultStore
-from program_io.pages.headers import SAFE_HEADERS
 from tests.support.patience import HANG_S
 from tests.unit.diag_service.service.test_live import CALIBRATION, gear_frames, session_for
 from tests.unit.diag_service.service.test_onlookers import STATUS, StillSource

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from canlog.series import Series
+from clutchdiag_io.pages.content import spread
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.records import FluidFill, Reason, Status
@@ -19,7 +20,6 @@ from diag_service.report.findings import Album, Findings
 from diag_service.report.page import html_of, page_of, record_of, write_page
 from diag_service.report.pictures import Trend
 from fleet_contract.orders import Action
-from program_io.pages.content import spread
 from tests.support.builders import shift_result
 from tests.support.histories import findings, history
 

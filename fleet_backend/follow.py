@@ -1,0 +1,148 @@
+"""What vehicles tell, as it arrives: a line, or an object of JSON, for each result and each sign of life."""
+
+import asyncio
+import logging
+import os
+import signal
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Final
+
+import aiomqtt
+
+from fleet_backend.arguments import BROKER_VARIABLE
+from fleet_backend.config import parse_broker
+from fleet_backend.errors import BrokerError, ConfigError
+from fleet_contract import (
+    TOPIC_ROOT,
+    Channel,
+    ContractError,
+    Incoming,
+    JsonObject,
+    bundled_events,
+    dump,
+    is_vehicle,
+    parse_topic,
+    read_event,
+)
+from fleet_link import BrokerAddress
+
+FOLLOWED: Final = (Channel.SHIFT, Channel.BUNDLE, Channel.STATUS)
+FIRST_PAUSE_S: Final = 1.0  # before a lost connection is tried again; doubled until the longest
+LONGEST_PAUSE_S: Final = 30.0
+BAND_STD: Final = 2.0
+_LOG: Final = logging.getLogger(__name__)
+
+
+def execute(options: SimpleNamespace) -> None:
+    """Follow a broker until SIGINT or SIGTERM; raises ConfigError, and BrokerError if it cannot be reached at first."""
+    url = os.environ.get(BROKER_VARIABLE, "") if options.broker == "-" else options.broker
+    if not url:
+        raise ConfigError(f"no broker: name one, or set {BROKER_VARIABLE}")
+    address = parse_broker(url, ca=options.ca, certificate=options.cert, key=options.key)
+    if strangers := [name for name in options.vehicles if not is_vehicle(name)]:
+        raise ConfigError(f"{strangers[0]!r} is not a vehicle id")
+    follower = Follower(address, options.vehicles, is_json=options.json)
+    try:
+        asyncio.run(follower.run_until_stopped())
+    finally:
+        for reason, count in follower.left_out.items():
+            _LOG.warning("%d message(s) left out: %s", count, reason)
+
+
+class Follower:
+    """Shows what vehicles say, all if none is named; a broker that goes away is asked again until it is back."""
+
+    def __init__(self, address: BrokerAddress, vehicles: Sequence[str], *, is_json: bool) -> None:
+        self.left_out: Counter[str] = Counter()  # by the rule of the contract that a message breaks
+        self._address = address
+        self._filters = [f"{TOPIC_ROOT}/{name}/{one.label}" for name in vehicles or ("+",) for one in FOLLOWED]
+        self._is_json = is_json
+
+    async def run_until_stopped(self) -> None:
+        """Follow until a signal comes."""
+        task = asyncio.ensure_future(self.run())
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+        with suppress(asyncio.CancelledError):
+            await task
+
+    async def run(self) -> None:
+        """Follow for ever; raises BrokerError if the first connection fails."""
+        pause_s, was_there = FIRST_PAUSE_S, False
+        while True:
+            try:
+                async with self._client() as client:
+                    for name in self._filters:
+                        codes = await client.subscribe(name, qos=0)
+                        if any(getattr(code, "is_failure", False) for code in codes):
+                            raise BrokerError(f"broker {self._address} refuses {name}")
+                    pause_s, was_there = FIRST_PAUSE_S, True
+                    async for message in client.messages:
+                        self._show(str(message.topic), bytes(message.payload))
+            except aiomqtt.MqttError as exc:
+                if not was_there:
+                    raise BrokerError(f"broker {self._address}: {exc}") from exc
+                _LOG.warning("broker %s: %s; trying again in %g s", self._address, exc, pause_s)
+                await asyncio.sleep(pause_s)
+                pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+
+    def _client(self) -> aiomqtt.Client:
+        address, tls = self._address, self._address.tls
+        return aiomqtt.Client(
+            address.host,
+            address.port,
+            username=address.username,
+            password=address.password,
+            protocol=aiomqtt.ProtocolVersion.V5,
+            tls_context=None if tls is None else tls.context(is_key_private=False),
+            logger=logging.getLogger("mqtt"),
+        )
+
+    def _show(self, topic: str, payload: bytes) -> None:
+        try:
+            for event in _events(topic, payload):
+                text = dump(event.data) if self._is_json else line_of(event)
+                sys.stdout.write(text + "\n")
+        except ContractError as exc:
+            self.left_out[type(exc).__name__.removesuffix("Error").lower()] += 1
+            _LOG.warning("left out: %s", exc)
+        sys.stdout.flush()
+
+
+def _events(topic: str, payload: bytes) -> Iterator[Incoming]:
+    """Yield what a message says; a bundle says several things. Raises ContractError."""
+    address = parse_topic(topic)
+    if address.channel is not Channel.BUNDLE:
+        yield read_event(address, payload)
+        return
+    for event in bundled_events(payload):
+        yield read_event(replace(address, channel=Channel.SHIFT), event)
+
+
+def line_of(event: Incoming) -> str:
+    """Return what an event says, for people."""
+    data, vehicle = event.data, event.address.vehicle
+    if event.address.channel is Channel.STATUS:
+        return f"{event.time} {vehicle}: {data['status']}"
+    verdict = data["verdict"]
+    advice = verdict.get("advice") if isinstance(verdict, dict) else None
+    head = f"{event.time} {vehicle}: clutch {data['clutch']}, {data.get('kind', 'shift')} {_gears(data)}"
+    return " ".join([f"{head}: {_finding(data)}.", str(advice or "")]).rstrip()
+
+
+def _gears(data: JsonObject) -> str:
+    return f"{data['from_gear']}-{data['to_gear']}"
+
+
+def _finding(data: JsonObject) -> str:
+    friction = data["friction"]
+    if not isinstance(friction, dict):
+        reasons = data["reasons"]
+        return f"not used ({', '.join(map(str, reasons)) if isinstance(reasons, list) else reasons})"
+    mu_c, mu_s, std_c, std_s = (float(str(friction[name])) for name in ("mu_c", "mu_s", "std_mu_c", "std_mu_s"))
+    return f"mu_C {mu_c:.4f} ± {BAND_STD * std_c:.4f}, mu_S {mu_s:.4f} ± {BAND_STD * std_s:.4f}"

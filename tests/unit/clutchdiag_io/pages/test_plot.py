@@ -1,0 +1,105 @@
+"""Pictures as SVG: what is drawn is where its numbers say, and nothing in a text is taken for markup."""
+
+import re
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from clutchdiag_io.pages.plot import WIDTH, Axis, Plot, thinned
+
+UNIT = Axis(low=0.0, high=1.0, label="x")
+
+
+def drawn(plot: Plot, style: str) -> str:
+    root = ET.fromstring(str(plot.markup()))  # noqa: S314 - our own
+    (path,) = [one.get("d") or "" for one in root.iter("path") if one.get("class") == style]
+    return path
+
+
+def points(path: str) -> list[tuple[float, float]]:
+    return [(float(x), float(y)) for x, y in re.findall(r"[ML]([-\d.]+) ([-\d.]+)", path)]
+
+
+def test_a_line_goes_through_its_points() -> None:
+    plot = Plot("line", UNIT, UNIT, height=310)
+    plot.line(np.array([0.0, 0.5, 1.0]), np.array([0.0, 0.5, 1.0]), "line")
+    (x0, y0), (x1, y1), (x2, y2) = points(drawn(plot, "line"))
+    assert (x0, x2) == (62.0, WIDTH - 24.0)
+    assert (y0, y2) == (260.0, 14.0)
+    assert (x1, y1) == pytest.approx(((x0 + x2) / 2, (y0 + y2) / 2))
+
+
+def test_a_line_breaks_where_nothing_is_known() -> None:
+    plot = Plot("line", UNIT, UNIT)
+    plot.line(np.linspace(0.0, 1.0, 5), np.array([0.0, 1.0, np.nan, 1.0, 0.0]), "line")
+    assert drawn(plot, "line").count("M") == 2
+
+
+def test_a_band_has_a_piece_for_each_known_stretch() -> None:
+    plot = Plot("band", UNIT, UNIT)
+    low = np.array([0.1, 0.1, np.nan, 0.2, 0.2])
+    plot.band(np.linspace(0.0, 1.0, 5), low, low + 0.1, "band")
+    assert drawn(plot, "band").count("Z") == 2
+    assert len(points(drawn(plot, "band"))) == 8
+
+
+def test_dots_that_are_not_known_are_left_out() -> None:
+    plot = Plot("dots", UNIT, UNIT)
+    plot.dots(np.array([0.1, 0.2, 0.3]), np.array([0.5, np.nan, 0.5]), "clutch1")
+    assert len(points(drawn(plot, "dots clutch1"))) == 2
+
+
+def test_a_text_is_no_markup() -> None:
+    plot = Plot('a "picture" <of> & things', UNIT, Axis(low=0.0, high=1.0, label="<script>"))
+    plot.level(0.5, "watch", "<b>&</b>")
+    markup = str(plot.markup())
+    assert "<script>" not in markup
+    assert "<b>" not in markup
+    root = ET.fromstring(markup)  # noqa: S314 - our own
+    assert root.get("aria-label") == 'a "picture" <of> & things'
+    assert root.get("role") == "img"
+    assert "<b>&</b>" in [one.text for one in root.iter("text")]
+
+
+def test_a_level_outside_the_picture_is_not_drawn() -> None:
+    plot = Plot("level", UNIT, UNIT)
+    before = str(plot.markup())
+    plot.level(2.0, "watch", "far away")
+    assert str(plot.markup()) == before
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(0.0, 1.0), (-3.0, 7.0), (0.1034, 0.1421), (0.0, 12_000.0), (1e-6, 3e-6), (-0.5, -0.4999)]
+)
+def test_ticks_are_few_round_and_told_apart(low: float, high: float) -> None:
+    axis = Axis(low=low, high=high, label="x")
+    ticks = axis.ticks
+    assert 2 <= len(ticks) <= 13
+    assert all(low - 1e-9 * abs(high) <= tick <= high + 1e-9 * abs(high) for tick in ticks)
+    texts = [axis.tick_text(tick) for tick in ticks]
+    assert len(set(texts)) == len(texts)
+    assert [float(text) for text in texts] == pytest.approx(ticks)
+
+
+@pytest.mark.parametrize("values", [[], [np.nan], [3.0], [0.0], [-2.0, 5.0, np.inf]])
+def test_an_axis_shows_whatever_there_is(values: list[float]) -> None:
+    axis = Axis.around("x", np.array(values))
+    assert np.isfinite([axis.low, axis.high]).all()
+    assert axis.high > axis.low
+    for value in values:
+        assert not np.isfinite(value) or axis.low <= value <= axis.high
+
+
+def test_of_many_values_the_extremes_of_each_stretch_are_kept() -> None:
+    values = np.zeros(10_000)
+    values[1234], values[7777] = 5.0, -5.0
+    kept = thinned(values, 600)
+    assert len(kept) <= 610
+    assert {0, 1234, 7777, 9999} <= set(kept.tolist())
+    assert (np.diff(kept) > 0).all()
+
+
+def test_few_values_are_all_kept_and_unknown_ones_do_no_harm() -> None:
+    assert thinned(np.arange(600.0), 600).tolist() == list(range(600))
+    assert len(thinned(np.full(5_000, np.nan), 100)) == 2

@@ -1,0 +1,160 @@
+"""Command lines: what is understood, what is complained of in one line, what help and completion show."""
+
+from types import SimpleNamespace
+
+import click
+import pytest
+
+from clutchdiag_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Group, Option, Program, parse
+
+ANSWER = Command(
+    "answer",
+    "answer a question",
+    click.Argument(["words"], nargs=-1, required=True, metavar="WORD...", help="what is asked"),
+    Option("-o --output FILE", "where to", FILE, required=True),
+    Option("-n --count COUNT", "how often", INT, default=1),
+    Option("--colour", "of the ink", Choice(["red", "blue"])),
+    Option("--column COLUMN", "where it begins", FLOAT),
+    Option("--pause [S]", "wait before it", INT, flag_value=5),
+    Option("--note NOTE", "to be remembered"),
+    Option("--loud", "in capitals"),
+    VERBOSE,
+    examples=("oracle answer why -o answer.txt",),
+)
+ORACLE = Program(
+    "oracle",
+    "Answers questions.",
+    "exit status: 0 answered",
+    ANSWER,
+    Group("well", "look after the well", Command("clean", "clean it", VERBOSE), metavar="ACTION"),
+)
+
+
+def said(*words: str) -> SimpleNamespace:
+    return parse(ORACLE, ["answer", "why", "-o", "a.txt", *words])
+
+
+def test_words_become_values_and_what_was_given_is_known() -> None:
+    options = said("--count", "-3", "--loud", "-vv", "not")
+    assert (options.command, options.words, str(options.output)) == ("answer", ("why", "not"), "a.txt")
+    assert (options.count, options.loud, options.verbose, options.colour) == (-3, True, 2, None)
+    assert options.given == {"words", "output", "count", "loud", "verbose"}
+    assert parse(ORACLE, ["well", "clean"]).command == "well"
+
+
+@pytest.mark.parametrize(
+    ("words", "name", "value"),
+    [
+        (("--cou", "2"), "count", 2),
+        (("--cou=2",), "count", 2),
+        (("-n2",), "count", 2),
+        (("--lo",), "loud", True),
+        (("--column", "-.5"), "column", -0.5),
+        (("--pause",), "pause", 5),
+        (("--pause", "--loud"), "pause", 5),
+        (("--pause", "7"), "pause", 7),
+        (("--", "--cou"), "words", ("why", "--cou")),
+        (("--note", "-5 degrees outside"), "note", "-5 degrees outside"),
+        (("-o", "-"), "output", FILE.coerce_path_result("-")),
+        (("-o", "--", "-x"), None, None),
+        (("--output=--loud",), "output", FILE.coerce_path_result("--loud")),
+    ],
+)
+def test_an_option_is_written_as_users_write_it(words: tuple[str, ...], name: str | None, value: object) -> None:
+    if name is None:
+        with pytest.raises(SystemExit):
+            said(*words)
+        return
+    assert getattr(said(*words), name) == value
+
+
+@pytest.mark.parametrize(
+    ("words", "text", "helper"),
+    [
+        ((), "the following arguments are required: COMMAND", "oracle"),
+        (("ask",), "argument COMMAND: invalid choice: 'ask' (choose from 'answer', 'well')", "oracle"),
+        (("--loud",), "unrecognized arguments: --loud", "oracle"),
+        (("well",), "the following arguments are required: ACTION", "oracle well"),
+        (("well", "dig"), "argument ACTION: invalid choice: 'dig' (choose from 'clean')", "oracle well"),
+        (("well", "clean", "now", "then"), "unrecognized arguments: now then", "oracle well clean"),
+        (("answer", "-o", "a", "why", "--column", "x"), "argument --column: invalid float value: 'x'", "oracle answer"),
+        (("well", "clean", "now"), "unrecognized arguments: now", "oracle well clean"),
+        (("answer",), "the following arguments are required: WORD", "oracle answer"),
+        (("answer", "why"), "the following arguments are required: -o/--output", "oracle answer"),
+        (("answer", "why", "-o"), "argument -o/--output: expected one argument", "oracle answer"),
+        (("answer", "why", "-o", "--loud"), "argument -o/--output: expected one argument", "oracle answer"),
+        (("answer", "why", "--out", "-v"), "argument -o/--output: expected one argument", "oracle answer"),
+        (("answer", "-o", "a", "why", "-n", "x"), "argument -n/--count: invalid int value: 'x'", "oracle answer"),
+        (
+            ("answer", "-o", "a", "why", "--colour", "green"),
+            "argument --colour: invalid choice: 'green' (choose from 'red', 'blue')",
+            "oracle answer",
+        ),
+        (("answer", "--loud=yes"), "option '--loud' does not take a value", "oracle answer"),
+        (("answer", "--verbsoe"), "unrecognized arguments: --verbsoe. Did you mean '--verbose'?", "oracle answer"),
+        (
+            ("answer", "--co", "1"),
+            "unrecognized arguments: --co. (Did you mean one of: '--colour', '--column', '--count'?)",
+            "oracle answer",
+        ),
+    ],
+)
+def test_a_complaint_is_one_line_that_names_the_help(
+    words: tuple[str, ...], text: str, helper: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parse(ORACLE, words)
+    assert ended.value.code == 2
+    assert capsys.readouterr() == ("", f"oracle: error: {text} (see {helper} --help)\n")
+
+
+def test_help_shows_every_option_an_example_and_the_exit_status(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["answer", "-h"], ["answer", "why", "--help"]):
+        with pytest.raises(SystemExit) as ended:
+            parse(ORACLE, words)
+        assert ended.value.code == 0
+        out, err = capsys.readouterr()
+        assert err == ""
+        assert out.startswith("usage: oracle answer [OPTIONS] WORD...\n\n  answer a question\n")
+        for text in ("WORD...  what is asked", "-o, --output FILE", "-n, --count COUNT", "--colour [red|blue]"):
+            assert f"  {text}" in out
+        assert "\nExamples:\n  oracle answer why -o answer.txt\n" in out
+        assert out.endswith("\n\nexit status: 0 answered\n")
+
+
+def test_the_program_s_help_shows_its_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        parse(ORACLE, ["--help"])
+    out = capsys.readouterr().out
+    assert out.startswith("usage: oracle [OPTIONS] COMMAND ...\n\n  Answers questions.\n")
+    assert "Commands:\n    answer  answer a question\n    well    look after the well\n\nexit status" in out
+
+
+@pytest.mark.parametrize(
+    ("line", "place", "offered"),
+    [
+        ("oracle ", 1, {"answer", "well"}),
+        ("oracle well ", 2, {"clean"}),
+        ("oracle answer --co", 2, {"--count", "--colour", "--column"}),
+        ("oracle answer --colour ", 3, {"red", "blue"}),
+    ],
+)
+def test_a_shell_completes_words(
+    line: str, place: int, offered: set[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("_ORACLE_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_WORDS", line)
+    monkeypatch.setenv("COMP_CWORD", str(place))
+    with pytest.raises(SystemExit) as ended:
+        parse(ORACLE, [])
+    assert ended.value.code == 0
+    assert {one.partition(",")[2] for one in capsys.readouterr().out.split()} == offered
+
+
+def test_a_shell_completes_file_names(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("_ORACLE_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_WORDS", "oracle answer -o dri")
+    monkeypatch.setenv("COMP_CWORD", "3")
+    with pytest.raises(SystemExit):
+        parse(ORACLE, [])
+    assert capsys.readouterr().out == "file,dri\n"

@@ -1,0 +1,30 @@
+"""An error is one line and a status, whatever its text is."""
+
+import pytest
+
+from clutchdiag_io.complaint import complain
+
+STATUSES = (((FileNotFoundError, KeyError), 2), (OSError, 3))
+
+
+@pytest.mark.parametrize(
+    ("exc", "status", "line"),
+    [
+        (FileNotFoundError("no log"), 2, "no log"),
+        (PermissionError("not\n  for\tyou"), 3, "not for you"),
+        (OSError("log\udce9.log"), 3, "log\\xe9.log"),
+        (RuntimeError("wires\ncrossed"), 1, "unexpected RuntimeError: wires crossed (ask)"),
+    ],
+)
+def test_an_error_is_one_line_and_a_status(
+    exc: Exception, status: int, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert complain("oracle", exc, STATUSES, hint=" (ask)") == status
+    assert capsys.readouterr() == ("", f"oracle: error: {line}\n")
+
+
+def test_where_it_came_from_is_shown_if_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    assert complain("oracle", RuntimeError("crossed"), STATUSES, is_verbose=True, hint=" (ask)") == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "RuntimeError: crossed"
+    assert lines[-1] == "oracle: error: unexpected RuntimeError: crossed"

@@ -1,0 +1,52 @@
+"""What was worked out is kept while what it was made of stays the same, in bounded memory, and not for ever."""
+
+from fleet_backend.page.cache import LONGEST_S, Cache, Same
+
+
+class Maker:
+    """Makes values, and counts them."""
+
+    def __init__(self, length: int = 1) -> None:
+        self.count = 0
+        self._length = length
+
+    def __call__(self) -> list[int]:
+        self.count += 1
+        return [self.count] * self._length
+
+
+def test_a_value_is_made_once_for_each_state() -> None:
+    remembered, make = Cache(10, len), Maker()
+    first = remembered.of("a", 1, make)
+    assert remembered.of("a", 1, make) is first
+    assert remembered.of("b", 1, make) is not first
+    assert remembered.of("a", 2, make) is not first
+    assert make.count == 3
+
+
+def test_a_value_is_the_same_as_itself_alone() -> None:
+    one, other = [1], [1]
+    assert Same(one) == Same(one)
+    assert len({Same(one), Same(one), Same(other)}) == 2
+    assert Same(one) != one
+
+
+def test_what_nobody_asked_for_longest_goes_first_and_all_goes_in_time() -> None:
+    now_s = 0.0
+    remembered, make = Cache(5, len, clock=lambda: now_s), Maker(2)
+    for key in ("a", "b", "a", "c"):
+        remembered.of(key, 0, make)
+    assert make.count == 3
+    remembered.of("a", 0, make)
+    assert make.count == 3
+    remembered.of("b", 0, make)
+    assert make.count == 4
+    now_s = LONGEST_S
+    remembered.of("b", 0, make)
+    assert make.count == 5
+
+
+def test_one_value_is_kept_however_large_it_is() -> None:
+    remembered, make = Cache(1, len), Maker(7)
+    assert remembered.of("a", 0, make) is remembered.of("a", 0, make)
+    assert make.count == 1
