@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from canlog.arrays import FloatArray
 from clutch_model.errors import DomainError
 from clutch_model.units import m_s_from_km_h
-from ecu_emulator.driving.trace import FloatArray, SpeedTrace
+from ecu_emulator.driving.trace import SpeedTrace
 
 SPEED_TOLERANCE_M_S: Final = float(m_s_from_km_h(2.0))
 TIME_TOLERANCE_S: Final = 1.0

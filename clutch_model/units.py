@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 Quantity = TypeVar("Quantity", float, npt.NDArray[np.float64])
 
+NS_PER_S = 1_000_000_000
 _RAD_S_PER_RPM = math.pi / 30.0
 _PA_PER_BAR = 1.0e5
 _ICE_POINT_K = 273.15

@@ -6,10 +6,10 @@ from types import TracebackType
 from typing import Final, Self
 
 from diag_service.errors import ControllerError
-from diag_service.tester.manners import Manners
-from diag_service.tester.opening import DoipPlace, dialogue_over_ip
+from diag_service.tester.asking import DoipPlace, dialogue_over_ip
+from diag_service.tester.description_file import recognised
 from diag_service.tester.reading import read_troubles
-from diag_service.tester.recognising import recognised
+from diag_service.tester.timing import Timing
 from diag_service.tester.trouble_report import code_words
 
 LOGICAL_ADDRESS: Final = 0x1011  # of the emulated controller
@@ -54,7 +54,7 @@ class ScanTool:
                 continue
 
     def _ask(self) -> None:
-        with dialogue_over_ip(self._place, Manners()) as dialogue:
+        with dialogue_over_ip(self._place, Timing()) as dialogue:
             description = recognised(dialogue)
             while not self._is_over.wait(PERIOD_S):
                 codes = read_troubles(dialogue, description, has_details=False)

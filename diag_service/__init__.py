@@ -15,7 +15,6 @@ if typing.TYPE_CHECKING:
     from canlog.written_tables import TableChoice
     from clutch_model.errors import CalibrationError
     from diag_service.api.analysis import Analysis, analyze
-    from diag_service.api.background import BackgroundDiagnosis
     from diag_service.api.choices import Delivery, Poll
     from diag_service.api.expectations import (
         expect_frames,
@@ -24,11 +23,10 @@ if typing.TYPE_CHECKING:
         expect_verdict,
     )
     from diag_service.api.folders import FolderAnalysis, analyze_folders
-    from diag_service.api.live import LiveDiagnosis, diagnose
-    from diag_service.api.scan import scan_controllers
+    from diag_service.api.live import BackgroundDiagnosis, LiveDiagnosis, diagnose
     from diag_service.api.stores import history, note_fluid, stored_shift, write_report
     from diag_service.api.tables import ResultTable
-    from diag_service.api.tester import UdsTester
+    from diag_service.api.tester import UdsTester, scan_controllers
     from diag_service.api.workshop import (
         PaperAnalysis,
         analyze_by_paper,
@@ -107,15 +105,13 @@ _HOMES = {
     "canlog.written_tables": ("TableChoice",),
     "clutch_model.errors": ("CalibrationError",),
     "diag_service.api.analysis": ("Analysis", "analyze"),
-    "diag_service.api.background": ("BackgroundDiagnosis",),
     "diag_service.api.choices": ("Delivery", "Poll"),
     "diag_service.api.expectations": ("expect_frames", "expect_same_frames", "expect_shifts", "expect_verdict"),
     "diag_service.api.folders": ("FolderAnalysis", "analyze_folders"),
-    "diag_service.api.live": ("LiveDiagnosis", "diagnose"),
-    "diag_service.api.scan": ("scan_controllers",),
+    "diag_service.api.live": ("BackgroundDiagnosis", "LiveDiagnosis", "diagnose"),
     "diag_service.api.stores": ("history", "note_fluid", "stored_shift", "write_report"),
     "diag_service.api.tables": ("ResultTable",),
-    "diag_service.api.tester": ("UdsTester",),
+    "diag_service.api.tester": ("UdsTester", "scan_controllers"),
     "diag_service.api.workshop": (
         "PaperAnalysis",
         "analyze_by_paper",

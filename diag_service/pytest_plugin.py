@@ -11,7 +11,7 @@ import pytest
 
 if TYPE_CHECKING:
     from canlog.live.medium import Medium
-    from diag_service.api.background import BackgroundDiagnosis
+    from diag_service.api.live import BackgroundDiagnosis
 
 
 @pytest.fixture

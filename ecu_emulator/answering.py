@@ -15,6 +15,7 @@ from typing import Final, Protocol, Self
 import can
 
 from canlog.e2e.message_contract import message_contracts
+from clutch_model.units import NS_PER_S
 from dbc.contract import load_contract
 from ecu_emulator.bus import FrameSender
 from ecu_emulator.diagnostics.codes import Status
@@ -35,7 +36,6 @@ from ecu_emulator.requested_routine import Driven, Performer, RequestedRoutine
 from ecu_emulator.sent_values import OWN_NODE, SentValues, recounted
 
 RUNNING_RAD_S: Final = 30.0  # engine speed that no starter reaches
-_NS_PER_S: Final = 1e9
 
 
 class Car(Performer, AdaptedCar, Protocol):
@@ -290,7 +290,7 @@ class Answering:
         driven = self._driven
         gear = self._sent.now({}).get("current_gear", driven.gear)
         if gear and driven.gear and gear != driven.gear:
-            driven = replace(driven, shift_count=driven.shift_count + 1, last_shift_ns=round(due_s * _NS_PER_S))
+            driven = replace(driven, shift_count=driven.shift_count + 1, last_shift_ns=round(due_s * NS_PER_S))
         self._driven = replace(driven, gear=gear or driven.gear)  # neutral between two gears is a part of their shift
 
     def _values(self) -> Mapping[str, float]:

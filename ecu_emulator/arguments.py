@@ -16,7 +16,7 @@ EXIT_TEXT: Final = (
     "exit status: 0 done or stopped; 1 unexpected error; 2 usage, scenario or an extra that is not installed; 3 bus; "
     "4 file; 130 interrupted twice"
 )
-NS_PER_S: Final = 1_000_000_000
+_NS_PER_S: Final = 1_000_000_000  # not of clutch_model, which imports numpy
 DEFAULT_REVS: Final = "4,4"
 DEFAULT_ELM_PORT: Final = "35000"
 DOIP_TLS_PORT: Final = 3496  # registered for DoIP by TLS, as 13400 is without
@@ -49,16 +49,20 @@ def _between(low: float, high: float, unit: str) -> Callable[[str], float]:
     return read
 
 
+def ns_of(instant: datetime) -> int:
+    """Return nanoseconds since the epoch, whole microseconds; UTC unless it has a zone."""
+    aware = instant if instant.tzinfo is not None else instant.replace(tzinfo=UTC)
+    return int(aware.replace(microsecond=0).timestamp()) * _NS_PER_S + aware.microsecond * 1000
+
+
 def _instant_ns(text: str) -> int:
-    """Return nanoseconds since the epoch, whole microseconds, of an ISO 8601 instant; UTC unless it says otherwise."""
     try:
         instant = datetime.fromisoformat(text)
     except ValueError as exc:
         raise ValueError(f"not an ISO 8601 time: {text}") from exc
-    aware = instant if instant.tzinfo is not None else instant.replace(tzinfo=UTC)
-    if aware < datetime(1970, 1, 1, tzinfo=UTC):
+    if (instant_ns := ns_of(instant)) < 0:
         raise ValueError(f"must not be before 1970: {text}")
-    return int(aware.replace(microsecond=0).timestamp()) * NS_PER_S + aware.microsecond * 1000
+    return instant_ns
 
 
 _VERBOSE: Final = Option("-v --verbose", "show a traceback on errors")

@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 
+from canlog.arrays import FloatArray
 from canlog.e2e.message_contract import MessageContract
 from ecu_emulator import frame_changes as change
 from ecu_emulator.errors import ConfigError
@@ -12,7 +13,6 @@ from ecu_emulator.fault_onsets import MS_PER_S, Onsets
 from ecu_emulator.faults import BusFault, BusFaultKind
 from ecu_emulator.frame_changes import Rows
 from ecu_emulator.frames import EncodedFrames, merge
-from ecu_emulator.readings import FloatArray
 from ecu_emulator.signals import generator
 
 LATE_CYCLES: Final = 1.5  # behind the successor, before the one after it

@@ -55,34 +55,17 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
     if options.command == "dbc":
         commands.save_dbc(options.output, is_forced=options.force)
         return
-    scenario = commands.choose_scenario(
-        options.scenario,
-        fluid=options.fluid,
-        seed=options.seed,
-        vehicle_seed=options.vehicle_seed,
-        drive_seed=options.drive_seed,
-        drive=options.drive,
-        cycles=options.cycles,
-        is_endless=options.endless,
-        oil_degc=options.oil_degc,
-        mass_kg=options.mass_kg,
-        odometer_m=commands.odometer_from(options.odometer),
-        routine=options.routine,
-        is_in_workshop=options.command == "run" and options.workshop,
-    )
+    scenario = commands.choose_scenario(commands.drive_options(options))
     if options.command == "record":
-        commands.record(
-            scenario,
+        log = commands.LogOptions(
             path=options.file,
             log_format=options.format,
             start_ns=options.start_time,
             channel=options.channel,
             truth=options.truth,
             longest_stay_s=options.parked,
-            is_json=options.json,
-            is_forced=options.force,
-            stop=stop,
         )
+        commands.record(scenario, log, stop, is_json=options.json, is_forced=options.force)
         return
     if text := refusal(options.truth, options.summary, is_forced=options.force):
         raise ConfigError(text)

@@ -11,15 +11,17 @@ from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 from clutch_model.units import k_from_degc
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.overwriting import refusal
+from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive_names import DriveName
-from ecu_emulator.errors import ConfigError, RecordError
+from ecu_emulator.errors import ConfigError, ExtraMissingError, RecordError
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
-from ecu_emulator.record import LogFile, LogFormat, LogStream, open_log, open_log_stream
+from ecu_emulator.record import DEFAULT_START_NS, LogFile, LogFormat, LogStream, open_log, open_log_stream
 from ecu_emulator.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.scenario import Ambient, FluidCondition, Routine, Scenario, Truth
 from ecu_emulator.scenario_file import load_scenario, shipped_scenarios
@@ -29,51 +31,77 @@ if TYPE_CHECKING:
     from ecu_emulator.diagnostics.table import DiagnosticTable
 
 
-def choose_scenario(
-    name_or_file: str | Scenario,
-    *,
-    fluid: str | None,
-    seed: int | None,
-    vehicle_seed: int | None = None,
-    drive_seed: int | None = None,
-    drive: str | None = None,
-    cycles: int | None,
-    is_endless: bool = False,
-    oil_degc: float | None = None,
-    mass_kg: float | None = None,
-    odometer_m: float | None = None,
-    routine: tuple[int, int] | None = None,
-    is_in_workshop: bool = False,
-) -> Scenario:
-    """Load a scenario, unless it is one, and override what is named besides; ``routine`` counts open and closed revs.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveOptions:
+    """What is driven: a scenario, and what of it is overridden; ``None`` is as the scenario has it."""
 
-    In a workshop the car waits for a tester to start the routine.
+    scenario: str | Scenario  # its name or file, unless it is one
+    fluid: str | None = None
+    seed: int | None = None
+    vehicle_seed: int | None = None
+    drive_seed: int | None = None
+    drive: str | None = None
+    cycles: int | None = None
+    is_endless: bool = False
+    oil_degc: float | None = None  # colder oil makes coolant and air as cold: the car has stood there
+    mass_kg: float | None = None
+    odometer_m: float | None = None
+    routine: tuple[int, int] | None = None  # revs with open and with closed clutches
+    is_in_workshop: bool = False  # the car waits for a tester to start the routine
 
-    Colder oil makes coolant and air as cold: the car has stood there.
 
-    Raises
-    ------
-    ConfigError
-        If the scenario or an override cannot be used.
-    """
-    scenario = name_or_file if isinstance(name_or_file, Scenario) else load_scenario(name_or_file)
-    if fluid is not None:
-        scenario = replace(scenario, fluid=replace(scenario.fluid, condition=FluidCondition(fluid)))
-    scenario = replace(
-        scenario,
-        seed=scenario.seed if seed is None else seed,
-        vehicle_seed=scenario.vehicle_seed if vehicle_seed is None else vehicle_seed,
-        drive_seed=scenario.drive_seed if drive_seed is None else drive_seed,
-        drive=scenario.drive if drive is None else DriveName(drive),
-        cycles=scenario.cycles if cycles is None else cycles,
-        endless=scenario.endless or is_endless,
-        ambient=scenario.ambient if oil_degc is None else started_at(scenario.ambient, float(k_from_degc(oil_degc))),
-        truth=scenario.truth if mass_kg is None else with_mass(scenario.truth, mass_kg),
-        odometer_m=scenario.odometer_m if odometer_m is None else odometer_m,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogOptions:
+    """Which log is written, and how."""
+
+    path: Path
+    log_format: str | None = None  # None: as the suffix says
+    start_ns: int = DEFAULT_START_NS
+    channel: str = "vcan0"
+    truth: Path | None = None  # None: beside the log
+    longest_stay_s: float = MOST_PARKED_S
+
+
+def drive_options(options: SimpleNamespace) -> DriveOptions:
+    """Return what a command line says of a drive; raises what ``odometer_from`` raises."""
+    return DriveOptions(
+        scenario=options.scenario,
+        fluid=options.fluid,
+        seed=options.seed,
+        vehicle_seed=options.vehicle_seed,
+        drive_seed=options.drive_seed,
+        drive=options.drive,
+        cycles=options.cycles,
+        is_endless=options.endless,
+        oil_degc=options.oil_degc,
+        mass_kg=options.mass_kg,
+        odometer_m=odometer_from(options.odometer),
+        routine=options.routine,
+        is_in_workshop=options.command == "run" and options.workshop,
     )
-    if routine is not None:
-        scenario = replace(scenario, routine=Routine(open_revs=routine[0], closed_revs=routine[1]))
-    if is_in_workshop:
+
+
+def choose_scenario(options: DriveOptions) -> Scenario:
+    """Return the scenario with what is overridden; raises ConfigError if it or an override cannot be used."""
+    named = options.scenario
+    scenario = named if isinstance(named, Scenario) else load_scenario(named)
+    given: dict[str, Any] = {
+        name: value
+        for name in ("seed", "vehicle_seed", "drive_seed", "cycles", "odometer_m")
+        if (value := getattr(options, name)) is not None
+    }
+    if options.fluid is not None:
+        given["fluid"] = replace(scenario.fluid, condition=FluidCondition(options.fluid))
+    if options.drive is not None:
+        given["drive"] = DriveName(options.drive)
+    if options.oil_degc is not None:
+        given["ambient"] = started_at(scenario.ambient, float(k_from_degc(options.oil_degc)))
+    if options.mass_kg is not None:
+        given["truth"] = with_mass(scenario.truth, options.mass_kg)
+    scenario = replace(scenario, endless=scenario.endless or options.is_endless, **given)
+    if options.routine is not None:
+        scenario = replace(scenario, routine=Routine(open_revs=options.routine[0], closed_revs=options.routine[1]))
+    if options.is_in_workshop:
         scenario = replace(scenario, routine=replace(scenario.routine, on_request=True))
     return scenario
 
@@ -149,9 +177,15 @@ def save_pdx(table: Path | None, path: Path, *, is_forced: bool) -> tuple["Diagn
     ------
     ConfigError, RecordError
         If the table cannot be used, or the file is there already or cannot be written.
+    ExtraMissingError
+        If odxtools is not installed.
     """
-    from ecu_emulator.diagnostics.pdx.package import pdx_package  # noqa: PLC0415 - for this command alone
-    from ecu_emulator.diagnostics.table_file import load_table, shipped_table  # noqa: PLC0415 - likewise
+    from ecu_emulator.diagnostics.table_file import load_table, shipped_table  # noqa: PLC0415 - for this command alone
+
+    try:
+        from ecu_emulator.diagnostics.pdx.package import pdx_package  # noqa: PLC0415 - likewise
+    except ImportError as exc:
+        raise ExtraMissingError("PDX files need odxtools: pip install 'clutchdiag[odx]'") from exc
 
     if table is not None and path.absolute() == table.absolute():
         raise ConfigError(f"table and package cannot both be {path}")
@@ -231,13 +265,7 @@ class Recording:
 
 def write_log(
     scenario: Scenario,
-    *,
-    path: Path,
-    log_format: str | None,
-    start_ns: int,
-    channel: str,
-    truth: Path | None,
-    longest_stay_s: float,
+    options: LogOptions,
     stop: Event,
     show: Callable[[Totals, float], None] = lambda _totals, _took_s: None,
 ) -> Recording:
@@ -254,15 +282,16 @@ def write_log(
     """
     if scenario.routine.on_request:
         raise ConfigError("a log has no tester who would start the routine: give the number of revs instead")
-    truth_file = truth or (Path(os.devnull) if path == STANDARD_STREAM else truth_path(path))
+    path = options.path
+    truth_file = options.truth or (Path(os.devnull) if path == STANDARD_STREAM else truth_path(path))
     if truth_file.absolute() == path.absolute():
         raise ConfigError(f"log and truth cannot both be {path}")
-    drive = Drive(scenario, longest_stay_s)
+    drive = Drive(scenario, options.longest_stay_s)
     began_s = time.perf_counter()
     writer: TruthWriter | None = None
     try:
         with (
-            _open(path, log_format, start_ns, channel) as log,
+            _open(options) as log,
             TruthWriter(truth_file) as writer,
         ):
             writer.drive(drive.truth)
@@ -288,30 +317,19 @@ def write_log(
     )
 
 
-def _open(path: Path, log_format: str | None, start_ns: int, channel: str) -> LogFile | LogStream:
-    chosen = LogFormat(log_format) if log_format else None
-    if path == STANDARD_STREAM:
-        return open_log_stream(sys.stdout.buffer, log_format=chosen, start_ns=start_ns, channel=channel)
-    return open_log(path, log_format=chosen, start_ns=start_ns, channel=channel)
+def _open(options: LogOptions) -> LogFile | LogStream:
+    chosen = LogFormat(options.log_format) if options.log_format else None
+    if options.path == STANDARD_STREAM:
+        return open_log_stream(sys.stdout.buffer, log_format=chosen, start_ns=options.start_ns, channel=options.channel)
+    return open_log(options.path, log_format=chosen, start_ns=options.start_ns, channel=options.channel)
 
 
-def record(
-    scenario: Scenario,
-    *,
-    path: Path,
-    log_format: str | None,
-    start_ns: int,
-    channel: str,
-    truth: Path | None,
-    longest_stay_s: float,
-    is_json: bool,
-    is_forced: bool = False,
-    stop: Event,
-) -> None:
+def record(scenario: Scenario, options: LogOptions, stop: Event, *, is_json: bool, is_forced: bool = False) -> None:
     """Write a drive to a log and say what it holds; raises what ``write_log`` raises.
 
     Raises ConfigError, too, if a file is there already, or results would get among the frames on standard output.
     """
+    path, truth = options.path, options.truth
     is_piped = path == STANDARD_STREAM
     if is_piped and is_json:
         raise ConfigError("the log goes to standard output: --json cannot be used")
@@ -324,10 +342,7 @@ def record(
         def show(totals: Totals, took_s: float) -> None:
             progress.update(driven_text(totals.driven_s, totals.shifts, totals.events), took_s)
 
-        made = write_log(
-            scenario, path=path, log_format=log_format, start_ns=start_ns, channel=channel, truth=truth,
-            longest_stay_s=longest_stay_s, stop=stop, show=show,
-        )  # fmt: skip
+        made = write_log(scenario, options, stop, show)
     totals = made.totals
     state = "" if made.is_finished else "stopped early: "
     name, beside = ("standard output", truth) if is_piped else (path, made.truth)

@@ -5,18 +5,16 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from canlog.arrays import BoolArray, FloatArray
 from clutch_model.gears import clutch_of_gear
 from ecu_emulator.driving.states import EventKind
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.readings import FloatArray
 from ecu_emulator.truth import EventTruth
 
 PRESSED_NM: Final = 2.0  # contact torque from which a clutch counts as slipping under load
 BEGUN_SLIP_RAD_S: Final = 5.0  # beyond it slip has begun: a clutch may stick or hardly slip as its event starts
 STOPPED_SLIP_RAD_S: Final = 1.0  # below it the slip counts as ended; what comes after it is slip once more
-BoolArray = npt.NDArray[np.bool_]
 _ROW_S: Final = 1e-3
 _TORQUE: Final = (Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE)
 _DRAG: Final = (Col.VISCOUS1_TORQUE, Col.VISCOUS2_TORQUE)

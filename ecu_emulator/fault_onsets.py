@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
+from canlog.arrays import FloatArray
 from ecu_emulator.faults import PhaseCode, Scheduled
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.readings import FloatArray
 
 MS_PER_S: Final = 1000.0
 

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from canlog.arrays import FloatArray
 from canlog.e2e.profile1 import COUNTER_PERIOD, CRC_BYTE, PAYLOAD_BYTES, counter_of, protect
 from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.readings import FloatArray
 
 Rows = npt.NDArray[np.int64]
 

@@ -4,15 +4,11 @@ The engine idles, the car stands. The clutch is filled, then its pressure comes 
 torque any more the engine is relieved. Whoever asked for the steps watches that; docs/model.md "Touch points".
 """
 
-import numpy as np
-import numpy.typing as npt
-
+from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu, workshop
 from ecu_emulator import tcu_data as at
 from ecu_emulator.tcu_data import ControlParameters
-
-FloatArray = npt.NDArray[np.float64]
 
 # All [C].
 GEARS = (5, 6)  # in which each clutch is stepped: those in which the wheels feel least of it

@@ -1,15 +1,15 @@
 """How punctual a transmission was: lateness as a histogram, drift as a slope, in constant memory."""
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from canlog.arrays import Int64Array
 
 BIN_S: Final = 10e-6
 BINS: Final = 50_000  # up to half a second; what is later counts in the last bin
 PPM: Final = 1e6
-
-Int64Array = npt.NDArray[np.int64]
 
 
 class Punctuality:

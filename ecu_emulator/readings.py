@@ -3,10 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
-FloatArray = npt.NDArray[np.float64]
+from canlog.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

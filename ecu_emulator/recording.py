@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Final
 
+from canlog.arrays import FloatArray
 from canlog.e2e.message_contract import message_contracts
 from clutch_model.errors import CalibrationError
 from dbc.contract import load_contract
@@ -22,7 +23,6 @@ from ecu_emulator.frame_loss import FrameLoss
 from ecu_emulator.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.powertrain import Powertrain
-from ecu_emulator.readings import FloatArray
 from ecu_emulator.road import WHOLE_STAY_S, journey, scenario_trips, trip_truth
 from ecu_emulator.scenario import Routine, Scenario
 from ecu_emulator.sensors import SensorSuite

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from canlog.arrays import FloatArray
 from ecu_emulator.fault_onsets import MS_PER_S, Onsets
 from ecu_emulator.faults import SensorFault, SensorFaultKind
-from ecu_emulator.readings import FloatArray
 
 
 @dataclass(slots=True)

@@ -12,11 +12,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from canlog.arrays import FloatArray
 from canlog.jit import kernel
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.faults import SensorFault
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.readings import FloatArray, Readings, Schedule
+from ecu_emulator.readings import Readings, Schedule
 from ecu_emulator.sensor_faults import SensorFaults
 from ecu_emulator.signals import STATES, Sensor, Sensors, generator, split_unit
 

@@ -6,15 +6,11 @@ brake and moves the synchronisers. Clutch 1 carries the odd gears, clutch 2 the 
 
 import math
 
-import numpy as np
-import numpy.typing as npt
-
+from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, kernel
 from clutch_model.gears import gear_clutch
 from ecu_emulator import tcu_data as at
 from ecu_emulator.tcu_data import ClutchActuation, ControlParameters
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @kernel

@@ -4,9 +4,9 @@ from typing import Final
 
 import numpy as np
 
+from canlog.arrays import FloatArray
 from clutch_model.gears import clutch_of_gear
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.readings import FloatArray
 from ecu_emulator.tcu_data import CLOSED_REVS
 from ecu_emulator.truth import RevTruth, ShiftTruth
 

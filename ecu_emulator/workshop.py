@@ -6,15 +6,11 @@ What the revs are for: with the clutches open the engine accelerates itself and 
 shafts as well, whose inertia is known from the drawing; docs/model.md section "Workshop routine".
 """
 
-import numpy as np
-import numpy.typing as npt
-
+from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu
 from ecu_emulator import tcu_data as at
 from ecu_emulator.tcu_data import ClutchActuation, ControlParameters, WorkshopParameters
-
-FloatArray = npt.NDArray[np.float64]
 
 STANDING_BRAKE_M_S2 = 0.5  # [C] about 5 bar, what holds a car on level ground
 

@@ -12,8 +12,7 @@ from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import REMOTE_FLAG, FrameBatch
 from canlog.logs.asc_dates import date_us
 from canlog.logs.channels import ChannelNames
-from canlog.logs.console_kernel import BASE_NS, CLOCK_FIELDS, IS_DELTA, parse_lines
-from canlog.logs.console_times import NS_PER_US
+from canlog.logs.console_kernel import BASE_NS, CLOCK_FIELDS, IS_DELTA, NS_PER_US, parse_lines
 from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_kernels import NEW_CHANNEL, POSITION, STOP
 from canlog.logs.text_log import MAX_LINE_BYTES, TextLog, frames_of

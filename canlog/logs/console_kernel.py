@@ -14,7 +14,6 @@ from canlog.frames import (
 )
 from canlog.jit import array_kernel
 from canlog.logs.channels import NameWords
-from canlog.logs.console_times import LAST_S, NS_PER_S, read_time
 from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_kernels import (
     BLANK,
@@ -34,7 +33,9 @@ from canlog.logs.text_kernels import (
     TAB,
     TOO_LONG,
     count_line,
+    day_number,
     decimal,
+    decimal_parts,
     hexadecimal,
     skip_line,
     skip_word,
@@ -43,6 +44,10 @@ from canlog.logs.text_kernels import (
 # What times are relative to.
 BASE_NS, NOW_NS, IS_DELTA, CLOCK_FIELDS = range(4)
 
+NS_PER_S, NS_PER_US, DAY_S = 1_000_000_000, 1_000, 86_400
+MAX_SECONDS_DIGITS, NS_DIGITS = 10, 9
+NO_TIME = -(1 << 62)
+LAST_S = 9_200_000_000  # the year 2261: nanoseconds must fit 64 bits
 STANDARD_DIGITS, EXTENDED_DIGITS = 3, 8
 MAX_STANDARD_ID, MAX_ID = 0x7FF, 0x3FFF_FFFF
 BRS, ESI = 1, 2  # as ``flags`` has them
@@ -50,6 +55,7 @@ NAME_SEED, NAME_FACTOR = -3750763034362895579, 1099511628211  # FNV-1a, 64 bits
 
 # Characters of the grammar.
 ESCAPE, POINT = 27, ord(".")
+OPEN, CLOSE, COLON, MINUS = ord("("), ord(")"), ord(":"), ord("-")
 SQUARE, SQUARE_END, CURLED, CURLED_END = ord("["), ord("]"), ord("{"), ord("}")
 TICK, QUOTE, ZERO, ONE = ord("`"), ord("'"), ord("0"), ord("1")
 LETTER_B, LETTER_E, LETTER_R, LETTER_T, LETTER_X, SMALL_M = ord("B"), ord("E"), ord("R"), ord("T"), ord("X"), ord("m")
@@ -94,7 +100,7 @@ def _parse_line(  # noqa: PLR0911 - one for each outcome
         return SKIPPED, skip_line(text, begin)
     if _behind(text, begin, DROPCOUNT) > 0:
         return OTHER, at
-    rows.t_ns[row], name_at = read_time(text, begin)
+    rows.t_ns[row], name_at = _read_time(text, begin)
     if name_at < 0:
         return MALFORMED, skip_line(text, -name_at)
     name_at = _skip_shown(text, name_at)
@@ -269,3 +275,47 @@ def _channel_number(text: UInt8Array, at: int, names: NameWords, known: int) -> 
         if names.hashes[index] == name:
             return int(names.numbers[index])
     return -1
+
+
+@array_kernel
+def _read_time(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Read a time in brackets, if there is one, in nanoseconds; the position is negative if it is none."""
+    if text[at] != OPEN:
+        return 0, at
+    begin = at + 1
+    seconds, at = decimal(text, begin, MAX_SECONDS_DIGITS)
+    if at == begin:
+        return NO_TIME, -at
+    if text[at] == MINUS:
+        seconds, at = _read_date(text, begin)
+    if at < 0 or text[at] != POINT:
+        return NO_TIME, -abs(at)
+    begin = at + 1
+    fraction, at = decimal_parts(text, begin, NS_PER_S, NS_DIGITS)
+    if at == begin or text[at] != CLOSE or not 0 <= seconds <= LAST_S:
+        return NO_TIME, -at
+    return seconds * NS_PER_S + fraction // NS_PER_US * NS_PER_US, at + 1
+
+
+@array_kernel
+def _read_date(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Read ``2026-01-31 23:59:59`` as seconds since the epoch, as if it were UTC."""
+    year, at = decimal(text, at, 4)
+    month, at = _number_behind(text, at, MINUS, 12)
+    day, at = _number_behind(text, at, MINUS, 31)
+    hour, at = _number_behind(text, at, BLANK, 23)
+    minute, at = _number_behind(text, at, COLON, 59)
+    second, at = _number_behind(text, at, COLON, 60)
+    if at < 0 or month == 0 or day == 0:
+        return 0, -abs(at)
+    return (day_number(year, month, day) * DAY_S + hour * 3600 + minute * 60 + second), at
+
+
+@array_kernel
+def _number_behind(text: UInt8Array, at: int, mark: int, limit: int) -> tuple[int, int]:
+    """Read a mark and the number behind it; the position is negative, and stays so, if they are not there."""
+    if at < 0 or text[at] != mark:
+        return 0, -abs(at)
+    begin = at + 1
+    value, at = decimal(text, begin, 2)
+    return (value, at) if at > begin and value <= limit else (0, -at)

@@ -16,19 +16,25 @@ from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog
 from canlog.logs.captures import capture_of
 from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, is_traffic, proposed
-from canlog.logs.columns.canhacker import CanHacker, is_canhacker_header
-from canlog.logs.columns.canking import LAYOUT as CANKING
-from canlog.logs.columns.canking import is_canking_header
-from canlog.logs.columns.carbus import LAYOUT as CARBUS
-from canlog.logs.columns.carbus import is_carbus_header
+from canlog.logs.columns.busmaster import Busmaster
 from canlog.logs.columns.clx000 import Clx000, is_clx000_header
+from canlog.logs.columns.csv_tables import GvretCsv, PythonCanCsv, is_gvret_header, is_python_can_header
 from canlog.logs.columns.log import TableLog
-from canlog.logs.columns.microchip import Microchip, is_microchip_header
 from canlog.logs.columns.nmea2000 import Actisense, Canboat, YachtDevices
+from canlog.logs.columns.programs import (
+    CANKING,
+    CARBUS,
+    CRTD,
+    CanHacker,
+    Microchip,
+    is_canhacker_header,
+    is_canking_header,
+    is_carbus_header,
+    is_microchip_header,
+)
+from canlog.logs.columns.trc import Trc
 from canlog.logs.console import ConsoleLog
 from canlog.logs.log_counts import LogCounts
-from canlog.logs.tables import Busmaster, Crtd, GvretCsv, PythonCanCsv, Table, Trc
-from canlog.logs.tables.csv_tables import is_gvret_header, is_python_can_header
 from canlog.logs.text_log import BYTE_ORDER_MARK, TextLog, frames_of
 
 PROBE_BYTES = 64 * 1024
@@ -67,21 +73,16 @@ class LogFormat(StrEnum):
     COLUMNS = "columns"
 
 
-TABLES: Mapping[LogFormat, Callable[[], Table]] = MappingProxyType(
-    {
-        LogFormat.TRC: Trc,
-        LogFormat.CSV: PythonCanCsv,
-        LogFormat.GVRET: GvretCsv,
-        LogFormat.BUSMASTER: Busmaster,
-        LogFormat.CRTD: Crtd,
-    }
-)
 TEXT_LOGS: Mapping[LogFormat, Callable[[], TextLog]] = MappingProxyType(
     # In this order a text without a header is tried.
     {
         LogFormat.CANDUMP: CandumpLog,
         LogFormat.CONSOLE: ConsoleLog,
-        **TABLES,
+        LogFormat.TRC: Trc,
+        LogFormat.CSV: PythonCanCsv,
+        LogFormat.GVRET: GvretCsv,
+        LogFormat.BUSMASTER: Busmaster,
+        LogFormat.CRTD: partial(TableLog, CRTD),
         LogFormat.CARBUS: partial(TableLog, CARBUS),
         LogFormat.CANHACKER: CanHacker,
         LogFormat.MICROCHIP: Microchip,

@@ -21,8 +21,8 @@ from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.mf4 import read_mf4
 from canlog.logs.piped import STANDARD_INPUT, PipeStream, kept, never, open_standard_input, shown_name
 from canlog.logs.sqlite import check_messages, read_sqlite
-from canlog.logs.tables.time_unit import bus_load_ratio, is_plausible
 from canlog.logs.text_log import reader_of
+from canlog.logs.time_unit import bus_load_ratio, is_plausible
 from canlog.logs.time_watch import TimeWatch
 from canlog.logs.unpacking import Contents, contents_of
 from canlog.plain_files import open_plain_file

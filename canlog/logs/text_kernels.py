@@ -18,6 +18,7 @@ POSITION, LINES, ROWS, STOP, SKIPPED_LINES, MALFORMED_LINES, FIRST_MALFORMED, PR
 
 NEWLINE, TAB, RETURN, BLANK, SLASH = 10, 9, 13, 32, 47
 LONGEST_NUMBER = 18  # digits that 64 bits surely hold
+DAYS_OF_400_YEARS, DAYS_TO_EPOCH = 146_097, 719_468  # of the Gregorian calendar, counted from March
 
 HEX_VALUE: npt.NDArray[np.int8] = np.full(256, -1, np.int8)
 for _digit in range(16):
@@ -122,6 +123,15 @@ def hex_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array, limit: int,
         if text[at] == separator and HEX_VALUE[text[at + 1]] >= 0:
             at += 1
     return count, at
+
+
+@array_kernel
+def day_number(year: int, month: int, day: int) -> int:
+    """Return how many days a date is behind the epoch."""
+    shifted = year - (month <= 2)
+    day_of_year = (153 * (month + (-3 if month > 2 else 9)) + 2) // 5 + day - 1
+    days = shifted // 400 * DAYS_OF_400_YEARS + shifted % 400 * 365 + shifted % 400 // 4 - shifted % 400 // 100
+    return int(days + day_of_year - DAYS_TO_EPOCH)
 
 
 @inlined_kernel

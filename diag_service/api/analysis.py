@@ -10,7 +10,7 @@ from clutch_model.calibration import Calibration
 from diag_service.api.choices import AnyPath, AnyPaths, Delivery, configuration, optional_path, path_list
 from diag_service.api.tables import ResultTable
 from diag_service.batch.tables import columns, drive_rows, flattened, record_columns
-from diag_service.console.collecting import collected_notices
+from diag_service.console.notices import collected_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.delivery.words import condition_words
 from diag_service.diagnosis.records import ClutchVerdict, ShiftResult

@@ -2,18 +2,28 @@
 
 from contextlib import ExitStack
 from types import TracebackType
-from typing import TYPE_CHECKING, Self, TypeVar
+from typing import TYPE_CHECKING, Final, Self, TypeVar
 
-from diag_service.api.choices import AnyPath, optional_path
-from diag_service.api.places import ANSWER_S, address_of, manners_of, place_of
+from diag_service.api.choices import AnyPath, check_one_bus, optional_path
 from diag_service.errors import ConfigError
-from diag_service.tester.asking import SHORTEST_ANSWER_S, BusTarget, asking, check_time, heard
+from diag_service.tester.addresses import CanAddress, usual_response_id
+from diag_service.tester.asking import (
+    LARGEST_LOGICAL,
+    LISTEN_S,
+    SHORTEST_ANSWER_S,
+    BusName,
+    BusTarget,
+    DoipPlace,
+    Traffic,
+    address_for,
+    asking,
+    check_time,
+    heard,
+    parse_doip,
+)
 from diag_service.tester.clearing import ALL as ALL_CODES
 from diag_service.tester.clearing import Clearing, parse_group
-from diag_service.tester.description_file import find_description
-from diag_service.tester.listening import LISTEN_S, Traffic
-from diag_service.tester.manners import DEFAULT_SESSION, DialogueCounts
-from diag_service.tester.opening import DoipPlace, address_for
+from diag_service.tester.description_file import find_description, recognised
 from diag_service.tester.questions import (
     EXTENDED_SESSION,
     PATIENCE_S,
@@ -23,9 +33,21 @@ from diag_service.tester.questions import (
     Question,
     RoutineQuestion,
     TroubleQuestion,
+    check_number,
 )
 from diag_service.tester.reading import FAILED_MASK, DataAnswer, RoutineAnswer
-from diag_service.tester.recognising import recognised
+from diag_service.tester.scanning import (
+    ALL_NUMBERS,
+    SHORTEST_WAIT_S,
+    STANDARD_NUMBERS,
+    WAIT_S,
+    Scan,
+    ScanPlan,
+    largest_id,
+    request_ids,
+    scan,
+)
+from diag_service.tester.timing import DEFAULT_SESSION, DialogueCounts, Timing
 from diag_service.tester.trouble import TroubleCode
 
 if TYPE_CHECKING:
@@ -33,7 +55,118 @@ if TYPE_CHECKING:
 
     from diag_service.tester.dialogue import Dialogue
 
+ANSWER_S: Final = 1.0  # until an answer begins
+
+
 _AnswerT = TypeVar("_AnswerT")
+
+
+def timing_of(listen_s: float, timeout_s: float) -> Timing:
+    """Return how patient the tester is; raises ConfigError if a time cannot be."""
+    check_time("listen_s", listen_s, least_s=0.0)
+    check_time("timeout_s", timeout_s, least_s=SHORTEST_ANSWER_S)
+    return Timing(p2_s=timeout_s)
+
+
+def place_of(
+    bus: "can.BusABC | None",
+    interface: str | None,
+    channel: str | None,
+    bitrate: int | None,
+    doip: str | None,
+    ecu: int | None,
+    *,
+    is_fd: bool,
+    doip_authority: AnyPath | None = None,
+) -> "BusName | can.BusABC | DoipPlace":
+    """Return where to ask; raises ConfigError."""
+    check_one_bus(bus, interface, channel, bitrate, doip)
+    if doip is not None:
+        if ecu is None:
+            raise ConfigError("doip needs ecu: the logical address of the controller, such as 0x1011")
+        check_number("ecu", ecu, LARGEST_LOGICAL)
+        return parse_doip(doip, ecu, optional_path(doip_authority))
+    if doip_authority is not None:
+        raise ConfigError("doip_authority needs doip")
+    return bus if bus is not None else BusName(interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd)
+
+
+def address_of(ecu: int | None, reply: int | None, address: int | None) -> CanAddress | None:
+    """Return who is asked on a bus, None if that was not said; raises ConfigError."""
+    if ecu is None:
+        if reply is not None or address is not None:
+            raise ConfigError("reply and address need ecu")
+        return None
+    if address is not None:
+        check_number("address", address, 0xFF)
+    response_id = usual_response_id(ecu) if reply is None else reply
+    return CanAddress(request_id=ecu, response_id=response_id, target_byte=address)
+
+
+def scan_controllers(
+    bus: "can.BusABC | None" = None,
+    *,
+    interface: str | None = None,
+    channel: str | None = None,
+    bitrate: int | None = None,
+    is_fd: bool = False,
+    doip: str | None = None,
+    doip_authority: AnyPath | None = None,
+    ecu: int | None = None,
+    first: int | None = None,
+    last: int | None = None,
+    is_extended: bool = False,
+    has_all_data: bool = False,
+    is_active: bool = False,
+    listen_s: float = LISTEN_S,
+    timeout_s: float = ANSWER_S,
+    wait_s: float = WAIT_S,
+) -> Scan:
+    """Find controllers and what each can be asked, by questions that change nothing: ``diag-service scan``.
+
+    Parameters
+    ----------
+    bus, interface, channel, bitrate, is_fd, doip, doip_authority, ecu, listen_s, timeout_s
+        As of ``UdsTester``.
+    first, last
+        Identifiers from which and up to which to try, by default 700 to 7FF; with ``is_extended`` addresses, 00 to FF.
+    is_extended
+        Whether to try identifiers of 29 bits, 18DAxxF1.
+    has_all_data
+        Whether to try all data F100 to F1FF, not only those that the standard names.
+    is_active
+        Whether requests are sent; without, ConfigError says what would be.
+    wait_s
+        How long each identifier may take to answer [s].
+
+    Returns
+    -------
+    Scan
+        ``.controllers``, each with its services and data; ``.traffic`` is what was heard before.
+
+    Raises
+    ------
+    ConfigError, SourceError, ControllerError
+        If an argument or the bus cannot be used, another tester is at work, or a node is not there.
+    """
+    check_time("wait_s", wait_s, least_s=SHORTEST_WAIT_S)
+    most = largest_id(is_extended=is_extended)
+    for name, value in (("first", first), ("last", last)):
+        if value is not None:
+            check_number(name, value, most)
+    place = place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd, doip_authority=doip_authority)
+    plan = ScanPlan(
+        place=place,
+        request_ids=() if isinstance(place, DoipPlace) else request_ids(first, last, is_extended=is_extended),
+        data=ALL_NUMBERS if has_all_data else STANDARD_NUMBERS,
+        is_fd=is_fd,
+        timing=timing_of(listen_s, timeout_s),
+        listen_s=listen_s,
+        wait_s=wait_s,
+    )
+    if not is_active:
+        raise ConfigError(f"nothing was sent; with is_active=True this would be asked: {'; '.join(plan.requests)}")
+    return scan(plan)
 
 
 class UdsTester:
@@ -93,7 +226,7 @@ class UdsTester:
         listen_s: float = LISTEN_S,
         timeout_s: float = ANSWER_S,
     ) -> None:
-        self._manners = manners_of(listen_s, timeout_s)
+        self._timing = timing_of(listen_s, timeout_s)
         self._described = find_description(optional_path(description))
         self._listen_s = listen_s
         self._place = place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd, doip_authority=doip_authority)
@@ -130,7 +263,7 @@ class UdsTester:
 
     def __enter__(self) -> Self:
         if self._is_active:
-            self._dialogue, self.traffic = self._stack.enter_context(asking(self._target, self._manners))
+            self._dialogue, self.traffic = self._stack.enter_context(asking(self._target, self._timing))
             self._is_at_work = True
         else:
             self.traffic = heard(self._place, self._listen_s)

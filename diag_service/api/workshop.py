@@ -12,7 +12,7 @@ from diag_service.commands.arguments import DEFAULT_BITRATE
 from diag_service.commands.conversations import Conversations
 from diag_service.commands.inspect import Inspection, inspect_log
 from diag_service.commands.signals import proposed_profile
-from diag_service.console.collecting import collected_notices
+from diag_service.console.notices import collected_notices
 from diag_service.diagnosis.friction.paper import PaperShift, PooledClutch
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration
 from diag_service.mapping.databases import open_database

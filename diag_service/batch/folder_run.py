@@ -17,8 +17,7 @@ from canlog.notice import NOTICE
 from clutchdiag_io.overwriting import replacement_refusal
 from diag_service.batch.drives import Drive, LeftOut, find_drives, left_out_record
 from diag_service.batch.journal import Entry, Journal
-from diag_service.batch.processes import job_count, shared_out
-from diag_service.batch.progress_bar import progress_bar
+from diag_service.batch.processes import job_count, progress_bar, shared_out
 from diag_service.batch.tables import check_output, write_results
 from diag_service.batch.worker import analyse_drive, start_worker
 from diag_service.delivery import Acknowledge

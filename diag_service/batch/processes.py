@@ -9,6 +9,9 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context, parent_process
 from typing import Final, TypeVar
 
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+
 from diag_service.errors import ConfigError
 from diag_service.service.stopping import Trigger, ignore
 
@@ -16,6 +19,21 @@ POLL_S: Final = 0.2  # how soon a request to stop is heard
 WAITING_PER_JOB: Final = 2  # tasks handed out ahead: a worker never waits, a stop never takes long
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+
+
+def progress_bar(*, is_shown: bool) -> Progress:
+    """Return a bar on standard error: drives, bytes per second, time left; nothing where nobody watches."""
+    console = Console(stderr=True)
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[done]}/{task.fields[of]} drives"),
+        TransferSpeedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=not is_shown or not console.is_terminal,
+    )
 
 
 def job_count(asked: int | None) -> int:

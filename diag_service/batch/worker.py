@@ -10,8 +10,7 @@ from canlog.errors import SourceError
 from diag_service.batch.drives import Drive
 from diag_service.batch.journal import Entry
 from diag_service.batch.processes import follow_parent
-from diag_service.console.collecting import collected_notices
-from diag_service.console.notices import set_up_notices
+from diag_service.console.notices import collected_notices, set_up_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import shift_record

@@ -12,15 +12,24 @@ from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError
 from diag_service.service.stopping import Trigger
 from diag_service.tester.addresses import hexadecimal, parse_address
-from diag_service.tester.asking import SHORTEST_ANSWER_S, BusTarget, asking, check_time, heard
+from diag_service.tester.asking import (
+    LARGEST_LOGICAL,
+    SHORTEST_ANSWER_S,
+    BusName,
+    BusTarget,
+    DoipPlace,
+    Traffic,
+    address_for,
+    asking,
+    check_time,
+    heard,
+    parse_doip,
+)
 from diag_service.tester.description import Description
-from diag_service.tester.description_file import find_description
-from diag_service.tester.listening import Traffic
-from diag_service.tester.manners import Manners
-from diag_service.tester.opening import LARGEST_LOGICAL, BusName, DoipPlace, address_for, parse_doip
+from diag_service.tester.description_file import find_description, recognised
 from diag_service.tester.questions import Question
-from diag_service.tester.recognising import recognised
 from diag_service.tester.report import dialogue_record, outcome, traffic_record, would_lines
+from diag_service.tester.timing import Timing
 from diag_service.tester.trouble_report import Record
 
 _AnswerT = TypeVar("_AnswerT")
@@ -48,7 +57,7 @@ def ask_one(
     StoppedError
         If it was stopped.
     """
-    manners = manners_of(options)
+    timing = timing_of(options)
     description = find_description(options.description)
     wanted = question.requests(description)
     target = _target(options, description)
@@ -58,7 +67,7 @@ def ask_one(
         return None
     with (
         ReadingLine() as line,
-        asking(target, manners, goes_on=waiting(line, "waiting for the controller", stop)) as (tester, _),
+        asking(target, timing, goes_on=waiting(line, "waiting for the controller", stop)) as (tester, _),
     ):
         known = recognised(tester, description)
         answer = question.ask(tester, known)
@@ -110,11 +119,11 @@ def write(record: Mapping[str, object], lines: Iterable[str], *, is_json: bool) 
         console.print(line)
 
 
-def manners_of(options: SimpleNamespace) -> Manners:
+def timing_of(options: SimpleNamespace) -> Timing:
     """Return how patient the tester is to be; raises ConfigError if a time cannot be."""
     check_time("--listen", options.listen, least_s=0.0)
     check_time("--timeout", options.timeout, least_s=SHORTEST_ANSWER_S)
-    return Manners(p2_s=options.timeout)
+    return Timing(p2_s=options.timeout)
 
 
 def bus_name(options: SimpleNamespace) -> BusName:

@@ -8,8 +8,8 @@ from typing import Final
 
 from diag_service.diagnosis.results import dump
 from diag_service.errors import IncompleteError, StoreError
-from diag_service.lake.forgetting import disagreement, forget, parts_of
 from diag_service.lake.manifest import DONE, Manifest
+from diag_service.lake.parts import disagreement, forget, parts_of
 from diag_service.lake.places import Place
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import check_vehicle

@@ -2,14 +2,14 @@
 
 from types import SimpleNamespace
 
-from diag_service.commands.asking import bus_name, doip_place, manners_of, tell_wish, waiting, write
+from diag_service.commands.asking import bus_name, doip_place, tell_wish, timing_of, waiting, write
 from diag_service.console.reading import ReadingLine
 from diag_service.errors import StoppedError
 from diag_service.service.stopping import Controls
 from diag_service.tester.addresses import hexadecimal
 from diag_service.tester.asking import check_time, heard
 from diag_service.tester.report import found_lines, found_record, outcome, traffic_record
-from diag_service.tester.scan_plan import (
+from diag_service.tester.scanning import (
     ALL_NUMBERS,
     SHORTEST_WAIT_S,
     STANDARD_NUMBERS,
@@ -39,7 +39,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
 
 
 def _plan(options: SimpleNamespace) -> ScanPlan:
-    manners = manners_of(options)
+    timing = timing_of(options)
     check_time("--wait", options.wait, least_s=SHORTEST_WAIT_S)
     place = doip_place(options)
     most = largest_id(is_extended=options.extended)
@@ -52,7 +52,7 @@ def _plan(options: SimpleNamespace) -> ScanPlan:
         request_ids=() if place else request_ids(first, last, is_extended=options.extended),
         data=ALL_NUMBERS if options.all_data else STANDARD_NUMBERS,
         is_fd=options.fd,
-        manners=manners,
+        timing=timing,
         listen_s=options.listen,
         wait_s=options.wait,
     )

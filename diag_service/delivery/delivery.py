@@ -3,28 +3,178 @@
 import asyncio
 import logging
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
-from itertools import islice
+from itertools import islice, takewhile
 from typing import Final
 
 from canlog.notice import NOTICE
 from diag_service.delivery.base import DeliveryLimits, Link
 from diag_service.delivery.bundling import Bundling
-from diag_service.delivery.fluid import FluidExchange
-from diag_service.delivery.in_flight import InFlight
-from diag_service.delivery.send_priority import SendPriority
-from diag_service.diagnosis.results import StoredResult, clutch_record, iso_utc, parse_shift, shift_record
+from diag_service.diagnosis.records import FluidFill
+from diag_service.diagnosis.results import StoredResult, clutch_record, fill_record, iso_utc, parse_shift, shift_record
 from diag_service.diagnosis.summary import of_present_fluid, order_by
 from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore
-from fleet_contract import Outcome, Outgoing, Receipt, clutch_message
+from fleet_contract import Outcome, Outgoing, Receipt, clutch_message, fluid_message
 
+_BACKLOG_SHARE: Final = 4  # one of so many results of a batch is backlog, however much comes in
+_NEWEST_SHARE: Final = 4  # and one of so many of the backlog is its newest
+_LOG = logging.getLogger(__name__)
 BATCH: Final = 200
 _MAX_PUBLISHED: Final = 1000  # results that are remembered after a broker acknowledged them
-_LOG = logging.getLogger(__name__)
+
+
+class InFlight:
+    """Results that were sent and not acknowledged, by position; times are those of the event loop [s].
+
+    A receipt for a younger result says of an older one that the backend is not behind: a worker or a broker died with
+    it. It is sent again at once instead of when its time is over; only once, since workers may differ in speed.
+    """
+
+    def __init__(self, astray_after_s: float) -> None:
+        self._astray_after_s = astray_after_s  # before an acknowledged one: lost on its way, not delayed
+        self._sent_s: dict[int, float] = {}  # the longest in flight first
+        self._landed_s = float("-inf")  # when the youngest acknowledged result was sent
+        self._hurried: set[int] = set()  # were sent again before their time
+
+    def __len__(self) -> int:
+        """Return how many receipts are outstanding."""
+        return len(self._sent_s)
+
+    def add(self, positions: Iterable[int], now_s: float) -> None:
+        """Note that results were sent."""
+        self._sent_s.update(dict.fromkeys(positions, now_s))
+
+    def acknowledge(self, positions: Iterable[int]) -> None:
+        """Note that results arrived."""
+        for position in positions:
+            self._landed_s = max(self._landed_s, self._sent_s.pop(position, self._landed_s))
+            self._hurried.discard(position)
+
+    def pop_astray(self) -> list[int]:
+        """Remove and return what must have been lost on its way."""
+        limit_s = self._landed_s - self._astray_after_s
+        astray = [position for position in self._sent_until(limit_s) if position not in self._hurried]
+        self._hurried.update(astray)
+        return self._pop(astray)
+
+    def pop_sent_until(self, limit_s: float) -> list[int]:
+        """Remove and return what was sent until a moment."""
+        return self._pop(self._sent_until(limit_s))
+
+    def pop_oldest(self, count: int) -> list[int]:
+        """Remove and return some of what has waited longest."""
+        return self._pop(list(islice(self._sent_s, count)))
+
+    def lag_s(self, now_s: float) -> float:
+        """Return how long the backend has had the oldest result that is younger than all it acknowledged."""
+        return now_s - next((sent_s for sent_s in self._sent_s.values() if sent_s > self._landed_s), now_s)
+
+    def oldest_s(self) -> float | None:
+        """Return when the result was sent that has waited longest; None: nothing is in flight."""
+        return next(iter(self._sent_s.values()), None)
+
+    def _sent_until(self, limit_s: float) -> list[int]:
+        return list(takewhile(lambda position: self._sent_s[position] <= limit_s, self._sent_s))
+
+    def _pop(self, positions: list[int]) -> list[int]:
+        for position in positions:
+            del self._sent_s[position]
+        return positions
+
+
+class SendPriority:
+    """In which order one connection sends what waits; each result is handed out once.
+
+    Results stored since the connection began go first: what happens now is not to wait behind what happened in the
+    tunnel. What waited before is the backlog: it is sent from its old end, and a share of each batch from its new end,
+    so that the last hour is known long before the last day is through.
+    """
+
+    def __init__(self, store: ResultStore, vehicle: str) -> None:
+        self._store = store
+        self._vehicle = vehicle
+        self._began = store.last_position(vehicle)
+        self._fresh = self._began  # handed out up to here
+        self._old = 0
+        self._new = self._fresh + 1  # handed out from here on
+
+    def next(self, limit: int) -> list[StoredResult]:
+        """Return what is sent next, ``limit`` results at most; none if nothing is left."""
+        reserved = limit // _BACKLOG_SHARE if self._old + 1 < self._new else 0
+        fresh = self.next_fresh(limit - reserved)
+        return fresh + self._backlog(limit - len(fresh))
+
+    def groups(self, rows: Sequence[StoredResult]) -> list[list[StoredResult]]:
+        """Return what may travel together: what happens now does not wait for as long as a backlog takes on air."""
+        fresh = [row for row in rows if row.position > self._began]
+        return [fresh, [row for row in rows if row.position <= self._began]]
+
+    def next_fresh(self, limit: int) -> list[StoredResult]:
+        """Return what came since the connection began, and nothing of the backlog."""
+        rows = self._store.waiting(self._vehicle, after=self._fresh, limit=limit)
+        if rows:
+            self._fresh = rows[-1].position
+        return rows
+
+    def _backlog(self, limit: int) -> list[StoredResult]:
+        if self._old + 1 >= self._new or limit < 1:
+            return []
+        oldest = self._store.waiting(self._vehicle, after=self._old, before=self._new, limit=limit)
+        if len(oldest) < limit:  # all that is left
+            self._new = self._old + 1
+            return oldest
+        share = limit // _NEWEST_SHARE
+        oldest = oldest[: limit - share]
+        self._old = oldest[-1].position
+        newest = self._store.waiting(self._vehicle, after=self._old, before=self._new, limit=share, newest_first=True)
+        if newest:
+            self._new = newest[-1].position
+        return newest + oldest
+
+
+class FluidExchange:
+    """What both sides know, as long as one link lasts; each fill is noted once, so nothing goes in circles."""
+
+    def __init__(self, store: ResultStore, vehicle: str, link: Link, wake: asyncio.Event) -> None:
+        self._store = store
+        self._vehicle = vehicle
+        self._link = link
+        self._wake = wake  # set when there is something to note
+        self._heard: list[FluidFill] = []
+        self._told: list[FluidFill] = []
+
+    async def listen(self) -> None:
+        """Begin to hear the fleet."""
+        await self._link.hear_fills(self._vehicle, self._hear)
+
+    async def note(self) -> None:
+        """Note what the fleet told; the next shift finds it in the store."""
+        if not self._heard:
+            return
+        fills, self._heard = self._heard, []
+        count = await asyncio.to_thread(self._store.add_fills, fills)
+        if count:
+            _LOG.log(NOTICE, "the fleet told of %d change(s) of fluid fills", count)
+
+    async def tell(self) -> None:
+        """Tell the fleet what the vehicle knows, unless this link has carried the same before."""
+        fills = await asyncio.to_thread(self._store.all_fills, self._vehicle)
+        if fills == self._told:
+            return
+        self._told = fills
+        told = [fill_record(fill) for fill in fills]
+        try:
+            await self._link.send([fluid_message(self._vehicle, iso_utc(datetime.now(UTC)), told, is_to_vehicle=False)])
+        except PublishError as exc:  # of a connection that is lost the next message tells
+            _LOG.warning("the fleet was not told of fluid fills: %s", exc)
+
+    def _hear(self, fills: list[FluidFill]) -> None:
+        self._heard += fills
+        self._wake.set()
 
 
 class Acknowledge(StrEnum):

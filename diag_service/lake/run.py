@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Self, TextIO
 
 from canlog.notice import NOTICE
-from diag_service.batch.progress_bar import progress_bar
+from diag_service.batch.processes import progress_bar
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.lake.cluster import ClusterPool
 from diag_service.lake.links import ClusterAddress

@@ -16,6 +16,7 @@ from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from canlog.error_frames import BusTrouble, reports
 from canlog.frames import MAX_GAP_NS, FrameBatch
 from canlog.series import Series
+from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import ColumnBatch, Columns, GearRatios, Signal
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.mapped_messages import map_signals
@@ -23,7 +24,6 @@ from diag_service.mapping.profile import Profile
 from diag_service.mapping.sample_pass import DecodedFrames, SamplePass, is_able, is_seamless
 from diag_service.mapping.tiers import MANDATORY
 
-NS_PER_S: Final = 1_000_000_000
 PIECE_FRAMES: Final = 8192  # their samples stay in the cache, and in memory that the system need not map anew
 _NEVER: Final = np.empty(0, np.int64)
 

@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from canlog.arrays import FloatArray
 from clutch_model.clutch import FrictionCurve
-from clutch_model.units import bar_from_pa, rpm_from_rad_s
+from clutch_model.units import NS_PER_S, bar_from_pa, rpm_from_rad_s
 from clutchdiag_io.pages.content import Figure, Key, Table, number
 from clutchdiag_io.pages.plot import Axis, Plot, thinned
 from diag_service.diagnosis.columns import Signal
@@ -23,7 +23,6 @@ BAND_STD: Final = 2.0
 MOST_POINTS: Final = 600  # of a trend; a screen shows no more
 MOST_SAMPLES: Final = 400  # of one signal of a shift
 MOST_MOMENTS: Final = 8  # names of moments do not overlap too much
-NS_PER_S: Final = 1e9
 _SLIP_RAD_S: Final = np.linspace(0.0, 40.0, 121)
 TABLE_SLIPS_RAD_S: Final = np.array([0.0, 2.0, 5.0, 10.0, 20.0, 40.0])
 BAND_WORDS: Final = f"± {BAND_STD:.0f} standard deviations"

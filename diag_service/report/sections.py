@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from clutch_model.units import NS_PER_S
 from clutchdiag_io.pages.content import NONE, Cell, Figure, Key, Section, Table, number, spread
 from diag_service.delivery.words import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis.records import ClutchVerdict, QualityPart, ShiftResult, Status
@@ -16,7 +17,6 @@ from diag_service.report.pictures import (
     BAND_WORDS,
     MOST_MOMENTS,
     MOST_POINTS,
-    NS_PER_S,
     PANELS,
     THRESHOLD_KEYS,
     Panel,
@@ -26,7 +26,7 @@ from diag_service.report.pictures import (
     shift_picture,
     trend_picture,
 )
-from diag_service.service.last_shifts import Example
+from diag_service.service.onlookers import Example
 from diag_service.store import Row
 from fleet_contract import CLUTCHES
 

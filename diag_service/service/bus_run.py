@@ -15,11 +15,10 @@ from diag_service.console.terminal import PeopleConsole
 from diag_service.delivery import DetachedReporter, Outbox
 from diag_service.diagnosis.summary import frames_line
 from diag_service.service.application import opened_store, outbox_of, reporter_of
-from diag_service.service.controller_news import tell_controller
-from diag_service.service.last_shifts import LastShifts
 from diag_service.service.live import run_live
 from diag_service.service.monitor import Monitor
-from diag_service.service.onlookers import LiveRun, OpenPage
+from diag_service.service.onlookers import LastShifts, LiveRun, OpenPage
+from diag_service.service.polling import tell_controller
 from diag_service.service.service_manager import ADDRESS_VARIABLE, ServiceManager
 from diag_service.service.session import Session, utc_now
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker

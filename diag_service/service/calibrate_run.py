@@ -13,7 +13,7 @@ from rich.table import Table
 from canlog.errors import SourceError
 from canlog.whole_file import replacing
 from clutch_model.calibration import Calibration, calibration_toml
-from clutch_model.units import bar_from_pa
+from clutch_model.units import NS_PER_S, bar_from_pa
 from diag_service.console.reading import ReadingLine
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.events import Event
@@ -32,7 +32,6 @@ from diag_service.settings.config import UNNAMED_VEHICLE, DiagnosisConfig
 from fleet_contract import JsonObject
 
 CALIBRATION_SCHEMA = "clutchdiag/self-calibration/v1"
-_NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +46,7 @@ class CalibrationEvents:
     def last_day(self) -> date:
         """Day of the last event [UTC], from bus time."""
         last_ns = max([*(shift.end_ns for shift in self.shifts), *(run_up.end_ns for run_up in self.run_ups)])
-        return datetime.fromtimestamp(last_ns / _NS_PER_S, UTC).date()
+        return datetime.fromtimestamp(last_ns / NS_PER_S, UTC).date()
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,13 +1,47 @@
 """What those who look on at a live run are shown: where it stands, and its last shifts."""
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 from clutch_model.calibration import Calibration
-from diag_service.service.last_shifts import LastShifts
+from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.records import ShiftResult
 from diag_service.service.snapshot import Board
 from diag_service.settings.config import ListenAddress
+
+MOST_SHIFTS: Final = 4  # with their signals, some hundred kilobytes each
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Example:
+    """A shift with its signals."""
+
+    event: Event
+    result: ShiftResult
+
+
+class LastShifts:
+    """The last shifts of a run, the newest last; written by one thread, read by others."""
+
+    def __init__(self, most: int = MOST_SHIFTS) -> None:
+        self._kept: deque[Example] = deque(maxlen=most)
+
+    @property
+    def examples(self) -> Sequence[Example]:
+        """What is kept."""
+        return tuple(self._kept)
+
+    def add(self, event: Event, result: ShiftResult) -> None:
+        """Keep a shift and forget the oldest."""
+        self._kept.append(Example(event=own_samples(event), result=result))
+
+
+def own_samples(event: Event) -> Event:
+    """Return an event with samples of its own: those of the stream are written over."""
+    return replace(event, columns={signal: series.copy() for signal, series in event.columns.items()})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

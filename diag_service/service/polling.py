@@ -3,28 +3,65 @@
 import contextvars
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Final, Self
 
 from canlog.errors import CanlogError
 from canlog.notice import NOTICE
+from diag_service.delivery import Reporter
+from diag_service.diagnosis.results import dump
 from diag_service.errors import DiagServiceError
 from diag_service.settings.config import BusConfig, PollConfig
+from diag_service.store import ResultStore
 from diag_service.tester.addresses import parse_address
-from diag_service.tester.asking import BusTarget, asking
+from diag_service.tester.asking import LISTEN_S, BusName, BusTarget, address_for, asking, check_libraries
 from diag_service.tester.description import Description
-from diag_service.tester.description_file import find_description
-from diag_service.tester.listening import LISTEN_S
-from diag_service.tester.manners import Manners
-from diag_service.tester.opening import BusName, address_for, check_libraries
+from diag_service.tester.description_file import find_description, recognised
 from diag_service.tester.reading import read_troubles
-from diag_service.tester.recognising import recognised
-from diag_service.tester.trouble_report import ControllerReport
+from diag_service.tester.timing import Timing
+from diag_service.tester.trouble_report import ControllerReport, controller_record
+from fleet_contract import Channel, Outgoing, controller_message
+
+MOST_CODES: Final = 1024  # as the contract has it
+_KEPT: Final = ("snapshots", "extended_data")
+
 
 LONGEST_BACKOFF: Final = 16.0  # times the period, between attempts that fail
 JOIN_S: Final = 3.0  # how long an ending service waits for a question that is under way
 _LOG: Final = logging.getLogger(__name__)
+
+
+def tell_controller(
+    report: ControllerReport, store: ResultStore, reporter: Reporter, publish: Callable[[Outgoing], object]
+) -> None:
+    """Store what a controller said and tell it, if it is something new; raises StoreFullError, StoreError.
+
+    What is new to this run is published in any case: a broker may have forgotten it.
+    """
+    record = controller_record(report)
+    said = dump({key: value for key, value in record.items() if key != "produced_at"})
+    is_new = store.note_controller(report.vehicle, report.controller, said, dump(record))
+    publish(message_of(record))
+    if is_new:
+        reporter.report(report)
+
+
+def message_of(record: Mapping[str, object]) -> Outgoing:
+    """Return the message of a record; one that would be too long for the contract goes without what was kept."""
+    told = record["codes"]
+    codes = told[:MOST_CODES] if isinstance(told, list) else []
+    message = controller_message({**record, "codes": codes})
+    if len(message.payload) <= Channel.CONTROLLER.max_bytes:
+        return message
+    short = [{**code, **{name: [] for name in _KEPT}} for code in codes]
+    return controller_message({**record, "codes": short[: _most(short)]})
+
+
+def _most(codes: list[dict[str, object]]) -> int:
+    """Return how many codes without what was kept fit into a message."""
+    longest = max((len(dump(code)) for code in codes), default=1) + 1
+    return int((Channel.CONTROLLER.max_bytes - 2048) // longest)
 
 
 class Poller:
@@ -121,7 +158,7 @@ def read_once(
     StoppedError
         If it shall not go on.
     """
-    with asking(target, Manners(), goes_on=goes_on) as (tester, _):
+    with asking(target, Timing(), goes_on=goes_on) as (tester, _):
         known = recognised(tester, description)
         codes = read_troubles(tester, known)
     return ControllerReport(

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from canlog.live import BusState, BusStatus, LiveSource
+from clutch_model.units import NS_PER_S
 from diag_service.console.progress import Stuck
 from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.summary import FrameCounts, Summary
@@ -18,7 +19,6 @@ STALE_S = 5.0  # a service that has not looked up for this long does not live
 READY_STATES = frozenset({BusState.UP, BusState.DEGRADED})
 RATE_SPAN_S = 1.0
 SILENT_S = 2.0  # more than frames gather for: a bus of which nothing was counts for so long says nothing
-NS_PER_S = 1_000_000_000
 
 
 class WatchedSource(LiveSource, Protocol):

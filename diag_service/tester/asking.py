@@ -1,23 +1,294 @@
 """Listen first, then ask: what commands, polling and Python do with one controller."""
 
+import ipaddress
+import socket
+import ssl
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import can
 
-from diag_service.errors import ConfigError
-from diag_service.tester.addresses import CanAddress
-from diag_service.tester.listening import LISTEN_S, Traffic, check_alone, listen
-from diag_service.tester.manners import Manners
-from diag_service.tester.opening import BusName, DoipPlace, dialogue_on, dialogue_over_ip, opened_bus
+from canlog.extras import load_extra
+from canlog.live.factory import complete_settings
+from canlog.live.pythoncan import one_line, open_bus
+from canlog.plain_files import check_plain_file
+from diag_service.errors import ConfigError, ControllerError, StoppedError
+from diag_service.tester.addresses import TRANSMISSION, CanAddress, id_text, is_extended, is_request, usual_response_id
+from diag_service.tester.description import Description
+from diag_service.tester.timing import Timing
 
 if TYPE_CHECKING:
     from diag_service.tester.dialogue import Dialogue
 
+CLASSIC_BYTES: Final = 8
+PADDING: Final = 0xCC  # ISO 15765-2: the bits stuffed least
+
+
+LISTEN_S: Final = 5.0  # S3 of a controller (ISO 14229-2): a tester that keeps a session speaks at least so often
+_PATIENCE_S: Final = 0.1
+EXTRA: Final = "uds"
+DOIP_PORT: Final = 13400
+DOIP_TLS_PORT: Final = 3496
+CONNECT_S: Final = 5.0
+LARGEST_LOGICAL: Final = 0xFFFF
+MOST_WAITING: Final = 100_000  # frames on a bus that was handed over, from before anybody listened
+_LARGEST_PORT: Final = 0xFFFF
 LONGEST_S: Final = 3600.0
 SHORTEST_ANSWER_S: Final = 0.001
+
+
+def send(bus: can.BusABC, message: can.Message) -> None:
+    """Put a frame on a bus.
+
+    Raises
+    ------
+    ControllerError
+        If the bus does not take it.
+    """
+    try:
+        bus.send(message, timeout=1.0)
+    except (can.CanError, OSError, ValueError) as exc:
+        raise ControllerError(f"the bus does not take a request: {one_line(exc)}") from exc
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Traffic:
+    """What was heard."""
+
+    duration_s: float
+    frame_count: int
+    can_ids: frozenset[int]
+    error_count: int = 0  # frames that tell of trouble on the bus
+
+    def __str__(self) -> str:
+        """Return it for people."""
+        if not self.frame_count:
+            return f"nothing was heard in {self.duration_s:g} s"
+        rate_hz = self.frame_count / self.duration_s
+        return f"{self.frame_count} frames of {len(self.can_ids)} identifiers in {self.duration_s:g} s, {rate_hz:.0f}/s"
+
+    def other_testers(self, address: CanAddress | None = None) -> tuple[int, ...]:
+        """Return the identifiers by which somebody else asks: those of the standard, and that of an address."""
+        own = set() if address is None else {address.request_id}
+        return tuple(sorted(can_id for can_id in self.can_ids if is_request(can_id) or can_id in own))
+
+
+def listen(bus: can.BusABC, duration_s: float = LISTEN_S, goes_on: Callable[[], bool] = lambda: True) -> Traffic:
+    """Return what is heard on a bus for so long.
+
+    Raises
+    ------
+    ControllerError
+        If it cannot be read.
+    StoppedError
+        If it shall not go on.
+    """
+    until_s = time.monotonic() + duration_s
+    frame_count = error_count = 0
+    can_ids = set[int]()
+    while (left_s := until_s - time.monotonic()) > 0.0:
+        if not goes_on():
+            raise StoppedError("stopped early: nothing was asked")
+        try:
+            message = bus.recv(min(_PATIENCE_S, left_s))
+        except (can.CanError, OSError, ValueError) as exc:
+            raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
+        if message is None:
+            continue
+        if message.is_error_frame:
+            error_count += 1
+            continue
+        frame_count += 1
+        can_ids.add(message.arbitration_id)
+    return Traffic(duration_s=duration_s, frame_count=frame_count, can_ids=frozenset(can_ids), error_count=error_count)
+
+
+def check_alone(traffic: Traffic, address: CanAddress | None = None) -> None:
+    """Raise ControllerError if another tester was heard: two on one bus take each other's answers."""
+    if others := traffic.other_testers(address):
+        named = ", ".join(map(id_text, others))
+        raise ControllerError(f"another tester is asking on this bus (requests on {named}): nothing was asked")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusName:
+    """Which bus to open; None leaves the choice to python-can's configuration."""
+
+    interface: str | None
+    channel: str | None
+    bitrate: int | None
+    is_fd: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DoipPlace:
+    """Where a node listens, and its logical address."""
+
+    host: str
+    port: int = DOIP_PORT
+    authority: Path | None = None  # TLS, with nodes whose certificate it has signed
+    logical_address: int
+
+    def __str__(self) -> str:
+        """Return it for people."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.logical_address:04X} at DoIP {host}:{self.port}"
+
+
+def parse_doip(text: str, logical_address: int, authority: Path | None = None) -> DoipPlace:
+    """Return the place that ``HOST[:PORT]`` names, an address of IPv4 or, in brackets, of IPv6.
+
+    With an authority it is asked by TLS.
+
+    Raises
+    ------
+    ConfigError
+        If it is none.
+    """
+    host, colon, port = text, "", ""
+    if not text.startswith("[") or "]:" in text:
+        host, colon, port = text.rpartition(":") if ":" in text else (text, "", "")
+    host = host.strip("[]")
+    try:
+        ipaddress.ip_address(host)
+    except ValueError as exc:
+        raise ConfigError(f"--doip must be an IP address with or without :PORT, got {text!r}") from exc
+    if colon and not (port.isdecimal() and 0 < int(port) <= _LARGEST_PORT):
+        raise ConfigError(f"--doip: the port must be 1..{_LARGEST_PORT}, got {port!r}")
+    usual = DOIP_PORT if authority is None else DOIP_TLS_PORT
+    return DoipPlace(
+        host=host, port=int(port) if colon else usual, logical_address=logical_address, authority=authority
+    )
+
+
+def address_for(named: CanAddress | None, description: Description) -> CanAddress:
+    """Return where to ask: as named, or as described, or where the standard has the transmission."""
+    if named is not None:
+        return named
+    request_id = TRANSMISSION if description.request_id is None else description.request_id
+    response_id = usual_response_id(request_id) if description.response_id is None else description.response_id
+    return CanAddress(request_id=request_id, response_id=response_id)
+
+
+def check_libraries() -> None:
+    """Raise ExtraMissingError if a library that asks is missing; what imports this can be imported without."""
+    import_module("diag_service.tester.libraries")
+
+
+@contextmanager
+def opened_bus(place: BusName | can.BusABC) -> Iterator[can.BusABC]:
+    """Open a bus for the time of the block; one that is open is lent, and stays open with the filters that it had.
+
+    Raises
+    ------
+    ExtraMissingError
+        If a library that asks is missing.
+    SourceError
+        If it is not named or cannot be opened.
+    ControllerError
+        If one that is open cannot be read.
+    """
+    check_libraries()
+    if not isinstance(place, BusName):
+        filters = place.filters
+        _forget_waiting(place)
+        try:
+            yield place
+        finally:
+            place.set_filters(filters)
+        return
+    settings = complete_settings(place.interface, place.channel, place.bitrate, fd=place.is_fd)
+    bus = open_bus(settings.interface, settings.channel, settings.bitrate, fd=settings.fd)
+    try:
+        yield bus
+    finally:
+        bus.shutdown()
+
+
+def _forget_waiting(bus: can.BusABC) -> None:
+    """Read what came before anybody listened: a tester that was here long ago disturbs nobody."""
+    try:
+        for _ in range(MOST_WAITING):
+            if bus.recv(0.0) is None:
+                return
+    except (can.CanError, OSError, ValueError) as exc:
+        raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
+
+
+def dialogue_on(
+    bus: can.BusABC,
+    address: CanAddress,
+    timing: Timing,
+    *,
+    is_fd: bool = False,
+    goes_on: Callable[[], bool] = lambda: True,
+) -> "Dialogue":
+    """Return a tester for one controller; from now on the bus gives no more than that controller's frames."""
+    from diag_service.tester.can_link import CanConnection  # noqa: PLC0415 - libraries of an extra
+    from diag_service.tester.dialogue import Dialogue  # noqa: PLC0415 - likewise
+
+    mask = 0x1FFF_FFFF if is_extended(address.response_id) else 0x7FF
+    bus.set_filters([{"can_id": address.response_id, "can_mask": mask, "extended": is_extended(address.response_id)}])
+    return Dialogue(CanConnection(bus, address, is_fd=is_fd, goes_on=goes_on), str(address), timing, goes_on=goes_on)
+
+
+@contextmanager
+def dialogue_over_ip(
+    place: DoipPlace, timing: Timing, *, goes_on: Callable[[], bool] = lambda: True
+) -> Iterator["Dialogue"]:
+    """Connect to a node for the time of the block.
+
+    Raises
+    ------
+    ConfigError, ControllerError
+        If the authority cannot be used; if it is not there, is another or refuses.
+    ExtraMissingError
+        If doipclient is not installed.
+    """
+    from diag_service.tester.dialogue import Dialogue  # noqa: PLC0415 - libraries of an extra
+
+    doipclient = load_extra("doipclient", "DoIP needs doipclient", EXTRA)
+    connectors = load_extra("doipclient.connectors", "DoIP needs doipclient", EXTRA)
+    try:
+        context = None if place.authority is None else _tls_context(place.authority)
+        _find(place, context)
+        node = doipclient.DoIPClient(
+            place.host, place.logical_address, tcp_port=place.port, udp_port=place.port, use_secure=context or False
+        )
+    except (OSError, ValueError) as exc:
+        raise ControllerError(f"{place}: {' '.join(str(exc).split())}") from exc
+    try:
+        with Dialogue(connectors.DoIPClientUDSConnector(node), str(place), timing, goes_on=goes_on) as tester:
+            yield tester
+    finally:
+        node.close()
+
+
+def _tls_context(authority: Path) -> ssl.SSLContext:
+    """Return what a connection is made with; names are not compared: nodes have addresses, not names."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        check_plain_file(authority)
+        context.load_verify_locations(authority)
+    except ssl.SSLError as exc:
+        raise ConfigError(f"authority {authority} is no certificate: {exc.reason or exc}") from exc
+    except OSError as exc:
+        raise ConfigError(f"cannot read authority {authority}: {exc.strerror or exc}") from exc
+    return context
+
+
+def _find(place: DoipPlace, context: ssl.SSLContext | None) -> None:
+    """Raise OSError if nobody listens there, or is another; the library would leave sockets open."""
+    with socket.create_connection((place.host, place.port), timeout=CONNECT_S) as connection:
+        if context is not None:
+            context.wrap_socket(connection).close()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +303,7 @@ class BusTarget:
 
 @contextmanager
 def asking(
-    target: BusTarget | DoipPlace, manners: Manners, *, goes_on: Callable[[], bool] = lambda: True
+    target: BusTarget | DoipPlace, timing: Timing, *, goes_on: Callable[[], bool] = lambda: True
 ) -> "Iterator[tuple[Dialogue, Traffic | None]]":
     """Listen, then be ready to ask for the time of the block; yield the tester, and what it heard on a bus before.
 
@@ -49,13 +320,13 @@ def asking(
         If a library is missing.
     """
     if isinstance(target, DoipPlace):
-        with dialogue_over_ip(target, manners, goes_on=goes_on) as tester:
+        with dialogue_over_ip(target, timing, goes_on=goes_on) as tester:
             yield tester, None
         return
     with opened_bus(target.bus) as bus:
         traffic = listen(bus, target.listen_s, goes_on)
         check_alone(traffic, target.address)
-        with dialogue_on(bus, target.address, manners, is_fd=target.is_fd, goes_on=goes_on) as tester:
+        with dialogue_on(bus, target.address, timing, is_fd=target.is_fd, goes_on=goes_on) as tester:
             yield tester, traffic
 
 

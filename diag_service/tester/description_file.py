@@ -3,15 +3,43 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
 from clutch_model.tables import read_table, record_from
-from diag_service.errors import ConfigError
+from diag_service.errors import ConfigError, ControllerError, PendingError
 from diag_service.tester.addresses import LARGEST_ID
+from diag_service.tester.answers import READ_DATA
 from diag_service.tester.description import STANDARD_DATA, UNKNOWN, Datum, Description, Routine, Trouble
 
-FOLDER: Final = Path(__file__).parent / "controllers"
+if TYPE_CHECKING:
+    from diag_service.tester.dialogue import Dialogue
+
+
 PDX_SUFFIXES: Final = frozenset({".pdx", ".odx-d", ".odx"})
+
+
+def recognised(tester: "Dialogue", description: Description = UNKNOWN) -> Description:
+    """Return a description; without one the shipped one that fits, or else what all controllers have.
+
+    Without one it asks for a datum or two.
+    """
+    if description is not UNKNOWN:
+        return description
+    for described in shipped():
+        if described.identity is None:
+            continue
+        try:
+            response = tester.ask(bytes([READ_DATA]) + described.identity.number.to_bytes(2, "big"))
+        except PendingError:  # whoever asks next would wait as long
+            raise
+        except ControllerError:  # it will not tell, or not answer: the question that follows says so
+            continue
+        if response[3:].rstrip(b"\0 ").decode("latin-1") == described.identity.text:
+            return described.description
+    return UNKNOWN
+
+
+FOLDER: Final = Path(__file__).parent / "controllers"
 
 
 class _Numbered(Protocol):

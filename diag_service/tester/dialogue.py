@@ -18,7 +18,7 @@ from diag_service.tester.libraries import (
     UnexpectedResponseException,
     default_client_config,
 )
-from diag_service.tester.manners import DEFAULT_SESSION, STOPPED, DialogueCounts, Manners
+from diag_service.tester.timing import DEFAULT_SESSION, STOPPED, DialogueCounts, Timing
 
 LOOK_S: Final = 0.1  # how soon it notices that it shall stop
 _KEY: Final = 1  # added to the level that asked for the seed
@@ -35,7 +35,7 @@ class Dialogue:
         To the controller; opened and closed by this object, which is a context manager.
     where
         Who is asked, for people.
-    manners
+    timing
         How patient it is.
     pause
         Waits for so many seconds; by default it notices when it shall stop.
@@ -47,19 +47,19 @@ class Dialogue:
         self,
         connection: BaseConnection,
         where: str,
-        manners: Manners | None = None,
+        timing: Timing | None = None,
         *,
         pause: Callable[[float], object] | None = None,
         goes_on: Callable[[], bool] = lambda: True,
     ) -> None:
         self.where = where
-        self.manners = manners or Manners()
+        self.timing = timing or Timing()
         self.counts = DialogueCounts()
         self._goes_on = goes_on
         self._pause = pause or self._rest
         self._filter = _Matching(connection, self.counts, goes_on)
         self._pending = 0
-        self._client = Client(self._filter, _client_config(self.manners, self._note_pending))
+        self._client = Client(self._filter, _client_config(self.timing, self._note_pending))
         self._last_s = float("-inf")
 
     def __enter__(self) -> Self:
@@ -89,20 +89,20 @@ class Dialogue:
                 return self._ask_once(request)
             except RefusedError as exc:
                 busy += 1
-                if exc.code != BUSY or busy > self.manners.most_busy:
+                if exc.code != BUSY or busy > self.timing.most_busy:
                     raise
                 self.counts.busy += 1
-                self._pause(self.manners.busy_pause_s * 2.0 ** (busy - 1))
+                self._pause(self.timing.busy_pause_s * 2.0 ** (busy - 1))
             except PendingError:  # it has the question
                 raise
             except SilentError:
                 silent += 1
                 self.counts.silent += 1
-                if silent >= self.manners.most_silent:
+                if silent >= self.timing.most_silent:
                     raise
 
     def _ask_once(self, request: bytes) -> bytes:
-        gap_s = self._last_s + self.manners.gap_s - time.monotonic()
+        gap_s = self._last_s + self.timing.gap_s - time.monotonic()
         if gap_s > 0.0:
             self._pause(gap_s)
         self.counts.requests += 1
@@ -178,7 +178,7 @@ class Dialogue:
         try:
             yield
         finally:
-            self._client.set_config("request_timeout", self.manners.longest_s)
+            self._client.set_config("request_timeout", self.timing.longest_s)
 
     def unlock(self, level: int, mask: bytes) -> None:
         """Unlock a security level whose key is its seed XOR a mask; one that is unlocked stays so."""
@@ -191,12 +191,12 @@ class Dialogue:
         self.ask(bytes([SECURITY, level + _KEY]) + key)
 
 
-def _client_config(manners: Manners, on_pending: Callable[[], None]) -> Any:  # noqa: ANN401 - a typed dictionary of the library, of which this is a part
+def _client_config(timing: Timing, on_pending: Callable[[], None]) -> Any:  # noqa: ANN401 - a typed dictionary of the library, of which this is a part
     return {
         **default_client_config,
-        "request_timeout": manners.longest_s,
-        "p2_timeout": manners.p2_s,
-        "p2_star_timeout": manners.p2_star_s,
+        "request_timeout": timing.longest_s,
+        "p2_timeout": timing.p2_s,
+        "p2_star_timeout": timing.p2_star_s,
         "nrc78_callback": on_pending,
         "logger_name": _LOGGER,
         "use_server_timing": False,  # a controller tells its own time, not that of the bus and of this machine

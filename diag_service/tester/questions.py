@@ -8,7 +8,6 @@ from diag_service.errors import ConfigError
 from diag_service.tester.answers import CLEAR, READ_DATA, ROUTINE, SECURITY, SESSION, request_text
 from diag_service.tester.clearing import Clearing, Group, clear_request, clear_troubles
 from diag_service.tester.description import UNKNOWN, Description
-from diag_service.tester.manners import DEFAULT_SESSION
 from diag_service.tester.reading import (
     ACTIONS,
     FAILED_MASK,
@@ -19,6 +18,7 @@ from diag_service.tester.reading import (
     read_troubles,
     trouble_request,
 )
+from diag_service.tester.timing import DEFAULT_SESSION
 from diag_service.tester.trouble import TroubleCode
 
 if TYPE_CHECKING:

@@ -4,11 +4,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 
 from diag_service.tester.addresses import id_text
+from diag_service.tester.asking import Traffic
 from diag_service.tester.clearing import Clearing
-from diag_service.tester.listening import Traffic
-from diag_service.tester.manners import DialogueCounts
 from diag_service.tester.reading import DataAnswer, RoutineAnswer
 from diag_service.tester.scanning import Found
+from diag_service.tester.timing import DialogueCounts
 from diag_service.tester.trouble_report import Record, code_words, columns, trouble_lines, values_text
 
 

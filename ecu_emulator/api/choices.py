@@ -3,11 +3,9 @@
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
 
-from ecu_emulator.arguments import DOIP_TLS_PORT, NS_PER_S
+from ecu_emulator.arguments import DOIP_TLS_PORT
 from ecu_emulator.diagnostics.doip.tls import tls_node
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.faults import BusFault, SensorFault
@@ -17,7 +15,6 @@ from ecu_emulator.scenario_file import parse_fault
 
 AnyPath = str | os.PathLike[str]
 AnyFault = SensorFault | BusFault | Mapping[str, object]
-NS_PER_US: Final = 1000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,12 +71,6 @@ def diagnostics_of(answers: Answers | None) -> DiagnosticsChoice | None:
     certificate, key = (None if one is None else Path(one) for one in (answers.doip_certificate, answers.doip_key))
     tls = tls_node(certificate, key, answers.doip_tls_port)
     return diagnostics_choice(table, memory, answers.doip, answers.elm327, has_service=answers.on_board, tls=tls)
-
-
-def ns_of(moment: datetime) -> int:
-    """Return nanoseconds since the epoch, whole microseconds."""
-    aware = moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
-    return int(aware.replace(microsecond=0).timestamp()) * NS_PER_S + aware.microsecond * NS_PER_US
 
 
 def check_range(name: str, value: float | None, limits: tuple[float, float]) -> None:

@@ -21,7 +21,6 @@ from ecu_emulator.api.choices import (
     check_word,
     diagnostics_of,
     fault_of,
-    ns_of,
     with_faults,
 )
 from ecu_emulator.api.truth_memory import SharedTruth, TruthMemory
@@ -32,9 +31,10 @@ from ecu_emulator.arguments import (
     MOST_PARKED_S,
     OIL_RANGE_DEGC,
     PARKED_RANGE_S,
+    ns_of,
 )
 from ecu_emulator.bus import open_bus
-from ecu_emulator.commands import Recording, choose_scenario, write_log
+from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, write_log
 from ecu_emulator.drive_names import DriveName
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live import BusChoice, send
@@ -132,12 +132,13 @@ class Emulator:
         check_range("parked_s", parked_s, PARKED_RANGE_S)
         check_word("fluid", fluid, [one.value for one in FluidCondition])
         check_word("drive", drive, [one.value for one in DriveName])
-        chosen = choose_scenario(
-            scenario if isinstance(scenario, Scenario) else os.fspath(scenario),
+        driven = DriveOptions(
+            scenario=scenario if isinstance(scenario, Scenario) else os.fspath(scenario),
             fluid=fluid, seed=seed, vehicle_seed=vehicle_seed, drive_seed=drive_seed, drive=drive, cycles=cycles,
             is_endless=is_endless, oil_degc=oil_degc, mass_kg=mass_kg, odometer_m=odometer_m, routine=routine,
             is_in_workshop=is_in_workshop,
         )  # fmt: skip
+        chosen = choose_scenario(driven)
         self.scenario: Final = with_faults(chosen, faults)
         is_unnamed = interface == VIRTUAL and channel is None
         self._choice = BusChoice(
@@ -191,16 +192,15 @@ class Emulator:
             RecordError, if asammdf is not installed for MF4.
         """
         check_word("log_format", log_format, [one.value for one in LogFormat])
-        return write_log(
-            self.scenario,
+        log = LogOptions(
             path=Path(path),
             log_format=log_format,
             start_ns=DEFAULT_START_NS if start_time is None else ns_of(start_time),
             channel=channel,
             truth=self._truth_path,
             longest_stay_s=MOST_PARKED_S if self._parked_s is None else self._parked_s,
-            stop=Event(),  # that of the bus is set when the drive there is over
         )
+        return write_log(self.scenario, log, Event())  # that of the bus is set when the drive there is over
 
     def __enter__(self) -> Self:
         if self._thread is not None:

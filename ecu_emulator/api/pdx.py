@@ -7,7 +7,7 @@ from ecu_emulator.commands import save_pdx
 
 
 def write_pdx(output: AnyPath, table: AnyPath | None = None) -> int:
-    """Write a PDX package (ODX 2.2) of what a tester can ask, as ``ecu-emulator pdx`` does.
+    """Write a PDX package (ODX 2.2) of what a tester can ask, as ``ecu-emulator pdx`` does; needs the extra ``odx``.
 
     Parameters
     ----------
@@ -25,6 +25,8 @@ def write_pdx(output: AnyPath, table: AnyPath | None = None) -> int:
     ------
     ConfigError, RecordError
         If the table cannot be used, or the package cannot be written.
+    ExtraMissingError
+        If odxtools is not installed.
     """
     _, size_bytes = save_pdx(None if table is None else Path(table), Path(output), is_forced=True)
     return size_bytes

@@ -1,16 +1,12 @@
 """Upshifts and changes without power on the road, and the change of mind; downshifts under power are next door."""
 
-import numpy as np
-import numpy.typing as npt
-
+from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu, tcu_data
-from ecu_emulator.driving import places as at
+from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.gear_choice import low_rad_s
 from ecu_emulator.driving.laws import DrivingLaw, gear_speed_rad_s, overrun_nm, shift_shaft
 from ecu_emulator.driving.states import EventKind
-
-FloatArray = npt.NDArray[np.float64]
 
 _KEEPS_RATIO = 0.85  # of the map's threshold: so far must the pedal have changed for the old gear to be right again
 _LATEST_SHARE = 0.7  # of the torque phase: later no change of mind

@@ -1,12 +1,10 @@
 """The transmission control on the road: which state it is in, and which change it begins."""
 
-import numpy as np
-import numpy.typing as npt
-
+from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu, tcu_data
 from ecu_emulator.driving import changes, gear_choice, launching, standing, under_power
-from ecu_emulator.driving import places as at
+from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.laws import (
     DrivingLaw,
     begin_event,
@@ -15,8 +13,6 @@ from ecu_emulator.driving.laws import (
     idle_rad_s,
 )
 from ecu_emulator.driving.states import DriveState, EventKind
-
-FloatArray = npt.NDArray[np.float64]
 
 _PULLING_NM = 8.0  # torque from which the engine drives the car
 _HOLD_RATIO = 1.15  # of the engine torque, and a margin: so much holds at once

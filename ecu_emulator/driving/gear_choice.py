@@ -2,15 +2,11 @@
 
 import math
 
-import numpy as np
-import numpy.typing as npt
-
+from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu, tcu_data
-from ecu_emulator.driving import places as at
+from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.laws import DrivingLaw, gear_speed_rad_s, idle_rad_s, shift_shaft
-
-FloatArray = npt.NDArray[np.float64]
 
 _BRAKING_M_S2 = 0.3
 _FORESEEN_RATIO = 1.5  # of the time of an upshift: a foot that is off by then shall not meet its end

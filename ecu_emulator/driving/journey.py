@@ -6,6 +6,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
+from canlog.arrays import FloatArray
 from ecu_emulator.driving.trips import (
     COOLANT_PARKED_TIME_CONSTANT_S,
     OIL_PARKED_TIME_CONSTANT_S,
@@ -13,7 +14,6 @@ from ecu_emulator.driving.trips import (
     cooled_k,
 )
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.readings import FloatArray
 
 MS_PER_S: Final = 1000.0
 

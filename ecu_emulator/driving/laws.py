@@ -3,16 +3,14 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu_data
-from ecu_emulator.driving import places as at
+from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.parameters import DrivingParameters
 from ecu_emulator.driving.states import DriveState, EventKind
 from ecu_emulator.plant.loop import DriveLaw
-
-FloatArray = npt.NDArray[np.float64]
 
 _CLOSED_MANIFOLD_RATIO = 0.25  # of ambient pressure, throttle closed, engine turned by the car
 _CYCLE_RAD = 4.0 * np.pi

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu, tcu_data
-from ecu_emulator.driving import places
+from ecu_emulator.driving import indices
 from ecu_emulator.driving.control import control, have_whim
 from ecu_emulator.driving.driver import drive, seen
 from ecu_emulator.driving.engine_control import control_engine
@@ -20,15 +21,13 @@ from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.integration import advance_millisecond, settle
 from ecu_emulator.plant.loop import Machine, hold_car, obey, record_bodies, record_clutches, sense_plant
 
-FloatArray = npt.NDArray[np.float64]
-
 
 class Road(NamedTuple):
     """What a drive meets: read only."""
 
     speeds: FloatArray  # (n,), every `driver.GRID_S` [m/s]
     grades: FloatArray  # (n,)
-    whims: FloatArray  # (m, places.WHIM_COLUMN_COUNT), one row per event
+    whims: FloatArray  # (m, indices.WHIM_COLUMN_COUNT), one row per event
     end: npt.NDArray[np.int64]  # (1,), milliseconds of the whole drive
 
 
@@ -37,22 +36,22 @@ def sense_drive(machine: Machine, road: Road, law: DrivingLaw) -> None:
     """Fill what the controllers sense."""
     sense_plant(machine, law.drive.plant)
     y, sense = machine.y, machine.sense
-    sense[places.VEHICLE_SPEED] = y[at.V]
-    sense[places.DIFF_SPEED] = y[at.W_D]
-    sense[places.SHAFT_SPEED] = y[at.W_L]
-    sense[places.SHAFT_SPEED + 1] = y[at.W_L + 1]
-    sense[places.HUB_SPEED] = y[at.W_H]
-    sense[places.MANIFOLD] = y[at.P_M]
-    sense[places.OIL] = y[at.T_OIL]
-    sense[places.COOLANT] = machine.u[at.COOLANT]
-    sense[places.GRADE] = seen(road.grades, machine.clock[0] * tcu_data.PERIOD_S)
+    sense[indices.VEHICLE_SPEED] = y[at.V]
+    sense[indices.DIFF_SPEED] = y[at.W_D]
+    sense[indices.SHAFT_SPEED] = y[at.W_L]
+    sense[indices.SHAFT_SPEED + 1] = y[at.W_L + 1]
+    sense[indices.HUB_SPEED] = y[at.W_H]
+    sense[indices.MANIFOLD] = y[at.P_M]
+    sense[indices.OIL] = y[at.T_OIL]
+    sense[indices.COOLANT] = machine.u[at.COOLANT]
+    sense[indices.GRADE] = seen(road.grades, machine.clock[0] * tcu_data.PERIOD_S)
 
 
 @array_kernel
 def warm(machine: Machine, law: DrivingLaw) -> None:
     """Let the running engine warm its coolant, and the coolant cool down to the air while it is stopped."""
     p = law.driving.surroundings
-    is_running = machine.memory[places.ENGINE_STATE] <= EngineState.FUEL_CUT.value
+    is_running = machine.memory[indices.ENGINE_STATE] <= EngineState.FUEL_CUT.value
     goal_k = p.thermostat_k if is_running else law.drive.plant.air_k
     machine.u[at.COOLANT] += tcu_data.PERIOD_S / p.coolant_time_s * (goal_k - machine.u[at.COOLANT])
 
@@ -63,9 +62,9 @@ def obey_drive(machine: Machine, law: DrivingLaw) -> None:
     u, coolant_k = machine.u, machine.u[at.COOLANT]
     obey(machine, law.drive)
     u[at.COOLANT] = coolant_k
-    u[at.PEDAL] = machine.memory[places.PEDAL]
-    u[at.GRADE] = machine.sense[places.GRADE]
-    u[at.STARTER] = machine.commands[places.STARTER]
+    u[at.PEDAL] = machine.memory[indices.PEDAL]
+    u[at.GRADE] = machine.sense[indices.GRADE]
+    u[at.STARTER] = machine.commands[indices.STARTER]
     p = law.driving.surroundings
     for k in range(2):
         share = u[at.VISCOSITY + k] / p.open_drag_viscosity_pa_s
@@ -84,11 +83,11 @@ def record_drive(machine: Machine, road: Road, row: FloatArray) -> None:
     row[Col.ROUTINE] = row[Col.REV] = 0.0
     for k in range(2):
         row[Col.SHAFT1_GEAR + k] = modes[at.GEAR + k] if modes[at.LINK + k] == ENGAGED else 0
-    row[Col.DRIVE_STATE] = memory[places.STATE]
-    row[Col.EVENT_KIND] = memory[places.EVENT_KIND]
-    row[Col.EVENT_NUMBER] = memory[places.EVENT_NUMBER]
-    row[Col.IS_ABORTED] = memory[places.IS_ABORTED]
-    row[Col.ENGINE_STATE] = memory[places.ENGINE_STATE]
+    row[Col.DRIVE_STATE] = memory[indices.STATE]
+    row[Col.EVENT_KIND] = memory[indices.EVENT_KIND]
+    row[Col.EVENT_NUMBER] = memory[indices.EVENT_NUMBER]
+    row[Col.IS_ABORTED] = memory[indices.IS_ABORTED]
+    row[Col.ENGINE_STATE] = memory[indices.ENGINE_STATE]
     row[Col.COOLANT_TEMPERATURE] = u[at.COOLANT]
     row[Col.GRADE] = u[at.GRADE]
     row[Col.WANTED_SPEED] = seen(road.speeds, machine.clock[0] * tcu_data.PERIOD_S)

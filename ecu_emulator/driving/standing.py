@@ -1,12 +1,10 @@
 """From standstill on and back: creep, roll-out, other gears while both clutches are open; launches are next door."""
 
-import numpy as np
-import numpy.typing as npt
-
+from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu, tcu_data
 from ecu_emulator.driving import gear_choice
-from ecu_emulator.driving import places as at
+from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.laws import (
     DrivingLaw,
     begin_event,
@@ -18,8 +16,6 @@ from ecu_emulator.driving.laws import (
 )
 from ecu_emulator.driving.states import DriveState, EngineState, EventKind
 from ecu_emulator.plant.vehicle import GRAVITY_M_S2
-
-FloatArray = npt.NDArray[np.float64]
 
 _CREEP_SHARE = 0.8  # of the speed at which creeping ends: from there on the car may roll
 _RESTING_FOOT_S = 0.15

@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from canlog.arrays import FloatArray
 from ecu_emulator.errors import ConfigError
-
-FloatArray = npt.NDArray[np.float64]
 
 FASTEST_M_S = 70.0
 STEEPEST_RATIO = 0.25

@@ -10,8 +10,9 @@ from typing import Final
 
 import numpy as np
 
+from canlog.arrays import FloatArray
 from clutch_model.units import m_s_from_km_h
-from ecu_emulator.driving.trace import FloatArray, SpeedTrace
+from ecu_emulator.driving.trace import SpeedTrace
 
 Range = tuple[float, float]  # from, to
 

@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 
 import numpy as np
-import numpy.typing as npt
 
+from canlog.arrays import FloatArray
 from ecu_emulator import tcu_data
-from ecu_emulator.driving import places
+from ecu_emulator.driving import indices
 from ecu_emulator.driving.conditions import Car, DriveConditions
 from ecu_emulator.driving.driver import GRID_S
 from ecu_emulator.driving.laws import DrivingLaw, idle_rad_s
@@ -23,8 +23,6 @@ from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
 from ecu_emulator.plant.powertrain import believe, drive_law
 from ecu_emulator.plant.records import as_record
 from ecu_emulator.plant.stability import check_step
-
-FloatArray = npt.NDArray[np.float64]
 
 BLOCK_S = 10.0
 _IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure
@@ -128,15 +126,15 @@ def _road(trace: SpeedTrace, conditions: DriveConditions, rng: np.random.Generat
 
 def _whims(ratio: float, rng: np.random.Generator) -> FloatArray:
     """Return what the driver's foot does without need, one row per event: a lift, or a deeper pedal."""
-    table = np.empty((_WHIM_COUNT, places.WHIM_COLUMN_COUNT))
+    table = np.empty((_WHIM_COUNT, indices.WHIM_COLUMN_COUNT))
     has_whim = rng.random(_WHIM_COUNT) < ratio
-    table[:, places.WHIM_DELAY] = np.where(has_whim, rng.uniform(0.0, _LONGEST_WHIM_DELAY_S, _WHIM_COUNT), -1.0)
+    table[:, indices.WHIM_DELAY] = np.where(has_whim, rng.uniform(0.0, _LONGEST_WHIM_DELAY_S, _WHIM_COUNT), -1.0)
     is_later = rng.random(_WHIM_COUNT) < ratio
     later_s = rng.uniform(0.0, _LONGEST_IN_GEAR_DELAY_S, _WHIM_COUNT)
-    table[:, places.WHIM_IN_GEAR_DELAY] = np.where(is_later, later_s, -1.0)
-    table[:, places.WHIM_LENGTH] = rng.uniform(*_WHIM_LENGTH_S, _WHIM_COUNT)
+    table[:, indices.WHIM_IN_GEAR_DELAY] = np.where(is_later, later_s, -1.0)
+    table[:, indices.WHIM_LENGTH] = rng.uniform(*_WHIM_LENGTH_S, _WHIM_COUNT)
     deeper = rng.uniform(*_DEEPER_PEDAL, _WHIM_COUNT)
-    table[:, places.WHIM_SIZE] = np.where(rng.random(_WHIM_COUNT) < 0.5, -1.0, deeper)
+    table[:, indices.WHIM_SIZE] = np.where(rng.random(_WHIM_COUNT) < 0.5, -1.0, deeper)
     return table
 
 
@@ -147,12 +145,12 @@ def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited
     cycles[0, tcu_data.CYCLE_MU :] = (factors.mu_c1, factors.mu_s1, factors.mu_c2, factors.mu_s2)
     machine = blank_machine(
         cycles,
-        memory_count=places.MEMORY_COUNT,
-        sense_count=places.SENSE_COUNT,
-        command_count=places.COMMAND_COUNT,
+        memory_count=indices.MEMORY_COUNT,
+        sense_count=indices.SENSE_COUNT,
+        command_count=indices.COMMAND_COUNT,
         is_audited=is_audited,
     )
-    machine.u[at.COOLANT] = machine.sense[places.COOLANT] = conditions.coolant_k
+    machine.u[at.COOLANT] = machine.sense[indices.COOLANT] = conditions.coolant_k
     machine.u[at.DIRECTION : at.DIRECTION + 2] = 1.0
     machine.u[at.AIR_FLOW] = throttle_flow_kg_s(0.0, law.drive.plant.engine)
     machine.modes[at.LINK : at.LINK + 2] = ENGAGED
@@ -162,8 +160,8 @@ def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited
     machine.commands[tcu_data.WANTED_GEAR : tcu_data.WANTED_GEAR + 2] = (1, 2)
     machine.commands[tcu_data.SPARK] = 1.0
     machine.memory[tcu_data.CURRENT_GEAR] = machine.memory[tcu_data.TARGET_GEAR] = 1
-    machine.memory[places.STATE] = DriveState.STANDSTILL
-    machine.memory[places.BRAKE] = law.driving.driver.standing_brake_m_s2
+    machine.memory[indices.STATE] = DriveState.STANDSTILL
+    machine.memory[indices.BRAKE] = law.driving.driver.standing_brake_m_s2
     _fill_state(machine, law, conditions)
     return machine
 

@@ -1,15 +1,11 @@
 """Downshifts under power: the off-going clutch slips and lets the engine rise, then the torque is handed over."""
 
-import numpy as np
-import numpy.typing as npt
-
+from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator import tcu, tcu_data
-from ecu_emulator.driving import places as at
+from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.changes import NOBODY, SYNC_BAND_RAD_S, catch_overrun, lock_up
 from ecu_emulator.driving.laws import DrivingLaw, gear_speed_rad_s, shift_shaft
-
-FloatArray = npt.NDArray[np.float64]
 
 _RAISE_MARGIN_NM = 15.0
 _RELEASED_RATIO = 0.6  # of the touch pressure

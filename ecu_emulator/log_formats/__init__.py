@@ -1,12 +1,9 @@
-"""Writers of the log formats, one per module; all take columns and write in bulk."""
+"""Writers of the log formats; all take columns."""
 
-from ecu_emulator.log_formats.asc import AscWriter
 from ecu_emulator.log_formats.base import FrameWriter, Header
 from ecu_emulator.log_formats.blf import BlfWriter
-from ecu_emulator.log_formats.candump import CandumpWriter
-from ecu_emulator.log_formats.csv_tables import CsvWriter, GvretWriter
 from ecu_emulator.log_formats.mf4 import Mf4Writer
-from ecu_emulator.log_formats.trc import TrcWriter
+from ecu_emulator.log_formats.text import AscWriter, CandumpWriter, CsvWriter, GvretWriter, TrcWriter
 
 __all__ = [
     "AscWriter",

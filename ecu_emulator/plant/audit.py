@@ -2,18 +2,13 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
+from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel
 from clutch_model.thermal import convected_w
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.driveline import ENGAGED, geared_torque_nm
 from ecu_emulator.plant.rates import PlantLaw
 from ecu_emulator.plant.vehicle import brake_force_n, road_load_n
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 # Places in the account.
 ENGINE = 0
@@ -103,7 +98,7 @@ def stored_heat_j(y: FloatArray, law: PlantLaw) -> float:
 
 
 @array_kernel
-def shaft_powers(y: FloatArray, modes: IntArray, out: FloatArray, powers: FloatArray, law: PlantLaw) -> None:
+def shaft_powers(y: FloatArray, modes: Int64Array, out: FloatArray, powers: FloatArray, law: PlantLaw) -> None:
     """Add the losses of both input shafts, their gears and synchronisers to ``powers`` [W]."""
     for k in range(2):
         shaft = law.shafts.first if k == 0 else law.shafts.second
@@ -121,7 +116,13 @@ def shaft_powers(y: FloatArray, modes: IntArray, out: FloatArray, powers: FloatA
 
 @array_kernel
 def add_powers(
-    account: FloatArray, weight_s: float, y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw
+    account: FloatArray,
+    weight_s: float,
+    y: FloatArray,
+    u: FloatArray,
+    modes: Int64Array,
+    out: FloatArray,
+    law: PlantLaw,
 ) -> None:
     """Add the powers at one state, times ``weight_s``, to the account [J]; nothing if there is none."""
     if account.size == 0:

@@ -3,16 +3,12 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, kernel
 from clutch_model.film import FilmLaw, contact_pressure_pa, film_rate_m_s, shear_factor_difference, sheared_torque_nm
 from clutch_model.friction import FrictionLaw, contact_torque_nm, kinetic_friction
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.hydraulics import CavityLaw, HydraulicsParameters, cavity_pressure_pa, orifice_flow_m3_s
-
-FloatArray = npt.NDArray[np.float64]
 
 _EMPTY_M3 = 1.0e-13  # a cavity below this is empty: keeps denormal numbers out of the loop
 _NO_PRESSURE_PA = 1.0e-3

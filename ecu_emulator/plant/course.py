@@ -1,16 +1,14 @@
 """What the shift cycles and a trip on the road have in common: a machine, its clock, its energy account."""
 
 import numpy as np
-import numpy.typing as npt
 
+from canlog.arrays import FloatArray
 from clutch_model.errors import DomainError
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import PowerBalance, power_balance
 from ecu_emulator.plant.integration import workspace
 from ecu_emulator.plant.loop import Machine
 from ecu_emulator.plant.rates import PlantLaw
-
-FloatArray = npt.NDArray[np.float64]
 
 ROWS_PER_S = 1000
 

@@ -4,8 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel, kernel
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import ACCOUNT_COUNT, SYNCHRONISERS, add_powers, note, stored_energy_j, undo
@@ -13,9 +13,6 @@ from ecu_emulator.plant.clutch import advance_clutch
 from ecu_emulator.plant.driveline import ENGAGED, SYNCHRONISING
 from ecu_emulator.plant.engine import throttle_flow_kg_s
 from ecu_emulator.plant.rates import PlantLaw, evaluate, settle_modes
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 _MILLISECOND_S = 1.0e-3
 _MIN_STEP_S = 1.0e-9
@@ -48,7 +45,7 @@ def workspace(*, is_audited: bool) -> Workspace:
 
 
 @array_kernel
-def settle(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw) -> None:
+def settle(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Evaluate the plant at ``y`` and bring the clutch modes into agreement with the torques."""
     evaluate(y, u, modes, out, law)
     if settle_modes(y, u, modes, out, law):
@@ -105,7 +102,7 @@ def advance_fluids(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> 
 def step(
     y: FloatArray,
     u: FloatArray,
-    modes: IntArray,
+    modes: Int64Array,
     work: Workspace,
     dt_s: float,
     law: PlantLaw,
@@ -156,7 +153,7 @@ def approach_fraction(old: float, change: float, new: float, band: float) -> flo
 def event_fraction(
     y: FloatArray,
     u: FloatArray,
-    modes: IntArray,
+    modes: Int64Array,
     before: FloatArray,
     slope: FloatArray,
     dt_s: float,
@@ -179,7 +176,7 @@ def event_fraction(
 
 
 @array_kernel
-def close_synchronisers(y: FloatArray, u: FloatArray, modes: IntArray, account: FloatArray, law: PlantLaw) -> None:
+def close_synchronisers(y: FloatArray, u: FloatArray, modes: Int64Array, account: FloatArray, law: PlantLaw) -> None:
     """Engage a gear whose synchroniser has done its work, conserving momentum."""
     for k in range(2):
         if modes[at.LINK + k] != SYNCHRONISING:
@@ -207,7 +204,7 @@ def close_synchronisers(y: FloatArray, u: FloatArray, modes: IntArray, account: 
 def advance_to_event(
     y: FloatArray,
     u: FloatArray,
-    modes: IntArray,
+    modes: Int64Array,
     work: Workspace,
     longest_s: float,
     law: PlantLaw,
@@ -236,7 +233,7 @@ def advance_to_event(
 def advance_millisecond(
     y: FloatArray,
     u: FloatArray,
-    modes: IntArray,
+    modes: Int64Array,
     work: Workspace,
     step_count: int,
     law: PlantLaw,

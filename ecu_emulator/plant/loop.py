@@ -2,9 +2,7 @@
 
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel
 from clutch_model.viscosity import viscosity_pa_s
 from ecu_emulator import pressure_steps, tcu, tcu_data, workshop
@@ -20,9 +18,6 @@ from ecu_emulator.plant.rates import PlantLaw
 from ecu_emulator.plant.vehicle import GRAVITY_M_S2
 from ecu_emulator.tcu_data import ClutchActuation, ControlParameters, WorkshopParameters
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-
 COLUMN_COUNT = len(Col)
 WORKSHOP_HOLD_M_S = 0.03  # below which the brakes hold the car, as on the road
 _HOLDING_M_S2 = 0.05  # brakes that are pressed less hold nothing
@@ -34,12 +29,12 @@ class Machine(NamedTuple):
 
     y: FloatArray  # (STATE_COUNT,)
     u: FloatArray  # (INPUT_COUNT,)
-    modes: IntArray  # (MODE_COUNT,)
+    modes: Int64Array  # (MODE_COUNT,)
     work: Workspace  # of the integration; its ``slope1`` holds rates and torques at the last row
     memory: FloatArray  # (tcu_data.MEMORY_COUNT,)
     sense: FloatArray  # (tcu_data.SENSE_COUNT,)
     commands: FloatArray  # (tcu_data.COMMAND_COUNT,)
-    clock: IntArray  # (1,), milliseconds since the start
+    clock: Int64Array  # (1,), milliseconds since the start
     cycles: FloatArray  # (cycles, tcu_data.CYCLE_COLUMN_COUNT), read only
 
 

@@ -1,8 +1,8 @@
 """The powertrain: assembles parameters into laws, holds the state, hands out rows."""
 
 import numpy as np
-import numpy.typing as npt
 
+from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import applied_pressure_pa, equilibrium_film_m, film_law
@@ -23,8 +23,6 @@ from ecu_emulator.plant.records import as_record
 from ecu_emulator.plant.stability import check_step
 from ecu_emulator.tcu_data import ClutchActuation, ControlParameters
 from ecu_emulator.touch_points import PressureSteps
-
-FloatArray = npt.NDArray[np.float64]
 
 _IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure, when the drive begins
 _FULL_BRAKE_M_S = 1.0  # of the shift cycles, which never stop

@@ -2,9 +2,7 @@
 
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel
 from clutch_model.thermal import clutch_heating_rate_k_s, convected_w, sump_heating_rate_k_s
 from ecu_emulator.plant import state as at
@@ -23,9 +21,6 @@ from ecu_emulator.plant.driveline import (
 from ecu_emulator.plant.engine import EngineParameters, engine_losses_nm, indicated_torque_nm, manifold_rate_pa_s
 from ecu_emulator.plant.lining import LiningParameters
 from ecu_emulator.plant.vehicle import VehicleParameters, brake_force_n, road_load_n, tyre_force_n
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 _SLIP_DECAY_S = 0.005  # tb: what slip is left when a clutch locks fades with this time constant
 
@@ -122,7 +117,7 @@ def limit_torque(y: FloatArray, u: FloatArray, clutch: int, out: FloatArray, law
 
 
 @array_kernel
-def clutch_torques(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw) -> None:
+def clutch_torques(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Put the torques of both clutches into ``out``: kinetic where slipping, required up to capacity where locked."""
     for k in range(2):
         out[at.T_V + k] = 0.0
@@ -145,7 +140,7 @@ def clutch_torques(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArra
 
 
 @array_kernel
-def input_rates(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw) -> None:
+def input_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Fill ``out`` from the engine to the input shafts; docs/model.md eqs. (1)-(3)."""
     engine_nm = indicated_torque_nm(y[at.P_M], y[at.SPARK], y[at.CRANK], law.air_k, law.engine)
     engine_nm -= engine_losses_nm(y[at.P_M], y[at.W_E], law.engine)
@@ -174,7 +169,7 @@ def input_rates(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, 
 
 
 @array_kernel
-def output_rates(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw) -> None:
+def output_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Fill ``out`` from the gears to the road."""
     output, vehicle = law.output, law.vehicle
     inertia_kg_m2 = output.inertia_kg_m2
@@ -230,7 +225,7 @@ def heat_rates(y: FloatArray, u: FloatArray, out: FloatArray, law: PlantLaw) -> 
 
 
 @array_kernel
-def evaluate(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw) -> None:
+def evaluate(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Put the rates of the state and the torques behind them into ``out``."""
     input_rates(y, u, modes, out, law)
     output_rates(y, u, modes, out, law)
@@ -238,7 +233,7 @@ def evaluate(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law
 
 
 @array_kernel
-def settle_modes(y: FloatArray, u: FloatArray, modes: IntArray, out: FloatArray, law: PlantLaw) -> bool:
+def settle_modes(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> bool:
     """Lock and unlock the clutches as the torques in ``out`` demand; True if a mode changed (Karnopp's rule)."""
     has_changed = False
     for k in range(2):

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from ecu_emulator.cli import main
+from tests.support.in_process import ended as run
 from tests.support.patience import HANG_S
-from tests.support.service import run_service, service
+from tests.support.service import service
 
 EMULATOR = (sys.executable, "-m", "ecu_emulator")
 SCENARIO = Path(__file__).parents[2] / "ecu_emulator" / "scenarios" / "noise_only.toml"
@@ -38,12 +40,18 @@ def assert_one_line(done: subprocess.CompletedProcess[str], status: int, *texts:
     ],
     ids=["unknown key", "out of range", "unknown fluid", "wrong type", "not TOML"],
 )
-def test_a_scenario_file_that_cannot_be_used(tmp_path: Path, change: tuple[str, str], texts: tuple[str, ...]) -> None:
+def test_a_scenario_file_that_cannot_be_used(
+    tmp_path: Path, change: tuple[str, str], texts: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
     text = SCENARIO.read_text(encoding="utf-8")
     assert change[0] in text
     scenario, log = tmp_path / "mine.toml", tmp_path / "drive.log"
     scenario.write_text(text.replace(*change), encoding="utf-8")
-    assert_one_line(emulate("record", log, "--scenario", scenario), 2, str(scenario), *texts)
+    assert main(["record", str(log), "--scenario", str(scenario)]) == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1)
+    assert said.err.startswith("ecu-emulator: error: ")
+    assert all(text in said.err for text in (str(scenario), *texts))
     assert not log.exists()
 
 
@@ -79,6 +87,6 @@ def test_a_recording_killed_leaves_no_half_a_log_and_the_next_one_is_whole(
         stopped.wait_for(lambda: truth.exists() and truth.read_bytes().count(b"\n") > 2)
         stopped.send(number)
         assert stopped.wait().status == 0
-    analysed = run_service(tmp_path / "analysed", "analyze", log, "--json")
+    analysed = run("analyze", log, "--json")
     assert (analysed.status, analysed.err) == (0, "")
     assert analysed.summary["frames"]["on_bus"] == log.read_bytes().count(b"\n")

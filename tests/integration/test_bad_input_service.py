@@ -22,16 +22,15 @@ the same at the emulator              ``test_bad_input_emulator``, ``test_emulat
 
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
+from ecu_emulator.cli import main as emulator
 from tests.plugins.broker import Mosquitto
 from tests.plugins.drives import SHIFT_COUNT
-from tests.support.patience import HANG_S
+from tests.support.in_process import ended as run
 from tests.support.service import run_service, service
 from tests.support.subscriber import Subscriber
 
@@ -71,7 +70,7 @@ def test_a_description_of_another_vehicle(
     filled = [argument.format(tmp=tmp_path) for argument in arguments]
     what = ("-i", "virtual", "-c", "any") if command == "run" else (drive_log,)
     store = tmp_path / "car.sqlite"
-    ended = run_service(tmp_path / "run", command, *what, *filled, "--store", store)
+    ended = run(command, *what, *filled, "--store", store)
     for text in texts:
         ended.assert_one_line(2, text)
     assert not store.exists()
@@ -97,18 +96,17 @@ def test_a_log_that_may_not_be_read(drive_log: Path, tmp_path: Path) -> None:
 def test_a_file_of_another_format(tmp_path: Path, name: str, contents: bytes, complaint: str) -> None:
     log = tmp_path / name
     log.write_bytes(contents)
-    ended = run_service(tmp_path, "analyze", log)
+    ended = run("analyze", log)
     ended.assert_one_line(3, f"{log}: {complaint}")
 
 
-@pytest.mark.parametrize("suffix", [".log", ".blf", ".asc", ".mf4"])
+@pytest.mark.parametrize("suffix", [".blf", ".asc", ".mf4"])
 def test_a_log_that_ends_too_early(tmp_path: Path, suffix: str) -> None:
     """What came before the cut counts, and the cut is told; an MF4 file without its end is none."""
     log, cut = tmp_path / f"drive{suffix}", tmp_path / f"cut{suffix}"
-    record = [sys.executable, "-m", "ecu_emulator", "record", str(log), "--scenario", "noise_only"]
-    subprocess.run(record, check=True, capture_output=True, timeout=HANG_S)
+    assert emulator(["record", str(log), "--scenario", "noise_only"]) == 0
     cut.write_bytes(log.read_bytes()[: log.stat().st_size * 3 // 10])
-    ended = run_service(tmp_path, "analyze", cut, "--json")
+    ended = run("analyze", cut, "--json")
     if suffix == ".mf4":
         ended.assert_one_line(3, "damaged or cut off")
         return
@@ -127,14 +125,14 @@ def test_a_broker_that_refuses_gets_its_results_once_it_lets_us_in(drive_log: Pa
     broker.start()
     arguments = ("analyze", drive_log, "--json", "--vehicle", "car1", "--store", tmp_path / "car.sqlite", "--broker")
     try:
-        refused = run_service(tmp_path / "refused", *arguments, broker.url.replace("//", "//car1:wrong@"))
+        refused = run(*arguments, broker.url.replace("//", "//car1:wrong@"))
         assert (refused.status, refused.err.count("\n")) == (0, 1)
         assert refused.err.startswith(f"diag-service: warning: broker 127.0.0.1:{broker.port}: connection refused: ")
         assert "wrong" not in refused.err
         assert len(refused.shifts) == SHIFT_COUNT
         assert refused.summary["shifts"]["unpublished"] == SHIFT_COUNT
         with Subscriber(broker.port, "backend", "heard") as backend:
-            trusted = run_service(tmp_path / "trusted", *arguments, broker.url.replace("//", "//car1:driven@"))
+            trusted = run(*arguments, broker.url.replace("//", "//car1:driven@"))
             backend.wait(lambda heard: len(heard.payloads("car1/shift")) == SHIFT_COUNT)
             assert backend.payloads("car1/shift") == refused.shifts
     finally:
@@ -153,7 +151,7 @@ def test_an_analysis_stopped_at_any_moment_ends_well_and_is_taken_up(cycle_log: 
             ended = running.wait()
             stopped.append(ended)
             statuses.append(0 if ended.summary["complete"] else 128 + number)
-    whole = run_service(tmp_path / "whole", *arguments)
+    whole = run(*arguments)
     assert [ended.status for ended in (*stopped, whole)] == [*statuses, 0]
     assert statuses[0] == 130
     assert all(ended.err.count("\n") == (not ended.summary["complete"]) for ended in (*stopped, whole))

@@ -1,36 +1,28 @@
 """diag-service calibrate, as a user runs it: drive, calibrate, analyse a later drive with the vehicle's own file."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from clutch_model.calibration import nominal_calibration, read_calibration
-from tests.support.patience import HANG_S
-
-
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", *arguments], capture_output=True, text=True, timeout=HANG_S, check=False
-    )
+from ecu_emulator.cli import main as emulator
+from tests.support.in_process import ended as run
 
 
 @pytest.fixture(scope="module")
 def routine_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a drive with scatter that begins with the workshop routine: 2 + 2 revs, one cycle."""
     log = tmp_path_factory.mktemp("calibrate") / "first.log"
-    made = run("ecu_emulator", "record", str(log), "--scenario", "ideal", "--seed", "11", "--routine", "2,2")
-    assert made.returncode == 0, made.stderr
+    assert emulator(["record", str(log), "--scenario", "ideal", "--seed", "11", "--routine", "2,2"]) == 0
     return log
 
 
 def test_a_calibration_is_found_written_and_used(routine_log: Path, cycle_log: Path, tmp_path: Path) -> None:
     own = tmp_path / "car.toml"
-    done = run("diag_service", "calibrate", str(routine_log), "-o", str(own), "--vehicle", "car", "--json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    done = run("calibrate", str(routine_log), "-o", str(own), "--vehicle", "car", "--json")
+    assert done.status == 0, done.err
+    found = json.loads(done.out)
     calibration = read_calibration(own)
     assert found["calibration_version"] == calibration.version
     assert calibration.version.startswith(f"{nominal_calibration().version}-car-")
@@ -43,39 +35,34 @@ def test_a_calibration_is_found_written_and_used(routine_log: Path, cycle_log: P
         assert abs(parameter["value"] - drawn[key]) < 4.0 * parameter["std"]
         assert parameter["std"] < parameter["std_before"]
 
-    used = run("diag_service", "analyze", str(cycle_log), "--calibration", str(own), "--json", "--vehicle", "car")
-    assert used.returncode == 0, used.stderr
-    assert calibration.version in used.stdout
-    other = run("diag_service", "analyze", str(cycle_log), "--calibration", str(own), "--vehicle", "car2")
-    assert other.returncode == 2
-    assert "the calibration is of vehicle car, not of car2" in other.stderr
+    used = run("analyze", str(cycle_log), "--calibration", str(own), "--json", "--vehicle", "car")
+    assert used.status == 0, used.err
+    assert calibration.version in used.out
+    other = run("analyze", str(cycle_log), "--calibration", str(own), "--vehicle", "car2")
+    assert other.status == 2
+    assert "the calibration is of vehicle car, not of car2" in other.err
+    again = run("calibrate", str(routine_log), "-o", str(tmp_path / "again.toml"), "--calibration", str(own))
+    assert again.status == 2
+    assert "start from its type" in again.err
 
 
 def test_the_table_for_people_says_what_driving_cannot_tell(cycle_log: Path, tmp_path: Path) -> None:
-    done = run("diag_service", "calibrate", str(cycle_log), "-o", str(tmp_path / "car.toml"))
-    assert done.returncode == 0, done.stderr
-    assert "torque latency against the speeds" in done.stdout
-    assert "not observable from driving" in done.stdout
+    done = run("calibrate", str(cycle_log), "-o", str(tmp_path / "car.toml"))
+    assert done.status == 0, done.err
+    assert "torque latency against the speeds" in done.out
+    assert "not observable from driving" in done.out
 
 
 def test_too_short_a_drive_is_refused_and_writes_nothing(drive_log: Path, tmp_path: Path) -> None:
     own = tmp_path / "car.toml"
-    done = run("diag_service", "calibrate", str(drive_log), "-o", str(own))
-    assert done.returncode == 2
-    assert "usable shifts onto clutch" in done.stderr
+    done = run("calibrate", str(drive_log), "-o", str(own))
+    assert done.status == 2
+    assert "usable shifts onto clutch" in done.err
     assert not own.exists()
 
 
 def test_a_file_that_cannot_be_written_is_a_clear_error(cycle_log: Path, tmp_path: Path) -> None:
-    done = run("diag_service", "calibrate", str(cycle_log), "-o", str(tmp_path / "nowhere" / "car.toml"))
-    assert done.returncode == 2
-    assert "cannot write" in done.stderr
-    assert done.stderr.count("\n") == 1
-
-
-def test_a_vehicles_calibration_is_no_start_for_another(routine_log: Path, tmp_path: Path) -> None:
-    own, again = tmp_path / "car.toml", tmp_path / "again.toml"
-    assert run("diag_service", "calibrate", str(routine_log), "-o", str(own)).returncode == 0
-    done = run("diag_service", "calibrate", str(routine_log), "-o", str(again), "--calibration", str(own))
-    assert done.returncode == 2
-    assert "start from its type" in done.stderr
+    done = run("calibrate", str(cycle_log), "-o", str(tmp_path / "nowhere" / "car.toml"))
+    assert done.status == 2
+    assert "cannot write" in done.err
+    assert done.err.count("\n") == 1

@@ -15,7 +15,8 @@ from canlog.errors import DefinitionError
 from diag_service.commands.arguments import parse_arguments
 from diag_service.errors import IncompleteError, StoppedError
 from diag_service.service.stopping import Controls, Trigger
-from tests.support.service import run_service, service
+from tests.support.in_process import ended as run
+from tests.support.service import service
 
 Row = dict[str, Any]
 
@@ -319,10 +320,10 @@ def test_strict_writes_the_file_and_complains(tmp_path: Path) -> None:
 def test_strict_as_a_process_has_its_own_status(tmp_path: Path) -> None:
     decoded(tmp_path, LOSSES, LOST_LOG)
     words = ("decode", tmp_path / "drive.log", "--dbc", tmp_path / "car.dbc", "-o", tmp_path / "o.parquet")
-    strict = run_service(tmp_path / "strict", *words, "--strict", "--json")
+    strict = run(*words, "--strict", "--json")
     assert (strict.status, len(strict.out.splitlines())) == (5, 1)
     assert "not all of it is in" in strict.err.splitlines()[-1]
-    assert run_service(tmp_path / "plain", *words, "--force").status == 0
+    assert run(*words, "--force").status == 0
 
 
 def test_a_database_that_matches_nothing_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,8 +13,9 @@ from ecu_emulator.driving.states import DriveState, EngineState
 from ecu_emulator.record import open_log
 from ecu_emulator.recording import Drive
 from tests.golden.analyses import RECORDINGS
+from tests.support.in_process import ended as run
 from tests.support.road import START_AND_STOP, road_scenario
-from tests.support.service import Record, run_service
+from tests.support.service import Record
 
 BEFORE = Path(__file__).parents[1] / "data" / "dct-before-driving.dbc"
 RECORDED_BEFORE = "ideal"
@@ -76,8 +77,7 @@ def test_a_database_from_before_reads_what_it_knows_of_a_new_log(road_log: Path)
 
 def test_the_service_estimates_the_same_with_either_database(road_log: Path, tmp_path: Path) -> None:
     before, now = (
-        run_service(tmp_path, "analyze", road_log, "--dbc", database, "--profile", "dct", "--json")
-        for database in (BEFORE, DBC_PATH)
+        run("analyze", road_log, "--dbc", database, "--profile", "dct", "--json") for database in (BEFORE, DBC_PATH)
     )
     assert len(before.shifts) >= 2
     assert [without_stream(shift) for shift in now.shifts] == [without_stream(shift) for shift in before.shifts]

@@ -43,18 +43,13 @@ def test_help_and_version_need_no_extra(plain: PlainInstall, program: str) -> No
     version, text = plain.run_all(module, [["--version"], ["--help"]])
     assert (version.status, text.status) == (0, 0)
     assert version.out.startswith(f"{program} ")
+    assert re.search(r"2 usage[^;0-9]* or an extra that is not installed", " ".join(text.out.split()))
     commands = COMMAND.findall(text.out)
     assert len(commands) >= 3
     for command, told in zip(commands, plain.run_all(module, [[one, "--help"] for one in commands]), strict=True):
         assert told.status == 0, command
         assert told.out.startswith(f"usage: {program} {command} "), command
         assert told.err == "", command
-
-
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_the_exit_status_of_a_missing_extra_is_documented(plain: PlainInstall, program: str) -> None:
-    (text,) = plain.run_all(PROGRAMS[program], [["--help"]])
-    assert re.search(r"2 usage[^;0-9]* or an extra that is not installed", " ".join(text.out.split()))
 
 
 def test_every_program_starts_as_a_module(plain: PlainInstall) -> None:
@@ -96,6 +91,13 @@ def test_extras_are_asked_for_at_once(plain: PlainInstall, tmp_path: Path) -> No
     one_line("diag-service", "odx,uds", asked.err)
 
 
+def test_a_pdx_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
+    (told,) = plain.run_all("ecu_emulator.cli", [["pdx", "-o", str(tmp_path / "tcu.pdx")]])
+    assert told.status == 2
+    one_line("ecu-emulator", "odx", told.err)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_every_command_that_makes_certificates_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
     folder = ["--folder", str(tmp_path / "certificates")]
     runs = [["init", *folder], ["server", "broker", "--host", "localhost", *folder], ["client", "car1", *folder]]
@@ -110,7 +112,7 @@ def test_parquet_and_mf4_say_what_to_install(plain: PlainInstall, tmp_path: Path
     log, mdf = tmp_path / "drive.log", tmp_path / "drive.mf4"
     log.write_text(CANDUMP, encoding="utf-8")
     mdf.write_bytes(MDF)
-    runs = {
+    runs: dict[str, list[list[str | Path]]] = {
         "parquet": [
             ["decode", log, "-o", "d.parquet"],
             ["decode", log, "-o", "-"],
@@ -128,13 +130,12 @@ def test_parquet_and_mf4_say_what_to_install(plain: PlainInstall, tmp_path: Path
             ["decode", log, "-o", "d.mf4"],
         ],
     }
-    for extra, words in runs.items():
-        told = plain.run_all("diag_service.cli", [[str(word) for word in one] for one in words], cwd=tmp_path)
-        for one, outcome in zip(words, told, strict=True):
-            assert outcome.status == 2, (one, outcome)
-            last = outcome.err.splitlines(keepends=True)[-1]
-            one_line("diag-service", extra, last)
-            assert "Traceback" not in outcome.err
+    asked = [(extra, [str(word) for word in words]) for extra, all_words in runs.items() for words in all_words]
+    told = plain.run_all("diag_service.cli", [words for _, words in asked], cwd=tmp_path)
+    for (extra, words), outcome in zip(asked, told, strict=True):
+        assert outcome.status == 2, (words, outcome)
+        one_line("diag-service", extra, outcome.err.splitlines(keepends=True)[-1])
+        assert "Traceback" not in outcome.err
 
 
 def test_a_folder_goes_on_without_the_logs_that_need_an_extra(plain: PlainInstall, tmp_path: Path) -> None:

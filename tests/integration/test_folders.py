@@ -16,7 +16,7 @@ from diag_service.commands.arguments import parse_arguments
 from diag_service.errors import ConfigError, StoreError
 from diag_service.service.stopping import Controls
 from tests.plugins.drives import SHIFT_COUNT
-from tests.support.service import run_service
+from tests.support.in_process import ended as run
 from tests.tools.folders import fill_folder, kill_and_resume
 
 LOG_COUNT = 5
@@ -24,17 +24,17 @@ LOG_COUNT = 5
 
 def test_a_run_that_was_killed_goes_on_where_it_ended(drive_log: Path, tmp_path: Path) -> None:
     paths = fill_folder(tmp_path / "logs", drive_log, LOG_COUNT)
-    run = kill_and_resume(tmp_path / "logs", tmp_path / "out.jsonl", jobs=2, kill_after=2)
-    assert 2 <= run.done_before < LOG_COUNT
-    assert run.outlived == 0
-    assert run.files == {str(path): 1 for path in paths}
-    assert len(run.shift_keys) == run.shift_keys.total() == LOG_COUNT * SHIFT_COUNT
-    assert f"{run.done_before} of {LOG_COUNT} drives were done before" in run.second_stderr
+    killed = kill_and_resume(tmp_path / "logs", tmp_path / "out.jsonl", jobs=2, kill_after=2)
+    assert 2 <= killed.done_before < LOG_COUNT
+    assert killed.outlived == 0
+    assert killed.files == {str(path): 1 for path in paths}
+    assert len(killed.shift_keys) == killed.shift_keys.total() == LOG_COUNT * SHIFT_COUNT
+    assert f"{killed.done_before} of {LOG_COUNT} drives were done before" in killed.second_stderr
 
 
 def test_the_tables_hold_what_a_drive_gives(drive_log: Path, tmp_path: Path) -> None:
-    plain = run_service(tmp_path / "plain", "analyze", drive_log, "--json")
-    ended = run_service(tmp_path / "table", "analyze", drive_log, "-o", tmp_path / "out.jsonl", "--jobs", "1")
+    plain = run("analyze", drive_log, "--json")
+    ended = run("analyze", drive_log, "-o", tmp_path / "out.jsonl", "--jobs", "1")
     assert ended.status == 0, ended.err
     assert f"{SHIFT_COUNT} shifts of 1 drives in {tmp_path / 'out.jsonl'}" in ended.err
     *shifts, drive = (json.loads(line) for line in (tmp_path / "out.jsonl").read_text(encoding="utf-8").splitlines())
@@ -59,13 +59,13 @@ def test_what_cannot_be_read_and_what_is_left_out_is_told_and_stops_nothing(driv
     notes = folder / "notes.txt"
     notes.write_bytes(b"what we measured\n" * 900 + b"  1)     1841 0001 8 00 11 22 33 44 55 66 77\n")
     (folder / "trip.zip").write_bytes(b"PK\x03\x04" + bytes(90))
-    ended = run_service(tmp_path / "text", "analyze", folder, "--jobs", "1")
+    ended = run("analyze", folder, "--jobs", "1")
     assert ended.status == 0
     assert f"{folder / 'bad.blf'}: not read: " in ended.out
     assert f"2 drives, {SHIFT_COUNT} shifts, 1 could not be read, 2 files left out" in ended.out
     assert f"left out: {notes}: not a log of a known format" in ended.err
     assert f"left out: {folder / 'trip.zip'}: the zip archive is cut off" in ended.err
-    ended = run_service(tmp_path / "json", "analyze", folder, "--jobs", "1", "--json")
+    ended = run("analyze", folder, "--jobs", "1", "--json")
     records = [json.loads(line) for line in ended.out.splitlines()]
     left_out = [record for record in records if record["schema"] == "clutchdiag/left-out/v1"]
     assert [(record["path"], bool(record["reason"])) for record in left_out] == [
@@ -103,7 +103,7 @@ def test_a_folder_below_names_the_vehicle(drive_log: Path, tmp_path: Path) -> No
     for name in ("car1/monday", "car2"):
         fill_folder(tmp_path / "fleet" / name, drive_log, 1)
     words: list[str | Path] = ["analyze", tmp_path / "fleet", "--jobs", "2", "--vehicle-from", "path"]
-    ended = run_service(tmp_path / "run", *words, "-o", tmp_path / "out.parquet")
+    ended = run(*words, "-o", tmp_path / "out.parquet")
     assert ended.status == 0, ended.err
     table = pq.read_table(tmp_path / "out.parquet")
     rows = table.to_pylist()

@@ -6,8 +6,8 @@ import pytest
 
 from diag_service.mapping.profile import load_profile
 from tests.plugins.drives import SHIFT_COUNT
+from tests.support.in_process import ended as run
 from tests.support.recode import load_strict, recode
-from tests.support.service import run_service
 
 DATA = Path(__file__).parents[1] / "data"
 DBC, PROFILE = DATA / "foreign.dbc", DATA / "foreign.toml"
@@ -23,8 +23,8 @@ def test_the_foreign_database_is_sound_and_unlike_ours() -> None:
 def test_another_vehicle_gives_the_same_friction(drive_log: Path, tmp_path: Path) -> None:
     log = tmp_path / "foreign.log"
     recode(drive_log, DBC, load_profile(PROFILE), log)
-    ours = run_service(tmp_path / "ours", "analyze", drive_log, "--json")
-    theirs = run_service(tmp_path / "theirs", "analyze", log, "--dbc", DBC, "--profile", PROFILE, "--json")
+    ours = run("analyze", drive_log, "--json")
+    theirs = run("analyze", log, "--dbc", DBC, "--profile", PROFILE, "--json")
     assert (theirs.status, theirs.err) == (0, "")
     assert len(theirs.shifts) == SHIFT_COUNT
     for one, other in zip(theirs.shifts, ours.shifts, strict=True):

@@ -20,7 +20,7 @@ ROOMS = [
     "fleet_link",
     "clutchdiag_io",
 ]
-MOST_LINES = 350
+MOST_LINES = 600
 MOST_PARAMETERS = 9  # of a kernel: beyond it a record says what belongs together
 
 

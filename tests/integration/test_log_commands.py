@@ -23,7 +23,8 @@ from diag_service.errors import ConfigError
 from diag_service.mapping.profile import load_profile
 from diag_service.mapping.tiers import tier_of
 from diag_service.service.stopping import Controls
-from tests.support.service import run_service, service
+from tests.support.in_process import ended as run
+from tests.support.service import service
 
 FRAME_COUNT = 1000
 
@@ -66,7 +67,7 @@ def test_inspect_tells_what_is_on_the_bus_and_what_is_wrong(
 
 
 def test_inspect_as_a_process(short_log: Path, tmp_path: Path) -> None:
-    ended = run_service(tmp_path, "inspect", short_log)
+    ended = run("inspect", short_log)
     assert (ended.status, ended.err) == (0, "")
     assert "TCU_Pressures" in ended.out
 

@@ -182,19 +182,21 @@ def record(path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [*RECORDED.values(), ".log.gz", ".db"])
-@pytest.mark.parametrize("is_begun", [False, True])
-def test_a_file_that_shrinks_while_it_is_read_is_counted_as_cut(suffix: str, tmp_path: Path, *, is_begun: bool) -> None:
+def test_a_file_that_shrinks_while_it_is_read_is_counted_as_cut(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"drive{suffix}"
     record(path)
-    reader = read_log(path)
-    frames = len(next(reader)) if is_begun else 0
-    with path.open("r+b") as file:
-        file.truncate(3_000)
-    with suppress(SourceError):  # if nothing is left
-        frames += sum(len(batch) for batch in reader)
-    assert frames == reader.counts.frames
-    assert reader.counts.truncated
-    assert reader.counts.rejected[LogReject.CUT_OFF] >= 1
+    contents = path.read_bytes()
+    for is_begun in (False, True):
+        path.write_bytes(contents)
+        reader = read_log(path)
+        frames = len(next(reader)) if is_begun else 0
+        with path.open("r+b") as file:
+            file.truncate(3_000)
+        with suppress(SourceError):  # if nothing is left
+            frames += sum(len(batch) for batch in reader)
+        assert frames == reader.counts.frames
+        assert reader.counts.truncated
+        assert reader.counts.rejected[LogReject.CUT_OFF] >= 1
 
 
 def test_zeros_behind_a_log_are_left_unread_and_counted(tmp_path: Path) -> None:
@@ -211,4 +213,4 @@ def test_zeros_behind_a_log_are_left_unread_and_counted(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("reader", READERS)
 def test_readers_hold_against_a_short_fuzz(reader: str) -> None:
-    assert fuzz(reader, [11], examples=150) == 150
+    assert fuzz(reader, [11], examples=60) == 60

@@ -9,7 +9,8 @@ import pytest
 from canlog.frame_columns import join
 from canlog.frames import EXTENDED_FLAG
 from canlog.logs import read_log
-from tests.support.service import Ended, run_service
+from tests.support.in_process import ended as run
+from tests.support.service import Ended
 
 FIRST_US = -3_000_000_000  # fifty minutes below zero
 
@@ -37,7 +38,7 @@ def estimates(ended: Ended) -> list[float]:
 @pytest.fixture
 def usual(drive_log: Path, tmp_path: Path) -> Ended:
     log = written(drive_log, tmp_path / "usual.csv", first_us=1_000_000)
-    return run_service(tmp_path / "usual", "analyze", log, "--json")
+    return run("analyze", log, "--json")
 
 
 def test_a_drive_below_zero_is_the_same_drive(drive_log: Path, tmp_path: Path, usual: Ended) -> None:
@@ -45,20 +46,20 @@ def test_a_drive_below_zero_is_the_same_drive(drive_log: Path, tmp_path: Path, u
     reader = read_log(log)
     assert int(next(reader).t_ns[0]) == FIRST_US * 1000
     reader.close()
-    ended = run_service(tmp_path / "below", "analyze", log, "--json")
+    ended = run("analyze", log, "--json")
     assert estimates(ended) == estimates(usual)
     assert len(estimates(ended)) >= 3
     across = written(drive_log, tmp_path / "across.csv", first_us=-20_000_000)
-    assert estimates(run_service(tmp_path / "across", "analyze", across, "--json")) == estimates(usual)
+    assert estimates(run("analyze", across, "--json")) == estimates(usual)
 
 
 def test_a_drive_in_milliseconds_is_read_and_said(drive_log: Path, tmp_path: Path, usual: Ended) -> None:
     log = written(drive_log, tmp_path / "ms.csv", first_us=1_000_000, unit_us=1_000)
-    ended = run_service(tmp_path / "ms", "analyze", log, "--json")
+    ended = run("analyze", log, "--json")
     assert f"{log}: times are taken as milliseconds, not microseconds" in ended.err
     assert len(estimates(ended)) == len(estimates(usual))
     assert np.allclose(estimates(ended), estimates(usual), rtol=0.05)
-    shown = run_service(tmp_path / "inspect", "inspect", log, "--json")
+    shown = run("inspect", log, "--json")
     record = json.loads(shown.out)
     assert record["evidence"] == "line 1 is its header"
     assert "milliseconds" in record["notes"][0]
@@ -68,9 +69,9 @@ def test_a_drive_in_milliseconds_is_read_and_said(drive_log: Path, tmp_path: Pat
 def test_times_that_no_bus_can_have_are_said(tmp_path: Path) -> None:
     log = tmp_path / "fast.log"
     log.write_text("".join(f"(1700000000.{k:06d}) can0 123#0011223344556677 T\n" for k in range(100)), "ascii")
-    ended = run_service(tmp_path, "inspect", log)
+    ended = run("inspect", log)
     assert "taken for candump: 100 of the first 100 lines are frames in its grammar" in ended.out
     assert "the times cannot be right: the first 100 frames would load a bus of 1 Mbit/s by 11100 %" in ended.out
     assert "100 sent by the recorder" in ended.out
     log.write_text("(1700000000.000000) can0 123#0011223344556677\n" * 20, "ascii")
-    assert "all have the same time" in run_service(tmp_path, "inspect", log).out
+    assert "all have the same time" in run("inspect", log).out

@@ -1,8 +1,5 @@
 """The paper's method end to end: on the plant's own signals, on CAN frames, and from the command line."""
 
-import json
-import subprocess
-import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -30,7 +27,8 @@ from ecu_emulator.plant import Col
 from tests.integration.test_estimation import shifts
 from tests.support.builders import drive_scenario
 from tests.support.cycles import drive_rows
-from tests.support.patience import HANG_S
+from tests.support.in_process import ended
+from tests.support.service import Ended
 from tests.support.wire import START_NS
 
 if TYPE_CHECKING:
@@ -116,20 +114,14 @@ def test_shifts_are_pooled_and_unusable_ones_say_why() -> None:
     assert [clutch.shift_count for clutch in collection.pooled()] == [10, 10]
 
 
-def analyze(log: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "diag_service", "analyze", str(log), "--estimator", "paper", *options],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=HANG_S,
-    )
+def analyze(log: Path, *options: str) -> Ended:
+    return ended("analyze", log, "--estimator", "paper", *options)
 
 
 def test_the_command_line_prints_shifts_and_both_clutches(drive_log: Path) -> None:
     answer = analyze(drive_log, "--json")
-    assert answer.returncode == 0, answer.stderr
-    records = [json.loads(line) for line in answer.stdout.splitlines()]
+    assert answer.status == 0, answer.err
+    records = answer.records
     assert {record["schema"] for record in records} == {"clutchdiag/paper/v1"}
     assert [(one["from_gear"], one["to_gear"]) for one in records if one["scope"] == "shift"] == [
         (1, 2),
@@ -143,17 +135,17 @@ def test_the_command_line_prints_shifts_and_both_clutches(drive_log: Path) -> No
 
 def test_the_table_for_people_states_no_uncertainty(drive_log: Path) -> None:
     answer = analyze(drive_log)
-    assert answer.returncode == 0, answer.stderr
-    assert answer.stdout.count("n/a") == 2
-    assert "no verdict" in answer.stdout
-    assert "rejected" in answer.stdout
+    assert answer.status == 0, answer.err
+    assert answer.out.count("n/a") == 2
+    assert "no verdict" in answer.out
+    assert "rejected" in answer.out
 
 
 @pytest.mark.parametrize("option", [("--store", "results.sqlite"), ("--broker", "mqtt://127.0.0.1")])
 def test_results_without_uncertainty_are_not_kept(drive_log: Path, tmp_path: Path, option: tuple[str, str]) -> None:
     value = str(tmp_path / option[1]) if option[0] == "--store" else option[1]
     answer = analyze(drive_log, option[0], value)
-    assert answer.returncode == 2
-    assert answer.stderr.startswith("diag-service: error: the paper's method states no uncertainty")
-    assert answer.stderr.count("\n") == 1
+    assert answer.status == 2
+    assert answer.err.startswith("diag-service: error: the paper's method states no uncertainty")
+    assert answer.err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []

@@ -23,7 +23,7 @@ from diag_service.tester.description import read_fields
 from diag_service.tester.description_file import find_description
 from ecu_emulator.answering import Answering
 from ecu_emulator.bus import to_messages
-from ecu_emulator.commands import write_log
+from ecu_emulator.commands import LogOptions, write_log
 from ecu_emulator.diagnostics.opinion import ClutchOpinion, read_line
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.frames import EncodedFrames, merge
@@ -212,7 +212,4 @@ def test_a_car_that_nobody_can_ask_does_not_wait(tmp_path: Path) -> None:
             stop=None, say=lambda _: None, show=lambda *_: None,  # type: ignore[arg-type]  # it does not come so far
         )  # fmt: skip
     with pytest.raises(ConfigError, match="a log has no tester"):
-        write_log(
-            scenario, path=tmp_path / "x.log", log_format=None, start_ns=0, channel="vcan0", truth=None,
-            longest_stay_s=0.0, stop=None,  # type: ignore[arg-type]  # likewise
-        )  # fmt: skip
+        write_log(scenario, LogOptions(path=tmp_path / "x.log"), None)  # type: ignore[arg-type]  # likewise

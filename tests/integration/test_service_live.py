@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.plugins.broker import Mosquitto
+from tests.support.in_process import ended as run
 from tests.support.replay import INTERFACE, Replay, UdpBus, free_bus
 from tests.support.service import Record, Service, run_service, service
 from tests.support.subscriber import Subscriber
@@ -47,8 +48,10 @@ def counts_say(running: Service, text: str) -> bool:
     return f"diag-service: {text}" in running.err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("delay_s", [0.0, 0.1, 0.4, 0.8])
+@pytest.mark.parametrize(
+    ("number", "delay_s"),
+    [(signal.SIGINT, 0.0), (signal.SIGTERM, 0.1), (signal.SIGINT, 0.4), (signal.SIGTERM, 0.8)],
+)
 def test_a_signal_while_starting_ends_it_cleanly(
     tmp_path: Path, bus: UdpBus, number: signal.Signals, delay_s: float
 ) -> None:
@@ -182,5 +185,4 @@ def test_the_bus_may_come_from_the_environment(tmp_path: Path, bus: UdpBus) -> N
 def test_a_bus_that_cannot_be_used_is_told_in_one_line(
     tmp_path: Path, arguments: tuple[str, ...], status: int, text: str
 ) -> None:
-    ended = run_service(tmp_path, "run", *arguments, "--store", tmp_path / "car.sqlite")
-    ended.assert_one_line(status, text)
+    run("run", *arguments, "--store", tmp_path / "car.sqlite").assert_one_line(status, text)

@@ -16,7 +16,7 @@ from clutch_model.calibration import nominal_calibration
 from fleet_contract import schema
 from tests.plugins.broker import Mosquitto, free_port
 from tests.plugins.drives import SHIFT_COUNT
-from tests.support.in_process import ended
+from tests.support.in_process import ended as run
 from tests.support.patience import HANG_S
 from tests.support.replay import INTERFACE, free_bus
 from tests.support.service import PROGRAM, environment, run_service, service
@@ -33,6 +33,7 @@ def stored_keys(store: Path) -> list[tuple[str, int]]:
 def test_json_lines_are_the_public_records(drive_log: Path, tmp_path: Path) -> None:
     ended = run_service(tmp_path, "analyze", drive_log, "--json", "--vehicle", "car1")
     assert (ended.status, ended.err) == (0, "")
+    assert (ended.summary["complete"], ended.summary["incomplete"]) == (True, [])
     for record in ended.shifts:
         Draft202012Validator(schema("shift")).validate(record)
     for clutch in ended.summary["clutches"]:
@@ -45,7 +46,7 @@ def test_json_lines_are_the_public_records(drive_log: Path, tmp_path: Path) -> N
 
 
 def test_people_get_a_line_per_shift_and_a_table(drive_log: Path, tmp_path: Path) -> None:
-    ended = run_service(tmp_path, "analyze", drive_log)
+    ended = run("analyze", drive_log)
     assert (ended.status, ended.err) == (0, "")
     assert ended.out.count(" valid ") == SHIFT_COUNT
     assert f"{SHIFT_COUNT} shifts ({SHIFT_COUNT} valid)" in ended.out
@@ -53,7 +54,7 @@ def test_people_get_a_line_per_shift_and_a_table(drive_log: Path, tmp_path: Path
 
 def test_the_same_log_twice_is_stored_once(drive_log: Path, tmp_path: Path) -> None:
     arguments = ("analyze", drive_log, "--json", "--store", tmp_path / "car.sqlite")
-    first, second = (run_service(tmp_path / name, *arguments) for name in ("first", "second"))
+    first, second = (run(*arguments) for name in ("first", "second"))
     assert first.shifts == second.shifts
     assert (first.summary["shifts"]["stored"], second.summary["shifts"]["stored"]) == (SHIFT_COUNT, 0)
     assert second.summary["shifts"]["already_stored"] == SHIFT_COUNT
@@ -61,14 +62,14 @@ def test_the_same_log_twice_is_stored_once(drive_log: Path, tmp_path: Path) -> N
 
 
 def test_an_analysis_that_was_stopped_is_taken_up_where_it_ended(drive_log: Path, tmp_path: Path) -> None:
-    whole = run_service(tmp_path / "whole", "analyze", drive_log, "--json")
+    whole = run("analyze", drive_log, "--json")
     store = tmp_path / "car.sqlite"
     arguments = ("analyze", drive_log, "--json", "--store", store)
     with service(tmp_path / "stopped", *arguments) as running:
         running.wait_for(lambda: store.exists() and running.out.count("\n") > 0)
         running.send(signal.SIGTERM)
         stopped = running.wait()
-    resumed = run_service(tmp_path / "resumed", *arguments)
+    resumed = run(*arguments)
     assert stopped.status in {0, 143}  # it may have been done before it heard
     assert resumed.status == 0
     assert stopped.shifts == whole.shifts[: len(stopped.shifts)]
@@ -79,8 +80,8 @@ def test_logs_of_one_drive_are_put_in_order(drive_log: Path, tmp_path: Path) -> 
     lines = drive_log.read_bytes().splitlines(keepends=True)
     (tmp_path / "a.log").write_bytes(b"".join(lines[len(lines) // 2 :]))
     (tmp_path / "b.log").write_bytes(b"".join(lines[: len(lines) // 2]))
-    whole = run_service(tmp_path / "whole", "analyze", drive_log, "--json")
-    parts = run_service(tmp_path / "parts", "analyze", tmp_path / "a.log", tmp_path / "b.log", "--json")
+    whole = run("analyze", drive_log, "--json")
+    parts = run("analyze", tmp_path / "a.log", tmp_path / "b.log", "--json")
     assert parts.shifts == whole.shifts  # the stream's name included: it is the contents', in order
 
 
@@ -89,7 +90,7 @@ def test_damage_in_a_log_is_counted_and_told(drive_log: Path, tmp_path: Path) ->
     crc_spoilt = [line[:-1] + ("0" if line[-1] != "0" else "1") for line in lines[100:110]]
     log = tmp_path / "damaged.log"
     log.write_text("\n".join([*lines[:100], *crc_spoilt, "what is this", *lines[110:]]) + "\n", encoding="ascii")
-    ended = run_service(tmp_path, "analyze", log, "--json")
+    ended = run("analyze", log, "--json")
     assert ended.status == 0
     assert ended.summary["frames"]["rejected"]["bad_crc"] == len(crc_spoilt)
     assert ended.summary["frames"]["unreadable"] == {"malformed": 1}
@@ -99,7 +100,7 @@ def test_damage_in_a_log_is_counted_and_told(drive_log: Path, tmp_path: Path) ->
 
 def test_a_calibration_of_another_version_starts_a_state_of_its_own(drive_log: Path, tmp_path: Path) -> None:
     store = tmp_path / "car.sqlite"
-    run_service(tmp_path / "first", "analyze", drive_log, "--json", "--store", store)
+    run("analyze", drive_log, "--json", "--store", store)
     edited = tmp_path / "edited.toml"
     inertia = nominal_calibration().input_side.engine_inertia_kg_m2
     edited.write_text(
@@ -108,7 +109,7 @@ def test_a_calibration_of_another_version_starts_a_state_of_its_own(drive_log: P
         ),
         encoding="utf-8",
     )
-    second = run_service(tmp_path / "second", "analyze", drive_log, "--json", "--store", store, "--calibration", edited)
+    second = run("analyze", drive_log, "--json", "--store", store, "--calibration", edited)
     assert second.status == 0
     assert "starting afresh with a new baseline, results stay" in second.err
     assert second.summary["shifts"]["stored"] == SHIFT_COUNT
@@ -156,11 +157,11 @@ def test_what_cannot_be_used_is_told_in_one_line(
     (tmp_path / "foreign.dbc").write_text('VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ S : 0|8@1+ (1,0) [0|255] "" A\n')
     (tmp_path / "range.toml").write_text(NOMINAL.read_text(encoding="utf-8").replace("mu_c = 0.14", "mu_c = 1.4"))
     filled = [argument.format(log=drive_log, tmp=tmp_path) for argument in arguments]
-    run_service(tmp_path / "run", *filled).assert_one_line(status, text)
+    run(*filled).assert_one_line(status, text)
 
 
 def test_more_words_tell_where_it_happened(tmp_path: Path) -> None:
-    ended = run_service(tmp_path, "analyze", tmp_path / "none.log", "-v")
+    ended = run("analyze", tmp_path / "none.log", "-v")
     assert ended.status == 3
     assert ended.err.startswith("Traceback")
     assert ended.err.splitlines()[-1].startswith("diag-service: error: ")
@@ -178,7 +179,7 @@ def test_a_store_that_is_read_only(drive_log: Path, tmp_path: Path) -> None:
 
 def test_a_database_that_is_read_only(drive_log: Path, tmp_path: Path) -> None:
     store = tmp_path / "car.sqlite"
-    run_service(tmp_path / "first", "analyze", drive_log, "--store", store)
+    run("analyze", drive_log, "--store", store)
     store.chmod(0o444)
     wrapper = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search") if os.getuid() == 0 else ()
     ended = run_service(
@@ -190,7 +191,7 @@ def test_a_database_that_is_read_only(drive_log: Path, tmp_path: Path) -> None:
 
 def test_a_disk_that_fills_up_loses_nothing_that_was_reported(drive_log: Path, tmp_path: Path) -> None:
     store = tmp_path / "car.sqlite"
-    run_service(tmp_path / "first", "analyze", drive_log, "--store", store, "--vehicle", "car1")
+    run("analyze", drive_log, "--store", store, "--vehicle", "car1")
     limit = store.stat().st_size + 20_000
 
     def fill_disk() -> None:
@@ -218,11 +219,11 @@ def test_a_second_service_leaves_the_store_alone(drive_log: Path, tmp_path: Path
     arguments = ("run", "-i", INTERFACE, "-c", bus.group, "--store", store)
     with service(tmp_path / "first", *arguments, variables=bus.variables) as first:
         first.wait_for(lambda: "listening" in first.out)
-        second = run_service(tmp_path / "second", "analyze", drive_log, "--store", store)
+        second = run("analyze", drive_log, "--store", store)
         second.assert_one_line(4, f"in use by another diag-service (process {first.process.pid})")
         first.send(signal.SIGTERM)
         assert first.wait().status == 0
-    assert run_service(tmp_path / "third", "analyze", drive_log, "--store", store).status == 0
+    assert run("analyze", drive_log, "--store", store).status == 0
 
 
 def test_a_reader_that_hangs_up_ends_the_run(drive_log: Path) -> None:
@@ -259,7 +260,7 @@ def test_an_output_that_takes_nothing_is_an_error(drive_log: Path) -> None:
 @pytest.mark.broker
 def test_results_reach_a_broker(drive_log: Path, tmp_path: Path, broker: Mosquitto) -> None:
     with Subscriber(broker.port) as subscriber:
-        ended = run_service(tmp_path, "analyze", drive_log, "--json", "--vehicle", "car1", "--broker", broker.url)
+        ended = run("analyze", drive_log, "--json", "--vehicle", "car1", "--broker", broker.url)
         assert (ended.status, ended.summary["shifts"]["unpublished"]) == (0, 0)
         subscriber.wait(lambda heard: len(heard.payloads("car1/shift")) == SHIFT_COUNT)
         assert subscriber.payloads("car1/shift") == ended.shifts
@@ -268,32 +269,32 @@ def test_results_reach_a_broker(drive_log: Path, tmp_path: Path, broker: Mosquit
 @pytest.mark.broker
 def test_results_without_a_broker_wait_in_the_store(drive_log: Path, tmp_path: Path, broker: Mosquitto) -> None:
     arguments = ("analyze", drive_log, "--json", "--vehicle", "car1", "--store", tmp_path / "car.sqlite")
-    absent = run_service(tmp_path / "absent", *arguments, "--broker", f"mqtt://127.0.0.1:{free_port()}")
+    absent = run(*arguments, "--broker", f"mqtt://127.0.0.1:{free_port()}")
     assert (absent.status, absent.summary["shifts"]["unpublished"]) == (0, SHIFT_COUNT)
     assert absent.err.count("warning") == 1
     with Subscriber(broker.port) as subscriber:
-        present = run_service(tmp_path / "present", *arguments, "--broker", broker.url)
+        present = run(*arguments, "--broker", broker.url)
         assert (present.status, present.err, present.summary["shifts"]["unpublished"]) == (0, "", 0)
         subscriber.wait(lambda heard: len(heard.payloads("car1/shift")) == SHIFT_COUNT)
         assert subscriber.payloads("car1/shift") == absent.shifts
 
 
 def test_results_that_nobody_keeps_are_told(drive_log: Path, tmp_path: Path) -> None:
-    ended = run_service(tmp_path, "analyze", drive_log, "--broker", f"mqtt://127.0.0.1:{free_port()}")
+    ended = run("analyze", drive_log, "--broker", f"mqtt://127.0.0.1:{free_port()}")
     assert ended.status == 0
     assert f"{SHIFT_COUNT} results were not delivered and are not kept" in ended.err
 
 
 def test_version(tmp_path: Path) -> None:
-    ended = run_service(tmp_path, "--version")
+    ended = run("--version")
     assert (ended.status, ended.out) == (0, "diag-service 0.1.0\n")
 
 
 @pytest.mark.parametrize("command", ["analyze", "inspect", "signals"])
 def test_who_takes_a_store_for_a_log_is_told_what_shows_it(drive_log: Path, tmp_path: Path, command: str) -> None:
     store = tmp_path / "car.sqlite"
-    assert ended("analyze", drive_log, "--store", store).status == 0
-    told = ended(command, store)
+    assert run("analyze", drive_log, "--store", store).status == 0
+    told = run(command, store)
     assert told.status == 2
     assert told.err == (
         f"diag-service: error: {store} is a store of results, no log: diag-service report {store} shows what is in it\n"

@@ -10,7 +10,7 @@ from diag_service.store import ResultStore
 from fleet_backend.certificates.authority import Authority, Lifetime
 from tests.plugins.broker import Mosquitto
 from tests.support.acknowledger import Acknowledger
-from tests.support.service import run_service
+from tests.support.in_process import ended as run
 
 pytestmark = pytest.mark.broker
 
@@ -55,8 +55,8 @@ store = "{store}"
     settings.chmod(0o600)
     backend = tuple(str(certificates / name) for name in ("ca.crt", "fleet-backend.crt", "fleet-backend.key"))
     with Acknowledger(broker.port, tls=(backend[0], backend[1], backend[2])) as hearing:
-        checked = run_service(tmp_path / "check", "config", "check", "--config", settings)
-        ended = run_service(tmp_path / "analyze", "analyze", cycle_log, "--json", "--config", settings)
+        checked = run("config", "check", "--config", settings)
+        ended = run("analyze", cycle_log, "--json", "--config", settings)
     assert (checked.status, ended.status) == (0, 0), checked.err + ended.err
     assert ended.summary["shifts"]["unpublished"] == 0
     assert hearing.seqs() == {int(shift["seq"]) for shift in ended.shifts}

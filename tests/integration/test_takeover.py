@@ -3,9 +3,8 @@
 Its running states are of another algorithm: vehicles start afresh, and are told.
 """
 
+import contextlib
 import json
-import subprocess
-import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -24,6 +23,7 @@ from fleet_backend.migrate import make_ready
 from fleet_backend.rows import shift_row
 from fleet_backend.schema import SHIFT_RESULT
 from tests.golden import analyses, earlier
+from tests.support.in_process import ended
 
 FLEET_HASH = "fbdbd0a37cfbe9c19f8e1258cb6e6405e3ffd5b2fa672e43197c429b84061864"
 
@@ -34,11 +34,10 @@ def _store_path(tmp_path: Path) -> Path:
 
 
 def analyze(recording: str, store: Path) -> tuple[str, str]:
-    command = [sys.executable, "-m", "diag_service", "analyze", f"{recording}.log.xz", "--vehicle", "car1", "--json"]
-    done = subprocess.run(
-        [*command, "--store", str(store)], cwd=analyses.RECORDINGS, check=True, capture_output=True, text=True
-    )
-    return done.stdout, done.stderr
+    with contextlib.chdir(analyses.RECORDINGS):
+        done = ended("analyze", f"{recording}.log.xz", "--vehicle", "car1", "--json", "--store", store)
+    assert done.status == 0, done.err
+    return done.out, done.err
 
 
 def counts(path: Path) -> tuple[int, int]:

@@ -2,15 +2,14 @@
 
 import json
 import statistics
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from diag_service.mapping.profile import PROFILE_PATH
-from tests.support.patience import HANG_S
-from tests.support.service import Ended, run_service
+from ecu_emulator.cli import main as emulator
+from tests.support.in_process import ended as run
+from tests.support.service import Ended
 
 SHIFT_COUNT = 3
 
@@ -34,7 +33,7 @@ def says_friction(ended: Ended) -> bool:
 
 def test_torque_only(drive_log: Path, tmp_path: Path) -> None:
     profile = profile_without(tmp_path, "clutch1_pressure", "clutch2_pressure")
-    ended = run_service(tmp_path, "analyze", drive_log, "--profile", profile, "--json")
+    ended = run("analyze", drive_log, "--profile", profile, "--json")
     assert (ended.status, ended.err) == (0, "")
     assert [(shift["tier"], shift["friction"], shift["status"]) for shift in ended.shifts] == [
         (2, None, "unobserved")
@@ -46,9 +45,7 @@ def test_torque_only(drive_log: Path, tmp_path: Path) -> None:
 
 
 def test_speeds_and_gears_only_with_ratios_for_gears(drive_log: Path, tmp_path: Path) -> None:
-    ended = run_service(
-        tmp_path, "analyze", drive_log, "--profile", profile_without(tmp_path, "pressure", "torque"), "--json"
-    )
+    ended = run("analyze", drive_log, "--profile", profile_without(tmp_path, "pressure", "torque"), "--json")
     assert [(shift["tier"], shift["friction"]) for shift in ended.shifts] == [(3, None)] * SHIFT_COUNT
     assert ratios(ended) == [None] * SHIFT_COUNT
     assert all(shift["indices"]["peak_slip_rad_s"] > 50.0 for shift in ended.shifts)
@@ -57,8 +54,8 @@ def test_speeds_and_gears_only_with_ratios_for_gears(drive_log: Path, tmp_path: 
 
 def test_the_target_alone_finds_the_shifts_that_both_gears_find(drive_log: Path, tmp_path: Path) -> None:
     profile = profile_without(tmp_path, "current_gear", "pressure")
-    target_only = run_service(tmp_path / "target", "analyze", drive_log, "--profile", profile, "--json")
-    both = run_service(tmp_path / "both", "analyze", drive_log, "--json")
+    target_only = run("analyze", drive_log, "--profile", profile, "--json")
+    both = run("analyze", drive_log, "--json")
     assert [shift["start_bus_ns"] for shift in target_only.shifts] == [shift["start_bus_ns"] for shift in both.shifts]
     assert [shift["to_gear"] for shift in target_only.shifts] == [shift["to_gear"] for shift in both.shifts]
     for one, other in zip(target_only.shifts, both.shifts, strict=True):
@@ -68,11 +65,10 @@ def test_the_target_alone_finds_the_shifts_that_both_gears_find(drive_log: Path,
 
 def test_a_worn_clutch_carries_less_than_it_is_asked_for(tmp_path: Path) -> None:
     log = tmp_path / "aged.log"
-    command = [sys.executable, "-m", "ecu_emulator", "record", str(log), "--scenario", "case2"]
-    subprocess.run(command, check=True, capture_output=True, timeout=HANG_S)
+    assert emulator(["record", str(log), "--scenario", "case2"]) == 0
     drive = json.loads(log.with_name("aged.log.truth.jsonl").read_text(encoding="utf-8").splitlines()[0])
     profile = profile_without(tmp_path, "clutch1_pressure", "clutch2_pressure")
-    ended = run_service(tmp_path, "analyze", log, "--profile", profile, "--json")
+    ended = run("analyze", log, "--profile", profile, "--json")
     least, most = min(drive["mu_c"]) / 0.140, max(drive["mu_s"]) / 0.119
     assert (least < 0.9, most > 1.1) == (True, True)  # aged fluid grips more when nearly closed and less at speed
     stds = [shift["indices"]["std_torque_capacity_ratio"] for shift in ended.shifts]
@@ -80,7 +76,7 @@ def test_a_worn_clutch_carries_less_than_it_is_asked_for(tmp_path: Path) -> None
 
 
 def test_a_log_without_shifts_is_accounted_for(drive_log: Path, tmp_path: Path) -> None:
-    ended = run_service(tmp_path, "analyze", drive_log, "--profile", "j1939")
+    ended = run("analyze", drive_log, "--profile", "j1939")
     assert ended.status == 0
     assert "profile j1939: 10 of 10 signals, tier 3; torque capacity needs" in ended.err
     lines = len(drive_log.read_bytes().splitlines())
@@ -90,6 +86,6 @@ def test_a_log_without_shifts_is_accounted_for(drive_log: Path, tmp_path: Path) 
 
 
 def test_people_are_told_the_tier(drive_log: Path, tmp_path: Path) -> None:
-    ended = run_service(tmp_path, "analyze", drive_log, "--profile", profile_without(tmp_path, "1_pressure"))
+    ended = run("analyze", drive_log, "--profile", profile_without(tmp_path, "1_pressure"))
     assert "tier 2 of 3, torque capacity, no friction: friction needs clutch1_pressure_pa" in ended.out
     assert "Clutch 2: the signals of this vehicle do not tell its friction." in ended.out

@@ -7,7 +7,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ecu_emulator.readings import FloatArray, Readings, Schedule
+from canlog.arrays import FloatArray
+from ecu_emulator.readings import Readings, Schedule
 from ecu_emulator.sensors import QUANTITIES, Installation, SensorSuite
 from ecu_emulator.signals import NOMINAL_SENSORS, Sensors
 from ecu_emulator.tcu_data import CLOSED_REVS, OPEN_REVS

@@ -34,7 +34,7 @@ from canlog.logs.asc import AscLog
 from canlog.logs.blf import read_blf
 from canlog.logs.candump import CandumpLog
 from canlog.logs.captures import read_capture
-from canlog.logs.detection import TABLES, TEXT_LOGS, LogFormat
+from canlog.logs.detection import TEXT_LOGS, LogFormat
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.reading import read_log
 from canlog.logs.text_kernels import IS_LENGTH
@@ -224,11 +224,11 @@ READERS: dict[str, tuple[Reader, bytes | tuple[bytes, ...]]] = {
     "blf-objects": (read_blf, SOUND_OBJECTS),
     "pcap": (read_capture, PCAP),
     "pcapng": (read_capture, PCAPNG),
-    "trc": (reader_of(TABLES[LogFormat.TRC]), (*TRC, written(TrcWriter))),
-    "csv": (reader_of(TABLES[LogFormat.CSV]), written(CsvWriter)),
-    "gvret": (reader_of(TABLES[LogFormat.GVRET]), written(GvretWriter)),
-    "busmaster": (reader_of(TABLES[LogFormat.BUSMASTER]), (BUSMASTER, *BUSMASTER_J1939)),
-    "crtd": (reader_of(TABLES[LogFormat.CRTD]), CRTD),
+    "trc": (reader_of(TEXT_LOGS[LogFormat.TRC]), (*TRC, written(TrcWriter))),
+    "csv": (reader_of(TEXT_LOGS[LogFormat.CSV]), written(CsvWriter)),
+    "gvret": (reader_of(TEXT_LOGS[LogFormat.GVRET]), written(GvretWriter)),
+    "busmaster": (reader_of(TEXT_LOGS[LogFormat.BUSMASTER]), (BUSMASTER, *BUSMASTER_J1939)),
+    "crtd": (reader_of(TEXT_LOGS[LogFormat.CRTD]), CRTD),
     "console": (reader_of(TEXT_LOGS[LogFormat.CONSOLE]), (CONSOLE, CONSOLE_GAPS)),
     "carbus": (reader_of(TEXT_LOGS[LogFormat.CARBUS]), CARBUS),
     "canhacker": (reader_of(TEXT_LOGS[LogFormat.CANHACKER]), CANHACKER),

@@ -5,13 +5,14 @@ import numpy.typing as npt
 
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import EXTENDED_FLAG, FD_PAYLOAD_BYTES
-from canlog.jit import array_kernel
-from canlog.logs.columns.roles import BLANKS, HEXADECIMAL, Role
-from canlog.logs.tables.fields import NO_TIME, decimal_us
-from canlog.logs.text_kernels import BLANK, HEX_VALUE, NEWLINE, RETURN, TAB
+from canlog.jit import array_kernel, inlined_kernel
+from canlog.logs.columns.roles import BLANKS, HEXADECIMAL, Role, packed_word
+from canlog.logs.text_kernels import BLANK, HEX_VALUE, LONGEST_NUMBER, NEWLINE, RETURN, TAB, day_number, decimal
+
+NO_TIME = -(1 << 62)  # a time may be negative
 
 QUOTE, COMMA, POINT, COLON, MINUS, PLUS, ZERO = ord('"'), ord(","), ord("."), ord(":"), ord("-"), ord("+"), ord("0")
-LETTER_H, LETTER_X, LETTER_Z = ord("h"), ord("x"), ord("z")
+LETTER_E, LETTER_H, LETTER_X, LETTER_Z = ord("e"), ord("h"), ord("x"), ord("z")
 SQUARE, SQUARE_END, SLASH = ord("["), ord("]"), ord("/")
 NAME_SEED, NAME_FACTOR = -3750763034362895579, 1099511628211  # FNV-1a, 64 bits
 REST = -1  # in place of a parameter: what stands behind the last column is passed over
@@ -19,14 +20,19 @@ MOST_ID_DIGITS = 10
 LARGEST_ID = 0x1FFF_FFFF
 MOST_CHANNEL, MOST_LENGTH = 255, 255
 SECOND_US, DAY_S = 1_000_000, 86_400
-DAYS_OF_400_YEARS, DAYS_TO_EPOCH = 146_097, 719_468  # of the Gregorian calendar, counted from March
 MOST_FRACTION_DIGITS = 9
+MOST_HOURS = 9_999
+TRUE, FALSE = packed_word("true"), packed_word("false")
+PAD = ord("=")
 YEAR_DIGITS = 4
 HOUR_DIGITS, DAY_DIGITS, MOST_STAMP_DIGITS = 9, 11, 17  # of a stamp in milliseconds up to these parts, and to the year
 IS_BETWEEN: npt.NDArray[np.bool_] = np.arange(256) <= BLANK
 IS_BETWEEN[list(b",:-._[]")] = True  # what else may stand between two bytes
 IS_BEFORE_CLOCK: npt.NDArray[np.bool_] = np.zeros(256, np.bool_)
 IS_BEFORE_CLOCK[list(b"Tt -")] = True  # what stands between a date and a time of day
+BASE64_VALUE: npt.NDArray[np.int8] = np.full(256, -1, np.int8)
+for _value, _character in enumerate(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/"):
+    BASE64_VALUE[_character] = _value
 # First letters of fields that say yes, by the role of their column: true, yes, x, and what names it, such as Ext or Tx.
 SAYS_YES: npt.NDArray[np.bool_] = np.zeros((len(Role), 256), np.bool_)
 for _role, _letters in {
@@ -49,7 +55,7 @@ def skip_margin(text: UInt8Array, at: int, separator: int) -> int:
     return at
 
 
-@array_kernel
+@inlined_kernel
 def field(text: UInt8Array, at: int, separator: int) -> tuple[int, int, int]:
     """Return where a field begins and stops, without quotes and blanks around it, and where its separator stands."""
     begin = skip_margin(text, at, separator)
@@ -68,7 +74,7 @@ def field(text: UInt8Array, at: int, separator: int) -> tuple[int, int, int]:
             break
         at += 1
     stop = at
-    while stop > begin and text[stop - 1] <= BLANK:
+    while stop > begin and (text[stop - 1] == BLANK or text[stop - 1] == TAB or text[stop - 1] == RETURN):
         stop -= 1
     return begin, stop, (skip_margin(text, at, separator) if separator == BLANKS else at)
 
@@ -128,9 +134,12 @@ def identifier(
     base: int,
     line: Int64Array,
     meaning: int,
-    tells_by_digits: bool,  # noqa: FBT001 - of a kernel
+    extended_digits: int,
 ) -> int:
-    """Return an identifier, -1 if a field is none; ``x`` behind it makes it an extended one, as Vector writes it."""
+    """Return an identifier, -1 if a field is none; ``x`` behind it makes it an extended one, as Vector writes it.
+
+    So do that many hexadecimal digits, unless ``extended_digits`` is 0.
+    """
     if stop - begin > 2 and text[begin] == ZERO and (text[begin + 1] | 32) == LETTER_X:
         begin, base = begin + 2, HEXADECIMAL
     last = text[stop - 1] | 32 if stop > begin else 0
@@ -147,7 +156,7 @@ def identifier(
     if value > LARGEST_ID and value & EXTENDED_FLAG and value & ~EXTENDED_FLAG <= LARGEST_ID:
         value &= ~EXTENDED_FLAG  # as Linux numbers them
         line[meaning] |= EXTENDED_FLAG
-    if tells_by_digits and base == HEXADECIMAL and stop - begin == 8:
+    if 0 < extended_digits <= stop - begin and base == HEXADECIMAL:
         line[meaning] |= EXTENDED_FLAG
     return value if value <= LARGEST_ID else -1
 
@@ -276,18 +285,9 @@ def date_us(text: UInt8Array, begin: int, stop: int) -> int:
     day_us, at = clock_us(text, begin + 11, stop)
     if day_us == NO_TIME:
         return NO_TIME
-    value_us = _day_number(year, month, day) * DAY_S * SECOND_US + day_us
+    value_us = day_number(year, month, day) * DAY_S * SECOND_US + day_us
     offset_s = _offset_s(text, at, stop)
     return NO_TIME if offset_s == NO_TIME else value_us - offset_s * SECOND_US
-
-
-@array_kernel
-def _day_number(year: int, month: int, day: int) -> int:
-    """Return how many days a date is behind the epoch."""
-    shifted = year - (month <= 2)
-    day_of_year = (153 * (month + (-3 if month > 2 else 9)) + 2) // 5 + day - 1
-    days = shifted // 400 * DAYS_OF_400_YEARS + shifted % 400 * 365 + shifted % 400 // 4 - shifted % 400 // 100
-    return int(days + day_of_year - DAYS_TO_EPOCH)
 
 
 @array_kernel
@@ -318,9 +318,7 @@ def stamp_us(text: UInt8Array, begin: int, stop: int, year: int) -> int:  # noqa
         return NO_TIME
     if count == DAY_DIGITS:
         return value_us + (day - 1) * DAY_S * SECOND_US
-    return (
-        value_us + _day_number(rest // 10_000 if count == MOST_STAMP_DIGITS else year, month, day) * DAY_S * SECOND_US
-    )
+    return value_us + day_number(rest // 10_000 if count == MOST_STAMP_DIGITS else year, month, day) * DAY_S * SECOND_US
 
 
 @array_kernel
@@ -346,3 +344,123 @@ def _offset_s(text: UInt8Array, at: int, stop: int) -> int:
         return NO_TIME
     total_s = hours * 3600 + minutes * 60
     return -total_s if text[at] == MINUS else total_s
+
+
+@array_kernel
+def is_switch(text: UInt8Array, begin: int, stop: int) -> bool:
+    """Return whether a field is 0, 1, false or true and nothing else."""
+    if stop == begin + 1:
+        return bool(text[begin] == ZERO or text[begin] == ZERO + 1)
+    packed, behind = word(text, begin)
+    return bool(behind == stop and (packed == TRUE or packed == FALSE))  # noqa: PLR1714, SIM109 - no tuple in a kernel
+
+
+@array_kernel
+def decimal_us(text: UInt8Array, at: int, power: int) -> tuple[int, int]:
+    """Read a decimal number, perhaps with sign and exponent, as microseconds: times ten to this power, rounded."""
+    is_negative = text[at] == MINUS
+    at += is_negative or text[at] == PLUS
+    mantissa, digits, begin = 0, 0, at
+    while 48 <= text[at] <= 57:
+        mantissa = mantissa * 10 + text[at] - 48
+        digits += 1
+        at += 1
+        if digits > LONGEST_NUMBER:
+            return NO_TIME, -at
+    if text[at] == POINT and at > begin:
+        at += 1
+        while 48 <= text[at] <= 57:
+            if digits < LONGEST_NUMBER:
+                mantissa = mantissa * 10 + text[at] - 48
+                digits += 1
+                power -= 1
+            at += 1
+    if at == begin:
+        return NO_TIME, -at
+    exponent, at = _exponent(text, at)
+    time_us = scaled(mantissa, power + exponent)
+    return (-time_us if is_negative and time_us != NO_TIME else time_us), at
+
+
+@array_kernel
+def _exponent(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Read ``e-05`` or ``E+12`` behind a number, if it is there."""
+    if (text[at] | 32) != LETTER_E:
+        return 0, at
+    begin = at + 1 + (text[at + 1] == MINUS or text[at + 1] == PLUS)
+    value, behind = decimal(text, begin, 3)
+    if behind == begin:
+        return 0, at
+    return (-value if text[at + 1] == MINUS else value), behind
+
+
+@array_kernel
+def scaled(mantissa: int, power: int) -> int:
+    """Return an integer times a power of ten, rounded half up; NO_TIME if it is too large."""
+    if power < -LONGEST_NUMBER or mantissa == 0:
+        return 0
+    if power > LONGEST_NUMBER:
+        return NO_TIME
+    factor = 1
+    for _ in range(abs(power)):
+        factor *= 10
+    if power < 0:
+        return (mantissa + factor // 2) // factor
+    return NO_TIME if mantissa > 4_000_000_000_000_000_000 // factor else mantissa * factor
+
+
+@array_kernel
+def counted_clock_us(text: UInt8Array, at: int, unit_us: int) -> tuple[int, int]:
+    """Read ``hours:minutes:seconds:count``, a count of so many microseconds, padded with zeros or not."""
+    total_us = 0
+    for part in range(3):
+        begin = at
+        value, at = decimal(text, begin, 4)
+        if at == begin or text[at] != COLON or value > (MOST_HOURS if part == 0 else 59):
+            return NO_TIME, -at
+        total_us = total_us * 60 + value
+        at += 1
+    begin = at
+    count, at = decimal(text, begin, 6)
+    if at == begin or count * unit_us >= SECOND_US:
+        return NO_TIME, -at
+    return total_us * SECOND_US + count * unit_us, at
+
+
+@array_kernel
+def word(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Read a word of letters and digits, packed in lower case; 0 if there is none or it is too long to be known."""
+    packed, begin = 0, at
+    while text[at] > BLANK and text[at] != 44:
+        letter = text[at] | 32 if 65 <= text[at] <= 90 else text[at]
+        packed = (packed << 7) | (letter & 127) if at - begin < 8 else 0
+        at += 1
+    return packed, at
+
+
+@array_kernel
+def meaning_of(packed: int, words: Int64Array) -> int:
+    """Return what a word means, -1 if it is not known."""
+    for index in range(len(words)):
+        if words[index, 0] == packed and packed != 0:
+            return int(words[index, 1])
+    return -1
+
+
+@array_kernel
+def base64_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array) -> tuple[int, int]:
+    """Read all bytes of a payload; return their number, or one more than fit beside a negative position."""
+    bits, held, count, begin = 0, 0, 0, at
+    while BASE64_VALUE[text[at]] >= 0:
+        bits = ((bits << 6) | BASE64_VALUE[text[at]]) & 0xFFFF
+        held += 6
+        if held >= 8:
+            held -= 8
+            if count == data.shape[1]:
+                return count + 1, -at
+            data[row, count] = (bits >> held) & 0xFF
+            count += 1
+        at += 1
+    while text[at] == PAD:
+        at += 1
+    return (count, at) if (at - begin) % 4 == 0 else (count, -at)

@@ -8,8 +8,14 @@ from typing import Final
 import numpy as np
 
 from canlog.frames import FrameBatch
-from canlog.logs.columns.bases import LARGEST_ID, LARGEST_STANDARD_ID
-from canlog.logs.columns.header import ROLE_OF_NAME, named_columns, names_in, separator_of
+from canlog.logs.columns.header import (
+    LARGEST_ID,
+    LARGEST_STANDARD_ID,
+    ROLE_OF_NAME,
+    named_columns,
+    names_in,
+    separator_of,
+)
 from canlog.logs.columns.roles import Role
 
 SAMPLE_LINES: Final = 100

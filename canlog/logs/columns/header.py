@@ -2,17 +2,25 @@
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final
 
 from canlog.errors import SourceError
-from canlog.logs.columns.roles import DECIMAL, HEXADECIMAL, Column, Role
+from canlog.logs.columns.roles import (
+    DECIMAL,
+    HEXADECIMAL,
+    MICROSECONDS,
+    MILLISECONDS,
+    SECONDS,
+    Column,
+    Role,
+)
 
 SEPARATORS: Final = b",;\t|"
 MOST_COLUMNS: Final = 200
-SECONDS, MILLISECONDS, MICROSECONDS, NANOSECONDS = 6, 3, 0, -3
+NANOSECONDS: Final = -3
 UNITS: Final[Mapping[str, int]] = MappingProxyType(
     {
         **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), SECONDS),
@@ -81,6 +89,13 @@ NUMBER_IN_BRACKETS: Final = re.compile(r"[\[(](\d+)[)\]]")
 NO_BASE: Final = 0  # of identifiers: they tell it themselves
 UNIT_IN_BRACKETS: Final = re.compile(r"[\[(](?P<unit>[^)\]]*)[)\]]")
 MARKS: Final = re.compile(r"[\W_]+")
+LARGEST_ID: Final = 0x1FFF_FFFF
+LARGEST_STANDARD_ID: Final = 0x7FF
+FEWEST_LONG_DIGITS: Final = 7  # identifiers of 29 bits have seven or eight digits: below is no priority
+LEAST_LETTERED: Final = 0.1  # of hexadecimal identifiers; fewer are damage
+BARE: Final = re.compile(r"[0-9A-Fa-f]{1,10}")  # without 0x, and h or x behind it
+CABANA: Final = frozenset({"time", "addr", "bus", "data"})
+PANDA: Final = frozenset({"bus", "messageid", "message"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,6 +192,29 @@ def chosen(choice: str, names: Sequence[str]) -> Proposal:
         raise SourceError(f"--columns {choice!r} names no {'id' if Role.ID not in roles else 'data'}; {_seen(names)}")
     shown = tuple(_name_at(names, place) or str(place + 1) for place in range(len(columns)))
     return Proposal(columns=tuple(columns), names=shown, has_unit=has_unit)
+
+
+def base_of(values: Iterable[str], names: Sequence[str]) -> tuple[int, str]:
+    """Return the base of identifiers under a header, and what tells it if that is to be said."""
+    bare = sorted({value for value in values if BARE.fullmatch(value)})
+    plain = [value for value in bare if value.isdigit()]
+    lettered = len(bare) - len(plain)
+    words = {name.casefold() for name in names}
+    between = [one for one in plain if int(one, 16) > LARGEST_STANDARD_ID and len(one) < FEWEST_LONG_DIGITS]
+    base, why = HEXADECIMAL, "nothing shows that they are decimal (--columns id=...:dec says so)"
+    if not plain or lettered >= LEAST_LETTERED * len(bare):
+        why = ""
+    elif any(len(value) > 1 and value.startswith("0") for value in plain):
+        why = "they have leading zeros"
+    elif words == CABANA or words >= PANDA:
+        base, why = DECIMAL, f"its header is {'Cabana' if words == CABANA else 'Panda'}'s"
+    elif lettered:
+        base, why = DECIMAL, f"{lettered} of {len(bare)} has letters"
+    elif any(int(value, 16) > LARGEST_ID for value in plain):
+        base, why = DECIMAL, "as hexadecimal they would be too large"
+    elif between:
+        base, why = DECIMAL, f"as hexadecimal {between[0]} is too large for 11 bits, and too short for 29"
+    return base, why
 
 
 def are_numbers(choice: str) -> bool:

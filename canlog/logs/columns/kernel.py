@@ -17,12 +17,14 @@ from canlog.frames import (
 from canlog.jit import array_kernel, inlined_kernel
 from canlog.logs.asc_fields import is_word
 from canlog.logs.columns import fields
+from canlog.logs.columns.fields import NO_TIME
 from canlog.logs.columns.message_kernel import (
     BASE_US,
     CHANNEL,
     COUNT,
     HEADER_LINES,
     ID,
+    IS_RELATIVE,
     LAPS_US,
     LENGTH,
     MEANING,
@@ -37,31 +39,41 @@ from canlog.logs.columns.message_kernel import (
     read_part,
     store_message,
 )
-from canlog.logs.columns.roles import BLANKS, Program, Role
+from canlog.logs.columns.roles import BLANKS, EVENT, HEXADECIMAL, Program, Role
 from canlog.logs.frame_buffer import FrameRows
-from canlog.logs.tables.fields import NO_TIME
 from canlog.logs.text_kernels import (
+    BLANK,
     FRAME,
+    HEX_VALUE,
     IS_LENGTH,
     LENGTH_OF_CODE,
     LINES,
     MALFORMED,
     NEWLINE,
+    OTHER,
     POSITION,
     ROWS,
     SKIPPED,
     STOP,
     TOO_LONG,
     count_line,
+    decimal,
+    digits,
+    skip_blanks,
     skip_line,
+    skip_word,
 )
 
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
 NS_PER_US = 1_000
+HOUR_US = 3_600_000_000
 LAST_US = 9_200_000_000_000_000
 CODES = len(LENGTH_OF_CODE)
 REMOTE_WORD = np.frombuffer(b"remote", np.uint8)
-LETTER_B, LETTER_E, LETTER_F, LETTER_R, LETTER_X = ord("b"), ord("e"), ord("f"), ord("r"), ord("x")
+LETTER_B, LETTER_E, LETTER_F, LETTER_R, LETTER_T, LETTER_X = ord("b"), ord("e"), ord("f"), ord("r"), ord("t"), ord("x")
+DASH = ord("-")  # in an exact layout, what is not known
+BUS_CHANGE_ID = 0xFFFF_FFFF  # how PCAN writes one
+EVENT_LETTERS = 3
 CARBUS_EXTENDED, CARBUS_REMOTE, CARBUS_FD, CARBUS_FAST = 0x1, 0x2, 0x10, 0x20
 
 
@@ -69,7 +81,10 @@ CARBUS_EXTENDED, CARBUS_REMOTE, CARBUS_FD, CARBUS_FAST = 0x1, 0x2, 0x10, 0x20
 def parse_lines(
     text: UInt8Array, rows: FrameRows, program: Program, clock: Int64Array, line: Int64Array, progress: Int64Array
 ) -> None:
-    """Parse lines from where the progress says; ``line`` is room for the fields of one, shape (FIELDS,)."""
+    """Parse lines from where the progress says, of an exact layout up to a comment.
+
+    ``line`` is room for the fields of one, shape (FIELDS,).
+    """
     at, number, row = progress[POSITION], progress[LINES], progress[ROWS]
     while at < len(text):
         if clock[HEADER_LINES] > 0:
@@ -81,10 +96,12 @@ def parse_lines(
             progress[STOP] = outcome
             break
         if outcome == FRAME:
-            outcome = _store(rows, row, clock, line)
+            outcome = _store(rows, row, program, clock, line)
             if outcome == FRAME and program.has_messages:
                 row += store_message(rows, row, clock, line)
             row += outcome == FRAME
+        elif outcome == SKIPPED and clock[IS_RELATIVE]:
+            clock[NOW_US] += line[TIME_US]  # of an event
         number += 1
         count_line(progress, outcome, number)
         at = end
@@ -101,26 +118,34 @@ def _parse_line(
     separator = program.separator
     at = fields.skip_margin(text, at, separator)
     if text[at] == NEWLINE or program.is_comment[text[at]]:
-        return SKIPPED, skip_line(text, at)
-    width = len(program.columns)
-    column = 0
+        is_read = program.is_exact and text[at] != NEWLINE
+        return (OTHER if is_read else SKIPPED), skip_line(text, at)
+    column, last = 0, len(program.columns) - 1
     while True:
-        begin, stop, at = fields.field(text, at, separator)
-        if program.is_spread:
-            column = _column_of(text[begin], column, program, line)
-        role, parameter = _role_of(column, stop > begin, program, line)
-        if not _read_field(text, begin, stop, role, parameter, data, row, program, line):
+        if program.is_spread or line[MEANING] & ERROR_FLAG:
+            column = _column_of(text, at, column, program, line)
+        is_data = program.is_exact and column == last and program.columns[last, 0] == Role.DATA
+        if is_data:
+            is_read, at = _read_exact_data(text, at, data, row, program.columns[last, 1], program, line)
+        else:
+            begin, stop, at = fields.field(text, at, separator)
+            role, parameter = _role_of(column, stop > begin, program, line)
+            if program.is_exact:
+                is_read = _read_exact_field(text, begin, stop, role, parameter, data, row, program, line)
+            else:
+                is_read = _read_field(text, begin, stop, role, parameter, data, row, program, line)
+            column += role != Role.COUNTED or line[COUNT] >= line[LENGTH]
+        if not is_read:
             is_too_long = data.shape[1] < line[COUNT] <= FD_PAYLOAD_BYTES
             return (TOO_LONG if is_too_long else MALFORMED), skip_line(text, at)
-        column += role != Role.COUNTED or line[COUNT] >= line[LENGTH]
+        if line[MEANING] & EVENT:
+            return SKIPPED, skip_line(text, at)
         if text[at] == NEWLINE:
             break
         at += separator != BLANKS
         if separator == BLANKS and text[at] == NEWLINE:
             break
-    if program.is_spread and column < width:
-        return MALFORMED, at + 1
-    return (check_message(line) if program.has_messages else _check_length(line)), at + 1
+    return _check(column, program, line), at + 1
 
 
 @inlined_kernel
@@ -138,6 +163,8 @@ def _role_of(
         return (Role.IGNORED if role == Role.BYTE and is_full else role), parameter  # a label where bytes would be
     if not has_text:
         return Role.IGNORED, 0
+    if program.is_exact:
+        return -1, 0
     if role == Role.MESSAGE:
         return (Role.IGNORED if is_full and program.separator == BLANKS else Role.MESSAGE), parameter
     if role != Role.DATA:
@@ -146,20 +173,145 @@ def _role_of(
 
 
 @array_kernel
-def _column_of(first: int, column: int, program: Program, line: Int64Array) -> int:
-    """Return which column a field is that begins so: one that may be missing is passed over."""
+def _column_of(text: UInt8Array, begin: int, column: int, program: Program, line: Int64Array) -> int:
+    """Return which column a field is that begins here: one that may be missing is passed over."""
     while column < len(program.columns):
         role = program.columns[column, 0]
         is_bare = line[MEANING] & (ERROR_FLAG | REMOTE_FLAG) != 0 or line[LENGTH] == 0
-        is_missing = role == Role.MARKS and 48 <= first <= 57
-        is_missing = is_missing or (role == Role.LENGTH and line[MEANING] & ERROR_FLAG != 0)
+        is_missing = role == Role.MARKS and 48 <= text[begin] <= 57
+        if program.is_exact:
+            is_missing = _is_left_out(text, begin, role, line)
+        elif program.is_spread:
+            is_missing = is_missing or (role == Role.LENGTH and line[MEANING] & ERROR_FLAG != 0)
         if not is_missing and not (role == Role.COUNTED and is_bare):
             break
         column += 1
     return column
 
 
+@inlined_kernel
+def _is_left_out(text: UInt8Array, begin: int, role: int, line: Int64Array) -> bool:
+    """Return whether an error frame has no such column: TRC 2.0 leaves out its identifier and its length."""
+    letter = text[begin] | 32
+    is_direction = (letter == LETTER_R or letter == LETTER_T) and text[begin + 1] | 32 == LETTER_X  # noqa: PLR1714, SIM109 - no tuple in a kernel
+    if role == Role.ID and is_direction:
+        line[ID] = line[LENGTH] = 0
+        return True
+    return bool(role == Role.LENGTH and line[LENGTH] == 0)
+
+
+@inlined_kernel
+def _read_exact_field(  # noqa: C901, PLR0911 - one for each role
+    text: UInt8Array,
+    begin: int,
+    stop: int,
+    role: int,
+    parameter: int,
+    data: UInt8Array,
+    row: int,
+    program: Program,
+    line: Int64Array,
+) -> bool:
+    """Read one field of an exact layout; return whether it is as its role must be."""
+    if role == Role.BASE64:
+        line[COUNT], at = fields.base64_bytes(text, begin, row, data)
+        return at == stop
+    if stop == begin:
+        return role == Role.IGNORED or role == Role.DIRECTION  # noqa: PLR1714 - no tuple in a kernel
+    if role == Role.WORD:
+        return _read_word(text, begin, stop, parameter, program.words, line)
+    if role == Role.CLOCK:
+        line[TIME_US], at = fields.counted_clock_us(text, begin, parameter)
+        return at == stop
+    if role == Role.DIRECTION:
+        line[MEANING] |= TX_FLAG if (text[begin] | 32) == LETTER_T else 0
+        return True
+    if Role.EXTENDED <= role < Role.DIRECTION:
+        line[MEANING] |= _meaning(role) if fields.is_on(text, begin, stop, role) else 0
+        return fields.is_switch(text, begin, stop)
+    if role == Role.TIME:
+        line[TIME_US] = fields.decimal_us_of(text, begin, stop, parameter)
+        return bool(line[TIME_US] != NO_TIME)
+    is_number = role == Role.CHANNEL or role == Role.LENGTH or role == Role.LENGTH_CODE  # noqa: PLR1714
+    if (is_number or role == Role.ID) and text[begin] == DASH and stop == begin + 1:
+        return True
+    if is_number:
+        value = fields.small_number(text, begin, stop)
+        if role == Role.LENGTH_CODE and 0 <= value < CODES:
+            value = LENGTH_OF_CODE[value] if line[MEANING] & FD_FLAG else min(value, PAYLOAD_BYTES)
+        elif role == Role.LENGTH_CODE:
+            return False
+        line[CHANNEL if role == Role.CHANNEL else LENGTH] = value
+        return value >= 0
+    if role == Role.ID:
+        return _read_exact_id(text, begin, stop, parameter, program.extended_digits, line)
+    return role == Role.IGNORED
+
+
 @array_kernel
+def _read_exact_id(text: UInt8Array, begin: int, stop: int, base: int, extended_digits: int, line: Int64Array) -> bool:
+    """Read a decimal identifier, or one of up to eight hexadecimal digits, perhaps behind 0x."""
+    if base != HEXADECIMAL:
+        line[ID], at = decimal(text, begin, fields.MOST_ID_DIGITS)
+        return at == stop
+    begin += 2 * (stop > begin + 2 and text[begin] == fields.ZERO and (text[begin + 1] | 32) == LETTER_X)
+    line[ID] = fields.hexadecimal_field(text, begin, stop)
+    if 0 < extended_digits <= stop - begin:
+        line[MEANING] |= EXTENDED_FLAG | (EVENT if line[ID] == BUS_CHANGE_ID else 0)
+    return bool(line[ID] >= 0)
+
+
+@array_kernel
+def _read_word(text: UInt8Array, at: int, stop: int, initial: int, words: Int64Array, line: Int64Array) -> bool:
+    """Read a word of the layout, behind a channel of one digit if there is one; return whether it is known."""
+    if 48 <= text[at] <= 57:
+        line[CHANNEL] = text[at] - 48
+        at += 1
+    packed, behind = fields.word(text, at)
+    meaning = fields.meaning_of(packed, words)
+    if meaning < 0 and initial and (text[at] | 32) == initial and behind - at == EVENT_LETTERS:
+        meaning = EVENT
+    line[MEANING] |= max(meaning, 0)
+    return bool(meaning >= 0 and behind == stop)
+
+
+@inlined_kernel
+def _read_exact_data(
+    text: UInt8Array, at: int, data: UInt8Array, row: int, base: int, program: Program, line: Int64Array
+) -> tuple[bool, int]:
+    """Read bytes to the end of the line, before them perhaps a word; return whether that is all, and how far it went.
+
+    A hexadecimal byte has two digits; between separators also one, or none where a column is empty.
+    """
+    at, is_blank = skip_blanks(text, at), program.separator == BLANKS
+    is_word = text[at] > BLANK and (HEX_VALUE[text[at]] < 0 or HEX_VALUE[text[at + 1]] < 0)
+    if is_word and is_blank and base == HEXADECIMAL:
+        stop = skip_word(text, at)
+        if not _read_word(text, at, stop, 0, program.words, line):
+            return False, at
+        at = skip_blanks(text, stop)
+    width = data.shape[1]
+    while text[at] != NEWLINE:
+        begin = at
+        value, stop = digits(text, begin, base, 2 if base == HEXADECIMAL else 3)
+        at, count = skip_blanks(text, stop), line[COUNT]
+        if is_blank:
+            is_byte = stop > begin + (base == HEXADECIMAL) and (at > stop or text[at] == NEWLINE)
+        else:
+            is_byte = text[at] == program.separator or (stop > begin and text[at] == NEWLINE)
+            at += text[at] == program.separator
+        if not is_byte or value > 255:
+            return False, begin
+        if stop > begin:
+            if count < width:
+                data[row, count] = value
+            line[COUNT] = count + 1
+            if count >= width and (count >= FD_PAYLOAD_BYTES or line[LENGTH] != width):
+                return False, begin
+    return True, at
+
+
+@inlined_kernel
 def _read_field(  # noqa: C901, PLR0911 - one for each role
     text: UInt8Array,
     begin: int,
@@ -178,7 +330,7 @@ def _read_field(  # noqa: C901, PLR0911 - one for each role
         line[TIME_US] = fields.time_us(text, begin, stop, parameter, program.has_decimal_comma)
         return bool(line[TIME_US] != NO_TIME)
     if role == Role.ID:
-        line[ID] = fields.identifier(text, begin, stop, parameter, line, MEANING, program.tells_by_digits)
+        line[ID] = fields.identifier(text, begin, stop, parameter, line, MEANING, program.extended_digits)
         return bool(line[ID] >= 0 or stop == begin)  # of an error frame
     if role == Role.DATA or role == Role.BYTE or role == Role.COUNTED or role == Role.MESSAGE:  # noqa: PLR1714 - no tuple
         return _read_bytes(text, begin, stop, role, parameter, data, row, program, line)
@@ -276,6 +428,19 @@ def _read_flags(text: UInt8Array, begin: int, stop: int, sent_bit: int, line: In
     return True
 
 
+@inlined_kernel
+def _check(column: int, program: Program, line: Int64Array) -> int:
+    """Return whether so many columns were enough, and their bytes those that the line speaks of."""
+    width = len(program.columns)
+    if program.is_exact:
+        last = program.columns[width - 1, 0]
+        width -= last == Role.DATA or last == Role.BASE64  # noqa: PLR1714 - no tuple in a kernel
+        return _check_exact_length(line, program.is_padded) if column >= width else MALFORMED
+    if program.is_spread and column < width:
+        return MALFORMED
+    return check_message(line) if program.has_messages else _check_length(line)
+
+
 @array_kernel
 def _check_length(line: Int64Array) -> int:
     """Return whether the bytes that were found are those that the line speaks of; more may stand behind them."""
@@ -295,7 +460,20 @@ def _check_length(line: Int64Array) -> int:
 
 
 @array_kernel
-def _store(rows: FrameRows, row: int, clock: Int64Array, line: Int64Array) -> int:
+def _check_exact_length(line: Int64Array, is_padded: bool) -> int:  # noqa: FBT001 - of a kernel
+    """Return whether there are as many bytes as the line says."""
+    count = line[COUNT]
+    has_payload = not line[MEANING] & (REMOTE_FLAG | ERROR_FLAG)
+    if line[LENGTH] < 0:
+        line[LENGTH] = count
+    if has_payload and (count < line[LENGTH] or (count > line[LENGTH] and not is_padded)):
+        return MALFORMED
+    line[COUNT] = count if has_payload else 0
+    return FRAME if line[LENGTH] <= FD_PAYLOAD_BYTES and IS_LENGTH[line[LENGTH]] else MALFORMED
+
+
+@array_kernel
+def _store(rows: FrameRows, row: int, program: Program, clock: Int64Array, line: Int64Array) -> int:
     """Write the fields of a line into a row; return whether they make a frame."""
     meaning, identifier, length = line[MEANING], line[ID], line[LENGTH]
     if meaning & ERROR_FLAG:
@@ -303,8 +481,12 @@ def _store(rows: FrameRows, row: int, clock: Int64Array, line: Int64Array) -> in
     elif identifier < 0 or identifier > MAX_EXTENDED_ID:
         return MALFORMED
     elif identifier > MAX_STANDARD_ID:
+        if program.is_exact and not meaning & EXTENDED_FLAG:
+            return MALFORMED
         meaning |= EXTENDED_FLAG
-    time_us = _advance(clock, line[TIME_US])
+    if program.is_exact and clock[WRAP_US] > 0 and line[TIME_US] >= clock[WRAP_US]:
+        return MALFORMED
+    time_us = _advance(clock, line[TIME_US], program.is_exact)
     if not -LAST_US <= time_us <= LAST_US:
         return MALFORMED
     rows.t_ns[row] = time_us * NS_PER_US
@@ -318,10 +500,16 @@ def _store(rows: FrameRows, row: int, clock: Int64Array, line: Int64Array) -> in
 
 
 @array_kernel
-def _advance(clock: Int64Array, time_us: int) -> int:
+def _advance(clock: Int64Array, time_us: int, is_exact: bool) -> int:  # noqa: FBT001 - of a kernel
     """Return the time since the epoch; a clock that begins again goes on where it ended."""
+    if clock[IS_RELATIVE]:
+        clock[NOW_US] += time_us
+        return int(clock[BASE_US] + clock[NOW_US])
     wrap_us = clock[WRAP_US]
-    if wrap_us > 0:
+    if wrap_us > 0 and is_exact:  # only about midnight may it begin again; anywhere else it jumped
+        clock[LAPS_US] += wrap_us if time_us < HOUR_US and clock[NOW_US] >= wrap_us - HOUR_US else 0
+        clock[NOW_US] = time_us
+    elif wrap_us > 0:
         if time_us + wrap_us // 2 < clock[NOW_US]:
             clock[LAPS_US] += wrap_us
         elif time_us > clock[NOW_US] + wrap_us // 2 and clock[LAPS_US] > 0:

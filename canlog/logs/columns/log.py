@@ -11,13 +11,11 @@ from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.logs.asc_dates import date_us
 from canlog.logs.channels import MOST_CHANNELS
-from canlog.logs.columns.bases import base_of
 from canlog.logs.columns.header import (
-    MICROSECONDS,
     NO_BASE,
-    SECONDS,
     Proposal,
     are_numbers,
+    base_of,
     chosen,
     in_unit,
     names_in,
@@ -31,20 +29,25 @@ from canlog.logs.columns.message_kernel import (
     CUT_MESSAGES,
     FIELDS,
     HEADER_LINES,
+    IS_RELATIVE,
     LAPS_US,
     NOW_US,
     WRAP_US,
 )
-from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, Column, Layout, Role
+from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, MICROSECONDS, SECONDS, Column, Layout, Role
 from canlog.logs.frame_buffer import FrameRows
-from canlog.logs.tables.time_unit import bus_load_ratio, is_plausible
 from canlog.logs.text_log import TextLog, frames_of
+from canlog.logs.time_unit import UNIT_NAMES, likely_unit
 
 HEADER_LINES_LOOKED_AT = 20
 SAMPLE_LINES = 2_000
 LEAST_COLUMNS = 2
 COMMENTS = b"#"
 ENOUGH_BYTES = 8  # of a table without lengths: a frame with so many is whole
+HALF_BYTE_AT_END = {
+    HEXADECIMAL: re.compile(rb"[^0-9A-Fa-f][0-9A-Fa-f]\n"),
+    DECIMAL: re.compile(rb"[^0-9][0-9]{1,2}\n"),
+}
 WHOLE_BYTE_AT_END = re.compile(rb"[0-9A-Fa-f]{2}[\"\s]*$")
 LABELLED = re.compile(rb"\d+\.\d+,[0-9A-Fa-f]{3,8},[0-8](?:,[0-9A-Fa-f]{2}){0,8},[RT]\s*")  # R: regular, T: injected
 LABELLED_COLUMNS = "time=1:s,id=2:hex,length=3,data=4-11"  # of HCRL's car hacking data set, which has no header
@@ -64,8 +67,6 @@ NO_LAYOUT = Layout(columns=(Column(),), separator=ord(","))
 class TableLog(TextLog):
     """A table of a known layout; ``set_layout`` says another, before the first line or by what one says."""
 
-    shortest_line_bytes = 3  # "1,2"
-
     def __init__(self, layout: Layout = NO_LAYOUT, note: str = "") -> None:
         super().__init__()
         self._clock = np.zeros(CLOCK_FIELDS, np.int64)
@@ -76,6 +77,7 @@ class TableLog(TextLog):
     def set_layout(self, layout: Layout) -> None:
         """Read the lines that follow by a layout."""
         self.layout, self._program = layout, layout.program()
+        self.shortest_line_bytes = 7 if layout.is_exact else 3  # "0 DT 1" and "1,2", each with its newline
         self._clock[WRAP_US], self._clock[HEADER_LINES] = layout.wrap_us, layout.header_lines
 
     def restart(self) -> None:
@@ -83,12 +85,12 @@ class TableLog(TextLog):
         self._clock[:] = 0
         self.set_layout(self.layout)
 
-    def set_base(self, base_us: int) -> None:
-        """Count times from here; a clock that begins again begins anew."""
-        self._clock[[BASE_US, NOW_US, LAPS_US]] = base_us, 0, 0
+    def set_base(self, base_us: int, now_us: int = 0, *, is_relative: bool = False) -> None:
+        """Count times from here, of which so much has passed; each from the one before if ``is_relative``."""
+        self._clock[[BASE_US, NOW_US, LAPS_US, IS_RELATIVE]] = base_us, now_us, 0, is_relative
 
     def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
-        """Read lines; no line stops the reader."""
+        """Read lines, of an exact layout up to a comment."""
         parse_lines(text, rows, self._program, self._clock, self._line, progress)
         if self._clock[CUT_MESSAGES] and WHOLE_MESSAGES not in self.notes:
             self.notes.append(WHOLE_MESSAGES)
@@ -96,8 +98,12 @@ class TableLog(TextLog):
     def is_whole(self, line: bytes, frame: FrameBatch) -> bool:
         """Return whether no byte can be missing, and no digit of the last one."""
         layout = self.layout
-        if frame.length[0] < (1 if layout.has(Role.LENGTH) else ENOUGH_BYTES):
+        tells_length = layout.has(Role.LENGTH) or layout.has(Role.LENGTH_CODE)
+        if frame.length[0] < (1 if tells_length else ENOUGH_BYTES):
             return False
+        if layout.is_exact:
+            last = layout.columns[-1]
+            return last.role is not Role.DATA or HALF_BYTE_AT_END[last.parameter].search(line[-4:]) is None
         places = [place for place, column in enumerate(layout.columns) if column.role in {Role.DATA, Role.BYTE}]
         is_followed = len(names_in(line, layout.separator)) > places[-1] + 1 if places else False
         return is_followed or WHOLE_BYTE_AT_END.search(line) is not None
@@ -125,7 +131,7 @@ class ColumnsLog(TableLog):
                 separator=separator,
                 comment_starts=COMMENTS,
                 header_lines=number,
-                tells_by_digits=_tells_by_digits(_values(columns, Role.ID, rows)),
+                extended_digits=8 if _tells_by_digits(_values(columns, Role.ID, rows)) else 0,
                 has_decimal_comma=separator != ord(","),
                 names=found.names,
                 channel_names=self._channel_names(_values(columns, Role.CHANNEL, rows)),
@@ -166,8 +172,7 @@ class ColumnsLog(TableLog):
             self._take_unit(_likely_unit(layout, times, body))
 
     def _take_unit(self, unit: int) -> None:
-        name = {6: "seconds", 3: "milliseconds", 0: "microseconds", -3: "nanoseconds"}[unit]
-        self.notes.append(f"times are taken as {name}: the header does not say")
+        self.notes.append(f"times are taken as {UNIT_NAMES[unit]}: the header does not say")
         self.set_layout(replace(self.layout, columns=in_unit(self.layout.columns, unit)))
 
     def _take_dates_as_local(self, date: str) -> None:
@@ -262,5 +267,4 @@ def _likely_unit(layout: Layout, times: Sequence[str], body: bytes) -> int:
         return SECONDS
     reader = TableLog()
     reader.set_layout(replace(layout, columns=in_unit(layout.columns, MICROSECONDS), header_lines=0))
-    load_ratio = bus_load_ratio(frames_of(reader, body))
-    return next((unit for unit in (MICROSECONDS, 3, SECONDS) if is_plausible(load_ratio / 10**unit)), MICROSECONDS)
+    return likely_unit(frames_of(reader, body))[0]

@@ -18,7 +18,7 @@ UNKNOWN = -1
 NO_FRAME_ID = -2  # a group beyond those of any bus: what gateways say of themselves
 
 # The clock of a file, how many of its first lines hold no frames, and how many messages were cut into frames.
-BASE_US, NOW_US, WRAP_US, LAPS_US, HEADER_LINES, CUT_MESSAGES, CLOCK_FIELDS = range(7)
+BASE_US, NOW_US, WRAP_US, LAPS_US, IS_RELATIVE, HEADER_LINES, CUT_MESSAGES, CLOCK_FIELDS = range(8)
 
 FIRST_BYTES, NEXT_BYTES, PADDING = 6, 7, 0xFF  # of fast packets
 ADDRESS_DIGITS, MOST_PRIORITY, MOST_ADDRESS, BROADCAST_FORMAT = 5, 7, 0xFF, 0xF0
@@ -33,7 +33,7 @@ def read_part(text: UInt8Array, begin: int, stop: int, role: int, base: int, lin
         line[DESTINATION] = value >> 4 & 0xFF
         is_sound = stop - begin == ADDRESS_DIGITS and value & 0xF <= MOST_PRIORITY
     else:
-        value = fields.identifier(text, begin, stop, max(base, DECIMAL), line, MEANING, False)
+        value = fields.identifier(text, begin, stop, max(base, DECIMAL), line, MEANING, 0)
         most = MOST_GROUP * 4 if role == Role.GROUP else MOST_PRIORITY if role == Role.PRIORITY else MOST_ADDRESS
         part = value << (26 if role == Role.PRIORITY else 8 if role == Role.GROUP else 0)
         is_sound = 0 <= value <= most

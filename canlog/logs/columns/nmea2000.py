@@ -36,7 +36,7 @@ YACHT_DEVICES = Layout(
         Column(role=Role.DATA, parameter=HEXADECIMAL),
     ),
     separator=BLANKS,
-    tells_by_digits=True,
+    extended_digits=8,
     wrap_us=DAY_US,
 )
 ACTISENSE = Layout(

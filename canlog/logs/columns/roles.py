@@ -1,12 +1,14 @@
 """What the columns of a table can hold, and how a table is laid out."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
 import numpy as np
 
 from canlog.arrays import BoolArray, Int64Array
+from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG
 from canlog.logs.channels import name_hash
 
 
@@ -37,10 +39,31 @@ class Role(IntEnum):
     MESSAGE = 21  # all bytes of a message, which may be longer than a frame [base]
     MARKS = 22  # letters that say what kind a frame is; a field that begins with a digit is that of the next column
     COUNTED = 23  # as DATA, in as many columns as the length says, with others behind them
+    WORD = 24  # a word of the layout, behind it a channel's digit [first of three letters of words for events]
+    BASE64 = 25  # all bytes
+    CLOCK = 26  # hours:minutes:seconds:count [microseconds of one]
+    LENGTH_CODE = 27  # the code that CAN FD has for lengths
 
 
+class Meaning(IntFlag):
+    """What a word or a switch says about a frame: the flags of its identifier and its own, and one of ours."""
+
+    NOTHING = 0
+    EXTENDED = EXTENDED_FLAG
+    REMOTE = REMOTE_FLAG
+    ERROR = ERROR_FLAG
+    FD = FD_FLAG
+    BIT_RATE_SWITCH = BRS_FLAG
+    ERROR_STATE = ESI_FLAG
+    EVENT = 0x100  # the line holds no frame and is not meant to
+    SENT = TX_FLAG  # by the recorder itself
+
+
+EVENT = int(Meaning.EVENT)
+SECONDS, MILLISECONDS, MICROSECONDS = 6, 3, 0
 HEXADECIMAL, DECIMAL = 16, 10
-BLANKS = ord(" ")
+BLANKS, COMMA = ord(" "), ord(",")
+PACKED_BYTES = 8  # of a word: its first characters tell it apart
 MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
 
 
@@ -58,30 +81,41 @@ class Program(NamedTuple):
     columns: Int64Array  # (n, 2): role, parameter
     is_comment: BoolArray  # (256,): whether a line that begins with this character is one
     separator: int
-    tells_by_digits: bool
+    extended_digits: int
     has_decimal_comma: bool
     has_messages: bool  # bytes are those of a message, which may be longer than a frame
     is_spread: bool  # columns may be missing, or stand behind bytes
     channel_names: Int64Array  # hashes
+    words: Int64Array  # (n, 2): packed, meaning
+    is_exact: bool
+    is_padded: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
     """How the lines of a table are laid out.
 
-    ``tells_by_digits`` makes an identifier of eight digits an extended one. The lines up to ``header_lines`` hold no
-    frames. ``wrap_us`` is after how long the clock begins again; 0: never.
+    From ``extended_digits`` hexadecimal digits on an identifier is an extended one; 0: digits do not tell. The lines up
+    to ``header_lines`` hold no frames. ``wrap_us`` is after how long the clock begins again; 0: never.
+
+    An ``is_exact`` layout has one way of writing each thing: every column is there and holds what its role says, there
+    are as many bytes as the length says, and kinds of frames are told, not seen by identifiers. Its comments are read
+    by ``read_comment``; others are passed over. ``words``, in lower case, may also stand before its bytes;
+    ``is_padded`` lets more bytes follow than the length says.
     """
 
     columns: tuple[Column, ...]
     separator: int
     comment_starts: bytes = b"#"
     header_lines: int = 0
-    tells_by_digits: bool = False
+    extended_digits: int = 0
     has_decimal_comma: bool = False
     wrap_us: int = 0
     names: tuple[str, ...] = field(default=())  # of the columns, as the header has them
     channel_names: tuple[str, ...] = ()  # numbered from 0; empty: the digits at their ends are their numbers
+    words: Mapping[str, Meaning] = field(default_factory=dict)
+    is_exact: bool = False
+    is_padded: bool = False
 
     def has(self, role: Role) -> bool:
         """Return whether there is a column of this role."""
@@ -95,9 +129,22 @@ class Layout:
             columns=np.array([(column.role, column.parameter) for column in self.columns], np.int64).reshape(-1, 2),
             is_comment=is_comment,
             separator=self.separator,
-            tells_by_digits=self.tells_by_digits,
+            extended_digits=self.extended_digits,
             has_decimal_comma=self.has_decimal_comma,
             has_messages=self.has(Role.MESSAGE),
             is_spread=self.has(Role.COUNTED),
             channel_names=np.array([name_hash(name.encode()) for name in self.channel_names], np.int64),
+            words=np.array([(packed_word(word), int(one)) for word, one in self.words.items()], np.int64).reshape(
+                -1, 2
+            ),
+            is_exact=self.is_exact,
+            is_padded=self.is_padded,
         )
+
+
+def packed_word(word: str) -> int:
+    """Return a short word as one number, as the compiled reader packs it."""
+    value = 0
+    for character in word.encode()[:PACKED_BYTES]:
+        value = (value << 7) | character
+    return value

@@ -17,7 +17,7 @@ from odxtools.message import Message
 from odxtools.structure import Structure
 
 from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.pdx.coded_types import UNDEFINED
+from ecu_emulator.diagnostics.pdx.elements import UNDEFINED
 from ecu_emulator.diagnostics.pdx.package import pdx_package
 from ecu_emulator.diagnostics.server import advance, answer, switched_on, tested
 from ecu_emulator.diagnostics.services.routines import finished

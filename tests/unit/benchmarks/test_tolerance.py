@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from benchmarks.tolerance import is_within_tolerance, share_within_tolerance, speed_limits_m_s
+from canlog.arrays import FloatArray
 from clutch_model.errors import DomainError
-from ecu_emulator.driving.trace import FloatArray, SpeedTrace
+from ecu_emulator.driving.trace import SpeedTrace
 
 KM_H = 1.0 / 3.6
 

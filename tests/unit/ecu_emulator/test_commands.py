@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ecu_emulator.arguments import parse_arguments
-from ecu_emulator.commands import choose_scenario, odometer_from, started_at
+from ecu_emulator.commands import choose_scenario, drive_options, started_at
 from ecu_emulator.drive_names import DriveName
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.recording import frames_of
@@ -14,21 +14,7 @@ from ecu_emulator.truth import TruthWriter
 
 
 def chosen(*words: str) -> Scenario:
-    options = parse_arguments(["record", "x.log", *words])
-    return choose_scenario(
-        options.scenario,
-        fluid=options.fluid,
-        seed=options.seed,
-        vehicle_seed=options.vehicle_seed,
-        drive_seed=options.drive_seed,
-        drive=options.drive,
-        cycles=options.cycles,
-        is_endless=options.endless,
-        oil_degc=options.oil_degc,
-        mass_kg=options.mass_kg,
-        odometer_m=odometer_from(options.odometer),
-        routine=options.routine,
-    )
+    return choose_scenario(drive_options(parse_arguments(["record", "x.log", *words])))
 
 
 def test_the_shift_cycle_is_driven_unless_something_else_is_named() -> None:

@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import film_law
@@ -19,7 +20,6 @@ from ecu_emulator.plant.drive import DriveSettings
 from ecu_emulator.plant.lining import friction_ratio, grooved
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
 from ecu_emulator.plant.powertrain import Powertrain
-from ecu_emulator.readings import FloatArray
 from ecu_emulator.recording import Drive
 from ecu_emulator.scenario import Effects, Scenario
 from ecu_emulator.scenario_file import parse_scenario

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from canlog.arrays import FloatArray
 from ecu_emulator.driving.states import EventKind
 from ecu_emulator.event_watcher import EventWatcher
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.readings import FloatArray
 from ecu_emulator.truth import EventTruth
 from tests.unit.ecu_emulator.rows import made_up_rows
 

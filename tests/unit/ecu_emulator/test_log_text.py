@@ -1,40 +1,51 @@
-"""Columns of characters against Python's own formatting."""
+"""What the formats that are text write of a frame, character by character."""
+
+import io
 
 import numpy as np
+import pytest
 
-from ecu_emulator.log_formats import text
+from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.log_formats import (
+    AscWriter,
+    CandumpWriter,
+    CsvWriter,
+    FrameWriter,
+    GvretWriter,
+    Header,
+    TrcWriter,
+)
+
+START_US = 1_767_225_600_000_000
+HEADER = Header(start_us=START_US, channel="vcan0")
+FRAMES = EncodedFrames(
+    t_s=np.array([0.0, 12.345678]),
+    can_id=np.array([0x0A0, 0x98FE_F100], np.uint32),
+    length=np.array([0, 3], np.uint8),
+    data=np.array([[0] * 8, [0xAB, 0x0C, 0xDE, 0, 0, 0, 0, 0]], np.uint8),
+)
+LINES: dict[type[FrameWriter], tuple[str, str]] = {
+    CandumpWriter: ("(1767225600.000000) vcan0 0A0#", "(1767225612.345678) vcan0 18FEF100#AB0CDE"),
+    AscWriter: (
+        "0000000.000000 1  0A0             Rx   d 0",
+        "0000012.345678 1  18FEF100x             Rx   d 3 AB 0C DE",
+    ),
+    TrcWriter: (
+        "         1            0.000 DT  1 00A0 Rx -  0   \r",
+        "         2        12345.678 DT  1 18FEF100 Rx -  3    AB 0C DE\r",
+    ),
+    CsvWriter: ("1767225600.000000,0x0A0,0,0,0,0,", "1767225612.345678,0x18FEF100,1,0,0,3,qwze"),
+    GvretWriter: (
+        "1767225600000000,000000A0,false,Rx,0,0,00,00,00,00,00,00,00,00,",
+        "1767225612345678,18FEF100,true,Rx,0,3,AB,0C,DE,00,00,00,00,00,",
+    ),
+}
 
 
-def test_decimal_digits() -> None:
-    value = np.array([0, 7, 123_456, 999_999])
-    assert text.lines([text.decimal(value, 6)]).decode().splitlines() == [f"{number:06d}" for number in value]
-
-
-def test_identifiers() -> None:
-    can_id = np.array([0, 0x7FF, 0x8000_0000, 0x9FFF_FFFF, 0x98FE_F100], np.uint32)
-    assert text.lines([text.identifier(can_id)]).decode().splitlines() == [
-        "000",
-        "7FF",
-        "00000000",
-        "1FFFFFFF",
-        "18FEF100",
-    ]
-
-
-def test_payloads_end_with_their_length() -> None:
-    data = np.arange(24, dtype=np.uint8).reshape(3, 8) * 11
-    length = np.array([0, 3, 8], np.uint8)
-    assert text.lines([text.payload(data, length)]).decode().split("\n") == [
-        "",
-        data[1, :3].tobytes().hex().upper(),
-        data[2].tobytes().hex().upper(),
-        "",
-    ]
-    assert text.lines([text.payload(data, length, separator=" ")]).decode().split("\n")[1] == " 58 63 6E"
-
-
-def test_lines_join_their_parts() -> None:
-    condition = np.array([True, False])
-    parts = [text.constant("(", 2), text.when(condition, "xy"), text.constant(")", 2)]
-    assert text.lines(parts) == b"(xy)\n()\n"
-    assert text.lines([text.constant("(", 0)]) == b""
+@pytest.mark.parametrize("writer", LINES)
+def test_a_frame_is_a_line(writer: type[FrameWriter]) -> None:
+    stream = io.BytesIO()
+    made = writer(stream, HEADER)
+    begin = stream.tell()
+    made.write(START_US + np.rint(FRAMES.t_s * 1e6).astype(np.int64), FRAMES)
+    assert stream.getvalue()[begin:].decode() == "".join(f"{line}\n" for line in LINES[writer])

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from canlog.arrays import FloatArray
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.readings import FloatArray, Readings
+from ecu_emulator.readings import Readings
 from ecu_emulator.sensors import Installation, SensorSuite
 from tests.unit.ecu_emulator.rows import made_up_rows
 from tests.unit.ecu_emulator.test_sensors import PLACE, schedule

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from canlog.arrays import FloatArray
 from ecu_emulator.faults import Phase, PhaseCode, SensorFault, SensorFaultKind
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.readings import FloatArray
 from ecu_emulator.sensor_faults import SensorFaults
 from tests.unit.ecu_emulator.rows import made_up_rows
 

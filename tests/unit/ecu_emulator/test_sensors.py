@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
+from canlog.arrays import FloatArray
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.readings import FloatArray, Readings, Schedule
+from ecu_emulator.readings import Readings, Schedule
 from ecu_emulator.sensors import (
     BRAKE_PA_PER_M_S2,
     MAX_SEGMENT_MS,

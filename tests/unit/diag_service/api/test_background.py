@@ -5,7 +5,7 @@ import threading
 from collections.abc import AsyncIterator
 from typing import TYPE_CHECKING, Self, cast
 
-from diag_service.api.background import BackgroundDiagnosis
+from diag_service.api.live import BackgroundDiagnosis
 from diag_service.diagnosis.records import ShiftResult
 from tests.support.builders import shift_result
 from tests.support.patience import HANG_S

@@ -1,6 +1,6 @@
 """What a backend owes receipts for: lost on the way is told from a backend that is behind."""
 
-from diag_service.delivery.in_flight import InFlight
+from diag_service.delivery.delivery import InFlight
 
 ASTRAY_AFTER_S = 2.0
 

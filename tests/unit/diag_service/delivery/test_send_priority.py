@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diag_service.delivery.send_priority import SendPriority
+from diag_service.delivery.delivery import SendPriority
 from diag_service.store import ResultStore, VehicleState, Versions
 from tests.support.builders import shift_result
 

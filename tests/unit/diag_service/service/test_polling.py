@@ -9,8 +9,7 @@ import pytest
 from canlog.errors import DefinitionError
 from diag_service.delivery import MemoryReporter
 from diag_service.errors import ResultError, SilentError, StoreError
-from diag_service.service.controller_news import message_of, tell_controller
-from diag_service.service.polling import Poller, pause_s
+from diag_service.service.polling import Poller, message_of, pause_s, tell_controller
 from diag_service.store import ResultStore
 from diag_service.tester.trouble import Snapshot, TroubleCode
 from diag_service.tester.trouble_report import ControllerReport, controller_record

@@ -9,9 +9,9 @@ import pytest
 from diag_service.errors import ControllerError, MalformedError, PendingError, RefusedError, SilentError, StoppedError
 from diag_service.tester.dialogue import Dialogue
 from diag_service.tester.libraries import BaseConnection, TimeoutException
-from diag_service.tester.manners import Manners
+from diag_service.tester.timing import Timing
 
-QUICK = Manners(p2_s=0.02, p2_star_s=0.05, longest_s=0.2, gap_s=0.0)
+QUICK = Timing(p2_s=0.02, p2_star_s=0.05, longest_s=0.2, gap_s=0.0)
 VIN = bytes.fromhex("22 F1 90")
 ANSWER = bytes.fromhex("62 F1 90 41")
 
@@ -62,7 +62,7 @@ def test_a_controller_that_asks_for_patience_gets_it() -> None:
 
 
 def test_patience_ends() -> None:
-    tester = Dialogue(Endless("7f 22 78"), "7E1", Manners(p2_s=0.01, p2_star_s=0.01, longest_s=0.05, most_silent=1))
+    tester = Dialogue(Endless("7f 22 78"), "7E1", Timing(p2_s=0.01, p2_star_s=0.01, longest_s=0.05, most_silent=1))
     with pytest.raises(PendingError, match=r"^7E1 asked for more time \d+ times in 0 s and never answered 22 F1 90$"):
         tester.ask(VIN)
 
@@ -83,14 +83,14 @@ def test_an_answer_that_breaks_the_rules_is_an_error() -> None:
 
 def test_who_shall_stop_does_not_wait_for_a_busy_controller() -> None:
     looks = iter([True, True, False])
-    tester = Dialogue(Scripted(*[["7f 22 21"]] * 9), "7E1", Manners(busy_pause_s=60.0), goes_on=lambda: next(looks))
+    tester = Dialogue(Scripted(*[["7f 22 21"]] * 9), "7E1", Timing(busy_pause_s=60.0), goes_on=lambda: next(looks))
     with pytest.raises(StoppedError, match="not everything was asked"):
         tester.ask(VIN)
 
 
 def test_patience_that_was_asked_for_ends_as_well() -> None:
-    manners = Manners(p2_s=0.01, p2_star_s=0.01, longest_s=3600.0, most_silent=1)
-    tester = Dialogue(Endless("7f 22 78"), "7E1", manners)
+    timing = Timing(p2_s=0.01, p2_star_s=0.01, longest_s=3600.0, most_silent=1)
+    tester = Dialogue(Endless("7f 22 78"), "7E1", timing)
     with tester.patience(0.05), pytest.raises(SilentError):
         tester.ask(VIN)
 
@@ -191,6 +191,6 @@ def test_a_mask_of_another_length_is_named() -> None:
 
 def test_who_shall_stop_waits_no_longer() -> None:
     looks = iter([True, True, False])
-    tester = Dialogue(Scripted(), "7E1", Manners(p2_s=60.0), goes_on=lambda: next(looks))
+    tester = Dialogue(Scripted(), "7E1", Timing(p2_s=60.0), goes_on=lambda: next(looks))
     with pytest.raises(StoppedError, match="not everything was asked"):
         tester.ask(VIN)

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canlog.arrays import FloatArray
 from clutch_model.errors import CalibrationError
 from ecu_emulator.driving.conditions import DriveConditions
 from ecu_emulator.driving.parameters import DrivingParameters, driving_parameters, nominal_driving
 from ecu_emulator.driving.pedal import asked_force_n, pedal_for_force
 from ecu_emulator.driving.states import DriveState, EngineState
-from ecu_emulator.driving.trace import FloatArray
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.columns import Col
 from tests.unit.ecu_emulator.driving.drives import COLD_K, driven, trace

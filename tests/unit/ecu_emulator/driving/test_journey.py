@@ -5,11 +5,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from canlog.arrays import FloatArray
 from ecu_emulator.driving.journey import Departure, Journey, Warmth
 from ecu_emulator.driving.trace import SpeedTrace
 from ecu_emulator.driving.trips import PlannedTrip
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.readings import FloatArray
 
 AIR_K = 263.15
 START = Warmth(oil_k=303.15, coolant_k=313.15)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ecu_emulator.driving.trace import FloatArray, SpeedTrace
+from canlog.arrays import FloatArray
+from ecu_emulator.driving.trace import SpeedTrace
 from ecu_emulator.errors import ConfigError
 
 

@@ -9,12 +9,9 @@ import pytest
 from canlog.errors import SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.logs.columns import ColumnsLog, columns_seen
-from canlog.logs.columns.canhacker import CanHacker
-from canlog.logs.columns.canking import LAYOUT as CANKING
-from canlog.logs.columns.carbus import LAYOUT as CARBUS
 from canlog.logs.columns.clx000 import Clx000
 from canlog.logs.columns.log import TableLog
-from canlog.logs.columns.microchip import Microchip
+from canlog.logs.columns.programs import CANKING, CARBUS, CanHacker, Microchip
 from canlog.logs.detection import LogFormat, detect
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.text_log import TextLog, frames_of

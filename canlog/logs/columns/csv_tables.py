@@ -7,10 +7,11 @@ the load of the bus tells.
 
 from dataclasses import replace
 
-from canlog.logs.tables.layout import COMMA, MICROSECONDS, SECONDS, Column, Layout, Meaning, Role
-from canlog.logs.tables.table import Table
-from canlog.logs.tables.time_unit import likely_unit
+from canlog.logs.columns.header import in_unit
+from canlog.logs.columns.log import TableLog
+from canlog.logs.columns.roles import COMMA, HEXADECIMAL, MICROSECONDS, SECONDS, Column, Layout, Role
 from canlog.logs.text_log import frames_of
+from canlog.logs.time_unit import likely_unit
 
 PYTHON_CAN_HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
 GVRET_HEADER = b"time stamp,id,extended,"
@@ -18,32 +19,28 @@ GVRET_HEADER = b"time stamp,id,extended,"
 PYTHON_CAN = Layout(
     columns=(
         Column(role=Role.TIME, parameter=SECONDS),
-        Column(role=Role.ID),
-        Column(role=Role.SWITCH, parameter=Meaning.EXTENDED),
-        Column(role=Role.SWITCH, parameter=Meaning.REMOTE),
-        Column(role=Role.SWITCH, parameter=Meaning.ERROR),
+        Column(role=Role.ID, parameter=HEXADECIMAL),
+        Column(role=Role.EXTENDED),
+        Column(role=Role.REMOTE),
+        Column(role=Role.ERROR),
         Column(role=Role.LENGTH),
         Column(role=Role.BASE64),
     ),
     separator=COMMA,
     comment_starts=b"tT",
+    is_exact=True,
 )
 _GVRET_START = (
     Column(role=Role.TIME, parameter=MICROSECONDS),
-    Column(role=Role.ID),
-    Column(role=Role.SWITCH, parameter=Meaning.EXTENDED),
+    Column(role=Role.ID, parameter=HEXADECIMAL),
+    Column(role=Role.EXTENDED),
 )
-_GVRET_END = (Column(role=Role.CHANNEL), Column(role=Role.LENGTH), Column(role=Role.DATA))
-GVRET = Layout(columns=_GVRET_START + _GVRET_END, separator=COMMA, comment_starts=b"tT", is_padded=True)
-GVRET_WITH_DIRECTION = Layout(
-    columns=(*_GVRET_START, Column(role=Role.DIRECTION), *_GVRET_END),
-    separator=COMMA,
-    comment_starts=b"tT",
-    is_padded=True,
-)
+_GVRET_END = (Column(role=Role.CHANNEL), Column(role=Role.LENGTH), Column(role=Role.DATA, parameter=HEXADECIMAL))
+GVRET = Layout(columns=_GVRET_START + _GVRET_END, separator=COMMA, comment_starts=b"tT", is_exact=True, is_padded=True)
+GVRET_WITH_DIRECTION = replace(GVRET, columns=(*_GVRET_START, Column(role=Role.DIRECTION), *_GVRET_END))
 
 
-class PythonCanCsv(Table):
+class PythonCanCsv(TableLog):
     """The CSV of python-can's ``CSVWriter``; it does not tell CAN FD apart, but longer payloads are."""
 
     def __init__(self) -> None:
@@ -54,7 +51,7 @@ class PythonCanCsv(Table):
         return is_python_can_header(line)
 
 
-class GvretCsv(Table):
+class GvretCsv(TableLog):
     """The CSV of GVRET devices and SavvyCAN, with or without the column of directions."""
 
     def __init__(self) -> None:
@@ -65,20 +62,17 @@ class GvretCsv(Table):
         """Take up what a line without a frame says; return whether it belongs to the format."""
         if not is_gvret_header(line):
             return False
-        self.layout = in_unit(GVRET_WITH_DIRECTION if b",dir," in line.lower() else GVRET, self._unit)
+        self._set_layout(GVRET_WITH_DIRECTION if b",dir," in line.lower() else GVRET)
         return True
 
     def look_ahead(self, text: bytes) -> None:
         """Find out the unit of times."""
         self._unit, note = likely_unit(frames_of(GvretCsv(), text))
-        self.layout = in_unit(self.layout, self._unit)
+        self._set_layout(self.layout)
         self.notes += note
 
-
-def in_unit(layout: Layout, unit: int) -> Layout:
-    """Return a layout with its times in another unit."""
-    time = Column(role=Role.TIME, parameter=unit)
-    return replace(layout, columns=(time, *layout.columns[1:]))
+    def _set_layout(self, layout: Layout) -> None:
+        self.set_layout(replace(layout, columns=in_unit(layout.columns, self._unit)))
 
 
 def is_python_can_header(line: bytes) -> bool:

@@ -5,16 +5,15 @@ not. Where no line of the beginning has four digits, it is a count of millisecon
 """
 
 import re
+from dataclasses import replace
 
 from canlog.logs.asc_dates import date_us, local_midnight_us
-from canlog.logs.tables.kernel import ABSOLUTE, DAYTIME, RELATIVE
-from canlog.logs.tables.layout import Column, Layout, Meaning, Role
-from canlog.logs.tables.table import Table
+from canlog.logs.columns.log import TableLog
+from canlog.logs.columns.roles import BLANKS, DAY_US, DECIMAL, HEXADECIMAL, Column, Layout, Meaning, Role
 
 START = re.compile(rb"\*\*\*START DATE AND TIME\s+(?P<date>[^*]*)")
 MODE = re.compile(rb"\*\*\*(SYSTEM|ABSOLUTE|RELATIVE) MODE\*\*\*")
 PROTOCOL = re.compile(rb"\*\*\*PROTOCOL (\w+)\*\*\*")
-MODES = {b"SYSTEM": DAYTIME, b"ABSOLUTE": ABSOLUTE, b"RELATIVE": RELATIVE}
 BASES = {b"***DEC***": True, b"***HEX***": False}
 COUNT = re.compile(rb"^\s*\d+:\d+:\d+:(\d+)\s", re.MULTILINE)
 USUAL_DIGITS, USUAL_UNIT_US = 4, 100
@@ -36,49 +35,35 @@ J1939_WORDS = {"rx": Meaning.EXTENDED, "tx": Meaning.EXTENDED | Meaning.SENT}
 J1939_COLUMNS_BETWEEN = 5  # group, kind, source, destination and priority, all of them parts of the identifier
 
 
-def j1939_layout_of(unit_us: int, *, is_decimal: bool) -> Layout:
-    """Return the layout of lines of a J1939 log, whose clock has counts of so many microseconds."""
-    return Layout(
-        columns=(
-            Column(role=Role.CLOCK, parameter=unit_us),
-            Column(role=Role.CHANNEL),
-            Column(role=Role.DECIMAL_ID if is_decimal else Role.ID),
-            *[Column(role=Role.IGNORED)] * J1939_COLUMNS_BETWEEN,
-            Column(role=Role.WORD),
-            Column(role=Role.LENGTH),
-            Column(role=Role.DECIMAL_DATA if is_decimal else Role.DATA),
-        ),
-        words=J1939_WORDS,
-        comment_starts=b"*",
-    )
-
-
-def layout_of(unit_us: int, *, is_decimal: bool) -> Layout:
+def layout_of(unit_us: int, *, is_decimal: bool, is_j1939: bool) -> Layout:
     """Return the layout of lines whose clock has counts of so many microseconds."""
+    base = DECIMAL if is_decimal else HEXADECIMAL
+    clock, channel, word = Column(role=Role.CLOCK, parameter=unit_us), Column(role=Role.CHANNEL), Column(role=Role.WORD)
+    identifier = Column(role=Role.ID, parameter=base)
+    j1939 = (clock, channel, identifier, *[Column()] * J1939_COLUMNS_BETWEEN, word)
     return Layout(
         columns=(
-            Column(role=Role.CLOCK, parameter=unit_us),
-            Column(role=Role.WORD),
-            Column(role=Role.CHANNEL),
-            Column(role=Role.DECIMAL_ID if is_decimal else Role.ID),
-            Column(role=Role.WORD),
+            *(j1939 if is_j1939 else (clock, word, channel, identifier, word)),
             Column(role=Role.LENGTH),
-            Column(role=Role.DECIMAL_DATA if is_decimal else Role.DATA),
+            Column(role=Role.DATA, parameter=base),
         ),
-        words=WORDS,
+        separator=BLANKS,
+        words=J1939_WORDS if is_j1939 else WORDS,
         comment_starts=b"*",
+        is_exact=True,
     )
 
 
-class Busmaster(Table):
+class Busmaster(TableLog):
     """A log of BUSMASTER; a line of its header says whether identifiers and bytes are hexadecimal or decimal."""
 
     def __init__(self) -> None:
         self._unit_us = USUAL_UNIT_US
-        super().__init__(layout_of(self._unit_us, is_decimal=False))
         self._start_us: int | None = None
-        self._mode = DAYTIME
+        self._mode = b"SYSTEM"
         self._is_decimal = self._is_j1939 = False
+        super().__init__()
+        self._set_layout()
 
     def look_ahead(self, text: bytes) -> None:
         """Find out the unit of the clock's counts."""
@@ -100,7 +85,7 @@ class Busmaster(Table):
                 self.notes.append("the start of the log is not understood: times count from 1970")
             self._set_clock()
         elif found := MODE.match(line):
-            self._mode = MODES[found[1]]
+            self._mode = found[1]
             self._set_clock()
         elif line in BASES:
             self._is_decimal = BASES[line]
@@ -111,14 +96,13 @@ class Busmaster(Table):
         return True
 
     def _set_layout(self) -> None:
-        layout = j1939_layout_of if self._is_j1939 else layout_of
-        self.layout = layout(self._unit_us, is_decimal=self._is_decimal)
+        """Take up what the header said; without a start, times count from 1970."""
+        is_daytime = self._mode == b"SYSTEM"
+        layout = layout_of(self._unit_us, is_decimal=self._is_decimal, is_j1939=self._is_j1939)
+        self.set_layout(replace(layout, wrap_us=DAY_US if is_daytime else 0))
 
     def _set_clock(self) -> None:
-        if self._start_us is None:
-            self.set_clock(0, self._mode)
-        elif self._mode == DAYTIME:
-            midnight_us = local_midnight_us(self._start_us)
-            self.set_clock(midnight_us, DAYTIME, self._start_us - midnight_us)
-        else:
-            self.set_clock(self._start_us, self._mode)
+        self._set_layout()
+        start_us = self._start_us or 0
+        passed_us = start_us - local_midnight_us(start_us) if self._start_us and self._mode == b"SYSTEM" else 0
+        self.set_base(start_us - passed_us, passed_us, is_relative=self._mode == b"RELATIVE")

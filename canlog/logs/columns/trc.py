@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 
-from canlog.logs.tables.layout import MILLISECONDS, Column, Layout, Meaning, Role
-from canlog.logs.tables.table import Table
+from canlog.logs.columns.log import TableLog
+from canlog.logs.columns.roles import BLANKS, HEXADECIMAL, MILLISECONDS, Column, Layout, Meaning, Role
 
 DAY_US = 86_400_000_000
 DAYS_TO_EPOCH = 25_569  # from 1899-12-30 to 1970-01-01
@@ -45,19 +45,26 @@ COLUMN_OF_LETTER = {
     "O": Column(role=Role.TIME, parameter=MILLISECONDS),
     "T": Column(role=Role.WORD),
     "B": Column(role=Role.CHANNEL),
-    "I": Column(role=Role.ID, parameter=STANDARD_DIGITS),
+    "I": Column(role=Role.ID, parameter=HEXADECIMAL),
     "d": Column(role=Role.DIRECTION),
     "R": Column(role=Role.IGNORED),  # reserved
     "l": Column(role=Role.LENGTH),
     "L": Column(role=Role.LENGTH_CODE),
-    "D": Column(role=Role.DATA),
+    "D": Column(role=Role.DATA, parameter=HEXADECIMAL),
 }
 NEEDED_LETTERS, MOST_LETTERS = set("OTI"), 15
 
 
 def layout_of(letters: str, words: Mapping[str, Meaning]) -> Layout:
     """Return the layout of lines with these columns."""
-    return Layout(columns=tuple(COLUMN_OF_LETTER[one] for one in letters), words=words, comment_starts=b";")
+    return Layout(
+        columns=tuple(COLUMN_OF_LETTER[one] for one in letters),
+        separator=BLANKS,
+        extended_digits=STANDARD_DIGITS + 1,
+        words=words,
+        comment_starts=b";",
+        is_exact=True,
+    )
 
 
 LAYOUTS = {
@@ -70,7 +77,7 @@ LAYOUTS = {
 }
 
 
-class Trc(Table):
+class Trc(TableLog):
     """The trace of PCAN-View and PCAN-Explorer; without a version it is 1.0."""
 
     def __init__(self) -> None:
@@ -80,7 +87,7 @@ class Trc(Table):
     def read_comment(self, line: bytes) -> bool:
         """Take up what a line without a frame says; return whether it belongs to the format."""
         if version := VERSION.match(line):
-            self.layout = LAYOUTS.get(version[1], self.layout)
+            self.set_layout(LAYOUTS.get(version[1], self.layout))
             return version[1] in LAYOUTS
         if columns := COLUMNS.match(line):
             return self._set_columns(columns[1])
@@ -96,13 +103,13 @@ class Trc(Table):
         letters = "".join(listed.decode("ascii").replace(",", " ").split())
         is_usable = NEEDED_LETTERS <= set(letters) <= COLUMN_OF_LETTER.keys() and len(letters) <= MOST_LETTERS
         if is_usable:
-            self.layout = layout_of(letters, NEW_WORDS)
+            self.set_layout(layout_of(letters, NEW_WORDS))
         return is_usable
 
     def _set_start(self, start_us: int | None) -> bool:
         self._has_start |= start_us is not None
         if start_us is not None:
-            self.set_clock(start_us)
+            self.set_base(start_us)
         return start_us is not None
 
 

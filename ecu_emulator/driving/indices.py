@@ -1,4 +1,4 @@
-"""Places in the arrays that the kernels of a drive share; they follow those of the shift control in ``tcu_data``.
+"""Indices into the arrays that the kernels of a drive share; they follow those of the shift control in ``tcu_data``.
 
 Pairs hold clutch 1 (odd gears) first; clutch 2 follows.
 """

@@ -4,7 +4,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, FrameBatch
-from canlog.logs.tables.layout import MICROSECONDS, MILLISECONDS, SECONDS
+from canlog.logs.columns.roles import MICROSECONDS, MILLISECONDS, SECONDS
 
 # Least bits of a frame (ISO 11898-1): no stuff bits, payload apart.
 STANDARD_BITS, EXTENDED_BITS, BITS_PER_BYTE = 47, 67, 8
