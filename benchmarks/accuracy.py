@@ -25,7 +25,7 @@ from clutch_model.knowledge import SensorBias, Uncertainty
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.friction.friction_values import friction as friction_of
+from diag_service.diagnosis.friction.values import friction as friction_of
 from diag_service.diagnosis.records import FrictionEstimate, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile

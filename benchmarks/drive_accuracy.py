@@ -37,7 +37,7 @@ from clutch_model.units import degc_from_k, k_from_degc
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.friction.friction_values import friction, scale_free
+from diag_service.diagnosis.friction.values import friction, scale_free
 from diag_service.diagnosis.records import Condition, FrictionEstimate, ScaleFreeFriction, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile

@@ -19,7 +19,7 @@ from demo.outcome import Outcome
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction.curve import curve_band, new_curve
+from diag_service.diagnosis.friction.values import curve_band, new_curve
 
 NS_PER_S = 1e9
 LegendPlace = Literal["center left", "upper center"]  # where the signals of a shift leave room

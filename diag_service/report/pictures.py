@@ -15,7 +15,7 @@ from clutchdiag_io.pages.plot import Axis, Plot, thinned
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction.curve import curve_band, new_curve
+from diag_service.diagnosis.friction.values import curve_band, new_curve
 from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult
 from diag_service.diagnosis.results import utc_from_bus_ns
 

@@ -20,7 +20,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.friction.paper import PaperCollection, nominal_driveline
 from diag_service.diagnosis.friction.paper.fit import NOISY_GATES
 from diag_service.diagnosis.friction.paper.vehicle_route import GRID_STRIDE, paper_signals
-from diag_service.diagnosis.quality.usability import usable_signals
+from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
 from ecu_emulator.drive_setup import drive_settings
 from ecu_emulator.plant import Col

@@ -19,9 +19,10 @@ from diag_service.diagnosis.condition.thresholds import (
     MIN_MISFIT_COUNT,
     NEW_FLUID_CONTRADICTIONS,
 )
-from diag_service.diagnosis.friction.calibration_progress import calibration_ratio
-from diag_service.diagnosis.friction.friction_values import (
+from diag_service.diagnosis.friction.posterior import Posterior
+from diag_service.diagnosis.friction.values import (
     both_frictions,
+    calibration_ratio,
     clutch_ratio,
     common_margin,
     common_scale_std_ratio,
@@ -29,7 +30,6 @@ from diag_service.diagnosis.friction.friction_values import (
     scale_free,
     trend,
 )
-from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.plain_values import from_plain, to_plain
 from diag_service.diagnosis.records import (
     ClutchVerdict,

@@ -1,4 +1,4 @@
-"""The torque impulse balance of the input side, weighted by test functions; docs/model.md section "Estimator".
+"""The torque balance of an event, its derivatives by all parameters and the covariance of its noise.
 
 Over each piece ``a..b`` of a slip window, with test functions psi_k that vanish at both ends,
 
@@ -6,23 +6,45 @@ Over each piece ``a..b`` of a slip window, with test functions psi_k that vanish
 
 holds without differentiating a speed (integration by parts). Every term is linear in the samples, so the covariance
 of its noise is exact; the contact torques T_C,m are linear in the friction coefficients.
+
+The sensitivities, and so the gain of an update, come from *planned* drives that are free of sensor noise: regressors
+that share noise with the residual would pull friction down by several percent. The residual itself comes from the
+measured ones (`Balance`).
 """
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
 import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, row_kernel, unchecked_kernel
-from clutch_model.calibration import Calibration
+from clutch_model.calibration import Calibration, InputSide
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, row_stribeck_weight, stribeck_weight
 from clutch_model.gears import both_clutches
 from clutch_model.knowledge import SensorBias
-from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
-from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_films
-from diag_service.diagnosis.friction.parameters import REFERENCE_K, STATE_COUNT, Considered, State
-from diag_service.diagnosis.friction.window import SlipWindow, Weights, sines, spans_of
+from clutch_model.row_functions import row_exponential, row_logarithm
+from diag_service.diagnosis.alignment import GRID_S, AlignedSignals, Resampled
+from diag_service.diagnosis.friction.drives import SLIP_DEGREE, SlipWindow, Weights, planned_drives, sines, spans_of
+from diag_service.diagnosis.friction.evidence import (
+    PARAMETER_COUNT,
+    REFERENCE_K,
+    STATE_COUNT,
+    Considered,
+    Measurement,
+    State,
+    friction_rows,
+)
+from diag_service.diagnosis.friction.film import (
+    COARSE,
+    FilmCause,
+    FilmTrack,
+    PressureDrive,
+    film_tangents,
+    integrate_films,
+)
 
 MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
 SAMPLES_PER_MOMENT = 2
@@ -240,3 +262,280 @@ def _heat_w(
 def direction(slip_rad_s: float) -> float:
     """Return the sign of the slip, fading near zero."""
     return min(max(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0), 1.0)
+
+
+MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
+DOUBT_RATIO = 0.01  # of a clutch's torque: so far no law of friction and film holds moment by moment
+OPEN_DOUBT_RATIO = 0.5  # of what an open pack drags: how that goes with the slip is another in every pack
+DOUBT_TIME_S = 0.1  # for which what is not known is wrong one way
+DOUBT_STEP = 2  # points of the grid: no test function turns in less than ten times that
+IDLE_RATIO = 0.1  # of the noise: a clutch that weighs less than this in the balance has no say in any derivative
+
+
+Blocks = tuple[FloatArray, ...]
+"""One array of each piece of a window."""
+
+
+COMMON_CAUSES = {  # what both clutches share
+    Considered.VISCOSITY: FilmCause.VISCOSITY,
+    Considered.PRESSURE_LATENCY: FilmCause.PRESSURE_LATENCY,
+    Considered.CONTACT_STIFFNESS: FilmCause.CONTACT_STIFFNESS,
+    Considered.FILM_MOBILITY: FilmCause.FILM_MOBILITY,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Spread:
+    """The weights of single samples in the weighted sums over the grid that no friction changes; (k, samples) each."""
+
+    torque_value: Blocks
+    engine_rate: Blocks
+    hub_value: Blocks
+    hub_rate: Blocks
+    input_value: tuple[Blocks, Blocks]
+    pressure_value: tuple[Blocks, Blocks]
+
+    @classmethod
+    def of(cls, signals: AlignedSignals, weights: Weights) -> Self:
+        """Return those of a window's test functions; signals of one message share theirs."""
+        found: list[tuple[Resampled, Blocks]] = []
+
+        def value(signal: Resampled) -> Blocks:
+            for other, blocks in found:
+                if signal.is_sampled_with(other):
+                    return blocks
+            found.append((signal, weights.value.on_samples(signal)))
+            return found[-1][1]
+
+        return cls(
+            torque_value=value(signals.engine_torque),
+            engine_rate=weights.rate.on_samples(signals.engine_speed),
+            hub_value=value(signals.hub_speed),
+            hub_rate=weights.rate.on_samples(signals.hub_speed),
+            input_value=both_clutches(value(one) for one in signals.input_speed),
+            pressure_value=both_clutches(value(one) for one in signals.pressure),
+        )
+
+    def hub(self, side: InputSide) -> Blocks:
+        """Return the weights of the hub's speed by its inertia and damping."""
+        inertia, damping = side.hub_inertia_kg_m2, side.hub_damping_nms_rad
+        return tuple(
+            inertia * rate - damping * value for rate, value in zip(self.hub_rate, self.hub_value, strict=True)
+        )
+
+
+class ContactAnswers(NamedTuple):
+    """How the contact torque of a clutch answers to what it depends on, each (n,) on the rows of a window."""
+
+    by_slip_nms: FloatArray  # of its friction, eq. (8)
+    by_pressure_m3: FloatArray
+    by_stribeck_speed_nm: FloatArray  # natural logarithm of it
+    by_stribeck_exponent_nm: FloatArray  # likewise
+    doubt_nm: FloatArray  # standard deviation of what no law of friction and film holds
+
+
+class Sensitivity:
+    """The derivatives of a balance by all parameters, and the covariance of its noise.
+
+    Attributes
+    ----------
+    slope : (k, PARAMETER_COUNT) array
+        Of the modelled impulses, so that a residual is ``slope @ displacement + noise``.
+    noises
+        Covariance of the residual of each piece from sensor noise; two pieces share half a sample at most.
+    overlaps
+        What the derivatives of each piece by inertia and gains share with its residual, docs/model.md eq. (31); each of
+        shape (PARAMETER_COUNT,).
+    """
+
+    def __init__(self, balance: Balance) -> None:
+        self._balance = balance
+        self._planned = planned_drives(balance.signals, balance.measured, balance.window)
+        self._spread = _Spread.of(balance.signals, balance.weights)
+        self._torque_nm = balance.weights.fitted(
+            balance.signals.engine_torque.on_grid[balance.weights.rows], SLIP_DEGREE
+        )
+        planned = integrate_films(self._planned, balance.calibration, balance.window.stop, COARSE)
+        self._tracks = both_clutches(  # a command shows how a clutch is filled less well than how it heats up
+            replace(track, clutch_k=seen.clutch_k) for track, seen in zip(planned, balance.tracks, strict=True)
+        )
+        self._torques = Torques.of(self._planned, self._tracks, balance.calibration, balance.weights.rows)
+        self._answers = both_clutches(self._answers_of(m, mu) for m, mu in enumerate(friction_pairs(balance.at)))
+        self._nominal = weigh(balance.weights, self._torques)
+        self.noises = self._noises()
+        self.slope = self._slope()
+        self.overlaps = self._overlaps()
+
+    def _answers_of(self, m: int, mu: FloatArray) -> ContactAnswers:
+        """Return what the contact of clutch ``m + 1`` answers to what it depends on."""
+        balance, clutch, rows = self._balance, self._balance.calibration.clutches[m], self._balance.weights.rows
+        answers = ContactAnswers(*np.empty((5, rows.stop - rows.start)))
+        area_ratio = clutch.geometry.piston_area_m2 / clutch.geometry.lining_area_m2
+        slip_rad_s, contact_pa = self._planned[m].slip_rad_s[rows], self._tracks[m].contact_pa[rows]
+        doubt_nm, curve = balance.tracks[m].doubt_nm[rows], friction_law(clutch.friction)
+        _fill_answers(slip_rad_s, self._torques.contact_nm[m], contact_pa, doubt_nm, mu, curve, area_ratio, answers)
+        return answers
+
+    def _slope(self) -> FloatArray:
+        balance, at = self._balance, self._balance.at
+        weights, bias = balance.weights, balance.calibration.bias
+        torque_nm, motoring_nm = motoring_corrected_nm(self._torque_nm, at[State.TORQUE_OFFSET], bias)
+        speed_rad_s = weights.fitted(balance.signals.engine_speed.on_grid[weights.rows], SLIP_DEGREE)
+        engine_nms = balance.calibration.input_side.engine_inertia_kg_m2 * (weights.rate @ speed_rad_s)
+        slope = np.zeros((weights.value.bands[-1].stop, PARAMETER_COUNT))
+        considered = slope[:, STATE_COUNT:]
+        slope[:, State.TORQUE_OFFSET] = weights.value.sums()
+        considered[:, Considered.TORQUE_GAIN] = -(engine_nms + balance.known_nms)
+        considered[:, Considered.ENGINE_INERTIA] = -bias.torque_gain * engine_nms
+        considered[:, Considered.MOTORING_GAIN] = weights.value @ motoring_nm
+        considered[:, Considered.TORQUE_LATENCY] = weights.rate @ torque_nm  # smooth: noise would hold it where it is
+        std_nms = np.sqrt(np.concatenate([np.diag(noise) for noise in self.noises]))
+        for m, mu in enumerate(friction_pairs(at)):
+            plain = self._nominal[m]
+            slope[:, friction_rows(m + 1)] = plain.by_friction
+            considered[:, Considered.FRICTION_TEMPERATURE] += plain.by_warm_friction @ mu
+            considered[:, Considered.OPEN_DRAG] += bias.torque_gain * plain.opened
+            if np.max(np.abs(plain.impulse(mu)) / std_nms) > IDLE_RATIO:
+                self._add_film(slope, m, mu)
+                answers = self._answers[m]
+                considered[:, Considered.STRIBECK_SPEED] += weights.value @ answers.by_stribeck_speed_nm
+                considered[:, Considered.STRIBECK_EXPONENT] += weights.value @ answers.by_stribeck_exponent_nm
+        return slope
+
+    def _add_film(self, slope: FloatArray, m: int, mu: FloatArray) -> None:
+        """Add what the film of clutch ``m + 1`` answers to everything that moves or forms it."""
+        balance, drive = self._balance, self._planned[m]
+        rows, considered = balance.weights.rows, slope[:, STATE_COUNT:]
+        clutch_k, lever_m3 = balance.tracks[m].clutch_k, mu @ self._torques.lever_m3[m]
+        answers = balance.weights.value @ film_tangents(m + 1, drive, clutch_k, balance.calibration, rows, lever_m3)
+        slope[:, State.TOUCH1 + m] = -answers[:, FilmCause.PRESSURE]
+        slope[:, State.ZERO1 + m] = -answers[:, FilmCause.PRESSURE]
+        considered[:, Considered.PISTON_AREA1 + m] = answers[:, FilmCause.PISTON_AREA]
+        for parameter, cause in COMMON_CAUSES.items():
+            considered[:, parameter] += answers[:, cause]
+
+    def _overlaps(self) -> list[FloatArray]:
+        balance, signals = self._balance, self._balance.signals
+        sensors, bias, weights = balance.calibration.noise, balance.calibration.bias, balance.weights
+        speed_std = sensors.engine_speed_rad_s * balance.calibration.input_side.engine_inertia_kg_m2
+        speed_slopes = weights.rate.fitted_on_samples(SLIP_DEGREE, signals.engine_speed)
+        hubs = self._spread.hub(balance.calibration.input_side)
+        motoring = self._motoring_shares()
+        overlaps = []
+        for place, noise in enumerate(self.noises):
+            precision, overlap = np.asarray(np.linalg.inv(noise)), np.zeros(PARAMETER_COUNT)
+            considered = overlap[STATE_COUNT:]
+            speed = speed_std**2 * _trace(precision, speed_slopes[place] @ self._spread.engine_rate[place].T)
+            hub = sensors.hub_speed_rad_s**2 * _trace(precision, hubs[place] @ hubs[place].T)
+            considered[Considered.TORQUE_GAIN] = -bias.torque_gain * (speed + hub)
+            considered[Considered.ENGINE_INERTIA] = -(bias.torque_gain**2) * speed
+            if motoring is not None:
+                shared = _trace(precision, motoring[place])
+                considered[Considered.MOTORING_GAIN] = sensors.engine_torque_nm**2 * shared
+            overlaps.append(overlap)
+        return overlaps
+
+    def _motoring_shares(self) -> Blocks | None:
+        """Return what the derivative by the gain of negative torque shares with the torque; None without such."""
+        balance = self._balance
+        is_motoring = self._torque_nm < balance.at[State.TORQUE_OFFSET]
+        if not is_motoring.any():
+            return None
+        value = balance.weights.value * (is_motoring / balance.calibration.bias.motoring_gain)
+        pairs = zip(
+            value.fitted_on_samples(SLIP_DEGREE, balance.signals.engine_torque), self._spread.torque_value, strict=True
+        )
+        return tuple(one @ other.T for one, other in pairs)
+
+    def _noises(self) -> list[FloatArray]:
+        """Return the covariance of the residual of each piece from sensor noise, every sample independent.
+
+        Films and friction that are not known are noise of another kind, wrong one way for a while.
+        """
+        balance, calibration = self._balance, self._balance.calibration
+        sensors, side, gain = calibration.noise, calibration.input_side, calibration.bias.torque_gain
+        signals, weights = balance.signals, balance.weights
+        noises = [
+            sensors.engine_torque_nm**2 * torque @ torque.T
+            + (sensors.engine_speed_rad_s * gain * side.engine_inertia_kg_m2) ** 2 * engine @ engine.T
+            for torque, engine in zip(self._spread.torque_value, self._spread.engine_rate, strict=True)
+        ]
+        self._add_clutch_noise(noises)
+        self._add_doubt(noises)
+        by_hub_nms = self._answers[0].by_slip_nms + self._answers[1].by_slip_nms
+        around = weights.value.around_samples(by_hub_nms, signals.hub_speed)
+        for place, hub in enumerate(self._spread.hub(side)):
+            by_hub = gain * hub - self._spread.hub_value[place] * around[place]
+            noises[place] += sensors.hub_speed_rad_s**2 * by_hub @ by_hub.T
+        return noises
+
+    def _add_clutch_noise(self, noises: list[FloatArray]) -> None:
+        """Add the noise of input speeds and pressures, that of samples with the same weights as one."""
+        signals, sensors, spread = self._balance.signals, self._balance.calibration.noise, self._spread
+        value, of_blocks = self._balance.weights.value, dict[int, tuple[Blocks, list[Blocks]]]()
+        for m, answers in enumerate(self._answers):
+            for std, by, signal, blocks in (
+                (sensors.input_speed_rad_s, answers.by_slip_nms, signals.input_speed[m], spread.input_value[m]),
+                (sensors.pressure_pa, answers.by_pressure_m3, signals.pressure[m], spread.pressure_value[m]),
+            ):
+                if by.any():
+                    squares = tuple((std * means) ** 2 for means in value.around_samples(by, signal))
+                    of_blocks.setdefault(id(blocks), (blocks, []))[1].append(squares)
+        for blocks, variances in of_blocks.values():
+            for place, weight in enumerate(blocks):
+                scaled = weight * np.sqrt(np.sum([squares[place] for squares in variances], axis=0))
+                noises[place] += scaled @ scaled.T
+
+    def _add_doubt(self, noises: list[FloatArray]) -> None:
+        """Add what no law of friction, film and drag holds, wrong one way for a while."""
+        balance = self._balance
+        value, gain = balance.weights.value, balance.calibration.bias.torque_gain
+        doubt_nm = np.hypot(*(answers.doubt_nm for answers in self._answers))
+        doubt_nm *= gain * math.sqrt(DOUBT_TIME_S * DOUBT_STEP / GRID_S)
+        opened_nms = OPEN_DOUBT_RATIO * gain * np.stack([own.opened for own in self._nominal], axis=1)
+        for place, (rows_of_piece, band, block) in enumerate(zip(value.places, value.bands, value.blocks, strict=True)):
+            doubt = block[:, ::DOUBT_STEP] * doubt_nm[rows_of_piece][::DOUBT_STEP]
+            noises[place] += doubt @ doubt.T + opened_nms[band] @ opened_nms[band].T
+
+
+def _trace(one: FloatArray, other: FloatArray) -> float:
+    """Return the trace of the product of two square matrices."""
+    return float(np.vdot(one, other.T))
+
+
+def measured(balance: Balance, near: Sequence[Measurement] = ()) -> tuple[Measurement, ...]:
+    """Return what each piece of a balance says, linearised; with the derivatives found near by if there are some."""
+    residual = balance.residual_nms()
+    bands = balance.weights.value.bands
+    if [len(one.residual) for one in near] == [band.stop - band.start for band in bands]:
+        return tuple(replace(one, residual=residual[band]) for one, band in zip(near, bands, strict=True))
+    found = Sensitivity(balance)
+    return tuple(
+        Measurement(residual=residual[band], slope=found.slope[band], noise=noise, overlap=overlap)
+        for band, noise, overlap in zip(bands, found.noises, found.overlaps, strict=True)
+    )
+
+
+@row_kernel
+def _fill_answers(
+    slip_rad_s: FloatArray, torques_nm: FloatArray, contact_pa: FloatArray, film_doubt_nm: FloatArray, mu: FloatArray,
+    curve: FrictionLaw, area_ratio: float, answers: ContactAnswers,
+) -> None:  # fmt: skip
+    speed_rad_s, exponent = curve.stribeck_speed_rad_s, curve.stribeck_exponent
+    for row in range(len(slip_rad_s)):
+        excess = max(abs(slip_rad_s[row]) / speed_rad_s, MIN_EXCESS)
+        log_excess = row_logarithm(excess)
+        by_mu_c_nm, by_mu_s_nm = torques_nm[0, row], torques_nm[1, row]
+        by_log_nm = by_mu_s_nm * (mu[1] - mu[0]) * exponent * row_exponential(exponent * log_excess)
+        answers.by_slip_nms[row] = -by_log_nm / (excess * speed_rad_s) * direction(slip_rad_s[row])
+        answers.by_pressure_m3[row] = area_ratio * mu[0] * (by_mu_c_nm + by_mu_s_nm) / max(contact_pa[row], 1.0)
+        answers.by_stribeck_speed_nm[row] = by_log_nm
+        answers.by_stribeck_exponent_nm[row] = -by_log_nm * log_excess
+        whole_nm = by_mu_c_nm * mu[0] + by_mu_s_nm * mu[1]
+        answers.doubt_nm[row] = math.sqrt(film_doubt_nm[row] ** 2 + (DOUBT_RATIO * whole_nm) ** 2)
+
+
+def compile_sensitivity(calibration: Calibration) -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    rows, curve = np.zeros(1), friction_law(calibration.clutches[0].friction)
+    _fill_answers(rows, np.zeros((2, 1)), rows, rows, np.zeros(2), curve, 1.0, ContactAnswers(*np.zeros((5, 1))))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -12,26 +13,38 @@ from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment import NS_TO_S, AlignedSignals, compile_alignment
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction.balance import Balance, compile_balance
-from diag_service.diagnosis.friction.cold_oil import MOST_FILM_SHARE, film_share, own_variance
-from diag_service.diagnosis.friction.evidence import Evidence, Fusion, Knowledge, Measurement, compile_evidence, fuse
-from diag_service.diagnosis.friction.film_tangents import compile_tangents
-from diag_service.diagnosis.friction.film_track import PressureDrive, compile_film
-from diag_service.diagnosis.friction.friction_values import both_frictions
-from diag_service.diagnosis.friction.judgement import JudgedEvent
-from diag_service.diagnosis.friction.parameters import (
+from diag_service.diagnosis.friction.balance import Balance, compile_balance, compile_sensitivity, measured
+from diag_service.diagnosis.friction.drives import (
+    PackTemperatures,
+    SlipWindow,
+    compile_window,
+    measured_drives,
+    on_other_grid,
+    slip_window,
+    spans_of,
+    zeros_seen,
+)
+from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
     FRICTION_PRIOR_STD,
+    PARAMETER_COUNT,
+    STATE_COUNT,
+    Considered,
+    Evidence,
+    Fusion,
+    Knowledge,
+    Measurement,
     State,
+    compile_evidence,
     displaced,
     friction_rows,
+    fuse,
 )
+from diag_service.diagnosis.friction.film import PressureDrive, compile_film, compile_tangents
+from diag_service.diagnosis.friction.judgement import JudgedEvent, compile_selection, omission_cost
 from diag_service.diagnosis.friction.posterior import Posterior
-from diag_service.diagnosis.friction.preparation import PackTemperatures, measured_drives, slip_window, zeros_seen
-from diag_service.diagnosis.friction.selection import compile_selection, omission_cost
-from diag_service.diagnosis.friction.sensitivity import compile_sensitivity, measured
-from diag_service.diagnosis.friction.window import SlipWindow, compile_window, on_other_grid, spans_of
-from diag_service.diagnosis.quality.averages import mean
+from diag_service.diagnosis.friction.values import both_frictions
+from diag_service.diagnosis.quality.data_quality import Samples, aligned, compile_usability, mean, usable_samples
 from diag_service.diagnosis.quality.plausibility import (
     PressureZeros,
     SlippingClutch,
@@ -39,8 +52,54 @@ from diag_service.diagnosis.quality.plausibility import (
     plausibility_faults,
     zero_has_jumped,
 )
-from diag_service.diagnosis.quality.usability import Samples, aligned, compile_usability, usable_samples
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
+
+WORKING_K: Final = 353.15  # of a pack: from there on the film is as believed
+COLD_SPAN_K: Final = 60.0  # below that temperature, where the deviations are as large as these:
+TOUCH_PRESSURE_PA: Final = 20e3
+VISCOSITY_RATIO: Final = 0.2
+PRESSURE_LATENCY_S: Final = 0.02  # a film that closes or opens earlier or later
+CONTACT_STIFFNESS_RATIO: Final = 0.2
+FILM_MOBILITY_LOG: Final = 1.0
+OPEN_DRAG_LOG: Final = 1.0
+OPEN_DRAG_SPEED_LOG: Final = 0.7  # also at work: twice or half; how drag goes with the slip is another in every pack
+FRICTION_RATIO: Final = 0.01  # of mu, also at work: heat, oil and load are spread over the linings anew each time
+MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it nothing is said of friction
+
+
+def _cold_variance() -> FloatArray:
+    """Return how far the parameters of one event may be off in oil that is colder than at work by the whole span."""
+    variance = np.zeros(PARAMETER_COUNT)
+    variance[[State.TOUCH1, State.TOUCH2]] = TOUCH_PRESSURE_PA**2
+    variance[STATE_COUNT + Considered.VISCOSITY] = VISCOSITY_RATIO**2
+    variance[STATE_COUNT + Considered.PRESSURE_LATENCY] = PRESSURE_LATENCY_S**2
+    variance[STATE_COUNT + Considered.CONTACT_STIFFNESS] = CONTACT_STIFFNESS_RATIO**2
+    variance[STATE_COUNT + Considered.FILM_MOBILITY] = FILM_MOBILITY_LOG**2
+    variance[STATE_COUNT + Considered.OPEN_DRAG] = OPEN_DRAG_LOG**2
+    return variance
+
+
+_COLD_VARIANCE: Final = _cold_variance()
+
+
+def own_variance(balance: Balance, clutch: int) -> FloatArray:
+    """Return how far the parameters of one event may be from those of the vehicle, shape (PARAMETER_COUNT,)."""
+    pack_k = mean(balance.tracks[clutch - 1].clutch_k[balance.window.slip_rows])
+    variance = _COLD_VARIANCE * max(0.0, (WORKING_K - pack_k) / COLD_SPAN_K) ** 2
+    variance[STATE_COUNT + Considered.OPEN_DRAG] += OPEN_DRAG_SPEED_LOG**2
+    variance[:FRICTION_COUNT] = (FRICTION_RATIO * balance.at[:FRICTION_COUNT]) ** 2
+    return variance
+
+
+def film_share(balance: Balance, clutch: int) -> float:
+    """Return which part of a clutch's torque its sheared film carries in the slip window, 0 to 1."""
+    rows, track = balance.window.slip_rows, balance.tracks[clutch - 1]
+    first = balance.weights.rows.start
+    by_friction_nm = balance.torques.contact_nm[clutch - 1, :, rows.start - first : rows.stop - first]
+    contact = float(np.abs(balance.at[friction_rows(clutch)] @ by_friction_nm).sum())
+    film = float(np.abs(track.viscous_nm[rows]).sum())
+    return film / max(film + contact, 1e-9)
+
 
 ALGORITHM_VERSION = "torque-impulse-8"
 MAX_PASS_COUNT = 4  # of linearisation: the first events of a vehicle move latencies by more than a line follows

@@ -13,20 +13,58 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.gears import both_clutches, with_clutch
-from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT, SHAPES, Baseline
-from diag_service.diagnosis.friction.evidence import Evidence, Fusion, Knowledge, fuse
-from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, judge, together
-from diag_service.diagnosis.friction.parameters import (
+from diag_service.diagnosis.friction.drives import PackTemperatures
+from diag_service.diagnosis.friction.evidence import (
     PARAMETER_COUNT,
     STATE_COUNT,
+    Evidence,
+    Fusion,
+    Knowledge,
     State,
+    friction_rows,
+    fuse,
     prior_covariance,
     prior_mean,
 )
-from diag_service.diagnosis.friction.preparation import PackTemperatures
-from diag_service.diagnosis.friction.selection import is_cheap
+from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, is_cheap, judge, together
 from diag_service.diagnosis.plain_values import from_plain, to_plain
 from fleet_contract import JsonObject
+
+BASELINE_SHIFT_COUNT = 15  # of the clutch: three times the shifts that settle a verdict
+SHAPES = {"mean": (2,), "covariance": (2, 2), "cross": (PARAMETER_COUNT, 2)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Baseline:
+    """Frozen ``(mu_c, mu_s)`` of one clutch, times the gain of the torque reading.
+
+    ``cross`` is the covariance between the error of what is known today and that of the baseline. It begins as the
+    baseline's own and fades as later shifts outweigh the earlier ones.
+    """
+
+    mean: FloatArray  # (2,)
+    covariance: FloatArray  # (2, 2)
+    cross: FloatArray  # (PARAMETER_COUNT, 2)
+    end_ns: int  # bus time of the last shift in it
+    shift_count: int  # shifts in it
+    later_count: int = 0  # shifts that became part of the base since
+
+    @classmethod
+    def of(cls, clutch: int, known: Knowledge, *, end_ns: int, count: int) -> Self:
+        """Freeze the friction of a clutch."""
+        rows = friction_rows(clutch)
+        return cls(
+            mean=known.mean[rows],
+            covariance=known.covariance[rows, rows],
+            cross=known.covariance[:, rows],
+            end_ns=end_ns,
+            shift_count=count,
+        )
+
+    def after(self, kept: FloatArray) -> Self:
+        """Return the baseline after news of which this part of the earlier error is left."""
+        return replace(self, cross=kept @ self.cross)
+
 
 RECENT_COUNT: Final = 12  # events judged together: some six of each clutch
 FRICTION_DRIFT_STD: Final = (

@@ -14,13 +14,350 @@ import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
 from canlog.e2e.e2e_state import E2eState
-from canlog.jit import array_kernel
+from canlog.jit import array_kernel, inlined_kernel, kernel
 from canlog.series import Series
+from clutch_model.calibration import Calibration
+from diag_service.diagnosis.alignment import (
+    COMMAND_LAG_S,
+    NS_TO_S,
+    AlignedSignals,
+    SampleTimes,
+    align,
+    measured_times,
+    sampling_times,
+)
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
-from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.quality.agreement import agreement, compile_agreement
-from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
+from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.records import DataQuality, QualityPart, Reason
+
+
+def mean(values: FloatArray) -> float:
+    """Return the mean of values, shape (n,), n >= 1."""
+    return float(values.sum() / len(values))
+
+
+@kernel
+def median(values: FloatArray) -> float:
+    """Return the median of finite values, shape (n,), n >= 1."""
+    return float(np.median(values))
+
+
+def compile_averages() -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    median(np.zeros(1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Band:
+    """From where on a flaw costs data quality, and from where on it takes all of it."""
+
+    start: float
+    end: float
+
+    def score(self, flaw: float) -> float:
+        """Return 1 up to the start of the band, 0 from its end on, and a straight line between."""
+        return min(1.0, max(0.0, (self.end - flaw) / (self.end - self.start)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QualityLimits:
+    """Every limit on the data of a shift; each name ends in its unit."""
+
+    # Usable: without this the signals cannot be put on one clock.
+    gap_periods: float = 2.5  # one missing frame is bridged by interpolation; in a longer gap no friction is looked for
+    lost_periods: float = 8.5  # a longer gap may hide anything: the event is not used
+    nominal_period_s: float = 0.01  # of signals whose message states no cycle time
+    oil_range_k: tuple[float, float] = (233.15, 443.15)  # -40..170 degC: where the fluid's viscosity law holds
+
+    # Data quality: each part from 0 to 1, and the least product of all parts.
+    least_score_ratio: float = 0.5
+    lost_ratio: Band = Band(start=0.0, end=0.4)  # of frames: half of it rejects an event; gaps are left out besides
+    optional_message_ratio: float = 0.9  # factor for each message that failed, though no estimate needs it
+    late_periods: float = 3.0  # a sample this much later than its sender's schedule says little about time
+    saturated_ratio: Band = Band(start=0.0, end=0.1)  # of samples at the end of the scale
+    wheel_ratio: Band = Band(start=0.03, end=0.13)  # rms of wheel over output speed; a hard launch reaches 0.022
+    least_wheel_m_s: float = 2.0  # below this, speed sensors resolve too little for a ratio
+    hub_mean_rad_s: Band = Band(start=1.0, end=5.0)  # engine less hub, which a torsion damper ties together
+    pressure_median_pa: Band = Band(start=0.3e5, end=1.3e5)  # pressure less its lagged command, over the whole cut
+    calibration_years: Band = Band(start=5.0, end=15.0)  # age of a vehicle's own calibration
+
+    # Plausibility: two to three times what sound signals reach.
+    speeds_rad_s: float = 2.0  # between shafts that turn together; sound: 0.76, torsion of flywheel and shafts
+    launch_speeds_rad_s: float = 8.0  # engine and hub in a launch, whose clutch may judder; sound: 3.7
+    speeds_mean_s: float = 0.05  # five samples: noise falls by half, a fault shorter than that weighs little
+    locked_s: float = 0.10  # before the shift one clutch is locked, at its end the other one
+    settling_rad_s: float = 0.5  # in half of that time: so fast changes the slip of a clutch that is not locked yet
+    turning_rad_s: float = 10.0  # slower, a shaft's speed sensor resolves too little for a ratio
+    ringing_s: float = 0.05  # so long does a shaft swing after its synchroniser has engaged a gear
+    in_gear_s: float = 0.10  # before its slip window the on-coming shaft stands in gear
+    pressure_moment_pa: float = 0.20e5  # pressure of the slipping clutch less the expected one; sound: 0.10e5
+    pressure_mean_s: float = 0.06  # the span of that moment
+    command_clock_s: float = 0.01  # a command may be so far ahead of the speeds, to whose clock the pressures are moved
+    following_ratio: float = 0.5  # of what a command is ahead of its pressure: no valve follows a jump to the letter
+    travel_pa: float = 0.30e5  # so near its touch pressure a piston may still be on its way
+    catching_up_s: float = 0.15  # until the pressure behind a piston that has arrived is the commanded one; sound: 0.10
+    pressure_window_pa: float = 0.10e5  # the same over the whole slip window; sound: 0.05e5
+    zero_gate: float = 25.0  # squared distance of a measured zero from the known one, in variances: 6e-7 by chance
+    least_noise_steps: float = 0.75  # of the resolution; a ramp without noise seems to have up to 0.6
+    repeats_chance: float = 1e-6  # that a sound signal repeats a value as often as one that is called frozen
+
+
+LIMITS: Final = QualityLimits()
+
+
+SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
+_LAG_NS: Final = round(COMMAND_LAG_S / NS_TO_S)
+_NEVER: Final = np.empty(0, np.int64)
+_WHEELS: Final = (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED, Signal.WHEEL_RL_SPEED, Signal.WHEEL_RR_SPEED)
+_PRESSURES: Final = (
+    (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH1_PRESSURE_COMMAND),
+    (Signal.CLUTCH2_PRESSURE, Signal.CLUTCH2_PRESSURE_COMMAND),
+)
+
+
+def agreement(event: Event, limits: QualityLimits = LIMITS) -> float | None:
+    """Return how well sensors agree that must, 0 to 1; the worst pair counts, None if there is no pair."""
+    columns = event.columns
+    # With both clutches open nothing is asked of them, and a piston that returns holds the pressure of its spring.
+    pressures = None if event.kind is EventKind.REGEAR else _pressures(columns, limits)
+    judged = (_wheels(event, limits), _hub(columns, limits), pressures)
+    return min((value for value in judged if value is not None), default=None)
+
+
+def compile_agreement() -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    one = Series(t_ns=np.zeros(1, np.int64), sequence=np.zeros(1, np.int64), value=np.zeros(1))
+    _divide(one.t_ns, one.value, one.t_ns, one.value, _NEVER, 0.0, 0.0, np.empty(1), 0)
+    _apart(one, one)
+    _worst_spread(one.value, 1.0, one.t_ns)
+    compile_averages()
+
+
+def _wheels(event: Event, limits: QualityLimits) -> float | None:
+    """Compare wheel speeds with the speed of the transmission output: their ratio is one number.
+
+    While a shaft rings in its new gear, so does the output: that tells nothing of the sensors.
+    """
+    columns = event.columns
+    output = columns.get(Signal.OUTPUT_SPEED)
+    if output is None or not len(output.t_ns):
+        return None
+    changes_ns = _gear_changes_ns(columns)
+    wheels = [columns[signal] for signal in _WHEELS if signal in columns]
+    ratios, ends = np.empty(sum(len(wheel.t_ns) for wheel in wheels)), [0]
+    least_m_s, ringing_s = limits.least_wheel_m_s, limits.ringing_s
+    for wheel in wheels:
+        series = wheel.t_ns, wheel.value, output.t_ns, output.value
+        ends.append(_divide(*series, changes_ns, least_m_s, ringing_s, ratios, ends[-1]))
+    found = ratios[: ends[-1]]
+    if not len(found):
+        return None
+    return limits.wheel_ratio.score(math.sqrt(_worst_spread(found, median(found), np.array(ends))))
+
+
+def _gear_changes_ns(columns: Columns) -> Int64Array:
+    """Return when a shaft says that it has a new gear, as far as one does."""
+    gears = [columns[signal] for signal in SHAFT_GEARS if signal in columns]
+    return np.concatenate([_NEVER, *(gear.t_ns[1:][np.diff(gear.value) != 0.0] for gear in gears)])
+
+
+@array_kernel
+def _divide(
+    t_ns: Int64Array,
+    wheel_m_s: FloatArray,
+    output_ns: Int64Array,
+    output_rad_s: FloatArray,
+    changes_ns: Int64Array,
+    least_m_s: float,
+    ringing_s: float,
+    ratios: FloatArray,
+    first: int,
+) -> int:
+    """Fill in a wheel's speed over that of the output where both turn and no shaft rings; return where it ends."""
+    stop, sample = first, 0
+    for row in range(len(t_ns)):
+        sample = _last_sample(output_ns, sample, t_ns[row])
+        turning_rad_s = _reading(output_ns, output_rad_s, sample, t_ns[row])
+        is_told = wheel_m_s[row] > least_m_s and turning_rad_s > 0.0
+        for change_ns in changes_ns:
+            is_told = is_told and abs(t_ns[row] - change_ns) * NS_TO_S > ringing_s
+        if is_told:
+            ratios[stop] = wheel_m_s[row] / turning_rad_s
+            stop += 1
+    return stop
+
+
+@array_kernel
+def _worst_spread(ratios: FloatArray, middle: float, ends: Int64Array) -> float:
+    """Return the largest mean square by which the ratios of one wheel are off the middle, as a share of it."""
+    worst = 0.0
+    for wheel in range(len(ends) - 1):
+        total = 0.0
+        for row in range(ends[wheel], ends[wheel + 1]):
+            total += (ratios[row] / middle - 1.0) ** 2
+        worst = max(worst, total / max(ends[wheel + 1] - ends[wheel], 1))
+    return worst
+
+
+def _hub(columns: Columns, limits: QualityLimits) -> float | None:
+    """Compare engine and clutch hub."""
+    engine, hub = columns.get(Signal.ENGINE_SPEED), columns.get(Signal.HUB_SPEED)
+    if engine is None or hub is None or not len(engine.t_ns) or not len(hub.t_ns):
+        return None
+    return limits.hub_mean_rad_s.score(abs(mean(_apart(engine, hub))))
+
+
+def _pressures(columns: Columns, limits: QualityLimits) -> float | None:
+    """Compare clutch pressures with what was commanded a moment before."""
+    differences_pa = [
+        median(np.abs(_apart(pressure, command, _LAG_NS)))
+        for read, commanded in _PRESSURES
+        for pressure, command in ((columns.get(read), columns.get(commanded)),)
+        if pressure is not None and command is not None and len(pressure.t_ns) and len(command.t_ns)
+    ]
+    return limits.pressure_median_pa.score(max(differences_pa)) if differences_pa else None
+
+
+def _apart(series: Series, other: Series, lag_ns: int = 0) -> FloatArray:
+    """Return a signal less what another one read at its times, or ``lag_ns`` before them."""
+    differences = np.empty(len(series.t_ns))
+    _subtract(series.t_ns, series.value, other.t_ns, other.value, lag_ns, differences)
+    return differences
+
+
+@array_kernel
+def _subtract(
+    t_ns: Int64Array,
+    value: FloatArray,
+    other_ns: Int64Array,
+    other: FloatArray,
+    lag_ns: int,
+    differences: FloatArray,
+) -> None:
+    sample = 0
+    for row in range(len(t_ns)):
+        at_ns = t_ns[row] - lag_ns
+        sample = _last_sample(other_ns, sample, at_ns)
+        differences[row] = value[row] - _reading(other_ns, other, sample, at_ns)
+
+
+@inlined_kernel
+def _last_sample(t_ns: Int64Array, sample: int, at_ns: int) -> int:
+    """Return which sample was the last one at a time, from an earlier one on."""
+    while sample < len(t_ns) - 1 and t_ns[sample + 1] <= at_ns:
+        sample += 1
+    return sample
+
+
+@inlined_kernel
+def _reading(t_ns: Int64Array, value: FloatArray, sample: int, at_ns: int) -> float:
+    """Return what a signal reads after some sample: linear up to the next one, constant beyond both ends."""
+    reading = float(value[sample])
+    if sample < len(t_ns) - 1 and t_ns[sample] < at_ns:
+        rise = (value[sample + 1] - value[sample]) / (t_ns[sample + 1] - t_ns[sample])
+        reading += rise * (at_ns - t_ns[sample])
+    return reading
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Samples:
+    """What was sampled in an event that can be used, whatever vehicle it is of."""
+
+    event: Event
+    times: SampleTimes
+    oil_k: float
+
+
+def usable_signals(event: Event, calibration: Calibration, limits: QualityLimits = LIMITS) -> AlignedSignals | Reason:
+    """Return the signals of a shift or engine run-up on one clock, or why they cannot be used."""
+    samples = usable_samples(event, limits)
+    return samples if isinstance(samples, Reason) else aligned(samples, calibration, limits=limits)
+
+
+def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Reason:
+    """Return the samples of a shift or engine run-up, or why they cannot be used."""
+    if event.end_reason not in {EndReason.COMPLETE, EndReason.ABANDONED}:
+        return Reason.INTERRUPTED
+    is_whole = event.end_reason is EndReason.COMPLETE  # what another event cut short may be seen in full, or not
+    oil = event.columns.get(Signal.SUMP_TEMPERATURE)
+    sampled = sampling_times(event)
+    if oil is None or not len(oil.t_ns) or len(sampled) < len(BALANCE_SIGNALS):
+        return Reason.SIGNAL_MISSING if is_whole else Reason.INTERRUPTED
+    duration_s = (event.end_ns - event.start_ns) * NS_TO_S
+    if any(is_lost(times_s, event.columns[one].period_ns, duration_s, limits) for one, times_s in sampled.items()):
+        return Reason.FRAMES_MISSING if is_whole else Reason.INTERRUPTED
+    oil_k = mean(oil.value)
+    if not limits.oil_range_k[0] <= oil_k <= limits.oil_range_k[1]:
+        return Reason.OUT_OF_RANGE
+    return Samples(event=event, times=sampled, oil_k=oil_k)
+
+
+def aligned(
+    samples: Samples, calibration: Calibration, other: AlignedSignals | None = None, *, limits: QualityLimits = LIMITS
+) -> AlignedSignals | Reason:
+    """Return samples on one clock, latencies as a calibration has them, or why they cannot be.
+
+    What no calibration moves is taken over from ``other``: the same samples as another calibration has them.
+    """
+    times = measured_times(samples.times, samples.event, calibration)
+    if min(_step_range_s(one)[0] for one in times.values()) <= 0.0:
+        return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock cannot be believed
+    return align(times, samples.event, samples.oil_k, gaps_s(times, samples.event, limits), other)
+
+
+def is_lost(times_s: FloatArray, period_ns: int, duration_s: float, limits: QualityLimits = LIMITS) -> bool:
+    """Return whether too many samples in a row are missing between the event's start and its end; late ones are not."""
+    period_s = _period_s(period_ns, limits)
+    return _longest_silence_s(times_s, -2.0 * period_s, duration_s) > limits.lost_periods * period_s
+
+
+@array_kernel
+def _longest_silence_s(times_s: FloatArray, from_s: float, duration_s: float) -> float:
+    """Return for how long [s] nothing was sampled between the event's start and its end; inf for fewer than 2 samples.
+
+    Samples before the start count from ``from_s`` on.
+    """
+    count, longest_s, latest_s = 0, 0.0, 0.0
+    for time_s in times_s:
+        if from_s <= time_s <= duration_s:
+            since_s = latest_s if count else min(0.0, time_s)
+            count, longest_s, latest_s = count + 1, max(longest_s, time_s - since_s), time_s
+    return max(longest_s, duration_s - latest_s) if count > 1 else np.inf
+
+
+def gaps_s(times: SampleTimes, event: Event, limits: QualityLimits = LIMITS) -> FloatArray:
+    """Return between which instants [s] two samples of any signal or more are missing in a row, shape (n, 2)."""
+    duration_s = (event.end_ns - event.start_ns) * NS_TO_S
+    found = []
+    for signal, times_s in times.items():
+        longest_s = limits.gap_periods * _period_s(event.columns[signal].period_ns, limits)
+        if _step_range_s(times_s)[1] > longest_s:
+            found += [times_s[row : row + 2] for row in np.flatnonzero(np.diff(times_s) > longest_s)]
+        if duration_s - times_s[-1] > longest_s:
+            found.append(np.array((times_s[-1], duration_s)))
+    return np.array(found).reshape(-1, 2)
+
+
+@array_kernel
+def _step_range_s(times_s: FloatArray) -> tuple[float, float]:
+    """Return the least and the longest time [s] from one sample to the next; inf and -inf if there is only one."""
+    least_s, longest_s = np.inf, -np.inf
+    for row in range(1, len(times_s)):
+        step_s = times_s[row] - times_s[row - 1]
+        least_s, longest_s = min(least_s, step_s), max(longest_s, step_s)
+    return least_s, longest_s
+
+
+def compile_usability() -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    _longest_silence_s(np.zeros(2), 0.0, 0.0)
+    _step_range_s(np.zeros(2))
+
+
+def _period_s(period_ns: int, limits: QualityLimits) -> float:
+    """Return the period of a signal, the nominal one where its message states none."""
+    return period_ns * NS_TO_S or limits.nominal_period_s
+
 
 _DAYS_PER_YEAR: Final = 365.25
 _NS_PER_S: Final = 1_000_000_000

@@ -18,9 +18,7 @@ from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
-from diag_service.diagnosis.quality.agreement import SHAFT_GEARS
-from diag_service.diagnosis.quality.averages import mean, median
-from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
+from diag_service.diagnosis.quality.data_quality import LIMITS, SHAFT_GEARS, QualityLimits, mean, median
 from diag_service.diagnosis.records import Reason
 
 _LEAST: Final = 0.0  # what a sensor of pressure or speed cannot show less of: it repeats that with reason

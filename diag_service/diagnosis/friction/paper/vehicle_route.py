@@ -19,7 +19,7 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.paper.driveline import Driveline
 from diag_service.diagnosis.friction.paper.driveline_model import DrivelineModel, State, driveline_model
 from diag_service.diagnosis.friction.paper.method import PaperSignals
-from diag_service.diagnosis.quality.usability import usable_signals
+from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
 
 PERIOD_S = 0.01  # of the fast messages

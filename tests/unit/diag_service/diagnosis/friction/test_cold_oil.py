@@ -13,15 +13,15 @@ from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
-from diag_service.diagnosis.friction.cold_oil import (
+from diag_service.diagnosis.friction.estimator import (
     COLD_SPAN_K,
     FRICTION_RATIO,
     VISCOSITY_RATIO,
     WORKING_K,
     own_variance,
 )
-from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_films
-from diag_service.diagnosis.friction.parameters import FRICTION_COUNT, STATE_COUNT, Considered
+from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, STATE_COUNT, Considered
+from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films
 from diag_service.diagnosis.records import Reason, Status
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.friction.evidence import Evidence, Knowledge, Measurement, fuse
-from diag_service.diagnosis.friction.parameters import PARAMETER_COUNT
+from diag_service.diagnosis.friction.evidence import PARAMETER_COUNT, Evidence, Knowledge, Measurement, fuse
 
 SCALES = 10.0 ** np.random.default_rng(0).uniform(-4.0, 4.0, PARAMETER_COUNT)  # coefficients, pascals, seconds
 

@@ -11,9 +11,8 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.film import film_law, piston_pressure_pa
 from diag_service.diagnosis.alignment import GRID_S
-from diag_service.diagnosis.friction.film_tangents import FilmCause, film_tangents
-from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_films
-from diag_service.diagnosis.friction.parameters import STATE_COUNT, Considered, displaced
+from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, displaced
+from diag_service.diagnosis.friction.film import FilmCause, FilmTrack, PressureDrive, film_tangents, integrate_films
 from diag_service.diagnosis.friction.posterior import Posterior
 
 CALIBRATION: Final = nominal_calibration()

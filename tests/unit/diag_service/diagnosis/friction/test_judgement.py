@@ -8,17 +8,20 @@ import pytest
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.friction.evidence import Evidence, Knowledge, Measurement, fuse
-from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, judge, saved_by_step
-from diag_service.diagnosis.friction.parameters import (
+from diag_service.diagnosis.friction.evidence import (
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
+    Evidence,
+    Knowledge,
+    Measurement,
     State,
     friction_rows,
+    fuse,
     prior_covariance,
     prior_mean,
 )
+from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, judge, saved_by_step
 
 STD = 0.001  # of friction seen in one event
 MU = np.array([0.140, 0.120])

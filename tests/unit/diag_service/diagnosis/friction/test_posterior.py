@@ -8,13 +8,19 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT
-from diag_service.diagnosis.friction.evidence import Evidence, Measurement, fuse
-from diag_service.diagnosis.friction.friction_values import friction, trend
+from diag_service.diagnosis.friction.drives import PackTemperatures
+from diag_service.diagnosis.friction.evidence import (
+    PARAMETER_COUNT,
+    STATE_COUNT,
+    Considered,
+    Evidence,
+    Measurement,
+    friction_rows,
+    fuse,
+)
 from diag_service.diagnosis.friction.judgement import JudgedEvent
-from diag_service.diagnosis.friction.parameters import PARAMETER_COUNT, STATE_COUNT, Considered, friction_rows
-from diag_service.diagnosis.friction.posterior import RECENT_COUNT, Posterior
-from diag_service.diagnosis.friction.preparation import PackTemperatures
+from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, RECENT_COUNT, Posterior
+from diag_service.diagnosis.friction.values import friction, trend
 from fleet_contract import JsonObject
 
 CALIBRATION = nominal_calibration()

@@ -5,9 +5,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from diag_service.diagnosis.friction.evidence import Evidence, Knowledge, Measurement, fuse
-from diag_service.diagnosis.friction.parameters import PARAMETER_COUNT
-from diag_service.diagnosis.friction.selection import omission_cost, selected
+from diag_service.diagnosis.friction.evidence import PARAMETER_COUNT, Evidence, Knowledge, Measurement, fuse
+from diag_service.diagnosis.friction.judgement import omission_cost, selected
 
 NUMBERS = 10
 FAR = 12.0  # standard deviations

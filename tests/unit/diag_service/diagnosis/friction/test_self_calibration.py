@@ -12,17 +12,13 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.friction.balance import Balance
-from diag_service.diagnosis.friction.evidence import Measurement
-from diag_service.diagnosis.friction.friction_values import friction as friction_of
-from diag_service.diagnosis.friction.parameters import NAMES, STATE_COUNT, Considered, State, displaced
+from diag_service.diagnosis.friction.balance import Balance, measured
+from diag_service.diagnosis.friction.drives import SlipWindow, measured_drives, slip_window
+from diag_service.diagnosis.friction.evidence import NAMES, STATE_COUNT, Considered, Measurement, State, displaced
 from diag_service.diagnosis.friction.posterior import Posterior
-from diag_service.diagnosis.friction.preparation import measured_drives, slip_window
-from diag_service.diagnosis.friction.run_up_balance import run_up_measurement
-from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
-from diag_service.diagnosis.friction.sensitivity import measured
-from diag_service.diagnosis.friction.window import SlipWindow
-from diag_service.diagnosis.quality.usability import usable_signals
+from diag_service.diagnosis.friction.self_calibration import SelfCalibration, run_up_measurement, self_calibrate
+from diag_service.diagnosis.friction.values import friction as friction_of
+from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder

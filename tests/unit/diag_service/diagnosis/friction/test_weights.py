@@ -5,7 +5,7 @@ import pytest
 
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.alignment import GRID_S, Resampled
-from diag_service.diagnosis.friction.window import Piece, SlipWindow, fitted, sines, smoothed
+from diag_service.diagnosis.friction.drives import Piece, SlipWindow, fitted, sines, smoothed
 
 GRID = GRID_S * np.arange(-40.0, 460.0)
 WINDOW = SlipWindow.between(101, 352)  # 0.5 s

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diag_service.diagnosis.quality.averages import mean, median
+from diag_service.diagnosis.quality.data_quality import mean, median
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 8, 193, 1820])

@@ -17,8 +17,7 @@ from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.quality.data_quality import QualityBasis, data_quality, reasons_against
-from diag_service.diagnosis.quality.limits import LIMITS
+from diag_service.diagnosis.quality.data_quality import LIMITS, QualityBasis, data_quality, reasons_against
 from diag_service.diagnosis.records import DataQuality, QualityPart, Reason, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile

@@ -13,10 +13,9 @@ from diag_service.diagnosis.alignment import COMMAND_LAG_S, AlignedSignals
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event, EventKind
 from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.friction.parameters import State
-from diag_service.diagnosis.friction.preparation import measured_drives, slip_window
-from diag_service.diagnosis.quality.agreement import agreement
-from diag_service.diagnosis.quality.limits import LIMITS, QualityLimits
+from diag_service.diagnosis.friction.drives import measured_drives, slip_window
+from diag_service.diagnosis.friction.evidence import State
+from diag_service.diagnosis.quality.data_quality import LIMITS, QualityLimits, agreement, usable_signals
 from diag_service.diagnosis.quality.plausibility import (
     PressureZeros,
     SlippingClutch,
@@ -27,7 +26,6 @@ from diag_service.diagnosis.quality.plausibility import (
     speed_gap_rad_s,
     zero_has_jumped,
 )
-from diag_service.diagnosis.quality.usability import usable_signals
 from diag_service.diagnosis.records import Reason
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, without
 

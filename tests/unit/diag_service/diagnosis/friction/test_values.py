@@ -10,9 +10,19 @@ from hypothesis import strategies as st
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.friction.baseline import BASELINE_SHIFT_COUNT, Baseline
-from diag_service.diagnosis.friction.evidence import Evidence, Knowledge, fuse
-from diag_service.diagnosis.friction.friction_values import (
+from diag_service.diagnosis.friction.evidence import (
+    FRICTION_COUNT,
+    PARAMETER_COUNT,
+    STATE_COUNT,
+    Considered,
+    Evidence,
+    Knowledge,
+    friction_rows,
+    fuse,
+    prior_covariance,
+)
+from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, Baseline, Posterior
+from diag_service.diagnosis.friction.values import (
     MODEL_STD_RATIO,
     clutch_ratio,
     common_scale_std_ratio,
@@ -20,15 +30,6 @@ from diag_service.diagnosis.friction.friction_values import (
     scale_free,
     trend,
 )
-from diag_service.diagnosis.friction.parameters import (
-    FRICTION_COUNT,
-    PARAMETER_COUNT,
-    STATE_COUNT,
-    Considered,
-    friction_rows,
-    prior_covariance,
-)
-from diag_service.diagnosis.friction.posterior import Posterior
 
 CALIBRATION = nominal_calibration()
 FRESH = Posterior.fresh(CALIBRATION)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from canlog.arrays import BoolArray, FloatArray
-from diag_service.diagnosis.friction.window import (
+from diag_service.diagnosis.friction.drives import (
     FADE_S,
     LOADED_PA,
     MAX_PIECE_S,

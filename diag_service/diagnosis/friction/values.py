@@ -1,4 +1,4 @@
-"""Friction coefficients and what can be said of them without the common scale; docs/model.md eqs. (34) to (37).
+"""Friction values: coefficients, their curve, what can be said without the common scale, calibration progress.
 
 What a vehicle shows while it drives is how much torque it reads for how much pressure: friction times the gain of the
 torque reading times the piston area. Where two such numbers are divided by each other, or one by what it was before,
@@ -7,17 +7,22 @@ the gain is gone, and in one clutch the area too.
 
 import math
 from statistics import NormalDist
-from typing import NamedTuple, Self
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from diag_service.diagnosis.friction.evidence import Knowledge
-from diag_service.diagnosis.friction.parameters import (
+from canlog.arrays import FloatArray
+from clutch_model.calibration import Calibration
+from clutch_model.clutch import FrictionCurve
+from clutch_model.friction import friction_law, stribeck_weights
+from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
     STATE_COUNT,
     Considered,
+    Knowledge,
     State,
     friction_rows,
+    type_std,
 )
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.records import ClutchRatio, FrictionEstimate, FrictionTrend, ScaleFreeFriction
@@ -210,3 +215,48 @@ def _ratio(mean: list[float], covariance: list[list[float]], first: int) -> tupl
     ratio = mean[first] / mean[second]
     shared = covariance[first][first] - 2.0 * ratio * covariance[first][second] + ratio**2 * covariance[second][second]
     return ratio, math.sqrt(max(shared / mean[second] ** 2, 0.0) + 2.0 * (MODEL_STD_RATIO * ratio) ** 2)
+
+
+def curve_band(
+    slip_rad_s: FloatArray, friction: FrictionEstimate, reference: FrictionCurve
+) -> tuple[FloatArray, FloatArray]:
+    """Return the estimated friction coefficient over slip and its standard deviation, shape (n,) each.
+
+    The coefficient is linear in both estimates, docs/model.md eq. (8), so their covariance carries over exactly.
+    """
+    weight_s = stribeck_weights(slip_rad_s, friction_law(reference))
+    weight_c = 1.0 - weight_s
+    variance = (
+        (weight_c * friction.std_mu_c) ** 2
+        + (weight_s * friction.std_mu_s) ** 2
+        + 2.0 * friction.correlation * weight_c * friction.std_mu_c * weight_s * friction.std_mu_s
+    )
+    return weight_c * friction.mu_c + weight_s * friction.mu_s, np.sqrt(np.maximum(variance, 0.0))
+
+
+def new_curve(slip_rad_s: FloatArray, reference: FrictionCurve) -> FloatArray:
+    """Return the friction coefficient of new fluid over slip, shape (n,)."""
+    weight_s = stribeck_weights(slip_rad_s, friction_law(reference))
+    return reference.mu_c + (reference.mu_s - reference.mu_c) * weight_s
+
+
+_LEARNT: Final = np.array((
+    State.TORQUE_OFFSET,
+    State.TOUCH1,
+    State.TOUCH2,
+    State.ZERO1,
+    State.ZERO2,
+    STATE_COUNT + Considered.VISCOSITY,
+    STATE_COUNT + Considered.TORQUE_LATENCY,
+    STATE_COUNT + Considered.PRESSURE_LATENCY,
+))  # fmt: skip
+"""What ordinary shifts tell; gain of torque and piston areas they do not."""
+_AMONG_NUISANCES: Final = (_LEARNT - FRICTION_COUNT).tolist()
+
+
+def calibration_ratio(state: Posterior, calibration: Calibration) -> float:
+    """Return by how much the deviations of sensors, oil and latencies have shrunk from those of the type, 0 to 1."""
+    variances, stds = state.known.covariance[_LEARNT, _LEARNT].tolist(), type_std(calibration)
+    of_type = [stds[row] for row in _AMONG_NUISANCES]
+    left = [math.sqrt(now) / std if std else 0.0 for now, std in zip(variances, of_type, strict=True)]
+    return sum(1.0 - min(one, 1.0) for one in left) / len(left)

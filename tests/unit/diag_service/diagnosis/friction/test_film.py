@@ -15,7 +15,7 @@ from clutch_model.film import (
 )
 from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.alignment import GRID_S
-from diag_service.diagnosis.friction.film_track import FilmTrack, PressureDrive, integrate_films
+from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films
 
 CALIBRATION = nominal_calibration()
 OIL_K = 363.15
