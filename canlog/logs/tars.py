@@ -118,7 +118,7 @@ def tar_infos(contents: TarContents) -> Iterator[tarfile.TarInfo]:
                 yield info
         contents.seek(archive.offset)
         if contents.read(tarfile.BLOCKSIZE).strip(b"\0"):
-            raise SourceError("the tar archive is damaged: what follows its last readable file is no header")
+            raise SourceError("the tar archive is damaged: what follows its last readable file is not a header")
     except (tarfile.TarError, ValueError, OverflowError, IndexError, EOFError, KeyError) as exc:
         raise SourceError(f"the tar archive is damaged: {exc}") from exc
 

@@ -4,13 +4,15 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.records import ShiftResult
-from diag_service.service.snapshot import Board
 from diag_service.settings.config import ListenAddress
+
+if TYPE_CHECKING:  # a report needs no bus
+    from diag_service.service.snapshot import Board
 
 MOST_SHIFTS: Final = 4  # with their signals, some hundred kilobytes each
 
@@ -52,7 +54,7 @@ class LiveRun:
     source: str  # where frames are read from
     store: str  # where results are
     calibration: Calibration
-    board: Board
+    board: "Board"
     shifts: LastShifts
 
 

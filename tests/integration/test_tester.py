@@ -275,7 +275,7 @@ def test_29_bits_are_scanned_on_request() -> None:
 def test_two_controllers_are_told_apart() -> None:
     other = Addressing(request_id=0x7E0, response_id=0x7E8, functional_id=0x7DF)
     with vehicle("two", parked_controller(), parked_controller(addressing=other)):
-        bus = ("-i", "virtual", "-c", "two", *PATIENT, "--active")
+        bus = ("-i", "virtual", "-c", "two", *PATIENT, *LONG, "--active")
         record = told("scan", *bus, "--first", "7E0", "--last", "7E3", *WAIT)
         assert [(one["request_id"], one["response_id"]) for one in record["controllers"]] == [
             ("7E0", "7E8"), ("7E1", "7E9"),

@@ -134,7 +134,7 @@ def test_logs_in_a_tar_archive_are_read_like_those_in_a_zip_archive(packing: str
         (tarred({f"{k}": b"" for k in range(MOST_MEMBERS + 1)}), "more than 1000 files"),
         (tarred({"drive.log": LOG})[:40_000], "the tar archive is damaged"),
         (tarred({"drive.log": LOG}, "gz")[:-3_000], "the tar archive is damaged"),
-        (tarred({"a.log": LOG, "b.log": LOG}).replace(b"b.log\0", b"b.lo?\0"), "no header"),
+        (tarred({"a.log": LOG, "b.log": LOG}).replace(b"b.log\0", b"b.lo?\0"), "not a header"),
         (tarred({"drive.log": LOG + bytes(100 << 20)}, "gz"), "more than 256 times its size"),
         (tar_of(tarfile.XHDTYPE, size=1 << 30), "the tar archive has a header of 10737"),
         (tar_of(tarfile.REGTYPE, pax_headers={"size": "-512"}), "damaged"),

@@ -207,7 +207,7 @@ async def test_a_backend_that_acknowledges_at_once_gets_each_result_once(store: 
     outbox = backend_outbox(store, Broker(link))
     put(store, *range(1, 1001))
     sender = asyncio.create_task(outbox.run())
-    assert await outbox.close(sender) == 0
+    assert await outbox.close(sender, HANG_S) == 0
     assert sorted(seqs(link)) == list(range(1, 1001))
     assert (outbox.counts.sent, outbox.counts.acknowledged, outbox.counts.repeated) == (1000, 1000, 0)
 
