@@ -1,34 +1,25 @@
 """``inspect --conversations``: messages longer than a frame, and what testers asked and controllers answered."""
 
-import asyncio
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Final
 
 from cantools.database.can import Message
 
-from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
-from canlog.live import BusOpener, LinkBreak, LiveSource, Silence, supervise
 from canlog.transport import Exchange, Exchanges, LongMessage, LongMessages, Protocol, Transfer
-from clutch_model.units import NS_PER_S
 from diag_service.commands.pairs import pairs_of
 from diag_service.diagnosis.results import utc_from_bus_ns
-from diag_service.service.live import close_in_time
-from diag_service.service.stopping import Trigger
-from diag_service.settings.config import BusConfig
 from diag_service.tester.answers import NEGATIVE, SERVICE_NAMES, refusal_text
 from fleet_contract import JsonObject
-
-LOOK_PERIOD_S: Final = 0.25
-Show = Callable[[str], object]
-
 
 SHOWN_EXCHANGES: Final = 200
 SHOWN_BYTES: Final = 16
 MOST_DECODED: Final = 10_000  # long messages whose values are kept
 NS_PER_MS: Final = 1e6
 _ID_MASK: Final = 0x1FFF_FFFF
+
+# SAE J1979, two of KWP 2000, and the services of ISO 14229-1 that no command of ours asks.
 _NAMES: Final[Mapping[int, str]] = {
     0x01: "current data",
     0x02: "freeze frame",
@@ -203,79 +194,3 @@ def _exchange_record(one: Exchange) -> JsonObject:
         "pending": one.pending,
         "latency_ms": None if one.latency_ns is None else one.latency_ns / NS_PER_MS,
     }
-
-
-def follow_bus(bus: BusConfig, talks: Conversations, stop: Trigger, show: Show) -> None:
-    """Show the conversations of a bus until told to stop, or as long as was asked for; raises SourceError."""
-    asyncio.run(_open_and_follow(bus, talks, stop, show))
-
-
-async def _open_and_follow(bus: BusConfig, talks: Conversations, stop: Trigger, show: Show) -> None:
-    source = await supervise(BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd))
-    show(f"{source.description}: conversations as they come")
-    await follow(source, talks, stop, show, bus.duration_s)
-
-
-async def follow(
-    source: LiveSource, talks: Conversations, stop: Trigger, show: Show, duration_s: float | None = None
-) -> None:
-    """Show the conversations of a source until it ends, and then what came of all of them; raises SourceError."""
-    failure: SourceError | None = None
-    heard = _Heard()
-    async with asyncio.TaskGroup() as tasks:
-        beside = [
-            tasks.create_task(close_in_time(source, stop, duration_s)),
-            tasks.create_task(_look_again(talks, heard, show)),
-        ]
-        try:
-            async for part in source:
-                if isinstance(part, LinkBreak):
-                    show(f"the bus was lost: {part.problem}")
-                elif not isinstance(part, Silence) and len(part):
-                    talks.add(part)
-                    heard.at(int(part.t_ns[-1]))
-                    _tell(talks, heard.now_ns, show)
-        except SourceError as exc:
-            failure = exc
-        for task in beside:
-            task.cancel()
-    await source.aclose()
-    talks.close()
-    for line in talks.lines():
-        show(line)
-    if failure is not None:
-        raise failure
-
-
-class _Heard:
-    """The time on the bus, which goes on where nothing is sent."""
-
-    def __init__(self) -> None:
-        self._last_ns: int | None = None
-        self._at_s = 0.0
-
-    def at(self, last_ns: int) -> None:
-        """Note the time of the last frame."""
-        self._last_ns, self._at_s = last_ns, asyncio.get_running_loop().time()
-
-    @property
-    def now_ns(self) -> int | None:
-        """The time on the bus; None before the first frame."""
-        if self._last_ns is None:
-            return None
-        return self._last_ns + round((asyncio.get_running_loop().time() - self._at_s) * NS_PER_S)
-
-
-async def _look_again(talks: Conversations, heard: _Heard, show: Show) -> None:
-    """Show what is settled by silence."""
-    while True:
-        await asyncio.sleep(LOOK_PERIOD_S)
-        _tell(talks, heard.now_ns, show)
-
-
-def _tell(talks: Conversations, now_ns: int | None, show: Show) -> None:
-    for line in talks.news(now_ns) if now_ns is not None else ():
-        show(line)
-
-
-# SAE J1979, two of KWP 2000, and the services of ISO 14229-1 that no command of ours asks.

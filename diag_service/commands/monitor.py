@@ -13,7 +13,8 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Show the bus, or what is said on it, until it is told to stop."""
     if options.conversations or options.pairs:
         # Imported here: the monitor needs none of it.
-        from diag_service.commands.conversations import Conversations, follow_bus  # noqa: PLC0415 - see above
+        from diag_service.commands.conversations import Conversations  # noqa: PLC0415 - see above
+        from diag_service.commands.conversations_live import follow_bus  # noqa: PLC0415 - see above
 
         messages = asked_database(options).messages
         follow_bus(
