@@ -1,5 +1,6 @@
 """Logs that are text, a line for each frame: candump, Vector's ASC, PCAN's TRC, and two tables."""
 
+from abc import ABC, abstractmethod
 from base64 import b64encode
 from datetime import datetime
 from typing import BinaryIO, Final
@@ -14,7 +15,7 @@ DAYS: Final = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
 MONTHS: Final = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 
 
-class _TextWriter:
+class _TextWriter(ABC):
     """Writes a line for each frame; the formats say which, and what comes before and behind all of them."""
 
     def __init__(self, stream: BinaryIO, header: Header) -> None:
@@ -33,13 +34,15 @@ class _TextWriter:
         self._stream.write("".join(lines).encode())
 
     def close(self) -> None:
-        """Nothing: most formats have no end."""
+        """Hand on what is still buffered; most formats have no end."""
+        self._stream.flush()
 
     def _begin(self) -> str:
         return ""
 
+    @abstractmethod
     def _line(self, t_us: int, can_id: int, payload: bytes) -> str:
-        raise NotImplementedError
+        """Return what is written of a frame."""
 
 
 def _identifier(can_id: int, standard_digits: int = 3) -> str:
