@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.patience import HANG_S
 from tests.support.service import environment
-from tests.support.starvation import STARVED_S, undisturbed
+from tests.support.starvation import AHEAD, STARVED_S, undisturbed
 
 ROOT = Path(__file__).parents[2]
 INTERRUPTED = 130
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 @contextmanager
 def demo(folder: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     """Start a demonstration without a terminal; neither it nor its children outlive the block."""
-    command = [sys.executable, "-m", "demo", "--output", str(folder), *arguments]
+    command = [*AHEAD, sys.executable, "-m", "demo", "--output", str(folder), *arguments]
     process = subprocess.Popen(
         command,
         cwd=ROOT,

@@ -15,6 +15,7 @@ from tests.integration.test_python_page import BLOCK
 from tests.support.documents import ROOT, page_text
 from tests.support.image.plain import PlainImage
 from tests.support.plain_install import distributions_of, linked
+from tests.support.starvation import AHEAD
 
 EXAMPLE = ROOT / "examples" / "gateway"
 # One interpreter for all runs, which saves most of their cost; the gateway itself is a process each time.
@@ -66,7 +67,7 @@ def _told(image: PlainImage, tmp_path_factory: pytest.TempPathFactory) -> dict[s
     (folder / "test_bus.py").write_text(ANY_BUS, encoding="utf-8")
     tools = linked(folder.with_name("tools"), distributions_of(["pytest"]))
     done = image.run(
-        "python", "-W", "error", "-c", RUNS, "-p", "no:cacheprovider",
+        *AHEAD, "python", "-W", "error", "-c", RUNS, "-p", "no:cacheprovider",
         "--assert=plain",  # rewriting our packages, as pytest does with plugins, takes seconds
         folder=folder, PYTHONPATH=str(tools), PYTEST_ADDOPTS="",
     )  # fmt: skip
