@@ -6,7 +6,7 @@ from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.looking import Looked, is_folder, is_log, looked_at, why_no_log
 from canlog.logs.merging import merged_by_time
 from canlog.logs.piped import STANDARD_INPUT, shown_name
-from canlog.logs.reading import LogReader, read_log
+from canlog.logs.reading import LogReader, read_log, table_columns
 
 __all__ = [
     "STANDARD_INPUT",
@@ -22,5 +22,6 @@ __all__ = [
     "read_log",
     "shown_name",
     "split_member",
+    "table_columns",
     "why_no_log",
 ]

@@ -9,6 +9,7 @@ from enum import StrEnum
 from functools import partial
 from types import MappingProxyType
 
+from canlog.database.signal_columns import SignalColumn
 from canlog.errors import SourceError
 from canlog.logs import sqlite
 from canlog.logs.asc import AscLog, is_asc_header
@@ -35,6 +36,7 @@ from canlog.logs.columns.programs import (
 from canlog.logs.columns.trc import Trc
 from canlog.logs.console import ConsoleLog
 from canlog.logs.log_counts import LogCounts
+from canlog.logs.signal_tables import table_header
 from canlog.logs.text_log import BYTE_ORDER_MARK, TextLog, frames_of
 
 PROBE_BYTES = 64 * 1024
@@ -71,6 +73,7 @@ class LogFormat(StrEnum):
     PCAP = "pcap"
     PCAPNG = "pcapng"
     COLUMNS = "columns"
+    SIGNALS = "signals"
 
 
 TEXT_LOGS: Mapping[LogFormat, Callable[[], TextLog]] = MappingProxyType(
@@ -164,6 +167,7 @@ class Detected:
 
     format: LogFormat
     evidence: str
+    columns: tuple[SignalColumn, ...] = ()  # of a table of signals
 
 
 def detect(probe: bytes) -> Detected:
@@ -239,6 +243,9 @@ def detect_text(probe: bytes) -> Detected:
             hint, most = f"{shown} fit {log_format}", frames
     if named := _by_named_columns(text):
         return named
+    if header := table_header(probe):
+        what = f"line {header.lines} is followed by rows of {len(header.columns)} signals"
+        return Detected(format=LogFormat.SIGNALS, evidence=what, columns=header.columns)
     raise SourceError(_not_known(probe, hint))
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import BinaryIO, Self, cast
 
+from canlog.database.signal_columns import SignalColumn
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.logs.archives import is_archive, split_member
@@ -20,6 +21,7 @@ from canlog.logs.inflaters import compression_of
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.mf4 import read_mf4
 from canlog.logs.piped import STANDARD_INPUT, PipeStream, kept, never, open_standard_input, shown_name
+from canlog.logs.signal_tables import read_signal_table
 from canlog.logs.sqlite import check_messages, read_sqlite
 from canlog.logs.text_log import reader_of
 from canlog.logs.time_unit import bus_load_ratio, is_plausible
@@ -35,6 +37,7 @@ READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]
         LogFormat.SQLITE: read_sqlite,
         LogFormat.PCAP: read_capture,
         LogFormat.PCAPNG: read_capture,
+        LogFormat.SIGNALS: read_signal_table,
         **{log_format: reader_of(new_log) for log_format, new_log in TEXT_LOGS.items()},
     }
 )
@@ -62,6 +65,7 @@ class LogReader(Iterator[FrameBatch]):
         self.name = shown_name(path)  # for people
         self.format = contents.detected.format
         self.evidence = contents.detected.evidence  # why it was taken for that
+        self.columns = contents.detected.columns  # of a table of signals
         self._counts = contents.counts
         self._stream = contents.stream
         self._is_packed = contents.is_packed
@@ -119,9 +123,9 @@ class LogReader(Iterator[FrameBatch]):
             self.close()
             kind = type(exc) if isinstance(exc, SourceError) else SourceError
             raise kind(f"{self.name}: {_reason(exc)}") from exc
-        if self._is_first:
-            self._is_first = False
+        if self._is_first and self.format is not LogFormat.SIGNALS:  # values of a row all have its time
             self._look_at_load(batch[:LOAD_FRAMES])
+        self._is_first = False
         self._watch.look(batch)
         self._be_strict()
         self.watch(self)
@@ -225,6 +229,14 @@ def read_log(
     except (OSError, SourceError) as exc:
         kind = type(exc) if isinstance(exc, SourceError) else SourceError
         raise kind(f"{name or shown_name(path)}: {_reason(exc)}") from exc
+
+
+def table_columns(path: Path | str) -> tuple[SignalColumn, ...]:
+    """Return the columns of a table of signals; none of any other log, and of standard input. Raises as `read_log`."""
+    if Path(path) == STANDARD_INPUT:
+        return ()
+    with read_log(path) as reader:
+        return reader.columns
 
 
 def _reason(error: Exception) -> str:

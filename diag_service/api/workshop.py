@@ -53,7 +53,7 @@ def read(
         If a log or the database cannot be read.
     """
     with collected_notices():
-        database = open_database(optional_path(dbc), is_lenient=is_lenient)
+        database = open_database(optional_path(dbc), path_list(paths), is_lenient=is_lenient)
         return canlog.read(path_list(paths), database, is_strict=is_strict, columns=columns)
 
 
@@ -87,7 +87,7 @@ def decode(
         If a log or the database cannot be read, the table cannot be written, or a library for it is missing.
     """
     with collected_notices():
-        database = open_database(optional_path(dbc), is_lenient=is_lenient)
+        database = open_database(optional_path(dbc), path_list(paths), is_lenient=is_lenient)
         return canlog.write_table(path_list(paths), database, Path(output), choice)
 
 
@@ -118,7 +118,7 @@ def inspect(
         If the log or the database cannot be read, or the bit rate is not above zero.
     """
     with collected_notices():
-        messages = open_database(optional_path(dbc), is_lenient=is_lenient).messages
+        messages = open_database(optional_path(dbc), [Path(path)], is_lenient=is_lenient).messages
         talks = Conversations(messages, pairs) if has_conversations or pairs else None
         return inspect_log(Path(path), messages, bitrate, Trigger(), columns=columns, conversations=talks)
 

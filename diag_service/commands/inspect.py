@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from cantools.database.can import Message
 
 from canlog.arrays import Int64Array
+from canlog.column_values import TableValues
 from canlog.database.addressing import NOBODY, address_book, find_slot, message_address, overwritten
 from canlog.e2e.message_contract import message_contract
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
@@ -32,6 +33,8 @@ from fleet_contract import JsonObject
 SCHEMA = "clutchdiag/inspect/v1"
 MS_PER_S = 1e3
 _COLUMNS = "{:>3} {:<8} {} {:>8} {:>5} {:>8} {:>9} {:>9} {:>5} {:>9}"
+_VALUE_COLUMNS = "{} {:>8} {:>8} {:>8} {:>9} {:>8} {:>9} {:>10} {:>10}"
+_VALUE_HEAD = ("unit", "values", "rate Hz", "jitter ms", "changes", "step", "lowest", "highest")
 _HEAD = ("frames", "bytes", "rate Hz", "period ms", "jitter ms", "gaps", "longest s")
 
 
@@ -54,6 +57,7 @@ class Inspection:
     links: dict[str, LinkErrors]  # of protected messages that were seen
     is_whole: bool
     conversations: Conversations | None = None  # if they were asked for
+    values: TableValues | None = None  # of a table of signals
 
     def to_json(self) -> str:
         """Return what ``--json`` prints: one JSON object, on one line."""
@@ -105,6 +109,7 @@ def inspect_log(
     meter = TrafficMeter(bitrate)
     protected = [message for message in messages if message_contract(message).data_id is not None]
     monitor = LinkMonitor(protected)
+    values = TableValues(reader.columns) if reader.columns else None
     last_ns: int | None = None
     is_whole = True
     try:
@@ -113,6 +118,8 @@ def inspect_log(
                 is_whole = False
                 break
             meter.add(batch)
+            if values is not None:
+                values.add(batch)
             if conversations is not None:
                 conversations.add(batch)
             if last_ns is not None and not 0 <= int(batch.t_ns[0]) - last_ns <= NS_PER_S:
@@ -130,7 +137,7 @@ def inspect_log(
     return Inspection(
         reader=reader,
         traffic=traffic,
-        names=_names(messages, {one.can_id for one in traffic.ids}),
+        names=_names(messages, {one.can_id for one in traffic.ids}) if values is None else values.names,
         links={
             message.name: _link_errors(row, int(lost))
             for message, row, lost in zip(protected, counts[:-1], missing, strict=True)
@@ -138,6 +145,7 @@ def inspect_log(
         },
         is_whole=is_whole,
         conversations=conversations,
+        values=values,
     )
 
 
@@ -147,6 +155,9 @@ def inspection_record(inspection: Inspection) -> JsonObject:
     table = asdict(inspection.traffic)
     for one in table["ids"]:
         one["message"] = inspection.names.get(one["can_id"])
+        if inspection.values is not None:
+            column = inspection.values.of(one["can_id"])
+            one.update({name: getattr(column, name) for name in ("unit", "changes", "lowest", "highest", "step")})
     return {
         "schema": SCHEMA,
         "path": str(inspection.reader.path),
@@ -217,6 +228,10 @@ def _link_errors(row: Int64Array, missing: int) -> LinkErrors:
 def _show(inspection: Inspection, bitrate: int, console: PeopleConsole) -> None:
     for line in _head(inspection, bitrate):
         console.print(line)
+    if inspection.values is not None:
+        for line in _column_lines(inspection.traffic, inspection.values):
+            console.print(line)
+        return
     width = max([len(name) for name in inspection.names.values()], default=0)
     console.print(_COLUMNS.format("bus", "id", "message".ljust(width), *_HEAD), style="bold")
     for one in inspection.traffic.ids:
@@ -239,11 +254,33 @@ def _head(inspection: Inspection, bitrate: int) -> list[str]:
     part = "" if inspection.is_whole else " (stopped early: a part of the log)"
     since = f"from {utc_from_bus_ns(traffic.first_ns)}{part}"
     lines = [f"{inspection.reader.name}: {what} {since}", f"bus load at {rate}: {load}; {kinds}"]
+    if inspection.values is not None:
+        what = f"signals, {traffic.frames} values of {len(traffic.ids)} columns, {duration_s:.3f} s"
+        lines = [f"{inspection.reader.name}: {what} {since}"]
     lines.append(f"taken for {inspection.reader.format.value}: {inspection.reader.evidence}")
     lines += [*assumed_texts(counts), *lost_texts(counts)]
     lines.append(f"{traffic.jump_count} jumps of time" if traffic.jump_count else "no jump of time")
     lines += [f"  at {utc_from_bus_ns(jump.at_ns)} by {jump.by_ns / NS_PER_S:+.6f} s" for jump in traffic.jumps]
     return lines
+
+
+def _column_lines(traffic: TrafficReport, values: TableValues) -> Iterator[str]:
+    """Yield a line for each column of a table: how often it comes and changes, its step and its range."""
+    found = sorted(((values.of(one.can_id), one) for one in traffic.ids), key=lambda pair: pair[0].name)
+    width = max(len(column.name) for column, _ in found)
+    yield _VALUE_COLUMNS.format("column".ljust(width), *_VALUE_HEAD)
+    for column, one in found:
+        yield _VALUE_COLUMNS.format(
+            column.name.ljust(width),
+            column.unit or "-",
+            str(column.count),
+            f"{one.rate_hz:.1f}" if one.rate_hz > 0.0 else "-",
+            f"{one.jitter_s * MS_PER_S:.2f}" if one.rate_hz > 0.0 else "-",
+            str(column.changes),
+            f"{column.step:.4g}",
+            f"{column.lowest:.6g}",
+            f"{column.highest:.6g}",
+        )
 
 
 def _row(one: IdTraffic, name: str) -> tuple[str, ...]:

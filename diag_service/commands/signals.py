@@ -2,21 +2,27 @@
 
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
+from cantools.database.can import Database
+
 from canlog.decode.codec import Codec
-from canlog.logs import STANDARD_INPUT, read_log, shown_name
+from canlog.logs import STANDARD_INPUT, read_log, shown_name, table_columns
 from canlog.logs.reading import Watch
 from canlog.traffic import NS_PER_S
 from clutchdiag_io.legible import legible
 from dbc.contract import DBC_PATH
 from diag_service.console.reading import ReadingLine
+from diag_service.diagnosis.columns import Signal
 from diag_service.errors import StoppedError
 from diag_service.mapping.databases import open_database
-from diag_service.mapping.proposal import SignalStatistics, candidates, profile_text
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.gear_ratios import GearRatio, gear_ratios, is_complete
+from diag_service.mapping.profile import Profile
+from diag_service.mapping.proposal import Candidate, SignalStatistics, candidates, gears_text, profile_text
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.service.stopping import Controls, Trigger
 
@@ -24,8 +30,9 @@ from diag_service.service.stopping import Controls, Trigger
 class Survey:
     """The messages and signals of a log, with rates and ranges."""
 
-    def __init__(self, codec: Codec) -> None:
+    def __init__(self, codec: Codec, *, are_columns: bool = False) -> None:
         self._codec = codec
+        self._are_columns = are_columns
         self._counts: Counter[int] = Counter()  # by slot, as all here
         self._signals: dict[int, dict[str, SignalStatistics]] = {}
         self._ends_ns: list[int] = []  # first and last
@@ -51,7 +58,9 @@ class Survey:
                     table, seen = self._codec.tables[found.slot], self._signals.setdefault(found.slot, {})
                     for name, decoded in found.signals.items():
                         unit = table.definitions[name].unit or ""
-                        fresh = SignalStatistics(message=table.message.name, signal=name, unit=unit)
+                        fresh = SignalStatistics(
+                            message=table.message.name, signal=name, unit=unit, is_column=self._are_columns
+                        )
                         seen.setdefault(name, fresh).add(decoded)
         self.is_cut = reader.counts.truncated
 
@@ -66,11 +75,15 @@ class Survey:
         for slot, count in sorted(self._counts.items()):
             message = self._codec.tables[slot].message
             rate_hz = (count - 1) / duration_s if duration_s else 0.0
-            yield f"{message.name} ({message.frame_id:#x}): {count} frames, {rate_hz:.1f} Hz"
+            name, unit = f"{message.name} ({message.frame_id:#x})", "frames"
+            if self._are_columns:
+                name, unit = message.name, "values"
+            yield f"{name}: {count} {unit}, {rate_hz:.1f} Hz"
             for _, one in sorted(self._signals[slot].items()):
                 span = f"{one.lowest:g} to {one.highest:g} {one.unit}".rstrip() if one.count else "no value"
                 lost = {reason.replace("_", " "): count for reason, count in one.invalid._asdict().items() if count}
-                yield f"  {one.signal}: {span}{''.join(f', {count} values {reason}' for reason, count in lost.items())}"
+                called = "" if self._are_columns else f"{one.signal}: "
+                yield f"  {called}{span}{''.join(f', {count} values {reason}' for reason, count in lost.items())}"
 
 
 def proposed_profile(
@@ -84,24 +97,40 @@ def proposed_profile(
     columns: str = "",
 ) -> str:
     """Return a profile, as the text of a TOML file, whose comments say what signals the log holds."""
-    database = dbc or DBC_PATH
-    messages = open_database(dbc, is_lenient=is_lenient, parser_time_s=parser_time_s).messages
-    survey = Survey(Codec(messages, check_codes=True))
+    are_columns = dbc is None and bool(table_columns(log))
+    meant = "its columns" if are_columns else (dbc or DBC_PATH).name
+    database = open_database(dbc, [log], is_lenient=is_lenient, parser_time_s=parser_time_s)
+    survey = Survey(Codec(database.messages, check_codes=True), are_columns=are_columns)
     survey.add(log, stop, watch, columns)
     name, stem = (shown_name(log), "piped") if log == STANDARD_INPUT else (log.name, log.stem)
     best = candidates(survey.statistics())
-    tier = tier_of(best.keys())
+    over, ratios = _shown_ratios(log, database, best, columns)
+    knows_gears = is_complete(ratios)
+    tier = tier_of(best.keys(), knows_gears=knows_gears)
     reach = f"tier {tier:d} ({PURPOSE[tier]})" if tier else "no tier"
     remarks = [
-        f"Proposed for {name} and {database.name} by names, units and values: check every line.",
-        f"As it stands it reaches {reach}. {missing_for_next(best.keys())}",
+        f"Proposed for {name} and {meant} by names, units and values: check every line.",
+        f"As it stands it reaches {reach}. {missing_for_next(best.keys(), knows_gears=knows_gears)}",
         "",
         *(["The log is cut off."] if survey.is_cut else []),
         f"{survey.frames} frames, {survey.unknown} of them not in the database.",
         *survey.listing(),
         "",
     ]
-    return profile_text(legible(stem), best, [legible(remark) for remark in remarks])
+    return profile_text(legible(stem), best, [legible(remark) for remark in remarks]) + gears_text(over, ratios)
+
+
+def _shown_ratios(
+    log: Path, database: Database, best: Mapping[Signal, Sequence[Candidate]], columns: str
+) -> tuple[Signal, Mapping[int, GearRatio]]:
+    """Return over which speed a log shows the ratios of which gears; none where they are not needed."""
+    over = next((one for one in (Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED) if one in best), None)
+    if log == STANDARD_INPUT or over is None or tier_of(best.keys()) is not None:
+        return Signal.OUTPUT_SPEED, {}
+    profile = Profile(name="proposed", sources={signal: found[0].source for signal, found in best.items()})
+    decoder = Decoder(database, profile)
+    with closing(read_log(log, columns=columns)) as reader:
+        return over, gear_ratios((one for batch in reader for one in decoder.stream(batch)), over)
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from cantools.database.can import Database
 
 from canlog.database.loading import bus_of
+from canlog.database.signal_columns import columns_database
 from canlog.notice import NOTICE
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.records import Tier
@@ -56,6 +57,9 @@ def interpret(
         _LOG.log(NOTICE, "%s", fit.said)
         return Interpretation(database=database, profile=fit.profile, files=_files(dbc, fit.profile, None))
     named = find_profile(profile)
+    if named.columns and dbc is None:
+        database = columns_database(named.columns)
+        return Interpretation(database=database, profile=named, files=_files(None, named, profile))
     database = open_database(dbc or named.database, is_lenient=is_lenient, parser_time_s=parser_time_s)
     if named.is_lenient:
         fit = fit_of(database, named)

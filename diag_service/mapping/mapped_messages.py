@@ -184,12 +184,12 @@ def find_message(messages: Sequence[Message], source: SignalSource) -> Message:
     """
     for message in messages:
         if source.pgn is None:
-            is_meant = message.name == source.message
+            is_meant = message.name == source.message_name
         else:
             is_meant = message.is_extended_frame and parameter_group(message.frame_id) == source.pgn
         if is_meant:
             return message
-    raise ConfigError(f"the database has no message {source.message or f'of PGN {source.pgn}'}")
+    raise ConfigError(f"the database has no message {source.message_name or f'of PGN {source.pgn}'}")
 
 
 def signal_name(message: Message, source: SignalSource) -> str:
@@ -198,9 +198,9 @@ def signal_name(message: Message, source: SignalSource) -> str:
     Raises ConfigError if the message has none.
     """
     for signal in message.signals:
-        if signal.name == source.signal if source.spn is None else signal.spn == source.spn:
+        if signal.name == source.signal_name if source.spn is None else signal.spn == source.spn:
             return signal.name
-    raise ConfigError(f"{message.name} has no signal {source.signal or f'with SPN {source.spn}'}")
+    raise ConfigError(f"{message.name} has no signal {source.signal_name or f'with SPN {source.spn}'}")
 
 
 def _combined(other: Decoded, good: BoolArray, value: FloatArray, operation: np.ufunc) -> tuple[FloatArray, BoolArray]:

@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Final
 
 from canlog.arrays import FloatArray
+from canlog.database.signal_columns import SignalColumn
 from clutch_model.tables import read_table, record_from
 from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from diag_service.diagnosis.columns import GearRatios, Signal
@@ -85,6 +86,7 @@ class SignalSource:
     The message is named, or by its J1939 parameter group; the signal is named, or by its J1939 parameter number.
     """
 
+    column: str = ""  # of a table of signals: its name in place of message and signal
     message: str = ""
     pgn: int | None = None
     signal: str = ""
@@ -104,9 +106,11 @@ class SignalSource:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale) and math.isfinite(self.offset)) or self.scale == 0.0:
             raise ConfigError(f"scale {self.scale} and offset {self.offset} are not usable")
-        if bool(self.message) is (self.pgn is not None):
+        if self.column and (self.message or self.signal or self.pgn is not None or self.spn is not None):
+            raise ConfigError("has a column of a table beside a message or signal of a bus")
+        if bool(self.message_name) is (self.pgn is not None):
             raise ConfigError("lacks message, or has it beside pgn" if self.message else "lacks message")
-        if bool(self.signal) is (self.spn is not None):
+        if bool(self.signal_name) is (self.spn is not None):
             raise ConfigError("lacks signal, or has it beside spn" if self.signal else "lacks signal")
         if self.valid is not None and not self.valid[0] < self.valid[1]:
             raise ConfigError(f"valid {list(self.valid)} is no range")
@@ -116,8 +120,20 @@ class SignalSource:
             raise ConfigError(f"source_address {self.source_address} is not one of J1939")
 
     @property
+    def message_name(self) -> str:
+        """The name of its message; of a column, its own."""
+        return self.column or self.message
+
+    @property
+    def signal_name(self) -> str:
+        """The name of its signal; of a column, its own."""
+        return self.column or self.signal
+
+    @property
     def place(self) -> str:
         """Message and signal, for people."""
+        if self.column:
+            return self.column
         message = self.message or f"PGN {self.pgn}"
         return f"{message}.{self.signal}" if self.signal else f"{message} SPN {self.spn}"
 
@@ -133,6 +149,11 @@ class Profile:
     is_lenient: bool = False  # a shipped profile serves many databases: what one lacks is left out
     is_j1939: bool = False  # 29-bit identifiers are matched by their parameter group, whatever the database says
     channel: int | None = None  # bus of a log with several; None: the first on which a message is heard
+
+    @property
+    def columns(self) -> tuple[SignalColumn, ...]:
+        """The columns of a table of signals that it names."""
+        return tuple(SignalColumn(one.column, one.unit or "") for one in self.sources.values() if one.column)
 
 
 def shipped_profiles() -> tuple[str, ...]:
@@ -188,6 +209,8 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
     protocol = table.get("protocol", "can")
     if not isinstance(protocol, str) or protocol not in PROTOCOLS:
         problems.append(f"protocol must be one of {', '.join(PROTOCOLS)}")
+    if any(one.column for one in sources.values()) and not all(one.column for one in sources.values()):
+        problems.append("some sources are columns of a table, others signals of a bus")
     if problems:
         raise ConfigError(f"profile {path}: {'; '.join(problems)}")
     return Profile(

@@ -2,21 +2,22 @@
 
 import math
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from canlog.decode.signal_table import NO_INVALID, Decoded, InvalidCounts
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
+from diag_service.mapping.gear_ratios import GearRatio, is_complete
 from diag_service.mapping.profile import SignalSource, to_si
 
 MIN_SCORE: Final = 3.0
 _NEVER: Final = re.compile(
     r"crc|check|chk|alive|counter|_bz$|status|qbit|fault|error|fehler|warn|lamp|req|anf(ord|_)|wunsch|begr|limit|max|min|grad"
-    r"|offset|display|disp|anzeige|cluster",
+    r"|offset|display|disp|anzeige|cluster|volt",
     re.IGNORECASE,
 )
 _CLUTCH1: Final = r"(clutch|kuppl\w*|clt|k)[_ ]?(1|a|odd)"
@@ -30,6 +31,7 @@ class SignalStatistics:
     message: str
     signal: str
     unit: str
+    is_column: bool = False  # of a table of signals: its message is the column
     count: int = 0  # valid values
     lowest: float = math.inf  # in the unit of the database
     highest: float = -math.inf
@@ -38,8 +40,15 @@ class SignalStatistics:
 
     @property
     def place(self) -> str:
-        """Message and signal."""
-        return f"{self.message}.{self.signal}"
+        """Message and signal, or column."""
+        return self.signal if self.is_column else f"{self.message}.{self.signal}"
+
+    @property
+    def source(self) -> SignalSource:
+        """Where a profile finds it."""
+        if self.is_column:
+            return SignalSource(column=self.signal)
+        return SignalSource(message=self.message, signal=self.signal)
 
     def add(self, decoded: Decoded) -> None:
         """Count more values."""
@@ -69,9 +78,33 @@ class Candidate:
 
     signal: Signal
     statistics: SignalStatistics
+    unit: str  # the signal's own, or what it must be where nothing says it
     score: float
 
+    @property
+    def source(self) -> SignalSource:
+        """Where a profile finds it, and in which unit if it is a column."""
+        return replace(self.statistics.source, unit=self.unit) if self.statistics.is_column else self.statistics.source
 
+
+class Assumed(NamedTuple):
+    """What a column without a unit must be called to be of a quantity, and its possible units, the usual one first."""
+
+    names: re.Pattern[str]
+    units: tuple[str, ...]
+    least: float = -math.inf  # that its highest value reaches [SI], of which units then are told apart
+
+
+MARKS: Final = re.compile(r"\W+")
+ASSUMED: Final = {
+    "rad_s": Assumed(re.compile("spe+d|spd|rpm|dreh", re.IGNORECASE), ("rpm",)),
+    "m_s": Assumed(re.compile("spe+d|spd|geschw", re.IGNORECASE), ("km/h",)),
+    "pa": Assumed(re.compile("press|prs|druck", re.IGNORECASE), ("kPa", "bar", "Pa"), 1e5),
+    "nm": Assumed(re.compile("torque|trq|tq|mom", re.IGNORECASE), ("Nm",)),
+    "k": Assumed(re.compile("temp", re.IGNORECASE), ("degC",)),
+    "m": Assumed(re.compile("odo|kilom|dist", re.IGNORECASE), ("km",)),
+    "ratio": Assumed(re.compile("ped|throt|tps|dross|accel", re.IGNORECASE), ("%",)),
+}
 _SPEED_RAD_S: Final = 1100.0
 KINDS: Final[dict[Signal, Kind]] = {
     Signal.ENGINE_SPEED: Kind(
@@ -102,7 +135,10 @@ KINDS: Final[dict[Signal, Kind]] = {
         names=r"(cur|act|engaged|ist)\w*(gear|gr|gang)$|gang_?ist|^gear$", lowest=-1, highest=16, is_integer=True
     ),
     Signal.TARGET_GEAR: Kind(
-        names=r"(tar|tgt|target|next|ziel|selected|soll)\w*(gear|gr|gang)$", lowest=-1, highest=16, is_integer=True
+        names=r"(tar|tgt|target|next|ziel|selected|soll|command|desired)\w*(gear|gr|gang)$",
+        lowest=-1,
+        highest=16,
+        is_integer=True,
     ),
     Signal.SUMP_TEMPERATURE: Kind(
         names=r"(sump|sumpf|trans|gear\w*box|oil|at)\w*temp|temp\w*(at|oil|sump)$|getriebe\w*temp",
@@ -135,8 +171,26 @@ def profile_text(name: str, best: dict[Signal, list[Candidate]], remarks: Sequen
     lines = [*(f"# {remark}".rstrip() for remark in remarks), f'name = "{_quoted(name)}"', "", "[signals]"]
     for signal in Signal:
         for rank, one in enumerate(best.get(signal, ())[:3]):
-            place = f'message = "{_quoted(one.statistics.message)}", signal = "{_quoted(one.statistics.signal)}"'
+            message, name = _quoted(one.statistics.message), _quoted(one.statistics.signal)
+            place = f'message = "{message}", signal = "{name}"'
+            if one.statistics.is_column:
+                place = f'column = "{name}", unit = "{_quoted(one.unit)}"'
             lines.append(f"{'# or: ' if rank else ''}{signal.value} = {{ {place} }}  # {_said(one)}")
+    return "\n".join(lines) + "\n"
+
+
+def gears_text(over: Signal, ratios: Mapping[int, GearRatio]) -> str:
+    """Return the table of ratios of a profile as TOML, as far as a log shows them; empty if it shows none."""
+    if not ratios:
+        return ""
+    shown = [
+        f"# gear {gear}: {one.ratio:.4g} +- {one.std:.2g}, {one.sample_count} samples"
+        for gear, one in sorted(ratios.items())
+    ]
+    mark = "" if is_complete(ratios) else "# "
+    missing = [] if not mark else ["# Complete it: not every gear was driven with its clutch closed for long."]
+    values = ", ".join(f"{one.ratio:.4g}" for _, one in sorted(ratios.items()))
+    lines = ["", *shown, *missing, f"{mark}[gears]", f'{mark}over = "{over.value}"', f"{mark}ratios = [{values}]"]
     return "\n".join(lines) + "\n"
 
 
@@ -145,26 +199,44 @@ def _candidate(signal: Signal, stat: SignalStatistics) -> Candidate | None:
     kind = KINDS[signal]
     if not stat.count or _NEVER.search(stat.signal) or (kind.is_integer and not stat.is_integer):
         return None
-    try:
-        convert = to_si(signal, SignalSource(message=stat.message, signal=stat.signal), stat.unit)
-    except ConfigError:
-        return None
-    lowest, highest = convert(np.array([stat.lowest, stat.highest])).tolist()
-    if not kind.lowest <= lowest <= highest <= kind.highest:
-        return None
-    match = re.search(kind.names, stat.signal, re.IGNORECASE)
+    match = re.search(kind.names, MARKS.sub("_", stat.signal), re.IGNORECASE)
     if match is None:
         return None
+    unit = next((unit for unit in _possible_units(signal, stat) if _is_possible(signal, stat, unit)), None)
+    if unit is None:
+        return None
     score = 2.0 + 2.0 * len(match.group()) / len(stat.signal) + (1.0 if stat.unit else 0.0)
-    score += 1.0 if highest > lowest else 0.0  # a signal that never changes tells little
-    return Candidate(signal=signal, statistics=stat, score=score) if score >= MIN_SCORE else None
+    score += 1.0 if stat.highest > stat.lowest else 0.0  # a signal that never changes tells little
+    if score < MIN_SCORE:
+        return None
+    return Candidate(signal=signal, statistics=stat, unit=unit, score=score)
+
+
+def _possible_units(signal: Signal, stat: SignalStatistics) -> tuple[str, ...]:
+    """Return the unit of a signal; of a column without one those that its name allows, none if that says nothing."""
+    quantity = next((one for one in ASSUMED if signal.value.endswith(f"_{one}")), None)
+    if quantity is None or stat.unit or not stat.is_column:
+        return (stat.unit,)
+    return ASSUMED[quantity].units if ASSUMED[quantity].names.search(stat.signal) else ()
+
+
+def _is_possible(signal: Signal, stat: SignalStatistics, unit: str) -> bool:
+    """Return whether the values of a signal can be those of a canonical one, in this unit."""
+    try:
+        convert = to_si(signal, stat.source, unit)
+    except ConfigError:
+        return False
+    lowest, highest = convert(np.array([stat.lowest, stat.highest])).tolist()
+    is_large_enough = unit == stat.unit or all(
+        highest >= one.least for quantity, one in ASSUMED.items() if signal.value.endswith(f"_{quantity}")
+    )
+    return bool(KINDS[signal].lowest <= lowest <= highest <= KINDS[signal].highest and is_large_enough)
 
 
 def _said(one: Candidate) -> str:
     stat = one.statistics
-    return f"{stat.lowest:g} to {stat.highest:g} {stat.unit}, {stat.count} values, score {one.score:.1f}".replace(
-        " ,", ","
-    )
+    unit = one.unit if one.unit == stat.unit else f"{one.unit} (assumed: nothing says the unit)"
+    return f"{stat.lowest:g} to {stat.highest:g} {unit}, {stat.count} values, score {one.score:.1f}".replace(" ,", ",")
 
 
 def _quoted(text: str) -> str:

@@ -1,0 +1,381 @@
+"""Tables of signals: a row for each moment, a column for each signal, as frames of `canlog.database.signal_columns`.
+
+Test benches, tuners and scan tools write them. Blank cells are no values; a cell that is neither blank nor a number is
+counted and told, and costs no other cell of its row.
+"""
+
+import csv
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import pairwise
+from typing import BinaryIO, Final
+
+import numpy as np
+
+from canlog.arrays import FloatArray, Int64Array
+from canlog.database.signal_columns import SignalColumn, column_id
+from canlog.errors import SourceError
+from canlog.frames import EXTENDED_FLAG, FrameBatch
+from canlog.logs.columns.header import SYNONYMS, UNITS
+from canlog.logs.columns.roles import Role
+from canlog.logs.log_counts import LogCounts, LogReject
+
+BLOCK_BYTES: Final = 1024 * 1024
+MOST_ROW_BYTES: Final = 256 * 1024  # whatever is longer is no row
+PROBE_ROWS, PREAMBLE_ROWS = 100, 20
+LEAST_ROWS, MOST_COLUMNS = 3, 10_000
+LONGEST_UNIT: Final = 20  # characters; words for people are longer
+LEAST_RISING: Final = 0.9  # of all steps of a clock: a few may fall where a recorder began again
+SEPARATORS: Final = "\t;,|"
+BLANKS: Final = frozenset({"", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none"})
+WORDS: Final = {"true": 1.0, "on": 1.0, "yes": 1.0, "false": 0.0, "off": 0.0, "no": 0.0}
+UNIT_IN_BRACKETS: Final = re.compile(r"\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
+NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?")
+PAYLOAD: Final = re.compile(r"(?:0x)?(?:[0-9A-Fa-f]{2}[\s:._-]?){2,64}")
+LETTERS: Final = re.compile(r"[A-Fa-f]")
+TIME_OF_DAY: Final = re.compile(r"(?:(\d+)\s+)?(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?")
+GERMAN_DATE: Final = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]+(.*)")
+US_PER_S: Final = 1_000_000.0
+DAY_US: Final = 86_400 * US_PER_S
+MOST_US: Final = 2.0**53  # beyond, a time is not told to the microsecond
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableHeader:
+    """How a table is written, and what its columns are."""
+
+    separator: str
+    lines: int  # before the first row of values
+    width: int  # cells of a row
+    time_place: int
+    us_per_unit: float | None  # of numbers in the column of times; None: it holds times of day or dates
+    has_decimal_comma: bool
+    columns: tuple[SignalColumn, ...]
+    places: tuple[int, ...]  # of the columns in a row
+    notes: tuple[str, ...]
+
+
+def table_header(text: bytes, *, is_cut: bool = True) -> TableHeader | None:
+    """Return what the beginning of a text says of the table that it is; None if it is none.
+
+    A header names two columns or more, one of them holds times that rise, and most cells of others are numbers.
+    """
+    lines = _lines(text)[: PREAMBLE_ROWS + PROBE_ROWS + 3]
+    if is_cut and len(lines) > 1:
+        del lines[-1]
+    separator = max(SEPARATORS, key=lambda one: sum(one in line for line in lines[:PROBE_ROWS]))
+    rows = [_cells(line, separator) for line in lines]
+    for place in range(min(PREAMBLE_ROWS, len(rows))):
+        if len(rows[place]) > 1 and (found := _header_at(rows, place, separator)) is not None:
+            return found
+    return None
+
+
+def read_signal_table(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
+    """Yield the values of a table as frames, a batch for about a mebibyte of text.
+
+    Raises SourceError if its beginning is no table of signals.
+    """
+    table: _Table | None = None
+    for text, is_terminated in _blocks(stream, counts):
+        if table is None:
+            header = table_header(text, is_cut=not is_terminated)
+            if header is None:
+                raise SourceError("no table of signals")
+            table = _Table(header, counts)
+        batch = table.read(text, is_terminated=is_terminated)
+        if len(batch):
+            counts.frames += len(batch)
+            yield batch
+
+
+class _Table:
+    """Reads the rows of one table."""
+
+    def __init__(self, header: TableHeader, counts: LogCounts) -> None:
+        self._header = header
+        self._counts = counts
+        self._line = 0
+        self._day_us = 0.0  # that have passed since the first time of day
+        self._last_us = -1.0
+        self._ids = np.array([column_id(one.name) | EXTENDED_FLAG for one in header.columns], np.uint32)
+        for note in header.notes:
+            counts.note(note)
+
+    def read(self, text: bytes, *, is_terminated: bool) -> FrameBatch:
+        """Return the values of a block of whole lines; of a last line without its end all but the last cell."""
+        header, lines = self._header, _lines(text)
+        rows, numbers = list[list[str]](), list[int]()
+        for number, line in enumerate(lines, self._line + 1):
+            if number <= header.lines or not line.strip():
+                continue
+            cells = _cells(line, header.separator)
+            is_cut = number == self._line + len(lines) and not is_terminated
+            if is_cut:
+                self._counts.cut_off(f"line {number}")
+                cells = [*cells[:-1], *[""] * (header.width - len(cells) + 1)]
+            while len(cells) > header.width and not cells[-1]:
+                cells.pop()
+            if len(cells) != header.width:
+                self._counts.reject(LogReject.MALFORMED, f"line {number} ({len(cells)} cells, not {header.width})")
+                continue
+            rows.append(cells)
+            numbers.append(number)
+        self._line += len(lines)
+        return self._frames(rows, numbers)
+
+    def _frames(self, rows: list[list[str]], numbers: Sequence[int]) -> FrameBatch:
+        header = self._header
+        columns = list(zip(*rows, strict=True)) if rows else [()] * header.width
+        time_us = self._times_us(columns[header.time_place], numbers)
+        values = np.empty((len(rows), len(header.places)), np.float64)
+        for slot, place in enumerate(header.places):
+            values[:, slot] = self._values(columns[place], numbers, header.columns[slot].name)
+        return frames_of_rows(time_us, values, self._ids)
+
+    def _values(self, cells: Sequence[str], numbers: Sequence[int], name: str) -> FloatArray:
+        """Return a column as numbers, NaN for blank cells and for those that are none; the latter are counted."""
+        if not self._header.has_decimal_comma:
+            try:
+                values = np.array(cells, np.str_).astype(np.float64) if cells else np.empty(0)
+            except ValueError:
+                values = np.empty(0)
+            if len(values) == len(cells) and np.all(np.isfinite(values)):
+                return values
+        found = np.array([_number(cell) for cell in cells], np.float64)
+        for row in np.flatnonzero(np.isinf(found)).tolist():
+            self._counts.reject(LogReject.MALFORMED, f"line {numbers[row]}, column {name!r}")
+        found[np.isinf(found)] = np.nan
+        return found
+
+    def _times_us(self, cells: Sequence[str], numbers: Sequence[int]) -> FloatArray:
+        """Return the times of rows [us], NaN where there is none; such a row is counted."""
+        unit = self._header.us_per_unit
+        if unit is not None:
+            times_us = np.array([_number(cell) for cell in cells], np.float64) * unit
+        else:
+            times_us = np.array([self._clock_us(cell) for cell in cells], np.float64)
+        is_bad = ~(np.abs(times_us) < MOST_US)
+        for row in np.flatnonzero(is_bad).tolist():
+            self._counts.reject(LogReject.MALFORMED, f"line {numbers[row]}, its time")
+        times_us[is_bad] = np.nan
+        return np.rint(times_us)
+
+    def _clock_us(self, cell: str) -> float:
+        """Return a time of day or a date [us]; times of day go on over midnight."""
+        found, is_date = _moment_us(cell)
+        if is_date or np.isnan(found):
+            return found
+        if found + self._day_us < self._last_us - DAY_US / 2.0:
+            self._day_us += DAY_US
+        self._last_us = found + self._day_us
+        return self._last_us
+
+
+def frames_of_rows(
+    time_us: FloatArray, values: FloatArray, ids: np.ndarray[tuple[int], np.dtype[np.uint32]]
+) -> FrameBatch:
+    """Return a frame for each value that there is, row by row.
+
+    Parameters
+    ----------
+    time_us : (n,) array
+        Time of each row [us]; a row without one, NaN, is left out.
+    values : (n, m) array
+        NaN where there is no value.
+    ids : (m,) array
+        Identifier of each column, with its flag.
+    """
+    has_value = np.isfinite(values) & np.isfinite(time_us)[:, np.newaxis]
+    rows, slots = np.nonzero(has_value)
+    time_ns: Int64Array = np.where(np.isfinite(time_us), time_us, 0.0).astype(np.int64) * 1000
+    payload = np.ascontiguousarray(values[rows, slots], "<f8")
+    return FrameBatch(
+        t_ns=time_ns[rows],
+        can_id=ids[slots],
+        length=np.full(len(rows), 8, np.uint8),
+        data=payload.view(np.uint8).reshape(-1, 8),
+    )
+
+
+def signal_columns(names: Sequence[str], units: Sequence[str] = ()) -> tuple[list[SignalColumn], list[str]]:
+    """Return columns by the names and units of a header, and notes: a name that comes twice is numbered."""
+    columns, notes, seen = list[SignalColumn](), list[str](), dict[str, int]()
+    for place, text in enumerate(names):
+        bracketed = UNIT_IN_BRACKETS.search(text)
+        has_unit = bracketed is not None and bracketed.start() > 0
+        unit = (units[place] if place < len(units) else "").strip().strip("[]()")
+        unit = unit or (bracketed["unit"].strip() if bracketed and has_unit else "")
+        name = (text[: bracketed.start()] if bracketed and has_unit else text).strip()
+        seen[name] = seen.get(name, 0) + 1
+        if name and seen[name] > 1:
+            notes.append(f"several columns are called {name!r}: the others are numbered")
+            name = f"{name} ({seen[name]})"
+        columns.append(SignalColumn(name, unit))
+    return columns, notes
+
+
+def time_unit_us(unit: str, times: FloatArray, name: str) -> tuple[float, list[str]]:
+    """Return how many microseconds the unit of a column of times has, and what had to be assumed.
+
+    Where neither header nor name tells, the steps do: a recorder takes a row every few milliseconds to seconds.
+    """
+    suffix = re.split(r"[\s_.-]", name.casefold())[-1]
+    for word in (unit.casefold(), suffix):
+        if word in UNITS:
+            return float(10.0 ** UNITS[word]), []
+    step = float(np.median(np.diff(times)))
+    is_whole = bool(np.all(times == np.rint(times)))
+    taken = "s" if step < (2.0 if is_whole else 5.0) else "ms" if step <= 2e3 else "us" if step <= 2e6 else "ns"
+    return float(10.0 ** UNITS[taken]), [f"times are taken as {taken}: their steps are {step:g}"]
+
+
+def _header_at(rows: Sequence[Sequence[str]], place: int, separator: str) -> TableHeader | None:
+    """Return the header that a row is, with the row of units that may follow it; None if it is none."""
+    names = list(rows[place])
+    while names and not names[-1].strip():
+        names.pop()
+    width = len(names)
+    if not 1 < width <= MOST_COLUMNS or sum(bool(NUMBER.fullmatch(name.strip())) for name in names) > 0:
+        return None
+    first = place + 1
+    units: Sequence[str] = ()
+    if len(rows) > first and _are_units(rows[first], width):
+        units, first = rows[first], first + 1
+    body = [row[:width] for row in rows[first : first + PROBE_ROWS] if len(row) >= width]
+    if len(body) < LEAST_ROWS or len(body) < len([row for row in rows[first : first + PROBE_ROWS] if any(row)]) / 2:
+        return None
+    cells = [[row[one].strip() for row in body] for one in range(width)]
+    if any(_is_payload(column) for column in cells):
+        return None
+    columns, notes = signal_columns(names, units)
+    clock = next((one for one in _time_places(names) if _rises(cells[one])), None)
+    if clock is None:
+        return None
+    places = [one for one in range(width) if one != clock and columns[one].name and _is_numeric(cells[one])]
+    if not places:
+        return None
+    words = [columns[one].name for one in range(width) if one not in {clock, *places} and any(cells[one])]
+    notes += [f"columns of words are left out: {', '.join(words)}"] * bool(words)
+    has_comma = separator != "," and any("," in cell and NUMBER.fullmatch(cell) for column in cells for cell in column)
+    numbers = np.array([_number(cell) for cell in cells[clock]])
+    unit: float | None = None
+    if np.isfinite(numbers).mean() >= LEAST_RISING:
+        unit, said = time_unit_us(columns[clock].unit, numbers[np.isfinite(numbers)], columns[clock].name)
+        notes += said
+    return TableHeader(
+        separator=separator, lines=first, width=width, time_place=clock, us_per_unit=unit, notes=tuple(notes),
+        has_decimal_comma=has_comma, columns=tuple(columns[one] for one in places), places=tuple(places),
+    )  # fmt: skip
+
+
+def _are_units(row: Sequence[str], width: int) -> bool:
+    """Return whether a row behind a header is one of units: no cell is a number or a date, and some say something."""
+    cells = [cell.strip() for cell in row]
+    return (
+        width - 1 <= len(cells) <= width + 1
+        and any(cells)
+        and not any(NUMBER.fullmatch(cell) or TIME_OF_DAY.search(cell) for cell in cells)
+        and max(map(len, cells)) <= LONGEST_UNIT
+    )
+
+
+def _time_places(names: Sequence[str]) -> list[int]:
+    """Return where the times may stand, the likeliest place first: by a name for them, at the beginning, by a part."""
+    plain = [re.sub(r"[\W_]+", "", UNIT_IN_BRACKETS.sub("", name).casefold()) for name in names]
+    bare = [re.sub(r"(?:ns|us|µs|ms|s|sec)$", "", word) for word in plain]
+    known = [place for word in SYNONYMS[Role.TIME] for place, one in enumerate(plain) if word in {one, bare[place]}]
+    parts = [place for place, word in enumerate(plain) if "time" in word or "zeit" in word]
+    return list(dict.fromkeys([*known, 0, *parts]))
+
+
+def _rises(cells: Sequence[str]) -> bool:
+    """Return whether cells are times: numbers or clocks that mostly rise and never all stand still."""
+    times = [found for cell in cells if cell and np.isfinite(found := _time_of(cell))]
+    if len(times) < LEAST_ROWS or len(times) < LEAST_RISING * len(cells):
+        return False
+    steps = [after - before for before, after in pairwise(times)]
+    return sum(step >= 0 for step in steps) >= LEAST_RISING * len(steps) and any(step > 0 for step in steps)
+
+
+def _time_of(cell: str) -> float:
+    number = _number(cell)
+    return number if np.isfinite(number) else _moment_us(cell)[0]
+
+
+def _is_numeric(cells: Sequence[str]) -> bool:
+    """Return whether a column may hold numbers: most cells that are not blank are, or all are blank."""
+    found = [_number(cell) for cell in cells]
+    bad = sum(np.isinf(one) for one in found)
+    return bad == 0 or bad <= sum(np.isfinite(one) for one in found)
+
+
+def _is_payload(cells: Sequence[str]) -> bool:
+    """Return whether a column holds bytes of frames, some of them with letters as digits."""
+    filled = [cell for cell in cells if cell]
+    are_bytes = sum(bool(PAYLOAD.fullmatch(cell)) for cell in filled) > len(filled) / 2
+    return are_bytes and any(LETTERS.search(cell.removeprefix("0x")) and not NUMBER.fullmatch(cell) for cell in filled)
+
+
+def _number(cell: str) -> float:
+    """Return the number in a cell, NaN for a blank one, infinity for anything else."""
+    text = cell.strip()
+    if NUMBER.fullmatch(text):
+        value = float(text.replace(",", "."))
+        return value if np.isfinite(value) else np.inf
+    folded = text.casefold()
+    return np.nan if folded in BLANKS else WORDS.get(folded, np.inf)
+
+
+def _moment_us(cell: str) -> tuple[float, bool]:
+    """Return a time of day or a date [us], and whether it is a date; NaN if neither. Without a zone it is UTC."""
+    text = cell.strip()
+    if found := TIME_OF_DAY.fullmatch(text):
+        days, hours, minutes, seconds = (int(part or 0) for part in found.groups()[:4])
+        fraction = float(f"0.{found[5]}") if found[5] else 0.0
+        return (((days * 24 + hours) * 60 + minutes) * 60 + seconds + fraction) * US_PER_S, bool(found[1])
+    if found := GERMAN_DATE.fullmatch(text):
+        day, month, year, rest = found.groups()
+        text = f"{year}-{month:0>2}-{day:0>2} {rest}"
+    try:
+        moment = datetime.fromisoformat(text.replace("/", "-").replace(",", "."))
+    except ValueError:
+        return np.nan, False
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    return (moment - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() * US_PER_S, True
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    if '"' not in line:
+        return line.split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator), [])
+    except csv.Error:
+        return []
+
+
+def _lines(text: bytes) -> list[str]:
+    """Return the lines of a text in UTF-8 or, where it is not that, in the code page of Windows."""
+    try:
+        decoded = text.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        decoded = text.decode("cp1252", "replace")
+    return decoded.replace("\r\n", "\n").removesuffix("\n").split("\n")
+
+
+def _blocks(stream: BinaryIO, counts: LogCounts) -> Iterator[tuple[bytes, bool]]:
+    """Yield a text in pieces of whole lines, with whether the last one has its end; what is too long is no row."""
+    kept = b""
+    while got := stream.read(BLOCK_BYTES):
+        text = kept + got
+        end = text.rfind(b"\n") + 1
+        if end:
+            yield text[:end], True
+        kept = text[end:]
+        if len(kept) > MOST_ROW_BYTES:
+            counts.reject(LogReject.MALFORMED, "a row that does not end")
+            kept = b""
+    if kept.strip():
+        yield kept, False
