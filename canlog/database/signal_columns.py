@@ -7,7 +7,6 @@ import zlib
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
-from cantools.database import UnsupportedDatabaseFormatError
 from cantools.database.can import Database, Message, Signal
 from cantools.database.conversion import BaseConversion
 from cantools.database.errors import Error as CantoolsError
@@ -48,5 +47,5 @@ def columns_database(columns: Iterable[SignalColumn]) -> Database:
         messages[can_id] = Message(can_id, name, VALUE_BITS // 8, [value], is_extended_frame=True)
     try:
         return Database(messages=list(messages.values()))
-    except (CantoolsError, UnsupportedDatabaseFormatError) as exc:
+    except CantoolsError as exc:
         raise DefinitionError(f"the columns cannot be told apart: {exc}") from exc

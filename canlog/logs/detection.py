@@ -45,6 +45,7 @@ LINES_LOOKED_AT = 100  # where no line names a format, most of these must be fra
 COMMENTS = (b"#", b"//")
 UTF_16_BYTES = 64
 MDF_MAGICS = (b"MDF     ", b"UnFinMF ")
+ARROW_MAGICS = (b"PAR1", b"ARROW1", b"\xff\xff\xff\xff")
 MDF_VERSION = slice(8, 9)
 
 
@@ -152,8 +153,6 @@ OTHER_FORMATS: Mapping[bytes, str] = MappingProxyType(
         b"\x7fELF": "a program",
         b"\xd0\xcf\x11\xe0": "a document of Microsoft Office",
         b"\x89HDF": "an HDF5 file",
-        b"PAR1": "a Parquet file",
-        b"ARROW1": "an Arrow file",
         b'VERSION "': "a message database (DBC): it belongs behind --dbc",
         b"FormatVersion=": "a message database (SYM): it belongs behind --dbc",
         b"<?xml": "an XML text",
@@ -184,6 +183,8 @@ def detect(probe: bytes) -> Detected:
         return Detected(format=LogFormat.BLF, evidence="it begins with LOGG")
     if probe.startswith(sqlite.MAGIC):
         return Detected(format=LogFormat.SQLITE, evidence="it begins with SQLite format 3")
+    if probe.startswith(ARROW_MAGICS):
+        return Detected(format=LogFormat.SIGNALS, evidence="it begins as a Parquet or Arrow table does")
     if capture := capture_of(probe):
         return Detected(format=LogFormat(capture), evidence=f"it begins with the number of {capture}")
     if probe.startswith(MDF_MAGICS):

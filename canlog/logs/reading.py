@@ -12,6 +12,7 @@ from canlog.database.signal_columns import SignalColumn
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.logs.archives import is_archive, split_member
+from canlog.logs.arrow_tables import arrow_columns, read_arrow_table
 from canlog.logs.blf import read_blf
 from canlog.logs.bounded_stream import BoundedStream
 from canlog.logs.captures import read_capture
@@ -44,6 +45,8 @@ READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]
 
 
 def _reader_of(contents: Contents) -> Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]:
+    if contents.detected.format is LogFormat.SIGNALS and not contents.detected.columns:
+        return read_arrow_table
     if contents.columns and contents.detected.format is LogFormat.COLUMNS:
         return reader_of(partial(ColumnsLog, contents.columns))
     return READERS[contents.detected.format]
@@ -74,6 +77,8 @@ class LogReader(Iterator[FrameBatch]):
         self._bounded = BoundedStream(self._stream, self._counts)
         if self.format is LogFormat.SQLITE:
             check_messages(self._stream)
+        if self.format is LogFormat.SIGNALS and not self.columns:
+            self.columns = arrow_columns(self._stream)
         self._batches = _reader_of(contents)(cast("BinaryIO", self._bounded), self._counts)
         self._watch = TimeWatch(self._counts)
         self._is_strict = is_strict

@@ -33,7 +33,7 @@ BLANKS: Final = frozenset({"", "-", "--", "nan", "na", "n/a", "#n/a", "null", "n
 WORDS: Final = {"true": 1.0, "on": 1.0, "yes": 1.0, "false": 0.0, "off": 0.0, "no": 0.0}
 UNIT_IN_BRACKETS: Final = re.compile(r"\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
 NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?")
-PAYLOAD: Final = re.compile(r"(?:0x)?(?:[0-9A-Fa-f]{2}[\s:._-]?){2,64}")
+PAYLOAD: Final = re.compile(r"(?:0x)?(?:[0-9A-Fa-f]{2}[\s:._-]?){1,64}")
 LETTERS: Final = re.compile(r"[A-Fa-f]")
 TIME_OF_DAY: Final = re.compile(r"(?:(\d+)\s+)?(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?")
 GERMAN_DATE: Final = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]+(.*)")
@@ -251,7 +251,7 @@ def _header_at(rows: Sequence[Sequence[str]], place: int, separator: str) -> Tab
     if any(_is_payload(column) for column in cells):
         return None
     columns, notes = signal_columns(names, units)
-    clock = next((one for one in _time_places(names) if _rises(cells[one])), None)
+    clock = next((one for one in time_places(names) if _rises(cells[one])), None)
     if clock is None:
         return None
     places = [one for one in range(width) if one != clock and columns[one].name and _is_numeric(cells[one])]
@@ -282,7 +282,7 @@ def _are_units(row: Sequence[str], width: int) -> bool:
     )
 
 
-def _time_places(names: Sequence[str]) -> list[int]:
+def time_places(names: Sequence[str]) -> list[int]:
     """Return where the times may stand, the likeliest place first: by a name for them, at the beginning, by a part."""
     plain = [re.sub(r"[\W_]+", "", UNIT_IN_BRACKETS.sub("", name).casefold()) for name in names]
     bare = [re.sub(r"(?:ns|us|µs|ms|s|sec)$", "", word) for word in plain]
@@ -294,7 +294,12 @@ def _time_places(names: Sequence[str]) -> list[int]:
 def _rises(cells: Sequence[str]) -> bool:
     """Return whether cells are times: numbers or clocks that mostly rise and never all stand still."""
     times = [found for cell in cells if cell and np.isfinite(found := _time_of(cell))]
-    if len(times) < LEAST_ROWS or len(times) < LEAST_RISING * len(cells):
+    return len(times) >= LEAST_RISING * len(cells) and is_rising(times)
+
+
+def is_rising(times: Sequence[float]) -> bool:
+    """Return whether numbers can be times: enough, mostly rising, and not all the same."""
+    if len(times) < LEAST_ROWS:
         return False
     steps = [after - before for before, after in pairwise(times)]
     return sum(step >= 0 for step in steps) >= LEAST_RISING * len(steps) and any(step > 0 for step in steps)
@@ -307,9 +312,8 @@ def _time_of(cell: str) -> float:
 
 def _is_numeric(cells: Sequence[str]) -> bool:
     """Return whether a column may hold numbers: most cells that are not blank are, or all are blank."""
-    found = [_number(cell) for cell in cells]
-    bad = sum(np.isinf(one) for one in found)
-    return bad == 0 or bad <= sum(np.isfinite(one) for one in found)
+    found = np.array([_number(cell) for cell in cells])
+    return int(np.count_nonzero(np.isinf(found))) <= int(np.count_nonzero(np.isfinite(found)))
 
 
 def _is_payload(cells: Sequence[str]) -> bool:

@@ -1,0 +1,135 @@
+"""Tables of signals wherever logs are taken: the same results as from frames, and a profile proposed for them."""
+
+import json
+import lzma
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dbc.contract import load_contract
+from diag_service.mapping.profile import PROFILE_PATH
+from tests.support.documents import ROOT
+from tests.support.in_process import ended
+
+OTHER = {"stream", "trust"}  # a table has no counters and checksums that could be trusted
+GOLDEN = ROOT / "tests" / "golden" / "recordings"
+
+
+@pytest.fixture(name="log", scope="module")
+def _log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("tables") / "case1.log"
+    path.write_bytes(lzma.decompress((GOLDEN / "case1.log.xz").read_bytes()))
+    return path
+
+
+@pytest.fixture(name="profile", scope="module")
+def _profile(log: Path) -> Path:
+    # The shipped profile, with the columns that ``decode`` writes in place of messages and signals.
+    database, lines = load_contract(), ['name = "columns"', "[signals]"]
+    for signal, source in tomllib.loads(PROFILE_PATH.read_text(encoding="utf-8"))["signals"].items():
+        unit = database.get_message_by_name(source["message"]).get_signal_by_name(source["signal"]).unit or ""
+        column = f"{source.pop('message')}.{source.pop('signal')}"
+        words = {"column": column, "unit": unit, **source}
+        lines.append(f"{signal} = {{ {', '.join(f'{key} = {json.dumps(value)}' for key, value in words.items())} }}")
+    path = log.with_name("columns.toml")
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def analysed(log: Path, *words: str | Path) -> list[dict[str, Any]]:
+    output = log.with_name("results.jsonl")
+    run = ended("analyze", log, *words, "-o", output, "--force")
+    assert run.status == 0, run.err
+    records = [json.loads(line) for line in output.read_text(encoding="utf-8").splitlines()]
+    return [record for record in records if "from_gear" in record]
+
+
+def near(value: object) -> object:
+    """Return what of a record can be the same, that equals another one to 1e-6."""
+    if isinstance(value, dict):
+        return {key: near(one) for key, one in value.items() if key not in OTHER}
+    return pytest.approx(value, rel=1e-6, abs=1e-12) if isinstance(value, float) else value
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "arrows"])
+def test_a_table_gives_what_its_frames_give(log: Path, profile: Path, suffix: str) -> None:
+    table = log.with_suffix(f".{suffix}")
+    run = ended("decode", log, "-o", table, "--layout", "wide", "--force")
+    assert run.status == 0, run.err
+    from_frames, from_table = analysed(log), analysed(table, "--profile", profile)
+    assert len(from_table) == len(from_frames) == 10
+    for frames, cells in zip(from_frames, from_table, strict=True):
+        assert {key: one for key, one in cells.items() if key not in OTHER} == near(frames)
+
+
+def road(path: Path) -> tuple[float, ...]:
+    """Write a table of a car that accelerates through its gears, as a scan tool does, and return their ratios."""
+    ratios, rng = (3.9, 2.3, 1.5, 1.1), np.random.default_rng(7)
+    t_ms, output = np.arange(0, 60_000, 40), np.linspace(300.0, 3000.0, 1500)
+    gear = np.clip((t_ms // 15_000) + 1, 1, 4)
+    settled = np.minimum((t_ms % 15_000) / 800.0, 1.0)  # the engine follows within .8 s of slip
+    before = np.array(ratios)[np.maximum(gear - 2, 0)]
+    engine = output * (before + (np.array(ratios)[gear - 1] - before) * settled)
+    rows = zip(t_ms, engine + rng.normal(0.0, 2.0, 1500), output, gear, 200.0 + 50.0 * settled, strict=True)
+    head = "Time [ms],Engine Speed,Output Shaft Speed,Commanded Gear,Clutch 1 Pressure,Note"
+    path.write_text("\n".join([head, *(f"{t},{e:.1f},{o:.2f},{g},{p:.2f},ok" for t, e, o, g, p in rows), ""]))
+    return ratios
+
+
+def test_a_profile_is_proposed_with_the_ratios_that_the_table_shows(tmp_path: Path) -> None:
+    table, profile = tmp_path / "drive.csv", tmp_path / "drive.toml"
+    ratios = road(table)
+    run = ended("signals", table)
+    assert run.status == 0, run.err
+    profile.write_text(run.out, encoding="utf-8")
+    proposed = tomllib.loads(run.out)
+    assert proposed["signals"]["engine_speed_rad_s"] == {"column": "Engine Speed", "unit": "rpm"}
+    assert proposed["signals"]["clutch1_pressure_pa"] == {"column": "Clutch 1 Pressure", "unit": "kPa"}
+    assert "assumed: nothing says the unit" in run.out
+    assert proposed["gears"]["ratios"] == pytest.approx(ratios, rel=0.005)
+    assert "columns of words are left out: Note" in ended("inspect", table).out
+    found = analysed(table, "--profile", profile)
+    assert [(one["from_gear"], one["to_gear"], one["clutch"]) for one in found] == [(1, 2, 2), (2, 3, 1), (3, 4, 2)]
+    assert {one["status"] for one in found} == {"unobserved"}
+
+
+def test_inspect_tells_rates_steps_and_ranges(tmp_path: Path) -> None:
+    table = tmp_path / "drive.csv"
+    road(table)
+    record = json.loads(ended("inspect", table, "--json").out)
+    column = next(one for one in record["ids"] if one["message"] == "Output Shaft Speed")
+    assert record["format"] == "signals"
+    assert column["rate_hz"] == pytest.approx(25.0, rel=0.01)
+    assert (column["count"], column["lowest"], column["highest"]) == (1500, 300.0, 3000.0)
+    gear = next(one for one in record["ids"] if one["message"] == "Commanded Gear")
+    assert (gear["changes"], gear["step"]) == (3, 1.0)
+    shown = ended("inspect", table).out
+    assert "6000 values of 4 columns" in shown
+    assert "Clutch 1 Pressure" in shown
+
+
+def test_columns_and_messages_do_not_mix_in_a_profile(tmp_path: Path) -> None:
+    profile = tmp_path / "mixed.toml"
+    profile.write_text(
+        'name = "mixed"\n[signals]\nengine_speed_rad_s = { column = "Engine", unit = "rpm" }\n'
+        'current_gear = { message = "TCU", signal = "Gear" }\n'
+    )
+    table = tmp_path / "drive.csv"
+    road(table)
+    run = ended("analyze", table, "--profile", profile)
+    assert run.status != 0
+    assert "some sources are columns of a table, others signals of a bus" in run.err
+
+
+def test_a_column_without_its_unit_is_an_error_that_says_so(tmp_path: Path) -> None:
+    table, profile = tmp_path / "drive.csv", tmp_path / "drive.toml"
+    road(table)
+    profile.write_text(
+        '[signals]\nengine_speed_rad_s = { column = "Engine Speed" }\ntarget_gear = { column = "Commanded Gear" }\n'
+    )
+    run = ended("analyze", table, "--profile", profile)
+    assert run.status != 0
+    assert "the unit '' of Engine Speed is not one of engine_speed_rad_s" in run.err

@@ -1,0 +1,168 @@
+"""Tables of signals: headers of many writers, cells that are none, and what becomes of each value."""
+
+import io
+
+import numpy as np
+import pytest
+
+from canlog.database.signal_columns import SignalColumn, column_id, columns_database
+from canlog.errors import DefinitionError, SourceError
+from canlog.frames import EXTENDED_FLAG, FrameBatch
+from canlog.logs.detection import LogFormat, detect
+from canlog.logs.log_counts import LogCounts, LogReject
+from canlog.logs.signal_tables import read_signal_table, table_header
+
+SPEEDS, PRESSURES = [1000.5, 1001.5, 1002.5, 1003.5], [100.0, 105.86, 111.72, 117.58]
+TIMES_S = [10.0, 10.037, 10.074, 10.111]
+COLUMNS = (SignalColumn("Speed", "rpm"), SignalColumn("Pressure", "kPa"))
+
+
+def written(head: str, row: str, *, comma: bool = False, times: list[object] | None = None) -> bytes:
+    rows = zip(times or TIMES_S, SPEEDS, PRESSURES, strict=True)
+    lines = [row.format(*(str(cell).replace(".", ",") if comma else cell for cell in one)) for one in rows]
+    return "\n".join([head, *lines, ""]).encode()
+
+
+WRITERS = {
+    "plain": written("Time [s],Speed [rpm],Pressure [kPa]", "{},{},{}"),
+    "milliseconds": written(
+        "Time (ms),Speed (rpm),Pressure (kPa)", "{},{},{}", times=[round(1e3 * one) for one in TIMES_S]
+    ),
+    "units row": written("timestamps,Speed,Pressure\ns,rpm,kPa", "{},{},{}"),
+    "preamble": written("Recorder 4.2\nsample count;4\nTime;Speed;Pressure\ns;rpm;kPa", "{};{};{}"),
+    "german": written("Zeit [s];Speed [rpm];Pressure [kPa]", "{};{};{}", comma=True),
+    "tabs and quotes": written('"Time"\t"Speed"\t"Pressure"\n"[s]"\t"[rpm]"\t"[kPa]"', "{}\t{}\t{}"),
+    "clock": written("Time,Speed [rpm],Pressure [kPa]", "{},{},{}", times=[f"00:00:{one:06.3f}" for one in TIMES_S]),
+    "dates": written(
+        "Datum;Speed [rpm];Pressure [kPa]", "{};{};{}", times=[f"01.02.1970 00:00:{one:06.3f}" for one in TIMES_S]
+    ),
+    "iso": written(
+        "DateTime,Speed [rpm],Pressure [kPa]", "{},{},{}", times=[f"1970-02-01T00:00:{one:06.3f}Z" for one in TIMES_S]
+    ),
+    "index first": written(",t,Speed [rpm],Pressure [kPa],", "7,{},{},{},"),
+    "windows": written("Time [s],Speed [rpm],Pressure [kPa]", "{},{},{}\r").replace(b"kPa]", b"kPa]\r"),
+    "byte-order mark": b"\xef\xbb\xbf" + written("Time [s],Speed [rpm],Pressure [kPa]", "{},{},{}"),
+}
+
+
+def read(text: bytes) -> tuple[FrameBatch, LogCounts]:
+    counts = LogCounts()
+    batches = list(read_signal_table(io.BytesIO(text), counts))
+    return (batches[0] if len(batches) == 1 else joined(batches)), counts
+
+
+def joined(batches: list[FrameBatch]) -> FrameBatch:
+    return FrameBatch(**{
+        name: np.concatenate([getattr(one, name) for one in batches]) for name in ("t_ns", "can_id", "length", "data")
+    })  # fmt: skip
+
+
+def values(batch: FrameBatch, name: str) -> list[float]:
+    rows = batch.can_id == (column_id(name) | EXTENDED_FLAG)
+    found: list[float] = np.ascontiguousarray(batch.data[rows]).view("<f8").ravel().tolist()
+    return found
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_tables_of_many_writers_hold_the_same(writer: str) -> None:
+    text = WRITERS[writer]
+    assert detect(text).format is LogFormat.SIGNALS
+    header = table_header(text, is_cut=False)
+    assert header is not None
+    assert header.columns == COLUMNS
+    batch, counts = read(text)
+    assert values(batch, "Speed") == SPEEDS
+    assert values(batch, "Pressure") == PRESSURES
+    times_s = np.unique(batch.t_ns) / 1e9
+    np.testing.assert_allclose(times_s - times_s[0], np.array(TIMES_S) - TIMES_S[0], atol=1e-6)
+    assert not counts.rejected
+
+
+def test_dates_are_those_of_universal_time() -> None:
+    batch, _ = read(WRITERS["dates"])
+    assert batch.t_ns[0] == (31 * 86_400 + 10) * 1_000_000_000
+
+
+@pytest.mark.parametrize(
+    ("steps", "unit"), [([0.037] * 3, "s"), ([37] * 3, "ms"), ([37_000] * 3, "us"), ([37_000_000] * 3, "ns")]
+)
+def test_a_unit_of_time_that_nothing_says_is_told_by_its_steps(steps: list[float], unit: str) -> None:
+    times = np.cumsum([1000.0, *steps]).tolist()
+    batch, counts = read(written("Time,Speed,Pressure", "{},{},{}", times=times))
+    assert int(np.median(np.diff(np.unique(batch.t_ns)))) == 37_000_000
+    assert [note for note in counts.notes if f"times are taken as {unit}:" in note]
+
+
+def test_blank_cells_are_no_values_and_bad_ones_are_counted_with_their_place() -> None:
+    text = b"Time [s],A,B\n1.0,1,\n1.1,,2\n1.2,nan,oops\n1.3,4,5\n1.4,1e999,6\n1.5,7\nx,8,9\n"
+    text += b"".join(b"%d,0,0\n" % second for second in range(2, 12))
+    batch, counts = read(text)
+    assert values(batch, "A")[:3] == [1.0, 4.0, 0.0]
+    assert values(batch, "B")[:4] == [2.0, 5.0, 6.0, 0.0]
+    assert counts.rejected == {LogReject.MALFORMED: 4}
+    assert counts.first_rejected.startswith("line ")
+
+
+def test_switches_in_words_are_numbers_and_columns_of_words_are_left_out_and_named() -> None:
+    text = b"Time [s],Cut,Mode\n1,On,sport\n2,OFF,sport\n3,on,eco\n4,off,eco\n"
+    batch, counts = read(text)
+    assert values(batch, "Cut") == [1.0, 0.0, 1.0, 0.0]
+    assert "columns of words are left out: Mode" in counts.notes
+
+
+def test_a_name_that_comes_twice_is_numbered() -> None:
+    batch, counts = read(b"Time [s],A,A\n1,1,2\n2,3,4\n3,5,6\n")
+    assert values(batch, "A") == [1.0, 3.0, 5.0]
+    assert values(batch, "A (2)") == [2.0, 4.0, 6.0]
+    assert [note for note in counts.notes if "'A'" in note]
+
+
+def test_times_of_day_go_on_over_midnight() -> None:
+    rows = b"".join(b"00:00:00.%d,2\n" % tenth for tenth in range(10))
+    batch, _ = read(b"Time,A\n23:59:59.8,0\n23:59:59.9,1\n" + rows)
+    assert np.diff(batch.t_ns).tolist() == [100_000_000] * 11
+
+
+@pytest.mark.parametrize("end", range(1, 30))
+def test_a_table_cut_anywhere_tells_no_value_that_was_not_written(end: int) -> None:
+    text = WRITERS["plain"] + b"10.148,1004.25,123.456"
+    batch, counts = read(text[:-end] if end < 22 else text[:-22])
+    assert set(values(batch, "Speed")) <= {*SPEEDS, 1004.25}
+    assert values(batch, "Pressure") == PRESSURES
+    assert counts.truncated is (end < 22)
+
+
+def test_long_tables_are_read_in_blocks() -> None:
+    rows = 60_000
+    lines = "\n".join(f"{0.01 * row:.2f},{row},{row / 8}" for row in range(rows))
+    batch, counts = read(f"Time [s],A,B\n{lines}\n".encode())
+    assert values(batch, "A") == list(range(rows))
+    assert counts.frames == 2 * rows
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"Time,ID,Length,Data\n1.0,1A2,2,0102\n1.1,1A2,2,0A0B\n1.2,1A2,2,0102\n1.3,1A2,2,0102\n",  # frames
+        b"Zeit;Kennung;Inhalt\n1.0;1A2;01 02\n1.1;1A2;0A 0B\n1.2;1A3;01 FF\n1.3;1A2;01 02\n",  # of unusual names
+        b"name,grade,year\nann,1,1999\nbob,2,1998\ncid,1,1997\ndan,3,1996\n",  # no times
+        b"Time,A\n1,x\n2,y\n3,z\n4,w\n",  # no numbers
+        b"just a text\nof some lines\nwithout a table\n",
+    ],
+)
+def test_other_tables_are_not_taken_for_one(text: bytes) -> None:
+    assert table_header(text, is_cut=False) is None
+    with pytest.raises(SourceError):
+        list(read_signal_table(io.BytesIO(text), LogCounts()))
+
+
+def test_columns_make_a_database_whose_names_are_theirs() -> None:
+    database = columns_database(COLUMNS)
+    message = database.get_message_by_name("Speed")
+    assert message.frame_id == column_id("Speed")
+    assert message.decode(np.float64(12.25).tobytes()) == {"Speed": 12.25}
+
+
+def test_names_that_cannot_be_told_apart_are_an_error() -> None:
+    with pytest.raises(DefinitionError, match="cannot be told apart"):
+        columns_database([SignalColumn(name, "") for name in ("plumless", "buckeroo")])  # one CRC-32 for both
