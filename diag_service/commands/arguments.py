@@ -179,6 +179,19 @@ _SIGNALS: Final = Command(
     *(_LOG, *_DATABASE, _COLUMNS, VERBOSE),
     examples=(f"{PROGRAM} signals drive.blf --dbc car.dbc >car-profile.toml",),
 )
+_PREDICT: Final = Command(
+    "predict",
+    "predict shifts of logs from the others, and show how well it went",
+    _logs("logs of one type of vehicle, frames or tables of signals; - is standard input"),
+    *(option for option in MEANING if option.name in {"dbc", "lenient", "parser_time", "profile"}),
+    Option("--touch KPA", "touch point of the clutches (default: the pressure in gear at standstill)", FLOAT),
+    Option("--halves", "predict the second half from the first (default: each shift from all others)"),
+    *(JSON, VERBOSE),
+    description="Friction, up to a scale, is found in some shifts; given the pressures and the first speed of another, "
+    "it predicts the course of engine speed while the clutch slips, with intervals, beside three simpler models. "
+    "Needs engine speed, both clutch pressures, and speeds behind the clutches or ratios; no torque, no drawing.",
+    examples=(f"{PROGRAM} predict drive-a.csv drive-b.csv --profile car.toml",),
+)
 _DECODE: Final = Command(
     "decode",
     "write the signals of logs as a table: Parquet, CSV, JSON lines, Arrow or MF4",
@@ -304,7 +317,7 @@ COMMAND_LINE: Final = Program(
     _MONITOR,
     Group("config", "look at the settings", _CHECK, metavar="ACTION"),
     *(_ANALYZE, _REPORT, _HISTORY, _SHOW, _FLUID_CHANGED),
-    *(_CALIBRATE, _INSPECT, _SIGNALS, _DECODE),
+    *(_CALIBRATE, _INSPECT, _SIGNALS, _DECODE, _PREDICT),
     *(DTC, DID, ROUTINE, SCAN),
     *(LAKE, CLUSTER),
 )

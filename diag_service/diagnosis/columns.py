@@ -20,6 +20,7 @@ class Signal(StrEnum):
 
     ENGINE_SPEED = "engine_speed_rad_s"  # mean over the last crank segment
     ENGINE_TORQUE = "engine_torque_nm"  # at the crankshaft, friction deducted
+    INJECTION_TIME = "injection_time_s"  # of an injector in a working cycle: torque up to a scale, where none is told
     PEDAL = "pedal_ratio"
     THROTTLE = "throttle_ratio"
     HUB_SPEED = "hub_speed_rad_s"

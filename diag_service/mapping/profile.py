@@ -69,6 +69,7 @@ _TO_SI: Final[Mapping[str, Mapping[str, Conversion]]] = {
         ),
         "k": _SAME,
     },
+    "s": {"ms": Conversion(1e-3), "us": Conversion(1e-6), "s": _SAME},
     "m": {
         **dict.fromkeys(("km", "unit_kilometer"), Conversion(1e3)),
         **dict.fromkeys(("m", "unit_meter"), _SAME),
@@ -76,7 +77,7 @@ _TO_SI: Final[Mapping[str, Mapping[str, Conversion]]] = {
 }
 """Spellings of units, without blanks and in lower case, by the unit that ends a canonical signal's name."""
 
-_KINDS: Final = ("rad_s", "m_s", "ratio", "nm", "pa", "k", "m")  # longest first
+_KINDS: Final = ("rad_s", "m_s", "ratio", "nm", "pa", "k", "m", "s")  # longest first
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -103,6 +103,7 @@ ASSUMED: Final = {
     "nm": Assumed(re.compile("torque|trq|tq|mom", re.IGNORECASE), ("Nm",)),
     "k": Assumed(re.compile("temp", re.IGNORECASE), ("degC",)),
     "m": Assumed(re.compile("odo|kilom|dist", re.IGNORECASE), ("km",)),
+    "s": Assumed(re.compile("pulse|width|time|pw|zeit|dauer", re.IGNORECASE), ("ms",)),
     "ratio": Assumed(re.compile("ped|throt|tps|dross|accel", re.IGNORECASE), ("%",)),
 }
 _SPEED_RAD_S: Final = 1100.0
@@ -111,6 +112,7 @@ KINDS: Final[dict[Signal, Kind]] = {
         names=r"eng\w*(spe+d|spd|rpm)|^n$|^rpm$|drehzahl|nmot|n_eng", lowest=0, highest=_SPEED_RAD_S
     ),
     Signal.ENGINE_TORQUE: Kind(names=r"eng\w*(torque|trq|tq)|mom_ist|crank\w*(torque|trq)", lowest=-1500, highest=4000),
+    Signal.INJECTION_TIME: Kind(names=r"inj\w*(pw|pulse|time|width|zeit|dauer)", lowest=0, highest=0.1),
     Signal.PEDAL: Kind(names=r"pedal|fahrped|accel\w*pos|^pv_av", lowest=0, highest=1.1),
     Signal.THROTTLE: Kind(names=r"throttle|drossel|^tps", lowest=0, highest=1.1),
     Signal.HUB_SPEED: Kind(

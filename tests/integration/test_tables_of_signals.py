@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.scan_tool import written
 from dbc.contract import load_contract
 from diag_service.mapping.profile import PROFILE_PATH
+from ecu_emulator.cli import main as emulator
 from tests.support.documents import ROOT
 from tests.support.in_process import ended
 
@@ -109,6 +111,32 @@ def test_inspect_tells_rates_steps_and_ranges(tmp_path: Path) -> None:
     shown = ended("inspect", table).out
     assert "6000 values of 4 columns" in shown
     assert "Clutch 1 Pressure" in shown
+
+
+def test_shifts_of_a_table_are_predicted_from_each_other(tmp_path: Path) -> None:
+    log, table, profile = tmp_path / "car.log", tmp_path / "car.csv", tmp_path / "car.toml"
+    assert emulator(["record", str(log), "--seed", "5", "--cycles", "2"]) == 0
+    written(log, table, np.random.default_rng(5))
+    profile.write_text(ended("signals", table).out, encoding="utf-8")
+    run = ended("predict", table, "--profile", profile, "--json")
+    assert run.status == 0, run.err
+    group = next(one for one in map(json.loads, run.out.splitlines()) if one["group"] == "power upshifts")
+    assert len(group["shifts"]) == 10
+    ours, clutch_rate = group["scores"]["friction"], group["scores"]["mean rate of the clutch"]
+    assert ours["median_error_ratio"] < 0.15
+    assert ours["crps_rad_s"] < 0.6 * clutch_rate["crps_rad_s"]
+    shown = ended("predict", table, "--profile", profile, "--halves").out
+    assert "power upshifts: change of engine speed in the slip [rad/s]" in shown
+    assert "median error" in shown
+
+
+def test_what_a_prediction_needs_is_said(tmp_path: Path) -> None:
+    table, profile = tmp_path / "drive.csv", tmp_path / "drive.toml"
+    road(table)
+    profile.write_text(ended("signals", table).out, encoding="utf-8")
+    run = ended("predict", table, "--profile", profile)
+    assert run.status != 0
+    assert "has no clutch2_pressure_pa" in run.err
 
 
 def test_columns_and_messages_do_not_mix_in_a_profile(tmp_path: Path) -> None:

@@ -1,0 +1,131 @@
+"""Blind prediction of shifts of a real dual-clutch transmission, beside the same of emulated drives as such tables.
+
+    python -m benchmarks.real_dct drive-a.csv drive-b.csv --vehicles 12
+
+The profile is what ``diag-service signals`` proposes from the first table. No shift tells anything of its own
+prediction: each is left out, or only the first half is known. Emulated cars are predicted each from its own shifts.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.special import stdtrit
+
+from benchmarks.scan_tool import written
+from diag_service.commands.predict import (
+    OURS,
+    Shown,
+    Standing,
+    left_out_one_by_one,
+    scores,
+    second_half_from_first,
+    slip_phases,
+)
+from diag_service.commands.signals import proposed_profile
+from diag_service.diagnosis.prediction import SlipPhase
+from diag_service.mapping.interpretation import Interpretation, interpret
+from diag_service.service.stopping import Trigger
+from ecu_emulator.cli import main as emulator
+
+RPM = 30.0 / np.pi  # of rad/s
+SPLITS = {"each from all others": left_out_one_by_one, "second half from the first": second_half_from_first}
+
+
+def meaning_of(table: Path, folder: Path) -> Interpretation:
+    """Return the columns of a table as the service proposes them."""
+    profile = folder / f"{table.stem}.toml"
+    profile.write_text(proposed_profile(table, None, Trigger(), is_lenient=False), encoding="utf-8")
+    return interpret(None, profile)
+
+
+def power_upshifts(tables: Sequence[Path], meaning: Interpretation) -> tuple[list[tuple[str, SlipPhase]], float | None]:
+    """Return the slip phases of all power upshifts, with the name of their table, and the touch point."""
+    standing, named = Standing(), list[tuple[str, SlipPhase]]()
+    for table in tables:
+        phases, _ = slip_phases(table, meaning, standing, Trigger())
+        named += [(table.name, one) for one in phases if one.sign > 0.0 and one.is_powered]
+    return named, standing.touch_pa
+
+
+def emulated(vehicles: int, cycles: int, folder: Path) -> Iterator[Shown]:
+    """Yield the power upshifts of emulated cars at 27 rows a second, each predicted from the others of its car."""
+    for seed in range(1, vehicles + 1):
+        log, table = folder / f"{seed}.log", folder / f"{seed}.csv"
+        emulator(["record", str(log), "--seed", str(seed), "--cycles", str(cycles)])
+        written(log, table, np.random.default_rng(seed))
+        named, touch_pa = power_upshifts([table], meaning_of(table, folder))
+        yield from left_out_one_by_one(named, touch_pa)
+        log.unlink()
+
+
+def table(title: str, shown: Sequence[Shown]) -> Iterator[str]:
+    """Yield what each model was worth, as a table."""
+    found = scores(shown)
+    best = min(score["crps_rad_s"] for name, score in found.items() if name != OURS)
+    yield f"\n{title}: {len(shown)} power upshifts\n"
+    yield "| model | median error | CRPS rad/s | ends in 50 % | in 90 % | samples in 50 % | in 90 % |"
+    yield "|---|---|---|---|---|---|---|"
+    for name, score in found.items():
+        inside = (score[key] for key in ("inside_50", "inside_90", "samples_inside_50", "samples_inside_90"))
+        shares = " | ".join(f"{100 * one:.0f} %" for one in inside)
+        yield f"| {name} | {100 * score['median_error_ratio']:.1f} % | {score['crps_rad_s']:.2f} | {shares} |"
+    left = [one.predictions[OURS].mean_rad_s[-1] / one.phase.change_rad_s[-1] - 1.0 for one in shown]
+    spread = 100 * float(np.percentile(np.abs(left), 68))
+    yield f"\nCRPS over that of the best simpler model: {found[OURS]['crps_rad_s'] / best:.2f}; "
+    yield f"68 of 100 shifts are predicted within {spread:.1f} % of their change"
+
+
+def picture(shown: Shown) -> str:
+    """Return the picture of a shift as SVG: samples of engine speed, what was predicted, and simpler models."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - of the extra for pictures
+
+    from benchmarks.drawing import as_svg, drawing_style  # noqa: PLC0415 - likewise
+
+    phase, ours = shown.phase, shown.predictions[OURS]
+    t_ms, start = 1e3 * phase.t_s, float(phase.speed_rad_s[0])
+    with drawing_style():
+        figure = Figure(figsize=(7.0, 3.4), layout="constrained")
+        axes = figure.subplots()
+        for share, alpha in ((0.9, 0.18), (0.5, 0.3)):
+            half = np.append(0.0, ours.scale_rad_s * stdtrit(ours.freedom, 0.5 + share / 2.0))
+            mean = start + np.append(0.0, ours.mean_rad_s)
+            label = f"{100 * share:.0f} % of the prediction"
+            axes.fill_between(t_ms, (mean - half) * RPM, (mean + half) * RPM, alpha=alpha, color="#0f6cbd", label=label)
+        axes.plot(t_ms, mean * RPM, color="#0f6cbd", label="predicted from the other shifts")
+        for name, said in shown.predictions.items():
+            if name != OURS:
+                axes.plot(t_ms, (start + np.append(0.0, said.mean_rad_s)) * RPM, "--", lw=0.9, label=name)
+        axes.plot(t_ms, phase.speed_rad_s * RPM, "o", color="#111827", label="recorded", clip_on=False, zorder=5)
+        axes.set(xlabel="time in the slip phase [ms]", ylabel="engine speed [rpm]")
+        axes.set_title(f"{phase.from_gear}-{phase.to_gear} under power", loc="left")
+        axes.legend(fontsize=7, loc="lower left")
+        return as_svg(figure)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tables", nargs="*", type=Path, metavar="FILE", help="tables of signals of one type of vehicle")
+    parser.add_argument("--vehicles", type=int, default=12, help="emulated cars beside them")
+    parser.add_argument("--picture", type=Path, help="SVG of the upshift with most samples but the first")
+    parser.add_argument("--cycles", type=int, default=3, help="shift cycles of each, with five power upshifts")
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if options.tables:
+            named, touch_pa = power_upshifts(options.tables, meaning_of(options.tables[0], folder))
+            for title, split in SPLITS.items():
+                shown = list(split(named, touch_pa))
+                print("\n".join(table(f"Recorded, {title}", shown)), flush=True)
+                if options.picture and split is left_out_one_by_one:
+                    drawn = max(shown[1:], key=lambda one: len(one.phase.t_s))
+                    options.picture.write_text(picture(drawn), encoding="utf-8")
+        if options.vehicles:
+            shown = list(emulated(options.vehicles, options.cycles, folder))
+            print("\n".join(table("Emulated, each from all others of its car", shown)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,237 @@
+"""``diag-service predict``: friction found in some shifts of logs, held against the others, beside simpler models."""
+
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from canlog.logs import read_log
+from canlog.logs.reading import Watch
+from diag_service.console.reading import ReadingLine
+from diag_service.console.terminal import PeopleConsole
+from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.diagnosis.prediction import (
+    LEAST_EVENTS,
+    PRESSURES,
+    SIMPLER,
+    NoPhase,
+    Prediction,
+    SlipPhase,
+    fitted,
+    predicted,
+    predicted_simply,
+    slip_phase,
+)
+from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.shifts.gear_tracking import tracker_for
+from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.errors import ConfigError, StoppedError
+from diag_service.mapping.interpretation import Interpretation, interpret
+from diag_service.mapping.tiers import missing_for_next
+from diag_service.service.stopping import Controls, Trigger
+
+if TYPE_CHECKING:
+    from canlog.arrays import FloatArray
+
+SCHEMA: Final = "clutchdiag/predict/v1"
+OURS: Final = "friction"
+STANDING_RAD_S: Final = 0.5
+PA_PER_KPA: Final = 1e3
+QUANTILES: Final = (np.arange(400) + 0.5) / 400.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """One shift, left out of what it was predicted from, and what each model said of it."""
+
+    log: str
+    phase: SlipPhase
+    predictions: dict[str, Prediction]
+
+
+class Standing:
+    """The pressure of a clutch in gear while the car stands: where it begins to carry."""
+
+    def __init__(self) -> None:
+        self._found: list[FloatArray] = []
+
+    def add(self, batch: ColumnBatch) -> None:
+        """Take up the pressures of one batch."""
+        output, pressure = (batch.columns.get(one) for one in (Signal.OUTPUT_SPEED, PRESSURES[1]))
+        if output is None or pressure is None or not len(output.t_ns):
+            return
+        is_standing = np.interp(pressure.t_ns, output.t_ns, output.value) < STANDING_RAD_S
+        self._found.append(pressure.value[is_standing & (pressure.value > 0.0)])
+
+    @property
+    def touch_pa(self) -> float | None:
+        """The middle of them; None if the car never stood."""
+        found = np.concatenate([np.empty(0), *self._found])
+        return float(np.median(found)) if len(found) else None
+
+
+def slip_phases(
+    log: Path, meaning: Interpretation, standing: Standing, stop: Trigger, watch: Watch | None = None
+) -> tuple[list[SlipPhase], list[NoPhase]]:
+    """Return the slip phases of the gear changes of a log, and the gear changes without one; raises StoppedError."""
+    decoder = meaning.decoder()
+    finder, events = ShiftFinder(tracker_for(decoder.signals, decoder.gears)), []
+    with read_log(log, is_stopped=lambda: stop.is_set, watch=watch) as reader:
+        for batch in reader:
+            if stop.is_set:
+                raise StoppedError("stopped early: nothing is predicted from a part of a log")
+            for columns in decoder.stream(batch):
+                standing.add(columns)
+                events += finder.feed(columns)
+    found = [slip_phase(event, decoder.gears) for event in [*events, *finder.flush()]]
+    return [one for one in found if isinstance(one, SlipPhase)], [one for one in found if isinstance(one, NoPhase)]
+
+
+def left_out_one_by_one(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[Shown]:
+    """Yield every slip phase with what the others say of it; raises ValueError if they are too few."""
+    for log, phase in named:
+        yield _shown(log, phase, [other for _, other in named if other is not phase], touch_pa)
+
+
+def second_half_from_first(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[Shown]:
+    """Yield the slip phases of the second half with what those of the first say; raises ValueError if too few."""
+    half = (len(named) + 1) // 2
+    for log, phase in named[half:]:
+        yield _shown(log, phase, [other for _, other in named[:half]], touch_pa)
+
+
+def _shown(log: str, phase: SlipPhase, known: Sequence[SlipPhase], touch_pa: float | None) -> Shown:
+    ours = predicted(fitted(known, touch_pa), phase)
+    return Shown(
+        log=log,
+        phase=phase,
+        predictions={OURS: ours, **{name: predicted_simply(name, known, phase) for name in SIMPLER}},
+    )
+
+
+def scores(shown: Sequence[Shown]) -> dict[str, dict[str, float]]:
+    """Return what each model was worth at the ends of the slip phases, and over all their samples.
+
+    ``crps_rad_s``, the continuous ranked probability score, is an error that a too narrow or too wide interval
+    enlarges; ``inside_50`` and ``inside_90`` are how many of 1 lay inside these intervals.
+    """
+    return {name: _score([(one.phase, one.predictions[name]) for one in shown]) for name in (OURS, *SIMPLER)}
+
+
+def _score(pairs: Sequence[tuple[SlipPhase, Prediction]]) -> dict[str, float]:
+    ends = [(one.mean_rad_s[-1], one.scale_rad_s[-1], one.freedom, phase.change_rad_s[-1]) for phase, one in pairs]
+    every = [
+        (mean, scale, one.freedom, true)
+        for phase, one in pairs
+        for mean, scale, true in zip(one.mean_rad_s, one.scale_rad_s, phase.change_rad_s, strict=True)
+    ]
+    errors = [abs(mean / true - 1.0) for mean, _, _, true in ends]
+    return {
+        "median_error_ratio": float(np.median(errors)),
+        "crps_rad_s": float(np.mean([_crps(*one) for one in ends])),
+        **{f"inside_{part}": _inside(ends, part) for part in (50, 90)},
+        **{f"samples_inside_{part}": _inside(every, part) for part in (50, 90)},
+    }
+
+
+def _crps(mean: float, scale: float, freedom: float, true: float) -> float:
+    from scipy.special import stdtrit  # noqa: PLC0415 - a large library
+
+    drawn = mean + scale * stdtrit(freedom, QUANTILES)
+    return float(np.mean(np.abs(drawn - true)) - 0.5 * np.mean(np.abs(drawn[:, None] - drawn)))
+
+
+def _inside(found: Sequence[tuple[float, float, float, float]], part: int) -> float:
+    from scipy.special import stdtrit  # noqa: PLC0415 - a large library
+
+    return float(np.mean([abs(true - mean) < scale * stdtrit(f, 0.5 + part / 200.0) for mean, scale, f, true in found]))
+
+
+def execute(options: SimpleNamespace, controls: Controls) -> None:
+    """Predict the shifts of logs from each other and show how well it went."""
+    meaning = interpret(options.dbc, options.profile, is_lenient=options.lenient, parser_time_s=options.parser_time)
+    signals = meaning.decoder().signals
+    wanted = {Signal.ENGINE_SPEED, *PRESSURES.values()}
+    if not wanted <= signals:
+        lacking = ", ".join(sorted(one.value for one in wanted - signals))
+        raise ConfigError(f"profile {meaning.profile.name} has no {lacking}. {missing_for_next(signals)}".rstrip())
+    standing, named, without = Standing(), list[tuple[str, SlipPhase]](), list[tuple[str, NoPhase]]()
+    with ReadingLine() as line:
+        for log in options.logs:
+            phases, others = slip_phases(log, meaning, standing, controls.stop, line.watch)
+            named += [(log.name, one) for one in phases]
+            without += [(log.name, one) for one in others]
+    touch_pa = PA_PER_KPA * options.touch if options.touch is not None else standing.touch_pa
+    groups = {
+        "power upshifts": [one for one in named if one[1].sign > 0.0 and one[1].is_powered],
+        "other upshifts": [one for one in named if one[1].sign > 0.0 and not one[1].is_powered],
+        "downshifts": [one for one in named if one[1].sign < 0.0],
+    }
+    console = PeopleConsole(stderr=options.json)
+    split = second_half_from_first if options.halves else left_out_one_by_one
+    for title, group in groups.items():
+        known = (len(group) + 1) // 2 if options.halves else len(group) - 1
+        if known < LEAST_EVENTS:
+            console.print(
+                f"{title}: {len(group)}, too few to predict one from others ({LEAST_EVENTS} others are needed)"
+            )
+            continue
+        shown = list(split(group, touch_pa))
+        if options.json:
+            sys.stdout.write(dump(_record(title, shown, touch_pa)) + "\n")
+        else:
+            for text in _lines(title, shown):
+                console.print(text)
+    for log, one in without:
+        console.print(f"{log}: {one.event.from_gear}-{one.event.to_gear} not used: {one.reason}")
+    if touch_pa is not None:
+        console.print(
+            f"touch point: {touch_pa / PA_PER_KPA:.1f} kPa{'' if options.touch else ', as found at standstill'}"
+        )
+
+
+def _record(title: str, shown: Sequence[Shown], touch_pa: float | None) -> dict[str, object]:
+    return {
+        "schema": SCHEMA,
+        "group": title,
+        "touch_pa": touch_pa,
+        "shifts": [
+            {
+                "log": one.log, "number": one.phase.number, "from_gear": one.phase.from_gear,
+                "to_gear": one.phase.to_gear, "clutch": one.phase.clutch, "t_s": one.phase.t_s[1:].tolist(),
+                "change_rad_s": one.phase.change_rad_s.tolist(),
+                "predictions": {
+                    name: {"mean_rad_s": said.mean_rad_s.tolist(), "scale_rad_s": said.scale_rad_s.tolist(),
+                           "freedom": said.freedom} for name, said in one.predictions.items()
+                },
+            }
+            for one in shown
+        ],
+        "scores": scores(shown),
+    }  # fmt: skip
+
+
+def _lines(title: str, shown: Sequence[Shown]) -> Iterator[str]:
+    """Yield the table of one group: engine speed from the old gear to the last sample before the clutch locks."""
+    yield f"{title}: change of engine speed in the slip [rad/s], each predicted from others"
+    yield f"{'log':<16} {'gears':>5} {'samples':>7} {'measured':>8} {'predicted':>15} {'error':>6}  in 50 % in 90 %"
+    for one in shown:
+        said, true = one.predictions[OURS], float(one.phase.change_rad_s[-1])
+        mean, scale = float(said.mean_rad_s[-1]), float(said.scale_rad_s[-1])
+        inside = ["yes" if _inside([(mean, scale, said.freedom, true)], part) else "no" for part in (50, 90)]
+        gears, spread = f"{one.phase.from_gear}-{one.phase.to_gear}", f"{mean:.0f} +- {scale:.0f}"
+        yield (
+            f"{one.log[:16]:<16} {gears:>5} {len(one.phase.t_s):>7} {true:>8.0f} {spread:>15} "
+            f"{100 * (mean / true - 1):>5.0f}%  {inside[0]:>7} {inside[1]:>7}"
+        )
+    yield f"{'model':<28} {'median error':>12} {'CRPS rad/s':>10} {'in 50 %':>8} {'in 90 %':>8}   of all samples"
+    for name, score in scores(shown).items():
+        yield (
+            f"{name:<28} {100 * score['median_error_ratio']:>10.0f} % {score['crps_rad_s']:>10.1f} "
+            f"{100 * score['inside_50']:>6.0f} % {100 * score['inside_90']:>6.0f} %   "
+            f"{100 * score['samples_inside_50']:.0f} % and {100 * score['samples_inside_90']:.0f} %"
+        )

@@ -1,0 +1,368 @@
+"""Blind prediction: what friction found in some shifts says of the course of engine speed in others.
+
+While the on-coming clutch slips, the engine obeys (docs/prediction.md)
+
+    d(omega)/dt = a x - d - s_on b_on (p_on - p_touch) - s_off b_off (p_off - p_touch)
+
+with x what tells the engine's torque up to a scale, pressures above the touch point, and s the sign of each clutch's
+slip; a clutch that sticks carries what keeps it so, up to its capacity. Inertia and geometry are inside a and b: no
+drawing is needed, and no engine torque. Pressures are read ``delay_s`` apart from speeds, which is found, too.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product, starmap
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from canlog.arrays import FloatArray, Int64Array
+from canlog.jit import array_kernel
+from canlog.series import Series
+from clutch_model.units import NS_PER_S
+from diag_service.diagnosis.columns import GearRatios, Signal
+from diag_service.diagnosis.events import Event
+
+STEP_S: Final = 0.002  # of the integration
+LEFT_OLD_GEAR: Final = 0.08  # of the step between the gears: by so much the engine has left the old one
+LEAST_ROWS: Final = 2  # samples of engine speed in a slip phase, its first included
+LEAST_EVENTS: Final = 4  # to find parameters from
+OPEN_RATIO: Final = 0.05  # of throttle, pedal: beyond it the engine drives
+TORQUE_SOURCES: Final = (Signal.ENGINE_TORQUE, Signal.INJECTION_TIME)
+PEDALS: Final = (Signal.PEDAL, Signal.THROTTLE)
+PRESSURES: Final = {1: Signal.CLUTCH1_PRESSURE, 2: Signal.CLUTCH2_PRESSURE}
+INPUTS: Final = {1: Signal.INPUT1_SPEED, 2: Signal.INPUT2_SPEED}
+PARAMETERS: Final = ("drive", "drag", "gain_1", "gain_2", "touch_pa", "delay_s")
+ROUNDS: Final = 8  # of finding parameters and what is left unexplained in turn
+GAIN_RATIOS: Final = (0.0, 0.02, 0.04, 0.07, 0.1, 0.15, 0.2)
+FREEDOM: Final = 4.0  # of Student's t
+MOST_LEVERAGE: Final = 0.8
+TOUCH_STD_PA, DELAY_STD_S = 1.5e4, 0.015
+MARGIN_S: Final = 0.15  # around a slip phase: pressures are read a little earlier or later
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlipPhase:
+    """A shift from the last sample in its old gear to the last one before its on-coming clutch locks.
+
+    ``t_s`` counts from the first of ``speed_rad_s``; the pressures and ``drive`` (what tells the torque, 1 where
+    nothing does) have times of their own around it, (n, 2) arrays of time and value.
+    """
+
+    number: int
+    from_gear: int
+    to_gear: int
+    is_powered: bool
+    start_ns: int
+    t_s: FloatArray
+    speed_rad_s: FloatArray
+    slip_rad_s: FloatArray  # of the on-coming clutch
+    on_pa: FloatArray
+    off_pa: FloatArray
+    drive: FloatArray
+
+    @property
+    def clutch(self) -> int:
+        """The on-coming clutch: 1 carries the odd gears."""
+        return 2 - self.to_gear % 2
+
+    @property
+    def sign(self) -> float:
+        """1 where the engine is faster than the new gear asks, as in an upshift; -1 where it is slower."""
+        return 1.0 if self.slip_rad_s[0] > 0.0 else -1.0
+
+    @property
+    def change_rad_s(self) -> FloatArray:
+        """Change of engine speed since the first sample, at every later one."""
+        change: FloatArray = self.speed_rad_s[1:] - self.speed_rad_s[0]
+        return change
+
+    @property
+    def mean_pa(self) -> float:
+        """Mean pressure of the on-coming clutch."""
+        return float(np.interp(self.t_s, *self.on_pa.T).mean())
+
+
+class NoPhase(NamedTuple):
+    """A gear change that cannot be predicted, and why."""
+
+    event: Event
+    reason: str
+
+
+def slip_phase(event: Event, gears: GearRatios | None = None) -> SlipPhase | NoPhase:
+    """Return the slip phase of a gear change, from speeds alone, or why there is none."""
+    columns = event.columns
+    missing = [
+        one.value for one in (Signal.ENGINE_SPEED, *PRESSURES.values()) if not len(columns.get(one, _NOTHING).t_ns)
+    ]
+    if event.from_gear == event.to_gear or min(event.from_gear, event.to_gear) < 1:
+        return NoPhase(event, "no change from gear to gear")
+    if missing:
+        return NoPhase(event, f"no {', '.join(missing)}")
+    engine = columns[Signal.ENGINE_SPEED]
+    inputs = _input_speeds(event, engine.t_ns, gears)
+    if inputs is None:
+        return NoPhase(event, "neither speeds behind the clutches nor ratios and a speed behind the gears")
+    on_slip, off_slip = engine.value - inputs[0], engine.value - inputs[1]
+    step = float(np.median((inputs[1] - inputs[0])[:3]))
+    left = np.flatnonzero((off_slip * -np.sign(step) > LEFT_OLD_GEAR * abs(step)) & (engine.t_ns >= event.start_ns))
+    if not len(left) or not left[0]:
+        return NoPhase(event, "the engine never leaves the old gear")
+    first = int(left[0]) - 1
+    locked = np.flatnonzero(on_slip[first:] * np.sign(step) <= 0.0)
+    stop = first + int(locked[0]) if len(locked) else len(on_slip)
+    if not len(locked) or stop - first < LEAST_ROWS:
+        return NoPhase(event, f"not enough samples in the slip ({stop - first} of at least {LEAST_ROWS})")
+    start_ns = int(engine.t_ns[first])
+    t_s = (engine.t_ns[first:stop] - start_ns) / NS_PER_S
+    clutch = 2 - event.to_gear % 2
+    source = next((columns[one] for one in TORQUE_SOURCES if one in columns and len(columns[one].t_ns)), None)
+    pedals = [columns[one].value for one in PEDALS if one in columns and len(columns[one].t_ns)]
+    return SlipPhase(
+        number=event.number,
+        from_gear=event.from_gear,
+        to_gear=event.to_gear,
+        is_powered=not pedals or float(np.median(pedals[0])) > OPEN_RATIO,
+        start_ns=start_ns,
+        t_s=t_s,
+        speed_rad_s=engine.value[first:stop],
+        slip_rad_s=on_slip[first:stop],
+        on_pa=_around(columns[PRESSURES[clutch]], start_ns),
+        off_pa=_around(columns[PRESSURES[3 - clutch]], start_ns),
+        drive=np.array([[0.0, 1.0]]) if source is None else _around(source, start_ns),
+    )
+
+
+_NOTHING: Final = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int64), value=np.empty(0))
+
+
+def _input_speeds(event: Event, t_ns: Int64Array, gears: GearRatios | None) -> tuple[FloatArray, FloatArray] | None:
+    """Return the speeds behind the on-coming and the off-going clutch at some times."""
+    columns, clutches = event.columns, (2 - event.to_gear % 2, 2 - event.from_gear % 2)
+    found = [columns.get(INPUTS[clutch], _NOTHING) for clutch in clutches]
+    if gears is not None and max(event.from_gear, event.to_gear) <= len(gears.ratios):
+        over = columns.get(gears.over, _NOTHING)
+        if len(over.t_ns):
+            speed = np.interp(t_ns, over.t_ns, over.value)
+            return gears.ratios[event.to_gear - 1] * speed, gears.ratios[event.from_gear - 1] * speed
+    if clutches[0] != clutches[1] and all(len(one.t_ns) for one in found):
+        return np.interp(t_ns, found[0].t_ns, found[0].value), np.interp(t_ns, found[1].t_ns, found[1].value)
+    return None
+
+
+def _around(series: Series, start_ns: int) -> FloatArray:
+    return np.column_stack([(series.t_ns - start_ns) / NS_PER_S, series.value])
+
+
+# --- the model --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scales:
+    """What parameters are counted in, so that each is about 1: means of the shifts they are found from."""
+
+    drive: float
+    pressure_pa: float
+    rate_rad_s2: float
+    touch_pa: float  # where the touch point is looked for
+    touch_std_pa: float
+
+
+class Scatter(NamedTuple):
+    """What no parameter explains: scales of Student's t, whose tails are heavy as those of skewed columns are."""
+
+    speed_rad_s: float  # of a sample
+    gain_ratio: float  # by how much the friction of a shift differs
+
+    def scales_rad_s(self, mean: FloatArray) -> FloatArray:
+        """Return the scale of every sample of a predicted change."""
+        return np.hypot(self.speed_rad_s, self.gain_ratio * mean)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Model:
+    """Parameters found from some shifts, in their scales, with what is left unexplained.
+
+    ``scatter`` is what one shift has of its own, beside the parameters.
+    """
+
+    scales: Scales
+    parameters: FloatArray
+    covariance: FloatArray
+    scatter: Scatter
+    event_count: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prediction:
+    """A distribution of the change of engine speed at every sample of a slip phase after its first: Student's t."""
+
+    mean_rad_s: FloatArray
+    scale_rad_s: FloatArray
+    freedom: float
+
+
+def fitted(phases: Sequence[SlipPhase], touch_pa: float | None = None) -> Model:
+    """Return the model that some slip phases show, by least squares with weak priors.
+
+    Parameters
+    ----------
+    touch_pa
+        Touch point, if it is known to 15 kPa; None: it is looked for between nothing and the lowest mean pressure.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than four of them.
+    """
+    if len(phases) < LEAST_EVENTS:
+        raise ValueError(f"{len(phases)} slip phases are too few, {LEAST_EVENTS} are needed")
+    from scipy.optimize import least_squares  # noqa: PLC0415 - a large library, for this alone
+
+    scales = _scales(phases, touch_pa)
+    measured = np.concatenate([one.change_rad_s for one in phases])
+    ends = np.cumsum([len(one.change_rad_s) for one in phases]) - 1
+    scatter = Scatter(0.1 * float(np.abs(measured).max()), 0.0)
+    found, means = np.array([0.5, 0.0, 1.0, 1.0, 0.0, 0.0]), measured
+    for _ in range(ROUNDS):
+        size = scatter.scales_rad_s(means)
+        weights = np.sqrt((FREEDOM + 1.0) / (FREEDOM + ((means - measured) / size) ** 2)) / size
+
+        def residuals(parameters: FloatArray, weights: FloatArray = weights) -> FloatArray:
+            off = np.concatenate([simulated(parameters, scales, phase) for phase in phases]) - measured
+            return np.concatenate([off * weights, _priors(parameters)])
+
+        solution = least_squares(residuals, found, diff_step=[1e-3] * len(PARAMETERS))
+        found = solution.x
+        means = np.concatenate([simulated(found, scales, phase) for phase in phases])
+        slopes = np.asarray(solution.jac, np.float64)
+        covariance = np.asarray(np.linalg.inv(slopes.T @ slopes), np.float64)
+        own = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)[
+            : len(measured)
+        ]  # leverage: what a sample fits itself
+        scatter = _likeliest(means, (means - measured) / np.sqrt(1.0 - np.minimum(own, MOST_LEVERAGE)), ends)
+    return Model(scales=scales, parameters=found, covariance=covariance, scatter=scatter, event_count=len(phases))
+
+
+def predicted(model: Model, phase: SlipPhase) -> Prediction:
+    """Return what a model says of a slip phase, given its pressures and its first speeds."""
+    mean = simulated(model.parameters, model.scales, phase)
+    slopes = np.empty((len(mean), len(PARAMETERS)))
+    for one in range(len(PARAMETERS)):
+        step = np.zeros(len(PARAMETERS))
+        step[one] = 0.02
+        ahead = simulated(model.parameters + step, model.scales, phase)
+        slopes[:, one] = (ahead - simulated(model.parameters - step, model.scales, phase)) / 0.04
+    variance = np.einsum("ij,jk,ik->i", slopes, model.covariance, slopes)
+    variance += model.scatter.scales_rad_s(mean) ** 2
+    return Prediction(mean_rad_s=mean, scale_rad_s=np.sqrt(variance), freedom=FREEDOM)
+
+
+def simulated(parameters: FloatArray, scales: Scales, phase: SlipPhase) -> FloatArray:
+    """Return the change of engine speed at every sample of a slip phase after its first, (n - 1,) [rad/s]."""
+    drive, drag, gain_1, gain_2, touch, delay = parameters
+    t_s = np.arange(0.0, float(phase.t_s[-1]) + STEP_S, STEP_S)
+    read_s = t_s + delay * DELAY_STD_S
+    touch_pa = scales.touch_pa + touch * scales.touch_std_pa
+    above = [
+        np.maximum(np.interp(read_s, *one.T) - touch_pa, 0.0) / scales.pressure_pa
+        for one in (phase.on_pa, phase.off_pa)
+    ]
+    gains = (gain_1, gain_2) if phase.clutch == 1 else (gain_2, gain_1)
+    engine = drive * np.interp(t_s, *phase.drive.T) / scales.drive - drag
+    change = np.empty(len(t_s))
+    _integrate(
+        scales.rate_rad_s2 * phase.sign * (engine - phase.sign * gains[0] * above[0]),
+        scales.rate_rad_s2 * np.abs(gains[1]) * above[1],
+        STEP_S,
+        change,
+    )
+    return np.interp(phase.t_s[1:], t_s, phase.sign * change)
+
+
+@array_kernel
+def _integrate(rate: FloatArray, hold: FloatArray, step_s: float, change: FloatArray) -> None:
+    """Integrate the rate at which the engine goes from the old gear to the new one, below zero, beside what holds it.
+
+    While the off-going clutch sticks it holds the engine up to ``hold``; when the engine has left, it pulls by that.
+    """
+    now = 0.0
+    for row in range(len(rate)):
+        change[row] = now
+        pulled = rate[row] + hold[row]
+        now += step_s * (min(pulled, 0.0) if now >= 0.0 else pulled)
+
+
+def _scales(phases: Sequence[SlipPhase], touch_pa: float | None) -> Scales:
+    rates = [abs(one.change_rad_s[-1]) / one.t_s[-1] for one in phases]
+    pressures = [one.mean_pa for one in phases]
+    drives = np.abs(np.concatenate([one.drive[:, 1] for one in phases]))
+    known = touch_pa is not None
+    return Scales(
+        drive=float(np.median(drives)) or 1.0,
+        pressure_pa=float(np.median(pressures)),
+        rate_rad_s2=float(np.median(rates)),
+        touch_pa=touch_pa if touch_pa is not None else 0.5 * min(pressures),
+        touch_std_pa=TOUCH_STD_PA if known else 0.3 * min(pressures),
+    )
+
+
+def _priors(parameters: FloatArray) -> FloatArray:
+    """Return how far parameters are from what physics lets expect, in standard deviations."""
+    drive, drag, gain_1, gain_2, touch, delay = parameters
+    alike = (gain_1 - gain_2) / (0.1 * (abs(gain_1) + abs(gain_2)) + 1e-6)
+    return np.array([drive / 3.0, drag / 0.3, (gain_1 + gain_2) / 8.0, alike, touch, delay])
+
+
+def _likeliest(means: FloatArray, left: FloatArray, ends: Int64Array) -> Scatter:
+    """Return the scatter that makes what is left of some shifts the likeliest.
+
+    All samples count together as much as the last ones of the shifts: what a whole shift has of its own shows there.
+    """
+    best, found = np.inf, Scatter(1.0, 0.0)
+    for scatter in starmap(Scatter, product(np.geomspace(0.5, 40.0, 30).tolist(), GAIN_RATIOS)):
+        size = scatter.scales_rad_s(means)
+        costs = 2.0 * np.log(size) + (FREEDOM + 1.0) * np.log1p((left / size) ** 2 / FREEDOM)
+        cost = float(costs.mean() + costs[ends].mean())
+        if cost < best:
+            best, found = cost, scatter
+    return found
+
+
+# --- what is simpler --------------------------------------------------------------------------------------------------
+
+
+def _mean_rate(known: Sequence[SlipPhase], phase: SlipPhase) -> float:
+    own = [one for one in known if one.clutch == phase.clutch] or known
+    return float(np.mean([one.change_rad_s[-1] / one.t_s[-1] for one in own]))
+
+
+def _line_of_pressure(known: Sequence[SlipPhase], phase: SlipPhase) -> float:
+    rates = [one.change_rad_s[-1] / one.t_s[-1] for one in known]
+    slope, level = np.polyfit([one.mean_pa for one in known], rates, 1)
+    return float(slope * phase.mean_pa + level)
+
+
+def _nearest_shift(known: Sequence[SlipPhase], phase: SlipPhase) -> float:
+    nearest = min(known, key=lambda one: (one.to_gear != phase.to_gear, abs(one.mean_pa - phase.mean_pa)))
+    return float(nearest.change_rad_s[-1] / nearest.t_s[-1])
+
+
+SIMPLER: Final[Mapping[str, Callable[[Sequence[SlipPhase], SlipPhase], float]]] = {
+    "mean rate of the clutch": _mean_rate,
+    "line through mean pressure": _line_of_pressure,
+    "nearest shift": _nearest_shift,
+}
+"""Rates of engine speed from other shifts, each a straight line through the slip phase."""
+
+
+def predicted_simply(name: str, known: Sequence[SlipPhase], phase: SlipPhase) -> Prediction:
+    """Return what a simpler model says; its deviation is what it misses on the known shifts, each left out."""
+    rate = SIMPLER[name]
+    missed = [
+        rate([other for other in known if other is not one], one) * one.t_s[-1] - one.change_rad_s[-1] for one in known
+    ]
+    mean = rate(known, phase) * phase.t_s[1:]
+    std = float(np.sqrt(np.mean(np.square(missed)))) * phase.t_s[1:] / phase.t_s[-1]
+    return Prediction(mean_rad_s=mean, scale_rad_s=std, freedom=float(len(known)))
