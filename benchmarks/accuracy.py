@@ -30,10 +30,10 @@ from diag_service.diagnosis.records import FrictionEstimate, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
-from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario import FluidCondition
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.scenario import FluidCondition
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 EPOCH_US = 1_767_225_600_000_000  # any bus time: 2026-01-01 UTC
 FIRST_SEED = 16_000  # seeds below were looked at while priors and drifts were chosen

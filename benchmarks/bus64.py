@@ -10,8 +10,8 @@ from cantools.database.can import Database
 from canlog.arrays import FloatArray
 from canlog.decode.codec import Codec
 from canlog.frames import FrameBatch
-from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.record import open_log
+from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.log_formats.record import open_log
 
 FRAME_PERIOD_S = 0.00025
 FIRST_ID, MESSAGE_COUNT, MULTIPLEXED_COUNT = 0x100, 10, 2

@@ -25,9 +25,9 @@ from diag_service.diagnosis.records import Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
-from ecu_emulator.faults import BusFault, BusFaultKind
-from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.faults import BusFault, BusFaultKind
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 SHARES = (0.0, 0.01, 0.05)
 SEEDS = 40

@@ -7,8 +7,8 @@ import numpy as np
 
 from benchmarks.accuracy import FLUIDS
 from clutch_model.calibration import nominal_calibration
-from ecu_emulator.scenario import Effects, FluidCondition, Routine, Scenario, Truth
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.scenario.scenario import Effects, FluidCondition, Routine, Scenario, Truth
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 CYCLES = 3
 SPEEDS = ("engine_speed_rad_s", "hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_rad_s", "output_speed_rad_s")

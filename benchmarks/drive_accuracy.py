@@ -42,11 +42,11 @@ from diag_service.diagnosis.records import Condition, FrictionEstimate, ScaleFre
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Diagnosis, Stages
-from ecu_emulator.drive_names import DriveName
-from ecu_emulator.frames import merge
-from ecu_emulator.recording import Drive
-from ecu_emulator.scenario import Ambient, Routine, Scenario
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.bus.frames import merge
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.scenario import Ambient, Routine, Scenario
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 FIRST_SEED: Final = 95_000  # seeds below were looked at while priors and gates were chosen
 MOMENTS: Final = (2, 5, 10, 30)  # events used

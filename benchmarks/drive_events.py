@@ -33,18 +33,18 @@ from diag_service.diagnosis.records import Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
-from ecu_emulator.build import build_vehicle
-from ecu_emulator.drive_names import DriveName
+from ecu_emulator.bus.frames import merge
+from ecu_emulator.drive.build import build_vehicle
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.drive.road import WHOLE_STAY_S, journey
 from ecu_emulator.driving.public_traces import public_trace
 from ecu_emulator.driving.trips import PlannedTrip, trips
-from ecu_emulator.event_watcher import PRESSED_NM
-from ecu_emulator.frames import merge
 from ecu_emulator.plant import Col
-from ecu_emulator.recording import Drive
-from ecu_emulator.road import WHOLE_STAY_S, journey
-from ecu_emulator.scenario import Ambient, FluidCondition
-from ecu_emulator.scenario_file import load_scenario
-from ecu_emulator.truth import EventTruth
+from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.scenario import Ambient, FluidCondition
+from ecu_emulator.scenario.scenario_file import load_scenario
+from ecu_emulator.truth.event_watcher import PRESSED_NM
+from ecu_emulator.truth.records import EventTruth
 
 CITY_SEED: Final = 77
 SLIP_RAD_S: Final = 5.0

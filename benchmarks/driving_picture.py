@@ -19,13 +19,13 @@ from benchmarks.drive_events import planned
 from canlog.arrays import FloatArray
 from clutch_model.units import bar_from_pa, k_from_degc, rpm_from_rad_s
 from demo.picture import CLUTCH_COLOUR, INK
-from ecu_emulator.build import build_vehicle
-from ecu_emulator.drive_names import DriveName
+from ecu_emulator.drive.build import build_vehicle
+from ecu_emulator.drive.road import WHOLE_STAY_S, journey
 from ecu_emulator.driving.states import EventKind
 from ecu_emulator.plant import Col
-from ecu_emulator.road import WHOLE_STAY_S, journey
-from ecu_emulator.scenario import Ambient
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.scenario import Ambient
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 PATH: Final = Path(__file__).parents[1] / "docs" / "driving.svg"
 STRETCH_S: Final = 60.0

@@ -38,9 +38,9 @@ from canlog.frames import FrameBatch
 from diag_service.diagnosis.columns import BALANCE_SIGNALS
 from diag_service.diagnosis.events import Event
 from diag_service.service.stages import Stages
-from ecu_emulator.drive_names import DriveName
-from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # filterpy loads matplotlib, whose own dependencies are deprecated

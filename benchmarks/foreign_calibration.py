@@ -28,10 +28,10 @@ from diag_service.diagnosis.friction.values import friction as friction_of
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Diagnosis, Stages
-from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario import Routine, Scenario
-from ecu_emulator.scenario_file import load_scenario
-from ecu_emulator.truth import TruthLog
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.scenario import Routine, Scenario
+from ecu_emulator.scenario.scenario_file import load_scenario
+from ecu_emulator.truth.records import TruthLog
 
 FIRST_SEED = 52_000  # seeds below were looked at while the rule was chosen
 VEHICLES = 30

@@ -36,8 +36,8 @@ from diag_service.diagnosis.shifts.gear_tracking import tracker_for
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
-from ecu_emulator.recording import Drive
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 BURST = 10  # frames per wake-up
 TARGET_RATIOS = {  # seconds between bursts: least ratio

@@ -40,8 +40,8 @@ from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore
-from ecu_emulator.recording import Drive
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 FULL_HZ = 3_850  # frames of eight bytes with their stuff bits, about 130 bits each, at 500 kbit/s
 FOREIGN_ID = 0x7A0

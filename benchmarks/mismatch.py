@@ -23,8 +23,8 @@ from benchmarks.study import diagnose, over_drives, percent, root_mean_square
 from diag_service.diagnosis.friction.values import friction as friction_of
 from diag_service.diagnosis.records import FrictionEstimate, Status
 from diag_service.service.stages import Diagnosis
-from ecu_emulator.scenario import FluidCondition, Scenario
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.scenario.scenario import FluidCondition, Scenario
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 PAGE = Path(__file__).parent.parent / "docs" / "mismatch.md"
 NOISE_ONLY, SCATTERED = "noise_only", "ideal"

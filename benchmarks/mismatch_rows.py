@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from ecu_emulator.scenario import Effects, Scenario
+from ecu_emulator.scenario.scenario import Effects, Scenario
 
 TORQUE = ("engine_torque_nm",)
 PRESSURES = ("clutch1_pressure_pa", "clutch2_pressure_pa")

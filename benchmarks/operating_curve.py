@@ -25,8 +25,8 @@ from clutch_model.calibration import nominal_calibration
 from demo.picture import CONDITION_COLOUR, GRID
 from diag_service.diagnosis.records import Condition
 from diag_service.service.stages import Diagnosis
-from ecu_emulator.scenario import Scenario, Truth
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.scenario.scenario import Scenario, Truth
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 DOCS = Path(__file__).parent.parent / "docs"
 STEM = "verdict-operating-curve"

@@ -36,8 +36,8 @@ from diag_service.diagnosis.records import Condition, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Diagnosis, Stages
-from ecu_emulator.recording import Drive, frames_of
-from ecu_emulator.scenario import FluidCondition, Routine, Scenario, Truth
+from ecu_emulator.drive.recording import Drive, frames_of
+from ecu_emulator.scenario.scenario import FluidCondition, Routine, Scenario, Truth
 
 FIRST_SEED: Final = 93_000
 TRIALS_PER_VEHICLE: Final = 5

@@ -43,9 +43,9 @@ from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
-from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario import Routine, Scenario
+from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.scenario import Routine, Scenario
 
 FIRST_SEED = 27_000  # seeds below were looked at while priors and gates were chosen
 REV_COUNT = 20

@@ -28,11 +28,11 @@ from diag_service.diagnosis.records import FrictionEstimate, ShiftEstimate, Stat
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
-from ecu_emulator.faults import SensorFault, SensorFaultKind
-from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario import FluidCondition, Scenario
-from ecu_emulator.scenario_file import load_scenario
-from ecu_emulator.truth import ShiftTruth, TruthLog
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
+from ecu_emulator.scenario.scenario import FluidCondition, Scenario
+from ecu_emulator.scenario.scenario_file import load_scenario
+from ecu_emulator.truth.records import ShiftTruth, TruthLog
 
 DATABASE, PROFILE, CALIBRATION = load_contract(), load_profile(), nominal_calibration()
 NOISE_ONLY, SCATTERED = "noise_only", "ideal"

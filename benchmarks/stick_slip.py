@@ -30,9 +30,9 @@ from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
-from ecu_emulator.frames import merge
-from ecu_emulator.recording import Drive
-from ecu_emulator.truth import EventTruth
+from ecu_emulator.bus.frames import merge
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.truth.records import EventTruth
 
 FIRST_SEED: Final = 92_000
 TRACES: Final = ("udds", "us06", "wltc")

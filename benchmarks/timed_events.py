@@ -23,9 +23,9 @@ from diag_service.diagnosis.friction import Posterior
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
-from ecu_emulator.drive_names import DriveName
-from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 ROUNDS = 5
 

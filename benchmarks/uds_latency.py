@@ -16,13 +16,13 @@ import doipclient.client
 import isotp
 import numpy as np
 
-from ecu_emulator.answering import Answering
-from ecu_emulator.bus import TransmitReport, transmit
+from ecu_emulator.answering.answering_tester import Answering
+from ecu_emulator.bus.sender import TransmitReport, transmit
 from ecu_emulator.diagnostics.doip.listening import Place, parse_place
-from ecu_emulator.live import own_ids
-from ecu_emulator.other_senders import OtherSenders
-from ecu_emulator.recording import SHORT_STRETCH_S, Drive
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
+from ecu_emulator.live.live_drive import own_ids
+from ecu_emulator.live.other_senders import OtherSenders
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 REQUEST_ID, RESPONSE_ID = 0x7E1, 0x7E9
 SHORT, LONG = b"\x22\x01\x05", b"\x22\xf1\x90"  # one frame back; three and a flow control

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from demo.listener import ClutchState
 from diag_service.diagnosis.records import FrictionEstimate, ShiftResult
-from ecu_emulator.truth import ShiftTruth, TruthLog
+from ecu_emulator.truth.records import ShiftTruth, TruthLog
 from fleet_contract import CLUTCHES
 
 MAX_ERROR_STD = 4.0  # beyond it an estimate is wrong, not unlucky: 6e-5 by chance

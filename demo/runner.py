@@ -23,7 +23,7 @@ from demo.scan_tool import ScanTool
 from demo.table import live_line, order_lines, print_outcome, verdict_lines
 from demo.traces import recorded_shift
 from diag_service.diagnosis.records import ShiftResult
-from ecu_emulator.truth import read_truth
+from ecu_emulator.truth.records import read_truth
 from fleet_contract import CLUTCHES
 from fleet_link import BrokerAddress
 

@@ -17,10 +17,10 @@ if typing.TYPE_CHECKING:
     from ecu_emulator.api.pdx import write_pdx
     from ecu_emulator.commands import Recording
     from ecu_emulator.errors import BusError, ConfigError, EmulatorError, ExtraMissingError, RecordError
-    from ecu_emulator.faults import BusFault, SensorFault
-    from ecu_emulator.scenario import Scenario
-    from ecu_emulator.scenario_file import load_scenario, shipped_scenarios
-    from ecu_emulator.truth import TruthLog, read_truth
+    from ecu_emulator.scenario.faults import BusFault, SensorFault
+    from ecu_emulator.scenario.scenario import Scenario
+    from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
+    from ecu_emulator.truth.records import TruthLog, read_truth
 
 __all__ = [
     "Answers",
@@ -52,9 +52,9 @@ _HOMES = {
     "ecu_emulator.api.pdx": ("write_pdx",),
     "ecu_emulator.commands": ("Recording",),
     "ecu_emulator.errors": ("BusError", "ConfigError", "EmulatorError", "ExtraMissingError", "RecordError"),
-    "ecu_emulator.faults": ("BusFault", "SensorFault"),
-    "ecu_emulator.scenario": ("Scenario",),
-    "ecu_emulator.scenario_file": ("load_scenario", "shipped_scenarios"),
-    "ecu_emulator.truth": ("TruthLog", "read_truth"),
+    "ecu_emulator.scenario.faults": ("BusFault", "SensorFault"),
+    "ecu_emulator.scenario.scenario": ("Scenario",),
+    "ecu_emulator.scenario.scenario_file": ("load_scenario", "shipped_scenarios"),
+    "ecu_emulator.truth.records": ("TruthLog", "read_truth"),
 }
 __getattr__, __dir__ = _on_demand(__name__, _HOMES)

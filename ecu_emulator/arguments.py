@@ -9,7 +9,7 @@ import click
 
 from clutchdiag_io.command_line import FILE, INT, Choice, Command, Option, Program, parse
 from clutchdiag_io.overwriting import FORCE
-from ecu_emulator.drive_names import DriveName
+from ecu_emulator.scenario.drive_names import DriveName
 
 PROGRAM: Final = "ecu-emulator"
 EXIT_TEXT: Final = (

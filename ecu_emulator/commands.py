@@ -18,14 +18,14 @@ from clutch_model.units import k_from_degc
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.overwriting import refusal
 from ecu_emulator.arguments import MOST_PARKED_S
-from ecu_emulator.drive_names import DriveName
+from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.errors import ConfigError, ExtraMissingError, RecordError
+from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFile, LogFormat, LogStream, open_log, open_log_stream
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
-from ecu_emulator.record import DEFAULT_START_NS, LogFile, LogFormat, LogStream, open_log, open_log_stream
-from ecu_emulator.recording import LONG_STRETCH_S, Drive
-from ecu_emulator.scenario import Ambient, FluidCondition, Routine, Scenario, Truth
-from ecu_emulator.scenario_file import load_scenario, shipped_scenarios
-from ecu_emulator.truth import Totals, TruthWriter, read_truth, truth_path
+from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Routine, Scenario, Truth
+from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
+from ecu_emulator.truth.records import Totals, TruthWriter, read_truth, truth_path
 
 if TYPE_CHECKING:
     from ecu_emulator.diagnostics.table import DiagnosticTable

@@ -11,7 +11,7 @@ import numpy as np
 from canlog.frame_columns import join
 from canlog.frames import FrameBatch
 from canlog.logs import read_log
-from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.log_formats import BlfWriter, CandumpWriter, FrameWriter, Header, Mf4Writer
 
 NS_PER_US: Final = 1_000

@@ -13,8 +13,8 @@ from cantools.database.can import Database, Message
 
 from benchmarks.decoding.layout import MIXED, Place, signal
 from canlog.arrays import FloatArray, Int64Array, UInt8Array
-from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.record import open_log
+from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.log_formats.record import open_log
 
 FIRST_ID: Final = 0x100
 PERIODS_S: Final = (0.01,) * 20 + (0.02,) * 20 + (0.05,) * 20 + (0.1,) * 20 + (0.2,) * 10 + (1.0,) * 10

@@ -26,8 +26,8 @@ from diag_service.diagnosis.records import ShiftEstimate, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Diagnosis, Stages
-from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario import Ambient, FluidCondition, Routine, Truth
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Routine, Truth
 
 DRIVES: Final = 24  # of one vehicle, from new fluid to a margin of none
 DAY_S: Final = 86_400.0

@@ -13,9 +13,9 @@ from diag_service.diagnosis.friction.paper import PaperCollection, PaperEstimate
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
-from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario import FluidCondition
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.scenario import FluidCondition
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 SCENARIO = "noise_only"
 FLUID = {Case.IDEAL: FluidCondition.IDEAL, Case.CASE_1: FluidCondition.CASE_1, Case.CASE_2: FluidCondition.CASE_2}

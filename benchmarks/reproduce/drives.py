@@ -13,7 +13,7 @@ from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.friction.paper.friction_data import TABLE_END_PA, FilmTable, static_table
 from diag_service.diagnosis.friction.paper.method import PaperSignals
 from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
-from ecu_emulator.tcu_data import INERTIA, PREFILL, TORQUE
+from ecu_emulator.shift_control.tcu_data import INERTIA, PREFILL, TORQUE
 
 BoolArray = npt.NDArray[np.bool_]
 

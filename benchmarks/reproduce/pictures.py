@@ -21,7 +21,7 @@ from diag_service.diagnosis.friction.paper.differentiate import SteadyKalman
 from diag_service.diagnosis.friction.paper.fit import coulomb_gate, static_gate
 from diag_service.diagnosis.friction.paper.method import Analysis, PaperSignals
 from ecu_emulator.plant import Col
-from ecu_emulator.tcu_data import HOLD, TORQUE
+from ecu_emulator.shift_control.tcu_data import HOLD, TORQUE
 
 LegendPlace = Literal["upper right", "upper left", "lower left", "center right"]  # where the lines leave room
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from ecu_emulator.arguments import DOIP_TLS_PORT
 from ecu_emulator.diagnostics.doip.tls import tls_node
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.faults import BusFault, SensorFault
-from ecu_emulator.live import DiagnosticsChoice, diagnostics_choice
-from ecu_emulator.scenario import Scenario
-from ecu_emulator.scenario_file import parse_fault
+from ecu_emulator.live.live_drive import DiagnosticsChoice, diagnostics_choice
+from ecu_emulator.scenario.faults import BusFault, SensorFault
+from ecu_emulator.scenario.scenario import Scenario
+from ecu_emulator.scenario.scenario_file import parse_fault
 
 AnyPath = str | os.PathLike[str]
 AnyFault = SensorFault | BusFault | Mapping[str, object]

@@ -33,16 +33,16 @@ from ecu_emulator.arguments import (
     PARKED_RANGE_S,
     ns_of,
 )
-from ecu_emulator.bus import open_bus
+from ecu_emulator.bus.sender import open_bus
 from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, write_log
-from ecu_emulator.drive_names import DriveName
+from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live import BusChoice, send
-from ecu_emulator.record import DEFAULT_START_NS, LogFormat
-from ecu_emulator.recording import Drive
-from ecu_emulator.scenario import FluidCondition, Scenario
-from ecu_emulator.sent_truth import SentTruth
-from ecu_emulator.truth import ROTATED_BYTES, TruthLog, TruthWriter
+from ecu_emulator.live.live_drive import BusChoice, send
+from ecu_emulator.live.sent_truth import SentTruth
+from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFormat
+from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.scenario import FluidCondition, Scenario
+from ecu_emulator.truth.records import ROTATED_BYTES, TruthLog, TruthWriter
 
 VIRTUAL: Final = "virtual"
 POLL_S: Final = 0.01

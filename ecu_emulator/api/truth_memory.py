@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.sent_truth import TruthSink
-from ecu_emulator.truth import DriveTruth, Happened, Totals, TruthLog, truth_log
+from ecu_emulator.live.sent_truth import TruthSink
+from ecu_emulator.truth.records import DriveTruth, Happened, Totals, TruthLog, truth_log
 
 MOST_KEPT: Final = 100_000  # of an endless drive the last ones, half a kilobyte each
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from ecu_emulator.touch_points import TouchPoint
+from ecu_emulator.shift_control.touch_points import TouchPoint
 
 CLUTCHES: Final = (1, 2)
 

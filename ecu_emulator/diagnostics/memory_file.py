@@ -24,8 +24,8 @@ from ecu_emulator.diagnostics.opinion import ClutchOpinion
 from ecu_emulator.diagnostics.state import ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.errors import RecordError
-from ecu_emulator.scenario import FluidVerdict
-from ecu_emulator.touch_points import TouchPoint
+from ecu_emulator.scenario.scenario import FluidVerdict
+from ecu_emulator.shift_control.touch_points import TouchPoint
 
 FORMAT: Final = 1
 OWNER_ONLY: Final = 0o600

@@ -13,7 +13,7 @@ from clutch_model.gears import clutch_of_gear
 from ecu_emulator.diagnostics.clutch_heat import heated_k
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.values import Values
-from ecu_emulator.signals import SILENCE
+from ecu_emulator.scenario.signals import SILENCE
 
 Sample = tuple[str, TestResult]  # a trouble code as scan tools show it, and the sample
 

@@ -9,7 +9,7 @@ from typing import Final
 from ecu_emulator.diagnostics.adaptation import CLUTCHES, Adaptation
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.memory import TestResult, TroubleRecord
-from ecu_emulator.scenario import FluidVerdict, OnBoard
+from ecu_emulator.scenario.scenario import FluidVerdict, OnBoard
 
 FLUID_CODE: Final = "P0897"
 ADAPTATION_CODE: Final = "P0810"

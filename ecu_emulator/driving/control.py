@@ -2,7 +2,6 @@
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
-from ecu_emulator import tcu, tcu_data
 from ecu_emulator.driving import changes, gear_choice, launching, standing, under_power
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.laws import (
@@ -13,6 +12,7 @@ from ecu_emulator.driving.laws import (
     idle_rad_s,
 )
 from ecu_emulator.driving.states import DriveState, EventKind
+from ecu_emulator.shift_control import tcu, tcu_data
 
 _PULLING_NM = 8.0  # torque from which the engine drives the car
 _HOLD_RATIO = 1.15  # of the engine torque, and a margin: so much holds at once

@@ -4,9 +4,9 @@ import math
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
-from ecu_emulator import tcu, tcu_data
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.laws import DrivingLaw, gear_speed_rad_s, idle_rad_s, shift_shaft
+from ecu_emulator.shift_control import tcu, tcu_data
 
 _BRAKING_M_S2 = 0.3
 _FORESEEN_RATIO = 1.5  # of the time of an upshift: a foot that is off by then shall not meet its end

@@ -3,7 +3,7 @@
 Pairs hold clutch 1 (odd gears) first; clutch 2 follows.
 """
 
-from ecu_emulator import tcu_data
+from ecu_emulator.shift_control import tcu_data
 
 # What the controllers sense beyond `tcu_data`.
 VEHICLE_SPEED = tcu_data.SENSE_COUNT

@@ -4,12 +4,12 @@ import math
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, kernel
-from ecu_emulator import tcu, tcu_data
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving import standing
 from ecu_emulator.driving.laws import DrivingLaw, end_event, enter_state, idle_rad_s
 from ecu_emulator.driving.parameters import LaunchParameters
 from ecu_emulator.driving.states import DriveState, EventKind
+from ecu_emulator.shift_control import tcu, tcu_data
 
 _LOCK_AHEAD_RAD_S = 15.0  # an engine that closes onto a faster shaft aims above it
 _LOCK_BEHIND_RAD_S = 5.0

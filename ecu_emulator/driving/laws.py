@@ -6,11 +6,11 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
-from ecu_emulator import tcu_data
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.parameters import DrivingParameters
 from ecu_emulator.driving.states import DriveState, EventKind
 from ecu_emulator.plant.loop import DriveLaw
+from ecu_emulator.shift_control import tcu_data
 
 _CLOSED_MANIFOLD_RATIO = 0.25  # of ambient pressure, throttle closed, engine turned by the car
 _CYCLE_RAD = 4.0 * np.pi

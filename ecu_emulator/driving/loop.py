@@ -8,7 +8,6 @@ import numpy.typing as npt
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
-from ecu_emulator import tcu, tcu_data
 from ecu_emulator.driving import indices
 from ecu_emulator.driving.control import control, have_whim
 from ecu_emulator.driving.driver import drive, seen
@@ -20,6 +19,7 @@ from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.integration import advance_millisecond, settle
 from ecu_emulator.plant.loop import Machine, hold_car, obey, record_bodies, record_clutches, sense_plant
+from ecu_emulator.shift_control import tcu, tcu_data
 
 
 class Road(NamedTuple):

@@ -2,7 +2,6 @@
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
-from ecu_emulator import tcu, tcu_data
 from ecu_emulator.driving import gear_choice
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.laws import (
@@ -16,6 +15,7 @@ from ecu_emulator.driving.laws import (
 )
 from ecu_emulator.driving.states import DriveState, EngineState, EventKind
 from ecu_emulator.plant.vehicle import GRAVITY_M_S2
+from ecu_emulator.shift_control import tcu, tcu_data
 
 _CREEP_SHARE = 0.8  # of the speed at which creeping ends: from there on the car may roll
 _RESTING_FOOT_S = 0.15

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from canlog.arrays import FloatArray
-from ecu_emulator import tcu_data
 from ecu_emulator.driving import indices
 from ecu_emulator.driving.conditions import Car, DriveConditions
 from ecu_emulator.driving.driver import GRID_S
@@ -23,6 +22,7 @@ from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
 from ecu_emulator.plant.powertrain import believe, drive_law
 from ecu_emulator.plant.records import as_record
 from ecu_emulator.plant.stability import check_step
+from ecu_emulator.shift_control import tcu_data
 
 BLOCK_S = 10.0
 _IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure

@@ -9,11 +9,11 @@ from typing import Final
 
 import numpy as np
 
-from ecu_emulator.drive_names import DriveName
 from ecu_emulator.driving.public_traces import public_trace
 from ecu_emulator.driving.trace import SpeedTrace
 from ecu_emulator.driving.traffic import CITY, MIXED, MOTORWAY, Range, Traffic, traffic_trace
-from ecu_emulator.signals import generator
+from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.signals import generator
 
 CITY_TRIP_S: Final = 1200.0
 CITY_GRADE_RATIO: Final = 0.02  # the steepest place

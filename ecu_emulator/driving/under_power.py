@@ -2,10 +2,10 @@
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
-from ecu_emulator import tcu, tcu_data
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.changes import NOBODY, SYNC_BAND_RAD_S, catch_overrun, lock_up
 from ecu_emulator.driving.laws import DrivingLaw, gear_speed_rad_s, shift_shaft
+from ecu_emulator.shift_control import tcu, tcu_data
 
 _RAISE_MARGIN_NM = 15.0
 _RELEASED_RATIO = 0.6  # of the touch pressure

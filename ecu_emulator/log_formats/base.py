@@ -6,7 +6,7 @@ from typing import BinaryIO, Final, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.bus.frames import EncodedFrames
 
 Int64Array = npt.NDArray[np.int64]
 UInt8Array = npt.NDArray[np.uint8]

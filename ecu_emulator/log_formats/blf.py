@@ -7,7 +7,7 @@ from typing import BinaryIO, Final
 
 import numpy as np
 
-from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.log_formats.base import US_PER_MS, US_PER_S, Header, Int64Array
 
 FILE_HEADER: Final = struct.Struct("<4sL8BQQLL8H8H72x")

@@ -5,8 +5,8 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
+from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.errors import ExtraMissingError
-from ecu_emulator.frames import EncodedFrames
 from ecu_emulator.log_formats.base import EXTENDED_FLAG, PAYLOAD_BYTES, US_PER_S, Header, Int64Array
 
 FRAME: Final = np.dtype([

@@ -5,7 +5,7 @@ from base64 import b64encode
 from datetime import datetime
 from typing import BinaryIO, Final
 
-from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.log_formats.base import ERROR_FLAG, EXTENDED_FLAG, US_PER_MS, US_PER_S, Header, Int64Array
 
 US_PER_DAY: Final = 86_400_000_000

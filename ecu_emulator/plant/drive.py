@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 from clutch_model.errors import CalibrationError
 from clutch_model.tables import require
-from ecu_emulator import tcu_data
-from ecu_emulator.tcu_data import ControlParameters
+from ecu_emulator.shift_control import tcu_data
+from ecu_emulator.shift_control.tcu_data import ControlParameters
 
 _MAX_REVS = 20
 _VARIATION_LIMIT = 2.5  # standard deviations; the driver never leaves the range in which the cycle makes sense

@@ -5,7 +5,6 @@ from typing import NamedTuple
 from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel
 from clutch_model.viscosity import viscosity_pa_s
-from ecu_emulator import pressure_steps, tcu, tcu_data, workshop
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import BRAKES, stored_energy_j
 from ecu_emulator.plant.columns import Col
@@ -16,7 +15,8 @@ from ecu_emulator.plant.integration import Workspace, advance_millisecond, settl
 from ecu_emulator.plant.lining import friction_ratio
 from ecu_emulator.plant.rates import PlantLaw
 from ecu_emulator.plant.vehicle import GRAVITY_M_S2
-from ecu_emulator.tcu_data import ClutchActuation, ControlParameters, WorkshopParameters
+from ecu_emulator.shift_control import pressure_steps, tcu, tcu_data, workshop
+from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters, WorkshopParameters
 
 COLUMN_COUNT = len(Col)
 WORKSHOP_HOLD_M_S = 0.03  # below which the brakes hold the car, as on the road

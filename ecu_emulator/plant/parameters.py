@@ -15,7 +15,7 @@ from ecu_emulator.plant.engine import EngineParameters
 from ecu_emulator.plant.hydraulics import HydraulicsParameters
 from ecu_emulator.plant.lining import LiningParameters
 from ecu_emulator.plant.vehicle import VehicleParameters
-from ecu_emulator.tcu_data import GEAR_COUNT, ControlParameters, WorkshopParameters
+from ecu_emulator.shift_control.tcu_data import GEAR_COUNT, ControlParameters, WorkshopParameters
 
 _MAY_BE_ZERO = frozenset(
     {

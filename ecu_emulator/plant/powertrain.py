@@ -7,7 +7,6 @@ from clutch_model.calibration import Calibration
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import applied_pressure_pa, equilibrium_film_m, film_law
 from clutch_model.friction import contact_torque_nm, friction_law
-from ecu_emulator import tcu_data, workshop
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import ClutchLaw, OpenDragLaw, refresh_contact
 from ecu_emulator.plant.course import ROWS_PER_S, Course, blank_machine
@@ -21,8 +20,9 @@ from ecu_emulator.plant.parameters import GearboxParameters, PlantParameters
 from ecu_emulator.plant.rates import ClutchPair, FluidLaw, PlantLaw, ShaftPair
 from ecu_emulator.plant.records import as_record
 from ecu_emulator.plant.stability import check_step
-from ecu_emulator.tcu_data import ClutchActuation, ControlParameters
-from ecu_emulator.touch_points import PressureSteps
+from ecu_emulator.shift_control import tcu_data, workshop
+from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters
+from ecu_emulator.shift_control.touch_points import PressureSteps
 
 _IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure, when the drive begins
 _FULL_BRAKE_M_S = 1.0  # of the shift cycles, which never stop

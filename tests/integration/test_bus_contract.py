@@ -12,8 +12,8 @@ from canlog.errors import SourceError
 from canlog.frame_columns import join
 from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, MAX_GAP_NS, FrameBatch
 from canlog.live import FrameSource, Silence, open_source
-from ecu_emulator.bus import TransmitReport, open_bus, transmit
-from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
 from tests.support.patience import HANG_S
 from tests.support.replay import free_bus
 from tests.support.starvation import again_if_starved

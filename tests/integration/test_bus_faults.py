@@ -15,9 +15,9 @@ from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Diagnosis, Stages
-from ecu_emulator.faults import BusFault, BusFaultKind, Phase
-from ecu_emulator.recording import frames_of
-from ecu_emulator.truth import TruthLog
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.faults import BusFault, BusFaultKind, Phase
+from ecu_emulator.truth.records import TruthLog
 from tests.support.builders import drive_scenario
 
 MESSAGE = "TCU_Pressures"

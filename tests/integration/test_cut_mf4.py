@@ -11,7 +11,7 @@ from canlog.frame_columns import join
 from canlog.frames import FrameBatch
 from canlog.logs import LogReject, read_log
 from canlog.logs.log_counts import LogCounts
-from ecu_emulator.record import open_log
+from ecu_emulator.log_formats.record import open_log
 from tests.support.mf4_layouts import Layout, Recording, laid_out
 from tests.support.traffic import START_NS, as_received, assert_same, random_frames
 

@@ -13,8 +13,8 @@ from udsoncan.configs import default_client_config
 
 from diag_service.tester.description_file import load_file
 from ecu_emulator.diagnostics.memory import TestResult as Result
-from ecu_emulator.scenario import OpinionFrom
-from ecu_emulator.scenario_file import parse_scenario
+from ecu_emulator.scenario.scenario import OpinionFrom
+from ecu_emulator.scenario.scenario_file import parse_scenario
 from tests.integration.test_tester import vehicle
 from tests.support.documents import ROOT, page_text
 from tests.support.doip.tester import entity

@@ -6,12 +6,14 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import diag_service.cli
 import ecu_emulator.cli
 import fleet_backend.certificates.cli
 import fleet_backend.cli
+from benchmarks.scan_tool import written
 from diag_service.diagnosis.records import Condition
 from fleet_backend.database import open_database
 from fleet_backend.writer import Batch, Writer
@@ -87,6 +89,8 @@ def _workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, seed in (("monday.log", 1), ("tuesday.blf", 2), ("logs/one.log", 3)):
         drive = ["record", str(folder / name), "--scenario", "noise_only", "--cycles", "1", "--seed", str(seed)]
         assert ecu_emulator.cli.main(drive) == 0
+    for name, log in (("drive.csv", "monday.log"), ("drive-a.csv", "monday.log"), ("drive-b.csv", "logs/one.log")):
+        written(folder / log, folder / name, np.random.default_rng(1))
     (folder / "lots.csv").write_text("vehicle,fluid lot\nCAR1,B7\n", encoding="utf-8")
     return folder
 

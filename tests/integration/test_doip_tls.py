@@ -14,7 +14,7 @@ from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.doip.tls import TlsNode, tls_node
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live import diagnostics_choice
+from ecu_emulator.live.live_drive import diagnostics_choice
 from fleet_backend.certificates.authority import Authority, Lifetime
 from tests.support.doip.desk import activation, framed
 from tests.support.doip.tester import entity, free_port

@@ -10,14 +10,14 @@ from dataclasses import replace
 import can
 import pytest
 
-from ecu_emulator.answering import Answering
+from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.elm327.client import MOST_LINE_BYTES
 from ecu_emulator.diagnostics.elm327.server import MOST_CLIENTS, ElmServer, parse_place
 from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
 from ecu_emulator.errors import BusError, ConfigError
-from ecu_emulator.live import diagnostics_choice
+from ecu_emulator.live.live_drive import diagnostics_choice
 from tests.support.patience import HANG_S
 from tests.support.uds.full_table import full_text
 from tests.unit.ecu_emulator.diagnostics.bench import PARKED

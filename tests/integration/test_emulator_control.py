@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.control import LINE_BYTES, ControlSocket
+from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError, RecordError
-from ecu_emulator.faults import BusFault, BusFaultKind, SensorFault, SensorFaultKind
-from ecu_emulator.recording import Drive
+from ecu_emulator.live.control import LINE_BYTES, ControlSocket
+from ecu_emulator.scenario.faults import BusFault, BusFaultKind, SensorFault, SensorFaultKind
 from tests.support.builders import drive_scenario
 from tests.support.patience import HANG_S
 

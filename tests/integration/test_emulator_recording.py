@@ -10,13 +10,13 @@ import pytest
 from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import COUNTER_PERIOD, counter_of, crc_is_valid, data_id_remainder
 from dbc.contract import load_contract
-from ecu_emulator.drive_setup import ROAD_MESSAGES
+from ecu_emulator.bus.frames import EncodedFrames, merge
+from ecu_emulator.drive.drive_setup import ROAD_MESSAGES
+from ecu_emulator.drive.recording import Drive, frames_of
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.frames import EncodedFrames, merge
-from ecu_emulator.recording import Drive, frames_of
-from ecu_emulator.scenario import Fluid, FluidCondition, Routine, Truth
-from ecu_emulator.sent_truth import SentTruth
-from ecu_emulator.truth import TruthLog, TruthWriter, read_truth
+from ecu_emulator.live.sent_truth import SentTruth
+from ecu_emulator.scenario.scenario import Fluid, FluidCondition, Routine, Truth
+from ecu_emulator.truth.records import TruthLog, TruthWriter, read_truth
 from tests.support.builders import drive_scenario
 
 GEARS = [1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1]

@@ -20,7 +20,7 @@ from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
-from ecu_emulator.recording import frames_of
+from ecu_emulator.drive.recording import frames_of
 from tests.support.builders import drive_scenario
 from tests.support.wire import received
 

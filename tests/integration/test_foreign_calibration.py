@@ -19,9 +19,9 @@ from diag_service.diagnosis.records import Condition
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
-from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario import FluidCondition, Scenario
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.scenario import FluidCondition, Scenario
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 OWNER, OTHER = "7", "10"  # seeds of two cars
 

@@ -9,7 +9,7 @@ import pytest
 from canlog.frames import FrameBatch
 from canlog.logs import read_log
 from diag_service.diagnosis.records import Status
-from ecu_emulator.record import DEFAULT_START_NS
+from ecu_emulator.log_formats.record import DEFAULT_START_NS
 from tests.support.chain import Outcome, diagnosed
 from tests.tools.damage.recordings import START_NS, SUFFIXES, WRITERS, short_drive
 

@@ -14,7 +14,7 @@ from canlog.logs.bounded_stream import FREE_BYTES
 from canlog.logs.log_counts import LogCounts
 from diag_service.errors import ConfigError
 from diag_service.service.drive import open_drive
-from ecu_emulator.record import open_log
+from ecu_emulator.log_formats.record import open_log
 from tests.support.traffic import START_NS, as_received, assert_same, random_frames
 from tests.tools.damage.kinds import DAMAGES
 from tests.tools.damage.recordings import RECORDED, SUFFIXES

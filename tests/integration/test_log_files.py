@@ -13,10 +13,10 @@ import pytest
 from canlog.errors import SourceError
 from canlog.frame_columns import join
 from canlog.logs import LogFormat, LogReject, read_log
-from ecu_emulator.bus import to_messages
+from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.errors import RecordError
-from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.record import open_log
+from ecu_emulator.log_formats.record import open_log
 from tests.support.traffic import START_NS, as_received, assert_same, assert_same_contents, random_frames
 
 SUFFIXES = {

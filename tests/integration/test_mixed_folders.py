@@ -14,7 +14,7 @@ import pytest
 
 from diag_service.batch.drives import find_drives
 from diag_service.cli import main
-from ecu_emulator.record import open_log
+from ecu_emulator.log_formats.record import open_log
 from tests.support.patience import HANG_S
 from tests.support.traffic import START_NS, random_frames
 

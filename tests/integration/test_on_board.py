@@ -15,16 +15,9 @@ import pytest
 from dbc.contract import load_contract
 from diag_service.diagnosis.results import dump, shift_record
 from diag_service.store import ResultStore, StoreReader
-from ecu_emulator.answering import Answering
-from ecu_emulator.diagnostics.codes import Status
-from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.opinion import ClutchOpinion
-from ecu_emulator.diagnostics.table_file import shipped_table
-from ecu_emulator.errors import ConfigError
-from ecu_emulator.live import BusChoice, diagnostics_choice
-from ecu_emulator.monitoring import Monitoring
-from ecu_emulator.on_board import (
+from ecu_emulator.answering.answering_tester import Answering
+from ecu_emulator.answering.monitoring import Monitoring
+from ecu_emulator.answering.on_board import (
     LONGEST_COMPLAINT,
     MOST_STARTS,
     NEW_FLUID_NOTE,
@@ -35,7 +28,14 @@ from ecu_emulator.on_board import (
     OpinionSource,
     without_settings,
 )
-from ecu_emulator.scenario import FluidVerdict
+from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.memory_file import MemoryFile
+from ecu_emulator.diagnostics.opinion import ClutchOpinion
+from ecu_emulator.diagnostics.table_file import shipped_table
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.live.live_drive import BusChoice, diagnostics_choice
+from ecu_emulator.scenario.scenario import FluidVerdict
 from tests.support.builders import shift_result
 from tests.support.histories import fill_store, history
 from tests.support.in_process import ended
@@ -93,7 +93,7 @@ def test_of_complaints_the_end_is_kept(tmp_path: Path) -> None:
 
 
 def test_a_service_that_does_not_heed_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ecu_emulator.on_board.END_S", 0.3)
+    monkeypatch.setattr("ecu_emulator.answering.on_board.END_S", 0.3)
     script = "import signal, time; signal.signal(15, signal.SIG_IGN); print('up', flush=True); time.sleep(1e6)"
     with service(script) as on_board:
         wait_for(lambda: on_board._child)
@@ -110,7 +110,7 @@ def status_of(pid: int, key: str) -> str:
 
 PARENT = """
 import time
-from ecu_emulator.on_board import OnBoardService
+from ecu_emulator.answering.on_board import OnBoardService
 with OnBoardService(["-i", "virtual", "-c", "x"], None) as on_board:
     while on_board._child is None:
         time.sleep(0.01)

@@ -9,10 +9,10 @@ import pytest
 from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
 from dbc.contract import load_contract
-from ecu_emulator.bus import to_messages
+from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.diagnostics.codes import Status
-from ecu_emulator.faults import SensorFault, SensorFaultKind
-from ecu_emulator.recording import Drive
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
 from tests.support.road import road_scenario, short_trip
 from tests.support.uds.days import EPOCH_S, HOLDING, STEP_S, TripCar
 

@@ -22,8 +22,8 @@ from diag_service.errors import ConfigError
 from diag_service.service.drive import open_drive
 from diag_service.service.stopping import Trigger
 from ecu_emulator import cli as emulator
-from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.record import LogFormat, open_log
+from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.log_formats.record import LogFormat, open_log
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 from tests.support.pipes import pieces_of, piped

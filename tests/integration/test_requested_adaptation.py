@@ -8,8 +8,8 @@ import pytest
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.errors import RecordError
-from ecu_emulator.faults import SensorFault, SensorFaultKind
-from ecu_emulator.scenario import Scenario
+from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
+from ecu_emulator.scenario.scenario import Scenario
 from tests.integration.test_requested_routine import Bench, hasty_table, wait_for
 from tests.integration.test_requested_routine import in_workshop as waiting
 from tests.support.uds.adapting_car import ADAPT, CLEAR, AdaptingCar, in_workshop, memory_in

@@ -21,18 +21,18 @@ from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
 from diag_service.tester.description import read_fields
 from diag_service.tester.description_file import find_description
-from ecu_emulator.answering import Answering
-from ecu_emulator.bus import to_messages
+from ecu_emulator.answering.answering_tester import Answering
+from ecu_emulator.bus.frames import EncodedFrames, merge
+from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.commands import LogOptions, write_log
 from ecu_emulator.diagnostics.opinion import ClutchOpinion, read_line
+from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.frames import EncodedFrames, merge
-from ecu_emulator.live import BusChoice, send
-from ecu_emulator.record import open_log
-from ecu_emulator.recording import SHORT_STRETCH_S, Drive
-from ecu_emulator.scenario import Routine, Scenario
-from ecu_emulator.sent_truth import SentTruth
-from ecu_emulator.truth import Happened, RevTruth, ShiftTruth
+from ecu_emulator.live.live_drive import BusChoice, send
+from ecu_emulator.live.sent_truth import SentTruth
+from ecu_emulator.log_formats.record import open_log
+from ecu_emulator.scenario.scenario import Routine, Scenario
+from ecu_emulator.truth.records import Happened, RevTruth, ShiftTruth
 from tests.support.builders import drive_scenario, shift_result
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S

@@ -11,19 +11,19 @@ import pytest
 from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import counter_of
 from dbc.contract import load_contract
-from ecu_emulator.drive_names import DriveName
+from ecu_emulator.bus.frames import EncodedFrames, merge
+from ecu_emulator.drive.recording import Drive, Stretch
 from ecu_emulator.driving.conditions import Car, DriveConditions
 from ecu_emulator.driving.states import EngineState
 from ecu_emulator.driving.trip import Trip
 from ecu_emulator.driving.trips import PlannedTrip, trips
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.frames import EncodedFrames, merge
+from ecu_emulator.live.sent_truth import SentTruth
 from ecu_emulator.plant.columns import Col
-from ecu_emulator.recording import Drive, Stretch
-from ecu_emulator.scenario import Ambient, Fluid, FluidCondition, Truth
-from ecu_emulator.sent_truth import SentTruth
-from ecu_emulator.signals import generator
-from ecu_emulator.truth import EventTruth, ShiftTruth, TripTruth, TruthWriter, read_truth
+from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.scenario import Ambient, Fluid, FluidCondition, Truth
+from ecu_emulator.scenario.signals import generator
+from ecu_emulator.truth.records import EventTruth, ShiftTruth, TripTruth, TruthWriter, read_truth
 from tests.support.builders import drive_scenario
 from tests.support.road import road_scenario, short_trip
 

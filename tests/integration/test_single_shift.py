@@ -8,7 +8,7 @@ import pytest
 from benchmarks.single_shift import NOISE_ONLY, SCATTERED, Case, outcomes, shifts_of
 from benchmarks.study import diagnose
 from diag_service.diagnosis.records import Reason, Status
-from ecu_emulator.faults import Phase, SensorFault, SensorFaultKind
+from ecu_emulator.scenario.faults import Phase, SensorFault, SensorFaultKind
 from tests.support.builders import drive_scenario
 
 SHIFT = 3  # 3-4 by clutch 2

@@ -7,8 +7,8 @@ import pytest
 
 from canlog.frame_columns import join
 from canlog.logs import read_log
-from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.record import open_log
+from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.log_formats.record import open_log
 from tests.support.in_process import ended
 from tests.support.mf4_layouts import Layout, laid_out
 from tests.support.traffic import START_NS

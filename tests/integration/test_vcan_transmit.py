@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from ecu_emulator.bus import TransmitReport, open_bus, transmit
+from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
 from ecu_emulator.errors import BusError
 from tests.support.starvation import StarvationWatch, undisturbed
 from tests.support.traffic import random_frames

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from canlog.frames import FrameBatch
 from diag_service.diagnosis.records import Status
-from ecu_emulator.recording import Drive
-from ecu_emulator.scenario import Effects
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.scenario.scenario import Effects
 from tests.support.builders import drive_scenario
 from tests.support.chain import Outcome, diagnosed
 from tests.support.wire import received

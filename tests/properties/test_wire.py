@@ -15,7 +15,7 @@ from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import Profile, load_profile
-from ecu_emulator.frames import SIGNAL_OF, FrameEncoder
+from ecu_emulator.bus.frames import SIGNAL_OF, FrameEncoder
 from tests.support.wire import CONTRACTS, CYCLE_CONTRACTS, DATABASE, drive, readings, received
 
 DRIVE: Final = received(drive(0.7))

@@ -18,8 +18,8 @@ from diag_service.diagnosis.records import (
     ShiftScatter,
     Status,
 )
-from ecu_emulator.scenario import FluidCondition, Scenario
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.scenario.scenario import FluidCondition, Scenario
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 STREAM = "0b54b51f-6c0c-4b2c-8a6b-3f7a4c1f2d10"
 START_NS = 1_767_225_600_123_456_000  # 2026-01-01T00:00:00.123456Z

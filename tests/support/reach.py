@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
 from canlog.live import Silence, open_source
-from ecu_emulator.bus import open_bus, transmit
+from ecu_emulator.bus.sender import open_bus, transmit
 from tests.support.patience import HANG_S
 from tests.support.traffic import random_frames
 

@@ -232,8 +232,8 @@ READERS: Mapping[str, str] = {
     ".config": "diag_service.settings.options:load_settings",
     ".password": "fleet_link.secret_files:read_secret",
     ".plant": "ecu_emulator.plant.parameters:read_parameters",
-    ".scenario": "ecu_emulator.scenario_file:load_scenario",
-    ".truth": "ecu_emulator.truth:read_truth",
+    ".scenario": "ecu_emulator.scenario.scenario_file:load_scenario",
+    ".truth": "ecu_emulator.truth.records:read_truth",
 }  # by suffix; everything else is a log
 PLACES: Mapping[str, Callable[[Path], None]] = {
     "zero": lambda path: path.symlink_to("/dev/zero"),

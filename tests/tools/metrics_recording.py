@@ -30,8 +30,8 @@ from diag_service.service.session import Session
 from diag_service.service.snapshot import Board, SnapshotTaker
 from diag_service.settings.config import DiagnosisConfig, ListenAddress
 from diag_service.store import ResultStore
-from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario_file import load_scenario
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.scenario_file import load_scenario
 from tests.support.patience import HANG_S
 from tests.support.prometheus import RECORDING
 

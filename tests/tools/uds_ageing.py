@@ -22,8 +22,8 @@ from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.table_file import shipped_table
-from ecu_emulator.record import open_log
-from ecu_emulator.recording import frames_of
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.log_formats.record import open_log
 from tests.support.uds.ageing_car import WORN, Plan
 
 VEHICLE: Final = "car1"

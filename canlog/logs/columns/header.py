@@ -200,7 +200,12 @@ def base_of(values: Iterable[str], names: Sequence[str]) -> tuple[int, str]:
     plain = [value for value in bare if value.isdigit()]
     lettered = len(bare) - len(plain)
     words = {name.casefold() for name in names}
-    between = [one for one in plain if int(one, 16) > LARGEST_STANDARD_ID and len(one) < FEWEST_LONG_DIGITS]
+    tells_kind = any(column.role is Role.EXTENDED for column in named_columns(names))  # digits then need not
+    between = (
+        []
+        if tells_kind
+        else [one for one in plain if int(one, 16) > LARGEST_STANDARD_ID and len(one) < FEWEST_LONG_DIGITS]
+    )
     base, why = HEXADECIMAL, "nothing shows that they are decimal (--columns id=...:dec says so)"
     if not plain or lettered >= LEAST_LETTERED * len(bare):
         why = ""

@@ -6,20 +6,20 @@ from pathlib import Path
 
 from clutch_model.gears import clutch_of_gear
 from dbc.contract import load_contract
-from ecu_emulator import tcu_data
-from ecu_emulator.build import build_vehicle
+from ecu_emulator.answering.monitoring import Monitoring
+from ecu_emulator.answering.on_board import FixedOpinion
+from ecu_emulator.answering.requested_adaptation import RequestedAdaptation
+from ecu_emulator.answering.requested_clearing import RequestedClearing
+from ecu_emulator.bus.sent_values import Moment, SentValues
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.table_file import shipped_table
-from ecu_emulator.monitoring import Monitoring
-from ecu_emulator.on_board import FixedOpinion
-from ecu_emulator.recording import SHORT_STRETCH_S, Drive
-from ecu_emulator.requested_adaptation import RequestedAdaptation
-from ecu_emulator.requested_clearing import RequestedClearing
-from ecu_emulator.scenario import Routine, Scenario, Truth
-from ecu_emulator.scenario_file import load_scenario
-from ecu_emulator.sent_values import Moment, SentValues
+from ecu_emulator.drive.build import build_vehicle
+from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
+from ecu_emulator.scenario.scenario import Routine, Scenario, Truth
+from ecu_emulator.scenario.scenario_file import load_scenario
+from ecu_emulator.shift_control import tcu_data
 from tests.support.patience import HANG_S
 
 ADAPT = "31 01 03 02"

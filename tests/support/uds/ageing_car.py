@@ -18,19 +18,19 @@ from typing import Final, Self
 import numpy as np
 
 from dbc.contract import load_contract
+from ecu_emulator.answering.monitoring import Monitoring
+from ecu_emulator.answering.requested_clearing import RequestedClearing
+from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.bus.sent_values import Moment, SentValues
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.monitors import SENSED
 from ecu_emulator.diagnostics.opinion import ClutchOpinion, Opinions, read_line, values_of
 from ecu_emulator.diagnostics.table_file import shipped_table
-from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.monitoring import Monitoring
-from ecu_emulator.recording import Drive
-from ecu_emulator.requested_clearing import RequestedClearing
-from ecu_emulator.scenario import Fluid, FluidCondition, Routine, Scenario
-from ecu_emulator.scenario_file import load_scenario
-from ecu_emulator.sent_values import Moment, SentValues
-from ecu_emulator.truth import ShiftTruth
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.scenario.scenario import Fluid, FluidCondition, Routine, Scenario
+from ecu_emulator.scenario.scenario_file import load_scenario
+from ecu_emulator.truth.records import ShiftTruth
 from tests.support.patience import HANG_S
 
 STEP_S: Final = 0.5

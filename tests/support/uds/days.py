@@ -9,11 +9,11 @@ import can
 import numpy as np
 
 from dbc.contract import load_contract
-from ecu_emulator.answering import Answering
-from ecu_emulator.bus import to_messages
-from ecu_emulator.frames import EncodedFrames, FrameEncoder, merge
-from ecu_emulator.on_board import OpinionSource
-from ecu_emulator.readings import Readings
+from ecu_emulator.answering.answering_tester import Answering
+from ecu_emulator.answering.on_board import OpinionSource
+from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
+from ecu_emulator.bus.sender import to_messages
+from ecu_emulator.sensing.readings import Readings
 
 STEP_S = 0.5
 TRIP_STEPS = 12

@@ -7,7 +7,7 @@ import numpy as np
 
 from canlog.frames import MAX_GAP_NS
 from diag_service.diagnosis.records import FrictionEstimate, ShiftEstimate, Status
-from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.bus.frames import EncodedFrames
 from tests.tools.damage.recordings import NS_PER_US, Outcome, times_us, true_friction
 
 MOST_STD = 4.0  # an estimate may be off, by its own account

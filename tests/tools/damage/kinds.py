@@ -7,8 +7,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.record import DEFAULT_START_NS
+from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.log_formats.record import DEFAULT_START_NS
 from tests.tools.damage.expected import Expected, Jump, expected_of
 from tests.tools.damage.garbling import GARBLERS
 from tests.tools.damage.recordings import (

@@ -26,9 +26,9 @@ from diag_service.diagnosis.records import ShiftEstimate
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
-from ecu_emulator.frames import EncodedFrames
-from ecu_emulator.record import DEFAULT_START_NS, open_log
-from ecu_emulator.recording import Drive
+from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.log_formats.record import DEFAULT_START_NS, open_log
 from tests.support.builders import drive_scenario
 
 RECORDED = MappingProxyType(

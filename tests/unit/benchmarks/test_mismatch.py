@@ -17,8 +17,8 @@ from benchmarks.mismatch import (
     table,
 )
 from benchmarks.mismatch_rows import BY_NAME, MATCHED, ROWS, Mismatch
-from ecu_emulator.build import build_vehicle
-from ecu_emulator.scenario import Effects, FluidCondition, Scenario
+from ecu_emulator.drive.build import build_vehicle
+from ecu_emulator.scenario.scenario import Effects, FluidCondition, Scenario
 from tests.support.builders import drive_scenario
 
 NAME = "w_S x 1.5"

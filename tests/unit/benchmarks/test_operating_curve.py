@@ -31,7 +31,7 @@ from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import Condition
 from diag_service.service.stages import Diagnosis
-from ecu_emulator.build import build_vehicle
+from ecu_emulator.drive.build import build_vehicle
 from tests.support.builders import shift_estimate, shift_result
 
 

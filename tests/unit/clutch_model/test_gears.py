@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clutch_model.gears import clutch_of_gear
-from ecu_emulator.tcu import clutch_of
+from ecu_emulator.shift_control.tcu import clutch_of
 
 ROOT = Path(__file__).parents[3]
 WORDS = ("gear", "current", "target")

@@ -6,7 +6,7 @@ from clutch_model.gears import clutch_of_gear
 from demo.listener import ClutchState
 from demo.outcome import SHIFTS_PER_CYCLE, FrameAccount, Outcome
 from diag_service.diagnosis.records import ShiftResult
-from ecu_emulator.truth import DriveTruth, ShiftTruth, Totals, TruthLog
+from ecu_emulator.truth.records import DriveTruth, ShiftTruth, Totals, TruthLog
 from tests.support.builders import friction_estimate, shift_result
 
 GEARS = ((1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 5), (5, 4), (4, 3), (3, 2), (2, 1))

@@ -6,11 +6,11 @@ import pytest
 
 from ecu_emulator.arguments import parse_arguments
 from ecu_emulator.commands import choose_scenario, drive_options, started_at
-from ecu_emulator.drive_names import DriveName
+from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario import Ambient, Scenario
-from ecu_emulator.truth import TruthWriter
+from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.scenario import Ambient, Scenario
+from ecu_emulator.truth.records import TruthWriter
 
 
 def chosen(*words: str) -> Scenario:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from can.io import CanutilsLogReader
 
-from ecu_emulator.bus import to_messages
+from ecu_emulator.bus.frame_changes import error_frames, joined
+from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.errors import RecordError
-from ecu_emulator.frame_changes import error_frames, joined
-from ecu_emulator.record import open_log
+from ecu_emulator.log_formats.record import open_log
 from tests.support.wire import drive
 
 SOUND = drive(0.02)

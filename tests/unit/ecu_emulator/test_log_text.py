@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 
-from ecu_emulator.frames import EncodedFrames
+from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.log_formats import (
     AscWriter,
     CandumpWriter,

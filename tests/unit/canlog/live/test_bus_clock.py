@@ -10,7 +10,7 @@ from canlog.arrays import Int64Array
 from canlog.frames import FrameBatch
 from canlog.live.bus_clock import BusClock, ClockReading, read_clocks
 from diag_service.diagnosis.records import Status
-from ecu_emulator.recording import Drive
+from ecu_emulator.drive.recording import Drive
 from tests.support.builders import drive_scenario
 from tests.support.chain import Outcome, diagnosed
 from tests.support.wire import received

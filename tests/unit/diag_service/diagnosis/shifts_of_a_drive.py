@@ -13,7 +13,7 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
-from ecu_emulator.recording import Drive
+from ecu_emulator.drive.recording import Drive
 from tests.support.builders import drive_scenario
 from tests.support.wire import received
 

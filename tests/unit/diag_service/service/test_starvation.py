@@ -21,7 +21,7 @@ from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import Summary
 from diag_service.errors import PublishError, StoreError
 from diag_service.store import ResultStore
-from ecu_emulator.bus import open_bus
+from ecu_emulator.bus.sender import open_bus
 from fleet_contract import Outgoing
 from tests.support.builders import shift_result
 from tests.support.patience import HANG_S

@@ -6,16 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ecu_emulator.answering.monitoring import Monitoring
 from ecu_emulator.diagnostics.clutch_heat import heated_k, slip_power_w
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.table_file import shipped_table
-from ecu_emulator.drive_names import DriveName
+from ecu_emulator.drive.recording import Drive
 from ecu_emulator.driving.trips import PlannedTrip
-from ecu_emulator.monitoring import Monitoring
 from ecu_emulator.plant import Col
-from ecu_emulator.recording import Drive
-from ecu_emulator.scenario import Truth
+from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.scenario import Truth
 from tests.support.builders import drive_scenario
 from tests.unit.ecu_emulator.diagnostics.test_monitors import sensed
 from tests.unit.ecu_emulator.driving.drives import driven, trace

@@ -17,7 +17,7 @@ from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.state import ServerState
 from ecu_emulator.diagnostics.table_file import parse_table
 from ecu_emulator.errors import RecordError
-from ecu_emulator.touch_points import TouchPoint
+from ecu_emulator.shift_control.touch_points import TouchPoint
 from tests.support.uds.full_table import full_table, full_text
 from tests.unit.ecu_emulator.diagnostics.bench import PARKED, SEED
 

@@ -7,15 +7,15 @@ from itertools import islice
 import pytest
 
 from dbc.contract import load_contract
+from ecu_emulator.bus.frames import EncodedFrames, merge
+from ecu_emulator.bus.sent_values import SentValues
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.monitors import Watch, is_warm, judge
 from ecu_emulator.diagnostics.table_file import shipped_table
-from ecu_emulator.faults import SensorFault, SensorFaultKind
-from ecu_emulator.frames import EncodedFrames, merge
-from ecu_emulator.recording import Drive, frames_of
-from ecu_emulator.scenario import Ambient
-from ecu_emulator.scenario_file import load_scenario
-from ecu_emulator.sent_values import SentValues
+from ecu_emulator.drive.recording import Drive, frames_of
+from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
+from ecu_emulator.scenario.scenario import Ambient
+from ecu_emulator.scenario.scenario_file import load_scenario
 from tests.support.road import road_scenario
 
 STEP_S = 0.1

@@ -15,8 +15,8 @@ from ecu_emulator.diagnostics.opinion import (
     values_of,
 )
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.scenario import FluidVerdict, OpinionFrom
-from ecu_emulator.scenario_file import parse_scenario
+from ecu_emulator.scenario.scenario import FluidVerdict, OpinionFrom
+from ecu_emulator.scenario.scenario_file import parse_scenario
 from tests.support.builders import shift_result
 
 GOOD = ClutchOpinion(fluid=FluidVerdict.GOOD)

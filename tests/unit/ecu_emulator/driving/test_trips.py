@@ -6,7 +6,6 @@ from itertools import islice, pairwise
 import numpy as np
 import pytest
 
-from ecu_emulator.drive_names import DriveName
 from ecu_emulator.driving.trips import (
     COOLANT_PARKED_TIME_CONSTANT_S,
     DAY_TRIPS,
@@ -18,6 +17,7 @@ from ecu_emulator.driving.trips import (
     trips,
 )
 from ecu_emulator.errors import ConfigError
+from ecu_emulator.scenario.drive_names import DriveName
 
 CYCLES = [DriveName.WLTC, DriveName.UDDS, DriveName.HWFET, DriveName.US06]
 

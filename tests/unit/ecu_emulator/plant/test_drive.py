@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from clutch_model.errors import CalibrationError
-from ecu_emulator import tcu_data
 from ecu_emulator.plant.drive import DriveSettings, FrictionFactors, cycle_table
 from ecu_emulator.plant.parameters import nominal_parameters
+from ecu_emulator.shift_control import tcu_data
 
 CONTROL = nominal_parameters().control
 

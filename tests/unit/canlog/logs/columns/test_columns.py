@@ -378,3 +378,8 @@ def test_no_columns_are_proposed_without_evidence(name: str) -> None:
     with pytest.raises(SourceError) as refusal:
         detect(("\n".join(NO_FRAMES[name]) + "\n").encode())
     assert "perhaps" not in str(refusal.value)
+
+
+def test_where_a_column_tells_the_kind_digits_that_fit_no_kind_are_hexadecimal() -> None:
+    batch, _ = read(ColumnsLog(), "Time,ID,Extended,Length,Data\n" + "".join(f"{k},820,1,1,0A\n" for k in range(20)))
+    assert batch.can_id[0] == 0x820 | EXTENDED_FLAG

@@ -24,8 +24,8 @@ from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
-from ecu_emulator.recording import frames_of
-from ecu_emulator.scenario import Routine, Scenario, Truth
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.scenario import Routine, Scenario, Truth
 from tests.support.builders import drive_scenario
 
 NOMINAL = nominal_calibration()

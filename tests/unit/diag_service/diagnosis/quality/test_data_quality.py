@@ -22,7 +22,7 @@ from diag_service.diagnosis.records import DataQuality, QualityPart, Reason, Sta
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
-from ecu_emulator.recording import Drive
+from ecu_emulator.drive.recording import Drive
 from tests.support.builders import drive_scenario
 from tests.support.wire import received
 

@@ -2,11 +2,11 @@
 
 import pytest
 
-from ecu_emulator.answering import place_text
+from ecu_emulator.answering.answering_tester import place_text
 from ecu_emulator.diagnostics.doip.listening import parse_place
 from ecu_emulator.diagnostics.table_file import parse_table
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live import diagnostics_choice
+from ecu_emulator.live.live_drive import diagnostics_choice
 from tests.support.uds.full_table import full_text
 
 

@@ -1,0 +1,1 @@
+"""The emulated transmission answers testers while it drives."""

@@ -1,0 +1,229 @@
+"""Readings become frames: SI units to the wire's, quantisation, saturation, counter and CRC; columns throughout."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from cantools.database.can import Database, Message
+from cantools.database.can.signal import Signal
+
+from canlog.arrays import FloatArray
+from canlog.e2e.message_contract import message_contract
+from canlog.e2e.profile1 import PAYLOAD_BYTES, protect
+from clutch_model.units import bar_from_pa, degc_from_k, km_h_from_m_s, rpm_from_rad_s
+from ecu_emulator.sensing.readings import Readings
+
+UInt8Array = npt.NDArray[np.uint8]
+UInt32Array = npt.NDArray[np.uint32]
+UInt64Array = npt.NDArray[np.uint64]
+
+SIGNAL_OF: Final[Mapping[str, str]] = MappingProxyType({
+    "engine_speed_rad_s": "EngineSpeed",
+    "engine_torque_nm": "EngineTorque",
+    "pedal_ratio": "Pedal",
+    "throttle_ratio": "Throttle",
+    "hub_speed_rad_s": "ClutchHubSpeed",
+    "input1_speed_rad_s": "InputShaft1Speed",
+    "input2_speed_rad_s": "InputShaft2Speed",
+    "clutch1_pressure_pa": "Clutch1Pressure",
+    "clutch2_pressure_pa": "Clutch2Pressure",
+    "clutch1_pressure_command_pa": "Clutch1PressureCmd",
+    "clutch2_pressure_command_pa": "Clutch2PressureCmd",
+    "output_speed_rad_s": "OutputSpeed",
+    "clutch1_torque_command_nm": "Clutch1TorqueCmd",
+    "clutch2_torque_command_nm": "Clutch2TorqueCmd",
+    "current_gear": "CurrentGear",
+    "target_gear": "TargetGear",
+    "preselected_gear": "PreselectedGear",
+    "shift_phase": "ShiftPhase",
+    "input1_gear": "InputShaft1Gear",
+    "input2_gear": "InputShaft2Gear",
+    "drive_state": "DriveState",
+    "engine_state": "EngineState",
+    "sump_temperature_k": "SumpOilTemperature",
+    "wheel_fl_speed_m_s": "WheelSpeedFL",
+    "wheel_fr_speed_m_s": "WheelSpeedFR",
+    "wheel_rl_speed_m_s": "WheelSpeedRL",
+    "wheel_rr_speed_m_s": "WheelSpeedRR",
+    "vehicle_speed_m_s": "VehicleSpeed",
+    "brake_pressure_pa": "BrakePressure",
+    "brake_light": "BrakeLight",
+    "coolant_temperature_k": "CoolantTemperature",
+    "ambient_temperature_k": "AmbientTemperature",
+    "manifold_pressure_pa": "ManifoldPressure",
+    "odometer_m": "Odometer",
+})  # fmt: skip
+"""The signal that carries each quantity; the unit that ends the quantity's name and the signal's match by kind."""
+
+_QUANTITY_OF: Final[Mapping[str, str]] = {signal: quantity for quantity, signal in SIGNAL_OF.items()}
+
+_FROM_SI: Final[Mapping[str, Callable[[FloatArray], FloatArray]]] = {
+    "rpm": rpm_from_rad_s,
+    "bar": bar_from_pa,
+    "kPa": lambda pressure_pa: pressure_pa / 1e3,
+    "degC": degc_from_k,
+    "km/h": km_h_from_m_s,
+    "%": lambda ratio: ratio * 100.0,
+    "Nm": lambda torque_nm: torque_nm,
+    "m": lambda distance_m: distance_m,
+    "": lambda state: state,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EncodedFrames:
+    """Frames in the order they are sent, as arrays."""
+
+    t_s: FloatArray  # (n,) scenario time
+    can_id: UInt32Array  # (n,)
+    length: UInt8Array  # (n,)
+    data: UInt8Array  # (n, 8)
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def __getitem__(self, rows: slice) -> "EncodedFrames":
+        return EncodedFrames(
+            t_s=self.t_s[rows], can_id=self.can_id[rows], length=self.length[rows], data=self.data[rows]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _SignalCode:
+    """How one quantity is written into its message."""
+
+    quantity: str
+    start_bit: int
+    from_si: Callable[[FloatArray], FloatArray]
+    scale: float
+    offset: float
+    raw_limits: tuple[float, float]
+    not_available: int
+
+    def raw(self, si: FloatArray) -> tuple[UInt64Array, int]:
+        """Return the raw values and how many of them saturated; NaN becomes the code for not available."""
+        steps = np.rint((self.from_si(si) - self.offset) / self.scale)
+        limited = np.clip(steps, *self.raw_limits)
+        is_missing = np.isnan(steps)
+        saturated = int(np.count_nonzero((limited != steps) & ~is_missing))
+        return np.where(is_missing, self.not_available, limited).astype(np.uint64), saturated
+
+
+@dataclass(frozen=True, slots=True)
+class _MessageCode:
+    """How one message is written."""
+
+    can_id: int
+    data_id: int
+    signals: tuple[_SignalCode, ...]
+
+
+class FrameEncoder:
+    """Writes the messages of the wire contract; alive counters continue from call to call."""
+
+    def __init__(self, database: Database) -> None:
+        self._codes = {message.name: _message_code(message) for message in database.messages}
+        self._sent = dict.fromkeys(self._codes, 0)
+        self._counted_from = dict(self._sent)
+        self._saturated: dict[str, int] = {}
+
+    @property
+    def saturated(self) -> Mapping[str, int]:
+        """How many values did not fit their signal and were limited, by quantity; as a real controller does it."""
+        return dict(self._saturated)
+
+    @property
+    def sent(self) -> Mapping[str, int]:
+        """How many frames were written, by message."""
+        return dict(self._sent)
+
+    def restart(self) -> None:
+        """Let the alive counters begin at 0, as after the ignition was off."""
+        self._counted_from = dict(self._sent)
+
+    def quantities(self, message: str) -> tuple[str, ...]:
+        """Return the names of the quantities that a message carries."""
+        return tuple(signal.quantity for signal in self._codes[message].signals)
+
+    def encode(self, readings: Readings) -> EncodedFrames:
+        """Return the frames of one message, one per reading.
+
+        Parameters
+        ----------
+        readings : Readings
+            Exactly the quantities that ``quantities`` names, in SI units; NaN says not available.
+
+        Raises
+        ------
+        ValueError
+            If the message is unknown or the quantities are not those that it carries.
+        """
+        code = self._codes.get(readings.message)
+        if code is None:
+            raise ValueError(f"{readings.message} is not a message of the wire contract")
+        if readings.values.keys() != set(self.quantities(readings.message)):
+            odd = sorted(readings.values.keys() ^ set(self.quantities(readings.message)))
+            raise ValueError(f"{readings.message} does not carry, or lacks: {', '.join(odd)}")
+        count = len(readings.t_s)
+        counter = self._sent[readings.message] - self._counted_from[readings.message] + np.arange(count)
+        self._sent[readings.message] += count
+        return EncodedFrames(
+            t_s=np.asarray(readings.t_s, np.float64),
+            can_id=np.full(count, code.can_id, np.uint32),
+            length=np.full(count, PAYLOAD_BYTES, np.uint8),
+            data=protect(self._pack(code, readings), code.data_id, counter),
+        )
+
+    def encode_all(self, readings: Iterable[Readings]) -> EncodedFrames:
+        """Return the frames of several messages in the order of transmission."""
+        return merge([self.encode(of_message) for of_message in readings])
+
+    def _pack(self, code: _MessageCode, readings: Readings) -> UInt8Array:
+        """Return payloads with all signals in place, shape (n, 8)."""
+        word = np.zeros(len(readings.t_s), np.uint64)
+        for signal in code.signals:
+            raw, saturated = signal.raw(readings.values[signal.quantity])
+            word |= raw << np.uint64(signal.start_bit)
+            if saturated:
+                self._saturated[signal.quantity] = self._saturated.get(signal.quantity, 0) + saturated
+        return word.astype("<u8").view(np.uint8).reshape(-1, PAYLOAD_BYTES)
+
+
+def merge(parts: Sequence[EncodedFrames]) -> EncodedFrames:
+    """Return all frames in the order of time; at the same instant the lower identifier wins, as in arbitration."""
+    t_s = np.concatenate([part.t_s for part in parts]) if parts else np.empty(0)
+    can_id = np.concatenate([part.can_id for part in parts]) if parts else np.empty(0, np.uint32)
+    length = np.concatenate([part.length for part in parts]) if parts else np.empty(0, np.uint8)
+    data = np.concatenate([part.data for part in parts]) if parts else np.empty((0, PAYLOAD_BYTES), np.uint8)
+    order = np.lexsort((can_id, t_s))
+    return EncodedFrames(t_s=t_s[order], can_id=can_id[order], length=length[order], data=data[order])
+
+
+def _message_code(message: Message) -> _MessageCode:
+    """Compile one message of the wire contract."""
+    contract = message_contract(message)
+    if contract.data_id is None or message.length != PAYLOAD_BYTES:
+        raise ValueError(f"{message.name} is not a protected message of {PAYLOAD_BYTES} bytes")
+    signals = (message.get_signal_by_name(name) for name in contract.signals)
+    return _MessageCode(contract.can_id, contract.data_id, tuple(_signal_code(signal) for signal in signals))
+
+
+def _signal_code(signal: Signal) -> _SignalCode:
+    """Compile one signal: unsigned, little-endian, its highest raw value says not available."""
+    if signal.byte_order != "little_endian" or signal.is_signed or signal.conversion.is_float:
+        raise ValueError(f"{signal.name} is not an unsigned little-endian integer")
+    if signal.minimum is None or signal.maximum is None:
+        raise ValueError(f"{signal.name} has no range")
+    limits = [round((physical - signal.offset) / signal.scale) for physical in (signal.minimum, signal.maximum)]
+    return _SignalCode(
+        quantity=_QUANTITY_OF[signal.name],
+        start_bit=signal.start,
+        from_si=_FROM_SI[signal.unit or ""],
+        scale=signal.scale,
+        offset=signal.offset,
+        raw_limits=(limits[0], limits[1]),
+        not_available=2**signal.length - 1,
+    )

@@ -1,0 +1,322 @@
+"""Frames onto a bus in real time: absolute deadlines, measured punctuality, nothing lost in silence."""
+
+import errno
+import os
+import queue
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Final, Protocol
+
+import can
+import numpy as np
+
+from canlog.live import opening
+from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.bus.lateness import Punctuality
+from ecu_emulator.errors import BusError
+
+CHUNKS_AHEAD: Final = 8
+LEAD_IN_S: Final = 0.05  # from the first chunk to the first deadline
+LONGEST_SLEEP_S: Final = 0.05  # how soon a request to stop is noticed
+OVERRUN_S: Final = 0.005  # half of the shortest cycle
+RETRY_FOR_S: Final = 0.005
+RETRY_PAUSE_S: Final = 0.0005
+JOIN_S: Final = 5.0
+PROGRESS_PERIOD_S: Final = 0.2
+EXTENDED_FLAG: Final = 0x8000_0000
+ERROR_FLAG: Final = 0x2000_0000
+BUS_GONE: Final = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ENETUNREACH})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TransmitReport:
+    """What was sent and how punctually; lateness is the start of sending against the deadline."""
+
+    frames_sent: int
+    frames_given_up: int  # the interface did not take them in time
+    retries: int
+    duration_s: float
+    lateness_mean_s: float
+    lateness_p50_s: float
+    lateness_p95_s: float
+    lateness_p99_s: float
+    lateness_max_s: float
+    drift_ppm: float  # positive: the sent clock runs slow
+    overruns: int  # frames more than half of the shortest cycle late
+    underruns: int  # times the next frames were not computed when they were due
+    is_complete: bool  # False if stopped before the end
+
+
+class FrameSender(Protocol):
+    """What puts frames on a bus."""
+
+    def send(self, message: can.Message) -> None:
+        """Send a frame, or raise ``can.CanError``."""
+
+
+class _Transmitter:
+    """One transmission: schedule, sender and measurements."""
+
+    def __init__(self, bus: FrameSender, stop: threading.Event) -> None:
+        self._bus = bus
+        self._stop = stop
+        self._punctuality = Punctuality(OVERRUN_S)
+        self._is_stuck = False
+        self.sent = 0
+        self.given_up = 0
+        self.retries = 0
+        self.underruns = 0
+        self._wall_s = time.time() - time.monotonic()  # once: its steps are not those of the drive
+
+    def send_chunk(self, chunk: EncodedFrames, start_s: float) -> None:
+        """Send frames when they are due; those due at the same instant go out together."""
+        bounds = [*np.flatnonzero(np.diff(chunk.t_s, prepend=-np.inf)).tolist(), len(chunk)]
+        for first, end in pairwise(bounds):  # none where a fault has taken every frame
+            messages = to_messages(chunk[first:end], start_s + self._wall_s)
+            due_s = float(chunk.t_s[first])
+            deadline_s = start_s + due_s
+            self._sleep_until(deadline_s)
+            if self._stop.is_set():
+                return
+            for message in messages:
+                self._punctuality.add(due_s, time.monotonic() - deadline_s)
+                self._send(message)
+
+    def report(self, duration_s: float, *, is_complete: bool) -> TransmitReport:
+        """Return what has been measured."""
+        return TransmitReport(
+            frames_sent=self.sent,
+            frames_given_up=self.given_up,
+            retries=self.retries,
+            duration_s=duration_s,
+            lateness_mean_s=self._punctuality.mean_s,
+            lateness_p50_s=self._punctuality.quantile_s(0.50),
+            lateness_p95_s=self._punctuality.quantile_s(0.95),
+            lateness_p99_s=self._punctuality.quantile_s(0.99),
+            lateness_max_s=self._punctuality.max_s,
+            drift_ppm=self._punctuality.drift_ppm,
+            overruns=self._punctuality.overruns,
+            underruns=self.underruns,
+            is_complete=is_complete,
+        )
+
+    def _sleep_until(self, deadline_s: float) -> None:
+        """Sleep, in slices: a signal handler may ask to stop."""
+        while (left_s := deadline_s - time.monotonic()) > 0.0 and not self._stop.is_set():
+            time.sleep(min(left_s, LONGEST_SLEEP_S))
+
+    def _send(self, message: can.Message) -> None:
+        # Behind a frame that was given up each gets one attempt, until one passes: waiting would make all late.
+        give_up_s = time.monotonic() + (0.0 if self._is_stuck else RETRY_FOR_S)
+        while True:
+            try:
+                self._bus.send(message)
+            except can.CanError as exc:
+                if error_number(exc) in BUS_GONE:
+                    raise BusError(f"the bus went away after {self.sent} frames: {exc}") from exc
+                if time.monotonic() >= give_up_s:
+                    self._is_stuck = True
+                    self.given_up += 1
+                    return
+                self.retries += 1
+                time.sleep(RETRY_PAUSE_S)
+            else:
+                self._is_stuck = False
+                self.sent += 1
+                return
+
+
+class _Producer:
+    """Draws chunks in a thread of its own, a bounded number ahead of the sender."""
+
+    def __init__(self, chunks: Iterable[EncodedFrames], stop: threading.Event) -> None:
+        self._chunks = chunks
+        self._stop = stop
+        self._is_unwanted = threading.Event()
+        self._queue: queue.Queue[EncodedFrames | None] = queue.Queue(maxsize=CHUNKS_AHEAD)
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._produce, name="frame producer", daemon=True)
+        self._thread.start()
+
+    def is_behind(self) -> bool:
+        """Return whether the next chunk is still being computed."""
+        return self._queue.empty()
+
+    def next(self) -> EncodedFrames | None:
+        """Wait for the next chunk; None at the end or when stopping.
+
+        Raises
+        ------
+        BaseException
+            What the iteration over the chunks raised.
+        """
+        while not self._stop.is_set():
+            try:
+                chunk = self._queue.get(timeout=LONGEST_SLEEP_S)
+            except queue.Empty:
+                continue
+            if chunk is None and self._error is not None:
+                raise self._error
+            return chunk
+        return None
+
+    def _produce(self) -> None:
+        try:
+            for chunk in self._chunks:
+                if not self._put(chunk):
+                    return
+        except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
+            self._error = exc
+        self._put(None)
+
+    def close(self) -> None:
+        """End the thread, at the next chunk at the latest."""
+        self._is_unwanted.set()
+        self._thread.join(JOIN_S)
+
+    def _put(self, chunk: EncodedFrames | None) -> bool:
+        while not (self._stop.is_set() or self._is_unwanted.is_set()):
+            try:
+                self._queue.put(chunk, timeout=LONGEST_SLEEP_S)
+            except queue.Full:
+                continue
+            return True
+        return False
+
+
+def transmit(
+    bus: FrameSender,
+    chunks: Iterable[EncodedFrames],
+    stop: threading.Event,
+    *,
+    start_delay_s: float = 0.0,
+    on_progress: Callable[[float, int], None] | None = None,
+) -> TransmitReport:
+    """Send frames at the times they carry, from now on, until they end or ``stop`` is set.
+
+    Parameters
+    ----------
+    bus : FrameSender
+        Any open python-can bus, or what stands before one.
+    chunks : iterable of EncodedFrames
+        Frames in the order of their times; computed ahead in a thread.
+    stop : threading.Event
+        May be set by a signal handler.
+    start_delay_s : float
+        Time [s] between the first computed chunk and scenario time 0.
+    on_progress : callable
+        Called with scenario time [s] and frames sent, about five times a second.
+
+    Raises
+    ------
+    BusError
+        If the bus goes away.
+    """
+    transmitter, producer = _Transmitter(bus, stop), _Producer(chunks, stop)
+    try:
+        chunk = producer.next()
+        started_s = time.monotonic() + start_delay_s + LEAD_IN_S
+        next_progress_s = 0.0
+        while chunk is not None:
+            transmitter.send_chunk(chunk, started_s)
+            elapsed_s = time.monotonic() - started_s
+            if on_progress is not None and len(chunk) and elapsed_s >= next_progress_s:
+                on_progress(float(chunk.t_s[-1]), transmitter.sent)
+                next_progress_s = elapsed_s + PROGRESS_PERIOD_S
+            if producer.is_behind() and not stop.is_set():
+                transmitter.underruns += 1
+            chunk = producer.next()
+    finally:
+        producer.close()
+    return transmitter.report(max(0.0, time.monotonic() - started_s), is_complete=not stop.is_set())
+
+
+def to_messages(frames: EncodedFrames, epoch_s: float = 0.0) -> list[can.Message]:
+    """Return frames as python-can takes them, with the times at which they are due; scenario time 0 is ``epoch_s``.
+
+    A virtual bus may keep these times, so that what is heard there does not depend on how busy the machine is.
+    """
+    return [
+        can.Message(
+            timestamp=epoch_s + t_s,
+            arbitration_id=can_id & ~(EXTENDED_FLAG | ERROR_FLAG),
+            is_error_frame=bool(can_id & ERROR_FLAG),
+            is_extended_id=bool(can_id & EXTENDED_FLAG),
+            data=payload[:length].tobytes(),
+        )
+        for t_s, can_id, length, payload in zip(
+            frames.t_s.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True
+        )
+    ]
+
+
+def open_bus(
+    interface: str | None = None,
+    channel: str | None = None,
+    bitrate: int | None = None,
+    *,
+    fd: bool = False,
+    options: Mapping[str, Any] = opening.NOTHING,
+) -> can.BusABC:
+    """Open a bus; what is not given comes from CAN_INTERFACE, CAN_CHANNEL and can.conf, as with python-can's tools.
+
+    ``udp_multicast`` keeps to this machine unless ``hop_limit`` is configured; ``options`` are more arguments of the
+    driver, such as its port.
+
+    Raises
+    ------
+    BusError
+        If no bus is named, or it cannot be opened; the text says what to do.
+    """
+    name = " ".join(part for part in (interface, channel) if part) or "from the configuration"
+    try:
+        if interface == "socketcan" and channel:
+            probe_socketcan(channel)
+        return opening.open_bus(interface, channel, bitrate, fd=fd, options=options)
+    except can.CanInterfaceNotImplementedError as exc:
+        if interface is None:
+            raise BusError("no CAN interface given: use -i and -c, CAN_INTERFACE and CAN_CHANNEL, or can.conf") from exc
+        raise BusError(f"CAN interface {interface}: {exc}") from exc
+    except (can.CanError, OSError, ValueError, TypeError, ImportError, RuntimeError) as exc:
+        raise BusError(f"CAN bus {name} cannot be opened: {advice(exc, channel)}") from exc
+
+
+def probe_socketcan(channel: str) -> None:
+    """Find out what is wrong with an interface before python-can does, which would leave a socket open.
+
+    Raises
+    ------
+    OSError
+        If this kernel has no CAN, or the interface is not there, not CAN, or down.
+    """
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw:
+        raw.bind((channel,))
+        if failure := raw.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+            raise OSError(failure, os.strerror(failure))
+
+
+def advice(error: BaseException, channel: str | None) -> str:
+    """Return what went wrong and, where it is known, what to do about it."""
+    match error_number(error):
+        case errno.EAFNOSUPPORT | errno.EPROTONOSUPPORT:
+            return "this kernel has no CAN sockets (modprobe can-raw); try -i udp_multicast -c 239.74.163.2"
+        case errno.ENODEV:
+            return f"no such interface (ip link add {channel} type vcan; ip link set {channel} up)"
+        case errno.ENETDOWN:
+            return f"it is down (ip link set {channel} up)"
+        case _:
+            return " ".join(str(error).split()) or type(error).__name__
+
+
+def error_number(error: BaseException | None) -> int | None:
+    """Return the errno behind an error of python-can, which may be its code or its cause's."""
+    while error is not None:
+        code = getattr(error, "error_code", None) or getattr(error, "errno", None)
+        if isinstance(code, int):
+            return code
+        error = error.__cause__
+    return None

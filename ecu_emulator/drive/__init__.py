@@ -1,0 +1,1 @@
+"""One drive from a scenario to frames."""

@@ -1,0 +1,175 @@
+"""Builds one vehicle for a scenario: the nominal type, what the scenario makes true, and production scatter."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final
+
+from clutch_model.calibration import Calibration, nominal_table
+from clutch_model.clutch import ClutchCalibration
+from clutch_model.errors import CalibrationError
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.plant.parameters import PlantParameters, nominal_plant_table
+from ecu_emulator.scenario.scenario import FluidCondition, Overrides, Scatter, Scenario
+from ecu_emulator.scenario.signals import Sensors, generator, split_unit
+from ecu_emulator.truth.effects import affected_calibration, affected_parameters
+
+_FRESH: Final = (1.0, 1.0)
+FLUID_FACTORS: Final[Mapping[FluidCondition, tuple[float, float]]] = {
+    FluidCondition.IDEAL: _FRESH,
+    FluidCondition.CASE_1: (0.95, 1.05),
+    FluidCondition.CASE_2: (0.85, 1.15),
+    FluidCondition.AGEING: _FRESH,  # at the start
+}
+"""Factors on (mu_C, mu_S) of both clutches; docs/model.md, table of parameters."""
+
+_CLUTCH_NAMES: Final = ("clutch1", "clutch2")
+_PER_CLUTCH: Final = frozenset({"piston_area_ratio", "touch_pressure_pa", "pressure_zero_pa"})
+_DELAYED_UNITS: Final = frozenset({"rad_s"})  # the speeds that torque and pressure are compared with
+
+
+def ageing_factors(cycles: int) -> tuple[tuple[float, float], ...]:
+    """Return factors on (mu_C, mu_S) in cycles 0, 1, ..., ``cycles``: a straight line from fresh to case 2."""
+    aged = FLUID_FACTORS[FluidCondition.CASE_2]
+    shares = [cycle / cycles for cycle in range(cycles + 1)]
+    return tuple((1.0 + share * (aged[0] - 1.0), 1.0 + share * (aged[1] - 1.0)) for share in shares)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BuiltVehicle:
+    """One individual vehicle: what is true for it, and how its sensors err; friction as the drive begins."""
+
+    calibration: Calibration
+    parameters: PlantParameters
+    sensors: Sensors
+    drawn: Mapping[str, float]  # deviation from the type by name; ratios are relative deviations
+
+
+def build_vehicle(scenario: Scenario) -> BuiltVehicle:
+    """Return the vehicle of a scenario; the same scenario and vehicle seed always give the same one.
+
+    Raises
+    ------
+    ConfigError
+        If a truth override names an unknown key or leads outside a physical range.
+    """
+    drawn = _draw(scenario.scatter, scenario.seed_of_vehicle)
+    try:
+        calibration = affected_calibration(
+            Calibration.from_mapping(_overridden(nominal_table(), scenario.truth.calibration, "truth.calibration")),
+            scenario.effects,
+        )
+        clutches = [
+            _scattered_clutch(clutch, name, drawn, FLUID_FACTORS[scenario.fluid.condition])
+            for clutch, name in zip(calibration.clutches, _CLUTCH_NAMES, strict=True)
+        ]
+        inertia_kg_m2 = calibration.input_side.engine_inertia_kg_m2 * (1.0 + drawn["engine_inertia_ratio"])
+        viscosity_a_pa_s = calibration.viscosity.a_pa_s * (1.0 + drawn["viscosity_ratio"])
+        return BuiltVehicle(
+            calibration=replace(
+                calibration,
+                clutches=(clutches[0], clutches[1]),
+                viscosity=replace(calibration.viscosity, a_pa_s=viscosity_a_pa_s),
+                input_side=replace(calibration.input_side, engine_inertia_kg_m2=inertia_kg_m2),
+            ),
+            parameters=_scattered_plant(
+                affected_parameters(
+                    PlantParameters.from_mapping(
+                        _overridden(dict(nominal_plant_table()), scenario.truth.plant, "truth.plant")
+                    ),
+                    scenario.effects,
+                ),
+                drawn,
+            ),
+            sensors=_scattered_sensors(scenario.sensors, drawn),
+            drawn=drawn,
+        )
+    except CalibrationError as exc:
+        raise ConfigError(f"scenario {scenario.name}: truth is not possible: {exc}") from exc
+
+
+def _draw(scatter: Scatter, seed: int) -> dict[str, float]:
+    """Draw every deviation from a generator of its own, so that one more does not change the others."""
+    drawn: dict[str, float] = {}
+    for name in (member.name for member in fields(scatter)):
+        keys = [f"{clutch}_{name}" for clutch in _CLUTCH_NAMES] if name in _PER_CLUTCH else [name]
+        std = getattr(scatter, name)
+        drawn |= {key: 0.0 + std * float(generator(seed, f"scatter {key}").standard_normal()) for key in keys}
+    return drawn
+
+
+def _scattered_clutch(
+    clutch: ClutchCalibration, name: str, drawn: Mapping[str, float], factors: tuple[float, float]
+) -> ClutchCalibration:
+    area_m2 = clutch.geometry.piston_area_m2 * (1.0 + drawn[f"{name}_piston_area_ratio"])
+    preload_n = clutch.piston.spring_preload_n + drawn[f"{name}_touch_pressure_pa"] * area_m2
+    return replace(
+        clutch,
+        geometry=replace(clutch.geometry, piston_area_m2=area_m2),
+        piston=replace(clutch.piston, spring_preload_n=preload_n),
+        friction=replace(
+            clutch.friction, mu_c=clutch.friction.mu_c * factors[0], mu_s=clutch.friction.mu_s * factors[1]
+        ),
+    )
+
+
+def _scattered_plant(parameters: PlantParameters, drawn: Mapping[str, float]) -> PlantParameters:
+    factor = 1.0 + drawn["input_shaft_inertia_ratio"]
+    first, second = (
+        shaft._replace(
+            clutch_inertia_kg_m2=shaft.clutch_inertia_kg_m2 * factor,
+            gear_inertia_kg_m2=shaft.gear_inertia_kg_m2 * factor,
+        )
+        for shaft in parameters.shafts
+    )
+    return replace(parameters, shafts=(first, second))
+
+
+def _scattered_sensors(sensors: Sensors, drawn: Mapping[str, float]) -> Sensors:
+    """Add gain, zero and latency errors; only differences of latency matter, so the earliest chain defines zero."""
+    latency_s = {"torque": drawn["torque_latency_s"], "pressure": drawn["pressure_latency_s"], "speed": 0.0}
+    base_s = -min(latency_s.values())
+    scattered = dict(sensors)
+    for quantity, sensor in sensors.items():
+        if quantity == "engine_torque_nm":
+            scattered[quantity] = replace(
+                sensor,
+                gain_ratio=sensor.gain_ratio * (1.0 + drawn["torque_gain_ratio"]),
+                offset=sensor.offset + drawn["torque_offset_nm"],
+                latency_s=sensor.latency_s + base_s + latency_s["torque"],
+            )
+        elif quantity in {f"{clutch}_pressure_pa" for clutch in _CLUTCH_NAMES}:
+            scattered[quantity] = replace(
+                sensor,
+                offset=sensor.offset + drawn[f"{quantity.partition('_')[0]}_pressure_zero_pa"],
+                latency_s=sensor.latency_s + base_s + latency_s["pressure"],
+            )
+        elif split_unit(quantity)[1] in _DELAYED_UNITS:
+            scattered[quantity] = replace(sensor, latency_s=sensor.latency_s + base_s)
+    return scattered
+
+
+def _overridden(table: dict[str, Any], overrides: Overrides, where: str) -> dict[str, Any]:
+    """Replace leaves of nested tables (parsed afresh, so ours to change) by dotted key.
+
+    A number at the end of a part chooses from an array of tables: ``clutch2.friction.mu_c``.
+    """
+    for dotted, value in overrides.items():
+        *path, leaf = dotted.split(".")
+        node: Any = table
+        for part in path:
+            node = _child(node, part)
+        if not isinstance(node, dict) or leaf not in node or isinstance(node[leaf], dict):
+            raise ConfigError(f"{where}.{dotted} is unknown")
+        node[leaf] = value
+    return table
+
+
+def _child(node: Any, part: str) -> Any:  # noqa: ANN401 - parsed TOML
+    if not isinstance(node, dict):
+        return None
+    if part in node:
+        return node[part]
+    members, number = node.get(part[:-1]), part[-1:]
+    if isinstance(members, list) and number.isdigit() and 1 <= int(number) <= len(members):
+        return members[int(number) - 1]
+    return None

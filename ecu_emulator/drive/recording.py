@@ -1,0 +1,262 @@
+"""One drive from plant to frames: the only file that knows the order of the emulator's stages."""
+
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from queue import SimpleQueue
+from typing import Final
+
+from canlog.arrays import FloatArray
+from canlog.e2e.message_contract import message_contracts
+from clutch_model.errors import CalibrationError
+from dbc.contract import load_contract
+from ecu_emulator.bus.bus_faults import BusFaults
+from ecu_emulator.bus.frame_loss import FrameLoss
+from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
+from ecu_emulator.drive.build import build_vehicle
+from ecu_emulator.drive.drive_setup import drive_settings, drive_truth, installation, schedules
+from ecu_emulator.drive.road import WHOLE_STAY_S, journey, scenario_trips, trip_truth
+from ecu_emulator.driving.journey import Departure, Journey
+from ecu_emulator.driving.trips import PlannedTrip
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.powertrain import Powertrain
+from ecu_emulator.scenario.faults import BusFault, SensorFault
+from ecu_emulator.scenario.scenario import Routine, Scenario
+from ecu_emulator.sensing.sensors import SensorSuite
+from ecu_emulator.shift_control.touch_points import PressureSteps, nominal_touch_pressures_pa
+from ecu_emulator.truth.event_watcher import EventWatcher
+from ecu_emulator.truth.records import (
+    EventTruth,
+    FaultTruth,
+    Happened,
+    ShiftTruth,
+    Totals,
+    TripTruth,
+    TruthLog,
+    known_at_s,
+    truth_log,
+)
+from ecu_emulator.truth.truth_watchers import RevWatcher, ShiftWatcher
+
+LONG_STRETCH_S: Final = 10.0  # for files
+MOST_STARTS: Final = 64  # that nobody has asked for
+MS_PER_S: Final = 1000.0
+SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter for long
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """What a stretch of driving puts on the bus, and what happened in it, in the order in which it is known."""
+
+    frames: EncodedFrames
+    truths: tuple[Happened, ...]
+    end_s: float  # scenario time reached
+
+    @property
+    def shifts(self) -> tuple[ShiftTruth, ...]:
+        """The shifts that ended."""
+        return tuple(truth for truth in self.truths if isinstance(truth, ShiftTruth))
+
+
+class Drive:
+    """One drive of one built vehicle: plant, sensors and frame builder in step.
+
+    The frames depend on the scenario only, not on the length of the stretches; memory does not grow with the drive.
+    On the road a drive is made of trips, each of which begins as the ignition is switched on.
+
+    Parameters
+    ----------
+    longest_stay_s
+        Of the time for which the car is parked between two trips at most this much [s] is shown.
+    planned
+        Trips in place of those that the scenario names.
+
+    Raises
+    ------
+    ConfigError
+        If the scenario's truth is not possible.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        longest_stay_s: float = WHOLE_STAY_S,
+        planned: Iterator[PlannedTrip] | None = None,
+    ) -> None:
+        self._scenario = scenario
+        self._vehicle = vehicle = build_vehicle(scenario)
+        database = load_contract()
+        self._encoder = FrameEncoder(database)
+        self._touch_pa = None if scenario.adapted else nominal_touch_pressures_pa()
+        self._plant = self._made_plant(longest_stay_s, planned)
+        self._departure: Departure | None = None
+        self._watchers = (ShiftWatcher(), RevWatcher(), EventWatcher())
+        self._sensors = SensorSuite(
+            schedules=schedules(scenario, message_contracts(database), self._encoder),
+            sensors=vehicle.sensors,
+            installation=installation(scenario, vehicle),
+            startup_s=scenario.startup.by_sender(),
+            seed=scenario.seed_of_drive,
+            faults=scenario.sensor_faults,
+        )
+        self._loss = FrameLoss(scenario.effects.frame_loss_ratio, scenario.seed_of_drive)
+        self._bus_faults = BusFaults(scenario.bus_faults, scenario.seed_of_drive, message_contracts(database))
+        self.ignition: Final[deque[float]] = deque(maxlen=MOST_STARTS)  # see Answering
+        self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()  # filled by other threads
+        self._counts: Counter[type[Happened]] = Counter()
+        self._frame_count = 0
+        self._end_s = 0.0
+        self._driven_ms = 0
+        self._odometer_m = scenario.odometer_m
+        self.truth: Final = drive_truth(scenario, vehicle)
+
+    @property
+    def totals(self) -> Totals:
+        """What has been driven so far."""
+        return Totals(
+            shifts=self._counts[ShiftTruth],
+            events=self._counts[EventTruth],
+            duration_s=self._end_s,
+            driven_s=self._driven_ms / MS_PER_S,
+            frames=self._frame_count,
+            faults=self._fault_truths(),
+            odometer_m=self._odometer_m,
+        )
+
+    @property
+    def finished(self) -> bool:
+        """Whether all that was to be driven has been."""
+        return self._plant.finished
+
+    def add_fault(self, fault: SensorFault | BusFault) -> None:
+        """Have a fault happen; its time counts from the next stretch on. Any thread may call.
+
+        Raises
+        ------
+        ConfigError
+            If it names a message that is not on the bus.
+        """
+        if isinstance(fault, BusFault):
+            self._bus_faults.check(fault)
+            self._asked.put(lambda: self._bus_faults.add(fault, self._end_s))
+        else:
+            self._asked.put(lambda: self._sensors.faults.add(fault, self._end_s))
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the car waits for somebody to ask for the workshop routine."""
+        return isinstance(self._plant, Powertrain) and self._plant.is_waiting
+
+    def begin_routine(self, request: Routine) -> None:
+        """Have the workshop routine begin with the next stretch, if the car waits for it. Any thread may call."""
+        if isinstance(plant := self._plant, Powertrain):
+            self._asked.put(lambda: plant.begin_routine(request.open_revs, request.closed_revs))
+
+    def begin_steps(self, steps: PressureSteps) -> None:
+        """Have pressure steps begin with the next stretch, if the car waits. Any thread may call."""
+        if isinstance(plant := self._plant, Powertrain):
+            self._asked.put(lambda: plant.begin_steps(steps))
+
+    def stop_steps(self) -> None:
+        """Have pressure steps broken off with the next stretch. Any thread may call."""
+        if isinstance(plant := self._plant, Powertrain):
+            self._asked.put(plant.stop_steps)
+
+    @property
+    def is_adapted(self) -> bool:
+        """Whether the control knew its clutches' touch points as the drive began."""
+        return self._scenario.adapted
+
+    @property
+    def touch_pressures_pa(self) -> tuple[float, float]:
+        """Touch points that the control works with [Pa]."""
+        first, second = self._vehicle.calibration.clutches
+        return self._touch_pa or (first.touch_pressure_pa, second.touch_pressure_pa)
+
+    def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
+        """Let the control take these for its clutches' touch points from the next stretch on. Any thread may call."""
+        self._touch_pa = touch_pressures_pa
+        self._asked.put(lambda: self._plant.believe(touch_pressures_pa))
+
+    def stretches(self, duration_s: float) -> Iterator[Stretch]:
+        """Yield the rest of the drive in stretches of this length [s]."""
+        while not self.finished:
+            self._begin_asked()
+            rows = self._plant.advance(duration_s)
+            if len(rows):
+                yield self._stretch(rows)
+
+    def _made_plant(self, longest_stay_s: float, planned: Iterator[PlannedTrip] | None) -> Powertrain | Journey:
+        scenario, vehicle = self._scenario, self._vehicle
+        try:
+            if scenario.is_on_the_road:
+                trips = planned or scenario_trips(scenario)
+                return journey(scenario, vehicle, longest_stay_s, trips, lambda: self._touch_pa)
+            settings = drive_settings(scenario)
+            touch_pa = self._touch_pa
+            return Powertrain(vehicle.calibration, vehicle.parameters, settings, touch_pressures_pa=touch_pa)
+        except CalibrationError as exc:
+            raise ConfigError(f"scenario {scenario.name}: drive {scenario.drive} is not possible: {exc}") from exc
+
+    def _begin_asked(self) -> None:
+        while not self._asked.empty():
+            self._asked.get()()
+
+    def _fault_truths(self) -> tuple[FaultTruth, ...]:
+        sensors, bus = self._sensors.faults, self._bus_faults
+        described = [(fault.quantity, fault.kind.value, fault.size) for fault in sensors.faults]
+        described += [(fault.message or "bus", fault.kind.value, fault.share) for fault in bus.faults]
+        spans_s, counts = (*sensors.spans_s, *bus.spans_s), (*sensors.changed_counts, *bus.counts)
+        return tuple(
+            FaultTruth(
+                what=what,
+                kind=kind,
+                size=size,
+                t_start_s=start_s,
+                t_end_s=stop_s if math.isfinite(stop_s) else None,
+                count=count,
+            )
+            for (what, kind, size), (start_s, stop_s), count in zip(described, spans_s, counts, strict=True)
+            if start_s <= self._end_s
+        )
+
+    def _stretch(self, rows: FloatArray) -> Stretch:
+        is_last = self.finished or (isinstance(self._plant, Journey) and self._plant.is_parked)
+        truths = sorted([*self._begun_trip(), *self._watched(rows, is_last=is_last)], key=known_at_s)
+        frames = self._loss.surviving(self._encoder.encode_all(self._sensors.read(rows)))
+        first_s, self._end_s = (round(float(rows[row, Col.T_S]), 3) for row in (0, -1))
+        frames = self._bus_faults.feed(frames, rows, round(first_s * MS_PER_S), self._end_s, is_last=is_last)
+        if len(frames) and not self._frame_count:
+            self.ignition.appendleft(float(frames.t_s[0]))
+        self._counts.update(map(type, truths))
+        self._frame_count += len(frames)
+        self._driven_ms += len(rows)
+        self._odometer_m = self._scenario.odometer_m + float(rows[-1, Col.DISTANCE])
+        return Stretch(frames=frames, truths=tuple(truths), end_s=self._end_s)
+
+    def _begun_trip(self) -> list[TripTruth]:
+        """Return the trip that the rows driven last begin, if they do; a car that was parked is switched on."""
+        departure = self._plant.departure if isinstance(self._plant, Journey) else None
+        if departure is None or departure is self._departure:
+            return []
+        self._departure = departure
+        self._sensors.restart()
+        if departure.trip.parked_s > 0.0:
+            self._sensors.switch_on(departure.t_start_s)
+            self._encoder.restart()
+            self.ignition.append(departure.t_start_s)
+        return [trip_truth(departure, self._scenario, self._vehicle.calibration)]
+
+    def _watched(self, rows: FloatArray, *, is_last: bool) -> list[Happened]:
+        truths: list[Happened] = [truth for watcher in self._watchers for truth in watcher.feed(rows)]
+        return [*truths, *(truth for watcher in self._watchers for truth in watcher.finish())] if is_last else truths
+
+
+def frames_of(scenario: Scenario) -> tuple[EncodedFrames, TruthLog]:
+    """Return all frames of a drive and its truth, without files; for tests and studies of short drives."""
+    drive = Drive(scenario)
+    stretches = list(drive.stretches(LONG_STRETCH_S))
+    truths = [truth for stretch in stretches for truth in stretch.truths]
+    return merge([stretch.frames for stretch in stretches]), truth_log(drive.truth, truths, drive.totals)

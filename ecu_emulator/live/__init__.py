@@ -1,0 +1,1 @@
+"""A drive on a bus in real time."""

@@ -1,0 +1,1 @@
+"""Scenarios: everything that decides what one drive puts on the bus."""

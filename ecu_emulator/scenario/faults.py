@@ -1,0 +1,142 @@
+"""Faults that a scenario scripts: when each begins and what it does. Records that check their own ranges."""
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from typing import Final
+
+from canlog.e2e.profile1 import COUNTER_PERIOD
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.scenario.signals import NOMINAL_SENSORS
+
+MAX_SHIFT: Final = 1_000_000
+MAX_DELAY_S: Final = 10.0  # frames are held in memory that long
+
+
+class Phase(StrEnum):
+    """Phases of a shift, by which a fault can be timed."""
+
+    PREFILL = "prefill"
+    TORQUE = "torque"
+    INERTIA = "inertia"
+    LOCK_UP = "lock_up"
+
+
+class PhaseCode(IntEnum):
+    """The same phases, and none, as the shift control numbers them on the bus."""
+
+    HOLD = 0
+    PREFILL = 1
+    TORQUE = 2
+    INERTIA = 3
+    LOCK_UP = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scheduled:
+    """Something that begins at a time of the drive, or of one of its shifts, and ends a while later.
+
+    ``start_s`` counts from the beginning of the drive; if ``shift`` names one (1, 2, ...), from the beginning of a
+    phase of that shift, by default of the shift itself.
+    """
+
+    start_s: float = 0.0
+    shift: int = 0
+    phase: Phase = Phase.PREFILL
+    duration_s: float = math.inf
+
+    def __post_init__(self) -> None:
+        """Check that it can happen."""
+        if not (math.isfinite(self.start_s) and self.start_s >= 0.0):
+            raise ConfigError(f"start_s must be >= 0, got {self.start_s}")
+        if not 0 <= self.shift <= MAX_SHIFT:
+            raise ConfigError(f"shift must be 1..{MAX_SHIFT}, or 0 for none, got {self.shift}")
+        if not self.duration_s > 0.0:
+            raise ConfigError(f"duration_s must be > 0, got {self.duration_s}")
+
+
+class SensorFaultKind(StrEnum):
+    """What a measuring chain can do wrong."""
+
+    FROZEN = "frozen"  # repeats the last reading before the fault
+    OFFSET = "offset"  # reads ``size`` more
+    DRIFT = "drift"  # reads ``size`` more for every second of the fault
+    SPIKE = "spike"  # one reading, the first of the fault, is ``size`` more
+    NOT_AVAILABLE = "not_available"  # the controller says that it does not know
+
+
+_SIZED: Final = frozenset({SensorFaultKind.OFFSET, SensorFaultKind.DRIFT, SensorFaultKind.SPIKE})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorFault(Scheduled):
+    """One fault of one measuring chain; ``size`` is in the unit of the quantity, of a drift in that unit per second."""
+
+    quantity: str
+    kind: SensorFaultKind
+    size: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check that the quantity is measured and that the size fits the kind."""
+        Scheduled.__post_init__(self)
+        if self.quantity not in NOMINAL_SENSORS:
+            raise ConfigError(f"quantity {self.quantity!r} has no sensor; known: {', '.join(sorted(NOMINAL_SENSORS))}")
+        if not math.isfinite(self.size) or (self.kind in _SIZED) != (self.size != 0.0):
+            needed = "a finite size other than 0" if self.kind in _SIZED else "no size"
+            raise ConfigError(f"a fault of kind {self.kind} needs {needed}, got {self.size}")
+
+
+class BusFaultKind(StrEnum):
+    """What can happen to frames between controller and receiver, or inside the controller that sends them."""
+
+    LOSS = "loss"  # never arrives
+    SILENCE = "silence"  # nothing arrives, while the controllers go on counting
+    RESTART = "restart"  # the sender falls silent and begins to count from zero
+    DUPLICATE = "duplicate"  # arrives twice
+    REORDER = "reorder"  # arrives behind its successor
+    DELAY = "delay"  # arrives later, in order
+    BAD_CRC = "bad_crc"
+    STUCK_COUNTER = "stuck_counter"
+    SKIPPING_COUNTER = "skipping_counter"  # the counter runs ahead by ``skip``
+    SHORT = "short"  # four bytes instead of eight
+    SPOOF = "spoof"  # a second sender uses the identifier, with a counter of its own and a sound CRC
+    ERROR_FRAME = "error_frame"  # an error frame behind it
+    OVERLOAD = "overload"  # foreign frames fill what ``share`` of the bit rate leaves free
+
+
+_WHOLE: Final = frozenset(
+    {BusFaultKind.SILENCE, BusFaultKind.RESTART, BusFaultKind.STUCK_COUNTER, BusFaultKind.SKIPPING_COUNTER}
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusFault(Scheduled):
+    """One fault of the bus or of a sender.
+
+    It strikes the frames of one ``message`` of the wire contract, or of all of them without a name; each with the
+    probability ``share``. A restart concerns all messages of the named one's sender.
+    """
+
+    kind: BusFaultKind
+    message: str = ""
+    share: float = 1.0
+    delay_s: float = 0.0
+    jitter_s: float = 0.0  # added to the delay, uniform from zero
+    skip: int = 0
+
+    def __post_init__(self) -> None:
+        """Check that what is given belongs to the kind."""
+        Scheduled.__post_init__(self)
+        if not 0.0 < self.share <= 1.0:
+            raise ConfigError(f"share must be above 0, up to 1, got {self.share}")
+        if self.kind in _WHOLE and self.share != 1.0:
+            raise ConfigError(f"a fault of kind {self.kind} strikes all frames: no share")
+        for name in ("delay_s", "jitter_s"):
+            if not 0.0 <= getattr(self, name) <= MAX_DELAY_S:
+                raise ConfigError(f"{name} must be 0..{MAX_DELAY_S:g}, got {getattr(self, name)}")
+        if (self.kind is BusFaultKind.DELAY) != (self.delay_s + self.jitter_s > 0.0):
+            raise ConfigError("delay_s or jitter_s belong to a fault of kind delay, which needs one of them")
+        if (self.kind is BusFaultKind.SKIPPING_COUNTER) != (self.skip != 0) or not 0 <= self.skip < COUNTER_PERIOD:
+            raise ConfigError(f"skip, 1..{COUNTER_PERIOD - 1}, belongs to a fault of kind skipping_counter")
+        if self.kind is BusFaultKind.OVERLOAD and self.message:
+            raise ConfigError("an overload concerns the whole bus: no message")

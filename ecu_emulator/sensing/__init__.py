@@ -1,0 +1,1 @@
+"""What the vehicle measures, and how measuring goes wrong."""

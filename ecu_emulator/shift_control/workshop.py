@@ -1,0 +1,178 @@
+"""The workshop routine: revs in neutral with both clutches open, then closed, and a start from rest into 1st gear.
+
+It begins with the drive, or when a tester asks for it; until then the car waits.
+
+What the revs are for: with the clutches open the engine accelerates itself and the hub, with both closed the input
+shafts as well, whose inertia is known from the drawing; docs/model.md section "Workshop routine".
+"""
+
+from canlog.arrays import FloatArray
+from canlog.jit import array_kernel
+from ecu_emulator.shift_control import tcu
+from ecu_emulator.shift_control import tcu_data as at
+from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters, WorkshopParameters
+
+STANDING_BRAKE_M_S2 = 0.5  # [C] about 5 bar, what holds a car on level ground
+
+
+@array_kernel
+def enter_stage(memory: FloatArray, stage: int) -> None:
+    """Start a stage of the routine."""
+    memory[at.ROUTINE] = stage
+    memory[at.REV] = 0.0
+    memory[at.REV_TIME] = 0.0
+    memory[at.IS_REVVING] = 0.0
+
+
+@array_kernel
+def rev(memory: FloatArray, sense: FloatArray, count: int, is_settled: bool, p: WorkshopParameters) -> bool:  # noqa: FBT001 - kernels take their arguments by position
+    """Move the pedal through the revs of a stage; True once all ``count`` are over."""
+    memory[at.REV_TIME] += at.PERIOD_S
+    time_s, speed_rad_s = memory[at.REV_TIME], sense[at.ENGINE_SPEED]
+    if memory[at.REV] == 0.0:
+        is_over = is_settled and time_s >= p.settle_time_s
+    elif memory[at.IS_REVVING] != 0.0:
+        if speed_rad_s >= p.rev_top_rad_s or time_s >= 0.5 * p.longest_rev_s:
+            memory[at.IS_REVVING] = 0.0
+        is_over = False
+    else:
+        is_over = bool(speed_rad_s <= p.rev_bottom_rad_s or time_s >= p.longest_rev_s)
+    if not is_over:
+        return False
+    if memory[at.REV] >= count:
+        return True
+    memory[at.REV] += 1.0
+    memory[at.REV_TIME] = 0.0
+    memory[at.IS_REVVING] = 1.0
+    return False
+
+
+@array_kernel
+def wait(commands: FloatArray) -> None:
+    """Idle with both clutches empty and the brake held; whoever asks for the routine moves on to its first stage."""
+    tcu.command_pressure(commands, 0, 0.0)
+    tcu.command_pressure(commands, 1, 0.0)
+    commands[at.THROTTLE] = 0.0
+    commands[at.BRAKE] = STANDING_BRAKE_M_S2
+
+
+@array_kernel
+def open_revs(memory: FloatArray, sense: FloatArray, commands: FloatArray, p: WorkshopParameters) -> None:
+    """Rev with both clutches empty."""
+    tcu.command_pressure(commands, 0, 0.0)
+    tcu.command_pressure(commands, 1, 0.0)
+    count = int(memory[at.OPEN_REV_COUNT])
+    if count == 0 or rev(memory, sense, count, True, p):
+        enter_stage(memory, at.CLOSED_REVS)
+
+
+@array_kernel
+def closed_revs(
+    memory: FloatArray,
+    sense: FloatArray,
+    commands: FloatArray,
+    actuation: ClutchActuation,
+    control: ControlParameters,
+    p: WorkshopParameters,
+) -> None:
+    """Rev with both clutches locked, so that both input shafts turn with the hub."""
+    count = int(memory[at.CLOSED_REV_COUNT])
+    if count == 0:
+        enter_stage(memory, at.ENGAGING)
+        return
+    hold_nm = tcu.hold_torque_nm(memory, control)
+    tcu.command_torque(commands, 0, hold_nm, actuation)
+    tcu.command_torque(commands, 1, hold_nm, actuation)
+    is_locked = sense[at.IS_LOCKED] != 0.0 and sense[at.IS_LOCKED + 1] != 0.0
+    if rev(memory, sense, count, is_locked, p):
+        enter_stage(memory, at.ENGAGING)
+
+
+@array_kernel
+def engage(
+    memory: FloatArray, sense: FloatArray, commands: FloatArray, control: ControlParameters, p: WorkshopParameters
+) -> None:
+    """Release the brake, empty both clutches, preselect 2nd gear, engage 1st."""
+    tcu.command_pressure(commands, 0, 0.0)
+    tcu.command_pressure(commands, 1, 0.0)
+    commands[at.BRAKE] = 0.0
+    memory[at.REV_TIME] += at.PERIOD_S
+    is_empty = max(sense[at.FILL], sense[at.FILL + 1]) < control.preselect_fill_ratio
+    if memory[at.REV_TIME] >= p.settle_time_s and is_empty:
+        commands[at.WANTED_GEAR + 1] = 2.0
+    if sense[at.IS_ENGAGED + 1] != 0.0:
+        commands[at.WANTED_GEAR] = 1.0
+    if sense[at.IS_ENGAGED] != 0.0:
+        memory[at.TARGET_GEAR] = 1.0
+        memory[at.IS_FILLED] = 0.0
+        tcu.enter_phase(memory, at.PREFILL)
+        enter_stage(memory, at.FILLING)
+
+
+@array_kernel
+def fill(
+    memory: FloatArray, sense: FloatArray, commands: FloatArray, actuation: ClutchActuation, control: ControlParameters
+) -> None:
+    """Fill the clutch of 1st gear."""
+    tcu.fill_clutch(memory, sense, commands, 0, actuation, control)
+    if memory[at.PHASE_TIME] >= control.prefill_time_s:
+        memory[at.LOCKED_TIME] = 0.0
+        tcu.enter_phase(memory, at.INERTIA)
+        enter_stage(memory, at.LAUNCHING)
+
+
+@array_kernel
+def launch(
+    memory: FloatArray,
+    sense: FloatArray,
+    commands: FloatArray,
+    actuation: ClutchActuation,
+    control: ControlParameters,
+    p: WorkshopParameters,
+) -> None:
+    """Set the car in motion: the slipping clutch takes what holds the engine at its launch speed."""
+    commands[at.THROTTLE] = p.launch_pedal_ratio
+    excess_rad_s = sense[at.ENGINE_SPEED] - p.launch_engine_rad_s
+    torque_nm = memory[at.INPUT_TORQUE] + p.launch_gain_nms_rad * excess_rad_s
+    tcu.command_torque(commands, 0, max(torque_nm, control.min_torque_nm), actuation)
+    tcu.begin_lock_up(memory, sense, commands, 0, control)
+    if memory[at.PHASE] == at.LOCK_UP:
+        enter_stage(memory, at.LOCKING)
+
+
+@array_kernel
+def lock(memory: FloatArray, commands: FloatArray, actuation: ClutchActuation, control: ControlParameters) -> None:
+    """Raise the pressure to the hold level; then the shift control takes over in 1st gear."""
+    tcu.lock_up_phase(memory, commands, actuation, control)
+    if memory[at.PHASE] == at.HOLD:
+        enter_stage(memory, at.NO_ROUTINE)
+
+
+@array_kernel
+def perform(
+    memory: FloatArray,
+    sense: FloatArray,
+    commands: FloatArray,
+    actuation: ClutchActuation,
+    control: ControlParameters,
+    p: WorkshopParameters,
+) -> None:
+    """Take one step of 1 ms of the routine."""
+    tcu.tick(memory, sense, control)
+    stage = int(memory[at.ROUTINE])
+    if stage == at.WAITING:
+        wait(commands)
+    elif stage == at.OPEN_REVS:
+        open_revs(memory, sense, commands, p)
+    elif stage == at.CLOSED_REVS:
+        closed_revs(memory, sense, commands, actuation, control, p)
+    elif stage == at.ENGAGING:
+        engage(memory, sense, commands, control, p)
+    elif stage == at.FILLING:
+        fill(memory, sense, commands, actuation, control)
+    elif stage == at.LAUNCHING:
+        launch(memory, sense, commands, actuation, control, p)
+    else:
+        lock(memory, commands, actuation, control)
+    if stage <= at.CLOSED_REVS:
+        commands[at.THROTTLE] = p.rev_pedal_ratio if memory[at.IS_REVVING] != 0.0 else 0.0

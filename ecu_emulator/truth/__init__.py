@@ -1,0 +1,1 @@
+"""What only the emulator knows, for tests and demonstrations."""

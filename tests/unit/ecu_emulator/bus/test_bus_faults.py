@@ -1,0 +1,239 @@
+"""Bus faults on frames: what each kind does, exactly how often, and the same for any cutting of the stream."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
+from ecu_emulator.bus.bus_faults import BusFaults
+from ecu_emulator.bus.frame_changes import ERROR_FLAG, FOREIGN_IDS, FRAME_S
+from ecu_emulator.bus.frames import EncodedFrames, merge
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.scenario.faults import BusFault, BusFaultKind, Phase
+from ecu_emulator.sensing.fault_onsets import MS_PER_S
+from tests.support.wire import CONTRACTS, drive
+from tests.unit.ecu_emulator.rows import made_up_rows
+from tests.unit.ecu_emulator.sensing.test_sensor_faults import rows_with_shifts
+
+MESSAGE = "TCU_Pressures"
+CONTRACT = CONTRACTS[MESSAGE]
+FRAMES = drive(0.9)
+SEED = 5
+START_S, DURATION_S = 0.3, 0.2  # twenty transmissions
+
+
+def fault(kind: str, **changes: float | str) -> BusFault:
+    given = {"kind": BusFaultKind(kind), "message": MESSAGE, "start_s": START_S, "duration_s": DURATION_S, **changes}
+    return BusFault(**given)  # type: ignore[arg-type]
+
+
+def struck(faults: Sequence[BusFault], chunk_ms: int = 900) -> tuple[EncodedFrames, tuple[int, ...]]:
+    stage, rows, parts = BusFaults(faults, SEED, CONTRACTS), made_up_rows(900), []
+    rows[:, :] = rows_with_shifts()
+    for first_ms in range(0, len(rows), chunk_ms):
+        own = rows[first_ms : first_ms + chunk_ms]
+        end_s = (first_ms + len(own) - 1) / MS_PER_S
+        inside = slice(*np.searchsorted(FRAMES.t_s, ((first_ms - 0.5) / MS_PER_S, end_s + 0.0005)).tolist())
+        is_last = first_ms + chunk_ms >= len(rows)
+        parts.append(stage.feed(FRAMES[inside], own, first_ms, end_s, is_last=is_last))
+    for part in parts:
+        assert np.all(np.diff(part.t_s) >= 0.0)
+    return merge(parts), stage.counts
+
+
+def of_message(frames: EncodedFrames, name: str = MESSAGE) -> EncodedFrames:
+    rows = np.flatnonzero(frames.can_id == CONTRACTS[name].can_id)
+    return EncodedFrames(
+        t_s=frames.t_s[rows], can_id=frames.can_id[rows], length=frames.length[rows], data=frames.data[rows]
+    )
+
+
+def counters(frames: EncodedFrames) -> list[int]:
+    return [int(counter) for counter in counter_of(frames.data)]
+
+
+def has_sound_crcs(frames: EncodedFrames) -> bool:
+    return bool(np.all(crc_is_valid(frames.data, data_id_remainder(CONTRACT.data_id or 0))))
+
+
+BEFORE = of_message(FRAMES)
+INSIDE = np.flatnonzero((BEFORE.t_s >= START_S) & (BEFORE.t_s < START_S + DURATION_S))
+
+
+def test_without_faults_nothing_changes() -> None:
+    frames, counts = struck([])
+    assert np.array_equal(frames.data, FRAMES.data)
+    assert counts == ()
+
+
+@pytest.mark.parametrize("kind", ["loss", "silence"])
+def test_lost_frames_do_not_arrive(kind: str) -> None:
+    frames, counts = struck([fault(kind)])
+    assert counts == (20,)
+    assert np.array_equal(of_message(frames).data, np.delete(BEFORE.data, INSIDE, axis=0))
+    assert len(frames) == len(FRAMES) - 20
+
+
+def test_a_share_of_all_frames_is_lost_at_random() -> None:
+    frames, (count,) = struck([fault("loss", message="", share=0.3, start_s=0.0, duration_s=math.inf)])
+    assert len(frames) == len(FRAMES) - count
+    assert abs(count - 0.3 * len(FRAMES)) < 4.0 * math.sqrt(0.21 * len(FRAMES))
+
+
+def test_a_restarted_sender_counts_from_zero() -> None:
+    frames, (count,) = struck([fault("restart")])
+    after = of_message(frames)
+    assert len(BEFORE) - len(after) == 20
+    assert counters(after)[INSIDE[0] :] == [number % 15 for number in range(len(after) - INSIDE[0])]
+    assert has_sound_crcs(after)
+    same_sender = [name for name, contract in CONTRACTS.items() if contract.sender == CONTRACT.sender]
+    assert count == sum(len(of_message(FRAMES, name)) - len(of_message(frames, name)) for name in same_sender)
+    assert np.array_equal(of_message(frames, "ECM_TorqueSpeed").data, of_message(FRAMES, "ECM_TorqueSpeed").data)
+
+
+def test_duplicates_follow_their_originals() -> None:
+    frames, counts = struck([fault("duplicate")])
+    after = of_message(frames)
+    assert counts == (20,)
+    assert np.array_equal(after.data, np.insert(BEFORE.data, INSIDE, BEFORE.data[INSIDE], axis=0))
+
+
+def test_a_reordered_frame_comes_behind_its_successor() -> None:
+    frames, counts = struck([fault("reorder", duration_s=0.01)])
+    order = list(range(len(BEFORE)))
+    order[INSIDE[0]], order[INSIDE[0] + 1] = order[INSIDE[0] + 1], order[INSIDE[0]]
+    assert np.array_equal(of_message(frames).data, BEFORE.data[order])
+    assert counts == (1,)
+
+
+def test_delayed_frames_keep_their_order() -> None:
+    frames, counts = struck([fault("delay", delay_s=0.015, jitter_s=0.06)])
+    after = of_message(frames)
+    assert counts == (20,)
+    assert np.array_equal(after.data, BEFORE.data)
+    late_s = after.t_s - BEFORE.t_s
+    assert np.all(late_s[INSIDE] >= 0.015)
+    assert np.all(late_s >= 0.0)
+    assert late_s.max() < 0.015 + 0.06 + 1e-9
+    assert np.all(late_s[INSIDE[-1] + 9 :] == 0.0)
+
+
+def test_bad_crcs() -> None:
+    frames, counts = struck([fault("bad_crc")])
+    after = of_message(frames)
+    sound = crc_is_valid(after.data, data_id_remainder(CONTRACT.data_id or 0))
+    assert np.flatnonzero(~sound).tolist() == INSIDE.tolist()
+    assert np.array_equal(after.data[:, 1:], BEFORE.data[:, 1:])
+    assert counts == (20,)
+
+
+def test_a_stuck_counter_repeats_with_sound_crcs() -> None:
+    frames, counts = struck([fault("stuck_counter")])
+    after = of_message(frames)
+    assert {counters(after)[row] for row in INSIDE} == {counters(BEFORE)[INSIDE[0]]}
+    assert counts == (19,)
+    assert has_sound_crcs(after)
+    assert np.array_equal(after.data[:, 2:], BEFORE.data[:, 2:])
+
+
+def test_a_skipping_counter_runs_ahead() -> None:
+    frames, counts = struck([fault("skipping_counter", skip=4)])
+    after = of_message(frames)
+    ahead = [(new - old) % 15 for new, old in zip(counters(after), counters(BEFORE), strict=True)]
+    assert ahead == [4 if row in INSIDE else 0 for row in range(len(BEFORE))]
+    assert counts == (20,)
+    assert has_sound_crcs(after)
+
+
+def test_short_frames() -> None:
+    frames, counts = struck([fault("short")])
+    after = of_message(frames)
+    assert np.flatnonzero(after.length == 4).tolist() == INSIDE.tolist()
+    assert not after.data[INSIDE, 4:].any()
+    assert counts == (20,)
+
+
+def test_a_second_sender_has_a_counter_of_its_own() -> None:
+    frames, counts = struck([fault("spoof")])
+    after = of_message(frames)
+    is_spoofed = ~np.isin(after.t_s, BEFORE.t_s)
+    spoofed = np.flatnonzero(is_spoofed)
+    assert counts == (20,)
+    assert [counters(after)[row] for row in spoofed] == [number % 15 for number in range(20)]
+    assert len(np.unique(after.data[spoofed, 2:], axis=0)) == 1
+    assert has_sound_crcs(after)
+    assert np.array_equal(after.data[~is_spoofed], BEFORE.data)
+
+
+def test_error_frames() -> None:
+    frames, counts = struck([fault("error_frame")])
+    errors = frames.t_s[(frames.can_id & ERROR_FLAG) != 0]
+    assert errors == pytest.approx(BEFORE.t_s[INSIDE] + FRAME_S)
+    assert counts == (20,)
+
+
+def test_an_overload_fills_the_bus_and_loses_nothing() -> None:
+    frames, (count,) = struck([fault("overload", message="")])
+    is_foreign = (frames.can_id >= FOREIGN_IDS[0]) & (frames.can_id <= FOREIGN_IDS[1])
+    assert np.count_nonzero(is_foreign) == count == len(frames) - len(FRAMES)
+    inside = frames.t_s[(frames.t_s >= START_S) & (frames.t_s < START_S + DURATION_S)]
+    assert np.diff(inside) == pytest.approx(FRAME_S)  # 100 % of 500 kbit/s
+    own = frames.data[~is_foreign]
+    assert np.array_equal(np.unique(own, axis=0), np.unique(FRAMES.data, axis=0))
+
+
+def test_half_an_overload_leaves_gaps() -> None:
+    _, (full,) = struck([fault("overload", message="")])
+    frames, (half,) = struck([fault("overload", message="", share=0.5)])
+    assert 0.35 < half / full < 0.6
+    assert np.count_nonzero(frames.t_s >= 0.0) == len(FRAMES) + half
+
+
+KINDS = [
+    fault("loss", message="", share=0.3),
+    fault("restart"),
+    fault("duplicate", share=0.5),
+    fault("reorder", share=0.3),
+    fault("delay", jitter_s=0.05),
+    fault("stuck_counter"),
+    fault("spoof"),
+    fault("error_frame", message=""),
+    fault("overload", message="", share=0.8),
+    fault("silence", shift=2, phase=Phase.TORQUE, start_s=0.01, duration_s=0.1),
+]
+
+
+@pytest.mark.parametrize("one", [*([one] for one in KINDS), KINDS], ids=[*(one.kind for one in KINDS), "all"])
+@pytest.mark.parametrize("chunk_ms", [7, 100, 333])
+def test_the_frames_do_not_depend_on_how_the_stream_was_cut(one: list[BusFault], chunk_ms: int) -> None:
+    whole, counts = struck(one)
+    cut, cut_counts = struck(one, chunk_ms)
+    assert cut_counts == counts
+    assert np.array_equal(cut.t_s, whole.t_s)
+    assert np.array_equal(cut.can_id, whole.can_id)
+    assert np.array_equal(cut.data, whole.data)
+
+
+def test_a_message_that_is_not_on_the_bus_is_named() -> None:
+    with pytest.raises(ConfigError, match="'TCU_Presure' is not on the bus; known: ECM_TorqueSpeed"):
+        BusFaults([fault("loss", message="TCU_Presure")], SEED, CONTRACTS)
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "named"),
+    [
+        ("loss", {"share": 0.0}, "share must be above 0"),
+        ("restart", {"share": 0.5}, "strikes all frames"),
+        ("delay", {}, "needs one of them"),
+        ("loss", {"delay_s": 0.1}, "belong to a fault of kind delay"),
+        ("delay", {"delay_s": 11.0}, "delay_s must be"),
+        ("skipping_counter", {}, "skip, 1..14"),
+        ("loss", {"skip": 2}, "belongs to a fault of kind skipping_counter"),
+        ("overload", {}, "no message"),
+    ],
+)
+def test_what_does_not_belong_to_a_kind_is_refused(kind: str, changes: dict[str, float], named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        fault(kind, **changes)

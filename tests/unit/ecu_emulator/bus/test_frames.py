@@ -1,0 +1,151 @@
+"""Frames hold what cantools would encode; what does not fit is limited and counted."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from canlog.arrays import FloatArray
+from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
+from clutch_model.units import rad_s_from_rpm
+from ecu_emulator.bus.frames import SIGNAL_OF, EncodedFrames, FrameEncoder, merge
+from ecu_emulator.sensing.readings import Readings
+from tests.support.wire import CONTRACTS, DATABASE, drive, readings
+
+NO_FRAMES = EncodedFrames(
+    t_s=np.empty(0), can_id=np.empty(0, np.uint32), length=np.empty(0, np.uint8), data=np.empty((0, 8), np.uint8)
+)
+TO_DBC_UNIT: dict[str, Callable[[float], float]] = {
+    "rad_s": lambda value: value / (math.pi / 30.0),
+    "m_s": lambda value: value * 3.6,
+    "pa": lambda value: value / 1e5,
+    "ratio": lambda value: value * 100.0,
+    "k": lambda value: value - 273.15,
+}
+
+
+def dbc_value(quantity: str, value: float) -> float:
+    """Return an SI value in the unit of the database, by rules written down here once more."""
+    if quantity == "manifold_pressure_pa":
+        return value / 1e3
+    return next((rule(value) for unit, rule in TO_DBC_UNIT.items() if quantity.endswith(f"_{unit}")), value)
+
+
+def inputs(**changes: FloatArray) -> Readings:
+    values = {
+        "engine_speed_rad_s": np.array([100.0]),
+        "engine_torque_nm": np.array([50.0]),
+        "pedal_ratio": np.array([0.5]),
+        "throttle_ratio": np.array([0.25]),
+    }
+    return Readings(message="ECM_TorqueSpeed", t_s=np.array([0.0]), values=values | changes)
+
+
+def decoded(frames: EncodedFrames, message: str, row: int = 0) -> dict[str, float]:
+    values = DATABASE.get_message_by_name(message).decode(frames.data[row].tobytes(), decode_choices=False)
+    assert isinstance(values, dict)
+    return {name: float(str(value)) for name, value in values.items()}
+
+
+@given(st.sampled_from(sorted(CONTRACTS)), st.integers(0, 2**32))
+def test_payload_is_what_cantools_encodes(name: str, seed: int) -> None:
+    sample = readings(name, np.arange(20.0), np.random.default_rng(seed))
+    frames = FrameEncoder(DATABASE).encode(sample)
+    message = DATABASE.get_message_by_name(name)
+    for row, payload in enumerate(frames.data):
+        signals: dict[str, float] = {
+            SIGNAL_OF[quantity]: dbc_value(quantity, float(values[row])) for quantity, values in sample.values.items()
+        }
+        signals |= {"Crc8": int(payload[0]), "AliveCounter": row % 15}
+        assert message.encode(signals, strict=True) == payload.tobytes()
+
+
+@pytest.mark.parametrize("name", sorted(CONTRACTS))
+def test_frames_are_protected(name: str) -> None:
+    frames = FrameEncoder(DATABASE).encode(readings(name, np.arange(40.0), np.random.default_rng(1)))
+    data_id = CONTRACTS[name].data_id
+    assert data_id is not None
+    assert crc_is_valid(frames.data, data_id_remainder(data_id)).all()
+    assert counter_of(frames.data).tolist() == [row % 15 for row in range(40)]
+    assert set(frames.can_id.tolist()) == {CONTRACTS[name].can_id}
+
+
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=6))
+def test_counters_go_on_from_call_to_call(sizes: list[int]) -> None:
+    whole = readings("TCU_Shift", np.arange(float(sum(sizes))), np.random.default_rng(2))
+    encoder = FrameEncoder(DATABASE)
+    parts = []
+    for stop, size in zip(np.cumsum(sizes).tolist(), sizes, strict=True):
+        rows = slice(stop - size, stop)
+        cut = {quantity: values[rows] for quantity, values in whole.values.items()}
+        parts.append(encoder.encode(Readings(message="TCU_Shift", t_s=whole.t_s[rows], values=cut)))
+    assert np.array_equal(np.concatenate([part.data for part in parts]), FrameEncoder(DATABASE).encode(whole).data)
+    assert encoder.sent["TCU_Shift"] == sum(sizes)
+
+
+@pytest.mark.parametrize("name", sorted(CONTRACTS))
+def test_nan_becomes_the_code_for_not_available(name: str) -> None:
+    encoder = FrameEncoder(DATABASE)
+    values = {quantity: np.array([math.nan]) for quantity in encoder.quantities(name)}
+    frames = encoder.encode(Readings(message=name, t_s=np.zeros(1), values=values))
+    message = DATABASE.get_message_by_name(name)
+    texts = message.decode(frames.data[0].tobytes())
+    assert isinstance(texts, dict)
+    assert {str(texts[signal]) for signal in CONTRACTS[name].signals} == {"NotAvailable"}
+    assert not encoder.saturated
+
+
+@pytest.mark.parametrize(
+    ("quantity", "si", "signal", "limit"),
+    [
+        ("engine_speed_rad_s", -5.0, "EngineSpeed", 0.0),
+        ("engine_speed_rad_s", math.inf, "EngineSpeed", 16383.5),
+        ("engine_torque_nm", 5000.0, "EngineTorque", 1546.0),
+        ("engine_torque_nm", -5000.0, "EngineTorque", -500.0),
+        ("pedal_ratio", 1.01, "Pedal", 100.0),
+    ],
+)
+def test_values_out_of_range_saturate_and_are_counted(quantity: str, si: float, signal: str, limit: float) -> None:
+    encoder = FrameEncoder(DATABASE)
+    frames = encoder.encode(inputs(**{quantity: np.array([si])}))
+    assert decoded(frames, "ECM_TorqueSpeed")[signal] == limit
+    assert encoder.saturated == {quantity: 1}
+
+
+def test_value_at_the_limit_does_not_count_as_saturated() -> None:
+    encoder = FrameEncoder(DATABASE)
+    encoder.encode(inputs(engine_speed_rad_s=np.array([float(rad_s_from_rpm(16383.5))])))
+    assert not encoder.saturated
+
+
+def test_merge_sorts_by_time_and_then_by_identifier() -> None:
+    frames = drive(1.0)
+    order = list(zip(frames.t_s.tolist(), frames.can_id.tolist(), strict=True))
+    assert order == sorted(order)
+    assert len(frames) == 5 * 100 + 2 * 50 + 2 * 10 + 1
+    assert len(frames[10:20]) == 10
+
+
+def test_merge_of_nothing() -> None:
+    assert len(merge([])) == 0
+    assert len(merge([NO_FRAMES, NO_FRAMES])) == 0
+
+
+def test_every_quantity_belongs_to_one_message() -> None:
+    encoder = FrameEncoder(DATABASE)
+    carried = [quantity for name in CONTRACTS for quantity in encoder.quantities(name)]
+    assert sorted(carried) == sorted(SIGNAL_OF)
+
+
+def test_unknown_message_is_refused() -> None:
+    with pytest.raises(ValueError, match="Unheard is not a message"):
+        FrameEncoder(DATABASE).encode(Readings(message="Unheard", t_s=np.zeros(1), values={}))
+
+
+def test_quantities_must_be_those_of_the_message() -> None:
+    sample = inputs(film_m=np.zeros(1))
+    with pytest.raises(ValueError, match="film_m"):
+        FrameEncoder(DATABASE).encode(sample)

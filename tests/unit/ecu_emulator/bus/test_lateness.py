@@ -1,0 +1,36 @@
+"""Lateness statistics against numpy's on the same numbers."""
+
+import numpy as np
+import pytest
+
+from ecu_emulator.bus.lateness import BIN_S, Punctuality
+
+
+def test_statistics_match_numpy() -> None:
+    rng = np.random.default_rng(3)
+    due_s = np.sort(rng.uniform(0.0, 60.0, 5_000))
+    late_s = rng.exponential(200e-6, 5_000) + 3e-6 * due_s
+    punctuality = Punctuality(overrun_s=1e-3)
+    for due, late in zip(due_s, late_s, strict=True):
+        punctuality.add(float(due), float(late))
+    assert punctuality.mean_s == pytest.approx(late_s.mean(), rel=1e-9)
+    assert punctuality.max_s == late_s.max()
+    assert punctuality.overruns == np.count_nonzero(late_s > 1e-3)
+    assert punctuality.drift_ppm == pytest.approx(1e6 * np.polyfit(due_s, late_s, 1)[0], rel=1e-6)
+    for fraction in (0.5, 0.95, 0.99):
+        exact = np.quantile(late_s, fraction, method="inverted_cdf")
+        assert exact <= punctuality.quantile_s(fraction) <= exact + BIN_S
+
+
+def test_early_and_very_late_frames_stay_inside_the_histogram() -> None:
+    punctuality = Punctuality(overrun_s=1.0)
+    punctuality.add(0.0, -1e-6)
+    punctuality.add(1.0, 20.0)
+    assert punctuality.quantile_s(0.5) == BIN_S
+    assert punctuality.max_s == 20.0
+    assert punctuality.overruns == 1
+
+
+def test_nothing_sent_is_all_zero() -> None:
+    punctuality = Punctuality(overrun_s=1.0)
+    assert (punctuality.mean_s, punctuality.max_s, punctuality.quantile_s(0.99), punctuality.drift_ppm) == (0, 0, 0, 0)

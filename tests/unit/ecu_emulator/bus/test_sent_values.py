@@ -1,0 +1,193 @@
+"""What the controllers last said on the bus, as a tester gets it."""
+
+import math
+
+import can
+import numpy as np
+import pytest
+
+from canlog.frames import EXTENDED_FLAG
+from dbc.contract import load_contract
+from ecu_emulator.answering.answering_tester import Answering
+from ecu_emulator.bus.frames import FrameEncoder
+from ecu_emulator.bus.sent_values import SentValues
+from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.sensing.readings import Readings
+
+DATABASE = load_contract()
+
+MESSAGES = (
+    "TCU_Shift", "TCU_Temperature", "TCU_Pressures", "TCU_InputSpeeds", "TCU_Output", "ECM_TorqueSpeed",
+)  # fmt: skip
+
+
+def frames(message: str, **values: float) -> list[can.Message]:
+    encoder = FrameEncoder(DATABASE)
+    known = dict.fromkeys(encoder.quantities(message), math.nan) | values
+    encoded = encoder.encode(
+        Readings(message=message, t_s=np.zeros(1), values={name: np.array([value]) for name, value in known.items()})
+    )
+    return [
+        can.Message(arbitration_id=int(can_id) & ~EXTENDED_FLAG, is_extended_id=False, data=data.tobytes())
+        for can_id, data in zip(encoded.can_id, encoded.data, strict=True)
+    ]
+
+
+def noted(*messages: can.Message) -> SentValues:
+    values = SentValues(DATABASE)
+    for message in messages:
+        values.note(message.arbitration_id, bytes(message.data))
+    return values
+
+
+def test_values_are_back_in_si() -> None:
+    values = noted(
+        *frames("ECM_TorqueSpeed", engine_speed_rad_s=200.0, engine_torque_nm=-30.0, pedal_ratio=0.4),
+        *frames("TCU_Temperature", sump_temperature_k=350.0),
+        *frames("BRK_Vehicle", vehicle_speed_m_s=20.0, brake_pressure_pa=1e6),
+    ).now({"time_s": 3.5})
+    assert values["engine_speed_rad_s"] == pytest.approx(200.0, abs=0.03)
+    assert values["engine_torque_nm"] == -30.0
+    assert values["pedal_ratio"] == pytest.approx(0.4)
+    assert values["sump_temperature_k"] == pytest.approx(350.0, abs=0.5)
+    assert values["vehicle_speed_m_s"] == pytest.approx(20.0, abs=0.01)
+    assert values["brake_pressure_pa"] == pytest.approx(1e6)
+    assert values["time_s"] == 3.5
+
+
+def test_slip_is_the_hub_before_its_shaft() -> None:
+    values = noted(*frames("TCU_InputSpeeds", hub_speed_rad_s=150.0, input1_speed_rad_s=140.0)).now({})
+    assert values["clutch1_slip_rad_s"] == pytest.approx(10.0, abs=0.06)
+    assert "clutch2_slip_rad_s" not in values
+
+
+def test_what_was_not_sent_or_is_not_available_is_missing() -> None:
+    values = noted(*frames("TCU_InputSpeeds", hub_speed_rad_s=150.0)).now({"shift_count": 2.0})
+    assert set(values) == {"hub_speed_rad_s", "shift_count"}
+    assert len(values) == 2
+    assert values.get("engine_speed_rad_s") is None
+
+
+def test_a_frame_that_a_fault_cut_says_nothing() -> None:
+    values = SentValues(DATABASE)
+    values.note(frames("TCU_Temperature")[0].arbitration_id, b"\x01")
+    assert "sump_temperature_k" not in values.now({})
+
+
+def test_it_is_known_which_messages_have_come() -> None:
+    values = noted(*frames("TCU_Temperature"), *frames("TCU_Shift"))
+    assert values.has_all(["sump_temperature_k", "current_gear"])
+    assert not values.has_all(["sump_temperature_k", "hub_speed_rad_s"])
+
+
+def test_a_moment_does_not_change_when_more_is_sent() -> None:
+    values = noted(*frames("TCU_Temperature", sump_temperature_k=350.0))
+    before = values.now({})
+    message = frames("TCU_Temperature", sump_temperature_k=300.0)[0]
+    values.note(message.arbitration_id, bytes(message.data))
+    assert before["sump_temperature_k"] == pytest.approx(350.0, abs=0.5)
+
+
+def at(values: SentValues, due_s: float, *messages: can.Message) -> None:
+    for message in messages:
+        values.note(message.arbitration_id, bytes(message.data), due_s)
+
+
+def test_what_another_controller_said_too_long_ago_is_not_believed() -> None:
+    values = SentValues(DATABASE)
+    own, speed = frames("TCU_Temperature", sump_temperature_k=350.0), frames("BRK_Vehicle", vehicle_speed_m_s=0.0)
+    at(values, 0.0, *own, *speed)
+    at(values, 0.5, *frames("ECM_TorqueSpeed", engine_speed_rad_s=100.0))
+    assert {"vehicle_speed_m_s", "engine_speed_rad_s"} <= set(values.now({}))
+    assert values.silences["is_silent_ABS"] == 0.0
+    at(values, 0.6, *frames("ECM_TorqueSpeed", engine_speed_rad_s=100.0))
+    assert "vehicle_speed_m_s" not in values.now({})
+    assert {"engine_speed_rad_s", "sump_temperature_k"} <= set(values.now({}))  # it knows what it senses itself
+    assert (values.silences["is_silent_ABS"], values.silences["is_silent_IC"]) == (1.0, 0.0)  # each has its own time
+    at(values, 0.7, *speed, *frames("BRK_WheelSpeeds"))
+    assert "vehicle_speed_m_s" in values.now({})
+    assert values.silences["is_silent_ABS"] == 0.0
+
+
+def test_a_wrong_checksum_is_not_believed_and_counted() -> None:
+    values = noted(*frames("BRK_Vehicle", vehicle_speed_m_s=20.0))
+    standing = frames("BRK_Vehicle", vehicle_speed_m_s=0.0)[0]
+    for wrong in (bytes([standing.data[0] ^ 0xFF]) + bytes(standing.data[1:]), bytes(standing.data[:4])):
+        values.note(standing.arbitration_id, wrong)
+    assert values.now({})["vehicle_speed_m_s"] == pytest.approx(20.0)
+    assert values.disbelieved_count == 2
+
+
+def test_a_bus_on_which_nothing_is_said_becomes_old_by_the_clock() -> None:
+    now_s = [100.0]
+    values = SentValues(DATABASE, lambda: now_s[0])
+    at(values, 5.0, *frames("BRK_Vehicle", vehicle_speed_m_s=0.0), *frames("TCU_Shift", current_gear=0.0))
+    now_s[0] = 102.4
+    assert "vehicle_speed_m_s" in values.now({})
+    now_s[0] = 102.6
+    assert set(values.now({})) == {"current_gear"}
+
+
+def test_a_controller_that_is_switched_on_knows_nothing_of_before() -> None:
+    values = noted(*frames("BRK_Vehicle", vehicle_speed_m_s=0.0), *frames("TCU_Shift", current_gear=0.0))
+    values.restart()
+    at(values, 60.0, *frames("ECM_TorqueSpeed", engine_speed_rad_s=100.0))
+    assert set(values.now({})) == {"engine_speed_rad_s"}
+    assert set(values.silences.values()) == {0.0}  # the others have just been switched on as well
+
+
+class Sent:
+    """The end of a bus that keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.messages: list[can.Message] = []
+
+    def send(self, message: can.Message) -> None:
+        self.messages.append(message)
+
+
+def test_a_tester_silences_the_controller_and_nobody_else() -> None:
+    bus = Sent()
+    answering = Answering(bus, table="", memory=None, doip=None, is_fd=False)
+    tcu, ecm = frames("TCU_Temperature", sump_temperature_k=350.0)[0], frames("ECM_TorqueSpeed")[0]
+    answering.controller.ask(b"\x10\x03")
+    assert answering.controller.ask(b"\x28\x01\x01") == b"\x7f\x28\x88"  # who knows how fast it is
+    answering.send(frames("BRK_Vehicle", vehicle_speed_m_s=0.0)[0])
+    bus.messages.clear()
+    assert answering.controller.ask(b"\x28\x01\x01") == b"\x68\x01"
+    for message in (tcu, ecm):
+        answering.send(message)
+    assert bus.messages == [ecm]
+    assert answering.controller.ask(b"\x22\x02\x06") == b"\x62\x02\x06\x75"  # 77 degC: it still knows
+    answering.controller.ask(b"\x10\x01")
+    answering.send(tcu)
+    assert bus.messages == [ecm, tcu]
+
+
+def test_shifts_are_counted_and_error_frames_are_no_values() -> None:
+    answering = Answering(Sent(), table="", memory=None, doip=None, is_fd=False)
+    for gear in (0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 0.0, 2.0):
+        answering.send(frames("TCU_Shift", current_gear=gear)[0])
+    assert answering.controller.ask(b"\x22\x03\x02") == b"\x62\x03\x02\0\0\0\x03"
+    answering.send(can.Message(arbitration_id=0x0A0, is_error_frame=True, is_extended_id=False, data=bytes(8)))
+    assert answering.controller.ask(b"\x22\x01\x05") == b"\x62\x01\x05\xff\xff"
+
+
+def test_a_shift_takes_no_longer_because_its_sender_has_to_wait() -> None:
+    now_s = 0.0
+    answering = Answering(Sent(), table="", memory=None, doip=None, is_fd=False, clock=lambda: now_s)
+    shift = {"current_gear": 2.0, "target_gear": 3.0}
+    sent = [message for name in MESSAGES for message in frames(name, **shift if name == "TCU_Shift" else {})]
+    numbers = {trouble.code: number for number, trouble in answering.controller.table.troubles.items()}
+
+    def status(code: str) -> int:
+        return int(answering.controller.state.memory.records[numbers[code]].status)
+
+    for look in range(25):
+        for message in sent:
+            message.timestamp = look * 0.1
+            answering.send(message)
+        answering.watch()
+        now_s += 4.0  # between two looks more time passes than a shift may take
+    assert status("P0711") & Status.TEST_FAILED  # the fluid's temperature is not available
+    assert not status("P0780") & Status.FAILED_THIS_CYCLE

@@ -1,0 +1,137 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from ecu_emulator.drive.build import ageing_factors, build_vehicle
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.plant.parameters import nominal_parameters
+from ecu_emulator.scenario.scenario import FluidCondition, Scatter, Truth, production_scatter
+from ecu_emulator.scenario.signals import NOMINAL_SENSORS
+from tests.support.builders import drive_scenario
+
+COMPARED = ("engine_torque_nm", "clutch1_pressure_pa", "clutch2_pressure_pa", "hub_speed_rad_s", "engine_speed_rad_s")
+
+
+def test_without_scatter_the_vehicle_is_the_nominal_one() -> None:
+    vehicle = build_vehicle(drive_scenario("noise_only"))
+    assert vehicle.calibration == nominal_calibration()
+    assert vehicle.parameters == nominal_parameters()
+    assert dict(vehicle.sensors) == dict(NOMINAL_SENSORS)
+    assert set(vehicle.drawn.values()) == {0.0}
+
+
+def test_a_seed_is_a_vehicle() -> None:
+    assert build_vehicle(drive_scenario("ideal", seed=5)) == build_vehicle(drive_scenario("ideal", seed=5))
+    assert build_vehicle(drive_scenario("ideal", seed=5)).drawn != build_vehicle(drive_scenario("ideal", seed=6)).drawn
+
+
+def test_the_fluid_does_not_change_the_vehicle() -> None:
+    assert build_vehicle(drive_scenario("ideal", fluid="case2")).drawn == build_vehicle(drive_scenario("ideal")).drawn
+
+
+def test_deviations_do_not_disturb_each_other() -> None:
+    only_gain = replace(drive_scenario("ideal"), scatter=Scatter(torque_gain_ratio=0.015))
+    assert (
+        build_vehicle(only_gain).drawn["torque_gain_ratio"]
+        == build_vehicle(drive_scenario("ideal")).drawn["torque_gain_ratio"]
+    )
+
+
+def test_drawn_deviations_have_the_stated_spread() -> None:
+    scatter = production_scatter()
+    drawn = [build_vehicle(drive_scenario("ideal", seed=seed)).drawn for seed in range(200)]
+    for name, deviations in {key: np.array([one[key] for one in drawn]) for key in drawn[0]}.items():
+        std = getattr(scatter, name.removeprefix("clutch1_").removeprefix("clutch2_"))
+        assert np.std(deviations) == pytest.approx(std, rel=0.2), name
+        assert abs(np.mean(deviations)) <= 4.0 * std / np.sqrt(200), name
+
+
+def test_each_deviation_reaches_its_place() -> None:
+    vehicle, nominal = build_vehicle(drive_scenario("ideal", seed=3)), nominal_calibration()
+    drawn = vehicle.drawn
+    for number, (clutch, believed) in enumerate(zip(vehicle.calibration.clutches, nominal.clutches, strict=True), 1):
+        area_ratio = clutch.geometry.piston_area_m2 / believed.geometry.piston_area_m2
+        assert area_ratio - 1.0 == pytest.approx(drawn[f"clutch{number}_piston_area_ratio"])
+        touch_pa = clutch.touch_pressure_pa - believed.touch_pressure_pa / area_ratio
+        assert touch_pa == pytest.approx(drawn[f"clutch{number}_touch_pressure_pa"])
+        assert clutch.friction == believed.friction
+        zero_pa = vehicle.sensors[f"clutch{number}_pressure_pa"].offset
+        assert zero_pa == drawn[f"clutch{number}_pressure_zero_pa"]
+    inertia_ratio = vehicle.calibration.input_side.engine_inertia_kg_m2 / nominal.input_side.engine_inertia_kg_m2
+    assert inertia_ratio - 1.0 == pytest.approx(drawn["engine_inertia_ratio"])
+    assert vehicle.calibration.viscosity.a_pa_s / nominal.viscosity.a_pa_s - 1.0 == pytest.approx(
+        drawn["viscosity_ratio"]
+    )
+    torque = vehicle.sensors["engine_torque_nm"]
+    assert (torque.gain_ratio - 1.0, torque.offset) == pytest.approx(
+        (drawn["torque_gain_ratio"], drawn["torque_offset_nm"])
+    )
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_differences_of_latency_are_those_drawn_and_no_sensor_sees_the_future(seed: int) -> None:
+    vehicle = build_vehicle(drive_scenario("ideal", seed=seed))
+    torque, first, second, hub, engine = (vehicle.sensors[quantity].latency_s for quantity in COMPARED)
+    assert min(torque, first, second, hub, engine) == 0.0
+    assert torque - hub == pytest.approx(vehicle.drawn["torque_latency_s"], abs=1e-15)
+    assert first - hub == pytest.approx(vehicle.drawn["pressure_latency_s"], abs=1e-15)
+    assert (first, hub) == (second, engine)
+
+
+@pytest.mark.parametrize(
+    ("fluid", "mu"), [("ideal", (0.14, 0.119)), ("case1", (0.133, 0.12495)), ("case2", (0.119, 0.13685))]
+)
+def test_fluids(fluid: str, mu: tuple[float, float]) -> None:
+    for clutch in build_vehicle(drive_scenario("noise_only", fluid=fluid)).calibration.clutches:
+        assert (clutch.friction.mu_c, clutch.friction.mu_s) == pytest.approx(mu)
+
+
+def test_ageing_leads_from_fresh_to_case_2() -> None:
+    factors = ageing_factors(4)
+    assert factors[0] == (1.0, 1.0)
+    assert factors[2] == pytest.approx((0.925, 1.075))
+    assert factors[4] == pytest.approx((0.85, 1.15))
+    assert build_vehicle(drive_scenario("noise_only", fluid="ageing")).calibration == nominal_calibration()
+    assert drive_scenario("ageing", fluid="ageing").fluid.condition is FluidCondition.AGEING
+
+
+def test_truth_overrides_reach_calibration_and_plant() -> None:
+    truth = Truth(
+        calibration={"clutch2.friction.mu_c": 0.15, "viscosity.b_k": 700.0},
+        plant={"shaft1.stiffness_nm_rad": 9000.0, "vehicle.mass_kg": 1800.0},
+    )
+    vehicle = build_vehicle(replace(drive_scenario("noise_only"), truth=truth))
+    assert [clutch.friction.mu_c for clutch in vehicle.calibration.clutches] == [0.14, 0.15]
+    assert vehicle.calibration.viscosity.b_k == 700.0
+    assert [shaft.stiffness_nm_rad for shaft in vehicle.parameters.shafts] == [9000.0, 7500.0]
+    assert vehicle.parameters.vehicle.mass_kg == 1800.0
+
+
+@pytest.mark.parametrize(
+    ("truth", "named"),
+    [
+        (Truth(calibration={"clutch3.friction.mu_c": 0.1}), r"truth\.calibration\.clutch3\.friction\.mu_c is unknown"),
+        (Truth(calibration={"clutch1.friction.mu": 0.1}), r"truth\.calibration\.clutch1\.friction\.mu is unknown"),
+        (Truth(calibration={"clutch1.friction": 0.1}), r"truth\.calibration\.clutch1\.friction is unknown"),
+        (Truth(calibration={"name.first.second": 0.1}), r"truth\.calibration\.name\.first\.second is unknown"),
+        (Truth(calibration={"clutch1.friction.mu_c": 0.9}), r"mu_c must be"),
+        (Truth(calibration={"clutch1.friction.mu_c": "much"}), r"mu_c must be a number"),
+        (Truth(plant={"vehicle.weight_n": 1.0}), r"truth\.plant\.vehicle\.weight_n is unknown"),
+        (Truth(plant={"vehicle.mass_kg": -1.0}), r"vehicle\.mass_kg must be"),
+    ],
+)
+def test_an_impossible_truth_is_named(truth: Truth, named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        build_vehicle(replace(drive_scenario("noise_only"), truth=truth))
+
+
+def test_the_scatter_of_the_input_shafts_reaches_both() -> None:
+    scenario = replace(drive_scenario("ideal", seed=5), scatter=Scatter(input_shaft_inertia_ratio=0.01))
+    vehicle, nominal = build_vehicle(scenario), nominal_parameters()
+    factor = 1.0 + vehicle.drawn["input_shaft_inertia_ratio"]
+    assert factor != 1.0
+    for shaft, plain in zip(vehicle.parameters.shafts, nominal.shafts, strict=True):
+        assert shaft.clutch_inertia_kg_m2 == pytest.approx(factor * plain.clutch_inertia_kg_m2)
+        assert shaft.gear_inertia_kg_m2 == pytest.approx(factor * plain.gear_inertia_kg_m2)

@@ -1,0 +1,227 @@
+import pickle
+from dataclasses import fields, replace
+from pathlib import Path
+
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.scenario.faults import BusFault, BusFaultKind, Phase, SensorFault, SensorFaultKind
+from ecu_emulator.scenario.scenario import (
+    Ambient,
+    Driver,
+    FluidCondition,
+    Routine,
+    Scatter,
+    Scenario,
+    production_scatter,
+)
+from ecu_emulator.scenario.scenario_file import load_scenario, parse_scenario, shipped_scenarios
+from ecu_emulator.scenario.signals import NOMINAL_SENSORS, split_unit
+
+MINIMAL = 'name = "mine"\n'
+FAULT = "[[sensor_faults]]\nquantity = 'hub_speed_rad_s'\n"
+
+
+def test_shipped_scenarios_load_and_are_named_like_their_files() -> None:
+    assert shipped_scenarios() == ("ageing", "case1", "case2", "ideal", "noise_only")
+    for name in shipped_scenarios():
+        scenario = load_scenario(name)
+        assert scenario.name == name
+        assert scenario.description
+
+
+def test_shipped_fluids() -> None:
+    fluids = {name: load_scenario(name).fluid.condition for name in shipped_scenarios()}
+    assert fluids == {
+        "ageing": FluidCondition.AGEING,
+        "case1": FluidCondition.CASE_1,
+        "case2": FluidCondition.CASE_2,
+        "ideal": FluidCondition.IDEAL,
+        "noise_only": FluidCondition.IDEAL,
+    }
+
+
+def test_noise_only_has_noise_and_nothing_else() -> None:
+    scenario = load_scenario("noise_only")
+    assert scenario.scatter == Scatter()
+    assert dict(scenario.sensors) == dict(NOMINAL_SENSORS)
+    assert not scenario.truth.calibration
+    assert not scenario.truth.plant
+    assert set(scenario.startup.by_sender().values()) == {0.0}
+    assert all(
+        (s.gain_ratio, s.offset, s.latency_s, s.lag_s) == (1.0, 0.0, 0.0, 0.0) for s in scenario.sensors.values()
+    )
+    assert scenario.sensors["engine_torque_nm"].noise_std == 3.0
+
+
+def test_production_scatter_is_half_of_what_the_service_allows_for() -> None:
+    believed = nominal_calibration().uncertainty
+    for member in fields(Scatter):
+        share = 0.0 if member.name == "input_shaft_inertia_ratio" else 0.5  # machined alike
+        assert getattr(production_scatter(), member.name) == share * getattr(believed, member.name)
+    assert load_scenario("ideal").scatter == production_scatter()
+
+
+def test_a_scenario_needs_only_a_name() -> None:
+    assert parse_scenario(MINIMAL, "text") == Scenario(name="mine")
+
+
+def test_every_key_reaches_its_place() -> None:
+    scenario = parse_scenario(
+        """
+        name = "all"
+        description = "everything"
+        vehicle = "car-7"
+        seed = 99
+        cycles = 3
+        odometer_m = 5.0
+        fluid = {condition = "ageing", ageing_cycles = 7}
+        driver = {pedal_ratio = 0.5, variation_ratio = 0}
+        routine = {open_revs = 4, closed_revs = 20}
+        ambient = {temperature_k = 280.0, oil_temperature_k = 330.0}
+        startup = {ecm_s = 1.0, tcu_s = 2.0, abs_s = 3.0, ic_s = 4.0}
+        scatter = {torque_gain_ratio = 0.02}
+        [sensors.engine_torque]
+        gain_ratio = 1.02
+        offset_nm = -4.0
+        noise_std_nm = 1.0
+        latency_s = 0.03
+        lag_s = 0.01
+        [truth.calibration]
+        clutch1.friction.mu_c = 0.15
+        viscosity.b_k = 700.0
+        [truth.plant]
+        vehicle.mass_kg = 1800.0
+        """,
+        "text",
+    )
+    assert (scenario.name, scenario.vehicle, scenario.seed, scenario.cycles) == ("all", "car-7", 99, 3)
+    assert (scenario.odometer_m, scenario.fluid.ageing_cycles) == (5.0, 7)
+    assert scenario.driver == Driver(pedal_ratio=0.5, variation_ratio=0.0)
+    assert scenario.routine == Routine(open_revs=4, closed_revs=20)
+    assert scenario.ambient == Ambient(temperature_k=280.0, oil_temperature_k=330.0)
+    assert scenario.startup.by_sender() == {"ECM": 1.0, "TCU": 2.0, "ABS": 3.0, "IC": 4.0}
+    assert scenario.scatter == replace(production_scatter(), torque_gain_ratio=0.02)
+    sensor = scenario.sensors["engine_torque_nm"]
+    assert (sensor.gain_ratio, sensor.offset, sensor.noise_std) == (1.02, -4.0, 1.0)
+    assert (sensor.latency_s, sensor.lag_s) == (0.03, 0.01)
+    assert scenario.truth.calibration == {"clutch1.friction.mu_c": 0.15, "viscosity.b_k": 700.0}
+    assert scenario.truth.plant == {"vehicle.mass_kg": 1800.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("", "name"),
+        ("name = 3", "name must be a string"),
+        (MINIMAL + "speed = 1", "speed is unknown"),
+        (MINIMAL + "seed = 1.5", "seed must be a whole number"),
+        (MINIMAL + "seed = true", "seed must be a whole number"),
+        (MINIMAL + "seed = -1", "seed must be"),
+        (MINIMAL + "cycles = 0", "cycles must be"),
+        (MINIMAL + 'vehicle = "a/+"', "vehicle must be"),
+        (MINIMAL + "odometer_m = -1.0", "odometer_m must be"),
+        (MINIMAL + 'fluid = "case1"', "fluid must be a table"),
+        (MINIMAL + 'fluid = {condition = "new"}', r"fluid\.condition must be one of"),
+        (MINIMAL + "fluid = {ageing_cycles = 0}", r"fluid\.ageing_cycles must be"),
+        (MINIMAL + 'driver = {pedal_ratio = "0.5"}', r"driver\.pedal_ratio must be a number"),
+        (MINIMAL + "driver = {pedal_ratio = 1.5}", r"driver\.pedal_ratio must be"),
+        (MINIMAL + "driver = {pedal_ratio = nan}", r"driver\.pedal_ratio must be"),
+        (MINIMAL + "driver = {pedal = 0.5}", r"driver\.pedal is unknown"),
+        (MINIMAL + "ambient = {oil_temperature_k = 90.0}", r"ambient\.oil_temperature_k must be"),
+        (MINIMAL + "routine = {open_revs = 21}", r"routine\.open_revs must be"),
+        (MINIMAL + "routine = {open_revs = 2, on_request = true}", "on request the tester says how many revs"),
+        (MINIMAL + "routine = {closed_revs = 0.5}", r"routine\.closed_revs must be a whole number"),
+        (MINIMAL + "startup = {ecm_s = -1.0}", r"startup\.ecm_s must be"),
+        (MINIMAL + 'scatter = "some"', "scatter must be"),
+        (MINIMAL + "scatter = {mass_ratio = 0.1}", r"scatter\.mass_ratio is unknown"),
+        (MINIMAL + "scatter = {viscosity_ratio = 0.9}", r"scatter\.viscosity_ratio must be"),
+        (MINIMAL + "sensors.lambda.gain_ratio = 1.0", r"sensors\.lambda is unknown"),
+        (MINIMAL + "sensors.hub_speed.offset_nm = 1.0", r"sensors\.hub_speed\.offset_nm is unknown"),
+        (MINIMAL + "sensors.hub_speed.latency_s = -0.1", r"sensors\.hub_speed\.latency_s must be"),
+        (MINIMAL + "sensors.hub_speed.noise_std_rad_s = '2'", r"sensors\.hub_speed\.noise_std must be a number"),
+        (MINIMAL + "sensors.hub_speed = 3", r"sensors\.hub_speed must be a table"),
+        (MINIMAL + "sensor_faults = 3", "sensor_faults must be an array of tables"),
+        (MINIMAL + "[[sensor_faults]]\nkind = 'frozen'", "sensor_faults 1: quantity is missing"),
+        (MINIMAL + FAULT + "kind = 'broken'", "sensor_faults 1: kind must be one of frozen, offset"),
+        (MINIMAL + FAULT + "kind = 'offset'", "needs a finite size other than 0"),
+        (MINIMAL + FAULT + "kind = 'frozen'\nsize = 2", "needs no size"),
+        (MINIMAL + FAULT + "kind = 'frozen'\nphase = 'hold'", "phase must be one of prefill"),
+        (MINIMAL + FAULT + "kind = 'frozen'\nshift = -1", "shift must be"),
+        (MINIMAL + FAULT + "kind = 'frozen'\nstart_s = -1", "start_s must be"),
+        (MINIMAL + FAULT + "kind = 'frozen'\nduration_s = 0", "duration_s must be"),
+        (MINIMAL + "[[sensor_faults]]\nquantity = 'shift_phase'\nkind = 'frozen'", "has no sensor"),
+        (MINIMAL + "bus_faults = [1]", "bus_faults must be an array of tables"),
+        (MINIMAL + "[[bus_faults]]\nkind = 'los'", "bus_faults 1: kind must be one of loss, silence"),
+        (MINIMAL + "[[bus_faults]]\nkind = 'loss'\nshare = 0", "bus_faults 1: share must be above 0"),
+        (MINIMAL + "truth.mu = 3", r"truth\.mu is unknown"),
+        (MINIMAL + "truth.calibration = 3", r"truth\.calibration must be a table"),
+        ("name = ", "is not TOML"),
+    ],
+)
+def test_a_key_that_cannot_be_used_is_named(text: str, named: str) -> None:
+    with pytest.raises(ConfigError, match=named) as caught:
+        parse_scenario(text, "here.toml")
+    assert str(caught.value).startswith("here.toml")
+
+
+def test_sensor_faults_are_read_in_their_order() -> None:
+    text = MINIMAL + FAULT + "kind = 'frozen'\n" + FAULT + "kind = 'drift'\nsize = -2\nshift = 3\nphase = 'inertia'"
+    frozen, drift = parse_scenario(text, "text").sensor_faults
+    assert frozen == SensorFault(quantity="hub_speed_rad_s", kind=SensorFaultKind.FROZEN)
+    assert (drift.kind, drift.size, drift.shift, drift.phase) == (SensorFaultKind.DRIFT, -2.0, 3, Phase.INERTIA)
+
+
+def test_bus_faults_are_read() -> None:
+    text = MINIMAL + "[[bus_faults]]\nkind = 'loss'\nshare = 0.25\nmessage = 'TCU_Shift'\nduration_s = 3"
+    (loss,) = parse_scenario(text, "text").bus_faults
+    assert loss == BusFault(kind=BusFaultKind.LOSS, share=0.25, message="TCU_Shift", duration_s=3.0)
+
+
+def test_an_unknown_scenario_lists_the_shipped_ones() -> None:
+    with pytest.raises(ConfigError, match="ageing, case1, case2, ideal, noise_only"):
+        load_scenario("nothing")
+
+
+def test_a_file_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(MINIMAL, encoding="utf-8")
+    assert load_scenario(str(path)).name == "mine"
+
+
+@pytest.mark.parametrize("content", [None, b"\xff\xfe\x00"])
+def test_an_unreadable_file_is_named(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "mine.toml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ConfigError, match=r"mine\.toml"):
+        load_scenario(str(path))
+
+
+def test_a_folder_is_no_scenario(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot read scenario"):
+        load_scenario(str(tmp_path))
+
+
+def test_changes_are_checked_again() -> None:
+    with pytest.raises(ConfigError, match="cycles"):
+        replace(Scenario(name="mine"), cycles=-3)
+
+
+def test_a_scenario_can_be_sent_to_another_process() -> None:
+    scenario = load_scenario("case2")
+    assert pickle.loads(pickle.dumps(scenario)) == scenario  # noqa: S301 - our own bytes
+
+
+@pytest.mark.parametrize(
+    ("quantity", "parts"),
+    [
+        ("hub_speed_rad_s", ("hub_speed", "rad_s")),
+        ("wheel_fl_speed_m_s", ("wheel_fl_speed", "m_s")),
+        ("odometer_m", ("odometer", "m")),
+        ("current_gear", ("current_gear", "")),
+    ],
+)
+def test_the_unit_ends_the_name_of_a_quantity(quantity: str, parts: tuple[str, str]) -> None:
+    assert split_unit(quantity) == parts

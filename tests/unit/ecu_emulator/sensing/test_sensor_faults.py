@@ -1,0 +1,108 @@
+"""Scripted sensor faults: what each kind does to the readings, when, and how many of them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from canlog.arrays import FloatArray
+from ecu_emulator.plant.columns import Col
+from ecu_emulator.scenario.faults import Phase, PhaseCode, SensorFault, SensorFaultKind
+from ecu_emulator.sensing.sensor_faults import SensorFaults
+from tests.unit.ecu_emulator.rows import made_up_rows
+
+QUANTITY = "hub_speed_rad_s"
+SEND_MS = np.arange(0, 1000, 10)
+READING = 100.0 + np.sin(SEND_MS / 30.0)
+
+
+def fault(kind: str, **changes: float | str) -> SensorFault:
+    return SensorFault(**{"quantity": QUANTITY, "kind": SensorFaultKind(kind), **changes})  # type: ignore[arg-type]
+
+
+def applied(*faults: SensorFault, quantity: str = QUANTITY) -> tuple[FloatArray, tuple[int, ...]]:
+    stage = SensorFaults(faults)
+    return stage.applied(quantity, SEND_MS, READING), stage.changed_counts
+
+
+def test_an_offset_lasts_from_its_start_to_its_end() -> None:
+    wrong, counts = applied(fault("offset", size=5.0, start_s=0.2, duration_s=0.3))
+    expected = np.where((SEND_MS >= 200) & (SEND_MS < 500), 5.0, 0.0)
+    assert wrong - READING == pytest.approx(expected)
+    assert counts == (30,)
+
+
+def test_a_drift_grows_with_time() -> None:
+    wrong, _ = applied(fault("drift", size=-4.0, start_s=0.2))
+    assert wrong - READING == pytest.approx(-4.0 * np.maximum(SEND_MS - 200, 0) / 1000.0)
+
+
+def test_a_frozen_sensor_repeats_what_it_read_before() -> None:
+    wrong, counts = applied(fault("frozen", start_s=0.205, duration_s=0.1))
+    assert np.all(wrong[21:31] == READING[20])
+    assert np.array_equal(np.delete(wrong, np.s_[21:31]), np.delete(READING, np.s_[21:31]))
+    assert counts == (10,)
+
+
+def test_a_sensor_frozen_from_the_start_repeats_its_first_reading() -> None:
+    wrong, _ = applied(fault("frozen"))
+    assert np.all(wrong == READING[0])
+
+
+def test_a_spike_is_one_reading() -> None:
+    wrong, counts = applied(fault("spike", size=50.0, start_s=0.333))
+    assert np.flatnonzero(wrong != READING).tolist() == [34]
+    assert wrong[34] - READING[34] == pytest.approx(50.0)
+    assert counts == (1,)
+
+
+def test_what_is_not_available_is_nan() -> None:
+    wrong, _ = applied(fault("not_available", start_s=0.9))
+    assert np.array_equal(np.isnan(wrong), SEND_MS >= 900)
+
+
+def test_other_quantities_are_left_alone() -> None:
+    wrong, counts = applied(fault("offset", size=5.0), quantity="input1_speed_rad_s")
+    assert wrong is READING
+    assert counts == (0,)
+
+
+def test_faults_of_one_quantity_add_up_in_their_order() -> None:
+    wrong, _ = applied(fault("offset", size=5.0), fault("frozen", start_s=0.5))
+    assert np.all(wrong[50:] == READING[49] + 5.0)
+
+
+def rows_with_shifts() -> FloatArray:
+    """Return 900 ms with a shift at 100 ms and another at 500 ms, each phase 50 ms long."""
+    rows = made_up_rows(900)
+    rows[:, Col.SHIFT_PHASE] = PhaseCode.HOLD
+    for start_ms in (100, 500):
+        for step, phase in enumerate((PhaseCode.PREFILL, PhaseCode.TORQUE, PhaseCode.INERTIA, PhaseCode.LOCK_UP)):
+            rows[start_ms + 50 * step : start_ms + 50 * step + 50, Col.SHIFT_PHASE] = phase
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("shift", "phase", "start_s", "begins_s"),
+    [(1, Phase.PREFILL, 0.0, 0.1), (1, Phase.LOCK_UP, 0.0, 0.25), (2, Phase.INERTIA, 0.02, 0.62)],
+)
+@pytest.mark.parametrize("chunk", [900, 100, 37])
+def test_a_fault_can_be_timed_by_a_shift(shift: int, phase: Phase, start_s: float, begins_s: float, chunk: int) -> None:
+    stage = SensorFaults([fault("offset", size=1.0, shift=shift, phase=phase, start_s=start_s, duration_s=0.1)])
+    rows, wrong = rows_with_shifts(), []
+    for first_ms in range(0, len(rows), chunk):
+        stage.feed(rows[first_ms : first_ms + chunk], first_ms)
+        inside = slice(*np.searchsorted(SEND_MS, (first_ms, min(first_ms + chunk, len(rows)))).tolist())
+        send_ms = SEND_MS[inside]
+        wrong.append(stage.applied(QUANTITY, send_ms, np.zeros(len(send_ms))))
+    (span_s,) = stage.spans_s
+    assert span_s == pytest.approx((begins_s, begins_s + 0.1))
+    assert SEND_MS[np.flatnonzero(np.concatenate(wrong))[0]] / 1000.0 == pytest.approx(math.ceil(begins_s * 100) / 100)
+    assert stage.changed_counts == (10,)
+
+
+def test_a_shift_that_does_not_come_triggers_nothing() -> None:
+    stage = SensorFaults([fault("offset", size=1.0, shift=3)])
+    stage.feed(rows_with_shifts(), 0)
+    assert stage.spans_s == ((math.inf, math.inf),)
+    assert stage.applied(QUANTITY, SEND_MS, READING) is READING

@@ -1,0 +1,229 @@
+import numpy as np
+import pytest
+
+from canlog.arrays import FloatArray
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.plant.columns import Col
+from ecu_emulator.scenario.signals import NOMINAL_SENSORS, STATES, Sensor, Sensors
+from ecu_emulator.sensing.readings import Readings, Schedule
+from ecu_emulator.sensing.sensors import (
+    BRAKE_PA_PER_M_S2,
+    MAX_SEGMENT_MS,
+    MEASURABLE,
+    QUANTITIES,
+    CrankSpeed,
+    Installation,
+    SensorSuite,
+)
+from tests.unit.ecu_emulator.rows import made_up_rows
+
+SEGMENT_RAD = 2.0 * np.pi / 3.0
+PLACE = Installation(
+    crank_segment_rad=SEGMENT_RAD,
+    output_ratio=4.059,
+    wheel_radius_m=0.32,
+    ambient_temperature_k=293.15,
+    odometer_m=1000.0,
+)
+PERFECT: Sensors = {}
+HIDDEN = frozenset(Col) - MEASURABLE
+
+
+def schedule(*quantities: str, cycle_ms: int = 10, phase_ms: int = 0, sender: str = "ECM") -> Schedule:
+    return Schedule(message="M", sender=sender, cycle_ms=cycle_ms, phase_ms=phase_ms, quantities=quantities)
+
+
+def read(
+    rows: FloatArray, *schedules: Schedule, sensors: Sensors = PERFECT, startup_s: float = 0.0, seed: int = 1
+) -> list[Readings]:
+    suite = SensorSuite(
+        schedules=schedules, sensors=sensors, installation=PLACE, startup_s={"ECM": startup_s}, seed=seed
+    )
+    return suite.read(rows)
+
+
+def test_messages_are_sent_at_their_phase_and_cycle() -> None:
+    (reading,) = read(made_up_rows(100), schedule("pedal_ratio", cycle_ms=20, phase_ms=3))
+    assert reading.t_s == pytest.approx([0.003, 0.023, 0.043, 0.063, 0.083])
+
+
+def test_a_perfect_sensor_reads_the_row_of_the_send_instant() -> None:
+    rows = made_up_rows(50)
+    (reading,) = read(rows, schedule("hub_speed_rad_s", phase_ms=1))
+    assert reading.values["hub_speed_rad_s"] == pytest.approx(rows[1::10, Col.HUB_SPEED], abs=0.0)
+
+
+def test_a_message_that_is_not_due_is_not_read() -> None:
+    assert read(made_up_rows(5), schedule("pedal_ratio", cycle_ms=100, phase_ms=50)) == []
+
+
+def test_no_rows_no_readings() -> None:
+    assert read(made_up_rows(1)[:0], schedule("pedal_ratio")) == []
+
+
+def test_gain_and_offset() -> None:
+    rows = made_up_rows(30)
+    sensor = Sensor(gain_ratio=1.1, offset=-4.0)
+    (reading,) = read(rows, schedule("engine_torque_nm"), sensors={"engine_torque_nm": sensor})
+    assert reading.values["engine_torque_nm"] == pytest.approx(1.1 * rows[::10, Col.ENGINE_TORQUE] - 4.0)
+
+
+@pytest.mark.parametrize("latency_ms", [0.0, 0.25, 1.0, 7.5, 23.0])
+def test_latency_shows_the_past_interpolated_between_rows(latency_ms: float) -> None:
+    rows = made_up_rows(200)
+    sensor = Sensor(latency_s=latency_ms / 1000.0)
+    (reading,) = read(rows, schedule("hub_speed_rad_s"), sensors={"hub_speed_rad_s": sensor})
+    expected = np.interp(reading.t_s - latency_ms / 1000.0, rows[:, Col.T_S], rows[:, Col.HUB_SPEED])
+    assert reading.values["hub_speed_rad_s"] == pytest.approx(expected, rel=1e-12)
+
+
+def test_lag_follows_a_step_exponentially() -> None:
+    rows = made_up_rows(400)
+    rows[:, Col.SUMP_TEMPERATURE] = np.where(np.arange(400) > 0, 1.0, 0.0)
+    sensor = Sensor(lag_s=0.050)
+    (reading,) = read(rows, schedule("sump_temperature_k"), sensors={"sump_temperature_k": sensor})
+    assert reading.values["sump_temperature_k"] == pytest.approx(-np.expm1(-reading.t_s / 0.050), abs=1e-12)
+
+
+def test_noise_has_the_stated_standard_deviation_and_is_white() -> None:
+    rows = made_up_rows(200_000)
+    (reading,) = read(rows, schedule("engine_torque_nm"), sensors={"engine_torque_nm": Sensor(noise_std=3.0)})
+    noise = reading.values["engine_torque_nm"] - rows[::10, Col.ENGINE_TORQUE]
+    assert noise.std() == pytest.approx(3.0, rel=0.03)
+    assert abs(noise.mean()) < 4.0 * 3.0 / np.sqrt(noise.size)
+    assert abs(np.mean(noise[1:] * noise[:-1])) / noise.var() < 4.0 / np.sqrt(noise.size)
+
+
+def test_the_noise_of_a_quantity_does_not_depend_on_other_quantities() -> None:
+    rows = made_up_rows(300)
+    (alone,) = read(rows, schedule("hub_speed_rad_s"), sensors=NOMINAL_SENSORS)
+    _, among = read(
+        rows, schedule("engine_torque_nm"), schedule("input1_speed_rad_s", "hub_speed_rad_s"), sensors=NOMINAL_SENSORS
+    )
+    assert np.array_equal(alone.values["hub_speed_rad_s"], among.values["hub_speed_rad_s"])
+
+
+def test_quantities_and_seeds_have_noise_of_their_own() -> None:
+    rows = made_up_rows(300)
+    rows[:, Col.INPUT1_SPEED] = rows[:, Col.HUB_SPEED]
+    both = schedule("hub_speed_rad_s", "input1_speed_rad_s")
+    (first,) = read(rows, both, sensors=NOMINAL_SENSORS, seed=1)
+    (second,) = read(rows, both, sensors=NOMINAL_SENSORS, seed=2)
+    assert not np.array_equal(first.values["hub_speed_rad_s"], first.values["input1_speed_rad_s"])
+    assert not np.array_equal(first.values["hub_speed_rad_s"], second.values["hub_speed_rad_s"])
+
+
+def test_nothing_is_available_until_the_sender_has_started() -> None:
+    (reading,) = read(made_up_rows(100), schedule("pedal_ratio", "throttle_ratio"), startup_s=0.05)
+    for values in reading.values.values():
+        assert np.isnan(values[:5]).all()
+        assert np.isfinite(values[5:]).all()
+
+
+def test_gears_are_held_not_interpolated() -> None:
+    rows = made_up_rows(60)
+    rows[25:, Col.CURRENT_GEAR] = 2.0
+    (reading,) = read(rows, schedule("current_gear"), sensors={"current_gear": Sensor(latency_s=0.0055)})
+    assert reading.values["current_gear"].tolist() == [1.0, 1.0, 1.0, 1.0, 2.0, 2.0]
+
+
+def test_speed_sensors_do_not_tell_the_direction() -> None:
+    rows = made_up_rows(50)
+    rows[:, Col.VEHICLE_SPEED] = -0.5
+    (reading,) = read(rows, schedule("vehicle_speed_m_s"))
+    assert reading.values["vehicle_speed_m_s"] == pytest.approx(0.5)
+
+
+def test_derived_quantities() -> None:
+    rows = made_up_rows(20)
+    rows[:10, Col.BRAKE] = 0.0
+    names = ("output_speed_rad_s", "wheel_fl_speed_m_s", "brake_pressure_pa", "brake_light", "odometer_m",
+             "ambient_temperature_k")  # fmt: skip
+    (reading,) = read(rows, schedule(*names))
+    expected = (
+        4.059 * rows[::10, Col.DIFF_SPEED],
+        0.32 * rows[::10, Col.WHEEL_SPEED],
+        BRAKE_PA_PER_M_S2 * rows[::10, Col.BRAKE],
+        [0.0, 1.0],
+        1000.0 + rows[::10, Col.DISTANCE],
+        [293.15, 293.15],
+    )
+    for name, values in zip(names, expected, strict=True):
+        assert reading.values[name] == pytest.approx(values), name
+
+
+def test_engine_speed_is_the_mean_over_the_last_crank_segment() -> None:
+    rows = made_up_rows(3000)
+    t_s, angle_rad = rows[:, Col.T_S], rows[:, Col.CRANK_ANGLE]
+    (reading,) = read(rows, schedule("engine_speed_rad_s"))
+    later = reading.t_s > 0.1
+    now_s = reading.t_s[later]
+    begin_s = np.interp(np.interp(now_s, t_s, angle_rad) - SEGMENT_RAD, angle_rad, t_s)
+    expected = SEGMENT_RAD / (now_s - begin_s)
+    assert reading.values["engine_speed_rad_s"][later] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_ripple_within_the_crank_segment_averages_out() -> None:
+    rows = made_up_rows(2000)
+    t_s = rows[:, Col.T_S]
+    rows[:, Col.CRANK_ANGLE] = 300.0 * t_s - 0.01 * np.cos(3.0 * 300.0 * t_s)
+    rows[:, Col.ENGINE_SPEED] = 300.0 + 9.0 * np.sin(3.0 * 300.0 * t_s)
+    (reading,) = read(rows, schedule("engine_speed_rad_s"))
+    assert np.ptp(reading.values["engine_speed_rad_s"][2:]) < 0.05 * 18.0
+
+
+def test_engine_speed_before_the_drive_was_steady() -> None:
+    rows = made_up_rows(2)
+    (reading,) = read(rows, schedule("engine_speed_rad_s"))
+    assert reading.values["engine_speed_rad_s"][0] == pytest.approx(200.0, rel=1e-9)
+
+
+def test_a_nearly_stalled_engine_has_the_mean_over_the_longest_time() -> None:
+    crank = CrankSpeed(SEGMENT_RAD)
+    speed_rad_s = np.full(1000, 1.0)
+    mean_rad_s = crank.feed(np.arange(1000) / 1000.0, speed_rad_s, 0)
+    assert mean_rad_s == pytest.approx(1.0, rel=1e-9)
+    assert SEGMENT_RAD / 1.0 > MAX_SEGMENT_MS / 1000.0
+
+
+def test_only_measurable_columns_reach_the_readings() -> None:
+    assert {
+        Col.MU_C1, Col.MU_S1, Col.MU_C2, Col.MU_S2, Col.FILM1, Col.FILM2, Col.STICK1, Col.STICK2,
+        Col.CLUTCH1_TEMPERATURE, Col.CLUTCH2_TEMPERATURE, Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE,
+        Col.VISCOUS1_TORQUE, Col.VISCOUS2_TORQUE, Col.FLYWHEEL_TORQUE, Col.SHAFT1_TORQUE, Col.SHAFT2_TORQUE,
+        Col.ROUTINE, Col.REV,
+        Col.EVENT_KIND, Col.EVENT_NUMBER, Col.IS_ABORTED, Col.GRADE, Col.WANTED_SPEED,
+    } == HIDDEN  # fmt: skip
+    rows = made_up_rows(500)
+    blind = rows.copy()
+    blind[:, sorted(HIDDEN)] = np.nan
+    everything = schedule(*sorted(QUANTITIES))
+    (seen,) = read(rows, everything, sensors=NOMINAL_SENSORS)
+    (unseen,) = read(blind, everything, sensors=NOMINAL_SENSORS)
+    for quantity in QUANTITIES:
+        assert np.array_equal(seen.values[quantity], unseen.values[quantity]), quantity
+
+
+def test_every_quantity_has_a_sensor_or_is_a_state() -> None:
+    assert set(NOMINAL_SENSORS) | STATES == QUANTITIES
+    assert not set(NOMINAL_SENSORS) & STATES
+
+
+def test_an_unknown_quantity_is_refused() -> None:
+    with pytest.raises(ConfigError, match="clutch1_torque_nm"):
+        read(made_up_rows(1), schedule("clutch1_torque_nm"))
+
+
+@pytest.mark.parametrize(
+    ("errors", "named"),
+    [
+        ({"gain_ratio": 0.0}, "gain_ratio"),
+        ({"noise_std": -1.0}, "noise_std"),
+        ({"latency_s": -0.001}, "latency_s"),
+        ({"lag_s": 3.0}, "lag_s"),
+        ({"offset": float("nan")}, "offset"),
+    ],
+)
+def test_impossible_sensors_are_refused(errors: dict[str, float], named: str) -> None:
+    with pytest.raises(ConfigError, match=named):
+        Sensor(**errors)

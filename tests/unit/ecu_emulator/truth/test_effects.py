@@ -1,0 +1,241 @@
+"""Effects that the service's model lacks: each changes what it should and nothing else."""
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from canlog.arrays import FloatArray
+from clutch_model.calibration import Calibration, nominal_calibration
+from clutch_model.clutch import ClutchCalibration
+from clutch_model.film import film_law
+from ecu_emulator.bus.frame_loss import FrameLoss
+from ecu_emulator.bus.frames import EncodedFrames, merge
+from ecu_emulator.drive.build import BuiltVehicle, build_vehicle
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.drive import DriveSettings
+from ecu_emulator.plant.lining import friction_ratio, grooved
+from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
+from ecu_emulator.plant.powertrain import Powertrain
+from ecu_emulator.scenario.scenario import Effects, Scenario
+from ecu_emulator.scenario.scenario_file import parse_scenario
+from ecu_emulator.truth.effects import affected_calibration, affected_parameters
+from tests.support.builders import drive_scenario
+
+NOMINAL = nominal_calibration()
+PARAMETERS = nominal_parameters()
+HOT_K = 363.15
+DRIVE_S = 4.0
+
+
+def with_clutches(change: Callable[[ClutchCalibration], ClutchCalibration]) -> Calibration:
+    first, second = (change(clutch) for clutch in NOMINAL.clutches)
+    return replace(NOMINAL, clutches=(first, second))
+
+
+def scenario_with(**effects: float) -> Scenario:
+    return replace(drive_scenario(), effects=Effects(**effects))  # type: ignore[arg-type]  # one of them is a flag
+
+
+def vehicle_with(**effects: float) -> BuiltVehicle:
+    return build_vehicle(scenario_with(**effects))
+
+
+def rows_with(**effects: float) -> FloatArray:
+    vehicle = vehicle_with(**effects)
+    return Powertrain(vehicle.calibration, vehicle.parameters, DriveSettings()).advance(DRIVE_S)
+
+
+def frames_with(duration_s: float, **effects: float) -> EncodedFrames:
+    parts: list[EncodedFrames] = []
+    for stretch in Drive(scenario_with(**effects)).stretches(duration_s):
+        parts.append(stretch.frames)
+        if stretch.end_s >= DRIVE_S - 0.01:
+            break
+    return merge(parts)
+
+
+def keys(frames: EncodedFrames) -> set[tuple[float, int, bytes]]:
+    return {(float(t), int(i), d.tobytes()) for t, i, d in zip(frames.t_s, frames.can_id, frames.data, strict=True)}
+
+
+@pytest.mark.parametrize(
+    ("effect", "value", "expected"),
+    [
+        (
+            "stribeck_speed_ratio",
+            1.5,
+            with_clutches(lambda one: replace(one, friction=replace(one.friction, stribeck_speed_rad_s=9.0))),
+        ),
+        (
+            "contact_stiffness_ratio",
+            0.5,
+            with_clutches(lambda one: replace(one, film=replace(one.film, contact_stiffness_pa=1.5e6))),
+        ),
+        (
+            "piston_area_ratio",
+            1.01,
+            with_clutches(
+                lambda one: replace(
+                    one, geometry=replace(one.geometry, piston_area_m2=one.geometry.piston_area_m2 * 1.01)
+                )
+            ),
+        ),
+        (
+            "spring_force_n",
+            30.0,
+            with_clutches(
+                lambda one: replace(
+                    one, piston=replace(one.piston, spring_preload_n=one.piston.spring_preload_n + 30.0)
+                )
+            ),
+        ),
+        ("viscosity_ratio", 1.25, replace(NOMINAL, viscosity=replace(NOMINAL.viscosity, a_pa_s=1.55e-4 * 1.25))),
+    ],
+)
+def test_an_effect_on_the_clutch_changes_its_number_only(effect: str, value: float, expected: Calibration) -> None:
+    vehicle = vehicle_with(**{effect: value})
+    assert vehicle.calibration == expected
+    assert vehicle.parameters == PARAMETERS
+    assert vehicle.sensors == build_vehicle(drive_scenario()).sensors
+
+
+@pytest.mark.parametrize(
+    ("effect", "value", "expected"),
+    [
+        (
+            "driveline_damping_ratio",
+            2.0,
+            replace(
+                PARAMETERS,
+                flywheel=PARAMETERS.flywheel._replace(damping_nms_rad=16.0),
+                shafts=(
+                    PARAMETERS.shafts[0]._replace(damping_nms_rad=3.0),
+                    PARAMETERS.shafts[1]._replace(damping_nms_rad=3.0),
+                ),
+                output=PARAMETERS.output._replace(shaft_damping_nms_rad=160.0),
+            ),
+        ),
+        ("crank_ripple_ratio", 0.5, replace(PARAMETERS, engine=PARAMETERS.engine._replace(ripple_ratio=0.5))),
+        ("friction_fade_per_k", 0.001, replace(PARAMETERS, lining=PARAMETERS.lining._replace(fade_per_k=0.001))),
+        ("film_mobility_ratio", 2.0, replace(PARAMETERS, lining=PARAMETERS.lining._replace(film_mobility_ratio=2.0))),
+    ],
+)
+def test_an_effect_on_the_plant_changes_its_number_only(effect: str, value: float, expected: PlantParameters) -> None:
+    vehicle = vehicle_with(**{effect: value})
+    assert vehicle.parameters == expected
+    assert vehicle.calibration == NOMINAL
+
+
+def test_an_effect_of_the_bus_leaves_the_vehicle_alone() -> None:
+    plain = build_vehicle(drive_scenario())
+    for effects in (
+        Effects(engine_speed_is_sampled=True),
+        Effects(motoring_torque_ratio=0.9),
+        Effects(least_cycle_ms=20),
+        Effects(frame_loss_ratio=0.05),
+    ):
+        assert affected_calibration(NOMINAL, effects) == NOMINAL
+        assert affected_parameters(PARAMETERS, effects) == PARAMETERS
+        assert build_vehicle(replace(drive_scenario(), effects=effects)) == plain
+
+
+def test_without_effects_nothing_is_switched_on() -> None:
+    assert Effects().switched_on() == {}
+    assert Effects(viscosity_ratio=1.25, engine_speed_is_sampled=True).switched_on() == {
+        "viscosity_ratio": 1.25,
+        "engine_speed_is_sampled": True,
+    }
+    assert Drive(scenario_with(spring_force_n=30.0)).truth.effects == {"spring_force_n": 30.0}
+
+
+@pytest.mark.parametrize("name", [member.name for member in fields(Effects) if member.metadata])
+def test_every_number_has_its_range(name: str) -> None:
+    member = next(one for one in fields(Effects) if one.name == name)
+    for limit, step in (("low", -1), ("high", 1)):
+        with pytest.raises(ConfigError, match=name):
+            Effects(**{name: member.metadata[limit] + step})
+        assert getattr(Effects(**{name: member.metadata[limit]}), name) == member.metadata[limit]
+
+
+def test_a_scenario_file_switches_effects_on() -> None:
+    scenario = parse_scenario(
+        'name = "odd"\n[effects]\nleast_cycle_ms = 20\nengine_speed_is_sampled = true\nviscosity_ratio = 1.25', "text"
+    )
+    assert scenario.effects == Effects(least_cycle_ms=20, engine_speed_is_sampled=True, viscosity_ratio=1.25)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("grooves = 2.0", "effects.grooves is unknown"),
+        ("engine_speed_is_sampled = 1", "effects.engine_speed_is_sampled must be true or false"),
+        ("least_cycle_ms = 12.5", "effects.least_cycle_ms must be a whole number"),
+        ("frame_loss_ratio = 0.7", "effects.frame_loss_ratio must be 0..0.5"),
+    ],
+)
+def test_a_scenario_file_is_checked(line: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parse_scenario(f'name = "odd"\n[effects]\n{line}', "text")
+
+
+def test_friction_fades_with_the_heat_of_the_pack() -> None:
+    lining = PARAMETERS.lining._replace(fade_per_k=0.002)
+    assert friction_ratio(HOT_K, lining) == pytest.approx(1.0 - 0.002 * 10.0)
+    assert friction_ratio(lining.fade_reference_k, lining) == 1.0
+    rows = rows_with(friction_fade_per_k=0.002)
+    for mu, temperature in ((Col.MU_C1, Col.CLUTCH1_TEMPERATURE), (Col.MU_S2, Col.CLUTCH2_TEMPERATURE)):
+        reference = 0.140 if mu == Col.MU_C1 else 0.119
+        assert rows[:, mu] == pytest.approx(reference * (1.0 - 0.002 * (rows[:, temperature] - 353.15)))
+    assert np.ptp(rows[:, Col.MU_C2]) > 0.0
+
+
+def test_grooves_let_the_film_yield_faster() -> None:
+    law = film_law(NOMINAL.clutches[0])
+    eased = grooved(law, PARAMETERS.lining._replace(film_mobility_ratio=2.0))
+    assert eased == law._replace(squeeze_factor_m2=law.squeeze_factor_m2 / 2.0)
+    assert grooved(law, PARAMETERS.lining) == law
+    plain, fast = rows_with(), rows_with(film_mobility_ratio=4.0)
+    closing = (plain[:, Col.FILM2] < 140e-6) & (plain[:, Col.FILM2] > 20e-6) & (plain[:, Col.PRESSURE2] > 1.5e5)
+    assert np.count_nonzero(closing) > 5
+    assert np.all(fast[closing, Col.FILM2] < plain[closing, Col.FILM2])
+
+
+def test_the_crank_ripples_and_the_broadcast_torque_does_not() -> None:
+    plain, rippled = rows_with(), rows_with(crank_ripple_ratio=0.5)
+    pulling = slice(500, 1500)
+
+    def roughness(rows: FloatArray, column: Col) -> float:
+        return float(np.std(np.diff(rows[pulling, column], n=3)))
+
+    assert roughness(rippled, Col.ENGINE_SPEED) > 20.0 * roughness(plain, Col.ENGINE_SPEED)
+    # The modelled torque still sees the rippled speed through friction, a hundredth of the pulses.
+    assert roughness(rippled, Col.ENGINE_TORQUE) < 1.0
+    assert rippled[pulling, Col.ENGINE_TORQUE] == pytest.approx(plain[pulling, Col.ENGINE_TORQUE], rel=0.05)
+
+
+def test_no_message_is_sent_more_often_than_the_effect_allows() -> None:
+    plain, slow = frames_with(DRIVE_S), frames_with(DRIVE_S, least_cycle_ms=20)
+    for can_id in np.unique(plain.can_id):
+        before_ms, after_ms = (
+            np.unique(np.rint(np.diff(frames.t_s[frames.can_id == can_id]) * 1e3)) for frames in (plain, slow)
+        )
+        assert after_ms == pytest.approx(np.maximum(before_ms, 20.0))
+
+
+def test_lost_frames_are_lost_and_the_others_untouched() -> None:
+    plain, lossy = frames_with(DRIVE_S), frames_with(DRIVE_S, frame_loss_ratio=0.05)
+    assert keys(lossy) < keys(plain)
+    assert len(lossy) / len(plain) == pytest.approx(0.95, abs=0.02)
+
+
+def test_the_loss_does_not_depend_on_the_cut() -> None:
+    assert keys(frames_with(DRIVE_S, frame_loss_ratio=0.05)) == keys(frames_with(0.25, frame_loss_ratio=0.05))
+
+
+def test_without_loss_the_frames_pass_unseen() -> None:
+    frames = frames_with(DRIVE_S)
+    assert FrameLoss(0.0, 1).surviving(frames) is frames

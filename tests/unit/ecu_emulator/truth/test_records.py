@@ -1,0 +1,223 @@
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ecu_emulator.errors import RecordError
+from ecu_emulator.plant.columns import Col
+from ecu_emulator.shift_control.tcu_data import CLOSED_REVS, OPEN_REVS
+from ecu_emulator.truth.records import (
+    DriveTruth,
+    EventTruth,
+    FaultTruth,
+    RevTruth,
+    Totals,
+    TripTruth,
+    TruthLog,
+    TruthWriter,
+    known_at_s,
+    read_truth,
+    truth_path,
+)
+from ecu_emulator.truth.truth_watchers import RevWatcher, ShiftWatcher
+from tests.unit.ecu_emulator.rows import made_up_rows, with_revs, with_shift
+
+DRIVE = DriveTruth(
+    scenario="ideal",
+    vehicle="car",
+    seed=3,
+    vehicle_seed=3,
+    drive_seed=3,
+    cycles=1,
+    fluid="case1",
+    mu_c=(0.13, 0.14),
+    mu_s=(0.12, 0.11),
+    drawn={"torque_gain_ratio": 1.01},
+)
+EVENT = EventTruth(
+    number=1,
+    event="launch",
+    t_start_s=3.0,
+    t_end_s=5.5,
+    from_gear=1,
+    to_gear=1,
+    clutch=1,
+    peak_slip_rad_s=120.0,
+    slip_energy_j=9000.0,
+    reslip_rad_s=0.8,
+    other_slip_energy_j=0.0,
+    is_locked=True,
+    is_aborted=False,
+    mu_c=0.13,
+    mu_s=0.12,
+    clutch_temperature_k=350.0,
+    clutch_end_temperature_k=362.0,
+    oil_temperature_k=350.0,
+)
+FAULT = FaultTruth(what="hub_speed_rad_s", kind="offset", size=2.0, t_start_s=0.2, t_end_s=None, count=4)
+ROWS = with_shift(with_shift(made_up_rows(1200), 100, 500, 1, 2), 700, 1000, 2, 3)
+
+
+def trip(number: int) -> TripTruth:
+    return TripTruth(
+        number=number,
+        trace="city",
+        t_start_s=1000.0 * number,
+        parked_s=300.0,
+        distance_m=5000.0,
+        oil_temperature_k=293.15,
+        coolant_temperature_k=293.15,
+        mu_c=(0.13, 0.14),
+        mu_s=(0.12, 0.11),
+    )
+
+
+def test_a_completed_shift_carries_the_truth_of_the_on_coming_clutch() -> None:
+    upshift, next_upshift = ShiftWatcher().feed(ROWS)
+    assert (upshift.number, upshift.from_gear, upshift.to_gear, upshift.clutch) == (1, 1, 2, 2)
+    assert (upshift.t_start_s, upshift.t_end_s) == (0.1, 0.5)
+    assert (upshift.mu_c, upshift.mu_s) == (ROWS[499, Col.MU_C2], ROWS[499, Col.MU_S2])
+    assert upshift.clutch_temperature_k == pytest.approx(np.mean(ROWS[100:500, Col.CLUTCH2_TEMPERATURE]))
+    assert (next_upshift.number, next_upshift.clutch) == (2, 1)
+    assert next_upshift.mu_c == ROWS[999, Col.MU_C1]
+
+
+def test_a_shift_that_has_not_ended_is_not_reported() -> None:
+    watcher = ShiftWatcher()
+    assert watcher.feed(ROWS[:400]) == []
+    assert [shift.number for shift in watcher.feed(ROWS[400:])] == [1, 2]
+
+
+def test_a_shift_that_goes_back_to_where_it_began_is_none() -> None:
+    rows = made_up_rows(600)
+    rows[100:300, Col.TARGET_GEAR] = 2.0
+    assert ShiftWatcher().feed(rows) == []
+
+
+def test_a_shift_whose_target_changes_on_the_way_leads_where_it_ends() -> None:
+    rows = with_shift(made_up_rows(600), 100, 400, 6, 4)
+    rows[100:200, Col.TARGET_GEAR] = 5.0
+    (shift,) = ShiftWatcher().feed(rows)
+    assert (shift.from_gear, shift.to_gear, shift.clutch) == (6, 4, 2)
+
+
+def test_no_shift_no_truth() -> None:
+    assert ShiftWatcher().feed(made_up_rows(300)) == []
+
+
+def test_a_start_from_neutral_is_no_shift() -> None:
+    assert ShiftWatcher().feed(with_shift(made_up_rows(600), 100, 400, 0, 1)) == []
+
+
+def test_revs_are_told_apart_and_say_whether_the_clutches_are_closed() -> None:
+    rows = with_revs(made_up_rows(1000), [(100, 200, OPEN_REVS), (200, 300, OPEN_REVS), (500, 700, CLOSED_REVS)])
+    assert RevWatcher().feed(rows) == [
+        RevTruth(number=1, t_start_s=0.1, t_end_s=0.2, are_clutches_closed=False),
+        RevTruth(number=2, t_start_s=0.2, t_end_s=0.3, are_clutches_closed=False),
+        RevTruth(number=3, t_start_s=0.5, t_end_s=0.7, are_clutches_closed=True),
+    ]
+    watcher = RevWatcher()
+    assert [rev.number for rev in watcher.feed(rows[:600])] == [1, 2]
+    assert [rev.number for rev in watcher.feed(rows[600:])] == [3]
+
+
+def test_a_truth_file_reads_back(tmp_path: Path) -> None:
+    path = truth_path(tmp_path / "drive.log")
+    assert path.name == "drive.log.truth.jsonl"
+    shifts = tuple(ShiftWatcher().feed(ROWS))
+    rev = RevTruth(number=1, t_start_s=0.1, t_end_s=0.2, are_clutches_closed=True)
+    totals = Totals(shifts=2, duration_s=1.2, frames=77, faults=(FAULT,))
+    with TruthWriter(path) as writer:
+        writer.drive(DRIVE)
+        writer.write(shifts[:1])
+        assert read_truth(path) == TruthLog(drive=DRIVE, shifts=shifts[:1], totals=None)
+        writer.write(shifts[1:])
+        writer.write([rev])
+        writer.totals(totals)
+    assert read_truth(path) == TruthLog(drive=DRIVE, shifts=shifts, totals=totals, revs=(rev,))
+
+
+def test_all_that_happens_reads_back(tmp_path: Path) -> None:
+    path = tmp_path / "truth.jsonl"
+    trips = (trip(1), trip(2))
+    with TruthWriter(path) as writer:
+        writer.drive(DRIVE)
+        writer.write([trips[0], EVENT, trips[1]])
+        writer.totals(Totals(shifts=0, events=1, duration_s=9.0, frames=5))
+    truth = read_truth(path)
+    assert (truth.trips, truth.events) == (trips, (EVENT,))
+    assert truth.totals is not None
+    assert truth.totals.events == 1
+
+
+def test_what_happened_is_known_when_it_has_ended_and_a_trip_when_it_begins() -> None:
+    assert known_at_s(EVENT) == EVENT.t_end_s
+    assert known_at_s(trip(1)) == trip(1).t_start_s
+
+
+def test_a_file_from_before_there_were_events_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "truth.jsonl"
+    with TruthWriter(path) as writer:
+        writer.drive(DRIVE)
+        writer.totals(Totals(shifts=0, duration_s=9.0, frames=5))
+    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    del lines[0]["drive"], lines[1]["events"]
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    assert read_truth(path) == TruthLog(drive=DRIVE, shifts=(), totals=Totals(shifts=0, duration_s=9.0, frames=5))
+
+
+def test_a_truth_without_end_stays_small_and_readable(tmp_path: Path) -> None:
+    path, most_bytes, count = tmp_path / "truth.jsonl", 20_000, 500
+    with TruthWriter(path, most_bytes=most_bytes) as writer:
+        writer.drive(DRIVE)
+        for number in range(1, count + 1):
+            writer.write([replace(EVENT, number=number)])
+    older = path.with_name("truth.jsonl.1")
+    assert set(tmp_path.iterdir()) == {path, older}
+    kept = [read_truth(older), read_truth(path)]
+    assert all(one.drive == DRIVE for one in kept)
+    numbers = [event.number for one in kept for event in one.events]
+    assert numbers == list(range(numbers[0], count + 1))
+    assert older.stat().st_size < most_bytes + 2000
+    assert path.stat().st_size < most_bytes + 2000
+
+
+def test_a_truth_that_goes_into_a_pipe_is_not_begun_anew(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    with TruthWriter(pipe, most_bytes=1000) as writer:
+        for _ in range(10):
+            writer.write([EVENT])
+        assert os.read(reader, 1 << 16).count(b"\n") == 10
+    os.close(reader)
+    assert list(tmp_path.iterdir()) == [pipe]
+    assert pipe.is_fifo()
+
+
+def test_a_truth_file_that_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="cannot write truth"):
+        TruthWriter(tmp_path / "nowhere" / "truth.jsonl")
+
+
+def test_a_full_disk_is_one_clear_error() -> None:
+    with TruthWriter(Path("/dev/full")) as writer, pytest.raises(RecordError, match="No space left"):
+        writer.drive(DRIVE)
+
+
+@pytest.mark.parametrize(
+    "content", ["", "not json\n", '{"kind": "shift"}\n', '{"kind": "drive", "colour": 1}\n', "[]\n"]
+)
+def test_a_foreign_file_is_no_truth(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "x.jsonl"
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(RecordError, match="is not a truth file"):
+        read_truth(path)
+
+
+def test_a_missing_truth_is_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="cannot read truth"):
+        read_truth(tmp_path / "x.jsonl")
