@@ -30,6 +30,12 @@ from diag_service.commands.asking_arguments import PROGRAM
 from diag_service.errors import ConfigError, ControllerError, IncompleteError, StoppedError, StoreError
 from diag_service.service.stopping import Controls, PatientTrigger, Trigger, ignore
 
+_FUNCTIONS: Final = {  # of commands that share a module; the others are ``execute`` in a module of their own
+    **{word: f"controller.{word}" for word in ("did", "dtc", "routine", "scan")},
+    **{word: f"live.{word}" for word in ("monitor", "run")},
+    **{word: f"store.{word}" for word in ("fluid_changed", "history", "show")},
+    "cluster": "lake.cluster",
+}
 COUNTS_WANTED: Final = tuple(number for number in signal.Signals if number.name == "SIGUSR1")  # POSIX alone has it
 
 
@@ -79,9 +85,11 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
     from diag_service.console.notices import set_up_notices  # noqa: PLC0415 - see above
 
     set_up_notices(options.verbose)
-    commands = import_module(f"diag_service.commands.{options.command.replace('-', '_')}")
+    word = options.command.replace("-", "_")
+    module, _, name = _FUNCTIONS.get(word, f"{word}.execute").partition(".")
+    execute = getattr(import_module(f"diag_service.commands.{module}"), name)
     try:
-        commands.execute(options, _patient(controls) if _reads_standard_input(options) else controls)
+        execute(options, _patient(controls) if _reads_standard_input(options) else controls)
     except SourceError as exc:
         if text := _about_store(options):
             raise ConfigError(text) from exc

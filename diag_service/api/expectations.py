@@ -6,7 +6,7 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING, Protocol
 
 from diag_service.api.analysis import Analysis
-from diag_service.delivery.words import condition_words
+from diag_service.delivery.console import condition_words
 from diag_service.diagnosis.records import Condition, ShiftResult, Status
 
 if TYPE_CHECKING:

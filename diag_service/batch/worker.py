@@ -16,7 +16,7 @@ from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import shift_record
 from diag_service.diagnosis.summary import summary_record, unjudged
 from diag_service.mapping.interpretation import Interpretation
-from diag_service.service.drive_run import RecordedRun, run_recorded
+from diag_service.service.recorded import RecordedRun, run_recorded
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 

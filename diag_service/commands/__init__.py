@@ -1,1 +1,1 @@
-"""The commands, a module each, loaded when they are called: ``execute(options, stop, counts_wanted)``."""
+"""The commands, loaded when they are called: functions of the options of the command line and of ``Controls``."""

@@ -7,14 +7,14 @@ from types import SimpleNamespace
 from canlog.logs import STANDARD_INPUT, is_folder
 from canlog.notice import NOTICE
 from clutchdiag_io.overwriting import replacement_refusal
-from diag_service.console.reading import ReadingLine
+from diag_service.console.terminal import ReadingLine
 from diag_service.delivery import AllReporters, MemoryReporter
 from diag_service.diagnosis.summary import Gap
 from diag_service.errors import ConfigError
 from diag_service.service import paper_run
 from diag_service.service.application import reporter_of
 from diag_service.service.drive import insist
-from diag_service.service.drive_run import run_recorded
+from diag_service.service.recorded import run_recorded
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import DiagnosisConfig, diagnosis_config
 
@@ -41,7 +41,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
 
 
 def _fill_lake(options: SimpleNamespace, controls: Controls) -> None:
-    from diag_service.commands.lake_run import fill  # noqa: PLC0415 - nothing else needs any of it
+    from diag_service.commands.lake import fill  # noqa: PLC0415 - nothing else needs any of it
 
     fill(options, controls)
 

@@ -1,19 +1,24 @@
 """``diag-service decode``: the signals of logs as a table, in bounded memory, and what is not among them."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import BinaryIO, Final
 
+from cantools.database.can import Message
+
+from canlog.errors import SourceError
 from canlog.logs import STANDARD_INPUT, is_folder, shown_name
-from canlog.tables.decoding import Decoded, TableShape, decode_logs
+from canlog.tables.decoding import Decoded, Plan, TableShape, decode_logs
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat, check_libraries
 from canlog.tables.report import account_record, frame_texts, losses, remarks, values_text
+from canlog.tables.table_folder import message_files, tables_there
+from canlog.written_tables import TableChoice
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.overwriting import replacement_refusal
-from diag_service.commands.table_choice import check_messages, choice_of, planned
-from diag_service.console.reading import ReadingLine
-from diag_service.console.terminal import PeopleConsole
+from diag_service.commands.pairs import pairs_of
+from diag_service.console.terminal import PeopleConsole, ReadingLine
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.databases import asked_database
 from diag_service.service.stopping import Controls
@@ -138,3 +143,37 @@ def _show(options: SimpleNamespace, decoded: Decoded, console: PeopleConsole) ->
     hint = [NOTHING_KNOWN] if account.frames_of_id and not account.known_count else []
     for line in (*lines, *losses(account), *remarks(account), *hint):
         console.print(line)
+
+
+def choice_of(options: SimpleNamespace) -> TableChoice:
+    """Return what is asked for; raises ConfigError if pairs are none."""
+    return TableChoice(
+        shape=options.layout,
+        values=options.values,
+        signals=tuple(name.strip() for name in (options.signals or "").split(",") if name.strip()),
+        begin=vars(options)["from"],
+        end=options.to,
+        columns=options.columns or "",
+        pairs=pairs_of(options.pairs or ""),
+    )
+
+
+def check_messages(folder: Path, plan: Plan, table_format: TableFormat, *, is_forced: bool) -> None:
+    """Raise ConfigError if tables of messages must not be written to a folder; other tables are no concern."""
+    if plan.shape is not TableShape.MESSAGES:
+        return
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"{folder} is not a folder: each message becomes a table of its own")
+    there = [] if is_forced else tables_there(folder, message_files(plan.names, table_format))
+    if there:
+        raise ConfigError(
+            f"{there[0]} is there already; --force writes over tables of messages, and removes older ones"
+        )
+
+
+def planned(choice: TableChoice, messages: Sequence[Message]) -> Plan:
+    """Return the plan for what is asked for; raises ConfigError if a text is no time."""
+    try:
+        return choice.plan(messages)
+    except SourceError as exc:
+        raise ConfigError(str(exc)) from exc

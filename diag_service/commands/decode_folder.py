@@ -18,7 +18,7 @@ from clutchdiag_io.overwriting import replacement_refusal
 from diag_service.batch.drives import find_drives, left_out_record
 from diag_service.batch.processes import job_count, shared_out
 from diag_service.batch.tables_of_logs import TableDone, TableTask, begin_tables, write_own_table
-from diag_service.commands.table_choice import check_messages, choice_of, planned
+from diag_service.commands.decode import check_messages, choice_of, planned
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError

@@ -9,7 +9,7 @@ from canlog.logs import STANDARD_INPUT
 from canlog.logs.reading import Watch
 from clutchdiag_io.legible import legible
 from clutchdiag_io.overwriting import replacement_refusal
-from diag_service.console.reading import ReadingLine
+from diag_service.console.terminal import ReadingLine
 from diag_service.errors import ConfigError
 from diag_service.report.findings import Findings, findings_of_logs, findings_of_store
 from diag_service.report.page import page_of, write_page

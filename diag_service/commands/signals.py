@@ -15,14 +15,22 @@ from canlog.logs.reading import Watch
 from canlog.traffic import NS_PER_S
 from clutchdiag_io.legible import legible
 from dbc.contract import DBC_PATH
-from diag_service.console.reading import ReadingLine
+from diag_service.console.terminal import ReadingLine
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import StoppedError
 from diag_service.mapping.databases import open_database
 from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.gear_ratios import GearRatio, gear_ratios, is_complete
 from diag_service.mapping.profile import Profile
-from diag_service.mapping.proposal import Candidate, SignalStatistics, candidates, gears_text, profile_text
+from diag_service.mapping.proposal import (
+    Candidate,
+    GearRatio,
+    SignalStatistics,
+    candidates,
+    gear_ratios,
+    gears_text,
+    is_complete,
+    profile_text,
+)
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.service.stopping import Controls, Trigger
 

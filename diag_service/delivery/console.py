@@ -7,7 +7,6 @@ from rich.text import Text
 
 from clutch_model.units import degc_from_k
 from diag_service.delivery.base import News
-from diag_service.delivery.words import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis.records import Condition, ShiftEstimate, ShiftResult, Status
 from diag_service.diagnosis.summary import (
     Summary,
@@ -22,6 +21,28 @@ from diag_service.diagnosis.summary import (
 )
 from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract.orders import SHOWN_AS, Order
+
+
+def condition_words(condition: Condition) -> str:
+    """Return the word of a verdict."""
+    return condition.name.lower().replace("_", " ")
+
+
+def kind_words(estimate: ShiftEstimate) -> str:
+    """Return what kind of event it was."""
+    return estimate.kind.value.replace("_", " ")
+
+
+def gear_words(estimate: ShiftEstimate) -> str:
+    """Return from which gear to which, or the gear of an event without a change."""
+    is_change = estimate.from_gear != estimate.to_gear
+    return f"{estimate.from_gear}-{estimate.to_gear}" if is_change else str(estimate.to_gear)
+
+
+def reason_words(estimate: ShiftEstimate) -> str:
+    """Return why an event was not used; empty if there is no reason."""
+    return ", ".join(reason.value.replace("_", " ") for reason in estimate.reasons)
+
 
 _CONDITION_STYLE = {
     Condition.NO_VERDICT: "dim",

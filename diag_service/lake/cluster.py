@@ -9,7 +9,7 @@ from contextlib import suppress
 from typing import Any, Final
 
 from diag_service.errors import ConfigError, StoreError
-from diag_service.lake.links import ClusterAddress, load_distributed, security
+from diag_service.lake.nodes import ClusterAddress, load_distributed, security
 from diag_service.lake.pools import Outcome
 from diag_service.lake.work import Job, LakeLog, make_in_worker
 

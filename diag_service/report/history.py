@@ -9,8 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from clutchdiag_io.pages.content import spread
-from diag_service.delivery.console import order_lines
-from diag_service.delivery.words import condition_words
+from diag_service.delivery.console import condition_words, order_lines
 from diag_service.diagnosis.prognosis import Population, history_of, prognose, without
 from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.records import ClutchVerdict, FluidFill, FrictionEstimate, FrictionTrend, LiningChange

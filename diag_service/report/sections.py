@@ -8,7 +8,7 @@ import numpy as np
 
 from clutch_model.units import NS_PER_S
 from clutchdiag_io.pages.content import NONE, Cell, Figure, Key, Section, Table, number, spread
-from diag_service.delivery.words import condition_words, gear_words, kind_words, reason_words
+from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis.records import ClutchVerdict, QualityPart, ShiftResult, Status
 from diag_service.diagnosis.results import utc_from_bus_ns
 from diag_service.report.findings import Findings

@@ -3,6 +3,7 @@
 import asyncio
 import logging
 import os
+import socket
 from collections.abc import AsyncIterator, Callable
 from contextlib import ExitStack, asynccontextmanager, closing, suppress
 from dataclasses import dataclass, replace
@@ -19,7 +20,6 @@ from diag_service.service.live import run_live
 from diag_service.service.monitor import Monitor
 from diag_service.service.onlookers import LastShifts, LiveRun, OpenPage
 from diag_service.service.polling import tell_controller
-from diag_service.service.service_manager import ADDRESS_VARIABLE, ServiceManager
 from diag_service.service.session import Session, utc_now
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.service.stopping import Controls
@@ -165,10 +165,49 @@ async def polling(
             await asyncio.to_thread(poller.end)  # a question that is under way keeps nobody else waiting
 
 
-def _report_life(manager: ServiceManager, snapshot: Snapshot) -> None:
+def _report_life(manager: "ServiceManager", snapshot: Snapshot) -> None:
     """Tell the manager that the service lives, unless one of its stages hangs."""
     if snapshot.stuck is None:
         manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.summary.frames)}")
         return
     _LOG.error("%s", snapshot.stuck)
     manager.struggling(str(snapshot.stuck))
+
+
+ADDRESS_VARIABLE = "NOTIFY_SOCKET"
+
+
+class ServiceManager:
+    """The manager that started this process; without one, everything is told to nobody.
+
+    ``address`` is its datagram socket, as the environment names it; ``@`` begins an abstract one.
+    """
+
+    def __init__(self, address: str | None) -> None:
+        self._address = address
+
+    def ready(self) -> None:
+        """Say that the bus is open."""
+        self._notify("READY=1")
+
+    def alive(self, status: str) -> None:
+        """Say that the service is at work, and how it is, in a few words."""
+        self._notify(f"WATCHDOG=1\nSTATUS={status}")
+
+    def struggling(self, status: str) -> None:
+        """Say how the service is without saying that it is alive: a watchdog that hears only this restarts it."""
+        self._notify(f"STATUS={status}")
+
+    def stopping(self) -> None:
+        """Say that the end has begun."""
+        self._notify("STOPPING=1")
+
+    def _notify(self, text: str) -> None:
+        if not self._address:
+            return
+        address = f"\0{self._address[1:]}" if self._address.startswith("@") else self._address
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as channel:
+                channel.sendto(text.encode(), address)
+        except OSError as exc:
+            _LOG.debug("the service manager could not be told: %s", exc)

@@ -1,18 +1,196 @@
 """A live run for machines: Prometheus metrics and health checks over HTTP, in threads of their own."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import datetime
 from http import HTTPStatus
+from typing import Any, Final
 from wsgiref.types import StartResponse, WSGIEnvironment
 
 from prometheus_client import CollectorRegistry, make_wsgi_app
-from prometheus_client.core import Metric
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from diag_service.service.families import families
-from diag_service.service.snapshot import Board
+from canlog.e2e.e2e_state import E2eState
+from canlog.live import BusState
+from diag_service.console.progress import Stage
+from diag_service.diagnosis.records import Condition, ShiftResult, Status
+from diag_service.service.snapshot import Board, Snapshot
 from diag_service.service.web import serving_web
 from diag_service.settings.config import ListenAddress
+from fleet_contract import CLUTCHES
+
+_Value = float | Mapping[Any, float]
+_Rows = Iterable[tuple[str, str, str]]
+_Records = Mapping[tuple[str, str], object]
+
+_CLUTCH_LABELS: Final = ("vehicle", "clutch")
+_COEFFICIENTS: Final = ("mu_c", "mu_s")  # a label: as parts of names "_c" and "_s" would read as units
+# Name of the metric, field of the record, help.
+_OF_VERDICT: Final = (
+    ("level_ratio", "level_ratio", "Friction at high slip over that of new fluid."),
+    ("estimate_shifts", "shift_count", "Shifts in the running estimate."),
+)
+_OF_SLOPE: Final = (
+    ("negative_slope_probability_ratio", "probability_negative_slope", "Probability that friction falls with slip."),
+)
+# The same, with the coefficient for the braces.
+_OF_FRICTION: Final = (
+    ("mu", "{}", "Friction coefficient at high (mu_c) and low (mu_s) slip, running estimate."),
+    ("mu_std", "std_{}", "Standard deviation of the friction coefficient, common scale included."),
+)
+_OF_TREND: Final = (
+    ("mu_change_ratio", "change_{}_ratio", "Change of the friction coefficient since the baseline of this fluid."),
+    ("mu_change_std_ratio", "std_change_{}_ratio", "Standard deviation of that change."),
+)
+
+
+def families(snapshot: Snapshot) -> Iterator[Metric]:
+    """Yield all families of a snapshot; what is not known has no sample."""
+    yield from _of_the_bus(snapshot)
+    yield from _of_messages(snapshot)
+    yield from _of_shifts(snapshot)
+    yield from _of_clutches(snapshot)
+    yield from _of_the_estimates(snapshot)
+
+
+def _of_the_bus(snapshot: Snapshot) -> Iterator[Metric]:
+    bus, frames = snapshot.bus, snapshot.summary.frames
+    fates = {
+        "decoded": frames.decoded,
+        "ignored": frames.ignored,
+        "unsupported": frames.unsupported,
+        "kernel_dropped": frames.kernel_dropped,
+        "queue_dropped": frames.queue_dropped,
+        **{f"rejected_{reason}": count for reason, count in frames.rejected.items()},
+    }
+    yield _gauge("bus_state", "1 for the state that the bus is in.", _one_of(BusState, bus.state), "state")
+    yield _gauge("bus_load_ratio", "Share of the bit rate, stuff bits estimated.", snapshot.load_ratio)
+    yield _counter("bus_errors", "Error frames by what they tell.", dict(bus.errors), "kind")
+    yield _counter("bus_interruptions", "Times that the interface was lost.", bus.interruption_count)
+    yield _counter("bus_restarts_asked", "Restarts asked of the controller.", bus.restart_count)
+    yield _counter("clock_steps", "Steps of the wall clock.", snapshot.clock_steps)
+    yield _counter("frames_on_bus", "Frames that reached this machine.", frames.on_bus)
+    yield _counter("frames", "Frames by what became of them.", fates, "fate")
+    yield _counter("frames_missing", "Frames that alive counters show to be lost.", frames.missing)
+
+
+def _of_messages(snapshot: Snapshot) -> Iterator[Metric]:
+    messages = snapshot.messages.items()
+    nominal = {name: message.nominal_hz for name, message in messages if message.nominal_hz is not None}
+    states = {
+        (name, state): value
+        for name, message in messages
+        for state, value in _one_of(E2eState, message.e2e_state).items()
+    }
+    lapses = {name: message.invalidations for name, message in messages}
+    yield _gauge("message_rate_hertz", "Frames per second, as received.", snapshot.rates_hz, "message")
+    yield _gauge("message_nominal_hertz", "Frames per second, as the database says.", nominal, "message")
+    yield _gauge("message_e2e_state", "1 for the E2E state of the message.", states, "message", "state")
+    yield _counter("message_invalidations", "Times that a message lost its trust.", lapses, "message")
+
+
+def _of_shifts(snapshot: Snapshot) -> Iterator[Metric]:
+    summary, stuck = snapshot.summary, {stage.value: 0.0 for stage in Stage}
+    if snapshot.stuck is not None:
+        stuck[snapshot.stuck.stage.value] = snapshot.stuck.for_s
+    yield _gauge("stage_stuck_seconds", "How long a stage has held work without progress.", stuck, "stage")
+    yield _counter("shifts", "Shifts by what their estimate is worth.", summary.shifts.by_status, "status")
+    yield _counter("shift_reasons", "Shifts that were not used, by reason.", summary.shifts.by_reason, "reason")
+    qualities = [result.estimate.data_quality for result in snapshot.recent if result.estimate.data_quality is not None]
+    if qualities:
+        yield _gauge("last_shift_trust", "Trust in the last shift, 0..1.", qualities[-1].score)
+
+
+def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
+    """Yield what is said of each clutch; of one that never engaged, that there is no verdict."""
+    vehicle, by_clutch = snapshot.summary.vehicle, snapshot.summary.shifts.by_clutch
+    verdicts = dict.fromkeys(CLUTCHES, Condition.NO_VERDICT)
+    verdicts |= {result.verdict.clutch: result.verdict.condition for result in snapshot.clutches}
+    states = {
+        (vehicle, str(clutch), word): value
+        for clutch, condition in verdicts.items()
+        for word, value in _one_of(Condition, condition).items()
+    }
+    counts = {
+        (vehicle, str(clutch), status.value): by_clutch.get((clutch, status.value), 0)
+        for clutch in CLUTCHES
+        for status in Status
+    }
+    yield _gauge("clutch_verdict", "1 for the verdict on the clutch and its fluid.", states, *_CLUTCH_LABELS, "verdict")
+    yield _advice(snapshot)
+    yield _counter(
+        "clutch_shifts", "Shifts of this run by what their estimate is worth.", counts, *_CLUTCH_LABELS, "status"
+    )
+    made = {_key(result): datetime.fromisoformat(result.produced_at).timestamp() for result in snapshot.clutches}
+    yield _gauge("clutch_last_result_timestamp_seconds", "When the last result was made.", made, *_CLUTCH_LABELS)
+    filled = {} if snapshot.fluid is None else {vehicle: datetime.fromisoformat(snapshot.fluid.filled_at).timestamp()}
+    yield _gauge("fluid_fill_timestamp_seconds", "When the present fluid was filled in.", filled, "vehicle")
+
+
+def _advice(snapshot: Snapshot) -> Metric:
+    family = InfoMetricFamily(
+        "clutchdiag_clutch_advice",
+        "What the vehicle is told, with what each clutch says; the same for both.",
+        labels=_CLUTCH_LABELS,
+    )
+    for result in snapshot.clutches:
+        family.add_metric(_key(result), {"advice": snapshot.summary.order.text})
+    return family
+
+
+def _of_the_estimates(snapshot: Snapshot) -> Iterator[Metric]:
+    """Yield the numbers behind the verdicts."""
+    verdicts = {_key(result): result.verdict for result in snapshot.clutches}
+    frictions = {key: verdict.friction for key, verdict in verdicts.items()}
+    trends = {key: verdict.trend for key, verdict in verdicts.items()}
+    yield from _fields(_OF_VERDICT, verdicts)
+    yield from _fields(_OF_SLOPE, frictions)
+    yield from _coefficients(_OF_FRICTION, frictions)
+    yield from _coefficients(_OF_TREND, trends)
+
+
+def _fields(rows: _Rows, records: _Records) -> Iterator[Metric]:
+    for name, field, text in rows:
+        found = {key: getattr(record, field) for key, record in records.items() if record is not None}
+        known = {key: value for key, value in found.items() if value is not None}
+        yield _gauge(f"clutch_{name}", text, known, *_CLUTCH_LABELS)
+
+
+def _coefficients(rows: _Rows, records: _Records) -> Iterator[Metric]:
+    known = {key: record for key, record in records.items() if record is not None}
+    for name, field, text in rows:
+        found = {
+            (*key, symbol): getattr(record, field.format(symbol))
+            for key, record in known.items()
+            for symbol in _COEFFICIENTS
+        }
+        yield _gauge(f"clutch_{name}", text, found, *_CLUTCH_LABELS, "coefficient")
+
+
+def _key(result: ShiftResult) -> tuple[str, str]:
+    return result.vehicle, str(result.verdict.clutch)
+
+
+def _gauge(name: str, text: str, value: _Value, *labels: str) -> Metric:
+    return _filled(GaugeMetricFamily(f"clutchdiag_{name}", text, labels=labels), value)
+
+
+def _counter(name: str, text: str, value: _Value, *labels: str) -> Metric:
+    return _filled(CounterMetricFamily(f"clutchdiag_{name}", text, labels=labels), value)
+
+
+def _filled(family: GaugeMetricFamily | CounterMetricFamily, value: _Value) -> Metric:
+    """Return a family with its value, or with one value for each of its labels."""
+    values = value if isinstance(value, Mapping) else {(): value}
+    for key, one in values.items():
+        labels: Sequence[str] = key if isinstance(key, tuple) else (str(key),)
+        family.add_metric(labels, one)
+    return family
+
+
+def _one_of(states: Any, present: Any) -> dict[str, float]:  # noqa: ANN401 - any enumeration
+    return {state.name.lower(): float(state is present) for state in states}
 
 
 class SnapshotCollector(Collector):

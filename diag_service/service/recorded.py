@@ -1,23 +1,28 @@
-"""Logs through the pipeline: the frames of one drive, as fast as they can be read."""
+"""Logs through the pipeline into a store and to a broker: the frames of one drive, as fast as they can be read."""
 
 import asyncio
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from canlog.errors import InputLeftError
-from diag_service.delivery import Outbox
+from canlog.logs.reading import Watch
+from diag_service.delivery import Outbox, Reporter
 from diag_service.diagnosis.contributions import Contributions
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import FrameCounts, Gap, Summary
 from diag_service.errors import StoppedError
-from diag_service.service.drive import DriveFrames, OpenLog, gaps_in, warn_of_faults
-from diag_service.service.session import Session
+from diag_service.mapping.interpretation import Interpretation
+from diag_service.service.application import opened_store, outbox_of
+from diag_service.service.drive import DriveFrames, OpenLog, gaps_in, open_drive, stream_of_drive, warn_of_faults
+from diag_service.service.session import SenderWatch, Session
 from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger
-from diag_service.service.tasks import first_error
-from diag_service.service.two_senders import SenderWatch
+from diag_service.service.tasks import first_error, run_to_end
+from diag_service.settings.config import DiagnosisConfig
+from diag_service.store import NoStore
 
 NS_PER_MS = 1_000_000
 STOPPED_TEXT = "stopped early"
@@ -123,3 +128,47 @@ def warn_of_slow_messages(stages: Stages) -> None:
         by_cycles.setdefault((round(own_ns / NS_PER_MS), round(nominal_ns / NS_PER_MS)), []).append(name)
     for (own_ms, nominal_ms), names in sorted(by_cycles.items()):
         _LOG.warning("frames every %d ms instead of %d ms: %s", own_ms, nominal_ms, ", ".join(names))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedRun:
+    """A drive that was diagnosed; the summary says whether it was all of it."""
+
+    stream: str  # by which its results are known
+    summary: Summary
+
+
+def run_recorded(
+    config: DiagnosisConfig,
+    paths: Sequence[Path],
+    store_path: Path | None,
+    reporter: Reporter,
+    stop: Trigger,
+    *,
+    watch: Watch | None = None,  # of how far the reading is
+    meaning: Interpretation | None = None,  # of the frames, where it is at hand: that of the configuration
+) -> RecordedRun:
+    """Diagnose the logs of a drive.
+
+    Raises what ``open_drive`` and ``opened_store`` raise, ConfigError if the frames cannot be interpreted.
+    """
+    meaning = meaning or config.interpretation()
+    decoder = meaning.decoder()
+    with open_drive(
+        paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns
+    ) as logs:
+        stream = stream_of_drive((log.path for log in logs), meaning.files)
+        if store_path is None and config.broker is None:
+            session = Session(config, decoder, NoStore(), stream, reporter)
+            return RecordedRun(stream=stream, summary=run_logs(logs, session, stop=stop))
+        with opened_store(config, store_path, keeps_results=False) as store:
+            session = Session(config, decoder, store, stream, reporter)
+            outbox = outbox_of(config, store, session, is_live=False)
+            if outbox is None:
+                return RecordedRun(stream=stream, summary=run_logs(logs, session, stop=stop))
+            summary = run_to_end(run_logs_and_send(logs, session, stop=stop, outbox=outbox))
+    if summary.unpublished_count and store_path is None:
+        _LOG.warning(
+            "%d results were not delivered and are not kept; --store would keep them", summary.unpublished_count
+        )
+    return RecordedRun(stream=stream, summary=summary)

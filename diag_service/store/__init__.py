@@ -1,11 +1,10 @@
 """The result store: an SQLite file that holds every result, the running state and what has not been delivered yet."""
 
-from diag_service.store.file import remove_store
+from diag_service.store.file import APPLICATION_ID, SCHEMA_VERSION, remove_store
 from diag_service.store.fills import note_fill, withdraw_fill
 from diag_service.store.no_store import NoStore, SessionStore
 from diag_service.store.reading import Row, StoreReader, is_store
 from diag_service.store.result_store import ResultStore, VehicleState, Versions
-from diag_service.store.schema import APPLICATION_ID, SCHEMA_VERSION
 
 __all__ = [
     "APPLICATION_ID",

@@ -14,9 +14,8 @@ from canlog.plain_files import open_plain_file
 from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.results import parse_shift
 from diag_service.errors import ResultError, StoreError
-from diag_service.store.file import translated
+from diag_service.store.file import APPLICATION_ID, SCHEMA_VERSION, translated
 from diag_service.store.fills import read_fills
-from diag_service.store.schema import APPLICATION_ID, SCHEMA_VERSION
 from fleet_contract import JsonObject
 
 _MODES: Final = ("mode=rw", "mode=ro", "mode=ro&immutable=1")  # the last where nothing may be written beside it

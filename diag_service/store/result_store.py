@@ -11,7 +11,7 @@ import threading
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Final, Self
 
@@ -19,13 +19,37 @@ from clutchdiag_io.private_file import keep_private
 from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.results import StoredResult, dump, parse_shift, shift_record
 from diag_service.errors import ResultError, StoreError
-from diag_service.store import budget, controller_reports
-from diag_service.store.budget import DroppedCounts
-from diag_service.store.file import connect, connect_in_memory, own, translated
+from diag_service.store.file import DELIVERED, QUARANTINED, WAITING, connect, connect_in_memory, own, translated
 from diag_service.store.fills import add_fills, all_fills, latest_fill, read_fills
-from diag_service.store.schema import DELIVERED, QUARANTINED, WAITING
 from fleet_contract import JsonObject, Outcome, Receipt, ResultKey
 
+_ROWS_AT_ONCE: Final = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DroppedCounts:
+    """Results that a store gave up for its budget, in the order in which they go."""
+
+    delivered: int = 0  # someone else has them
+    empty: int = 0  # not delivered, but without an estimate
+    undelivered: int = 0  # lost
+
+    @property
+    def lost(self) -> int:
+        """Results that nobody will ever have."""
+        return self.empty + self.undelivered
+
+
+# Oldest first within each class. A store holds results only: signals and metrics are never kept at their cost.
+_ORDER: Final = {
+    "delivered": f"published != {WAITING}",
+    "empty": f"published = {WAITING} AND json_extract(json, '$.status') != 'valid'",
+    "undelivered": f"published = {WAITING}",
+}
+
+
+MOST_REPORT_BYTES: Final = 16 * 2**20  # of them all, unless the store has a budget
+_REPORTS_SHARE: Final = 8  # of a budget, one part of so many
 _BY_KEY: Final = (
     " FROM result WHERE vehicle = ? AND stream = ? AND seq = ? AND algorithm_version = ? AND calibration_version = ?"
 )
@@ -147,7 +171,7 @@ class ResultStore:
                 last_seq = max(self._last_seq(sql), result.seq)
                 sql.execute("INSERT OR REPLACE INTO meta VALUES ('last_seq', ?)", (str(last_seq),))
             if self._budget_bytes is not None:
-                budget.enforce(sql, self._budget_bytes, int(inserted.lastrowid or 0))
+                _enforce_budget(sql, self._budget_bytes, int(inserted.lastrowid or 0))
             return True
 
     def find(self, vehicle: str, stream: str, seq: int, versions: Versions) -> ShiftResult | None:
@@ -233,24 +257,24 @@ class ResultStore:
             return [_stored_result(row) for row in rows]
 
     def note_controller(self, vehicle: str, controller: str, said: str, text: str) -> bool:
-        """Keep what a controller said, as `controller_reports.note` has it."""
+        """Keep what a controller said, False if it said the same the last time."""
         with self._transaction() as sql:
-            return controller_reports.note(sql, vehicle, controller, said, text, self._budget_bytes)
+            return _note_report(sql, vehicle, controller, said, text, self._budget_bytes)
 
     def controller_reports(self, vehicle: str) -> list[str]:
         """Return what controllers said, the oldest first, as JSON."""
         with self._transaction() as sql:
-            return controller_reports.read(sql, vehicle)
+            return _read_reports(sql, vehicle)
 
     def dropped_counts(self) -> DroppedCounts:
         """Return how many results were given up for the disk budget since the store exists."""
         with self._transaction() as sql:
-            return budget.read_counts(sql)
+            return _read_dropped(sql)
 
     def used_bytes(self) -> int:
         """Return how much of the disk the results take."""
         with self._transaction() as sql:
-            return budget.used_bytes(sql)
+            return _used_bytes(sql)
 
     def results(self, vehicle: str) -> Iterator[ShiftResult]:
         """Yield all results of a vehicle in the order they were stored."""
@@ -342,3 +366,85 @@ def _stored_result(row: tuple[int, str, str, int, str, str, int, str, str]) -> S
         vehicle=vehicle, stream=stream, seq=seq, algorithm_version=algorithm, calibration_version=calibration
     )
     return StoredResult(position=position, key=key, clutch=clutch, produced_at=produced_at, text=text)
+
+
+def _used_bytes(sql: sqlite3.Connection) -> int:
+    """Return how much of the database file holds something."""
+    (pages,) = sql.execute("PRAGMA page_count").fetchone()
+    (free,) = sql.execute("PRAGMA freelist_count").fetchone()
+    (page_bytes,) = sql.execute("PRAGMA page_size").fetchone()
+    return int(pages - free) * int(page_bytes)
+
+
+def _enforce_budget(sql: sqlite3.Connection, budget_bytes: int, own_position: int) -> None:
+    """Drop what goes first until the database fits its budget; the result just added stays.
+
+    Runs inside the transaction that adds a result, so what is dropped and what is added are one step.
+    """
+    for name, condition in _ORDER.items():
+        while _used_bytes(sql) > budget_bytes:
+            dropped = _drop(sql, condition, own_position)
+            _count_dropped(sql, name, dropped)
+            if dropped < _ROWS_AT_ONCE:
+                break
+
+
+def _read_dropped(sql: sqlite3.Connection) -> DroppedCounts:
+    """Return how many results this store has given up so far."""
+    rows = dict(sql.execute("SELECT key, value FROM meta WHERE key LIKE 'dropped.%'").fetchall())
+    return DroppedCounts(**{field.name: int(rows.get(f"dropped.{field.name}", 0)) for field in fields(DroppedCounts)})
+
+
+def _drop(sql: sqlite3.Connection, condition: str, own_position: int) -> int:
+    return sql.execute(
+        f"DELETE FROM result WHERE position IN (SELECT position FROM result WHERE {condition} AND position != ?"  # noqa: S608 - our own words
+        " AND position NOT IN (SELECT max(position) FROM result GROUP BY vehicle, clutch) ORDER BY position LIMIT ?)",
+        (own_position, _ROWS_AT_ONCE),
+    ).rowcount
+
+
+def _count_dropped(sql: sqlite3.Connection, name: str, dropped: int) -> None:
+    sql.execute(
+        "INSERT INTO meta VALUES (?, ?) ON CONFLICT (key) DO UPDATE SET value = CAST(value AS INTEGER) + ?",
+        (f"dropped.{name}", str(dropped), dropped),
+    )
+
+
+def _note_report(
+    sql: sqlite3.Connection, vehicle: str, controller: str, said: str, text: str, budget_bytes: int | None
+) -> bool:
+    """Keep a report, inside a transaction; False if the controller said the same the last time.
+
+    The oldest go when there are too many; the newest stays.
+
+    Parameters
+    ----------
+    said
+        What counts of the report: all but its time.
+    text
+        The report, as JSON.
+    """
+    last = sql.execute(
+        "SELECT said FROM controller WHERE vehicle = ? AND controller = ? ORDER BY position DESC LIMIT 1",
+        (vehicle, controller),
+    ).fetchone()
+    if last is not None and last[0] == said:
+        return False
+    sql.execute(
+        "INSERT INTO controller (vehicle, controller, said, json) VALUES (?, ?, ?, ?)",
+        (vehicle, controller, said, text),
+    )
+    most_bytes = MOST_REPORT_BYTES if budget_bytes is None else budget_bytes // _REPORTS_SHARE
+    sql.execute(
+        "DELETE FROM controller WHERE position < (SELECT max(position) FROM controller) AND position IN"
+        " (SELECT position FROM (SELECT position, sum(length(json) + length(said)) OVER (ORDER BY position DESC)"
+        " AS total FROM controller) WHERE total > ?)",
+        (most_bytes,),
+    )
+    return True
+
+
+def _read_reports(sql: sqlite3.Connection, vehicle: str) -> list[str]:
+    """Return the reports of a vehicle as JSON, the oldest first."""
+    rows = sql.execute("SELECT json FROM controller WHERE vehicle = ? ORDER BY position", (vehicle,)).fetchall()
+    return [str(text) for (text,) in rows]

@@ -31,7 +31,7 @@ from tests.support.prometheus import (
     recorded,
     series,
 )
-from tests.unit.diag_service.service.test_families import FILL, exposition, snapshot
+from tests.unit.diag_service.service.test_metrics import FILL, exposition, snapshot
 
 ANALYSES = Path(__file__).parents[1] / "golden" / "analyses"
 FLEET = {"car1": "ideal", "car2": "case1", "car3": "case2"}  # good, watch, change fluid

@@ -12,7 +12,7 @@ from tests.support.grafana import DASHBOARDS, FOLDER, ROOT, Query, Table
 from tests.support.histories import history
 from tests.support.image.compose import read_compose
 from tests.support.prometheus import RULES, Samples, recorded
-from tests.unit.diag_service.service.test_families import FILL, families, snapshot
+from tests.unit.diag_service.service.test_metrics import FILL, families, snapshot
 
 SOURCES = {one["uid"]: one for one in grafana.yaml(FOLDER / "provisioning/datasources/clutchdiag.yml")["datasources"]}
 PROVIDER = grafana.yaml(FOLDER / "provisioning/dashboards/clutchdiag.yml")["providers"][0]

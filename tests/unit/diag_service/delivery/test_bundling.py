@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager, closing
 import pytest
 
 from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
-from diag_service.delivery.bundling import Bundling
+from diag_service.delivery.delivery import Bundling
 from diag_service.diagnosis.results import shift_record
 from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.service.service_manager import ServiceManager
+from diag_service.service.bus_run import ServiceManager
 from tests.support.patience import HANG_S
 
 

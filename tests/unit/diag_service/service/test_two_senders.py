@@ -7,7 +7,7 @@ import pytest
 from canlog.frame_columns import join
 from canlog.frames import FrameBatch
 from diag_service.diagnosis.summary import FrameCounts
-from diag_service.service.two_senders import ENOUGH_FRAMES, SenderWatch
+from diag_service.service.session import ENOUGH_FRAMES, SenderWatch
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.scenario_file import load_scenario, parse_scenario
 from tests.support.chain import diagnosed

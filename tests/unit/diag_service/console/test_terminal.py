@@ -4,7 +4,7 @@ import io
 from pathlib import Path
 
 from canlog.logs import LogReader, read_log
-from diag_service.console.reading import ReadingLine, reading_text
+from diag_service.console.terminal import ReadingLine, reading_text
 
 LINES = "".join(f"({1767225600 + number}.000000) can0 100#00\n" for number in range(90_000))
 

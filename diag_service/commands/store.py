@@ -1,5 +1,6 @@
-"""``diag-service fluid-changed``: the workshop notes new fluid; what was known of the old one says nothing any more."""
+"""``diag-service history``, ``show`` and ``fluid-changed``: what a store holds, and notes of new fluid in it."""
 
+import json
 import math
 import sys
 from datetime import UTC, datetime, timedelta
@@ -7,9 +8,14 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
 
+from clutch_model.calibration import nominal_calibration
+from diag_service.console.terminal import PeopleConsole
+from diag_service.diagnosis.prognosis import Population, population_from
 from diag_service.diagnosis.records import FluidFill
-from diag_service.diagnosis.results import iso_utc
+from diag_service.diagnosis.results import dump, iso_utc
 from diag_service.errors import ConfigError
+from diag_service.report.findings import findings_of_store
+from diag_service.report.history import history_lines, history_records, shift_lines
 from diag_service.service.stopping import Controls
 from diag_service.store import StoreReader, note_fill, withdraw_fill
 
@@ -17,7 +23,45 @@ MOST_CHARACTERS: Final = 200  # of a name or a note
 _CLOCK_ERROR: Final = timedelta(minutes=5)  # by which the clocks of people and machines may differ
 
 
-def execute(options: SimpleNamespace, controls: Controls) -> None:
+def history(options: SimpleNamespace, controls: Controls) -> None:
+    """Tell the history of one vehicle, on the clutches that are asked for."""
+    del controls
+    if options.rows < 1:
+        raise ConfigError(f"--rows must be 1 or more, got {options.rows}")
+    population = None if options.peers is None else _population(options.peers)
+    found = findings_of_store(options.store, options.vehicle, nominal_calibration())
+    clutches = (1, 2) if options.clutch is None else (options.clutch,)
+    if options.json:
+        for record in history_records(found, clutches):
+            sys.stdout.write(dump(record) + "\n")
+        return
+    console = PeopleConsole()
+    for line in history_lines(found, clutches, most_rows=options.rows, population=population):
+        console.print(line)
+
+
+def _population(path: Path) -> Population:
+    """Return what a fleet taught, as ``fleet-backend peers --write`` wrote it."""
+    try:
+        return population_from(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, RecursionError) as exc:
+        raise ConfigError(f"{path}: {exc}") from exc
+
+
+def show(options: SimpleNamespace, controls: Controls) -> None:
+    """Tell of a shift."""
+    del controls
+    with StoreReader.open(options.store) as store:
+        record = store.record(options.shift)
+    if options.json:
+        sys.stdout.write(dump(record) + "\n")
+        return
+    console = PeopleConsole()
+    for line in shift_lines(record):
+        console.print(line)
+
+
+def fluid_changed(options: SimpleNamespace, controls: Controls) -> None:
     """Note the fill in the store; a service that is running takes it up before its next shift."""
     del controls
     if options.undo:

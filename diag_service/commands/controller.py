@@ -1,0 +1,314 @@
+"""``diag-service dtc``, ``did``, ``routine`` and ``scan``: controllers are asked, what they say is shown."""
+
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import SimpleNamespace
+from typing import Final, TypeVar
+
+from diag_service.console.keys import is_confirmed
+from diag_service.console.terminal import PeopleConsole, ReadingLine
+from diag_service.diagnosis.results import dump
+from diag_service.errors import ConfigError, ControllerError, StoppedError
+from diag_service.service.stopping import Controls, Trigger
+from diag_service.tester.addresses import hexadecimal, parse_address
+from diag_service.tester.asking import (
+    LARGEST_LOGICAL,
+    SHORTEST_ANSWER_S,
+    BusName,
+    BusTarget,
+    DoipPlace,
+    Traffic,
+    address_for,
+    asking,
+    check_time,
+    heard,
+    parse_doip,
+)
+from diag_service.tester.clearing import Clearing, parse_group
+from diag_service.tester.description import Description
+from diag_service.tester.description_file import find_description, recognised
+from diag_service.tester.questions import (
+    LARGEST_LEVEL,
+    LARGEST_SESSION,
+    ClearQuestion,
+    DataQuestion,
+    Lock,
+    Question,
+    RoutineQuestion,
+    TroubleQuestion,
+)
+from diag_service.tester.reading import DataAnswer, RoutineAnswer
+from diag_service.tester.report import (
+    cleared_lines,
+    cleared_record,
+    data_lines,
+    data_record,
+    dialogue_record,
+    found_lines,
+    found_record,
+    outcome,
+    routine_lines,
+    routine_record,
+    traffic_record,
+    would_lines,
+)
+from diag_service.tester.scanning import (
+    ALL_NUMBERS,
+    SHORTEST_WAIT_S,
+    STANDARD_NUMBERS,
+    ScanPlan,
+    largest_id,
+    request_ids,
+)
+from diag_service.tester.scanning import scan as find_controllers
+from diag_service.tester.timing import Timing
+from diag_service.tester.trouble import TroubleCode
+from diag_service.tester.trouble_report import Record, code_words, trouble_lines, trouble_record
+
+LARGEST_GROUP: Final = 0xFE  # of readiness, and of the records of extended data: FF is all
+MOST_NAMED: Final = 3  # in the line that says what was not told
+_AnswerT = TypeVar("_AnswerT")
+
+
+def dtc(options: SimpleNamespace, controls: Controls) -> None:
+    """Read trouble codes and show them, or clear them and show what is left."""
+    mask = 0 if options.all else hexadecimal(options.mask, "--mask", 0xFF)
+    if options.clear is None:
+        group, record = (
+            None if text is None else hexadecimal(text, name, LARGEST_GROUP)
+            for text, name in ((options.readiness, "--readiness"), (options.record, "--record"))
+        )
+        question = TroubleQuestion(mask=mask, has_details=not options.brief, group=group, record=record)
+        ask_one(options, question, _shown_codes, controls.stop)
+    elif (options.readiness, options.record) != (None, None):
+        raise ConfigError("--readiness and --record read trouble codes: they do not go with --clear")
+    else:
+        ask_one(options, _clear_question(options, controls, mask), _shown_clearing, controls.stop)
+
+
+def _clear_question(options: SimpleNamespace, controls: Controls, mask: int) -> ClearQuestion:
+    session = hexadecimal(options.session, "--session", LARGEST_SESSION)
+    group = parse_group(options.clear)
+
+    def is_agreed(where: str, codes: Sequence[TroubleCode]) -> bool:
+        told = ", ".join(map(code_words, codes)) or "no trouble codes"
+        return is_confirmed(f"{where} tells {told}; clear {group.word}?", lambda: not controls.stop.is_set)
+
+    return ClearQuestion(group=group, mask=mask, session=session, is_agreed=is_agreed)
+
+
+def _shown_codes(codes: Sequence[TroubleCode]) -> tuple[Record, Iterable[str]]:
+    return {"codes": [trouble_record(code) for code in codes]}, trouble_lines(codes)
+
+
+def _shown_clearing(cleared: Clearing) -> tuple[Record, Iterable[str]]:
+    codes = [trouble_record(code) for code in cleared.after]
+    return {"codes": codes, "cleared": cleared_record(cleared)}, cleared_lines(cleared)
+
+
+def did(options: SimpleNamespace, controls: Controls) -> None:
+    """Read data and show them; without names, all that the description has. ControllerError: not all was told."""
+    session = hexadecimal(options.session, "--session", LARGEST_SESSION)
+    answers = (
+        ask_one(options, DataQuestion(words=tuple(options.data), session=session), _shown_data, controls.stop) or ()
+    )
+    missing = [one for one in answers if one.values is None]
+    if any(one.fault for one in missing) or (missing and (options.data or len(missing) == len(answers))):
+        named = [f"{one.number:04X}: {one.trouble}" for one in missing[:MOST_NAMED]]
+        more = [f"and {len(missing) - MOST_NAMED} more"] if len(missing) > MOST_NAMED else []
+        raise ControllerError(f"{len(missing)} of {len(answers)} data were not told: {'; '.join(named + more)}")
+
+
+def _shown_data(answers: Sequence[DataAnswer]) -> tuple[Record, Iterable[str]]:
+    return {"data": [data_record(answer) for answer in answers]}, data_lines(answers)
+
+
+def routine(options: SimpleNamespace, controls: Controls) -> None:
+    """Do what was asked, in a session of its own and unlocked if need be."""
+    check_time("--patience", options.patience, least_s=SHORTEST_ANSWER_S)
+    question = RoutineQuestion(
+        routine=options.routine,
+        action=options.action,
+        options=hex_bytes(options.options, "--options"),
+        session=hexadecimal(options.session, "--session", LARGEST_SESSION),
+        lock=None if options.unlock is None else _lock(options.unlock),
+        patience_s=options.patience,
+    )
+    ask_one(options, question, _shown_routine, controls.stop)
+
+
+def _shown_routine(answer: RoutineAnswer) -> tuple[Record, Iterable[str]]:
+    return {"routine": routine_record(answer)}, routine_lines(answer)
+
+
+def _lock(text: str) -> Lock:
+    """Return the level and the mask that ``LEVEL=MASK`` names."""
+    level, equals, mask = text.partition("=")
+    number = hexadecimal(level, "--unlock LEVEL", LARGEST_LEVEL)
+    if not equals or not mask or number % 2 == 0:
+        raise ConfigError(f"--unlock must be LEVEL=MASK, an odd level and a mask in hexadecimal, got {text!r}")
+    return Lock(level=number, mask=hex_bytes(mask, "--unlock MASK"))
+
+
+def scan(options: SimpleNamespace, controls: Controls) -> None:
+    """Look for controllers and ask each what it can be asked; raises StoppedError if that was stopped."""
+    plan = _scan_plan(options)
+    stop = controls.stop
+    if not options.active:
+        tell_wish(
+            "scan", plan.requests, heard(plan.place, plan.listen_s, lambda: not stop.is_set), is_json=options.json
+        )
+    else:
+        with ReadingLine() as line:
+            found = find_controllers(plan, goes_on=waiting(line, _scan_text(plan), stop))
+        traffic = {} if found.traffic is None else {"bus": traffic_record(found.traffic)}
+        record = outcome("scan", is_asked=True, **traffic, controllers=[found_record(one) for one in found.controllers])
+        write(record, found_lines(found.controllers), is_json=options.json)
+    if stop.is_set:
+        raise StoppedError("stopped early: what was shown is a part of what is there")
+
+
+def _scan_plan(options: SimpleNamespace) -> ScanPlan:
+    timing = timing_of(options)
+    check_time("--wait", options.wait, least_s=SHORTEST_WAIT_S)
+    place = doip_place(options)
+    most = largest_id(is_extended=options.extended)
+    first, last = (
+        None if text is None else hexadecimal(text, name, most)
+        for text, name in ((options.first, "--first"), (options.last, "--last"))
+    )
+    return ScanPlan(
+        place=place or bus_name(options),
+        request_ids=() if place else request_ids(first, last, is_extended=options.extended),
+        data=ALL_NUMBERS if options.all_data else STANDARD_NUMBERS,
+        is_fd=options.fd,
+        timing=timing,
+        listen_s=options.listen,
+        wait_s=options.wait,
+    )
+
+
+def _scan_text(plan: ScanPlan) -> str:
+    count = len(plan.request_ids)
+    return f"asking {count} identifiers, which takes {count * plan.wait_s:.0f} s or more" if count else "asking"
+
+
+def ask_one(
+    options: SimpleNamespace,
+    question: Question[_AnswerT],
+    show: Callable[[_AnswerT], tuple[Record, Iterable[str]]],
+    stop: Trigger,
+) -> _AnswerT | None:
+    """Listen, ask one controller, show and return the answer; without ``--active`` say what it would be asked.
+
+    Parameters
+    ----------
+    show
+        Returns an answer as JSON, and as lines for people.
+    stop
+        Ends it early.
+
+    Raises
+    ------
+    ConfigError, ExtraMissingError, SourceError, ControllerError
+        If something cannot be used, or the controller does not answer or will not.
+    StoppedError
+        If it was stopped.
+    """
+    timing = timing_of(options)
+    description = find_description(options.description)
+    wanted = question.requests(description)
+    target = _target(options, description)
+    if not options.active:
+        place = target if isinstance(target, DoipPlace) else target.bus
+        tell_wish(options.command, wanted, heard(place, options.listen, lambda: not stop.is_set), is_json=options.json)
+        return None
+    with (
+        ReadingLine() as line,
+        asking(target, timing, goes_on=waiting(line, "waiting for the controller", stop)) as (tester, _),
+    ):
+        known = recognised(tester, description)
+        answer = question.ask(tester, known)
+        record, lines = show(answer)
+        line.clear()
+        head: Record = {"controller": tester.where, "description": known.name}
+        more: Record = {"dialogue": dialogue_record(tester.counts)}
+        write(outcome(options.command, is_asked=True, **head, **record, **more), lines, is_json=options.json)
+        return answer
+
+
+def waiting(line: ReadingLine, what: str, stop: Trigger) -> Callable[[], bool]:
+    """Return what is called while answers are waited for: it tells whoever watches, and returns whether to go on."""
+    began_s = time.monotonic()
+
+    def goes_on() -> bool:
+        line.tell(f"{what}, {time.monotonic() - began_s:.0f} s")
+        return not stop.is_set
+
+    return goes_on
+
+
+def _target(options: SimpleNamespace, description: Description) -> BusTarget | DoipPlace:
+    place = doip_place(options)
+    if place is not None:
+        return place
+    return BusTarget(
+        bus=bus_name(options),
+        address=address_for(parse_address(options.ecu, options.reply, options.address), description),
+        is_fd=options.fd,
+        listen_s=options.listen,
+    )
+
+
+def tell_wish(schema: str, wanted: Sequence[str], traffic: Traffic | None, *, is_json: bool) -> None:
+    """Say what was heard and what would be asked."""
+    before: Record = {} if traffic is None else {"bus": traffic_record(traffic)}
+    record = outcome(schema, is_asked=False, **before, would_ask=list(wanted))
+    write(record, would_lines(traffic, wanted), is_json=is_json)
+
+
+def write(record: Mapping[str, object], lines: Iterable[str], *, is_json: bool) -> None:
+    """Show what was found: one JSON object, or lines for people."""
+    if is_json:
+        sys.stdout.write(dump(record) + "\n")
+        return
+    console = PeopleConsole()
+    for line in lines:
+        console.print(line)
+
+
+def timing_of(options: SimpleNamespace) -> Timing:
+    """Return how patient the tester is to be; raises ConfigError if a time cannot be."""
+    check_time("--listen", options.listen, least_s=0.0)
+    check_time("--timeout", options.timeout, least_s=SHORTEST_ANSWER_S)
+    return Timing(p2_s=options.timeout)
+
+
+def bus_name(options: SimpleNamespace) -> BusName:
+    """Return which bus to open."""
+    return BusName(
+        interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=bool(options.fd)
+    )
+
+
+def doip_place(options: SimpleNamespace) -> DoipPlace | None:
+    """Return where to ask over IP, None for a bus; raises ConfigError."""
+    if options.doip is None:
+        if options.doip_authority is not None:
+            raise ConfigError("--doip-authority needs --doip")
+        return None
+    if options.ecu is None:
+        raise ConfigError("--doip needs --ecu: the logical address of the controller, such as 1011")
+    if getattr(options, "reply", None) is not None or getattr(options, "address", None) is not None:
+        raise ConfigError("--reply and --address are of a bus, not of --doip")
+    logical_address = hexadecimal(options.ecu, "--ecu", LARGEST_LOGICAL)
+    return parse_doip(options.doip, logical_address, options.doip_authority)
+
+
+def hex_bytes(text: str, what: str) -> bytes:
+    """Return bytes that were written in hexadecimal, with or without blanks; raises ConfigError."""
+    try:
+        return bytes.fromhex(text)
+    except ValueError as exc:
+        raise ConfigError(f"{what} must be hexadecimal bytes such as '01 0A', got {text!r}") from exc
