@@ -35,16 +35,16 @@ from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.build import build_vehicle
+from ecu_emulator.drive.drive_setup import WHOLE_STAY_S, journey
 from ecu_emulator.drive.recording import Drive
-from ecu_emulator.drive.road import WHOLE_STAY_S, journey
-from ecu_emulator.driving.public_traces import public_trace
-from ecu_emulator.driving.trips import PlannedTrip, trips
+from ecu_emulator.driving.journey import PlannedTrip, trips
+from ecu_emulator.driving.trace import public_trace
 from ecu_emulator.plant import Col
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition
 from ecu_emulator.scenario.scenario_file import load_scenario
-from ecu_emulator.truth.event_watcher import PRESSED_NM
 from ecu_emulator.truth.records import EventTruth
+from ecu_emulator.truth.watchers import PRESSED_NM
 
 CITY_SEED: Final = 77
 SLIP_RAD_S: Final = 5.0

@@ -15,11 +15,9 @@ from rich.table import Table
 from benchmarks.tolerance import share_within_tolerance
 from canlog.arrays import FloatArray
 from clutch_model.units import k_from_degc
-from ecu_emulator.driving.conditions import Car, DriveConditions
-from ecu_emulator.driving.public_traces import PUBLIC_TRACES, public_trace
 from ecu_emulator.driving.states import EventKind
-from ecu_emulator.driving.trace import SpeedTrace
-from ecu_emulator.driving.trip import Trip
+from ecu_emulator.driving.trace import PUBLIC_TRACES, SpeedTrace, public_trace
+from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.plant import Col
 
 WARM: Final = DriveConditions()

@@ -20,7 +20,7 @@ from canlog.arrays import FloatArray
 from clutch_model.units import bar_from_pa, k_from_degc, rpm_from_rad_s
 from demo.picture import CLUTCH_COLOUR, INK
 from ecu_emulator.drive.build import build_vehicle
-from ecu_emulator.drive.road import WHOLE_STAY_S, journey
+from ecu_emulator.drive.drive_setup import WHOLE_STAY_S, journey
 from ecu_emulator.driving.states import EventKind
 from ecu_emulator.plant import Col
 from ecu_emulator.scenario.drive_names import DriveName

@@ -23,10 +23,10 @@ from clutch_model.viscosity import viscosity_pa_s
 from ecu_emulator.plant import DriveSettings, FrictionFactors, nominal_parameters
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import refresh_contact
+from ecu_emulator.plant.course import as_record
 from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.powertrain import drive_law
 from ecu_emulator.plant.rates import evaluate
-from ecu_emulator.plant.records import as_record
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -19,9 +19,14 @@ from clutch_model.units import NS_PER_S
 from dbc.contract import load_contract
 from ecu_emulator.answering.monitoring import MONITOR_PERIOD_S, Monitoring
 from ecu_emulator.answering.on_board import FixedOpinion, OpinionSource
-from ecu_emulator.answering.requested_adaptation import AdaptedCar, RequestedAdaptation
-from ecu_emulator.answering.requested_clearing import RequestedClearing
-from ecu_emulator.answering.requested_routine import Driven, Performer, RequestedRoutine
+from ecu_emulator.answering.requested_tasks import (
+    AdaptedCar,
+    Driven,
+    Performer,
+    RequestedAdaptation,
+    RequestedClearing,
+    RequestedRoutine,
+)
 from ecu_emulator.bus.sender import FrameSender
 from ecu_emulator.bus.sent_values import OWN_NODE, SentValues, recounted
 from ecu_emulator.diagnostics.codes import Status

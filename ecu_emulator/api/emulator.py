@@ -3,8 +3,10 @@
 import os
 import time
 import uuid
-from collections.abc import Iterable, Mapping
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from threading import Event, Thread
@@ -13,19 +15,9 @@ from typing import Any, Final, Self
 
 import can
 
-from ecu_emulator.api.choices import (
-    Answers,
-    AnyFault,
-    AnyPath,
-    check_range,
-    check_word,
-    diagnostics_of,
-    fault_of,
-    with_faults,
-)
-from ecu_emulator.api.truth_memory import SharedTruth, TruthMemory
 from ecu_emulator.arguments import (
     DELAY_RANGE_S,
+    DOIP_TLS_PORT,
     LIVE_PARKED_S,
     MASS_RANGE_KG,
     MOST_PARKED_S,
@@ -35,14 +27,143 @@ from ecu_emulator.arguments import (
 )
 from ecu_emulator.bus.sender import open_bus
 from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, write_log
+from ecu_emulator.diagnostics.doip.tls import tls_node
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.live_drive import BusChoice, send
-from ecu_emulator.live.sent_truth import SentTruth
+from ecu_emulator.live.live_drive import BusChoice, DiagnosticsChoice, diagnostics_choice, send
+from ecu_emulator.live.sent_truth import SentTruth, TruthSink
 from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFormat
 from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.faults import BusFault, SensorFault
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario
-from ecu_emulator.truth.records import ROTATED_BYTES, TruthLog, TruthWriter
+from ecu_emulator.scenario.scenario_file import parse_fault
+from ecu_emulator.truth.records import ROTATED_BYTES, DriveTruth, Happened, Totals, TruthLog, TruthWriter, truth_log
+
+AnyPath = str | os.PathLike[str]
+AnyFault = SensorFault | BusFault | Mapping[str, object]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answers:
+    """How the emulated controller answers testers; each member is the option of that name.
+
+    Attributes
+    ----------
+    table : path, optional
+        A TOML file that describes a controller of your own.
+    memory : path, optional
+        A file that keeps trouble codes over restarts.
+    doip, elm327 : str, optional
+        ``[HOST:]PORT`` at which it answers over IP, and as an ELM327 adapter.
+    doip_certificate, doip_key : path, optional
+        With a certificate it answers over IP by TLS as well; the key may be in the same file.
+    doip_tls_port : int
+        Where it does.
+    on_board : bool
+        Whether a diag-service that is started beside it tells it of its clutches; not on a virtual bus.
+    """
+
+    table: AnyPath | None = None
+    memory: AnyPath | None = None
+    doip: str | None = None
+    elm327: str | None = None
+    doip_certificate: AnyPath | None = None
+    doip_key: AnyPath | None = None
+    doip_tls_port: int = DOIP_TLS_PORT
+    on_board: bool = False
+
+
+def with_faults(scenario: Scenario, faults: Iterable[AnyFault]) -> Scenario:
+    """Return a scenario with more faults; raises ConfigError if one cannot be."""
+    given = [fault_of(one) for one in faults]
+    return replace(
+        scenario,
+        sensor_faults=(*scenario.sensor_faults, *(one for one in given if isinstance(one, SensorFault))),
+        bus_faults=(*scenario.bus_faults, *(one for one in given if isinstance(one, BusFault))),
+    )
+
+
+def fault_of(fault: AnyFault) -> SensorFault | BusFault:
+    """Return a fault, from its table perhaps; raises ConfigError if it cannot be."""
+    return fault if isinstance(fault, SensorFault | BusFault) else parse_fault(fault)
+
+
+def diagnostics_of(answers: Answers | None) -> DiagnosticsChoice | None:
+    """Return how testers are answered; raises ConfigError if an address is none."""
+    if answers is None:
+        return None
+    table = "" if answers.table is None else os.fspath(answers.table)
+    memory = None if answers.memory is None else Path(answers.memory)
+    certificate, key = (None if one is None else Path(one) for one in (answers.doip_certificate, answers.doip_key))
+    tls = tls_node(certificate, key, answers.doip_tls_port)
+    return diagnostics_choice(table, memory, answers.doip, answers.elm327, has_service=answers.on_board, tls=tls)
+
+
+def check_range(name: str, value: float | None, limits: tuple[float, float]) -> None:
+    """Raise ConfigError unless a number, if it is given, lies within its limits."""
+    low, high = limits
+    if value is not None and not low <= value <= high:
+        raise ConfigError(f"{name} must be {low:g}..{high:g}, got {value:g}")
+
+
+def check_word(name: str, word: str | None, words: list[str]) -> None:
+    """Raise ConfigError unless a word, if it is given, is one of these."""
+    if word is not None and word not in words:
+        raise ConfigError(f"{name} must be {', '.join(words[:-1])} or {words[-1]}, got {word!r}")
+
+
+MOST_KEPT: Final = 100_000  # of an endless drive the last ones, half a kilobyte each
+
+
+class TruthMemory:
+    """Keeps what is true of a drive; one thread may write while others read."""
+
+    def __init__(self) -> None:
+        self._drive: DriveTruth | None = None
+        self._happened: deque[Happened] = deque(maxlen=MOST_KEPT)
+        self._totals: Totals | None = None
+
+    def drive(self, drive: DriveTruth) -> None:
+        """Keep what is true for the whole drive."""
+        self._drive = drive
+
+    def write(self, truths: Iterable[Happened]) -> None:
+        """Keep what has happened."""
+        self._happened.extend(truths)
+
+    def totals(self, totals: Totals) -> None:
+        """Keep what the drive amounted to."""
+        self._totals = totals
+
+    def log(self) -> TruthLog:
+        """Return all of it; raises ConfigError before the drive has begun."""
+        if self._drive is None:
+            raise ConfigError("the car is not driving yet: there is no truth")
+        return truth_log(self._drive, self._happened.copy(), self._totals)
+
+
+class SharedTruth:
+    """Tells several of the same."""
+
+    def __init__(self, sinks: Sequence[TruthSink]) -> None:
+        self._sinks = tuple(sinks)
+
+    def drive(self, drive: DriveTruth) -> None:
+        """Tell all what is true for the whole drive."""
+        for sink in self._sinks:
+            sink.drive(drive)
+
+    def write(self, truths: Iterable[Happened]) -> None:
+        """Tell all what has happened."""
+        kept = tuple(truths)
+        for sink in self._sinks:
+            sink.write(kept)
+
+    def totals(self, totals: Totals) -> None:
+        """Tell all what the drive amounted to."""
+        for sink in self._sinks:
+            sink.totals(totals)
+
 
 VIRTUAL: Final = "virtual"
 POLL_S: Final = 0.01

@@ -15,6 +15,24 @@ from ecu_emulator.scenario.faults import BusFault, BusFaultKind
 from ecu_emulator.scenario.signals import generator
 from ecu_emulator.sensing.fault_onsets import MS_PER_S, Onsets
 
+
+class FrameLoss:
+    """Loses a share of the frames; which ones depends on the seed only, not on how the stream was cut."""
+
+    def __init__(self, loss_ratio: float, seed: int) -> None:
+        self._loss_ratio = loss_ratio
+        self._random = generator(seed, "frame loss")
+
+    def surviving(self, frames: EncodedFrames) -> EncodedFrames:
+        """Return the frames that arrive; alive counters show the gaps."""
+        if self._loss_ratio == 0.0:
+            return frames
+        kept = np.flatnonzero(self._random.random(len(frames)) >= self._loss_ratio)
+        return EncodedFrames(
+            t_s=frames.t_s[kept], can_id=frames.can_id[kept], length=frames.length[kept], data=frames.data[kept]
+        )
+
+
 LATE_CYCLES: Final = 1.5  # behind the successor, before the one after it
 SPOOF_CYCLES: Final = 0.5  # the second sender keeps clear of the first
 

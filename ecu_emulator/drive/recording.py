@@ -11,14 +11,20 @@ from canlog.arrays import FloatArray
 from canlog.e2e.message_contract import message_contracts
 from clutch_model.errors import CalibrationError
 from dbc.contract import load_contract
-from ecu_emulator.bus.bus_faults import BusFaults
-from ecu_emulator.bus.frame_loss import FrameLoss
+from ecu_emulator.bus.bus_faults import BusFaults, FrameLoss
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.drive.build import build_vehicle
-from ecu_emulator.drive.drive_setup import drive_settings, drive_truth, installation, schedules
-from ecu_emulator.drive.road import WHOLE_STAY_S, journey, scenario_trips, trip_truth
-from ecu_emulator.driving.journey import Departure, Journey
-from ecu_emulator.driving.trips import PlannedTrip
+from ecu_emulator.drive.drive_setup import (
+    WHOLE_STAY_S,
+    drive_settings,
+    drive_truth,
+    installation,
+    journey,
+    scenario_trips,
+    schedules,
+    trip_truth,
+)
+from ecu_emulator.driving.journey import Departure, Journey, PlannedTrip
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.powertrain import Powertrain
@@ -26,7 +32,6 @@ from ecu_emulator.scenario.faults import BusFault, SensorFault
 from ecu_emulator.scenario.scenario import Routine, Scenario
 from ecu_emulator.sensing.sensors import SensorSuite
 from ecu_emulator.shift_control.touch_points import PressureSteps, nominal_touch_pressures_pa
-from ecu_emulator.truth.event_watcher import EventWatcher
 from ecu_emulator.truth.records import (
     EventTruth,
     FaultTruth,
@@ -38,7 +43,7 @@ from ecu_emulator.truth.records import (
     known_at_s,
     truth_log,
 )
-from ecu_emulator.truth.truth_watchers import RevWatcher, ShiftWatcher
+from ecu_emulator.truth.watchers import EventWatcher, RevWatcher, ShiftWatcher
 
 LONG_STRETCH_S: Final = 10.0  # for files
 MOST_STARTS: Final = 64  # that nobody has asked for

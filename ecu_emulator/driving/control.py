@@ -2,7 +2,7 @@
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
-from ecu_emulator.driving import changes, gear_choice, launching, standing, under_power
+from ecu_emulator.driving import changes, gear_choice, standing
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.laws import (
     DrivingLaw,
@@ -47,7 +47,7 @@ def begin_change(memory: FloatArray, sense: FloatArray, wanted: int, law: Drivin
     enter_state(memory, DriveState.CHANGING.value)
     memory[tcu_data.TARGET_GEAR] = wanted
     next_gear = gear - 1 if memory[at.EVENT_KIND] == EventKind.POWER_ON_SKIP.value else wanted
-    under_power.begin_leg(memory, sense, tcu.clutch_of(gear), next_gear)
+    changes.begin_leg(memory, sense, tcu.clutch_of(gear), next_gear)
     tcu.enter_phase(memory, tcu_data.PREFILL)
 
 
@@ -108,7 +108,7 @@ def change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dri
     elif kind == EventKind.COAST_SKIP.value:
         changes.coast_skip(memory, sense, commands, law)
     else:
-        under_power.downshift_under_power(memory, sense, commands, law)
+        changes.downshift_under_power(memory, sense, commands, law)
     if memory[at.IS_ABORTED] == 0.0 and changes.is_turned_back(memory, sense, law):
         changes.turn_back(memory)
     if memory[tcu_data.PHASE] == tcu_data.HOLD:
@@ -149,7 +149,7 @@ def control(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dr
     elif state == DriveState.CREEPING.value:
         standing.creep(memory, sense, commands, law)
     elif state == DriveState.LAUNCHING.value:
-        launching.launch(memory, sense, commands, law)
+        standing.launch(memory, sense, commands, law)
     else:
         standing.coast_open(memory, sense, commands, law)
     commands[tcu_data.BRAKE] = max(memory[at.BRAKE], commands[at.HILL_BRAKE])

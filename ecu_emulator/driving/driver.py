@@ -3,10 +3,9 @@
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator.driving import indices as at
-from ecu_emulator.driving.laws import DrivingLaw, overrun_nm, pulls_on_wheels
-from ecu_emulator.driving.pedal import pedal_for_force
+from ecu_emulator.driving.laws import DrivingLaw, overrun_nm, pedal_for_force, pulls_on_wheels
 from ecu_emulator.driving.states import DriveState
-from ecu_emulator.plant.vehicle import road_load_n
+from ecu_emulator.plant.driveline import road_load_n
 from ecu_emulator.shift_control import tcu_data
 
 GRID_S = 0.1  # of the trace as the driver sees it

@@ -1,13 +1,13 @@
-"""Everything constant over a drive, and the simple questions that several controllers ask of it."""
+"""Everything constant over a drive, what the pedal asks for, and the questions that several controllers ask."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel
+from canlog.jit import array_kernel, kernel
 from ecu_emulator.driving import indices as at
-from ecu_emulator.driving.parameters import DrivingParameters
+from ecu_emulator.driving.parameters import DrivingParameters, PedalParameters
 from ecu_emulator.driving.states import DriveState, EventKind
 from ecu_emulator.plant.loop import DriveLaw
 from ecu_emulator.shift_control import tcu_data
@@ -96,3 +96,28 @@ def shift_shaft(
     if memory[at.NEUTRAL_SINCE + shaft] >= control.neutral_time_s:
         commands[tcu_data.WANTED_GEAR + shaft] = gear
     return False
+
+
+@kernel
+def full_force_n(vehicle_m_s: float, p: PedalParameters) -> float:
+    """Return the force at the wheels that the full pedal asks for [N]."""
+    return min(p.force_n, p.power_w / max(vehicle_m_s, 1.0))
+
+
+@kernel
+def asked_force_n(pedal: float, vehicle_m_s: float, overrun_n: float, p: PedalParameters) -> float:
+    """Return the force at the wheels [N] that a pedal asks for; released, the engine brakes with ``overrun_n`` < 0."""
+    if pedal >= p.overrun_ratio:
+        return (pedal - p.overrun_ratio) / (1.0 - p.overrun_ratio) * full_force_n(vehicle_m_s, p)
+    return (1.0 - pedal / p.overrun_ratio) * overrun_n
+
+
+@kernel
+def pedal_for_force(force_n: float, vehicle_m_s: float, overrun_n: float, p: PedalParameters) -> float:
+    """Return the pedal that asks for a force at the wheels: `asked_force_n` solved for it, within 0..1."""
+    if force_n >= 0.0:
+        share = force_n / full_force_n(vehicle_m_s, p)
+        return min(p.overrun_ratio + share * (1.0 - p.overrun_ratio), 1.0)
+    if overrun_n >= 0.0:
+        return 0.0
+    return max(p.overrun_ratio * (1.0 - force_n / overrun_n), 0.0)

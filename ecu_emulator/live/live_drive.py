@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 import can
 
 from canlog.e2e.message_contract import message_contracts
+from clutchdiag_io.sign_of_life import give_sign, make_sign
 from dbc.contract import load_contract
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
 from ecu_emulator.diagnostics.doip.listening import Place, parse_place
@@ -21,7 +22,6 @@ from ecu_emulator.errors import ConfigError, RecordError
 from ecu_emulator.live.control import ControlSocket
 from ecu_emulator.live.other_senders import WORTH_SAYING, OtherSenders
 from ecu_emulator.live.sent_truth import SentTruth
-from ecu_emulator.live.sign_of_life import SignOfLife
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.scenario.scenario import OpinionFrom, Scenario
 from ecu_emulator.truth.records import ROTATED_BYTES, TruthWriter
@@ -29,6 +29,31 @@ from ecu_emulator.truth.records import ROTATED_BYTES, TruthWriter
 if TYPE_CHECKING:
     from ecu_emulator.answering.answering_tester import Answering
     from ecu_emulator.answering.on_board import OpinionSource
+
+
+class SignOfLife:
+    """Touches a file whenever it is told of more frames than before; until then the file is from 1970.
+
+    Raises
+    ------
+    RecordError
+        If the file cannot be made.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._frame_count = 0
+        try:
+            make_sign(path)
+        except OSError as exc:
+            raise RecordError(f"cannot touch {path}: {exc.strerror}") from exc
+
+    def tell(self, frame_count: int) -> None:
+        """Touch the file if frames were sent since the last time."""
+        if frame_count > self._frame_count:
+            self._frame_count = frame_count
+            give_sign(self._path)
+
 
 PRIVATE_INTERFACE: Final = "virtual"  # of python-can, within one process
 MS_PER_S: Final = 1e3

@@ -6,9 +6,8 @@ from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel
 from clutch_model.thermal import convected_w
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.driveline import ENGAGED, geared_torque_nm
+from ecu_emulator.plant.driveline import ENGAGED, brake_force_n, geared_torque_nm, road_load_n
 from ecu_emulator.plant.rates import PlantLaw
-from ecu_emulator.plant.vehicle import brake_force_n, road_load_n
 
 # Places in the account.
 ENGINE = 0

@@ -1,4 +1,4 @@
-"""One wet clutch: cavity and film over a step, friction torque, torque that would lock it."""
+"""One wet clutch: its lining, cavity and film over a step, friction torque, torque that would lock it."""
 
 import math
 from typing import NamedTuple
@@ -9,6 +9,26 @@ from clutch_model.film import FilmLaw, contact_pressure_pa, film_rate_m_s, shear
 from clutch_model.friction import FrictionLaw, contact_torque_nm, kinetic_friction
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.hydraulics import CavityLaw, HydraulicsParameters, cavity_pressure_pa, orifice_flow_m3_s
+
+
+class LiningParameters(NamedTuple):
+    """Numbers of both clutches' linings, as the kernels take them; the shipped ones have no effect."""
+
+    fade_per_k: float  # k_muT: share of the friction lost per kelvin
+    fade_reference_k: float  # temperature at which the calibration's friction is true
+    film_mobility_ratio: float  # on the squeeze rate of the film
+
+
+@kernel
+def friction_ratio(clutch_k: float, p: LiningParameters) -> float:
+    """Return the factor on mu_C and mu_S at a pack temperature; docs/model.md eq. (X1)."""
+    return 1.0 - p.fade_per_k * (clutch_k - p.fade_reference_k)
+
+
+def grooved(law: FilmLaw, p: LiningParameters) -> FilmLaw:
+    """Return the film law of a lining whose grooves shorten the way of the oil; docs/model.md eq. (X2)."""
+    return law._replace(squeeze_factor_m2=law.squeeze_factor_m2 / p.film_mobility_ratio)
+
 
 _EMPTY_M3 = 1.0e-13  # a cavity below this is empty: keeps denormal numbers out of the loop
 _NO_PRESSURE_PA = 1.0e-3

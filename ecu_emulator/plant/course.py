@@ -1,14 +1,121 @@
-"""What the shift cycles and a trip on the road have in common: a machine, its clock, its energy account."""
+"""What the shift cycles and a trip have in common: laws as records, a step they can take, a machine, its energy."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TypeVar, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from canlog.arrays import FloatArray
 from clutch_model.errors import DomainError
+from clutch_model.gears import clutch_of_gear
+from clutch_model.tables import require
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import PowerBalance, power_balance
 from ecu_emulator.plant.integration import workspace
 from ecu_emulator.plant.loop import Machine
 from ecu_emulator.plant.rates import PlantLaw
+
+LawT = TypeVar("LawT", bound=tuple[object, ...])
+
+
+def as_record(law: LawT) -> LawT:
+    """Return the numpy record with the members of a nested named tuple of numbers.
+
+    It reads like the tuple it was made of, hence the type. A kernel that gets the tuple itself copies every number
+    at every call; the record costs one pointer, and equal members can be indexed (``law.shafts[k]``).
+
+    Raises
+    ------
+    DomainError
+        If a member is neither a number nor a tuple of members of one type.
+    """
+    record = np.array([_plain(law)], dtype=_dtype_of(law)).view(np.recarray)[0]
+    return cast("LawT", record)
+
+
+def _dtype_of(value: object) -> npt.DTypeLike:
+    if isinstance(value, float):
+        return np.dtype(np.float64)
+    if isinstance(value, int):
+        return np.dtype(np.int64)
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        members = [(name, _dtype_of(member)) for name, member in zip(value._fields, value, strict=True)]
+        return np.dtype(members, align=True)
+    if isinstance(value, tuple) and value and len({str(_dtype_of(member)) for member in value}) == 1:
+        return np.dtype((_dtype_of(value[0]), (len(value),)))
+    raise DomainError(f"not part of a record: {value!r}")
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, tuple):
+        members = [_plain(member) for member in value]
+        return tuple(members) if hasattr(value, "_fields") else members
+    return value
+
+
+# Classic Runge-Kutta is stable to 2.79 on the real and to 2.83 on the imaginary axis.
+_LIMIT = 2.5
+
+
+def check_step(dt_s: float, law: PlantLaw, overall_ratios: Sequence[float], *, starts_in_neutral: bool = False) -> None:
+    """Check that ``dt_s`` resolves every eigenvalue of the linearised plant.
+
+    Raises
+    ------
+    CalibrationError
+        Naming the motion that is too fast and the longest step it allows.
+    """
+    rates = dict(fastest_rates_rad_s(law, overall_ratios))
+    if starts_in_neutral:
+        rates["synchroniser of gear 2 from neutral"] = _synchroniser_rate(law, overall_ratios, 2, 0)
+    name = max(rates, key=lambda key: rates[key])
+    longest_s = _LIMIT / rates[name]
+    require(dt_s <= longest_s, f"dt_s must be <= {longest_s:.2e} s for this plant ({name}), got {dt_s:g}")
+
+
+def fastest_rates_rad_s(law: PlantLaw, overall_ratios: Sequence[float]) -> Mapping[str, float]:
+    """Return the largest eigenvalue magnitude [rad/s] of each stiff part."""
+    flywheel, output, vehicle = law.flywheel, law.output, law.vehicle
+    valve = law.clutches.first.valve
+    rates = {
+        "flywheel": _shaft_rate(
+            flywheel.stiffness_nm_rad, flywheel.damping_nms_rad, law.engine_inertia_kg_m2, law.hub_inertia_kg_m2
+        ),
+        "output shaft": _shaft_rate(
+            output.stiffness_nm_rad, output.shaft_damping_nms_rad, output.inertia_kg_m2, vehicle.wheel_inertia_kg_m2
+        ),
+        "tyre": vehicle.tyre_stiffness_n * vehicle.wheel_radius_m**2 / vehicle.wheel_inertia_kg_m2,
+        "cavity": valve.orifice_m3_s_sqrt_pa / math.sqrt(valve.laminar_pressure_pa) / valve.pack_compliance_m3_pa,
+    }
+    for number, shaft in enumerate((law.shafts.first, law.shafts.second), start=1):
+        rates[f"input shaft {number}"] = _shaft_rate(
+            shaft.stiffness_nm_rad, shaft.damping_nms_rad, shaft.clutch_inertia_kg_m2, shaft.gear_inertia_kg_m2
+        )
+    for gear in range(1, len(overall_ratios)):
+        neighbours = [current for current in (gear - 1, gear + 1) if 1 <= current < len(overall_ratios)]
+        rates[f"synchroniser of gear {gear}"] = max(
+            _synchroniser_rate(law, overall_ratios, gear, current) for current in neighbours
+        )
+    return rates
+
+
+def _shaft_rate(stiffness_nm_rad: float, damping_nms_rad: float, first_kg_m2: float, second_kg_m2: float) -> float:
+    compliance = 1.0 / first_kg_m2 + 1.0 / second_kg_m2
+    half_damping = 0.5 * damping_nms_rad * compliance
+    discriminant = half_damping**2 - stiffness_nm_rad * compliance
+    if discriminant <= 0.0:
+        return math.sqrt(stiffness_nm_rad * compliance)
+    return half_damping + math.sqrt(discriminant)
+
+
+def _synchroniser_rate(law: PlantLaw, overall_ratios: Sequence[float], gear: int, current: int) -> float:
+    turned, turning = (law.shafts[clutch_of_gear(one) - 1].gear_inertia_kg_m2 for one in (current, gear))
+    load_kg_m2 = law.output.inertia_kg_m2 + overall_ratios[current] ** 2 * turned
+    mobility = 1.0 / turning + overall_ratios[gear] ** 2 / load_kg_m2
+    return law.synchroniser.torque_nm / law.synchroniser.full_torque_slip_rad_s * mobility
+
 
 ROWS_PER_S = 1000
 

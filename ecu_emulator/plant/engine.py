@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 from canlog.jit import kernel
-from ecu_emulator.plant.vehicle import tanh_exact
+from ecu_emulator.plant.driveline import tanh_exact
 
 _AIR_GAS_CONSTANT_J_KG_K = 287.0
 _CYCLE_RAD = 4.0 * math.pi  # one four-stroke cycle

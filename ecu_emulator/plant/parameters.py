@@ -10,11 +10,16 @@ from typing import NamedTuple, Self
 
 from clutch_model.errors import CalibrationError
 from clutch_model.tables import read_table, record_from, require
-from ecu_emulator.plant.driveline import FlywheelParameters, OutputParameters, ShaftParameters, SynchroniserParameters
+from ecu_emulator.plant.clutch import LiningParameters
+from ecu_emulator.plant.driveline import (
+    FlywheelParameters,
+    OutputParameters,
+    ShaftParameters,
+    SynchroniserParameters,
+    VehicleParameters,
+)
 from ecu_emulator.plant.engine import EngineParameters
 from ecu_emulator.plant.hydraulics import HydraulicsParameters
-from ecu_emulator.plant.lining import LiningParameters
-from ecu_emulator.plant.vehicle import VehicleParameters
 from ecu_emulator.shift_control.tcu_data import GEAR_COUNT, ControlParameters, WorkshopParameters
 
 _MAY_BE_ZERO = frozenset(

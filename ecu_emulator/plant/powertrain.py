@@ -8,18 +8,15 @@ from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import applied_pressure_pa, equilibrium_film_m, film_law
 from clutch_model.friction import contact_torque_nm, friction_law
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.clutch import ClutchLaw, OpenDragLaw, refresh_contact
-from ecu_emulator.plant.course import ROWS_PER_S, Course, blank_machine
+from ecu_emulator.plant.clutch import ClutchLaw, OpenDragLaw, grooved, refresh_contact
+from ecu_emulator.plant.course import ROWS_PER_S, Course, as_record, blank_machine, check_step
 from ecu_emulator.plant.drive import DriveSettings, cycle_table
 from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.engine import throttle_flow_kg_s
 from ecu_emulator.plant.hydraulics import cavity_law, closed_volume_m3
-from ecu_emulator.plant.lining import grooved
 from ecu_emulator.plant.loop import COLUMN_COUNT, DriveLaw, Machine, run
 from ecu_emulator.plant.parameters import GearboxParameters, PlantParameters
 from ecu_emulator.plant.rates import ClutchPair, FluidLaw, PlantLaw, ShaftPair
-from ecu_emulator.plant.records import as_record
-from ecu_emulator.plant.stability import check_step
 from ecu_emulator.shift_control import tcu_data, workshop
 from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters
 from ecu_emulator.shift_control.touch_points import PressureSteps

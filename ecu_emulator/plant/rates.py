@@ -6,7 +6,7 @@ from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel
 from clutch_model.thermal import clutch_heating_rate_k_s, convected_w, sump_heating_rate_k_s
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.clutch import ClutchLaw, capacity_nm, contact_nm, viscous_nm
+from ecu_emulator.plant.clutch import ClutchLaw, LiningParameters, capacity_nm, contact_nm, viscous_nm
 from ecu_emulator.plant.driveline import (
     ENGAGED,
     SYNCHRONISING,
@@ -14,13 +14,15 @@ from ecu_emulator.plant.driveline import (
     OutputParameters,
     ShaftParameters,
     SynchroniserParameters,
+    VehicleParameters,
+    brake_force_n,
     geared_torque_nm,
+    road_load_n,
     synchroniser_torque_nm,
     twist_torque_nm,
+    tyre_force_n,
 )
 from ecu_emulator.plant.engine import EngineParameters, engine_losses_nm, indicated_torque_nm, manifold_rate_pa_s
-from ecu_emulator.plant.lining import LiningParameters
-from ecu_emulator.plant.vehicle import VehicleParameters, brake_force_n, road_load_n, tyre_force_n
 
 _SLIP_DECAY_S = 0.005  # tb: what slip is left when a clutch locks fades with this time constant
 

@@ -18,8 +18,28 @@ from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.scenario.faults import SensorFault
 from ecu_emulator.scenario.signals import STATES, Sensor, Sensors, generator, split_unit
-from ecu_emulator.sensing.readings import Readings, Schedule
 from ecu_emulator.sensing.sensor_faults import SensorFaults
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Schedule:
+    """When one message is sent, by whom, and what it carries."""
+
+    message: str
+    sender: str
+    cycle_ms: int
+    phase_ms: int
+    quantities: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Readings:
+    """Values of one message at its send instants, keyed by quantity (SI); NaN: not available."""
+
+    message: str  # DBC message name
+    t_s: FloatArray  # (n,) scenario time
+    values: Mapping[str, FloatArray]  # each (n,)
+
 
 MS_PER_S: Final = 1000.0
 MAX_SEGMENT_MS: Final = 250  # the engine speed of a nearly stalled engine is the mean over this time

@@ -13,10 +13,9 @@ from canlog.e2e.profile1 import counter_of
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.drive.recording import Drive, Stretch
-from ecu_emulator.driving.conditions import Car, DriveConditions
+from ecu_emulator.driving.journey import PlannedTrip, trips
 from ecu_emulator.driving.states import EngineState
-from ecu_emulator.driving.trip import Trip
-from ecu_emulator.driving.trips import PlannedTrip, trips
+from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live.sent_truth import SentTruth
 from ecu_emulator.plant.columns import Col

@@ -8,8 +8,7 @@ from clutch_model.gears import clutch_of_gear
 from dbc.contract import load_contract
 from ecu_emulator.answering.monitoring import Monitoring
 from ecu_emulator.answering.on_board import FixedOpinion
-from ecu_emulator.answering.requested_adaptation import RequestedAdaptation
-from ecu_emulator.answering.requested_clearing import RequestedClearing
+from ecu_emulator.answering.requested_tasks import RequestedAdaptation, RequestedClearing
 from ecu_emulator.bus.sent_values import Moment, SentValues
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller

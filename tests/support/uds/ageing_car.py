@@ -19,7 +19,7 @@ import numpy as np
 
 from dbc.contract import load_contract
 from ecu_emulator.answering.monitoring import Monitoring
-from ecu_emulator.answering.requested_clearing import RequestedClearing
+from ecu_emulator.answering.requested_tasks import RequestedClearing
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.bus.sent_values import Moment, SentValues
 from ecu_emulator.diagnostics.controller import Controller

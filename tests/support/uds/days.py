@@ -13,7 +13,7 @@ from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.answering.on_board import OpinionSource
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.bus.sender import to_messages
-from ecu_emulator.sensing.readings import Readings
+from ecu_emulator.sensing.sensors import Readings
 
 STEP_S = 0.5
 TRIP_STEPS = 12

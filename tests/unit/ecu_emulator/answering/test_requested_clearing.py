@@ -7,7 +7,7 @@ import pytest
 
 from ecu_emulator.answering.monitoring import Monitoring
 from ecu_emulator.answering.on_board import FixedOpinion
-from ecu_emulator.answering.requested_clearing import RequestedClearing
+from ecu_emulator.answering.requested_tasks import RequestedClearing
 from ecu_emulator.diagnostics.adaptation import Adaptation
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller

@@ -1,6 +1,6 @@
 """A routine that the car performs: when it begins, when it is over, how long its judgement is waited for."""
 
-from ecu_emulator.answering.requested_routine import ESTIMATE_S, Driven, RequestedRoutine
+from ecu_emulator.answering.requested_tasks import ESTIMATE_S, Driven, RequestedRoutine
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.opinion import ClutchOpinion
 from ecu_emulator.diagnostics.table_file import shipped_table

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ecu_emulator.bus.lateness import BIN_S, Punctuality
+from ecu_emulator.bus.sender import BIN_S, Punctuality
 
 
 def test_statistics_match_numpy() -> None:

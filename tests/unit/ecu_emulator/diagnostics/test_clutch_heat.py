@@ -12,7 +12,7 @@ from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.drive.recording import Drive
-from ecu_emulator.driving.trips import PlannedTrip
+from ecu_emulator.driving.journey import PlannedTrip
 from ecu_emulator.plant import Col
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario import Truth

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
-from ecu_emulator.driving.conditions import Car, DriveConditions
 from ecu_emulator.driving.parameters import nominal_driving
 from ecu_emulator.driving.states import DriveState, EventKind
-from ecu_emulator.driving.trip import Trip
+from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.drive import FrictionFactors
 from tests.unit.ecu_emulator.driving.drives import Event, driven, events, of_kind, trace

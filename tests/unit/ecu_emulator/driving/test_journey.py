@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
-from ecu_emulator.driving.journey import Departure, Journey, Warmth
+from ecu_emulator.driving.journey import Departure, Journey, PlannedTrip, Warmth
 from ecu_emulator.driving.trace import SpeedTrace
-from ecu_emulator.driving.trips import PlannedTrip
 from ecu_emulator.plant.columns import Col
 
 AIR_K = 263.15

@@ -5,7 +5,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from ecu_emulator.driving.public_traces import PUBLIC_TRACES, public_trace
+from ecu_emulator.driving.trace import PUBLIC_TRACES, public_trace
 from ecu_emulator.errors import ConfigError
 
 PUBLISHED = [  # duration [s], distance [m], highest speed [km/h], time at rest [s]

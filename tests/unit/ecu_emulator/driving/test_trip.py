@@ -8,10 +8,9 @@ import pytest
 from benchmarks.tolerance import share_within_tolerance
 from canlog.arrays import FloatArray
 from clutch_model.errors import DomainError
-from ecu_emulator.driving.conditions import Car
 from ecu_emulator.driving.states import DriveState, EngineState
 from ecu_emulator.driving.trace import SpeedTrace
-from ecu_emulator.driving.trip import Trip, drive
+from ecu_emulator.driving.trip import Car, Trip, drive
 from ecu_emulator.plant.columns import Col
 from tests.unit.ecu_emulator.driving.drives import COLD_K, conditions, driven, trace, trip
 

@@ -6,7 +6,7 @@ from itertools import islice, pairwise
 import numpy as np
 import pytest
 
-from ecu_emulator.driving.trips import (
+from ecu_emulator.driving.journey import (
     COOLANT_PARKED_TIME_CONSTANT_S,
     DAY_TRIPS,
     NIGHT_S,

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ecu_emulator.errors import RecordError
-from ecu_emulator.live.sign_of_life import SignOfLife
+from ecu_emulator.live.live_drive import SignOfLife
 
 
 def test_the_file_is_touched_when_there_are_more_frames_than_before(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ from clutch_model.film import viscous_torque_nm
 from ecu_emulator.plant import DriveSettings, nominal_parameters
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import openness, refresh_contact, viscous_nm
+from ecu_emulator.plant.course import as_record
 from ecu_emulator.plant.powertrain import drive_law
-from ecu_emulator.plant.records import as_record
 
 LAW = as_record(drive_law(nominal_calibration(), nominal_parameters(), DriveSettings()).plant.clutches.first)
 OPEN_M = LAW.film.open_gap_m

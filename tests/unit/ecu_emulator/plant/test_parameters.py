@@ -4,9 +4,9 @@ from typing import cast
 import pytest
 
 from clutch_model.errors import CalibrationError, DomainError
+from ecu_emulator.plant.course import as_record
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters, nominal_plant_table, read_parameters
 from ecu_emulator.plant.powertrain import overall_ratios
-from ecu_emulator.plant.records import as_record
 
 
 def changed(section: str, key: str, value: object) -> dict[str, object]:

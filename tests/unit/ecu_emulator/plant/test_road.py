@@ -1,8 +1,16 @@
 import pytest
 
-from ecu_emulator.plant.driveline import geared_torque_nm, synchroniser_torque_nm, twist_torque_nm
+from ecu_emulator.plant.driveline import (
+    GRAVITY_M_S2,
+    brake_force_n,
+    geared_torque_nm,
+    road_load_n,
+    synchroniser_torque_nm,
+    tanh_exact,
+    twist_torque_nm,
+    tyre_force_n,
+)
 from ecu_emulator.plant.parameters import nominal_parameters
-from ecu_emulator.plant.vehicle import GRAVITY_M_S2, brake_force_n, road_load_n, tanh_exact, tyre_force_n
 
 PARAMETERS = nominal_parameters()
 VEHICLE, SYNCHRONISER = PARAMETERS.vehicle, PARAMETERS.synchroniser

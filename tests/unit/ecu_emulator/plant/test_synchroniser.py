@@ -6,10 +6,10 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from ecu_emulator.plant import DriveSettings, nominal_parameters
 from ecu_emulator.plant import state as at
+from ecu_emulator.plant.course import as_record
 from ecu_emulator.plant.driveline import ENGAGED, SYNCHRONISING
 from ecu_emulator.plant.integration import close_synchronisers
 from ecu_emulator.plant.powertrain import drive_law
-from ecu_emulator.plant.records import as_record
 from tests.support.cycles import FloatArray
 
 LAW = as_record(drive_law(nominal_calibration(), nominal_parameters(), DriveSettings()))

@@ -5,7 +5,6 @@ from canlog.arrays import FloatArray
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.scenario.signals import NOMINAL_SENSORS, STATES, Sensor, Sensors
-from ecu_emulator.sensing.readings import Readings, Schedule
 from ecu_emulator.sensing.sensors import (
     BRAKE_PA_PER_M_S2,
     MAX_SEGMENT_MS,
@@ -13,6 +12,8 @@ from ecu_emulator.sensing.sensors import (
     QUANTITIES,
     CrankSpeed,
     Installation,
+    Readings,
+    Schedule,
     SensorSuite,
 )
 from tests.unit.ecu_emulator.rows import made_up_rows

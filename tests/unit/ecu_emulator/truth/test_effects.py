@@ -10,19 +10,18 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import film_law
-from ecu_emulator.bus.frame_loss import FrameLoss
+from ecu_emulator.bus.bus_faults import FrameLoss
 from ecu_emulator.bus.frames import EncodedFrames, merge
-from ecu_emulator.drive.build import BuiltVehicle, build_vehicle
+from ecu_emulator.drive.build import BuiltVehicle, affected_calibration, affected_parameters, build_vehicle
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
+from ecu_emulator.plant.clutch import friction_ratio, grooved
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.drive import DriveSettings
-from ecu_emulator.plant.lining import friction_ratio, grooved
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
 from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.scenario.scenario import Effects, Scenario
 from ecu_emulator.scenario.scenario_file import parse_scenario
-from ecu_emulator.truth.effects import affected_calibration, affected_parameters
 from tests.support.builders import drive_scenario
 
 NOMINAL = nominal_calibration()

@@ -22,7 +22,7 @@ from ecu_emulator.truth.records import (
     read_truth,
     truth_path,
 )
-from ecu_emulator.truth.truth_watchers import RevWatcher, ShiftWatcher
+from ecu_emulator.truth.watchers import RevWatcher, ShiftWatcher
 from tests.unit.ecu_emulator.rows import made_up_rows, with_revs, with_shift
 
 DRIVE = DriveTruth(

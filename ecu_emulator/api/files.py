@@ -1,9 +1,17 @@
-"""What the emulated controller can be asked, for diagnostic tools, from Python."""
+"""The database and the PDX package of the emulated vehicle, from Python."""
 
 from pathlib import Path
 
-from ecu_emulator.api.choices import AnyPath
-from ecu_emulator.commands import save_pdx
+from ecu_emulator.api.emulator import AnyPath
+from ecu_emulator.commands import save_dbc, save_pdx
+
+
+def write_dbc(output: AnyPath) -> int:
+    """Write the DBC file of the emulated vehicle, as ``ecu-emulator dbc`` does; one that is there is replaced.
+
+    Returns its size [bytes]. Raises RecordError if it cannot be written.
+    """
+    return save_dbc(Path(output), is_forced=True)
 
 
 def write_pdx(output: AnyPath, table: AnyPath | None = None) -> int:

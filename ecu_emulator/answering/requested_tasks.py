@@ -1,20 +1,21 @@
-"""The adaptation of the clutches that a tester starts (service 31): the car holds steps, the controller watches.
-
-What it knows of the clutches it has from what it commands and what its sensors say on the bus. Where torque begins is
-kept in its memory, and the control works with it from then on.
-"""
+"""What a tester starts (service 31): the workshop routine, adapting the clutches, clearing what was learned."""
 
 from collections import deque
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Final, Protocol
 
-from ecu_emulator.answering.requested_routine import running_routine
+from ecu_emulator.answering.monitoring import Monitoring
+from ecu_emulator.answering.on_board import OpinionSource
 from ecu_emulator.diagnostics.adaptation import CLUTCHES, Adaptation
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.descriptions import Task
+from ecu_emulator.diagnostics.opinion import Opinions
+from ecu_emulator.diagnostics.state import RoutineRun
 from ecu_emulator.diagnostics.values import Values, holds
 from ecu_emulator.errors import RecordError
+from ecu_emulator.scenario.scenario import Routine
 from ecu_emulator.shift_control.touch_points import (
     PressureSteps,
     Result,
@@ -26,6 +27,109 @@ from ecu_emulator.shift_control.touch_points import (
     nominal_touch_pressures_pa,
     sample_of,
 )
+
+ESTIMATE_S: Final = 10.0  # how long the estimate of the last shift is waited for
+SAME_END_NS: Final = (
+    500_000_000  # the end of a shift on the bus and in the estimate; the shift before ended 1.8 s sooner
+)
+FIRST_GEAR: Final = 1.0
+
+
+class Performer(Protocol):
+    """The car, as far as it can be asked to do something."""
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether it waits for somebody to ask for the workshop routine."""
+
+    def begin_routine(self, request: Routine) -> None:
+        """Begin the routine soon."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Driven:
+    """What the car has done on the bus."""
+
+    shift_count: int = 0
+    gear: float = 0.0  # the last one that was engaged
+    last_shift_ns: int = 0  # end of the last shift, time of the bus
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Performance:
+    """A routine that the car performs."""
+
+    shifts_before: int
+    over_s: float | None = None  # since when all of it is driven
+
+
+class RequestedRoutine:
+    """Has the car perform what a tester's routine asks for, and ends the routine once that is judged.
+
+    Parameters
+    ----------
+    performer
+        The car.
+    controller
+        Whose routines are looked after.
+    """
+
+    def __init__(self, performer: Performer, controller: Controller) -> None:
+        self._performer = performer
+        self._controller = controller
+        self._performance: _Performance | None = None
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether the car could begin now."""
+        return self._performer.is_waiting
+
+    def step(self, driven: Driven, opinions: Opinions, t_s: float, *, is_live: bool) -> None:
+        """Do what is due; to be called about ten times a second.
+
+        Parameters
+        ----------
+        driven
+            What the car has done on the bus.
+        opinions
+            What is thought of its clutches.
+        t_s
+            A time that never goes back [s].
+        is_live
+            Whether opinions follow what is driven.
+        """
+        found = running_routine(self._controller, Task.REVS)
+        if found is None:
+            self._performance = None
+            return
+        number, run = found
+        if self._performance is None:
+            self._performer.begin_routine(Routine(open_revs=run.options[0], closed_revs=run.options[1]))
+            self._performance = _Performance(shifts_before=driven.shift_count)
+        now = self._performance = _after(self._performance, driven, t_s)
+        if now.over_s is not None and (not is_live or has_judged(opinions, driven) or t_s >= now.over_s + ESTIMATE_S):
+            self._controller.finish(number)
+
+
+def running_routine(controller: Controller, task: Task) -> tuple[int, RoutineRun] | None:
+    """Return a routine that runs and is of this kind, with its number, if there is one."""
+    for number, run in controller.state.routines.items():
+        if run.is_running and controller.table.routines[number].task is task:
+            return number, run
+    return None
+
+
+def _after(performance: _Performance, driven: Driven, t_s: float) -> _Performance:
+    """Return how far the car is: it is through the gears once it is back in the first one."""
+    is_through = driven.shift_count > performance.shifts_before and driven.gear == FIRST_GEAR
+    return replace(performance, over_s=t_s) if is_through and performance.over_s is None else performance
+
+
+def has_judged(opinions: Opinions, driven: Driven) -> bool:
+    """Return whether opinions take the last shift into account."""
+    latest_ns = max((opinion.end_ns for opinion in opinions.values()), default=0)
+    return latest_ns >= driven.last_shift_ns - SAME_END_NS
+
 
 MOST_MOMENTS: Final = 4096  # that are heard and not looked at yet
 
@@ -220,3 +324,64 @@ class RequestedAdaptation:
             return False
         self._car.believe(adaptation.pressures_pa(self._nominal_pa))
         return True
+
+
+class RequestedClearing:
+    """Has the estimate begin anew when a routine asks for it, and ends the routine once that is done or has failed.
+
+    Parameters
+    ----------
+    source
+        Where the controller's opinion of its clutches comes from.
+    controller
+        Whose routines are looked after.
+    monitoring
+        Notes what was cleared.
+    adaptation
+        Forgets the touch points; None: there are none that were adapted.
+    """
+
+    def __init__(
+        self,
+        source: OpinionSource,
+        controller: Controller,
+        monitoring: Monitoring,
+        adaptation: RequestedAdaptation | None = None,
+    ) -> None:
+        self._source = source
+        self._adaptation = adaptation
+        self._controller = controller
+        self._monitoring = monitoring
+        self._pool = ThreadPoolExecutor(1, "clearing")
+        self._work: Future[bool] | None = None
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether there is something to clear: an estimate on board that can begin anew, or adapted touch points."""
+        return self._source.problem is None if self._source.is_live else self._adaptation is not None
+
+    def step(self) -> None:
+        """Do what is due; to be called about ten times a second, never waits."""
+        found = running_routine(self._controller, Task.NEW_FLUID)
+        if self._work is None:
+            if found is not None:
+                self._work = self._pool.submit(self._clear)
+            return
+        if not self._work.done():
+            return
+        is_cleared, self._work = self._work.result(), None
+        if is_cleared:  # also if the tester has gone meanwhile
+            self._monitoring.note_cleared()
+        if found is not None and is_cleared:
+            self._controller.finish(found[0])
+        elif found is not None:
+            self._controller.fail(found[0])
+
+    def _clear(self) -> bool:
+        """Clear what there is, the estimate first: it may not be able to."""
+        is_begun = not self._source.is_live or self._source.begin_anew()
+        return is_begun and (self._adaptation is None or self._adaptation.forget(awaits_estimate=self._source.is_live))
+
+    def close(self) -> None:
+        """Wait until nothing is under way any more."""
+        self._pool.shutdown()
