@@ -33,7 +33,7 @@ from diag_service.service.stopping import Controls, PatientTrigger, Trigger, ign
 _FUNCTIONS: Final = {  # of commands that share a module; the others are ``execute`` in a module of their own
     **{word: f"controller.{word}" for word in ("did", "dtc", "routine", "scan")},
     **{word: f"live.{word}" for word in ("monitor", "run")},
-    **{word: f"store.{word}" for word in ("fluid_changed", "history", "show")},
+    **{word: f"store.{word}" for word in ("fluid_changed", "history", "report", "show")},
     "cluster": "lake.cluster",
 }
 COUNTS_WANTED: Final = tuple(number for number in signal.Signals if number.name == "SIGUSR1")  # POSIX alone has it

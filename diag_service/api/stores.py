@@ -7,8 +7,7 @@ from typing import Any
 
 from clutch_model.calibration import Calibration, nominal_calibration
 from diag_service.api.choices import AnyPath, AnyPaths, configuration, path_list
-from diag_service.commands.report import check_name, findings_of
-from diag_service.commands.store import noted_fill
+from diag_service.commands.store import check_name, findings_of, noted_fill
 from diag_service.console.notices import collected_notices
 from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.results import shift_from

@@ -1,23 +1,32 @@
-"""``diag-service history``, ``show`` and ``fluid-changed``: what a store holds, and notes of new fluid in it."""
+"""``diag-service history``, ``show``, ``report`` and ``fluid-changed``: what a store holds, and notes in it."""
 
 import json
 import math
 import sys
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
 
+from canlog.logs import STANDARD_INPUT
+from canlog.logs.reading import Watch
 from clutch_model.calibration import nominal_calibration
-from diag_service.console.terminal import PeopleConsole
+from clutchdiag_io.legible import legible
+from clutchdiag_io.overwriting import replacement_refusal
+from diag_service.console.terminal import PeopleConsole, ReadingLine
 from diag_service.diagnosis.prognosis import Population, population_from
 from diag_service.diagnosis.records import FluidFill
 from diag_service.diagnosis.results import dump, iso_utc
 from diag_service.errors import ConfigError
-from diag_service.report.findings import findings_of_store
+from diag_service.report.findings import Findings, findings_of_logs, findings_of_store
 from diag_service.report.history import history_lines, history_records, shift_lines
-from diag_service.service.stopping import Controls
-from diag_service.store import StoreReader, note_fill, withdraw_fill
+from diag_service.report.page import page_of, write_page
+from diag_service.service.drive import insist
+from diag_service.service.session import utc_now
+from diag_service.service.stopping import Controls, Trigger
+from diag_service.settings.config import DiagnosisConfig, diagnosis_config
+from diag_service.store import StoreReader, is_store, note_fill, withdraw_fill
 
 MOST_CHARACTERS: Final = 200  # of a name or a note
 _CLOCK_ERROR: Final = timedelta(minutes=5)  # by which the clocks of people and machines may differ
@@ -145,3 +154,36 @@ def _text(name: str, text: str | None) -> str | None:
     if text is not None and (not text.isprintable() or not 0 < len(text) <= MOST_CHARACTERS):
         raise ConfigError(f"{name} must be 1 to {MOST_CHARACTERS} characters that can be printed")
     return text
+
+
+def report(options: SimpleNamespace, controls: Controls) -> None:
+    """Write the report, and say where and how large it is."""
+    check_name(options.output)
+    if text := replacement_refusal(options.output, is_forced=options.force):
+        raise ConfigError(text)
+    named, config = options.vehicle, diagnosis_config(options)  # which gives a vehicle without a name one
+    with ReadingLine() as line:
+        found = findings_of(config, options.logs, named, controls.stop, watch=line.watch)
+        line.show("making the page")
+        size_bytes = write_page(options.output, page_of(found, utc_now()))
+    sys.stdout.write(f"{legible(str(options.output))}: {size_bytes / 1000.0:.0f} kB\n")
+    if found.summary is not None:
+        insist(found.summary.gaps, found.summary.contributions, is_strict=False)
+
+
+def findings_of(
+    config: DiagnosisConfig, paths: Sequence[Path], vehicle: str | None, stop: Trigger, *, watch: Watch | None = None
+) -> Findings:
+    """Return what a report is made of: the logs of a drive, or a store and which vehicle of it is meant."""
+    stores = [path for path in paths if path != STANDARD_INPUT and is_store(path)]
+    if not stores:
+        return findings_of_logs(config, paths, stop, watch=watch)
+    if len(paths) > 1:
+        raise ConfigError(f"{stores[0]} is a store: a report is of one store, or of the logs of one drive")
+    return findings_of_store(stores[0], vehicle or config.calibration.vehicle, config.calibration)
+
+
+def check_name(path: Path) -> None:
+    """Raise ConfigError unless a file is called as a page is."""
+    if path.suffix.lower() not in {".html", ".htm"}:
+        raise ConfigError(f"{path}: a report is written as .html")

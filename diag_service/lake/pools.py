@@ -1,16 +1,32 @@
-"""Who works: processes of this machine or of a cluster; either hands rows back and tells which logs were lost."""
+"""Who works: processes here or a cluster of Dask; either hands rows back and tells which logs were lost."""
 
+import itertools
+import logging
+import time
+import uuid
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
-from typing import Protocol
+from typing import Any, Final, Protocol
 
 from diag_service.batch.worker import leave_to_parent
-from diag_service.errors import StoreError
+from diag_service.errors import ConfigError, StoreError
 from diag_service.lake.manifest import LogRow
+from diag_service.lake.nodes import ClusterAddress, load_distributed, security
 from diag_service.lake.work import Job, LakeLog, make_in_worker
+
+POLL_S: Final = 0.05  # every process has its next log already
+COUNT_EVERY_S: Final = 1.0  # workers come and go slowly, and asking takes the scheduler as long as a log takes it
+ANSWER_TIMEOUT_S: Final = 30.0
+PATIENCE_S: Final = 120.0  # how long a scheduler, or all workers, may be gone
+CLOSE_TIMEOUT_S: Final = 5.0
+CONNECT_S: Final = 10.0
+RETRY_S: Final = 0.5
+_PENDING, _FINISHED, _ERROR = "pending", "finished", "error"  # how Dask calls the states of a future
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,3 +114,118 @@ class LocalPool:
     def _started(self) -> ProcessPoolExecutor:
         context = get_context("spawn")  # threads and compiled code do not survive a fork
         return ProcessPoolExecutor(self._jobs, context, leave_to_parent, (self._is_shown,))
+
+
+class ClusterPool:
+    """The workers of a scheduler.
+
+    Raises
+    ------
+    StoreError
+        If there is no scheduler, or none that has workers, for ``patience_s``.
+    ConfigError
+        If it is not to be trusted.
+    """
+
+    def __init__(self, job: Job, address: ClusterAddress, *, patience_s: float = PATIENCE_S) -> None:
+        self._job = job
+        self._address = address
+        self._patience_s = patience_s
+        self._distributed = load_distributed()
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what a run needs to know of it is told by us
+        self._running: dict[Any, LakeLog] = {}
+        self._names = (f"log-{uuid.uuid4().hex}-{number}" for number in itertools.count())
+        self._seen_s = time.monotonic()
+        self._worker_count = 0
+        self._count_due_s = self._seen_s
+        self._client = self._connected()
+
+    @property
+    def width(self) -> int:
+        """How many logs are worked at beside each other: one per process."""
+        self._look_for_workers()
+        return max(1, self._worker_count)
+
+    def close(self) -> None:
+        """Leave the cluster; what nobody waits for any more it forgets."""
+        with suppress(OSError, TimeoutError):  # from a scheduler that is gone there is nothing to take leave of
+            self._client.close(timeout=CLOSE_TIMEOUT_S)
+
+    def submit(self, log: LakeLog, attempts: int) -> None:
+        """Hand out a log."""
+        future = self._client.submit(make_in_worker, self._job, log, attempts, key=next(self._names), pure=False)
+        self._running[future] = log
+
+    def finished(self, timeout_s: float) -> Sequence[Outcome]:
+        """Return what was finished since the last time, after at most this time [s]; all is lost with a scheduler."""
+        deadline_s = time.monotonic() + timeout_s
+        while True:
+            if self._client.status != "running":
+                return self._begun_anew()
+            if done := [future for future in self._running if future.status != _PENDING]:
+                return [self._outcome(future) for future in done]
+            if time.monotonic() >= deadline_s:
+                self._look_for_workers()
+                return []
+            time.sleep(POLL_S)
+
+    def withdraw(self) -> Sequence[LakeLog]:
+        """Take everything back: what is being worked at makes parts that are made again later, under the same names."""
+        with suppress(OSError, TimeoutError):
+            self._client.cancel(list(self._running), force=True)
+        logs = list(self._running.values())
+        self._running.clear()
+        return logs
+
+    def _outcome(self, future: Any) -> Outcome:  # noqa: ANN401 - an untyped library
+        log = self._running.pop(future)
+        distributed = self._distributed
+        if future.status == _FINISHED:
+            try:
+                return Outcome(log=log, row=future.result(timeout=ANSWER_TIMEOUT_S))
+            except (OSError, TimeoutError, distributed.client.FutureCancelledError):
+                return Outcome(log=log)  # it was at a worker or a scheduler that is gone
+        if future.status != _ERROR:
+            return Outcome(log=log)
+        error = future.exception(timeout=ANSWER_TIMEOUT_S)
+        if isinstance(error, distributed.KilledWorker):
+            return Outcome(log=log, is_blamed=True)
+        if isinstance(error, StoreError):
+            return Outcome(log=log, error=error)
+        if isinstance(error, ConfigError):
+            raise error
+        raise ConfigError(f"a worker cannot do this work: {type(error).__name__}: {error}")
+
+    def _begun_anew(self) -> Sequence[Outcome]:
+        """Return everything that was handed out as lost, once there is a scheduler again."""
+        _LOG.warning("the scheduler is gone; waiting for it")
+        lost = [Outcome(log=log) for log in self._running.values()]
+        self._running.clear()
+        self.close()
+        self._client = self._connected()
+        return lost
+
+    def _connected(self) -> Any:  # noqa: ANN401 - an untyped library
+        deadline_s = time.monotonic() + self._patience_s
+        while True:
+            try:
+                self._address.check()
+                return self._distributed.Client(
+                    self._address.url, security=security(self._address.tls), set_as_default=False, timeout=CONNECT_S
+                )
+            except (OSError, StoreError) as exc:
+                if time.monotonic() >= deadline_s:
+                    raise StoreError(f"{exc}; run the same command again to continue") from exc
+                time.sleep(RETRY_S)
+
+    def _look_for_workers(self) -> None:
+        """Count the workers, not too often; raises StoreError if there has been none for long."""
+        if self._worker_count and time.monotonic() < self._count_due_s:
+            return
+        self._count_due_s = time.monotonic() + COUNT_EVERY_S
+        with suppress(OSError, TimeoutError):  # the state of the client tells of a scheduler that is gone
+            self._worker_count = len(self._client.nthreads())
+        if self._worker_count:
+            self._seen_s = time.monotonic()
+        elif time.monotonic() - self._seen_s > self._patience_s:
+            raise StoreError(f"{self._address.url} has no worker; run the same command again when it has one")

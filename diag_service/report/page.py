@@ -1,30 +1,53 @@
 """A report as one HTML file: written whole or not at all, it loads nothing and runs nothing."""
 
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from canlog.whole_file import replacing
+from clutch_model.units import NS_PER_S
 from clutchdiag_io.legible import legible, legible_record
-from clutchdiag_io.pages.content import Advice, Section, Table
+from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Key, Section, Table, number, spread
 from clutchdiag_io.pages.environment import templates_of
+from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
+from diag_service.diagnosis.records import ClutchVerdict, QualityPart, ShiftResult, Status
 from diag_service.diagnosis.results import SHIFT_SCHEMA, clutch_record, order_record, shift_record, utc_from_bus_ns
 from diag_service.diagnosis.summary import capability_line, frames_line, gaps_line, summary_record, values_line
 from diag_service.errors import StoreError
 from diag_service.report.findings import Findings
-from diag_service.report.sections import (
-    events_section,
-    friction_section,
-    quality_section,
-    shifts_section,
-    trend_section,
+from diag_service.report.pictures import (
+    BAND_STD,
+    BAND_WORDS,
+    MOST_MOMENTS,
+    MOST_POINTS,
+    PANELS,
+    THRESHOLD_KEYS,
+    Panel,
+    Trend,
+    curve_figure,
+    present_curves,
+    shift_picture,
+    trend_picture,
 )
+from diag_service.service.onlookers import Example
+from diag_service.store import Row
 from fleet_contract import CLUTCHES, JsonObject
 from fleet_contract.orders import SHOWN_AS, Order
 
 REPORT_SCHEMA: Final = "clutchdiag/report/v1"
 _PACKAGE: Final = "diag_service.report"
+WHAT_CURVES_SAY: Final = (
+    "New fluid: friction rises with slip speed. Old fluid: it is lower at high slip and higher at low slip. Where the "
+    "curve falls to the right, the clutch can shudder."
+)
+MOST_ROWS: Final = 100  # of the table of events
+TREND_ROWS: Final = 12
+SAMPLE_ROWS: Final = 9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,3 +156,217 @@ def _versions_section(found: Findings, made_at: str) -> Section:
     )
     table = Table(caption="Versions", head=("what", "version"), rows=rows)
     return Section(name="versions", title="Versions", tables=(table,))
+
+
+def friction_section(found: Findings) -> Section:
+    """Return friction over slip of each clutch, or why there is none."""
+    texts = [WHAT_CURVES_SAY]
+    if found.calibration is None:
+        texts.append(
+            f"Curves are not drawn: the results were made with calibration {found.versions.calibration}, which is not "
+            "the one at hand; name it by --calibration."
+        )
+    calibration, figures = found.calibration, []
+    for result in found.latest:
+        clutch, verdict = result.estimate.clutch, result.verdict
+        if calibration is not None and verdict.friction is not None:
+            figures.append(curve_figure(clutch, verdict.friction, calibration.clutches[clutch - 1].friction))
+    tables = [_numbers_table(result.verdict) for result in found.latest]
+    return Section(name="friction", title="Friction", texts=tuple(texts), tables=tuple(tables), figures=tuple(figures))
+
+
+def trend_section(found: Findings) -> Section:
+    """Return how the friction of each clutch went."""
+    figures, texts = [], list[str]()
+    for clutch in CLUTCHES:
+        results = [result for result in found.results if result.estimate.clutch == clutch]
+        trend = Trend.of(clutch, results, [fill.filled_at for fill in found.fills])
+        if not np.isfinite(trend.mu_c).any():
+            continue
+        figures.append(_trend_figure(trend, results))
+        if len(results) > MOST_POINTS:
+            texts.append(
+                f"Clutch {clutch}: {len(results)} events; of each stretch of about "
+                f"{2 * len(results) / MOST_POINTS:.0f} the lowest and the highest are drawn."
+            )
+        if len(trend.moments) > MOST_MOMENTS:
+            texts.append(
+                f"Clutch {clutch}: the last {MOST_MOMENTS} of {len(trend.moments)} changes of verdict, fluid and "
+                "baseline are marked."
+            )
+    if not figures:
+        texts.append("No clutch has a running estimate, so there is no trend.")
+    return Section(name="trend", title="Trend", texts=tuple(texts), figures=tuple(figures))
+
+
+def shifts_section(found: Findings) -> Section:
+    """Return the pictures of single shifts, one that was used and one that was not."""
+    texts = list[str]()
+    if found.summary is None:
+        texts.append("A store keeps no signals; the report of a log shows single shifts as pictures.")
+    kept = {example.result.estimate.status for example in found.examples}
+    if found.summary is not None and Status.VALID not in kept:
+        texts.append("No shift could be used.")
+    if found.summary is not None and Status.REJECTED not in kept:
+        texts.append("No shift was rejected.")
+    figures = [figure for example in found.examples for figure in shift_figures(example)]
+    return Section(name="shifts", title="Single shifts", texts=tuple(texts), figures=tuple(figures))
+
+
+def events_section(found: Findings) -> Section:
+    """Return the table of events; of many the newest."""
+    rows = found.rows[-MOST_ROWS:]
+    texts = [f"The newest {len(rows)} of {len(found.rows)} events."] if len(rows) < len(found.rows) else []
+    head = ("event", "start (UTC)", "kind", "gears", "clutch", "data", "mu_C", "std", "verdict after it", "reasons")
+    table = Table(caption="Events", head=head, rows=tuple(map(_event_cells, rows)))
+    return Section(name="events", title="Events", texts=tuple(texts), tables=(table,))
+
+
+def quality_section(found: Findings) -> Section:
+    """Return how far the data could be believed."""
+    counts = Counter(result.estimate.status for result in found.results)
+    reasons = Counter(reason for result in found.results for reason in result.estimate.reasons)
+    total = len(found.results)
+    by_status = {status.value: counts[status] for status in Status}
+    tables = [_share_table("Quality of the data of the events", by_status, total)]
+    if reasons:
+        named = {reason.value.replace("_", " "): count for reason, count in reasons.most_common()}
+        tables.append(_share_table("Why events were not used", named, total))
+    parts = _quality_rows(found.results)
+    if parts:
+        head = ("part", "mean", "lowest", "events")
+        tables.append(Table(caption="Quality of the data, from 0 to 1", head=head, rows=tuple(parts)))
+    return Section(name="quality", title="Data quality", tables=tuple(tables))
+
+
+def _numbers_table(verdict: ClutchVerdict) -> Table:
+    count = verdict.shift_count
+    return Table(
+        caption=f"Clutch {verdict.clutch}: running estimate from {count} {'shift' if count == 1 else 'shifts'}",
+        head=("quantity", "value", "standard deviation"),
+        rows=tuple(_number_rows(verdict)),
+    )
+
+
+def _number_rows(verdict: ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
+    friction = verdict.friction
+    if friction is None:
+        yield "friction", NONE, NONE
+        return
+    yield "mu_C, at high slip", number(friction.mu_c), number(friction.std_mu_c)
+    yield "mu_S, at no slip", number(friction.mu_s), number(friction.std_mu_s)
+    if verdict.level_ratio is not None:
+        std_ratio = friction.std_mu_c / friction.mu_c * verdict.level_ratio
+        yield "mu_C over new", number(verdict.level_ratio, "{:.1%}"), number(std_ratio, "{:.1%}")
+    yield "slope [s/rad]", number(friction.slope_s_rad, "{:.5f}"), number(friction.std_slope_s_rad, "{:.5f}")
+    yield "probability of a falling slope", number(friction.probability_negative_slope, "{:.3f}"), NONE
+    for name, since in (("baseline", verdict.trend), ("first fluid", verdict.lining)):
+        if since is not None:
+            yield (
+                f"change of mu_C since the {name}",
+                number(since.change_mu_c_ratio, "{:+.1%}"),
+                number(since.std_change_mu_c_ratio, "{:.1%}"),
+            )
+
+
+def _trend_figure(trend: Trend, results: list[ShiftResult]) -> Figure:
+    rows = tuple(_trend_cells(place, results[place]) for place in spread(trend.mu_c, TREND_ROWS))
+    clutch = trend.clutch
+    return Figure(
+        picture=trend_picture(trend),
+        caption=f"Clutch {clutch}: trend of mu_C",
+        keys=(
+            Key(style=f"dots clutch{clutch}", text="single events"),
+            Key(style=f"clutch{clutch}", text="estimate from all events so far"),
+            Key(style=f"band clutch{clutch}", text=BAND_WORDS),
+            *THRESHOLD_KEYS,
+        ),
+        table=Table(
+            caption=f"Clutch {clutch}: {len(rows)} of {len(results)} events, evenly spread",
+            head=("event", "end (UTC)", "km", "mu_C", BAND_WORDS, "verdict"),
+            rows=rows,
+        ),
+    )
+
+
+def _trend_cells(place: int, result: ShiftResult) -> tuple[Cell, ...]:
+    friction, odometer_m = result.verdict.friction, result.estimate.odometer_m
+    return (
+        str(place + 1),
+        _minute(result.estimate.end_ns),
+        number(None if odometer_m is None else odometer_m / 1000.0, "{:.0f}"),
+        number(None if friction is None else friction.mu_c),
+        number(None if friction is None else BAND_STD * friction.std_mu_c),
+        condition_words(result.verdict.condition),
+    )
+
+
+def shift_figures(example: Example) -> Iterator[Figure]:
+    """Yield the pictures of one shift."""
+    estimate = example.result.estimate
+    reasons = reason_words(estimate)
+    what = f"{estimate.status.value}{f' ({reasons})' if reasons else ''}"
+    name = f"Event {estimate.number}, {kind_words(estimate)} {gear_words(estimate)}, {what}"
+    for panel in PANELS:
+        curves = present_curves(panel, example.event)
+        if curves:
+            yield Figure(
+                picture=shift_picture(panel, example.event),
+                caption=f"{name}: {panel.title.lower()}",
+                keys=tuple(Key(style=one.style, text=one.label) for one in curves),
+                table=_samples_table(panel, example, name),
+            )
+
+
+def _samples_table(panel: Panel, example: Example, name: str) -> Table:
+    event = example.event
+    curves = present_curves(panel, event)
+    t_s = np.linspace(0.0, max(event.end_ns - event.start_ns, 1) / NS_PER_S, SAMPLE_ROWS)
+    columns = []
+    for one in curves:
+        series = event.columns[one.signal]
+        since_s = (series.t_ns - event.start_ns) / NS_PER_S
+        columns.append(np.interp(t_s, since_s, series.value * panel.factor))
+    rows = tuple(
+        (number(moment, "{:.2f}"), *(number(column[row], "{:.1f}") for column in columns))
+        for row, moment in enumerate(t_s.tolist())
+    )
+    head = ("time [s]", *(one.label for one in curves))
+    return Table(caption=f"{name}: {panel.title.lower()} [{panel.unit}]", head=head, rows=rows)
+
+
+def _event_cells(row: Row) -> tuple[Cell, ...]:
+    result = row.result
+    estimate, friction = result.estimate, result.estimate.friction
+    return (
+        str(row.position),
+        _minute(estimate.start_ns),
+        kind_words(estimate),
+        gear_words(estimate),
+        str(estimate.clutch),
+        estimate.status.value,
+        number(None if friction is None else friction.mu_c),
+        number(None if friction is None else friction.std_mu_c),
+        condition_words(result.verdict.condition),
+        reason_words(estimate) or NONE,
+    )
+
+
+def _share_table(caption: str, counts: dict[str, int], total: int) -> Table:
+    rows = tuple((name, str(count), f"{100.0 * count / max(total, 1):.0f} %") for name, count in counts.items())
+    return Table(caption=caption, head=("", "events", "share"), rows=rows)
+
+
+def _quality_rows(results: tuple[ShiftResult, ...]) -> Iterator[tuple[Cell, ...]]:
+    known = [result.estimate.data_quality for result in results if result.estimate.data_quality is not None]
+    if not known:
+        return
+    values = {"all": [one.score for one in known]}
+    values |= {part.value: [one.parts[part] for one in known if part in one.parts] for part in QualityPart}
+    for name, scores in values.items():
+        if scores:
+            yield name, number(float(np.mean(scores)), "{:.2f}"), number(min(scores), "{:.2f}"), str(len(scores))
+
+
+def _minute(t_ns: int) -> str:
+    return utc_from_bus_ns(t_ns)[:16].replace("T", " ")

@@ -1,12 +1,16 @@
 """Wiring that buses and logs share: a checked configuration becomes a store, a reporter and an outbox."""
 
+import asyncio
 import logging
 import sys
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Coroutine, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractAsyncContextManager, closing, contextmanager
+from contextvars import copy_context
 from importlib.metadata import version
 from pathlib import Path
+from typing import TypeVar
 
 from rich.console import Console
 
@@ -133,3 +137,22 @@ def _metrics_of(store: ResultStore, session: Session) -> MetricsMessage:
 
 def _connect_now(connector: MqttConnector) -> Callable[[], AbstractAsyncContextManager[Link]]:
     return lambda: connector.connect(utc_now())
+
+
+ResultT = TypeVar("ResultT")
+
+
+def first_error(group: BaseExceptionGroup[BaseException]) -> BaseException:
+    """Return the error that ended a task group; what it caused in other tasks came after it."""
+    first = group.exceptions[0]
+    return first_error(first) if isinstance(first, BaseExceptionGroup) else first
+
+
+def run_to_end(work: Coroutine[None, None, ResultT]) -> ResultT:
+    """Run a coroutine in a loop of its own; where the caller has one that runs, as in a notebook, in another thread."""
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return asyncio.run(work)
+    with ThreadPoolExecutor(1, "own loop") as thread:
+        return thread.submit(copy_context().run, asyncio.run, work).result()

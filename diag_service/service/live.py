@@ -12,10 +12,10 @@ from diag_service.delivery import Outbox
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import FrameCounts, Summary, frames_line, shifts_line
 from diag_service.errors import StoreError
+from diag_service.service.application import first_error
 from diag_service.service.session import SenderWatch, Session
 from diag_service.service.snapshot import frame_counts
 from diag_service.service.stopping import Trigger
-from diag_service.service.tasks import first_error
 
 COUNTS_PERIOD_S = 60.0
 SHOW_PERIOD_S = 0.5

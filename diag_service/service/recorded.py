@@ -15,12 +15,11 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import FrameCounts, Gap, Summary
 from diag_service.errors import StoppedError
 from diag_service.mapping.interpretation import Interpretation
-from diag_service.service.application import opened_store, outbox_of
+from diag_service.service.application import first_error, opened_store, outbox_of, run_to_end
 from diag_service.service.drive import DriveFrames, OpenLog, gaps_in, open_drive, stream_of_drive, warn_of_faults
 from diag_service.service.session import SenderWatch, Session
 from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger
-from diag_service.service.tasks import first_error, run_to_end
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import NoStore
 

@@ -7,7 +7,7 @@ import pytest
 
 from canlog.notice import NOTICE
 from diag_service.console.notices import set_up_notices
-from diag_service.service.tasks import first_error
+from diag_service.service.application import first_error
 
 
 @pytest.fixture(autouse=True)
