@@ -29,10 +29,10 @@ from ecu_emulator.shift_control.touch_points import (
 )
 
 ESTIMATE_S: Final = 10.0  # how long the estimate of the last shift is waited for
-SAME_END_NS: Final = (
-    500_000_000  # the end of a shift on the bus and in the estimate; the shift before ended 1.8 s sooner
-)
+# The end of a shift on the bus and in the estimate; the shift before ended 1.8 s sooner.
+SAME_END_NS: Final = 500_000_000
 FIRST_GEAR: Final = 1.0
+MOST_MOMENTS: Final = 4096  # that are heard and not looked at yet
 
 
 class Performer(Protocol):
@@ -129,9 +129,6 @@ def has_judged(opinions: Opinions, driven: Driven) -> bool:
     """Return whether opinions take the last shift into account."""
     latest_ns = max((opinion.end_ns for opinion in opinions.values()), default=0)
     return latest_ns >= driven.last_shift_ns - SAME_END_NS
-
-
-MOST_MOMENTS: Final = 4096  # that are heard and not looked at yet
 
 
 class AdaptedCar(Protocol):

@@ -41,6 +41,9 @@ from ecu_emulator.truth.records import ROTATED_BYTES, DriveTruth, Happened, Tota
 
 AnyPath = str | os.PathLike[str]
 AnyFault = SensorFault | BusFault | Mapping[str, object]
+MOST_KEPT: Final = 100_000  # of an endless drive the last ones, half a kilobyte each
+VIRTUAL: Final = "virtual"
+POLL_S: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,9 +115,6 @@ def check_word(name: str, word: str | None, words: list[str]) -> None:
         raise ConfigError(f"{name} must be {', '.join(words[:-1])} or {words[-1]}, got {word!r}")
 
 
-MOST_KEPT: Final = 100_000  # of an endless drive the last ones, half a kilobyte each
-
-
 class TruthMemory:
     """Keeps what is true of a drive; one thread may write while others read."""
 
@@ -163,10 +163,6 @@ class SharedTruth:
         """Tell all what the drive amounted to."""
         for sink in self._sinks:
             sink.totals(totals)
-
-
-VIRTUAL: Final = "virtual"
-POLL_S: Final = 0.01
 
 
 class Emulator:

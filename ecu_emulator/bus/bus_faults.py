@@ -15,6 +15,9 @@ from ecu_emulator.scenario.faults import BusFault, BusFaultKind
 from ecu_emulator.scenario.signals import generator
 from ecu_emulator.sensing.fault_onsets import MS_PER_S, Onsets
 
+LATE_CYCLES: Final = 1.5  # behind the successor, before the one after it
+SPOOF_CYCLES: Final = 0.5  # the second sender keeps clear of the first
+
 
 class FrameLoss:
     """Loses a share of the frames; which ones depends on the seed only, not on how the stream was cut."""
@@ -31,10 +34,6 @@ class FrameLoss:
         return EncodedFrames(
             t_s=frames.t_s[kept], can_id=frames.can_id[kept], length=frames.length[kept], data=frames.data[kept]
         )
-
-
-LATE_CYCLES: Final = 1.5  # behind the successor, before the one after it
-SPOOF_CYCLES: Final = 0.5  # the second sender keeps clear of the first
 
 
 class _Injector:

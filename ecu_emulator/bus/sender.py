@@ -27,6 +27,17 @@ from ecu_emulator.errors import BusError
 BIN_S: Final = 10e-6
 BINS: Final = 50_000  # up to half a second; what is later counts in the last bin
 PPM: Final = 1e6
+CHUNKS_AHEAD: Final = 8
+LEAD_IN_S: Final = 0.05  # from the first chunk to the first deadline
+LONGEST_SLEEP_S: Final = 0.05  # how soon a request to stop is noticed
+OVERRUN_S: Final = 0.005  # half of the shortest cycle
+RETRY_FOR_S: Final = 0.005
+RETRY_PAUSE_S: Final = 0.0005
+JOIN_S: Final = 5.0
+PROGRESS_PERIOD_S: Final = 0.2
+EXTENDED_FLAG: Final = 0x8000_0000
+ERROR_FLAG: Final = 0x2000_0000
+BUS_GONE: Final = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ENETUNREACH})
 
 
 class Punctuality:
@@ -81,19 +92,6 @@ class Punctuality:
         if spread <= 0.0:
             return 0.0
         return (self._count * self._sum_t_late - self._sum_t * self._sum_late) / spread * PPM
-
-
-CHUNKS_AHEAD: Final = 8
-LEAD_IN_S: Final = 0.05  # from the first chunk to the first deadline
-LONGEST_SLEEP_S: Final = 0.05  # how soon a request to stop is noticed
-OVERRUN_S: Final = 0.005  # half of the shortest cycle
-RETRY_FOR_S: Final = 0.005
-RETRY_PAUSE_S: Final = 0.0005
-JOIN_S: Final = 5.0
-PROGRESS_PERIOD_S: Final = 0.2
-EXTENDED_FLAG: Final = 0x8000_0000
-ERROR_FLAG: Final = 0x2000_0000
-BUS_GONE: Final = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ENETUNREACH})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

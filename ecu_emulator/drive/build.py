@@ -12,6 +12,11 @@ from ecu_emulator.plant.parameters import PlantParameters, nominal_plant_table
 from ecu_emulator.scenario.scenario import Effects, FluidCondition, Overrides, Scatter, Scenario
 from ecu_emulator.scenario.signals import Sensors, generator, split_unit
 
+_FRESH: Final = (1.0, 1.0)
+_CLUTCH_NAMES: Final = ("clutch1", "clutch2")
+_PER_CLUTCH: Final = frozenset({"piston_area_ratio", "touch_pressure_pa", "pressure_zero_pa"})
+_DELAYED_UNITS: Final = frozenset({"rad_s"})  # the speeds that torque and pressure are compared with
+
 
 def affected_calibration(calibration: Calibration, effects: Effects) -> Calibration:
     """Return the calibration as the effects make it, equal to the given one without any."""
@@ -60,7 +65,6 @@ def _affected_clutch(clutch: ClutchCalibration, effects: Effects) -> ClutchCalib
     )
 
 
-_FRESH: Final = (1.0, 1.0)
 FLUID_FACTORS: Final[Mapping[FluidCondition, tuple[float, float]]] = {
     FluidCondition.IDEAL: _FRESH,
     FluidCondition.CASE_1: (0.95, 1.05),
@@ -68,10 +72,6 @@ FLUID_FACTORS: Final[Mapping[FluidCondition, tuple[float, float]]] = {
     FluidCondition.AGEING: _FRESH,  # at the start
 }
 """Factors on (mu_C, mu_S) of both clutches; docs/model.md, table of parameters."""
-
-_CLUTCH_NAMES: Final = ("clutch1", "clutch2")
-_PER_CLUTCH: Final = frozenset({"piston_area_ratio", "touch_pressure_pa", "pressure_zero_pa"})
-_DELAYED_UNITS: Final = frozenset({"rad_s"})  # the speeds that torque and pressure are compared with
 
 
 def ageing_factors(cycles: int) -> tuple[tuple[float, float], ...]:

@@ -17,6 +17,7 @@ from ecu_emulator.sensing.sensors import Installation, Schedule
 from ecu_emulator.truth.records import DriveTruth, TripTruth
 
 ROAD_MESSAGES: Final = frozenset({"ECM_State", "TCU_Drive"})
+WHOLE_STAY_S: Final = math.inf
 
 
 def schedules(scenario: Scenario, contracts: Mapping[str, MessageContract], encoder: FrameEncoder) -> list[Schedule]:
@@ -85,9 +86,6 @@ def drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
         drawn=vehicle.drawn,
         effects=scenario.effects.switched_on(),
     )
-
-
-WHOLE_STAY_S: Final = math.inf
 
 
 def scenario_trips(scenario: Scenario) -> Iterator[PlannedTrip]:

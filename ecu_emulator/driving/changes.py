@@ -13,6 +13,9 @@ _LATEST_SHARE = 0.7  # of the torque phase: later no change of mind
 _SHOWN_S = 0.05  # a target that was chosen stands so long: others have seen it
 SYNC_BAND_RAD_S = 2.0
 NOBODY = -1  # no clutch gives its torque away
+_RAISE_MARGIN_NM = 15.0
+_RELEASED_RATIO = 0.6  # of the touch pressure
+_SETTLE_RATE_RAD_S2 = 25.0
 
 
 @array_kernel
@@ -163,11 +166,6 @@ def coast_skip(memory: FloatArray, sense: FloatArray, commands: FloatArray, law:
             tcu.enter_phase(memory, tcu_data.INERTIA)
         return
     catch(memory, sense, commands, law)
-
-
-_RAISE_MARGIN_NM = 15.0
-_RELEASED_RATIO = 0.6  # of the touch pressure
-_SETTLE_RATE_RAD_S2 = 25.0
 
 
 @array_kernel

@@ -25,6 +25,7 @@ DAY_GRADE_RATIO: Range = (0.0, 0.04)
 # Assumed: half of what oil and coolant are warmer than the air is gone after two hours, the sealed engine bay included.
 OIL_PARKED_TIME_CONSTANT_S: Final = 9_000.0
 COOLANT_PARKED_TIME_CONSTANT_S: Final = 10_000.0
+MS_PER_S: Final = 1000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,9 +90,6 @@ def _day(seed: int, number: int) -> Iterator[PlannedTrip]:
             kind.traffic, rng.uniform(*kind.duration_s), rng, grade_ratio=rng.uniform(*DAY_GRADE_RATIO)
         )
         yield PlannedTrip(trace=trace, parked_s=parked_s)
-
-
-MS_PER_S: Final = 1000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -32,6 +32,11 @@ _HILL_MARGIN = 1.3
 _HILL_PULL = 1.8  # of the weight: so much must the clutch be asked to carry, which it will do a moment later
 _TARGET_SHOWN_S = 0.06  # a change with open clutches shows its target at least so long before it is done
 _ENGINE_READY_RAD_S = 20.0  # below idle: the engine may be loaded
+_LOCK_AHEAD_RAD_S = 15.0  # an engine that closes onto a faster shaft aims above it
+_LOCK_BEHIND_RAD_S = 5.0
+_TAKEN_OVER_S = 0.3  # within which the end of the slip is led instead of the launch: no jerk
+_SWINGS_S = 0.2  # over which swings of the driveline are averaged
+_RATE_LAG_S = 0.05
 
 
 @array_kernel
@@ -192,13 +197,6 @@ def coast_open(memory: FloatArray, sense: FloatArray, commands: FloatArray, law:
         begin_creep_or_launch(memory, sense, law)
     elif not is_braking and shaft_rad_s > idle + 2.0 * law.driving.choice.open_above_idle_rad_s:
         begin_launch(memory, sense, EventKind.CLOSING.value, law)
-
-
-_LOCK_AHEAD_RAD_S = 15.0  # an engine that closes onto a faster shaft aims above it
-_LOCK_BEHIND_RAD_S = 5.0
-_TAKEN_OVER_S = 0.3  # within which the end of the slip is led instead of the launch: no jerk
-_SWINGS_S = 0.2  # over which swings of the driveline are averaged
-_RATE_LAG_S = 0.05
 
 
 @array_kernel

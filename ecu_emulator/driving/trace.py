@@ -12,6 +12,8 @@ from ecu_emulator.errors import ConfigError
 
 FASTEST_M_S = 70.0
 STEEPEST_RATIO = 0.25
+PUBLIC_TRACES: Final = ("wltc", "udds", "hwfet", "us06")
+_HEADER_LINES: Final = 2  # the source, and the names of the columns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,10 +54,6 @@ class SpeedTrace:
     def distance_m(self) -> float:
         """Way it leads [m]."""
         return float(np.trapezoid(self.speed_m_s, self.t_s))
-
-
-PUBLIC_TRACES: Final = ("wltc", "udds", "hwfet", "us06")
-_HEADER_LINES: Final = 2  # the source, and the names of the columns
 
 
 def public_trace(name: str) -> SpeedTrace:

@@ -39,6 +39,13 @@ _RANGES = {
     "dt_s": (1.0e-6, _MAX_STEP_S),
     "whim_ratio": (0.0, 1.0),
 }
+BLOCK_S = 10.0
+_IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure
+_WHIM_COUNT = 1021  # prime: no pattern of events meets the same whims again and again
+_LONGEST_WHIM_DELAY_S = 0.7
+_LONGEST_IN_GEAR_DELAY_S = 5.0
+_WHIM_LENGTH_S = (0.25, 0.6)
+_DEEPER_PEDAL = (0.15, 0.6)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,15 +87,6 @@ class Car:
     parameters: PlantParameters = field(default_factory=nominal_parameters)
     driving: DrivingParameters = field(default_factory=nominal_driving)
     touch_pressures_pa: tuple[float, float] | None = None  # that the control believes in; None: the true ones
-
-
-BLOCK_S = 10.0
-_IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure
-_WHIM_COUNT = 1021  # prime: no pattern of events meets the same whims again and again
-_LONGEST_WHIM_DELAY_S = 0.7
-_LONGEST_IN_GEAR_DELAY_S = 5.0
-_WHIM_LENGTH_S = (0.25, 0.6)
-_DEEPER_PEDAL = (0.15, 0.6)
 
 
 class Trip(Course):

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from ecu_emulator.answering.answering_tester import Answering
     from ecu_emulator.answering.on_board import OpinionSource
 
+PRIVATE_INTERFACE: Final = "virtual"  # of python-can, within one process
+MS_PER_S: Final = 1e3
+
 
 class SignOfLife:
     """Touches a file whenever it is told of more frames than before; until then the file is from 1970.
@@ -53,10 +56,6 @@ class SignOfLife:
         if frame_count > self._frame_count:
             self._frame_count = frame_count
             give_sign(self._path)
-
-
-PRIVATE_INTERFACE: Final = "virtual"  # of python-can, within one process
-MS_PER_S: Final = 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,6 +10,11 @@ from clutch_model.friction import FrictionLaw, contact_torque_nm, kinetic_fricti
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.hydraulics import CavityLaw, HydraulicsParameters, cavity_pressure_pa, orifice_flow_m3_s
 
+_EMPTY_M3 = 1.0e-13  # a cavity below this is empty: keeps denormal numbers out of the loop
+_NO_PRESSURE_PA = 1.0e-3
+_OPEN_TOLERANCE_M = 1.0e-12
+_JUST_BELOW = 1.0 - 1.0e-12
+
 
 class LiningParameters(NamedTuple):
     """Numbers of both clutches' linings, as the kernels take them; the shipped ones have no effect."""
@@ -28,12 +33,6 @@ def friction_ratio(clutch_k: float, p: LiningParameters) -> float:
 def grooved(law: FilmLaw, p: LiningParameters) -> FilmLaw:
     """Return the film law of a lining whose grooves shorten the way of the oil; docs/model.md eq. (X2)."""
     return law._replace(squeeze_factor_m2=law.squeeze_factor_m2 / p.film_mobility_ratio)
-
-
-_EMPTY_M3 = 1.0e-13  # a cavity below this is empty: keeps denormal numbers out of the loop
-_NO_PRESSURE_PA = 1.0e-3
-_OPEN_TOLERANCE_M = 1.0e-12
-_JUST_BELOW = 1.0 - 1.0e-12
 
 
 class OpenDragLaw(NamedTuple):

@@ -18,6 +18,9 @@ from ecu_emulator.plant.loop import Machine
 from ecu_emulator.plant.rates import PlantLaw
 
 LawT = TypeVar("LawT", bound=tuple[object, ...])
+# Classic Runge-Kutta is stable to 2.79 on the real and to 2.83 on the imaginary axis.
+_STABILITY_LIMIT = 2.5
+ROWS_PER_S = 1000
 
 
 def as_record(law: LawT) -> LawT:
@@ -55,10 +58,6 @@ def _plain(value: object) -> object:
     return value
 
 
-# Classic Runge-Kutta is stable to 2.79 on the real and to 2.83 on the imaginary axis.
-_LIMIT = 2.5
-
-
 def check_step(dt_s: float, law: PlantLaw, overall_ratios: Sequence[float], *, starts_in_neutral: bool = False) -> None:
     """Check that ``dt_s`` resolves every eigenvalue of the linearised plant.
 
@@ -71,7 +70,7 @@ def check_step(dt_s: float, law: PlantLaw, overall_ratios: Sequence[float], *, s
     if starts_in_neutral:
         rates["synchroniser of gear 2 from neutral"] = _synchroniser_rate(law, overall_ratios, 2, 0)
     name = max(rates, key=lambda key: rates[key])
-    longest_s = _LIMIT / rates[name]
+    longest_s = _STABILITY_LIMIT / rates[name]
     require(dt_s <= longest_s, f"dt_s must be <= {longest_s:.2e} s for this plant ({name}), got {dt_s:g}")
 
 
@@ -115,9 +114,6 @@ def _synchroniser_rate(law: PlantLaw, overall_ratios: Sequence[float], gear: int
     load_kg_m2 = law.output.inertia_kg_m2 + overall_ratios[current] ** 2 * turned
     mobility = 1.0 / turning + overall_ratios[gear] ** 2 / load_kg_m2
     return law.synchroniser.torque_nm / law.synchroniser.full_torque_slip_rad_s * mobility
-
-
-ROWS_PER_S = 1000
 
 
 def blank_machine(

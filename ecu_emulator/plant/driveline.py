@@ -8,6 +8,12 @@ from canlog.jit import kernel
 GRAVITY_M_S2 = 9.81
 _ROLLING_SPEED_M_S = 0.1  # over which rolling resistance changes sign
 _SATURATED = 20.0  # tanh is 1 to the last bit beyond
+_LOSS_SPEED_RAD_S = 5.0  # over which the meshing loss changes sign
+
+# What connects the gearbox end of an input shaft to the differential.
+NEUTRAL = 0
+SYNCHRONISING = 1
+ENGAGED = 2
 
 
 class VehicleParameters(NamedTuple):
@@ -56,14 +62,6 @@ def road_load_n(vehicle_m_s: float, grade_ratio: float, p: VehicleParameters) ->
     rolling = p.rolling_resistance_ratio * tanh_exact(vehicle_m_s / _ROLLING_SPEED_M_S)
     drag_n = 0.5 * p.air_density_kg_m3 * p.drag_area_m2 * vehicle_m_s * abs(vehicle_m_s)
     return p.mass_kg * GRAVITY_M_S2 * (rolling + grade_ratio) + drag_n
-
-
-_LOSS_SPEED_RAD_S = 5.0  # over which the meshing loss changes sign
-
-# What connects the gearbox end of an input shaft to the differential.
-NEUTRAL = 0
-SYNCHRONISING = 1
-ENGAGED = 2
 
 
 class FlywheelParameters(NamedTuple):

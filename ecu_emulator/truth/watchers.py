@@ -17,6 +17,14 @@ _NEUTRAL: Final = 0
 _TEMPERATURE: Final = (Col.CLUTCH1_TEMPERATURE, Col.CLUTCH2_TEMPERATURE)
 _MU_C: Final = (Col.MU_C1, Col.MU_C2)
 _MU_S: Final = (Col.MU_S1, Col.MU_S2)
+PRESSED_NM: Final = 2.0  # contact torque from which a clutch counts as slipping under load
+BEGUN_SLIP_RAD_S: Final = 5.0  # beyond it slip has begun: a clutch may stick or hardly slip as its event starts
+STOPPED_SLIP_RAD_S: Final = 1.0  # below it the slip counts as ended; what comes after it is slip once more
+_ROW_S: Final = 1e-3
+_TORQUE: Final = (Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE)
+_DRAG: Final = (Col.VISCOUS1_TORQUE, Col.VISCOUS2_TORQUE)
+_SHAFT_SPEED: Final = (Col.INPUT1_SPEED, Col.INPUT2_SPEED)
+_STICK: Final = (Col.STICK1, Col.STICK2)
 
 
 class ShiftWatcher:
@@ -92,16 +100,6 @@ class RevWatcher:
     def finish(self) -> list[RevTruth]:
         """Return nothing: a rev that is not over is none."""
         return []
-
-
-PRESSED_NM: Final = 2.0  # contact torque from which a clutch counts as slipping under load
-BEGUN_SLIP_RAD_S: Final = 5.0  # beyond it slip has begun: a clutch may stick or hardly slip as its event starts
-STOPPED_SLIP_RAD_S: Final = 1.0  # below it the slip counts as ended; what comes after it is slip once more
-_ROW_S: Final = 1e-3
-_TORQUE: Final = (Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE)
-_DRAG: Final = (Col.VISCOUS1_TORQUE, Col.VISCOUS2_TORQUE)
-_SHAFT_SPEED: Final = (Col.INPUT1_SPEED, Col.INPUT2_SPEED)
-_STICK: Final = (Col.STICK1, Col.STICK2)
 
 
 @dataclass(slots=True)
