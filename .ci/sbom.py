@@ -71,7 +71,6 @@ def normal(name: str) -> str:
 
 
 def run_time_bill() -> dict[str, object]:
-    """Return the bill of what runs."""
     project = _project()
     own = project["dependencies"]
     parts = needed(own)
@@ -92,7 +91,6 @@ def run_time_bill() -> dict[str, object]:
 
 
 def locked_bill() -> dict[str, object]:
-    """Return the bill of the lock."""
     return {**_head(_project()), "components": locked((ROOT / "requirements.lock").read_text(encoding="utf-8"))}
 
 

@@ -54,7 +54,6 @@ class TableValues:
         return {can_id: one.name for can_id, one in self._of_id.items()}
 
     def add(self, batch: FrameBatch) -> None:
-        """Count the values of a batch."""
         values = np.ascontiguousarray(batch.data[:, :8]).view("<f8").ravel()
         order = np.argsort(batch.can_id, kind="stable")
         found, starts = np.unique(batch.can_id[order], return_index=True)

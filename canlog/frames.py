@@ -90,7 +90,6 @@ class FrameBatch:
 
 
 def empty_batch() -> FrameBatch:
-    """Return a batch without frames."""
     return FrameBatch(
         t_ns=np.empty(0, np.int64),
         can_id=np.empty(0, np.uint32),

@@ -31,7 +31,6 @@ def pa_from_bar(pressure_bar: Quantity) -> Quantity:
 
 
 def bar_from_pa(pressure_pa: Quantity) -> Quantity:
-    """Return a pressure in bar."""
     return pressure_pa / _PA_PER_BAR
 
 

@@ -17,7 +17,6 @@ _STYLES: Final = MappingProxyType({"change fluid": "bold red", "watch": "yellow"
 
 
 def write_json(records: Sequence[Record], out: TextIO) -> None:
-    """Write one line per record."""
     out.writelines(json.dumps(record, default=_as_text) + "\n" for record in records)
 
 

@@ -73,7 +73,6 @@ def read_event(address: Address, payload: bytes) -> Incoming:
 
 
 def shift_message(record: Mapping[str, object]) -> Outgoing:
-    """Return the message of a shift result."""
     return raw_shift_message(key_of(record), _time(record), dump(record))
 
 
@@ -85,7 +84,6 @@ def raw_shift_message(key: ResultKey, produced_at: str, text: str) -> Outgoing:
 
 
 def clutch_message(record: Mapping[str, object]) -> Outgoing:
-    """Return the message of the state of a clutch."""
     key, clutch = key_of(record), int(str(record["clutch"]))
     source = f"{key.vehicle}/{key.stream}/clutch/{clutch}"
     return _outgoing(
@@ -94,7 +92,6 @@ def clutch_message(record: Mapping[str, object]) -> Outgoing:
 
 
 def status_message(record: Mapping[str, object]) -> Outgoing:
-    """Return the message of the status of a service."""
     vehicle, time = str(record["vehicle"]), str(record["connected_at"])
     event_id = f"status/{time}/{record['status']}"
     return _outgoing(Channel.STATUS, vehicle, dump(record), source=vehicle, event_id=event_id, time=time)

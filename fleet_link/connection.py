@@ -184,7 +184,6 @@ class Connection:
         return is_long or (limit is not None and self._unsettled_count > limit)
 
     async def lost(self) -> None:
-        """Return when the connection is lost."""
         await self._is_lost.wait()
 
     async def close(self) -> None:

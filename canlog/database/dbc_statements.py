@@ -93,7 +93,6 @@ class Tokens:
         return word[1:-1].replace('\\"', '"') if self.kinds[index] == "s" else word
 
     def words(self, statement: Statement) -> list[str]:
-        """Return the tokens of a statement."""
         return [self.word(index) for index in statement.tokens]
 
     def span(self, statement: Statement) -> tuple[int, int]:
@@ -101,7 +100,6 @@ class Tokens:
         return self.starts[statement.tokens[0]], self.stops[statement.tokens[-1]]
 
     def line(self, position: int) -> int:
-        """Return the number of the line in which a position is."""
         return bisect_right(self._lines, position) + 1
 
     def item(self, statement: Statement) -> str:

@@ -151,7 +151,6 @@ class Codec:
         return chosen
 
     def match(self, batch: FrameBatch) -> FrameMatch:
-        """Return which message each frame of a batch is."""
         slot = np.empty(len(batch), np.int64)
         counts = np.zeros((len(self.tables) + 1, len(FrameFate)), np.int64)
         plain = batch.plain()

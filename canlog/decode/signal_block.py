@@ -93,7 +93,6 @@ class SignalBlock:
         self._has_checks = bool(self._rules.signal["is_checked"].any())
 
     def decode(self, words: PayloadWords) -> dict[str, Decoded]:
-        """Return all signals in every payload."""
         value = np.empty((len(self._rules.signal), len(words)))
         good = np.empty((len(value), len(words) if self._has_checks else 0), np.bool_)
         bad_count = np.zeros((len(value), 2), np.int64)

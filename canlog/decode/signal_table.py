@@ -82,7 +82,6 @@ class SignalTable:
     selectors: tuple[Selector, ...]
 
     def decode(self, words: PayloadWords) -> Decoded:
-        """Return the signal in every payload."""
         raw = self.field.raw(words)
         present = self.presence(words) if self.selectors else None
         if isinstance(self.code, FloatCode):

@@ -263,7 +263,6 @@ class LinkMonitor:
         forget(self._links)
 
     def check(self, batch: FrameBatch) -> FrameVerdicts:
-        """Return a verdict on each frame of a plain batch and count it."""
         verdicts = FrameVerdicts.room(len(batch))
         frames = FrameColumns(batch.t_ns, batch.can_id, batch.length, batch.data, batch.channel)
         judge_frames(self._book, self._rules, self._links, self._origins, frames, verdicts, self._totals)

@@ -83,7 +83,6 @@ class BusWatch:
         self._restart_count += 1
 
     def status(self, now_s: float) -> BusStatus:
-        """Return the state as of now."""
         is_troubled = self._trouble_s is not None and now_s - self._trouble_s < TROUBLE_S
         state = BusState.DEGRADED if self._state is BusState.UP and is_troubled else self._state
         return BusStatus(

@@ -237,7 +237,6 @@ class MemberStream(io.RawIOBase):
         return len(piece)
 
     def close(self) -> None:
-        """Close the archive."""
         if not self._is_a_look:
             self._file.close()
         super().close()

@@ -49,7 +49,6 @@ def merged_by_time(
 
 
 def _next(stream: Iterator[FrameBatch]) -> FrameBatch | None:
-    """Return the next batch that holds a frame."""
     return next((batch for batch in stream if len(batch)), None)
 
 

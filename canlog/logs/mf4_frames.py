@@ -113,7 +113,6 @@ def measurement_start_ns(header: Any) -> int:  # noqa: ANN401 - asammdf's own ob
 
 
 def count_missing(groups: Sequence[Any], whole: Mended, counts: LogCounts) -> None:  # asammdf's own objects
-    """Count the frames that are missing at the end of a file."""
     counts.truncated |= whole.is_cut
     for number, group in enumerate(groups):
         missing = whole.missing.get(group.channel_group.address, 0)

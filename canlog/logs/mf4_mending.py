@@ -94,7 +94,6 @@ class RecordCounter:
         yield from self._stand_ins()
 
     def whole(self, group: ChannelGroup) -> int:
-        """Return how many records of a channel group are there with all their parts."""
         return min([self.found[group.at], *(self.found[part] for part in group.parts if part in self.found)])
 
     def missing(self, stored: Stored) -> dict[int, int]:

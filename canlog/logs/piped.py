@@ -25,7 +25,6 @@ def never() -> bool:
 
 
 def shown_name(path: Path) -> str:
-    """Return the name of a log for people."""
     return INPUT_NAME if path == STANDARD_INPUT else str(path)
 
 
@@ -125,7 +124,6 @@ class KeptFile(io.BufferedReader):
         super().__init__(io.FileIO(str(path)))
 
     def close(self) -> None:
-        """Close the file and remove it."""
         super().close()
         self._folder.cleanup()
 

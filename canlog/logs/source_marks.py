@@ -47,7 +47,6 @@ class SourceMarks:
         return replace(batch, channel=marks[batch.channel].astype(np.uint8))
 
     def of_log(self, number: int) -> dict[int, int]:
-        """Return the marks of the channels of a log."""
         marks = self._marks[number]
         return {channel: int(marks[channel]) for channel in np.flatnonzero(marks != _UNKNOWN).tolist()}
 

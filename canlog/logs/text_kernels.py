@@ -136,7 +136,6 @@ def day_number(year: int, month: int, day: int) -> int:
 
 @inlined_kernel
 def count_line(progress: Int64Array, outcome: int, line: int) -> None:
-    """Count a line that is no frame."""
     if outcome == SKIPPED:
         progress[SKIPPED_LINES] += 1
     elif outcome == MALFORMED:

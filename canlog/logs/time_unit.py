@@ -55,7 +55,6 @@ def _load_ratio(batch: FrameBatch) -> float:
 
 
 def _least_us(batch: FrameBatch) -> FloatArray:
-    """Return the least time that each frame takes."""
     overhead = np.where(batch.can_id & np.uint32(EXTENDED_FLAG), EXTENDED_BITS, STANDARD_BITS) * FASTEST_BIT_US
     is_fd = (batch.flags & np.uint8(FD_FLAG)) != 0
     bit_us = np.where(is_fd, FASTEST_FD_BIT_US, FASTEST_BIT_US)

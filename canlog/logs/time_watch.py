@@ -24,7 +24,6 @@ class TimeWatch:
         self._seen = 0
 
     def look(self, batch: FrameBatch) -> None:
-        """Look at the next frames."""
         if self._last is not None and not 0 < int(batch.t_ns[0]) - int(self._last.t_ns[0]) <= MAX_GAP_NS:
             self._look_inside(join([self._last, batch[:1]]), self._seen)
         self._look_inside(batch, self._seen + 1)
@@ -32,7 +31,6 @@ class TimeWatch:
         self._seen += len(batch)
 
     def _look_inside(self, batch: FrameBatch, number: int) -> None:
-        """Look at frames of which the first is that of this number."""
         counts, steps = self._counts, np.zeros(STEP_FIELDS, np.int64)
         look_at_steps(rows_of(batch), steps)
         row = int(steps[FIRST_JUMP])

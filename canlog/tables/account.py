@@ -105,7 +105,6 @@ class DecodeAccount:
         return sum(self.fates.values()) == self.log.frames
 
     def of_message(self, slot: int) -> dict[FrameFate, int]:
-        """Return what became of the frames of one message."""
         return {fate: int(self.counts[slot, fate]) for fate in FrameFate if self.counts[slot, fate]}
 
     @property

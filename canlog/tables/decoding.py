@@ -63,7 +63,6 @@ class Plan:
         shape: TableShape = TableShape.WIDE,
         values: Values = Values.NUMBERS,
     ) -> "Plan":
-        """Return the plan for the messages of a database."""
         codec = Codec(messages, has_long=True)
         return cls(codec=codec, names=table_names(codec.tables), shape=shape, values=values)
 
@@ -170,7 +169,6 @@ class _Writing:
     is_stopped: Callable[[], bool]
 
     def write(self, output: Path | BinaryIO) -> Decoded:
-        """Write all of it."""
         if not isinstance(output, Path):
             return self._into(output)
         if self.plan.shape is TableShape.MESSAGES:

@@ -36,7 +36,6 @@ class ColumnRows:
         self._columns = open_columns(output, table_format, layout.kinds, layout.metadata)
 
     def write_group(self, group: FrameGroup) -> None:
-        """Write some frames."""
         if columns := columns_of(group, self._account, self._layout):
             self._columns.write_columns(columns)
 

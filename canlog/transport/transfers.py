@@ -58,7 +58,6 @@ class TransferCounts:
     incomplete: dict[tuple[Protocol, Fault], int] = field(default_factory=dict)
 
     def add_whole(self, protocol: Protocol) -> None:
-        """Count a whole message."""
         self.whole[protocol] = self.whole.get(protocol, 0) + 1
 
     def add_fault(self, protocol: Protocol, fault: Fault) -> None:

@@ -42,7 +42,6 @@ class LogShare(FrameShare):
 
     @classmethod
     def of(cls, path: str, channels: tuple[ChannelShare, ...]) -> Self:
-        """Return the share of a log whose channels gave this."""
         rejected: Counter[str] = Counter()
         for one in channels:
             rejected.update(one.rejected)
@@ -53,7 +52,6 @@ class LogShare(FrameShare):
 
     @property
     def used_channels(self) -> tuple[int, ...]:
-        """The channels from which frames were used."""
         return tuple(one.channel for one in self.channels if one.decoded)
 
 
@@ -83,7 +81,6 @@ def idle_lines(logs: Sequence[LogShare], named_channel: int | None) -> Iterator[
 
 
 def log_record(log: LogShare) -> JsonObject:
-    """Return the share of a log as a JSON object."""
     return {
         "path": log.path,
         "followed_channels": list(log.used_channels),

@@ -102,7 +102,6 @@ class ShiftStatistics:
     recent: tuple[ShiftResult, ...] = ()  # oldest first
 
     def with_shift(self, result: ShiftResult, *, is_new: bool) -> Self:
-        """Return the statistics with another shift in them."""
         estimate, status = result.estimate, result.estimate.status.value
         by_reason = self.by_reason
         if estimate.reasons:

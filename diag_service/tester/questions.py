@@ -62,7 +62,6 @@ class TroubleQuestion:
         return [f"{request_text(self._request)}: the codes", *details]
 
     def ask(self, tester: "Dialogue", description: Description) -> tuple[TroubleCode, ...]:
-        """Ask."""
         return read_troubles(tester, description, self._request, has_details=self.has_details)
 
     @property

@@ -107,7 +107,6 @@ def routine_lines(answer: RoutineAnswer) -> Iterator[str]:
 
 
 def found_lines(controllers: Sequence[Found]) -> Iterator[str]:
-    """Yield what was found."""
     yield f"{len(controllers)} controllers answer" if len(controllers) != 1 else "1 controller answers"
     for found in controllers:
         codes = "" if found.code_count is None else f", trouble codes: {found.code_count}"

@@ -46,7 +46,6 @@ def controller_record(report: ControllerReport) -> Record:
 
 
 def trouble_record(code: TroubleCode) -> Record:
-    """Return a trouble code with what was kept of it."""
     return {
         "code": code.code,
         "failure_type": code.failure_type,

@@ -40,7 +40,6 @@ class Letter:
 
 
 def open_alarms(engine: Engine) -> dict[Subject, bool]:
-    """Return the subjects whose alarm is open."""
     columns = (ALARM.c.vehicle, ALARM.c.clutch, ALARM.c.rule)
     with transaction(engine) as connection:
         rows = connection.execute(select(*columns).where(ALARM.c.cleared_at.is_(None)))

@@ -107,7 +107,6 @@ def _make_after(connection: Connection, table: str, end: date) -> None:
 
 
 def name_of(month: date) -> str:
-    """Return the name of the partition of a month."""
     return f"{TABLE}_{month:%Y_%m}"
 
 

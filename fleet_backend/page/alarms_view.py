@@ -35,7 +35,6 @@ def find(sources: Sources, ask: Ask) -> AlarmsAnswer:
 
 
 def show(answer: AlarmsAnswer, ask: Ask, _sources: Sources) -> Shown:
-    """Return the page of alarms."""
     head = ("vehicle", "clutch", "rule", "raised (UTC)", "over (UTC)", "reason", "acknowledged", "note")
     table = Table(
         caption=f"{len(answer.alarms)} alarms, the latest first", head=head, rows=tuple(map(_cells, answer.alarms))

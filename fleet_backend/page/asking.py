@@ -94,7 +94,6 @@ class Ask:
         return value
 
     def moment(self, name: str, otherwise: datetime) -> datetime:
-        """Return a moment."""
         value = self.values.get(name)
         return value if isinstance(value, datetime) else otherwise
 

@@ -31,7 +31,6 @@ def find(sources: Sources, ask: Ask) -> AuditAnswer:
 
 
 def show(answer: AuditAnswer, ask: Ask, _sources: Sources) -> Shown:
-    """Return the page of the audit."""
     rows = tuple((wording.minute(one.at), one.who, one.role, one.action, one.subject) for one in answer.entries)
     table = Table(caption="Changes, the latest first", head=("at (UTC)", "who", "role", "did", "what"), rows=rows)
     texts = () if rows else ("Nobody changed anything.",)

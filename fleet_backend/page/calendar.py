@@ -20,7 +20,6 @@ class Entry:
 
 
 def calendar_of(name: str, entries: Iterable[Entry], now: datetime) -> bytes:
-    """Return a calendar."""
     return "".join(_folded(line) for line in _lines(name, entries, now)).encode()
 
 

@@ -26,7 +26,6 @@ def find(sources: Sources, ask: Ask) -> ChangesAnswer:
 
 
 def show(answer: ChangesAnswer, ask: Ask, _sources: Sources) -> Shown:
-    """Return the page of changes."""
     head = ("vehicle", "clutch", "verdict before", "verdict now", "mu_C before", "std", "mu_C now", "std", "why")
     table = Table(caption="What changed, worst first", head=head, rows=tuple(map(_cells, answer.changes)))
     texts = () if answer.changes else ("Nothing changed.",)

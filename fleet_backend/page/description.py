@@ -23,7 +23,6 @@ class Problem(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def openapi(views: Sequence[tuple[View, Sequence[Parameter]]]) -> dict[str, Any]:
-    """Return the description of the views with their parameters."""
     records = [view.answer for view, _ in views]
     schemas, components = msgspec.json.schema_components([*records, Problem], ref_template=_REF)
     problem = schemas[-1]

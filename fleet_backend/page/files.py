@@ -34,7 +34,6 @@ MEDIA_TYPES: Final[Mapping[Format, str]] = MappingProxyType({
 
 
 def json_of(answer: object) -> bytes:
-    """Return an answer as JSON."""
     return msgspec.json.encode(answer)
 
 
@@ -63,7 +62,6 @@ def parquet_of(rows: Sequence[Any], row: type) -> bytes:
 
 
 def file_of(form: Format, rows: Sequence[Any], row: type) -> bytes:
-    """Return rows as a table of a file."""
     return csv_of(rows, row) if form is Format.CSV else parquet_of(rows, row)
 
 

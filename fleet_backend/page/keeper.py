@@ -61,11 +61,9 @@ class DatabaseSource:
         return running.fills_seen(self._engine)
 
     def all_clutches(self) -> Sequence[ClutchNow]:
-        """Return every clutch."""
         return running.all_clutches(self._engine)
 
     def clutches_of(self, vehicles: Sequence[str]) -> Sequence[ClutchNow]:
-        """Return the clutches of some vehicles."""
         return running.clutches_of(self._engine, vehicles)
 
     def vehicles_with_news(self, since: datetime) -> Sequence[str]:

@@ -42,7 +42,6 @@ def find(sources: Sources, ask: Ask) -> MaintenanceAnswer:
 
 
 def show(answer: MaintenanceAnswer, ask: Ask, _sources: Sources) -> Shown:
-    """Return the page of maintenance."""
     head = ("vehicle", "clutch", "verdict", "due", "due from", "50 % due by", "90 % due by", "km a day", "what to do")
     table = Table(caption="When fluids are due, by day", head=head, rows=tuple(map(_cells, answer.clutches)))
     texts = (_WORDS,) if answer.clutches else ("No vehicle has been heard from yet.",)

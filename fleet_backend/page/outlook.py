@@ -52,7 +52,6 @@ def reference_of(calibration_version: str, clutch: int) -> FrictionCurve | None:
 
 
 def friction_of(values: Mapping[str, float] | None) -> FrictionEstimate | None:
-    """Return a friction estimate from its numbers."""
     return None if values is None else FrictionEstimate(**values)
 
 

@@ -24,7 +24,6 @@ _ORDERS: Final = (  # for screens that show no heads of columns
 
 
 def find(sources: Sources, ask: Ask) -> VehiclesAnswer:
-    """Return the vehicles that are asked for."""
     snapshot = sources.keeper.snapshot
     vehicles = sources.fleets.of("", snapshot.number, lambda: vehicles_of(snapshot.vehicles))
     return answer_of(vehicles, wanted(ask), ask.text("sort"), ask.text("after"), ask.count("limit"))

@@ -22,7 +22,6 @@ def find(sources: Sources, ask: Ask) -> QuarantineAnswer:
 
 
 def show(answer: QuarantineAnswer, ask: Ask, _sources: Sources) -> Shown:
-    """Return the page of the quarantine."""
     head = ("received (UTC)", "vehicle", "reason", "detail", "bytes", "begins with", "acknowledged")
     table = Table(
         caption=f"{len(answer.messages)} messages, the latest first",

@@ -46,8 +46,6 @@ class Endpoints:
     thinking: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(THINKING))
 
     def page(self, view: View) -> Route:
-        """Return the route of a view for people."""
-
         def answer(request: Request) -> Response:
             ask = self._ask(request, view.role, view.parameters)
             number = self.sources.keeper.snapshot.number
@@ -88,7 +86,6 @@ class Endpoints:
         return answered
 
     def interface(self, view: View) -> Route:
-        """Return the route of a view for programs."""
         parameters = api_parameters(view)
 
         def answer(request: Request) -> Response:

@@ -99,7 +99,6 @@ def all_clutches(engine: Engine) -> list[ClutchNow]:
 
 
 def clutches_of(engine: Engine, vehicles: Sequence[str]) -> list[ClutchNow]:
-    """Return the running condition of the clutches of some vehicles."""
     statement, found = _SOME_CLUTCHES[has_partitions(engine)], list[ClutchNow]()
     with transaction(engine) as connection:
         for first in range(0, len(vehicles), _MOST_NAMES):

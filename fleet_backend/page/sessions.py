@@ -82,7 +82,6 @@ class Sessions:
         return None
 
     def end(self, key: str) -> None:
-        """End a session."""
         with self._lock:
             self._open.pop(key, None)
 

@@ -15,12 +15,10 @@ Kind = tuple[str, int, str | None]  # calibration, which stands for the type; cl
 
 
 def kind_of(now: ClutchNow) -> Kind:
-    """Return the kind of a clutch."""
     return now.calibration_version, now.clutch, now.fluid
 
 
 def usual_of(clutches: Iterable[ClutchNow]) -> Mapping[Kind, Usual]:
-    """Return what is usual of each kind of which there are enough."""
     levels: dict[Kind, list[float]] = {}
     for now in clutches:
         if now.mu_c is not None:

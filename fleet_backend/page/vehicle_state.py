@@ -78,11 +78,9 @@ class VehicleState:
 
     @property
     def last_result_at(self) -> datetime | None:
-        """When its last result was made."""
         return max((one.produced_at for one in self.stored if one.produced_at is not None), default=None)
 
     def stored_of(self, clutch: int) -> Stored:
-        """Return what is stored of a clutch."""
         nothing = Stored(clutch=clutch, result_count=0, stored_at=None, produced_at=None)
         return next((one for one in self.stored if one.clutch == clutch), nothing)
 

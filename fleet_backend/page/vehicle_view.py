@@ -70,7 +70,6 @@ def find(sources: Sources, ask: Ask) -> VehicleAnswer:
 
 
 def show(answer: VehicleAnswer, ask: Ask, sources: Sources) -> Shown:
-    """Return the page of a vehicle."""
     sections = [_outlook_section(answer)]
     sections += [_clutch_section(answer, one) for one in answer.clutches]
     sections += [_events_section(answer), _assumptions_section(answer)]

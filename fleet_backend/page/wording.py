@@ -23,7 +23,6 @@ def share(value: float | None) -> Cell:
 
 
 def probability(value: float | None) -> Cell:
-    """Return a probability."""
     return number(value, "{:.3f}")
 
 
@@ -74,7 +73,6 @@ def advice(action: str, order: str) -> Advice:
 
 
 def vehicle_link(vehicle: str) -> Link:
-    """Return the link to a vehicle."""
     return Link(text=vehicle, href=f"/vehicles/{quote(vehicle, safe='')}")
 
 

@@ -76,7 +76,6 @@ class GvretCsv(TableLog):
 
 
 def is_python_can_header(line: bytes) -> bool:
-    """Return whether a line is the first of a CSV log of python-can."""
     return line.strip().lower() == PYTHON_CAN_HEADER
 
 

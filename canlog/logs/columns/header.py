@@ -128,7 +128,6 @@ def separator_of(line: bytes) -> int:
 
 
 def names_in(line: bytes, separator: int) -> tuple[str, ...]:
-    """Return the names of the columns in a header line."""
     text = line.decode("utf-8", "replace").strip("\r\n")
     try:
         fields = next(csv.reader([text], delimiter=chr(separator), skipinitialspace=True), [])

@@ -87,7 +87,6 @@ class CanHacker(TableLog):
 
 
 def is_canhacker_header(line: bytes) -> bool:
-    """Return whether a line names the columns of a trace of CANHacker."""
     return CANHACKER_HEADER.match(line) is not None
 
 
@@ -109,7 +108,6 @@ CANKING = Layout(
 
 
 def is_canking_header(line: bytes) -> bool:
-    """Return whether a line names the columns of a text of CanKing."""
     return CANKING_HEADER.match(line) is not None
 
 

@@ -118,7 +118,6 @@ class Layout:
     is_padded: bool = False
 
     def has(self, role: Role) -> bool:
-        """Return whether there is a column of this role."""
         return any(column.role is role for column in self.columns)
 
     def program(self) -> Program:

@@ -56,7 +56,6 @@ NEEDED_LETTERS, MOST_LETTERS = set("OTI"), 15
 
 
 def layout_of(letters: str, words: Mapping[str, Meaning]) -> Layout:
-    """Return the layout of lines with these columns."""
     return Layout(
         columns=tuple(COLUMN_OF_LETTER[one] for one in letters),
         separator=BLANKS,

@@ -359,7 +359,6 @@ def misfit_gate(count: int) -> float:
 
 
 def _zeros(known: Knowledge) -> PressureZeros:
-    """Return what is known of the zeros of both pressure sensors."""
     return PressureZeros(mean_pa=known.mean[_ZEROS], variance_pa2=known.covariance.diagonal()[_ZEROS])
 
 

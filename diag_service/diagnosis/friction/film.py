@@ -401,7 +401,6 @@ def _answer(
     moved: _Moved, k: int, point: FilmPoint, viscosity: float, law: FilmLaw, by: FloatArray, contact: FloatArray,
     viscous: FloatArray,
 ) -> None:  # fmt: skip
-    """Set what contact and shear answer at one point."""
     slip, drag_ratio, film_m, step_m = moved.slip_rad_s[k], moved.open_drag_ratio, point.film_m, point.step_m
     _, whole_nm = open_and_whole_nm(slip, film_m, viscosity, point.shear, drag_ratio, law)
     _, thicker_nm = open_and_whole_nm(slip, film_m + step_m, viscosity, point.thicker_shear, drag_ratio, law)

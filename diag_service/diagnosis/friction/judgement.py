@@ -293,7 +293,6 @@ def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int, ste
 
 
 def together(events: Sequence[JudgedEvent], is_used: Sequence[bool]) -> Evidence:
-    """Return what the events say that are used."""
     return Evidence.sum([event.evidence for event, used in zip(events, is_used, strict=False) if used])
 
 

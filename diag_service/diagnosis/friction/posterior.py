@@ -51,7 +51,6 @@ class Baseline:
 
     @classmethod
     def of(cls, clutch: int, known: Knowledge, *, end_ns: int, count: int) -> Self:
-        """Freeze the friction of a clutch."""
         rows = friction_rows(clutch)
         return cls(
             mean=known.mean[rows],

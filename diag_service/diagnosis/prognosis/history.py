@@ -62,7 +62,6 @@ class History:
         return replace(self._rows(slice(None, count)), is_fluid_newer=False)
 
     def since(self, row: int) -> Self:
-        """Return the history from a row on."""
         return self._rows(slice(row, None))
 
     def _rows(self, which: slice) -> Self:

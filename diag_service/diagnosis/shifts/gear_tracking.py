@@ -153,7 +153,6 @@ class GearPairTracker:
         return [*found, *self._end_overdue(until_ns)]
 
     def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
-        """Return the open shift as interrupted."""
         found = [*self._lone.interrupt(history, now_ns), *self._end(now_ns, EndReason.INTERRUPTED)]
         self._forget()
         return found
@@ -272,7 +271,6 @@ class TargetTracker:
         return [*found, *self._end_if_due(until_ns)]
 
     def interrupt(self, _: History, now_ns: int) -> list[Bounds]:
-        """Return the open shift as interrupted."""
         found = self._end_if_due(now_ns)
         if self._open is not None:
             found.append(replace(self._open, end_ns=now_ns))

@@ -34,7 +34,6 @@ class History:
         return self._rings.sample_count
 
     def append(self, batch: ColumnBatch) -> None:
-        """Append the next columns."""
         self._rings.append(batch.columns)
         if len(batch.bad_frame_ns):
             self._bad_ns.append(batch.bad_frame_ns)

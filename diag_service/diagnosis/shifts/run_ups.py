@@ -88,7 +88,6 @@ class RunUpTracker:
         return [*ended, *self._end_overdue(history, until_ns)]
 
     def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
-        """Return the open run-up as interrupted."""
         ended = self._end(history, now_ns, EndReason.INTERRUPTED)
         self._forget()
         return ended

@@ -32,7 +32,6 @@ class SampleRings:
         return int((self._samples.filled - self._first).sum())
 
     def append(self, columns: Mapping[Signal, Series]) -> None:
-        """Append the next samples of some signals."""
         if isinstance(columns, SampleBlock):
             self._append_block(columns)
             return

@@ -47,7 +47,6 @@ class DatagramServer:
         self.counts = DatagramCounts()
 
     async def start(self, sockets: Listening) -> None:
-        """Listen on all sockets for datagrams."""
         loop = asyncio.get_running_loop()
         for one in sockets.udp:
             end, _ = await loop.create_datagram_endpoint(lambda: _Datagrams(self), sock=one)

@@ -44,7 +44,6 @@ class Listening:
     is_exposed: bool  # whether others than this machine can reach it
 
     def close(self) -> None:
-        """Close them all."""
         for one in (self.tcp, *([] if self.tls is None else [self.tls]), *self.udp):
             one.close()
 

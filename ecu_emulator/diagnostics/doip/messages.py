@@ -168,7 +168,6 @@ def activation_response(version: int, tester: int, entity: int, code: Activation
 
 
 def diagnostic(version: int, source: int, target: int, data: bytes) -> bytes:
-    """Return a diagnostic message."""
     return message(version, PayloadType.DIAGNOSTIC, struct.pack(">HH", source, target) + data)
 
 

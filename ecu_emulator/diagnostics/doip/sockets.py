@@ -67,7 +67,6 @@ class Step:
     actions: tuple[Action, ...] = ()
 
     def changed(self, number: int, **values: Any) -> "Step":  # noqa: ANN401 - the members of a socket
-        """Return the step with one connection changed."""
         return replace(self, sockets={**self.sockets, number: replace(self.sockets[number], **values)})
 
     def sending(self, number: int, data: bytes, t_s: float) -> "Step":

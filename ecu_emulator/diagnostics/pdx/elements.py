@@ -108,7 +108,6 @@ class Document:
         }
 
     def ref(self, kind: str, name: str) -> OdxLinkRef:
-        """Return a reference to a named element."""
         return OdxLinkRef(f"{kind}.{name}", (self._fragment,))
 
 

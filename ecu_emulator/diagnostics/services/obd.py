@@ -66,7 +66,6 @@ def _frozen_pid(call: Call, number: int) -> bytes:
 
 
 def confirmed_codes(call: Call) -> Result:
-    """Read the confirmed codes of OBD."""
     return _codes(call, emission_codes(call.table.troubles, call.state.memory, Status.CONFIRMED))
 
 

@@ -70,7 +70,6 @@ def _encoded(pid: Pid, values: Values) -> bytes:
 
 
 def _with_obd(table: DiagnosticTable, state: ServerState, moment: Moment) -> Values:
-    """Return the values of a moment with those that OBD makes of the memory."""
     confirmed = emission_codes(table.troubles, state.memory, Status.CONFIRMED)
     lamp = _LAMP if is_lamp_on(state.memory) else 0
     more: dict[str, Value] = {

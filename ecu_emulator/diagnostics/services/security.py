@@ -16,7 +16,6 @@ def security_access(call: Call) -> Result:
 
 
 def key_of(level: SecurityLevel, seed: bytes) -> bytes:
-    """Return the key that belongs to a seed."""
     return (int.from_bytes(seed, "big") ^ level.key_mask).to_bytes(level.seed_bytes, "big")
 
 

@@ -44,7 +44,6 @@ def capture(table: DiagnosticTable, trouble: Trouble, state: ServerState, moment
 
 
 def clear_codes(call: Call) -> Result:
-    """Clear one code or all."""
     if len(call.payload) != 1 + _CODE_BYTES:
         return Nrc.INCORRECT_LENGTH
     group = int.from_bytes(call.payload[1:], "big")
