@@ -16,10 +16,9 @@ from rich.console import Console
 from rich.table import Table
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import equilibrium_film_m
+from clutch_model.film import equilibrium_film_m, viscosity_pa_s
 from clutch_model.friction import contact_torque_nm, friction_law, kinetic_friction
 from clutch_model.units import k_from_degc
-from clutch_model.viscosity import viscosity_pa_s
 from ecu_emulator.plant import DriveSettings, FrictionFactors, nominal_parameters
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import refresh_contact

@@ -29,8 +29,7 @@ import psutil
 
 from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import protect
-from canlog.frame_columns import join
-from canlog.frames import FrameBatch
+from canlog.frames import FrameBatch, join
 from canlog.live import FrameSource, SourceCounts
 from canlog.logs import read_log
 from dbc.contract import load_contract

@@ -1,5 +1,6 @@
 """FrameBatch: the one columnar type that every source yields."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -96,3 +97,25 @@ def empty_batch() -> FrameBatch:
         length=np.empty(0, np.uint8),
         data=np.empty((0, PAYLOAD_BYTES), np.uint8),
     )
+
+
+NS_PER_US = 1_000
+
+
+def join(batches: Sequence[FrameBatch]) -> FrameBatch:
+    """Return one batch with the frames of all, in their order, as wide as the widest."""
+    if len(batches) == 1:
+        return batches[0]
+    width = max(batch.width for batch in batches)
+    batches = [batch.widened(width) for batch in batches]
+    return FrameBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in COLUMNS})
+
+
+def clear_padding(data: UInt8Array, length: UInt8Array | Int64Array) -> UInt8Array:
+    """Return payloads (n, width) with zeros past their length: a sender may leave anything there."""
+    return np.where(np.arange(data.shape[1]) < length[:, None], data, 0).astype(np.uint8)
+
+
+def rounded_to_us(t_ns: Int64Array) -> Int64Array:
+    """Return times rounded to whole microseconds, still in nanoseconds."""
+    return (t_ns + NS_PER_US // 2) // NS_PER_US * NS_PER_US

@@ -15,8 +15,7 @@ from cantools.database.can import Database
 from canlog.arrays import FloatArray, Int64Array
 from canlog.database.loading import database_of
 from canlog.extras import load_extra
-from canlog.frame_columns import join
-from canlog.frames import FrameBatch
+from canlog.frames import FrameBatch, join
 from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_log
 from canlog.parquet_file import arrow_schema, load_pyarrow
 from canlog.tables.account import DecodeAccount

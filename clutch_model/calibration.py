@@ -16,8 +16,7 @@ import tomli_w
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.errors import CalibrationError
 from clutch_model.knowledge import JointUncertainty, SensorBias, SensorNoise, Uncertainty
-from clutch_model.ranged import Pair, Ranged
-from clutch_model.tables import read_table, record_from, require
+from clutch_model.tables import Pair, Ranged, read_table, record_from, require
 
 CLUTCH_COUNT: Final = 2
 _TEXTS: Final = ("name", "version")  # a number will do

@@ -7,8 +7,7 @@ import math
 from dataclasses import dataclass
 
 from clutch_model.errors import CalibrationError
-from clutch_model.ranged import Ranged
-from clutch_model.tables import require
+from clutch_model.tables import Ranged, require
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,6 +3,8 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from canlog.jit import kernel
 from clutch_model.clutch import ClutchCalibration
 from clutch_model.units import Quantity
@@ -206,3 +208,15 @@ def viscous_torque_nm(slip_rad_s: float, film_m: float, viscosity: float, law: F
 def sheared_torque_nm(slip_rad_s: float, film_m: float, viscosity: float, shear: float, law: FilmLaw) -> float:
     """Return `viscous_torque_nm` where the ``shear`` factor difference of the film is known already."""
     return law.viscous_factor_m4 * viscosity * slip_rad_s / film_m * shear
+
+
+def viscosities_pa_s(temperature_k: Quantity, a_pa_s: float, b_k: float, pole_k: float) -> Quantity:
+    """Return the dynamic viscosity [Pa s]: Vogel law ``a * exp(b / (T - T0))``, docs/model.md eq. (8a).
+
+    Valid well above the pole T0; the caller keeps ``temperature_k`` there.
+    """
+    viscosity: Quantity = a_pa_s * np.exp(b_k / (temperature_k - pole_k))
+    return viscosity
+
+
+viscosity_pa_s = kernel(viscosities_pa_s)  # the same law, for other kernels

@@ -4,8 +4,7 @@ import math
 from dataclasses import dataclass
 
 from clutch_model.errors import CalibrationError
-from clutch_model.ranged import Pair, Ranged
-from clutch_model.tables import require
+from clutch_model.tables import Pair, Ranged, require
 
 MAX_LATENCY_S = 0.2  # a reading that is later still is no measurement of a shift
 

@@ -109,6 +109,9 @@ class Option(click.Option):
         self.needs_value = not (self.is_flag or self.count or "flag_value" in attributes)
 
 
+FORCE: Final = Option("--force", "write over a file that is there already")
+
+
 VERBOSE: Final = Option("-v --verbose", "print more; twice: of libraries, too", count=True)
 
 

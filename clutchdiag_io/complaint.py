@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from typing import Final
 
-from clutchdiag_io.legible import legible
+from clutchdiag_io.files import legible
 
 EXIT_UNEXPECTED: Final = 1
 Kinds = type[Exception] | tuple[type[Exception], ...]

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 from typing import Final
 
 from canlog.errors import DefinitionError, ExtraMissingError, InputLeftError, OutputError, SourceError
+from canlog.files import widen
 from canlog.lazy_imports import TESTER, wait_with
-from canlog.pipe_size import widen
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.complaint import Kinds, complain
 from clutchdiag_io.one_thread import reckon_in_one_thread

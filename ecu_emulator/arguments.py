@@ -7,8 +7,7 @@ from typing import Final
 
 import click
 
-from clutchdiag_io.command_line import FILE, INT, Choice, Command, Option, Program, parse
-from clutchdiag_io.overwriting import FORCE
+from clutchdiag_io.command_line import FILE, FORCE, INT, Choice, Command, Option, Program, parse
 from ecu_emulator.scenario.drive_names import DriveName
 
 PROGRAM: Final = "ecu-emulator"

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Final
 
 from clutchdiag_io.complaint import complain
-from clutchdiag_io.overwriting import refusal
+from clutchdiag_io.files import refusal
 from clutchdiag_io.standard_output import standard_output
 from ecu_emulator.arguments import PROGRAM, parse_arguments
 from ecu_emulator.errors import BusError, ConfigError, ExtraMissingError, RecordError

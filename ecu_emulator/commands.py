@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from clutch_model.units import k_from_degc
 from clutchdiag_io.command_line import STANDARD_STREAM
-from clutchdiag_io.overwriting import refusal
+from clutchdiag_io.files import refusal
 from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.errors import ConfigError, ExtraMissingError, RecordError

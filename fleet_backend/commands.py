@@ -27,8 +27,7 @@ from fleet_backend.layout import Sheet
 from fleet_backend.migrate import make_ready, migrate, newest_revision
 from fleet_backend.months.partitions import keep_months, partitions
 from fleet_backend.months.retention import retain, roll_up
-from fleet_backend.page.access import Access
-from fleet_backend.page.access_file import read_access
+from fleet_backend.page.access import Access, read_access
 from fleet_link import BrokerAddress
 
 Command = Callable[[SimpleNamespace, Engine], None]
@@ -158,10 +157,10 @@ def _peers(options: SimpleNamespace, engine: Engine) -> None:
     found = _page_part("fleet_backend.page.peers").fleet_ageing(engine)
     version = None
     if options.keep:
-        kept = _page_part("fleet_backend.page.populations")
+        kept = _page_part("fleet_backend.page.peers")
         version = kept.keep(engine, found.population, found.clutch_count, at=datetime.now(UTC), by=_user())
     if options.write is not None:
-        _page_part("fleet_backend.page.populations").write(options.write, found.population, version)
+        _page_part("fleet_backend.page.peers").write(options.write, found.population, version)
     if options.json:
         kept_as = [] if version is None else [{"record": "population", "version": version}]
         report.write_json([*found.usual, *found.lots, *kept_as], sys.stdout)

@@ -1,17 +1,37 @@
 """Checked messages become rows of the database."""
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from hashlib import blake2b, sha256
 from operator import itemgetter
 from typing import Final
 
 import msgspec
 
-from fleet_backend.ranking import version_rank
 from fleet_backend.schema import FRICTION_COLUMNS, RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
+
+_NUMBER: Final = re.compile(r"[0-9]+")
+_BETWEEN: Final = "\x1f"  # the unit separator, below every printable character
+
+
+@lru_cache(maxsize=1024)
+def version_rank(algorithm_version: str, calibration_version: str) -> str:
+    """Return a text that is greater, byte by byte, for a newer algorithm or else a newer calibration.
+
+    Numbers inside a version count as numbers, so ``-10`` is newer than ``-9``. The rank depends on the versions alone,
+    not on when a result arrived, and different versions have different ranks.
+    """
+    return _BETWEEN.join(_sortable(version) for version in (algorithm_version, calibration_version))
+
+
+def _sortable(version: str) -> str:
+    """Return the version with the length of each number before it."""
+    return _NUMBER.sub(lambda match: f"{len(match[0]):03}{match[0]}", version)
+
 
 Row = dict[str, object]
 

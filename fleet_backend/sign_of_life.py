@@ -7,7 +7,7 @@ from typing import Final
 from sqlalchemy import Engine, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from clutchdiag_io.sign_of_life import give_sign, make_sign
+from clutchdiag_io.files import give_sign, make_sign
 from fleet_backend.errors import ConfigError
 from fleet_backend.ingest import Worker
 

@@ -2,7 +2,6 @@
 
 from fleet_contract.broker_url import BrokerUrl, exposure, is_this_machine, parse_broker_url
 from fleet_contract.bundles import MAX_BUNDLE_BYTES, MAX_BUNDLED, bundle_messages, bundled_events
-from fleet_contract.described import ASYNCAPI_PATH, SCHEMA_FOLDER, VSS_OVERLAY_PATH, schema
 from fleet_contract.errors import (
     BrokerUrlError,
     ContractError,
@@ -28,6 +27,7 @@ from fleet_contract.messages import (
     status_message,
 )
 from fleet_contract.receipts import MAX_RECEIPTS, Outcome, Receipt, ResultKey, key_of, receipts_of, takes_bundles
+from fleet_contract.schema_check import ASYNCAPI_PATH, SCHEMA_FOLDER, VSS_OVERLAY_PATH, schema
 from fleet_contract.strict_json import JsonObject, dump, parse_object
 from fleet_contract.topics import CLUTCHES, TOPIC_ROOT, Address, Channel, filter_of, is_vehicle, parse_topic, topic_of
 from fleet_contract.variables import BACKEND_VARIABLES, PREFIX, SERVICE_VARIABLES, check_variables

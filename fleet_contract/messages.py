@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from fleet_contract.described import check_data, check_envelope
 from fleet_contract.errors import IdentityError, MalformedError
 from fleet_contract.receipts import Receipt, ResultKey, ack_records, key_of
+from fleet_contract.schema_check import check_data, check_envelope
 from fleet_contract.strict_json import JsonObject, dump, parse_object, shown
 from fleet_contract.topics import Address, Channel, parse_topic, topic_of
 

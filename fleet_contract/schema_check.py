@@ -5,15 +5,19 @@ what reads the record next: an integer is written without a fraction, ``1.0`` is
 knows, without leap seconds.
 """
 
+import json
 from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime
+from functools import cache
 from itertools import islice
+from pathlib import Path
 from typing import Final
 
 from jsonschema_rs import Draft202012Validator, ValidationError
 
 from fleet_contract.errors import SchemaError
-from fleet_contract.strict_json import shown
+from fleet_contract.strict_json import JsonObject, shown
+from fleet_contract.topics import Channel
 
 Check = Callable[[object], None]
 
@@ -102,3 +106,32 @@ def _told(error: ValidationError) -> str:
     message = f"{_VALUE} breaks the schema's rule {error.kind.name}" if is_quoting else error.message
     is_plain = not isinstance(error.instance, dict | list)
     return f"{place}{message}{f', got {shown(repr(error.instance))}' if is_plain else ''}"
+
+
+SCHEMA_FOLDER: Final = Path(__file__).with_name("schemas")
+ASYNCAPI_PATH: Final = Path(__file__).with_name("asyncapi.yaml")
+VSS_OVERLAY_PATH: Final = Path(__file__).with_name("vss") / "clutches.vspec"
+ENVELOPE: Final = "event"
+
+
+def schema(name: str) -> JsonObject:
+    """Return the JSON Schema of a channel's data by its label, or of the envelope."""
+    table: JsonObject = json.loads((SCHEMA_FOLDER / f"{name}-v1.json").read_text(encoding="utf-8"))
+    return table
+
+
+def check_data(channel: Channel, data: JsonObject) -> None:
+    """Raise SchemaError if a record is not what its channel carries."""
+    _check_of(channel.label)(data)
+
+
+def check_envelope(event: JsonObject) -> None:
+    """Raise SchemaError if a message is no CloudEvent of this contract."""
+    _check_of(ENVELOPE)(event)
+
+
+@cache
+def _check_of(name: str) -> Callable[[object], None]:
+    from fleet_contract.schema_check import compile_schema  # noqa: PLC0415 - who only sends needs no library for it
+
+    return compile_schema(schema(name))

@@ -7,7 +7,7 @@ from io import FileIO
 from pathlib import Path
 from typing import Final
 
-from canlog.plain_files import read_small_file
+from canlog.files import read_small_file
 from fleet_link.errors import AddressError
 
 MAX_SECRET_BYTES: Final = 64 * 1024

@@ -4,7 +4,7 @@ import ssl
 from dataclasses import dataclass
 from pathlib import Path
 
-from canlog.plain_files import check_plain_file
+from canlog.files import check_plain_file
 from fleet_link.errors import AddressError
 from fleet_link.secret_files import check_secret_mode
 

@@ -8,8 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from canlog.frame_columns import join
-from canlog.frames import FrameBatch
+from canlog.frames import FrameBatch, join
 from canlog.logs import read_log
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.log_formats import BlfWriter, CandumpWriter, FrameWriter, Header, Mf4Writer

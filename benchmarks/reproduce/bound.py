@@ -28,10 +28,10 @@ from clutch_model.film import (
     FilmLaw,
     contact_pressure_pa,
     film_law,
+    viscosities_pa_s,
     viscous_torque_nm,
 )
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, kinetic_friction, stribeck_weight
-from clutch_model.viscosity import viscosities_pa_s
 from ecu_emulator.plant import Col
 
 BoolArray = npt.NDArray[np.bool_]

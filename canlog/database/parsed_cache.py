@@ -15,7 +15,7 @@ from typing import Final
 
 import cantools
 
-from canlog.whole_file import replacing
+from canlog.files import replacing
 
 MOST_KEPT: Final = 32
 MOST_BYTES: Final = 16 * 2**20  # of one; the largest public databases come to some more

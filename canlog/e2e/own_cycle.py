@@ -9,9 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.jit import array_kernel
-from canlog.series import Series
 
 SLOWEST: Final = 5  # cycles of the database: what comes less often is not believed to be meant so
 SLOWER_RATIO: Final = 1.25  # below it the database is believed: jitter is no other cycle

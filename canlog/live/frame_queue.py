@@ -6,8 +6,7 @@ from collections import deque
 from collections.abc import AsyncIterator
 
 from canlog.errors import SourceError
-from canlog.frame_columns import join
-from canlog.frames import FrameBatch, empty_batch
+from canlog.frames import FrameBatch, empty_batch, join
 from canlog.live.sources import Silence
 
 QUEUE_FRAMES = 65_536  # ten seconds of a fully loaded 500 kbit/s bus; 1.4 MiB

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array, UInt32Array
-from canlog.frame_columns import NS_PER_US
-from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
+from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, NS_PER_US, PAYLOAD_BYTES, FrameBatch
 from canlog.jit import array_kernel
 from canlog.live.raw_socket import SO_TIMESTAMPNS
 

@@ -4,13 +4,270 @@ Times keep the whole microseconds that candump writes; further digits are cut of
 are counted with the number of the first one, and reading goes on.
 """
 
+import numpy as np
+
 from canlog.arrays import Int64Array, UInt8Array
-from canlog.frames import FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
-from canlog.logs.candump_kernel import parse_lines
-from canlog.logs.channels import ChannelNames
+from canlog.frames import EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.jit import array_kernel, inlined_kernel
+from canlog.logs.channels import ChannelNames, NameWords
 from canlog.logs.frame_buffer import FrameRows
-from canlog.logs.text_kernels import NEW_CHANNEL, POSITION, STOP
+from canlog.logs.text_kernels import (
+    BLANK,
+    DECIMAL_PAIR,
+    FRAME,
+    HEX_VALUE,
+    IS_LENGTH,
+    LINES,
+    MALFORMED,
+    NEW_CHANNEL,
+    NEWLINE,
+    POSITION,
+    RETURN,
+    ROWS,
+    SKIPPED,
+    STOP,
+    TOO_LONG,
+    count_line,
+    decimal,
+    decimal_parts,
+    hex_bytes,
+    hexadecimal,
+    skip_blanks,
+    skip_line,
+    skip_word,
+)
 from canlog.logs.text_log import MAX_LINE_BYTES, TextLog
+from canlog.logs.word_kernels import NO_DIGITS, decimal_digits, hex_digits, reversed_bytes, word
+
+STANDARD_DIGITS, EXTENDED_DIGITS = 3, 8
+HIGHEST_STANDARD_DIGIT = 7
+MAX_STANDARD_ID, MAX_ID = 0x7FF, 0x3FFF_FFFF
+ERROR_OR_ABOVE = 0x2000_0000  # written with eight digits, yet not an extended identifier
+MAX_SECONDS_DIGITS, NS_DIGITS = 10, 9
+NS_PER_S, NS_PER_US = 1_000_000_000, 1_000
+FD_DIGIT_BITS = 0x03  # of the digit behind "##": bit rate switch and error state, as in ``flags``
+NAME_SEED, NAME_FACTOR = -3750763034362895579, 1099511628211  # FNV-1a, 64 bits
+
+UNUSUAL = -1  # in place of the position behind a line
+USUAL_TIME_BYTES = 20  # "(1767225600.000000) "
+LONGEST_USUAL_BYTES = 64  # of a line with a name of seven characters and eight bytes, and the word behind it
+
+# Characters of the grammar.
+OPEN, CLOSE, POINT, HASH, UNDERSCORE = ord("("), ord(")"), ord("."), ord("#"), ord("_")
+LETTER_R, LETTER_T, SMALL_R = ord("R"), ord("T"), ord("r")
+LAST_DIGITS = np.uint64(8)  # bits by which the fraction moves up in its word, behind two zeros
+TWO_ZEROS, NOT_TWO = np.uint64(0x3030), np.uint64(0xFFFF_FFFF_FFFF_0000)
+
+
+@array_kernel
+def parse_lines(text: UInt8Array, rows: FrameRows, names: NameWords, known: int, progress: Int64Array) -> None:
+    """Parse lines from where the progress says; ``known`` channels have a number."""
+    at, line, row, index = progress[POSITION], progress[LINES], progress[ROWS], 0
+    while at < len(text):
+        if at + LONGEST_USUAL_BYTES <= len(text) and known > 0:
+            index, behind = _usual_line(text, at, rows, row, names, index, known)
+            if behind >= 0:
+                row += 1
+                line += 1
+                at = behind
+                continue
+        outcome, behind = _parse_line(text, at, rows, row, names, known)
+        if outcome >= TOO_LONG:
+            progress[STOP] = outcome
+            break
+        row += outcome == FRAME
+        line += 1
+        count_line(progress, outcome, line)
+        at = behind
+    progress[POSITION], progress[LINES], progress[ROWS] = at, line, row
+
+
+@inlined_kernel
+def _usual_line(
+    text: UInt8Array, at: int, rows: FrameRows, row: int, names: NameWords, index: int, known: int
+) -> tuple[int, int]:
+    """Parse ``(1767225600.000000) vcan0 0A0#11223344`` into a row; return the channel's place and the position behind.
+
+    The position is UNUSUAL if anything stands elsewhere. ``index`` is the channel to try first.
+    """
+    time_ns = _usual_time_ns(text, at)
+    name = word(text, at + USUAL_TIME_BYTES)
+    if (name ^ names.words[index]) & names.masks[index]:
+        index = _place_of_name(name, names, known)
+    if time_ns < 0 or index < 0:
+        return 0, UNUSUAL
+    identifier, behind = _usual_id(text, at + USUAL_TIME_BYTES + names.bytes[index])
+    if behind >= 0:
+        behind = _usual_payload(text, behind, rows, row)
+    rows.t_ns[row], rows.can_id[row], rows.flags[row], rows.channel[row] = time_ns, identifier, 0, names.numbers[index]
+    return index, behind
+
+
+@inlined_kernel
+def _usual_time_ns(text: UInt8Array, at: int) -> int:
+    """Read ``(1767225600.000000)`` and a blank; negative if it is anything else, or more than 64 bits hold."""
+    fraction = word(text, at + 11)
+    pair = DECIMAL_PAIR[text[at + 9], text[at + 10]]
+    seconds = decimal_digits(word(text, at + 1))
+    micros = decimal_digits((fraction << LAST_DIGITS) & NOT_TWO | TWO_ZEROS)
+    if text[at] != OPEN or text[at + 11] != POINT or text[at + 18] != CLOSE or text[at + 19] != BLANK:
+        return UNUSUAL
+    if seconds | pair | micros < 0:
+        return UNUSUAL
+    return int((seconds * 100 + pair) * NS_PER_S + micros * NS_PER_US)
+
+
+@inlined_kernel
+def _place_of_name(name: np.uint64, names: NameWords, known: int) -> int:
+    """Return the place of a channel among those that are known, -1 if it is not among them."""
+    for index in range(known):
+        if (name ^ names.words[index]) & names.masks[index] == 0:
+            return index
+    return -1
+
+
+@inlined_kernel
+def _usual_id(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Read ``0A0#`` or ``18FEF100#``; return the identifier and the position behind it, or UNUSUAL."""
+    if text[at + STANDARD_DIGITS] == HASH:
+        high, middle, low = HEX_VALUE[text[at]], HEX_VALUE[text[at + 1]], HEX_VALUE[text[at + 2]]
+        is_usual = 0 <= high <= HIGHEST_STANDARD_DIGIT and middle | low >= 0
+        return high << 8 | middle << 4 | low, at + STANDARD_DIGITS + 1 if is_usual else UNUSUAL
+    digits = hex_digits(word(text, at)) if text[at + EXTENDED_DIGITS] == HASH else NO_DIGITS
+    identifier = reversed_bytes(digits)
+    is_usual = digits >= 0 and identifier < ERROR_OR_ABOVE
+    return identifier | EXTENDED_FLAG, at + EXTENDED_DIGITS + 1 if is_usual else UNUSUAL
+
+
+@inlined_kernel
+def _usual_payload(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
+    """Read up to eight bytes and the end of the line; return the position behind it, or UNUSUAL."""
+    low, high = hex_digits(word(text, at)), hex_digits(word(text, at + 8))
+    for index in range(1, rows.words.shape[1]):
+        rows.words[row, index] = 0
+    if low | high >= 0:
+        at += 2 * PAYLOAD_BYTES
+        rows.length[row] = PAYLOAD_BYTES
+        rows.words[row, 0] = low | high << 32
+    else:
+        rows.words[row, 0] = 0
+        rows.length[row], at = hex_bytes(text, at, row, rows.data, PAYLOAD_BYTES, POINT)
+    at += text[at] == RETURN
+    return at + 1 if text[at] == NEWLINE else UNUSUAL
+
+
+@array_kernel
+def _parse_line(text: UInt8Array, at: int, rows: FrameRows, row: int, names: NameWords, known: int) -> tuple[int, int]:
+    """Parse one line into one row; return the outcome and the position behind the line."""
+    at = skip_blanks(text, at)
+    if text[at] == NEWLINE:
+        return SKIPPED, at + 1
+    rows.t_ns[row], at = _parse_time(text, at)
+    name_at = skip_blanks(text, at)
+    identifier, at = _parse_id(text, skip_blanks(text, skip_word(text, name_at)))
+    if rows.t_ns[row] < 0 or identifier < 0:
+        return MALFORMED, skip_line(text, at)
+    rows.can_id[row], rows.flags[row] = identifier, 0
+    if text[at] == HASH:
+        if rows.data.shape[1] < FD_PAYLOAD_BYTES:
+            return TOO_LONG, at
+        at = _parse_fd_payload(text, at + 1, rows, row)
+    elif text[at] == LETTER_R or text[at] == SMALL_R:
+        at = _parse_remote(text, at + 1, rows, row)
+    else:
+        rows.length[row], at = _payload(text, at, rows.data, row, PAYLOAD_BYTES)
+    if at >= 0:
+        at = _parse_tail(text, at, rows, row)
+    if at < 0:
+        return MALFORMED, skip_line(text, -at)
+    number = _channel_number(text, name_at, names, known)
+    rows.channel[row] = max(number, 0)
+    return (FRAME if number >= 0 else NEW_CHANNEL), at
+
+
+@array_kernel
+def _channel_number(text: UInt8Array, at: int, names: NameWords, known: int) -> int:
+    """Return the number of the channel whose name stands here, -1 if it is new."""
+    name = NAME_SEED
+    while text[at] > BLANK:
+        name = (name ^ text[at]) * NAME_FACTOR
+        at += 1
+    for index in range(known):
+        if names.hashes[index] == name:
+            return int(names.numbers[index])
+    return -1
+
+
+@array_kernel
+def _parse_time(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Parse ``(seconds.fraction)``; return the time [ns], -1 if it is none, and the position behind it."""
+    if text[at] != OPEN:
+        return -1, at
+    begin = at + 1
+    seconds, at = decimal(text, begin, MAX_SECONDS_DIGITS)
+    if at == begin or text[at] != POINT:
+        return -1, at
+    begin = at + 1
+    fraction, at = decimal_parts(text, begin, NS_PER_S, NS_DIGITS)
+    if at == begin or text[at] != CLOSE:
+        return -1, at
+    return seconds * NS_PER_S + fraction // NS_PER_US * NS_PER_US, at + 1
+
+
+@array_kernel
+def _parse_id(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Parse ``123#`` or ``12345678#``; return the identifier with its flags, -1 if it is none, and the position."""
+    begin = at
+    value, at = hexadecimal(text, begin, EXTENDED_DIGITS)
+    digits = at - begin
+    if text[at] != HASH or value > MAX_ID:
+        return -1, at
+    if digits == EXTENDED_DIGITS:
+        return (value | EXTENDED_FLAG if value < ERROR_OR_ABOVE else value), at + 1
+    if digits == STANDARD_DIGITS and value <= MAX_STANDARD_ID:
+        return value, at + 1
+    return -1, at
+
+
+@array_kernel
+def _payload(text: UInt8Array, at: int, data: UInt8Array, row: int, limit: int) -> tuple[int, int]:
+    """Parse ``1122`` or ``11.22`` into a row that is zero behind it; return the count and the position."""
+    count, at = hex_bytes(text, at, row, data, limit, POINT)
+    data[row, count:] = 0
+    return count, at
+
+
+@array_kernel
+def _parse_fd_payload(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
+    """Parse flags and payload of an FD frame; return the position, negative if it is none."""
+    digit = HEX_VALUE[text[at]]
+    if digit < 0:
+        return -at
+    count, at = _payload(text, at + 1, rows.data, row, FD_PAYLOAD_BYTES)
+    rows.flags[row], rows.length[row] = FD_FLAG | (digit & FD_DIGIT_BITS), count
+    return at if IS_LENGTH[count] else -at
+
+
+@array_kernel
+def _parse_remote(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
+    """Parse what follows the ``R`` of a remote frame; return the position, negative if it is none."""
+    rows.data[row, :] = 0
+    rows.can_id[row] |= np.uint32(REMOTE_FLAG)
+    rows.length[row], at = decimal(text, at, 1)
+    return at if rows.length[row] <= PAYLOAD_BYTES else -at
+
+
+@array_kernel
+def _parse_tail(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
+    """Pass over what may follow a payload; return the position behind the line, negative if it is anything else."""
+    if text[at] == UNDERSCORE and HEX_VALUE[text[at + 1]] > PAYLOAD_BYTES:
+        at += 2  # the raw length code above eight that some controllers send
+    behind = skip_blanks(text, at)
+    is_sent = text[behind] == LETTER_T
+    if behind > at and (is_sent or text[behind] == LETTER_R):  # the direction that candump -x appends
+        rows.flags[row] |= np.uint8(TX_FLAG * is_sent)
+        behind = skip_blanks(text, behind + 1)
+    return behind + 1 if text[behind] == NEWLINE else -behind
 
 
 class CandumpLog(TextLog):

@@ -6,11 +6,11 @@ from io import BufferedReader
 from pathlib import Path
 
 from canlog.errors import SourceError
+from canlog.files import open_plain_file
 from canlog.logs.archives import has_members
 from canlog.logs.detection import Detected, LogFormat
 from canlog.logs.reading import read_log
 from canlog.logs.unpacking import looks_inside
-from canlog.plain_files import open_plain_file
 
 
 def is_log(path: Path) -> bool:

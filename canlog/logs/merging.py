@@ -4,8 +4,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from canlog.frame_columns import join
-from canlog.frames import FrameBatch
+from canlog.frames import FrameBatch, join
 
 
 def _unchanged(_number: int, batch: FrameBatch) -> FrameBatch:

@@ -18,7 +18,6 @@ import numpy.typing as npt
 from canlog.arrays import UInt8Array
 from canlog.errors import SourceError
 from canlog.extras import load_extra
-from canlog.frame_columns import clear_padding, rounded_to_us
 from canlog.frames import (
     BRS_FLAG,
     ERROR_FLAG,
@@ -30,6 +29,8 @@ from canlog.frames import (
     REMOTE_FLAG,
     TX_FLAG,
     FrameBatch,
+    clear_padding,
+    rounded_to_us,
 )
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.merging import merged_by_time

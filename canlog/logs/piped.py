@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from canlog.errors import InputLeftError, SourceError
-from canlog.pipe_size import WIDE_BYTES, widen
+from canlog.files import WIDE_BYTES, widen
 
 STANDARD_INPUT: Final = Path("-")
 INPUT_NAME: Final = "standard input"

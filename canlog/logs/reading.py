@@ -10,6 +10,7 @@ from typing import BinaryIO, Self, cast
 
 from canlog.database.signal_columns import SignalColumn
 from canlog.errors import SourceError
+from canlog.files import open_plain_file
 from canlog.frames import FrameBatch
 from canlog.logs.archives import is_archive, split_member
 from canlog.logs.arrow_tables import arrow_columns, read_arrow_table
@@ -28,7 +29,6 @@ from canlog.logs.text_log import reader_of
 from canlog.logs.time_unit import bus_load_ratio, is_plausible
 from canlog.logs.time_watch import TimeWatch
 from canlog.logs.unpacking import Contents, contents_of
-from canlog.plain_files import open_plain_file
 
 LOAD_FRAMES = 2_000  # the first ones, from which a load is told
 READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]] = MappingProxyType(

@@ -3,8 +3,7 @@
 import numpy as np
 
 from canlog.arrays import Int64Array
-from canlog.frame_columns import join
-from canlog.frames import MAX_GAP_NS, FrameBatch
+from canlog.frames import MAX_GAP_NS, FrameBatch, join
 from canlog.jit import array_kernel
 from canlog.logs.frame_buffer import FrameRows, rows_of
 from canlog.logs.log_counts import LogCounts

@@ -10,13 +10,12 @@ from tempfile import TemporaryDirectory
 from typing import BinaryIO, cast
 
 from canlog.errors import SourceError
-from canlog.logs.archives import Member, MemberStream, find_member, has_members, is_archive, members_of
+from canlog.logs.archives import Member, MemberStream, find_member, has_members, is_archive, is_tar, members_of
 from canlog.logs.compressed import InflatedStream
 from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, detect, detect_as_columns
 from canlog.logs.inflaters import compression_of
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.piped import KeptFile
-from canlog.logs.tars import is_tar
 
 MOST_NAMED = 3  # members of an archive, in an error
 COPY_BYTES = 1024 * 1024

@@ -11,6 +11,7 @@ from cantools.database.can import Message
 
 from canlog.decode.codec import HAS_VALUES, Codec
 from canlog.errors import OutputError
+from canlog.files import replacing
 from canlog.frames import FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader
 from canlog.logs.piped import never
@@ -25,7 +26,6 @@ from canlog.tables.outputs import TableFormat, check_libraries
 from canlog.tables.selection import EVERYTHING, Span, chosen_places
 from canlog.tables.sinks import ColumnRows, MessageRows, TableSink
 from canlog.tables.table_folder import TableFolder, message_files, table_folder
-from canlog.whole_file import replacing
 
 MAX_CELLS: Final = 8_000_000  # of a row group: 64 MB of numbers
 CELLS_PER_VALUE: Final = 8  # of the long table

@@ -8,8 +8,7 @@ import numpy as np
 from canlog.arrays import BoolArray, Int64Array
 from canlog.database.addressing import NOBODY
 from canlog.decode.codec import Codec, FrameFate
-from canlog.frame_columns import join
-from canlog.frames import PAYLOAD_BYTES, FrameBatch
+from canlog.frames import PAYLOAD_BYTES, FrameBatch, join
 from canlog.tables.inputs import Origins
 from canlog.tables.long_rows import LongPayloads, Stretch, joined
 

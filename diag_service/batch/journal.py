@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from clutchdiag_io.file_lock import lock
-from clutchdiag_io.private_file import OPEN_FLAGS, PRIVATE_MODE, keep_private
+from clutchdiag_io.files import OPEN_FLAGS, PRIVATE_MODE, keep_private, lock
 from diag_service.diagnosis.results import dump
 from diag_service.errors import StoreError
 from fleet_contract import JsonObject

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from enum import StrEnum
 from pathlib import Path
 
+from canlog.files import replacing
 from canlog.parquet_file import BOOL_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
-from canlog.whole_file import replacing
-from clutchdiag_io.legible import legible
+from clutchdiag_io.files import legible
 from diag_service.batch.journal import Entry
 from diag_service.diagnosis.results import dump
 from diag_service.errors import ConfigError, StoreError

@@ -10,6 +10,7 @@ from clutchdiag_io.command_line import (
     FILE,
     FILE_OR_STORE,
     FLOAT,
+    FORCE,
     INT,
     VERBOSE,
     Choice,
@@ -19,7 +20,6 @@ from clutchdiag_io.command_line import (
     Program,
     parse,
 )
-from clutchdiag_io.overwriting import FORCE
 from diag_service.commands.asking_arguments import DID, DTC, JSON, PROGRAM, ROUTINE, SCAN
 from diag_service.settings.options import BUS, CONFIG, DELIVERY, MEANING, PAGE, POLL, VARIABLES
 

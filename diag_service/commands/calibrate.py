@@ -2,7 +2,7 @@
 
 from types import SimpleNamespace
 
-from clutchdiag_io.overwriting import replacement_refusal
+from clutchdiag_io.files import replacement_refusal
 from diag_service.errors import ConfigError
 from diag_service.service import calibrate_run
 from diag_service.service.stopping import Controls

@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 import tomli_w
 
-from clutchdiag_io.legible import legible
+from clutchdiag_io.files import legible
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import bus_config, diagnosis_config
 from diag_service.settings.options import SETTINGS

@@ -16,7 +16,7 @@ from canlog.tables.report import account_record, frame_texts, losses, remarks, v
 from canlog.tables.table_folder import message_files, tables_there
 from canlog.written_tables import TableChoice
 from clutchdiag_io.command_line import STANDARD_STREAM
-from clutchdiag_io.overwriting import replacement_refusal
+from clutchdiag_io.files import replacement_refusal
 from diag_service.commands.pairs import pairs_of
 from diag_service.console.terminal import PeopleConsole, ReadingLine
 from diag_service.errors import ConfigError, IncompleteError, StoppedError

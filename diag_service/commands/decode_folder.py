@@ -14,7 +14,7 @@ from canlog.logs import STANDARD_INPUT, is_folder
 from canlog.notice import NOTICE
 from canlog.tables.decoding import TableShape
 from canlog.tables.outputs import SUFFIX_OF_FORMAT, TableFormat
-from clutchdiag_io.overwriting import replacement_refusal
+from clutchdiag_io.files import replacement_refusal
 from diag_service.batch.drives import find_drives, left_out_record
 from diag_service.batch.processes import job_count, shared_out
 from diag_service.batch.tables_of_logs import TableDone, TableTask, begin_tables, write_own_table

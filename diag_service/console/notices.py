@@ -9,7 +9,7 @@ from typing import Final
 
 from canlog.kernel_cache import announce_compiling
 from canlog.notice import NOTICE
-from clutchdiag_io.legible import legible
+from clutchdiag_io.files import legible
 
 _FOUND: ContextVar[list[str] | None] = ContextVar("notices of this run", default=None)
 

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from canlog.logs import LogReader
-from clutchdiag_io.legible import legible
+from clutchdiag_io.files import legible
 
 INDENT: Final = "    "  # of what goes on in the next line
 CLEAR: Final = "\r\x1b[K"  # takes away what stands on the last line

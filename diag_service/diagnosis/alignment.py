@@ -7,9 +7,8 @@ from typing import Self
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array
+from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from canlog.jit import array_kernel, kernel
-from canlog.series import Series
 from clutch_model.calibration import Calibration
 from clutch_model.gears import both_clutches
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal

@@ -10,9 +10,8 @@ from enum import IntEnum, StrEnum
 
 import numpy as np
 
-from canlog.arrays import Int64Array
+from canlog.arrays import Int64Array, Series
 from canlog.e2e.e2e_state import E2eChange
-from canlog.series import Series
 
 
 class Signal(StrEnum):

@@ -16,9 +16,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.jit import array_kernel
-from canlog.series import Series
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import Event

@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 from functools import cache
 from typing import Final
 
-from clutchdiag_io.legible import legible_record
+from clutchdiag_io.files import legible_record
 from diag_service.diagnosis.plain_values import from_plain, to_plain
 from diag_service.diagnosis.records import ClutchVerdict, Condition, FluidFill, ShiftResult
 from diag_service.errors import ResultError

@@ -5,8 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from canlog.arrays import FloatArray, Int64Array
-from canlog.series import Series
+from canlog.arrays import FloatArray, Int64Array, Series
 from diag_service.diagnosis.columns import Signal
 
 

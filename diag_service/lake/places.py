@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from canlog.extras import load_extra
-from canlog.whole_file import replacing
+from canlog.files import replacing
 from diag_service.errors import ConfigError, StoreError
 
 ATTEMPTS: Final = 7

@@ -14,7 +14,7 @@ from wsgiref.types import StartResponse, WSGIEnvironment
 
 from jinja2 import Environment
 
-from clutchdiag_io.legible import legible
+from clutchdiag_io.files import legible
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Section, Table, number
 from clutchdiag_io.pages.environment import templates_of
 from clutchdiag_io.pages.headers import SAFE_HEADERS, host_of

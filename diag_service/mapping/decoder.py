@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from cantools.database.can import Database
 
-from canlog.arrays import Int64Array
+from canlog.arrays import Int64Array, Series
 from canlog.database.addressing import kernel_filters
 from canlog.decode.bit_fields import PayloadWords
 from canlog.decode.signal_table import NO_INVALID, InvalidCounts
@@ -15,7 +15,6 @@ from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from canlog.error_frames import BusTrouble, reports
 from canlog.frames import MAX_GAP_NS, FrameBatch
-from canlog.series import Series
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import ColumnBatch, Columns, GearRatios, Signal
 from diag_service.diagnosis.summary import FrameCounts

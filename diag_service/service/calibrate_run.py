@@ -11,7 +11,7 @@ from rich import box
 from rich.table import Table
 
 from canlog.errors import SourceError
-from canlog.whole_file import replacing
+from canlog.files import replacing
 from clutch_model.calibration import Calibration, calibration_toml
 from clutch_model.units import NS_PER_S, bar_from_pa
 from diag_service.console.terminal import PeopleConsole, ReadingLine

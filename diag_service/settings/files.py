@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 import click
 
-from canlog.plain_files import read_toml_file
+from canlog.files import read_toml_file
 from diag_service.errors import ConfigError
 from diag_service.settings.options import Setting
 from fleet_link import AddressError, check_secret_mode

@@ -7,8 +7,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from clutchdiag_io.file_lock import lock
-from clutchdiag_io.private_file import OPEN_FLAGS, PRIVATE_MODE, create_private
+from clutchdiag_io.files import OPEN_FLAGS, PRIVATE_MODE, create_private, lock
 from diag_service.errors import StoreError, StoreFullError
 
 APPLICATION_ID: Final = 0x434C4449  # "CLDI", in the header of every store

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final, Self
 from urllib.parse import quote
 
-from canlog.plain_files import open_plain_file
+from canlog.files import open_plain_file
 from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.results import parse_shift
 from diag_service.errors import ResultError, StoreError

@@ -15,7 +15,7 @@ from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Final, Self
 
-from clutchdiag_io.private_file import keep_private
+from clutchdiag_io.files import keep_private
 from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.results import StoredResult, dump, parse_shift, shift_record
 from diag_service.errors import ResultError, StoreError

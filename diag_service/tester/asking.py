@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Final
 import can
 
 from canlog.extras import load_extra
+from canlog.files import check_plain_file
 from canlog.live.factory import complete_settings
 from canlog.live.pythoncan import one_line, open_bus
-from canlog.plain_files import check_plain_file
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.tester.addresses import TRANSMISSION, CanAddress, id_text, is_extended, is_request, usual_response_id
 from diag_service.tester.description import Description

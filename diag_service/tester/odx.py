@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from canlog.extras import load_extra
-from canlog.plain_files import check_plain_file
+from canlog.files import check_plain_file
 from diag_service.errors import ConfigError
 from diag_service.tester.answers import POSITIVE, READ_DATA, ROUTINE
 from diag_service.tester.description import (

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
-from canlog.plain_files import read_small_file
+from canlog.files import read_small_file
 from ecu_emulator.diagnostics.adaptation import CLUTCHES, Adaptation
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.emissions import MOST_CYCLES, Emissions, FreezeFrame

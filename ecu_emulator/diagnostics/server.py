@@ -16,6 +16,7 @@ from ecu_emulator.diagnostics.codes import (
     Nrc,
     Service,
 )
+from ecu_emulator.diagnostics.descriptions import Profile
 from ecu_emulator.diagnostics.emissions import after_cycle, after_test, after_warm_up
 from ecu_emulator.diagnostics.memory import (
     NOTHING_CAPTURED,
@@ -26,19 +27,20 @@ from ecu_emulator.diagnostics.memory import (
     note_warm_up,
     report,
 )
-from ecu_emulator.diagnostics.obd_descriptions import Profile
 from ecu_emulator.diagnostics.services.call import Call, Outcome, Result, is_unlocked, under_control
 from ecu_emulator.diagnostics.services.data import (
     CLEAR_DEFINITION,
     DEFINE_BY_IDENTIFIER,
     control_data,
     define_data,
+    due,
+    only_allowed,
     read_data,
+    read_periodically,
     write_data,
 )
 from ecu_emulator.diagnostics.services.obd import OBD_HANDLERS
 from ecu_emulator.diagnostics.services.obd_data import frozen_pids, odometer_m
-from ecu_emulator.diagnostics.services.periodic import due, only_allowed, read_periodically
 from ecu_emulator.diagnostics.services.routines import RESULTS, START, STOP, answered, routine_control, timed_out
 from ecu_emulator.diagnostics.services.security import delay_over, security_access
 from ecu_emulator.diagnostics.services.sessions import (

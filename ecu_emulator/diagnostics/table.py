@@ -6,17 +6,19 @@ from typing import Final
 
 from ecu_emulator.diagnostics.codes import DEFAULT_SESSION, Service
 from ecu_emulator.diagnostics.descriptions import (
+    IN_USE,
     Access,
     Condition,
     Datum,
     ExtendedRecord,
+    Obd,
+    Profile,
     Routine,
     SecurityLevel,
     ServiceAccess,
     Session,
     Trouble,
 )
-from ecu_emulator.diagnostics.obd_descriptions import IN_USE, Obd, Profile
 from ecu_emulator.errors import ConfigError
 
 PERIODIC_PAGE: Final = 0xF2  # upper byte of data that can be sent periodically, ISO 14229-1 annex C

@@ -10,19 +10,24 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Final, TypeVar, get_args, get_origin, get_type_hints
 
-from canlog.plain_files import read_small_file
+from canlog.files import read_small_file
 from ecu_emulator.diagnostics.descriptions import (
+    IN_USE,
     Access,
     Condition,
     Datum,
     ExtendedRecord,
+    MonitorTest,
+    Obd,
+    Pid,
+    Profile,
     Routine,
     SecurityLevel,
     ServiceAccess,
     Session,
     Trouble,
+    VehicleInfo,
 )
-from ecu_emulator.diagnostics.obd_descriptions import IN_USE, MonitorTest, Obd, Pid, Profile, VehicleInfo
 from ecu_emulator.diagnostics.table import (
     Addressing,
     ClutchLimits,

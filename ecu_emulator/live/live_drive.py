@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import can
 
 from canlog.e2e.message_contract import message_contracts
-from clutchdiag_io.sign_of_life import give_sign, make_sign
+from clutchdiag_io.files import give_sign, make_sign
 from dbc.contract import load_contract
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
 from ecu_emulator.diagnostics.doip.listening import Place, parse_place

@@ -7,7 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
-from canlog.plain_files import read_small_file
+from canlog.files import read_small_file
 from clutch_model.tables import record_from
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.faults import BusFault, SensorFault

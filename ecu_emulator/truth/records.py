@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, TextIO
 
-from canlog.plain_files import read_small_file
+from canlog.files import read_small_file
 from ecu_emulator.errors import RecordError
 
 MAX_TRUTH_BYTES: Final = 64 * 2**20  # a shift or an event takes half a kilobyte

@@ -1,14 +1,14 @@
 """Which fluids are due when: the prognosis in days, as far as is known how much each vehicle is driven."""
 
-from collections.abc import Iterable, Sequence
-from datetime import date, timedelta
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
 from typing import Final
 
 from clutchdiag_io.pages.content import NONE, Badge, Cell, Moment, Section, Table
 from diag_service.diagnosis.prognosis.sentence import soonest
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, Ask, Kind, Parameter
-from fleet_backend.page.calendar import Entry, calendar_of
 from fleet_backend.page.clutch_past import Past
 from fleet_backend.page.fleet_view import next_of
 from fleet_backend.page.listing import part_of
@@ -18,6 +18,51 @@ from fleet_backend.page.vehicle_state import state_of
 from fleet_backend.page.vehicle_view import SERVICE_KM, past_of
 from fleet_backend.page.view import Shown, Sources, View
 from fleet_contract.orders import Action
+
+_LONGEST: Final = 75  # bytes of a line, its end not counted
+_ESCAPED: Final = str.maketrans({"\\": "\\\\", ";": "\\;", ",": "\\,", "\n": "\\n", "\r": ""})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry:
+    """Something on one day; of the same key in a later calendar it takes the place."""
+
+    key: str
+    day: date
+    title: str
+    text: str
+
+
+def calendar_of(name: str, entries: Iterable[Entry], now: datetime) -> bytes:
+    return "".join(_folded(line) for line in _lines(name, entries, now)).encode()
+
+
+def _lines(name: str, entries: Iterable[Entry], now: datetime) -> Iterator[str]:
+    yield from ("BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//clutchdiag//fleet//EN", "CALSCALE:GREGORIAN")
+    yield f"X-WR-CALNAME:{name.translate(_ESCAPED)}"
+    for one in entries:
+        yield from ("BEGIN:VEVENT", f"UID:{one.key.translate(_ESCAPED)}")
+        yield f"DTSTAMP:{now.astimezone(UTC):%Y%m%dT%H%M%SZ}"
+        yield f"DTSTART;VALUE=DATE:{one.day:%Y%m%d}"
+        yield f"DTEND;VALUE=DATE:{one.day + timedelta(days=1):%Y%m%d}"
+        yield f"SUMMARY:{one.title.translate(_ESCAPED)}"
+        yield f"DESCRIPTION:{one.text.translate(_ESCAPED)}"
+        yield from ("TRANSP:TRANSPARENT", "END:VEVENT")
+    yield "END:VCALENDAR"
+
+
+def _folded(line: str) -> str:
+    """Return a line in pieces of 75 bytes at most; no character is cut."""
+    pieces, size = [""], 0
+    for character in line:
+        width = len(character.encode())
+        if size + width > _LONGEST:
+            pieces.append(" ")
+            size = 1
+        pieces[-1] += character
+        size += width
+    return "\r\n".join(pieces) + "\r\n"
+
 
 MOST: Final = 200  # each takes a prognosis
 LOOKED_BACK: Final = timedelta(days=90)  # over which it is counted how much a vehicle is driven

@@ -10,12 +10,14 @@ from types import MappingProxyType
 from typing import Final
 
 from starlette.applications import Starlette
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from clutchdiag_io.pages.headers import SAFE_HEADERS, host_of
 from fleet_backend.errors import DatabaseError, FleetBackendError
 from fleet_backend.page import (
     alarm_view,
@@ -33,11 +35,48 @@ from fleet_backend.page.access import Access
 from fleet_backend.page.description import Problem, openapi
 from fleet_backend.page.errors import LoginError, PageError
 from fleet_backend.page.files import json_of
-from fleet_backend.page.headers import KnownHosts, SafeHeaders
 from fleet_backend.page.html import NAVIGATION, problem_page
 from fleet_backend.page.login import LOGIN_PATH, LoginRoutes, login_address
 from fleet_backend.page.routes import EVENTS_PATH, Endpoints, api_parameters
 from fleet_backend.page.view import Sources
+
+_KEEP_NOTHING: Final = "no-store"  # of what says something of vehicles
+
+
+class SafeHeaders:
+    """Puts the headers on every answer."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
+
+        async def send_safely(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in SAFE_HEADERS:
+                    headers[name] = value
+                headers.setdefault("cache-control", _KEEP_NOTHING)
+            await send(message)
+
+        await self._app(scope, receive, send_safely)
+
+
+class KnownHosts:
+    """Answers those who call this server by its own names; a strange page that leads its name here gets nothing."""
+
+    def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
+        self._app = app
+        self._names = frozenset(name.casefold() for name in names)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer one request."""
+        if scope["type"] == "http" and host_of(Headers(scope=scope).get("host", "")) not in self._names:
+            await PlainTextResponse("this server has another name\n", status_code=421)(scope, receive, send)
+            return
+        await self._app(scope, receive, send)
+
 
 VIEWS: Final = (
     *(overview_view.VIEW, fleet_view.VIEW, vehicle_view.VIEW, shift_view.VIEW),

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from canlog.errors import SourceError
-from canlog.frame_columns import join
-from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, MAX_GAP_NS, FrameBatch
+from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, MAX_GAP_NS, FrameBatch, join
 from canlog.live import FrameSource, Silence, open_source
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from canlog.errors import SourceError
-from canlog.frame_columns import join
-from canlog.frames import FrameBatch
+from canlog.frames import FrameBatch, join
 from canlog.logs import LogReject, read_log
 from canlog.logs.log_counts import LogCounts
 from ecu_emulator.log_formats.record import open_log

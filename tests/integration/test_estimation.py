@@ -7,8 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from canlog.arrays import FloatArray
-from canlog.series import Series
+from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal

@@ -12,8 +12,7 @@ from fleet_backend.alarm_tables import ALARM, AUDIT
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import ConfigError
-from fleet_backend.page.access import Role
-from fleet_backend.page.access_file import read_access
+from fleet_backend.page.access import Role, read_access
 from fleet_backend.page.routes import EVENTS_PATH
 from fleet_backend.page.site import ACTIONS, OPENAPI_PATH, VIEWS
 from tests.support.documents import page_text

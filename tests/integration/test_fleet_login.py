@@ -12,8 +12,7 @@ import pytest
 
 from fleet_backend.database import open_database
 from fleet_backend.errors import ConfigError
-from fleet_backend.page.access import Access, Login, Role
-from fleet_backend.page.access_file import read_access
+from fleet_backend.page.access import Access, Login, Role, read_access
 from fleet_backend.page.errors import ProviderAwayError
 from fleet_backend.page.login import local_path
 from fleet_backend.page.oidc import Client, OpenIdProvider

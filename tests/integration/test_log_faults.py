@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from canlog.errors import SourceError
-from canlog.frame_columns import join
+from canlog.frames import join
 from canlog.logs import LogReader, LogReject, merged_by_time, read_log
 from canlog.logs.bounded_stream import FREE_BYTES
 from canlog.logs.log_counts import LogCounts

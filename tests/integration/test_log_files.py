@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from canlog.errors import SourceError
-from canlog.frame_columns import join
+from canlog.frames import join
 from canlog.logs import LogFormat, LogReject, read_log
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.bus.sender import to_messages

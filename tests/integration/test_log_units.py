@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from canlog.frame_columns import join
-from canlog.frames import EXTENDED_FLAG
+from canlog.frames import EXTENDED_FLAG, join
 from canlog.logs import read_log
 from tests.support.in_process import ended as run
 from tests.support.service import Ended

@@ -32,7 +32,7 @@ from tests.support.service import Ended
 from tests.support.wire import START_NS
 
 if TYPE_CHECKING:
-    from canlog.series import Series
+    from canlog.arrays import Series
 
 CALIBRATION, DRIVELINE = nominal_calibration(), nominal_driveline()
 PUNCTUAL = replace(CALIBRATION, bias=SensorBias())  # as the emulated vehicle: no reading is late

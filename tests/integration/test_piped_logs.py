@@ -14,10 +14,9 @@ from typing import Any
 import pytest
 
 from canlog.errors import InputLeftError, SourceError
-from canlog.frame_columns import join
-from canlog.frames import FrameBatch
+from canlog.files import WIDE_BYTES
+from canlog.frames import FrameBatch, join
 from canlog.logs import STANDARD_INPUT, read_log
-from canlog.pipe_size import WIDE_BYTES
 from diag_service.errors import ConfigError
 from diag_service.service.drive import open_drive
 from diag_service.service.stopping import Trigger

@@ -14,8 +14,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ecu_emulator.cli import main
-from ecu_emulator.diagnostics.descriptions import Access, Datum, ExtendedRecord, Field, Kind, Routine, Trouble, size_of
-from ecu_emulator.diagnostics.obd_descriptions import Profile
+from ecu_emulator.diagnostics.descriptions import (
+    Access,
+    Datum,
+    ExtendedRecord,
+    Field,
+    Kind,
+    Profile,
+    Routine,
+    Trouble,
+    size_of,
+)
 from ecu_emulator.diagnostics.pdx.package import pdx_package
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import shipped_table

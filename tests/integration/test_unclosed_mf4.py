@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from canlog.frame_columns import join
+from canlog.frames import join
 from canlog.logs import read_log
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.log_formats.record import open_log

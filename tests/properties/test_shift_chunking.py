@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canlog.series import Series
+from canlog.arrays import Series
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.shifts import ShiftFinder

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet_backend.ranking import version_rank
+from fleet_backend.rows import version_rank
 
 VERSION = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x24F), min_size=1, max_size=40)
 NUMBER = st.integers(min_value=0, max_value=10**30)

@@ -13,10 +13,10 @@ from clutch_model.film import (
     film_mobility_m,
     shear_factor_difference,
     squeeze_rate_m_s,
+    viscosity_pa_s,
 )
 from clutch_model.friction import contact_torque_nm, friction_law, kinetic_friction
 from clutch_model.units import k_from_degc, pa_from_bar
-from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.friction.paper.differentiate import steady_kalman_gain
 
 CALIBRATION = nominal_calibration()

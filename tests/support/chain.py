@@ -4,8 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from canlog.frame_columns import join
-from canlog.frames import FrameBatch
+from canlog.frames import FrameBatch, join
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract

@@ -13,8 +13,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from canlog.frame_columns import join
-from canlog.frames import FrameBatch
+from canlog.frames import FrameBatch, join
 from canlog.live import FrameSource, SourceCounts
 from canlog.logs import read_log
 from diag_service import cli

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from canlog.series import Series
+from canlog.arrays import Series
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 
 STEP_NS = 10_000_000

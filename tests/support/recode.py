@@ -7,10 +7,9 @@ import cantools
 import numpy as np
 from cantools.database.can import Database, Message
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.database.loading import load_database
 from canlog.logs import read_log
-from canlog.series import Series
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.shifts.tracking import held_values

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from canlog.arrays import FloatArray
-from canlog.series import Series
+from canlog.arrays import FloatArray, Series
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 
 STEP_NS = 10_000_000

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from canlog.frame_columns import join
-from canlog.frames import FrameBatch
+from canlog.frames import FrameBatch, join
 from ecu_emulator.bus.frames import EncodedFrames
 
 START_NS = 1_767_225_600_123_456_000  # 2026-01-01T00:00:00.123456Z: not on a whole millisecond

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from random import Random
 
-from ecu_emulator.diagnostics.obd_descriptions import Profile
+from ecu_emulator.diagnostics.descriptions import Profile
 from ecu_emulator.diagnostics.table_file import load_table, shipped_table
 from tests.support.uds.full_table import full_table
 from tests.support.uds.pdx_client import PdxClient

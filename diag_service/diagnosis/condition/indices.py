@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array
+from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from canlog.jit import array_kernel
-from canlog.series import Series
 from clutch_model.calibration import Calibration
 from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment import read_at

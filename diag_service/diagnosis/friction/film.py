@@ -18,12 +18,12 @@ from clutch_model.film import (
     film_law,
     piston_pressure_pa,
     sheared_torque_nm,
+    viscosity_pa_s,
 )
 from clutch_model.film_points import FilmPoint, FilmShape, film_point, film_shape, point_motion, point_rate_m_s
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, kinetic_friction
 from clutch_model.gears import both_clutches
 from clutch_model.thermal import clutch_heating_rate_k_s
-from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.alignment import GRID_S
 
 COARSE = 2  # points of the grid: steps in which a film may be followed whose derivatives alone are wanted

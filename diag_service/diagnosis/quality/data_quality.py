@@ -12,10 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.e2e_state import E2eState
 from canlog.jit import array_kernel, inlined_kernel, kernel
-from canlog.series import Series
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.alignment import (
     COMMAND_LAG_S,

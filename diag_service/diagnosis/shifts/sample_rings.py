@@ -5,10 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.frames import BEFORE_ALL_NS
 from canlog.jit import array_kernel
-from canlog.series import Series
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.sample_block import BlockLayout, SampleBlock, Samples, empty_rows
 

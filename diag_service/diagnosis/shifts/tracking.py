@@ -7,10 +7,9 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.frames import BEFORE_ALL_NS
 from canlog.jit import array_kernel
-from canlog.series import Series
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.shifts.history import History

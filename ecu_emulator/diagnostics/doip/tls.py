@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from canlog.plain_files import check_plain_file
+from canlog.files import check_plain_file
 from ecu_emulator.errors import ConfigError
 
 LARGEST_PORT: Final = 65535

@@ -31,8 +31,7 @@ from odxtools.statetransitionref import StateTransitionRef
 from odxtools.writepdxfile import write_pdx_file
 
 from ecu_emulator.diagnostics.codes import DEFAULT_SESSION, NEGATIVE, POSITIVE, SUPPRESS, Nrc
-from ecu_emulator.diagnostics.descriptions import Access
-from ecu_emulator.diagnostics.obd_descriptions import Profile
+from ecu_emulator.diagnostics.descriptions import Access, Profile
 from ecu_emulator.diagnostics.pdx.communication import (
     SPECIFICATION,
     STACK,

@@ -8,10 +8,21 @@ from odxtools.odxlink import OdxLinkRef
 
 from ecu_emulator.diagnostics.codes import ALL_CODES, ObdService
 from ecu_emulator.diagnostics.codes import Service as Number
-from ecu_emulator.diagnostics.descriptions import Access, Datum, Field, Kind, Routine
+from ecu_emulator.diagnostics.descriptions import (
+    BLOCK,
+    Access,
+    Datum,
+    Field,
+    Kind,
+    Obd,
+    Pid,
+    Profile,
+    Routine,
+    VehicleInfo,
+    supported,
+)
 from ecu_emulator.diagnostics.emissions import ALL_EMISSION_CODES
 from ecu_emulator.diagnostics.memory import FIRST_RECORD, LATEST_RECORD
-from ecu_emulator.diagnostics.obd_descriptions import BLOCK, Obd, Pid, Profile, VehicleInfo, supported
 from ecu_emulator.diagnostics.pdx.elements import (
     Dictionary,
     Part,
@@ -26,7 +37,7 @@ from ecu_emulator.diagnostics.pdx.elements import (
     value,
     worded,
 )
-from ecu_emulator.diagnostics.services import data, obd, obd_data, periodic, routines, sessions, trouble
+from ecu_emulator.diagnostics.services import data, obd, obd_data, routines, sessions, trouble
 from ecu_emulator.diagnostics.table import PERIODIC_PAGE, DiagnosticTable
 
 _RESETS: Final = {
@@ -42,7 +53,7 @@ _TRAFFIC: Final = {
 }
 _MESSAGES: Final = {1: "normal messages", 2: "network management", 3: "normal messages and network management"}
 _SETTINGS: Final = {sessions.CODES_ON: "trouble codes on", sessions.CODES_OFF: "trouble codes off"}
-_RATES: Final = {periodic.SLOW: "Slow", periodic.MEDIUM: "Medium", periodic.FAST: "Fast", periodic.STOP: "Stop"}
+_RATES: Final = {data.SLOW: "Slow", data.MEDIUM: "Medium", data.FAST: "Fast", data.STOP: "Stop"}
 _CONTROLS: Final = {data.RETURN_CONTROL: "Return", data.FREEZE: "Freeze", data.ADJUST: "Adjust"}
 _ROUTINE_ACTIONS: Final = {routines.START: "Start", routines.STOP: "Stop", routines.RESULTS: "Results of"}
 _STATUS_BITS: Final = (
@@ -253,7 +264,7 @@ class UdsServices(_Services):
         asked = value("data", self.dictionary.repeated("periodic data", datum, least=1))
         for mode, verb in _RATES.items():
             yield self.service(f"{verb} periodic data", number, "PERIODIC", (constant("mode", mode), asked))
-        yield self.service("Stop all periodic data", number, "PERIODIC", (constant("mode", periodic.STOP),))
+        yield self.service("Stop all periodic data", number, "PERIODIC", (constant("mode", data.STOP),))
 
     def _defining(self) -> Iterator[Service]:
         number, kind, dictionary = Number.DEFINE_DATA, "DYN-DEF-MESSAGE", self.dictionary

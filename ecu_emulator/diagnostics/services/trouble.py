@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Final
 
 from ecu_emulator.diagnostics.codes import ALL_BITS, ALL_CODES, Nrc
-from ecu_emulator.diagnostics.descriptions import OF_MEMORY, ExtendedRecord, Trouble
+from ecu_emulator.diagnostics.descriptions import IN_USE, OF_MEMORY, ExtendedRecord, Profile, Trouble
 from ecu_emulator.diagnostics.emissions import ALL_EMISSION_CODES, after_clear, emission_codes
 from ecu_emulator.diagnostics.memory import (
     FAILED_COUNTER,
@@ -15,7 +15,6 @@ from ecu_emulator.diagnostics.memory import (
     TroubleRecord,
     clear,
 )
-from ecu_emulator.diagnostics.obd_descriptions import IN_USE, Profile
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet_by_service
 from ecu_emulator.diagnostics.services.data import data_of
 from ecu_emulator.diagnostics.services.obd_data import odometer_m

@@ -15,8 +15,7 @@ import numpy as np
 
 from canlog.arrays import Int64Array
 from canlog.errors import SourceError
-from canlog.frame_columns import join
-from canlog.frames import FrameBatch, empty_batch
+from canlog.frames import FrameBatch, empty_batch, join
 from canlog.logs import LogCounts, read_log
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract

@@ -8,7 +8,7 @@ from benchmarks.decode import decode_all, decode_each, iterate_shifts
 from benchmarks.decoding.hour import write_hour
 from benchmarks.decoding.layout import database, random_batches
 from canlog.decode.codec import Codec
-from canlog.frame_columns import join
+from canlog.frames import join
 from canlog.logs import read_log
 from tests.support.wire import drive, received
 

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from canlog.frame_columns import clear_padding, join
-from canlog.frames import BRS_FLAG, FD_FLAG, FrameBatch, empty_batch
+from canlog.frames import BRS_FLAG, FD_FLAG, FrameBatch, clear_padding, empty_batch, join
 from tests.support.traffic import assert_same
 
 

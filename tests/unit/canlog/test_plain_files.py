@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from canlog.plain_files import check_plain_file, read_small_file, read_toml_file
+from canlog.files import check_plain_file, read_small_file, read_toml_file
 
 
 def a_socket(path: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from canlog.errors import OutputError
-from canlog.whole_file import replacing
+from canlog.files import replacing
 
 
 def write(path: Path, content: bytes, failure: Exception | None = None) -> None:

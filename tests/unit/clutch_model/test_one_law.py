@@ -16,6 +16,8 @@ from clutch_model.film import (
     piston_pressures_pa,
     shear_factor_difference,
     sheared_torque_nm,
+    viscosities_pa_s,
+    viscosity_pa_s,
     viscous_torque_nm,
 )
 from clutch_model.friction import (
@@ -26,7 +28,6 @@ from clutch_model.friction import (
     stribeck_weight,
     stribeck_weights,
 )
-from clutch_model.viscosity import viscosities_pa_s, viscosity_pa_s
 
 ROOT = Path(__file__).parents[3]
 USERS = ("ecu_emulator", "diag_service", "benchmarks", "demo")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from canlog.series import Series
+from canlog.arrays import Series
 from demo.picture import draw
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event

@@ -21,7 +21,7 @@ from fleet_contract import (
     schema,
     topic_of,
 )
-from fleet_contract.described import ENVELOPE
+from fleet_contract.schema_check import ENVELOPE
 
 ALONE = [channel for channel in Channel if channel is not Channel.BUNDLE]
 QUANTITIES = "relation:\n  definition: A ratio of two quantities of one kind\n"

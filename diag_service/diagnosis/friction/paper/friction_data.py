@@ -15,10 +15,10 @@ from clutch_model.film import (
     equilibrium_film_m,
     film_law,
     shear_factor_difference,
+    viscosity_pa_s,
     viscous_torque_nm,
 )
 from clutch_model.friction import FrictionLaw, contact_torques_nm, friction_law, stribeck_weight
-from clutch_model.viscosity import viscosity_pa_s
 
 TABLE_END_PA = 16.0e5  # above the line pressure
 TABLE_STEP_PA = 500.0

@@ -5,8 +5,7 @@ from datetime import datetime
 
 import pytest
 
-from canlog.frame_columns import join
-from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch, join
 from canlog.logs.asc import AscLog, is_asc_header
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_log import reader_of

@@ -5,8 +5,7 @@ import io
 import numpy as np
 import pytest
 
-from canlog.frame_columns import join
-from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch, join
 from canlog.logs.candump import CandumpLog
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_log import frames_of, reader_of

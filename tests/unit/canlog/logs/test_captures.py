@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from canlog.errors import SourceError
-from canlog.frame_columns import join
-from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch, join
 from canlog.logs.captures import capture_of, read_capture
 from canlog.logs.log_counts import LogCounts, LogReject
 from tests.support.capture_grammars import COOKED, ETHERNET, SOCKETCAN, block, option, pcap, pcapng, socketcan

@@ -8,8 +8,7 @@ import can
 import pytest
 
 from canlog.errors import SourceError
-from canlog.frame_columns import join
-from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, join
 from canlog.logs import LogFormat, LogReject, read_log
 from canlog.logs.log_counts import LogCounts
 

@@ -2,7 +2,7 @@
 
 from pathlib import PureWindowsPath
 
-from canlog.tables.file_names import LONGEST_BYTES, file_names
+from canlog.tables.table_folder import LONGEST_BYTES, file_names
 
 ODD = (
     "Brake",

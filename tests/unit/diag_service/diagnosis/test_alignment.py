@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from canlog.series import Series
+from canlog.arrays import Series
 from diag_service.diagnosis.alignment import Resampled, read_at, sample_times_s, segment_centres_s
 
 if TYPE_CHECKING:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from canlog.arrays import FloatArray
-from canlog.series import Series
+from canlog.arrays import FloatArray, Series
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.prediction import (

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from canlog.series import Series
+from canlog.arrays import Series
 from clutchdiag_io.pages.content import spread
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from canlog.frame_columns import join
-from canlog.frames import FrameBatch
+from canlog.frames import FrameBatch, join
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.service.session import ENOUGH_FRAMES, SenderWatch
 from ecu_emulator.drive.recording import frames_of

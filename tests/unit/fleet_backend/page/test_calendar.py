@@ -7,9 +7,8 @@ from typing import Any
 import pytest
 from icalendar import Calendar
 
-from fleet_backend.page.calendar import Entry, calendar_of
 from fleet_backend.page.clutch_past import point_of
-from fleet_backend.page.maintenance_view import driven_a_day_m
+from fleet_backend.page.maintenance_view import Entry, calendar_of, driven_a_day_m
 from tests.support.fleet import NOW, row_of
 from tests.support.histories import history
 

@@ -12,8 +12,8 @@ from clutch_model.film import (
     equilibrium_film_m,
     film_law,
     measured_film_rate_m_s,
+    viscosity_pa_s,
 )
-from clutch_model.viscosity import viscosity_pa_s
 from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films
 

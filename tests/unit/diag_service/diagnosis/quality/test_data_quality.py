@@ -8,9 +8,8 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.e2e_state import E2eState
-from canlog.series import Series
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from canlog.arrays import FloatArray
-from canlog.series import Series
+from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, AlignedSignals
 from diag_service.diagnosis.columns import Signal

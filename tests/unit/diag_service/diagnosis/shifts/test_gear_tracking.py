@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from canlog.arrays import FloatArray
-from canlog.series import Series
+from canlog.arrays import FloatArray, Series
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.shifts.gear_tracking import MAX_SHIFT_NS, GearPairTracker, tracker_for

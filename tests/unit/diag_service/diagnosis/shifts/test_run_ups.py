@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from canlog.series import Series
+from canlog.arrays import Series
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import EndReason, Event

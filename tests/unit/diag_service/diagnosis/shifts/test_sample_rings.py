@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from canlog.arrays import Series
 from canlog.frames import BEFORE_ALL_NS
-from canlog.series import Series
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.sample_block import BlockLayout, SampleBlock
 from diag_service.diagnosis.shifts.sample_rings import FIRST_CAPACITY, SampleRings

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from canlog.series import Series
+from canlog.arrays import Series
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import EndReason
 from diag_service.diagnosis.shifts.gear_tracking import MAX_SHIFT_NS

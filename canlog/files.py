@@ -1,14 +1,14 @@
-"""Small files that are read whole: settings, calibrations, secrets. Whatever else a name stands for is an error.
-
-A device that never ends would fill the memory, a pipe that nobody writes to would wait for ever.
-"""
+"""Files: opened without waiting for a writer, written whole or not at all; how much waits in a pipe."""
 
 import errno
 import os
 import stat
 import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from io import BufferedReader, FileIO
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
@@ -88,3 +88,42 @@ def _null_device() -> int:
 
 def _too_large(path: Path, most_bytes: int) -> OSError:
     return OSError(errno.EFBIG, f"it is too large (more than {most_bytes / 2**20:g} MiB)", str(path))
+
+
+_LONGEST_NAME: Final = 50  # characters of up to four bytes; the name of a file has 255 bytes at most
+_NUMBERS: Final = count(1)  # threads may write the same file at the same time
+
+
+@contextmanager
+def replacing(path: Path, error: Callable[[str], Exception]) -> Iterator[Path]:
+    """Give the name under which a file is written until it is complete; at the end nothing of that name is left.
+
+    Whoever has written all of it lets it take its place: ``part.replace(path)``. Until then the file that was there
+    stays as it is.
+
+    Parameters
+    ----------
+    path
+        The file.
+    error
+        Makes the error that is raised in place of an OSError, from what is to be told.
+    """
+    part = path.parent / f".{path.name[:_LONGEST_NAME]}.{os.getpid()}-{next(_NUMBERS)}.part"
+    try:
+        yield part
+    except OSError as exc:
+        raise error(f"cannot write {path}: {exc.strerror or exc}") from exc
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+WIDE_BYTES: Final = 1024 * 1024  # as a rule a system lets a pipe grow so far
+
+
+def widen(descriptor: int) -> None:
+    """Let a pipe hold more, and its two ends hand over less often; Linux knows how, anything else stays as it is."""
+    with suppress(ImportError, AttributeError, OSError):
+        import fcntl  # noqa: PLC0415 - of POSIX
+
+        fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, WIDE_BYTES)
