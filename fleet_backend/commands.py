@@ -157,10 +157,10 @@ def _peers(options: SimpleNamespace, engine: Engine) -> None:
     found = _page_part("fleet_backend.page.peers").fleet_ageing(engine)
     version = None
     if options.keep:
-        kept = _page_part("fleet_backend.page.peers")
+        kept = _page_part("fleet_backend.page.populations")
         version = kept.keep(engine, found.population, found.clutch_count, at=datetime.now(UTC), by=_user())
     if options.write is not None:
-        _page_part("fleet_backend.page.peers").write(options.write, found.population, version)
+        _page_part("fleet_backend.page.populations").write(options.write, found.population, version)
     if options.json:
         kept_as = [] if version is None else [{"record": "population", "version": version}]
         report.write_json([*found.usual, *found.lots, *kept_as], sys.stdout)

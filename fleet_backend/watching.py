@@ -32,7 +32,7 @@ from fleet_backend.orders import is_alarming_since
 from fleet_backend.page import past
 from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.outlook import chance_of, outlook_of, outlook_text
-from fleet_backend.page.peers import latest
+from fleet_backend.page.populations import latest
 from fleet_backend.page.records import ClutchNow, Severity
 from fleet_backend.page.vehicle_state import fills_of
 

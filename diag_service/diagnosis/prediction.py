@@ -18,6 +18,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.jit import array_kernel
+from clutch_model.gears import clutch_of_gear
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import Event
@@ -63,7 +64,7 @@ class SlipPhase:
     @property
     def clutch(self) -> int:
         """The on-coming clutch: 1 carries the odd gears."""
-        return 2 - self.to_gear % 2
+        return clutch_of_gear(self.to_gear)
 
     @property
     def sign(self) -> float:
@@ -115,7 +116,7 @@ def slip_phase(event: Event, gears: GearRatios | None = None) -> SlipPhase | NoP
         return NoPhase(event, f"not enough samples in the slip ({stop - first} of at least {LEAST_ROWS})")
     start_ns = int(engine.t_ns[first])
     t_s = (engine.t_ns[first:stop] - start_ns) / NS_PER_S
-    clutch = 2 - event.to_gear % 2
+    clutch = clutch_of_gear(event.to_gear)
     source = next((columns[one] for one in TORQUE_SOURCES if one in columns and len(columns[one].t_ns)), None)
     pedals = [columns[one].value for one in PEDALS if one in columns and len(columns[one].t_ns)]
     return SlipPhase(
@@ -138,7 +139,7 @@ _NOTHING: Final = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int
 
 def _input_speeds(event: Event, t_ns: Int64Array, gears: GearRatios | None) -> tuple[FloatArray, FloatArray] | None:
     """Return the speeds behind the on-coming and the off-going clutch at some times."""
-    columns, clutches = event.columns, (2 - event.to_gear % 2, 2 - event.from_gear % 2)
+    columns, clutches = event.columns, (clutch_of_gear(event.to_gear), clutch_of_gear(event.from_gear))
     found = [columns.get(INPUTS[clutch], _NOTHING) for clutch in clutches]
     if gears is not None and max(event.from_gear, event.to_gear) <= len(gears.ratios):
         over = columns.get(gears.over, _NOTHING)

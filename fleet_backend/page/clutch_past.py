@@ -8,7 +8,7 @@ from sqlalchemy import Engine
 from diag_service.diagnosis.prognosis import Prognosis
 from fleet_backend.page import past
 from fleet_backend.page.outlook import OTHER_CALIBRATION, answer_of, outlook_of
-from fleet_backend.page.peers import latest
+from fleet_backend.page.populations import latest
 from fleet_backend.page.records import OutlookAnswer, TrendPoint
 from fleet_backend.page.vehicle_state import VehicleState
 from fleet_backend.schema import RUNNING

@@ -18,7 +18,7 @@ from diag_service.diagnosis.records import (
 )
 from diag_service.diagnosis.results import iso_utc
 from fleet_backend.page.past import friction_in
-from fleet_backend.page.peers import Kept
+from fleet_backend.page.populations import Kept
 from fleet_backend.page.records import Fill, OutlookAnswer, ReachAnswer
 from fleet_backend.schema import SCALE_FREE, SCALE_FREE_COLUMNS
 from fleet_contract.orders import Action

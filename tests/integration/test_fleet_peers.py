@@ -21,7 +21,7 @@ from fleet_backend.lots import LotRow, lots_of, store_lots
 from fleet_backend.migrate import migrate
 from fleet_backend.page.outlook import outlook_of
 from fleet_backend.page.past import results_of
-from fleet_backend.page.peers import keep, latest
+from fleet_backend.page.populations import keep, latest
 from fleet_backend.report import lot_standings_table, show
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
