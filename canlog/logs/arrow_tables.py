@@ -15,7 +15,7 @@ from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.signal_tables import frames_of_rows, is_rising, signal_columns, time_places, time_unit_us
+from canlog.logs.signal_tables import MOST_US, frames_of_rows, is_rising, signal_columns, time_places, time_unit_us
 from canlog.parquet_file import load_pyarrow
 
 PARQUET_MAGIC, ARROW_MAGIC, ARROW_STREAM_MAGIC = b"PAR1", b"ARROW1", b"\xff\xff\xff\xff"
@@ -23,6 +23,7 @@ ROWS: Final = 16_384  # of a batch
 FREE_ROWS, ROWS_PER_BYTE = 1_000_000, 1_000  # a file that claims more was made to do harm
 NS_PER_US: Final = 1000.0
 UNIT: Final = b"unit"
+DAMAGE: Final = (OSError, ValueError, TypeError, KeyError, OverflowError, MemoryError)  # that pyarrow falls over
 
 
 class _Plan(NamedTuple):
@@ -60,7 +61,9 @@ def read_arrow_table(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch
                 ids = np.array([column_id(one.name) | EXTENDED_FLAG for one in plan.columns], np.uint32)
             time_us = _times_us(batch.column(plan.time_place), plan.us_per_unit)
             values = np.column_stack([_numbers(batch.column(place)) for place in plan.places])
-            counts.reject(LogReject.MALFORMED, "a row without a time", int(np.count_nonzero(np.isnan(time_us))))
+            counts.reject(
+                LogReject.MALFORMED, "a row without a time", int(np.count_nonzero(~(np.abs(time_us) < MOST_US)))
+            )
             counts.reject(LogReject.MALFORMED, "an infinite value", int(np.count_nonzero(np.isinf(values))))
             frames = frames_of_rows(time_us, values, ids)
             if len(frames):
@@ -98,7 +101,7 @@ class _translated:  # noqa: N801 - used as a function
         load_pyarrow()
 
     def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
-        if isinstance(error, (load_pyarrow().ArrowException, OSError)) and not isinstance(error, SourceError):
+        if isinstance(error, (load_pyarrow().ArrowException, *DAMAGE)) and not isinstance(error, SourceError):
             first = str(error).partition("\n")[0]
             raise SourceError(f"the table is damaged: {first}") from error
 

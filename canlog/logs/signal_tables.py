@@ -182,15 +182,16 @@ def frames_of_rows(
     Parameters
     ----------
     time_us : (n,) array
-        Time of each row [us]; a row without one, NaN, is left out.
+        Time of each row [us]; a row without one, NaN or beyond 285 years, is left out.
     values : (n, m) array
         NaN where there is no value.
     ids : (m,) array
         Identifier of each column, with its flag.
     """
-    has_value = np.isfinite(values) & np.isfinite(time_us)[:, np.newaxis]
+    has_time = np.abs(time_us) < MOST_US
+    has_value = np.isfinite(values) & has_time[:, np.newaxis]
     rows, slots = np.nonzero(has_value)
-    time_ns: Int64Array = np.where(np.isfinite(time_us), time_us, 0.0).astype(np.int64) * 1000
+    time_ns: Int64Array = np.where(has_time, time_us, 0.0).astype(np.int64) * 1000
     payload = np.ascontiguousarray(values[rows, slots], "<f8")
     return FrameBatch(
         t_ns=time_ns[rows],

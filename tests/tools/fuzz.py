@@ -24,12 +24,15 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import zstandard
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 
 from canlog.errors import SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
+from canlog.logs.arrow_tables import read_arrow_table
 from canlog.logs.asc import AscLog
 from canlog.logs.blf import read_blf
 from canlog.logs.candump import CandumpLog
@@ -37,6 +40,7 @@ from canlog.logs.captures import read_capture
 from canlog.logs.detection import TEXT_LOGS, LogFormat
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.reading import read_log
+from canlog.logs.signal_tables import read_signal_table
 from canlog.logs.text_kernels import IS_LENGTH
 from canlog.logs.text_log import LOOK_AHEAD_BYTES, ends_by_returns, reader_of
 from ecu_emulator.log_formats import (
@@ -211,6 +215,25 @@ def read_packed(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
             reader.close()
 
 
+SIGNALS = (
+    b"Time [ms],Speed [rpm],Cut,Note\n" + b"".join(b"%d,%d.5,on,ok\n" % (37 * row, 900 + row) for row in range(30)),
+    b"a recorder\nZeit;Druck\ns;kPa\n" + b"".join(b"%d,5;%d,86\n" % (row, row) for row in range(30)),
+    b"Time\tA\tA\n" + b"".join(b'23:59:%02d\t"%d"\t\n' % (row, row) for row in range(30)),
+)
+
+
+def arrow_tables() -> tuple[bytes, ...]:
+    """Return a small table of signals as Parquet, as an Arrow file and as a stream."""
+    columns = {"t_s": np.arange(40) / 50.0, "Speed": np.arange(40.0), "Gear": np.arange(40) // 10}
+    table, outs = pa.table(columns), [io.BytesIO() for _ in range(3)]
+    pq.write_table(table, outs[0])
+    for out, opened in zip(outs[1:], (pa.ipc.new_file, pa.ipc.new_stream), strict=True):
+        with opened(out, table.schema) as writer:
+            writer.write_table(table)
+    return tuple(out.getvalue() for out in outs)
+
+
+ARROW_TABLES = arrow_tables()
 READERS: dict[str, tuple[Reader, bytes | tuple[bytes, ...]]] = {
     "candump": (
         reader_of(CandumpLog),
@@ -239,10 +262,12 @@ READERS: dict[str, tuple[Reader, bytes | tuple[bytes, ...]]] = {
     "yacht-devices": (reader_of(TEXT_LOGS[LogFormat.YACHT_DEVICES]), YACHT_DEVICES),
     "actisense": (reader_of(TEXT_LOGS[LogFormat.ACTISENSE]), ACTISENSE),
     "columns": (reader_of(TEXT_LOGS[LogFormat.COLUMNS]), COLUMNS),
+    "signals": (read_signal_table, SIGNALS),
+    "arrow": (read_arrow_table, ARROW_TABLES),
     "packed": (read_packed, tuple(PACKED.values())),
 }
 ALONE = {f"packed-{name}": (read_packed, sound) for name, sound in PACKED.items()}
-WITHOUT_LINES = ("blf", "pcap", "packed")
+WITHOUT_LINES = ("blf", "pcap", "packed", "signals", "arrow")
 ALPHABET = st.sampled_from(b"0123456789ABCDEFabcdefx#()., \t\r\n;*:-_=TRrd$\0\xff").map(lambda value: bytes([value]))
 
 
