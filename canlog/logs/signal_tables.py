@@ -154,7 +154,8 @@ class _Table:
         """Return the times of rows [us], NaN where there is none; such a row is counted."""
         unit = self._header.us_per_unit
         if unit is not None:
-            times_us = np.array([_number(cell) for cell in cells], np.float64) * unit
+            with np.errstate(over="ignore"):  # a damaged number
+                times_us = np.array([_number(cell) for cell in cells], np.float64) * unit
         else:
             times_us = np.array([self._clock_us(cell) for cell in cells], np.float64)
         is_bad = ~(np.abs(times_us) < MOST_US)
