@@ -1,15 +1,20 @@
 """How long the way is from a shift event to its MQTT message: calls and modules, counted while one shift goes through.
 
-A call counts if it holds the event or what was made of it (estimate, verdict, result, record, row, text, message) and
-hands on such a thing: returns it, or calls what counts. Calls that only compute from it, such as those that read a
+Two counts. The first is of every call of a Python function of ours, whatever it does; a compiled kernel is one call.
+Of the second a call counts if it holds the event or what was made of it (estimate, verdict, result, record, row, text,
+message) and hands on such a thing: returns it, or calls what counts. Calls that only compute from it, such as those that read a
 number, do not. A function that is called twice counts once. The broker is a Mosquitto; the service is connected to it.
 
-    python -m benchmarks.hops
+    python -m benchmarks.hops            # an event to its stored result and to the broker
+    python -m benchmarks.hops decode     # a log to a table of Parquet
 """
 
+import argparse
 import asyncio
+import inspect
 import sys
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
@@ -21,6 +26,7 @@ from typing import Any
 
 from benchmarks.service import new_decoder, record
 from clutch_model.calibration import nominal_calibration
+from diag_service.cli import main as command_line
 from diag_service.delivery import MemoryReporter, MqttConnector, Outbox
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.records import ClutchVerdict, ShiftEstimate, ShiftResult
@@ -38,9 +44,10 @@ from tests.plugins.broker import Mosquitto
 
 CARRIERS = (Event, ShiftEstimate, ClutchVerdict, Diagnosis, ShiftResult, StoredResult, Outgoing)
 RECORD_KEYS = {"schema", "friction", "clutch"}
-PACKAGES = ("diag_service", "fleet_contract", "clutch_model", "canlog")
+PACKAGES = ("diag_service", "fleet_contract", "fleet_link", "clutch_model", "canlog", "clutchdiag_io")
 VEHICLE, NOW = "car1", "2026-01-01T00:00:00.000000Z"
-MOST_CALLS, MOST_MODULES = 25, 10  # goals
+MOST_CALLS, MOST_MODULES = 25, 10  # goals, of what hands an event on
+EVENT_GOALS, BROKER_MODULES, DECODE_GOALS = (500, 20), 30, (2_000, 30)  # of all calls: calls and modules
 
 
 @dataclass(slots=True)
@@ -49,10 +56,14 @@ class Trip:
 
     hops: dict[CodeType, str] = field(default_factory=dict)  # code -> module
     handing_on: set[FrameType] = field(default_factory=set)  # open calls that called one that counts
+    calls: Counter[str] = field(default_factory=Counter)  # of all functions, by module
 
     def watch(self, frame: FrameType, event: str, result: object) -> None:
         """Take one event of the interpreter's profiler; a coroutine returns whenever it waits."""
         module = str(frame.f_globals.get("__name__", ""))
+        is_function = frame.f_code.co_flags & inspect.CO_OPTIMIZED and not frame.f_code.co_name.startswith("<")
+        if event == "call" and is_function and module.startswith(PACKAGES):
+            self.calls[module] += 1
         if event != "return" or not module.startswith(PACKAGES) or frame.f_code.co_name.startswith(("<", "__")):
             return
         held = [value for value in frame.f_locals.values() if carries(value)]
@@ -105,8 +116,8 @@ async def delivered(outbox: Outbox, count: int) -> None:
         await asyncio.sleep(0.01)
 
 
-async def trip_of_a_shift(log: Path, port: int) -> Trip:
-    """Return the trip of the second shift of a log; the first one compiles."""
+async def trip_of_a_shift(log: Path, port: int) -> tuple[Trip, Counter[str]]:
+    """Return the trip of the second shift of a log, and its calls until it was stored; the first one compiles."""
     trip = Trip()
     with closing(ResultStore.in_memory()) as store:
         session = new_session(store)
@@ -120,25 +131,53 @@ async def trip_of_a_shift(log: Path, port: int) -> Trip:
         with watched(trip):
             asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor())  # only new threads are watched
             session.process(second)
+            stored = trip.calls.copy()
             await delivered(outbox, 2)
         await outbox.close(sender)
+    return trip, stored
+
+
+def trip_of_decoding(log: Path, table: Path) -> Trip:
+    """Return the trip of a log that becomes a table, a second time: what is compiled or kept then is."""
+    words = ["decode", str(log), "-o", str(table), "--force"]
+    command_line(words)
+    trip = Trip()
+    with watched(trip):
+        command_line(words)
     return trip
+
+
+def said(what: str, calls: Counter[str], goals: tuple[int, int]) -> str:
+    """Return a count of all calls, with the modules that have most."""
+    most = ", ".join(f"{module} {count}" for module, count in calls.most_common(6))
+    return f"{what}: {calls.total()} own calls in {len(calls)} modules; goals {goals[0]} and {goals[1]}; most: {most}"
 
 
 def main() -> int:
     """Print the way; return 1 if it is longer than the goals."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("way", nargs="?", choices=("event", "decode"), default="event")
+    if parser.parse_args().way == "decode":
+        with TemporaryDirectory() as folder:
+            log = Path(folder) / "drive.log"
+            record(log, 1)
+            calls = trip_of_decoding(log, Path(folder) / "drive.parquet").calls
+        print(said("a log to a table", calls, DECODE_GOALS))
+        return int(calls.total() > DECODE_GOALS[0] or len(calls) > DECODE_GOALS[1])
     with TemporaryDirectory() as folder:
         log, broker = Path(folder) / "drive.log", Mosquitto(Path(folder))
         record(log, 1)
         broker.start()
         try:
-            trip = asyncio.run(trip_of_a_shift(log, broker.port))
+            trip, stored = asyncio.run(trip_of_a_shift(log, broker.port))
         finally:
             broker.stop()
     modules = dict.fromkeys(trip.hops.values())
     for module in modules:
         names = [code.co_qualname for code, where in trip.hops.items() if where == module]
         print(f"{module}: {', '.join(names)}")
+    print(said("an event to its stored result", stored, EVENT_GOALS))
+    print(f"to the broker: {trip.calls.total()} own calls in {len(trip.calls)} modules; goal {BROKER_MODULES} modules")
     print(f"{len(trip.hops)} calls in {len(modules)} modules; goals {MOST_CALLS} and {MOST_MODULES}")
     return int(len(trip.hops) > MOST_CALLS or len(modules) > MOST_MODULES)
 
