@@ -3,7 +3,8 @@
 Two counts. The first is of every call of a Python function of ours, whatever it does; a compiled kernel is one call.
 Of the second a call counts if it holds the event or what was made of it (estimate, verdict, result, record, row, text,
 message) and hands on such a thing: returns it, or calls what counts. Calls that only compute from it, such as those
-that read a number, do not. A function that is called twice counts once. The broker is a Mosquitto; the service is connected to it.
+that read a number, do not. A function that is called twice counts once. The broker is a Mosquitto; the service is
+connected to it.
 
     python -m benchmarks.hops            # an event to its stored result and to the broker
     python -m benchmarks.hops decode     # a log to a table of Parquet
