@@ -33,6 +33,7 @@ if typing.TYPE_CHECKING:
         calibrate,
         decode,
         inspect,
+        predict,
         propose_profile,
         read,
     )
@@ -93,6 +94,7 @@ __all__ = [
     "history",
     "inspect",
     "note_fluid",
+    "predict",
     "propose_profile",
     "read",
     "scan_controllers",
@@ -118,6 +120,7 @@ _HOMES = {
         "calibrate",
         "decode",
         "inspect",
+        "predict",
         "propose_profile",
         "read",
     ),

@@ -6,7 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from canlog.frames import FrameBatch
-from canlog.live.bus_clock import BusClock, clock_alarm
+from canlog.live.bus_clock import BusClock
+from canlog.live.clock_alarm import clock_alarm
 from canlog.live.frame_queue import FrameQueue
 from canlog.live.raw_socket import (
     RECEIVE_BUFFER_BYTES,

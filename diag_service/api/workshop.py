@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import canlog
 from canlog.whole_log import Log
@@ -11,11 +12,13 @@ from diag_service.api.choices import AnyPath, AnyPaths, configuration, optional_
 from diag_service.commands.arguments import DEFAULT_BITRATE
 from diag_service.commands.conversations import Conversations
 from diag_service.commands.inspect import Inspection, inspect_log
+from diag_service.commands.predict import predict_shifts
 from diag_service.commands.signals import proposed_profile
 from diag_service.console.notices import collected_notices
 from diag_service.diagnosis.friction.paper import PaperShift, PooledClutch
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration
 from diag_service.mapping.databases import open_database
+from diag_service.mapping.interpretation import interpret
 from diag_service.service.calibrate_run import calibrated, write_calibration
 from diag_service.service.drive import insist
 from diag_service.service.paper_run import run_paper
@@ -133,6 +136,45 @@ def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, is_lenient: bo
     """
     with collected_notices():
         return proposed_profile(Path(path), optional_path(dbc), Trigger(), is_lenient=is_lenient, columns=columns)
+
+
+def predict(
+    paths: AnyPaths,
+    profile: AnyPath,
+    dbc: AnyPath | None = None,
+    *,
+    touch_pa: float | None = None,
+    is_by_halves: bool = False,
+    is_lenient: bool = False,
+) -> list[dict[str, Any]]:
+    """Predict shifts of logs from the others, as ``diag-service predict`` does (docs/prediction.md).
+
+    Parameters
+    ----------
+    paths
+        Logs of one type of vehicle, frames or tables of signals.
+    profile, dbc, is_lenient
+        As of ``analyze``.
+    touch_pa
+        Touch point of the clutches [Pa]; None: the pressure in gear at standstill.
+    is_by_halves
+        Whether the second half is predicted from the first; else each shift from all others.
+
+    Returns
+    -------
+    list of dict
+        A record for each kind of gear change of which there are enough: ``shifts`` with the recorded change of engine
+        speed [rad/s] and what each model said of it, and ``scores``.
+
+    Raises
+    ------
+    SourceError, DefinitionError, ConfigError
+        If a log or the database cannot be read, or the profile lacks what a prediction needs.
+    """
+    with collected_notices():
+        meaning = interpret(optional_path(dbc), Path(profile), is_lenient=is_lenient)
+        found = predict_shifts(path_list(paths), meaning, touch_pa=touch_pa, is_by_halves=is_by_halves, stop=Trigger())
+    return found.records()
 
 
 def calibrate(

@@ -150,47 +150,80 @@ def _inside(found: Sequence[tuple[float, float, float, float]], part: int) -> fl
     return float(np.mean([abs(true - mean) < scale * stdtrit(f, 0.5 + part / 200.0) for mean, scale, f, true in found]))
 
 
-def execute(options: SimpleNamespace, controls: Controls) -> None:
-    """Predict the shifts of logs from each other and show how well it went."""
-    meaning = interpret(options.dbc, options.profile, is_lenient=options.lenient, parser_time_s=options.parser_time)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Predicted:
+    """The gear changes of some logs: each predicted from others, by kind, and those that cannot be."""
+
+    groups: dict[str, list[Shown]]  # only those of which there are enough
+    too_few: dict[str, int]
+    not_used: list[tuple[str, NoPhase]]  # log, and why
+    touch_pa: float | None
+
+    def records(self) -> list[dict[str, object]]:
+        """Return what ``--json`` prints, a record for each kind of gear change."""
+        return [_record(title, shown, self.touch_pa) for title, shown in self.groups.items()]
+
+
+def predict_shifts(
+    logs: Sequence[Path],
+    meaning: Interpretation,
+    *,
+    touch_pa: float | None = None,
+    is_by_halves: bool = False,
+    stop: Trigger,
+    watch: Watch | None = None,
+) -> Predicted:
+    """Return the gear changes of logs of one type of vehicle, each predicted from the others or by the first half.
+
+    Raises ConfigError if the profile lacks what this needs, SourceError if a log cannot be read, StoppedError.
+    """
     signals = meaning.decoder().signals
     wanted = {Signal.ENGINE_SPEED, *PRESSURES.values()}
     if not wanted <= signals:
         lacking = ", ".join(sorted(one.value for one in wanted - signals))
         raise ConfigError(f"profile {meaning.profile.name} has no {lacking}. {missing_for_next(signals)}".rstrip())
     standing, named, without = Standing(), list[tuple[str, SlipPhase]](), list[tuple[str, NoPhase]]()
-    with ReadingLine() as line:
-        for log in options.logs:
-            phases, others = slip_phases(log, meaning, standing, controls.stop, line.watch)
-            named += [(log.name, one) for one in phases]
-            without += [(log.name, one) for one in others]
-    touch_pa = PA_PER_KPA * options.touch if options.touch is not None else standing.touch_pa
+    for log in logs:
+        phases, others = slip_phases(log, meaning, standing, stop, watch)
+        named += [(log.name, one) for one in phases]
+        without += [(log.name, one) for one in others]
+    touch_pa = standing.touch_pa if touch_pa is None else touch_pa
     groups = {
         "power upshifts": [one for one in named if one[1].sign > 0.0 and one[1].is_powered],
         "other upshifts": [one for one in named if one[1].sign > 0.0 and not one[1].is_powered],
         "downshifts": [one for one in named if one[1].sign < 0.0],
     }
-    console = PeopleConsole(stderr=options.json)
-    split = second_half_from_first if options.halves else left_out_one_by_one
+    split = second_half_from_first if is_by_halves else left_out_one_by_one
+    shown, too_few = dict[str, list[Shown]](), dict[str, int]()
     for title, group in groups.items():
-        known = (len(group) + 1) // 2 if options.halves else len(group) - 1
-        if known < LEAST_EVENTS:
-            console.print(
-                f"{title}: {len(group)}, too few to predict one from others ({LEAST_EVENTS} others are needed)"
-            )
-            continue
-        shown = list(split(group, touch_pa))
-        if options.json:
-            sys.stdout.write(dump(_record(title, shown, touch_pa)) + "\n")
+        if ((len(group) + 1) // 2 if is_by_halves else len(group) - 1) < LEAST_EVENTS:
+            too_few[title] = len(group)
         else:
-            for text in _lines(title, shown):
-                console.print(text)
-    for log, one in without:
-        console.print(f"{log}: {one.event.from_gear}-{one.event.to_gear} not used: {one.reason}")
-    if touch_pa is not None:
-        console.print(
-            f"touch point: {touch_pa / PA_PER_KPA:.1f} kPa{'' if options.touch else ', as found at standstill'}"
+            shown[title] = list(split(group, touch_pa))
+    return Predicted(groups=shown, too_few=too_few, not_used=without, touch_pa=touch_pa)
+
+
+def execute(options: SimpleNamespace, controls: Controls) -> None:
+    """Predict the shifts of logs from each other and show how well it went."""
+    meaning = interpret(options.dbc, options.profile, is_lenient=options.lenient, parser_time_s=options.parser_time)
+    touch_pa = None if options.touch is None else PA_PER_KPA * options.touch
+    with ReadingLine() as line:
+        found = predict_shifts(
+            options.logs, meaning, touch_pa=touch_pa, is_by_halves=options.halves, stop=controls.stop, watch=line.watch
         )
+    console = PeopleConsole(stderr=options.json)
+    for record in found.records() if options.json else ():
+        sys.stdout.write(dump(record) + "\n")
+    for title, shown in found.groups.items() if not options.json else ():
+        for text in _lines(title, shown):
+            console.print(text)
+    for title, count in found.too_few.items():
+        console.print(f"{title}: {count}, too few to predict one from others ({LEAST_EVENTS} others are needed)")
+    for log, one in found.not_used:
+        console.print(f"{log}: {one.event.from_gear}-{one.event.to_gear} not used: {one.reason}")
+    if found.touch_pa is not None:
+        origin = ", as found at standstill" if touch_pa is None else ""
+        console.print(f"touch point: {found.touch_pa / PA_PER_KPA:.1f} kPa{origin}")
 
 
 def _record(title: str, shown: Sequence[Shown], touch_pa: float | None) -> dict[str, object]:

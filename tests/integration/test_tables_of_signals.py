@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import diag_service
 from benchmarks.scan_tool import written
 from dbc.contract import load_contract
 from diag_service.mapping.profile import PROFILE_PATH
@@ -125,6 +126,7 @@ def test_shifts_of_a_table_are_predicted_from_each_other(tmp_path: Path) -> None
     ours, clutch_rate = group["scores"]["friction"], group["scores"]["mean rate of the clutch"]
     assert ours["median_error_ratio"] < 0.15
     assert ours["crps_rad_s"] < 0.6 * clutch_rate["crps_rad_s"]
+    assert json.loads(json.dumps(diag_service.predict(table, profile)))[0] == group
     shown = ended("predict", table, "--profile", profile, "--halves").out
     assert "power upshifts: change of engine speed in the slip [rad/s]" in shown
     assert "median error" in shown

@@ -11,7 +11,7 @@ import pytest
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch, join
 from canlog.live import FrameSource, Silence, open_source
-from canlog.live.bus_clock import ClockAlarm
+from canlog.live.clock_alarm import ClockAlarm
 from canlog.live.frame_queue import FrameQueue
 from canlog.live.read_schedule import ReadSchedule
 from canlog.live.socketcan import SocketCanSource
