@@ -25,7 +25,7 @@ from diag_service.service.snapshot import frame_counts
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import BusConfig, DiagnosisConfig
 from diag_service.store import ResultStore
-from diag_service.tester.report import ControllerReport
+from diag_service.tester.trouble_report import ControllerReport
 
 if TYPE_CHECKING:
     import can

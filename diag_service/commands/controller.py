@@ -40,10 +40,8 @@ from diag_service.tester.questions import (
 )
 from diag_service.tester.reading import DataAnswer, RoutineAnswer
 from diag_service.tester.report import (
-    Record,
     cleared_lines,
     cleared_record,
-    code_words,
     data_lines,
     data_record,
     dialogue_record,
@@ -53,8 +51,6 @@ from diag_service.tester.report import (
     routine_lines,
     routine_record,
     traffic_record,
-    trouble_lines,
-    trouble_record,
     would_lines,
 )
 from diag_service.tester.scanning import (
@@ -68,6 +64,7 @@ from diag_service.tester.scanning import (
 from diag_service.tester.scanning import scan as find_controllers
 from diag_service.tester.timing import Timing
 from diag_service.tester.trouble import TroubleCode
+from diag_service.tester.trouble_report import Record, code_words, trouble_lines, trouble_record
 
 LARGEST_GROUP: Final = 0xFE  # of readiness, and of the records of extended data: FF is all
 MOST_NAMED: Final = 3  # in the line that says what was not told

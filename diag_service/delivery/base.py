@@ -6,7 +6,7 @@ from typing import Protocol
 
 from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.summary import Summary
-from diag_service.tester.report import ControllerReport
+from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract import Outgoing, Receipt
 
 # Where frames are read from; then each shift, and what a controller says that is new; at the end the numbers.

@@ -19,7 +19,7 @@ from diag_service.diagnosis.summary import (
     shifts_line,
     values_line,
 )
-from diag_service.tester.report import ControllerReport
+from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract.orders import SHOWN_AS, Order
 
 

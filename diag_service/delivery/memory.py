@@ -8,7 +8,7 @@ from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.results import shift_from
 from diag_service.diagnosis.summary import Summary
 from diag_service.errors import PublishError
-from diag_service.tester.report import ControllerReport
+from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract import (
     Channel,
     JsonObject,

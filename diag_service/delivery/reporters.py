@@ -12,7 +12,7 @@ from diag_service.delivery.base import News, Reporter
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.results import dump, shift_record
 from diag_service.diagnosis.summary import Summary, summary_record
-from diag_service.tester.report import ControllerReport, controller_record
+from diag_service.tester.trouble_report import ControllerReport, controller_record
 
 LIMIT: Final = 1_000  # results that a slow reader may be behind
 DRAIN_S: Final = 3.0  # how long an ending service waits for a reader

@@ -19,8 +19,8 @@ from diag_service.tester.asking import LISTEN_S, BusName, BusTarget, address_for
 from diag_service.tester.description import Description
 from diag_service.tester.description_file import find_description, recognised
 from diag_service.tester.reading import read_troubles
-from diag_service.tester.report import ControllerReport, controller_record
 from diag_service.tester.timing import Timing
+from diag_service.tester.trouble_report import ControllerReport, controller_record
 from fleet_contract import Channel, Outgoing, controller_message
 
 MOST_CODES: Final = 1024  # as the contract has it

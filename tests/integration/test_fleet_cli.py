@@ -13,7 +13,7 @@ import pytest
 from sqlalchemy import Engine, select
 
 from diag_service.diagnosis.records import Condition
-from diag_service.tester.report import controller_record
+from diag_service.tester.trouble_report import controller_record
 from fleet_backend.alarm_tables import AUDIT
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction

@@ -12,7 +12,8 @@ import pytest
 import canlog
 import diag_service
 import ecu_emulator
-from diag_service.tester.report import ControllerReport, data_record, found_record, routine_record, trouble_record
+from diag_service.tester.report import data_record, found_record, routine_record
+from diag_service.tester.trouble_report import ControllerReport, trouble_record
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from tests.integration.test_tester import MASK, SLIPS, Vehicle, another_tester, failing_car, told, vehicle

@@ -11,8 +11,8 @@ from diag_service.delivery import MemoryReporter
 from diag_service.errors import ResultError, SilentError, StoreError
 from diag_service.service.polling import Poller, message_of, pause_s, tell_controller
 from diag_service.store import ResultStore
-from diag_service.tester.report import ControllerReport, controller_record
 from diag_service.tester.trouble import Snapshot, TroubleCode
+from diag_service.tester.trouble_report import ControllerReport, controller_record
 from fleet_contract import Channel, Outgoing, read_message
 from tests.support.patience import HANG_S
 
