@@ -4,6 +4,7 @@ Tests that need real time hold on a machine that gives it. Beside other work a s
 rejects such a shift is right. Nothing is measured by how fast a test runs.
 """
 
+import subprocess
 import threading
 import time
 from collections.abc import Awaitable, Callable, Sequence
@@ -25,9 +26,9 @@ BEAT_ID = f"{CONTRACTS['TCU_Shift'].can_id:03X}"
 NS_PER_S = 1_000_000_000
 WAKE_EVERY_S = 0.005
 STARVED_S = 0.03  # a thread that is woken so late was not given the time it asked for
-# What drives in real time asks the scheduler to come first, as a test bench does; where that is not allowed, nice says
-# so and starts the command all the same.
-AHEAD = ("nice", "-n", "-15")
+# What drives in real time asks the scheduler to come first, as a test bench does, where that is allowed.
+COMES_FIRST = ("nice", "-n", "-15")
+AHEAD = () if subprocess.run([*COMES_FIRST, "true"], capture_output=True, check=False).stderr else COMES_FIRST
 
 
 def undisturbed(attempt: Callable[[int], OutcomeT], is_disturbed: Callable[[OutcomeT], bool]) -> OutcomeT:
