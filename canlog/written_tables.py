@@ -27,8 +27,8 @@ class TableChoice:
     table_format : {"parquet", "csv", "jsonl", "arrow", "mf4"}, optional
         By default what the suffix says: ``.parquet``, ``.csv``, ``.jsonl``, ``.arrows``, ``.mf4``; of a folder Parquet.
     shape, values
-        As of ``Log.to_arrow``, and ``messages`` for a folder with a table of its own for each message; an MF4 file has
-        a group for each message, and numbers.
+        As of ``Log.to_arrow``; ``messages`` is a folder with a table for each message, and the default where the output
+        is a folder or has no suffix, ``wide`` that of a file. An MF4 file has a group for each message, and numbers.
     signals
         Only these: ``Message.Signal`` or the signal alone, both with ``*`` for anything; by default all. A text is one.
     begin, end
@@ -40,7 +40,7 @@ class TableChoice:
     """
 
     table_format: FormatName | None = None
-    shape: TableShapeName = "wide"
+    shape: TableShapeName | None = None
     values: ValuesName = "numbers"
     signals: Sequence[str] | str = ()
     begin: str | float | None = None
@@ -50,7 +50,7 @@ class TableChoice:
 
     def plan(self, messages: Sequence[Message]) -> Plan:
         """Return what is decoded of the messages of a database; raises as ``Plan.part`` does."""
-        whole = Plan.of(messages, TableShape(self.shape), Values(self.values))
+        whole = Plan.of(messages, TableShape(self.shape or "wide"), Values(self.values))
         return replace(whole, pairs=tuple(self.pairs)).part(self.signals, self.begin, self.end)
 
     def format_of(self, output: Path) -> TableFormat:
@@ -64,12 +64,21 @@ class TableChoice:
         except (KeyError, ValueError):
             known = f"{', '.join(FORMAT_OF_SUFFIX)}, or as table_format says: {', '.join(TableFormat)}"
             raise OutputError(f"{output}: signals are written as {known}") from None
-        if chosen is TableFormat.MF4 and (self.shape, self.values) != ("wide", "numbers"):
+        if chosen is TableFormat.MF4 and (self.shape or "wide", self.values) != ("wide", "numbers"):
             raise OutputError("an MF4 file has a group for each message, and numbers: neither shape nor values applies")
         return chosen
 
 
 EVERY_SIGNAL: Final = TableChoice()
+
+
+def default_shape(output: Path, table_format: str | None = None, *, is_folder: bool = False) -> TableShapeName:
+    """Return the shape where nobody said it: in a folder each message has a table, and one table is wide.
+
+    ``is_folder``: whatever the output is called, since each of several logs gets a folder of its own there.
+    """
+    is_one_table = str(output) == "-" or (output.suffix != "" and not output.is_dir() and not is_folder)
+    return "wide" if is_one_table or table_format == TableFormat.MF4 else "messages"
 
 
 def write_table(
@@ -90,7 +99,7 @@ def write_table(
         The table, which appears when it is complete; one that is there is replaced. Of ``messages`` the folder of the
         tables: of those that are there, the ones of messages of the database are replaced or removed.
     choice
-        What is written, and how: every signal in a row per frame, unless it says otherwise.
+        What is written, and how: every signal, unless it says otherwise.
 
     Raises
     ------
@@ -99,8 +108,9 @@ def write_table(
     OutputError
         If there is no such format, or the file cannot be written.
     """
-    plan = choice.plan(database_of(database, is_lenient=is_lenient).messages)
     written = Path(output)
+    choice = replace(choice, shape=choice.shape or default_shape(written, choice.table_format))
+    plan = choice.plan(database_of(database, is_lenient=is_lenient).messages)
     decoded = decode_logs(log_paths(path), plan, written, choice.format_of(written), columns=choice.columns)
     return list(losses(decoded.account))
 
@@ -114,4 +124,5 @@ def write_parquet(
     is_lenient: bool = False,
 ) -> list[str]:
     """Write the signals of logs into a Parquet file, whatever it is called: what ``write_table`` does."""
-    return write_table(path, database, output, replace(choice, table_format="parquet"), is_lenient=is_lenient)
+    choice = replace(choice, table_format="parquet", shape=choice.shape or "wide")
+    return write_table(path, database, output, choice, is_lenient=is_lenient)

@@ -284,8 +284,8 @@ _DECODE: Final = Command(
     "write the signals of logs as a table: Parquet, CSV, JSON lines, Arrow or MF4",
     _logs("log file; of several the frames are put in order of time; or folder of logs; - is standard input"),
     _output(
-        "table to write: .parquet, .csv, .jsonl, .arrows or .mf4; - is standard output; or folder, in which each log, "
-        "or message, becomes a table of its own",
+        "folder for a table of each message; or one table: .parquet, .csv, .jsonl, .arrows or .mf4; - is standard "
+        "output",
         required=True,
     ),
     FORCE,
@@ -298,10 +298,9 @@ _DECODE: Final = Command(
     _COLUMNS,
     Option(
         "--layout",
-        "wide: a row per frame, a column per signal; long: a row per value; messages: a table per message, in a folder "
-        "(default: wide)",
-        Choice(["wide", "long", "messages"]),
-        default="wide",
+        "messages: a table per message, in a folder; wide: a row per frame, a column per signal; long: a row per value "
+        "(default: messages where the output is a folder, wide where it is one table)",
+        Choice(["messages", "wide", "long"]),
     ),
     Option(
         "--values",
@@ -322,10 +321,10 @@ _DECODE: Final = Command(
     Option("--strict", "end with status 5 if anything of the log is not in the file, and say what"),
     *(JSON, VERBOSE),
     examples=(
+        f"{PROGRAM} decode drive.blf --dbc car.dbc -o drive",
         f"{PROGRAM} decode drive.blf --dbc car.dbc -o drive.parquet",
         f"{PROGRAM} decode drive.blf --dbc car.dbc -o part.csv --signals 'EngineSpeed,Brake.*' --from 60 --to 90",
         f"{PROGRAM} decode front.blf rear.blf --dbc car.dbc -o both.mf4",
-        f"{PROGRAM} decode drive.blf --dbc car.dbc -o messages --layout messages",
         f"{PROGRAM} decode recordings --dbc car.dbc -o tables --jobs 4",
         f"candump -L can0 | {PROGRAM} decode - --dbc car.dbc -o - --layout long --format jsonl",
     ),

@@ -14,7 +14,7 @@ from canlog.tables.decoding import Decoded, Plan, TableShape, decode_logs
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat, check_libraries
 from canlog.tables.report import account_record, frame_texts, losses, remarks, values_text
 from canlog.tables.table_folder import message_files, tables_there
-from canlog.written_tables import TableChoice
+from canlog.written_tables import TableChoice, default_shape
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.files import replacement_refusal
 from diag_service.commands.pairs import pairs_of
@@ -29,8 +29,10 @@ NOTHING_KNOWN: Final = "is it the right database? Try diag-service signals LOG -
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Decode logs; a file appears when it is complete. Raises StoppedError if that was stopped."""
-    is_of_messages = options.layout == TableShape.MESSAGES
     has_folders = any(is_folder(path) for path in options.logs if path != STANDARD_INPUT)
+    layout = options.layout or default_shape(options.output, options.format, is_folder=has_folders)
+    options = SimpleNamespace(**{**vars(options), "layout": layout})
+    is_of_messages = layout == TableShape.MESSAGES
     if has_folders or (options.output.is_dir() and not is_of_messages):
         from diag_service.commands import decode_folder  # noqa: PLC0415 - one table needs none of it
 

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import re
+import shutil
 import struct
 import zipfile
 from datetime import datetime
@@ -132,7 +133,7 @@ def test_tables_of_messages_hold_what_one_table_holds(folder: Path) -> None:
     wide = decoded(*logs, "--values", "both")
     for suffix in ("parquet", "arrows", "csv", "jsonl"):
         table_format = suffix.removesuffix("s")
-        words = ("decode", *logs, "--dbc", "car.dbc", "--layout", "messages", "--values", "both", "-o", suffix)
+        words = ("decode", *logs, "--dbc", "car.dbc", "--values", "both", "-o", suffix)
         told = ended(*words, "--format", table_format, "--json")
         assert (told.status, told.err) == (0, "")
         record = json.loads(told.out)
@@ -152,26 +153,14 @@ def test_tables_of_messages_hold_what_one_table_holds(folder: Path) -> None:
                 if suffix == "jsonl":  # which has no word for numbers that are none
                     other = {column: None if cell != cell else cell for column, cell in other.items()}  # noqa: PLR0124, PLW2901
                 assert bits({column: one.get(column) for column in other}) == bits(other)
-    (folder / "parquet").rename(folder / "messages")
+    (folder / "parquet").rename(folder / "drive")
     _, query = re.findall(r"```sql\n(.+?)```", page_text("docs/decode.md"), re.DOTALL)
     joined = duckdb.connect().sql(query).project("Speed, State")  # times need a library of zones
     assert joined.fetchall() == [(90.0, None)]
-    (folder / "messages").rename(folder / "parquet")
+    (folder / "drive").rename(folder / "parquet")
     (folder / "parquet" / "Gone.parquet").write_bytes(b"not ours")
     assert "Brake.parquet is there already" in ended(*words[:-1], "parquet").err
-    ended(
-        "decode",
-        "drive.log",
-        "--dbc",
-        "car.dbc",
-        "--layout",
-        "messages",
-        "--signals",
-        "Brake.*",
-        "-o",
-        "parquet",
-        "--force",
-    )
+    ended("decode", "drive.log", "--dbc", "car.dbc", "--signals", "Brake.*", "-o", "parquet", "--force")
     assert {path.name for path in (folder / "parquet").iterdir()} == {"Brake.parquet", "Gone.parquet"}
     assert "do not go to standard output" in ended("decode", "drive.log", "--layout", "messages", "-o", "-").err
 
@@ -322,7 +311,14 @@ def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: p
         (folder / place).write_text("".join(f"{line}\n" for line in lines), encoding="ascii")
     (folder / "logs" / "torn.asc").write_text("date Thu Jan 1 00:00:00 2026\nbase hex timestamps absolute\n", "ascii")
     words = ("decode", "logs", "--dbc", "car.dbc", "-o", "tables", "--jobs", "2")
-    told = ended(*words, "--json", "--strict")
+    ended(*words)
+    query, _ = re.findall(r"```sql\n(.+?)```", page_text("docs/decode.md"), re.DOTALL)
+    assert sorted(duckdb.connect().execute(query).fetchall()) == [
+        (f"tables/{name}drive.log/Brake.parquet", 90.0) for name in ("day/", "")
+    ]
+    shutil.rmtree("tables")
+    wide = (*words, "--layout", "wide")
+    told = ended(*wide, "--json", "--strict")
     records = {one["path"]: one for one in map(json.loads, told.out.splitlines())}
     assert told.status == 5
     assert records["logs/notes.txt"]["reason"].startswith("not a log of a known format")
@@ -333,11 +329,7 @@ def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: p
     assert all(same(one[name], other[name]) for one, other in zip(first, whole, strict=False) for name in one)
     names = sorted(path.name for path in (folder / "tables").rglob("*"))
     assert names == ["day", "drive.log.parquet", "drive.log.parquet"]
-    query, _ = re.findall(r"```sql\n(.+?)```", page_text("docs/decode.md"), re.DOTALL)
-    assert sorted(duckdb.connect().execute(query).fetchall()) == [
-        (f"tables/{name}drive.log.parquet", 90.0) for name in ("day/", "")
-    ]
-    assert "drive.log.parquet is there already" in ended(*words).err
+    assert "drive.log.parquet is there already" in ended(*wide).err
     assert "--jobs is for folders" in ended("decode", "drive.log", "-o", "b.csv", "--jobs", "2").err
     assert "standard input does not go with them" in ended("decode", "logs", "-", "-o", "tables").err
     assert "neither shape nor values applies" in ended(*words, "--format", "mf4", "--layout", "long").err
@@ -348,7 +340,7 @@ def test_every_log_of_an_archive_becomes_a_table(folder: Path) -> None:
         for day in ("monday", "tuesday"):
             archive.write(folder / "drive.log", f"week 1/{day}.log")
         archive.writestr("read me.txt", b"Two days.")
-    told = ended("decode", "drives.zip", "--dbc", "car.dbc", "-o", "tables", "--jobs", "1")
+    told = ended("decode", "drives.zip", "--dbc", "car.dbc", "-o", "tables", "--layout", "wide", "--jobs", "1")
     assert told.status == 0, told.err
     assert "left out: drives.zip/read me.txt" in told.err
     written = sorted(str(path.relative_to(folder / "tables")) for path in (folder / "tables").rglob("*.parquet"))

@@ -304,6 +304,12 @@ def test_tables_of_every_format_are_those_of_the_command(drive_log: Path, tmp_pa
         assert ended("decode", short, "-o", own, *options).status == 0
         assert made.read_bytes() == own.read_bytes()
     assert diag_service.decode([short], tmp_path / "data", choice=canlog.TableChoice(table_format="csv")) == []
+    assert ended("decode", short, "-o", tmp_path / "own", "--format", "csv").status == 0
+    written, own_tables = (
+        {path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()} for folder in ("data", "own")
+    )
+    assert written == own_tables
+    assert len(written) > 1
     with pytest.raises(diag_service.OutputError, match=r"signals are written as \.parquet"):
         diag_service.decode(short, tmp_path / "made.txt")
     with pytest.raises(diag_service.OutputError, match="neither shape nor values applies"):
