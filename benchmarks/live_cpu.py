@@ -42,7 +42,7 @@ from ecu_emulator.scenario.scenario_file import load_scenario
 BURST = 10  # frames per wake-up
 TARGET_RATIOS = {  # seconds between bursts: least ratio
     0.0025: 6.0,  # a full bus of 500 kbit/s
-    0.02: 3.0,  # less than this project's messages: waking up costs more than what is done then, see decision 0032
+    0.02: 3.0,  # less than this project's messages: waking up costs more than what is done then, see decision 0009
 }
 SEND_S = 12.0
 MOST_FRAMES = 24_000  # one stretch of a drive

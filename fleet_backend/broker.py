@@ -2,7 +2,7 @@
 
 MQTT 5 is needed: its Receive Maximum asks the broker to stop at that many unacknowledged messages, so a database that
 is away fills the broker and the vehicles' outboxes. Of a broker that sends more, by count or bytes, we read no further
-(decision 0080): a bundle holds many results.
+(decision 0013): a bundle holds many results.
 """
 
 import logging

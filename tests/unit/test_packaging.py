@@ -146,15 +146,6 @@ def test_files_named_in_the_text_exist(document: Path) -> None:
     assert [name for name in named if not (ROOT / name).exists()] == []
 
 
-def test_decisions_have_a_number_each_and_state_what_they_must() -> None:
-    decisions = sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))
-    assert len({path.name[:4] for path in decisions}) == len(decisions)
-    for path in decisions:
-        text = path.read_text(encoding="utf-8")
-        assert text.startswith(f"# {path.name[:4]}: ")
-        assert re.findall(r"^## (\w+)$", text, re.MULTILINE) == ["Context", "Decision", "Consequences"]
-
-
 def test_the_model_numbers_every_equation_of_the_source() -> None:
     text = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
     assert [number for number in range(1, 19) if f"| ({number}) |" not in text] == []

@@ -5,7 +5,7 @@ destination, length, bytes. Yacht Devices, and Actisense as "CAN frame ASCII": `
 Actisense "N2K ASCII": ``A173321.107 23FF7 1F513 012F3070002F30709F``: source, destination and priority, group, bytes.
 
 A message longer than a frame becomes the fast packet that carried it, for that is what databases and ``transport`` know
-([decision 0085](../../../docs/decisions/0085-whole-messages-become-fast-packets.md)).
+([decision 0065](../../../docs/decisions/0065-long-messages.md)).
 """
 
 from functools import partial
