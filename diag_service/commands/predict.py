@@ -27,7 +27,8 @@ from diag_service.diagnosis.prediction import (
 )
 from diag_service.diagnosis.results import dump
 from diag_service.diagnosis.shifts.gear_tracking import tracker_for
-from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.diagnosis.shifts.shifts import PRE_NS
+from diag_service.diagnosis.shifts.tracking import NS_PER_S, EventFinder
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation, interpret
 from diag_service.mapping.tiers import missing_for_next
@@ -35,10 +36,12 @@ from diag_service.service.stopping import Controls, Trigger
 
 if TYPE_CHECKING:
     from canlog.arrays import FloatArray
+    from diag_service.diagnosis.events import Event
 
 SCHEMA: Final = "clutchdiag/predict/v1"
 OURS: Final = "friction"
 STANDING_RAD_S: Final = 0.5
+AFTER_NS: Final = NS_PER_S // 2  # behind a gear change: its slip is nearly closed there
 PA_PER_KPA: Final = 1e3
 QUANTILES: Final = (np.arange(400) + 0.5) / 400.0
 
@@ -78,7 +81,8 @@ def slip_phases(
 ) -> tuple[list[SlipPhase], list[NoPhase]]:
     """Return the slip phases of the gear changes of a log, and the gear changes without one; raises StoppedError."""
     decoder = meaning.decoder()
-    finder, events = ShiftFinder(tracker_for(decoder.signals, decoder.gears)), []
+    finder = EventFinder(tracker_for(decoder.signals, decoder.gears), PRE_NS, AFTER_NS)
+    events: list[Event] = []
     with read_log(log, is_stopped=lambda: stop.is_set, watch=watch) as reader:
         for batch in reader:
             if stop.is_set:

@@ -40,6 +40,7 @@ class Stages:
         self.decoder = decoder
         self._finder = DriveFinder(decoder.signals, calibration, decoder.gears)
         self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
+        self._missing = missing_for_next(decoder.signals, knows_gears=knows_gears(decoder))
         self._estimator = Estimator(calibration)
         compile_data_quality()
         compile_indices()
@@ -106,7 +107,7 @@ class Stages:
             memory = self._memory.with_fit(estimate).with_shift(estimate, self._state).with_launch(estimate)
             self._memory, verdict = judge(memory, state, estimate.clutch, self._calibration)
         else:
-            verdict = no_verdict(estimate.clutch, missing_for_next(self.decoder.signals))
+            verdict = no_verdict(estimate.clutch, self._missing)
         self._state = state
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory)
 

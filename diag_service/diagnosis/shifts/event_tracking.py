@@ -247,6 +247,30 @@ class EventTracker:
         return replace(bounds, kind=kind_of_change(history, bounds))
 
 
+class SideBySide:
+    """Two trackers of one stream, whose events come in the order of their ends."""
+
+    def __init__(self, first: Tracker, second: Tracker) -> None:
+        self._both = first, second
+
+    @property
+    def open_ns(self) -> int | None:
+        """When the oldest event began that was not reported, if there is one."""
+        return min((one.open_ns for one in self._both if one.open_ns is not None), default=None)
+
+    def track(self, history: History, until_ns: int) -> list[Bounds]:
+        """Walk the samples with ``t < until_ns``."""
+        return sorted((bounds for one in self._both for bounds in one.track(history, until_ns)), key=_end_ns)
+
+    def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
+        """Return what is open as interrupted."""
+        return sorted((bounds for one in self._both for bounds in one.interrupt(history, now_ns)), key=_end_ns)
+
+
+def _end_ns(bounds: Bounds) -> int:
+    return bounds.end_ns
+
+
 def _kind_of_slip(change: GripChange) -> EventKind:
     """Return what begins as a clutch that was open begins to slip under load."""
     is_rolling = change.shaft_rad_s > ROLLING_RATIO * change.engine_rad_s

@@ -3,23 +3,29 @@
 A tracker walks along the samples once, in steps of any size, and reports the bounds of the shifts it saw end.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
+from canlog.frames import BEFORE_ALL_NS
 from canlog.jit import array_kernel, inlined_kernel
 from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.columns import GearRatios, Signal
-from diag_service.diagnosis.events import EndReason
+from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.shifts.history import History
 from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, HeldSignals, Tracker
 
 MAX_SHIFT_NS = 5 * NS_PER_S  # a production shift takes about one second
+MAX_LAUNCH_NS = 15 * NS_PER_S  # three seconds, on a hill with a trailer ten
+ROLLING_RATIO = 0.5  # of the engine's speed: a shaft that turns as fast is not set in motion by its clutch
 DWELL_NS = NS_PER_S // 20  # a clutch that stays closed, a ratio that stays put, for so long does so for good
 CLOSED_SLIP_RAD_S = 5.0  # 50 rpm: beyond it the clutch slips, whatever two controllers' speeds differ by
+CLOSED_RATIO = 0.02  # of the engine's speed, where a ratio stands for the input shaft: wheels slip, columns are skewed
 RATIO_TOLERANCE = 0.04  # neighbouring gears are at least 15 % apart
 MIN_SPEED_RAD_S = 50.0  # of the engine: below it drives nothing
 _NEVER = np.empty(0, np.int64)
@@ -34,6 +40,8 @@ def tracker_for(signals: AbstractSet[Signal], gears: GearRatios | None = None) -
         inputs = (Signal.INPUT1_SPEED, Signal.INPUT2_SPEED)
         if not signals >= set(inputs):
             inputs = (Signal.INPUT_SPEED, Signal.INPUT_SPEED)
+        if gears is not None and not signals >= set(inputs):
+            return TargetTracker((gears.over, gears.over), gears.ratios)
         return TargetTracker(inputs)
     if Signal.CURRENT_GEAR not in signals and gears is not None:
         return EngagedTracker((Signal.ENGINE_SPEED, gears.over), lambda values: gears_of_ratio(values, gears))
@@ -49,6 +57,76 @@ def gears_of_ratio(values: Mapping[Signal, FloatArray], gears: GearRatios) -> In
     nearest = np.argmin(off, axis=1)
     matches = off[np.arange(len(off)), nearest] < RATIO_TOLERANCE
     return np.where(matches, nearest + 1, 0)
+
+
+class LaunchTracker:
+    """A launch lasts from the last moment of standing, or of the slowest rolling, until the engine drives in a gear.
+
+    It is told by engine speed, a speed behind the gears and their ratios alone, where neither slip nor load is known,
+    and only at its end: what never locks is none. Of a car that rolls the shaft must be set in motion by its clutch.
+
+    Parameters
+    ----------
+    gears : GearRatios
+        Of the car.
+    gear : Signal, optional
+        A gear that the ratio must agree with: a launch in second gear passes the ratio of the first.
+    """
+
+    def __init__(self, gears: GearRatios, gear: Signal | None = None) -> None:
+        self._gears = gears
+        self._told = gear
+        self._held = HeldSignals((Signal.ENGINE_SPEED, gears.over, *([] if gear is None else [gear])))
+        self._forget()
+
+    def _forget(self) -> None:
+        self._held.forget()
+        self._slowest: tuple[int, float, float] | None = None  # since no gear drives: when, engine and other speed then
+        self._gear = 0  # what the ratio says now
+        self._since_ns = self._now_ns = BEFORE_ALL_NS
+
+    @property
+    def open_ns(self) -> int | None:
+        """When the launch began that may be on."""
+        is_on = self._slowest is not None and self._now_ns <= self._slowest[0] + MAX_LAUNCH_NS
+        return self._slowest[0] if is_on and self._slowest is not None else None
+
+    def track(self, history: History, until_ns: int) -> list[Bounds]:
+        """Walk the speeds with ``t < until_ns``."""
+        t_ns, values = self._held.ahead(history, until_ns)
+        self._now_ns = until_ns
+        gears, engine_rad_s = gears_of_ratio(values, self._gears), values[Signal.ENGINE_SPEED]
+        if self._told is not None:
+            told = _gears(values[self._told])
+            gears = np.where((told >= 1) & (told != gears), 0, gears)
+        over = np.nan_to_num(values[self._gears.over], nan=np.inf)
+        edges = [*np.flatnonzero(np.diff(gears, prepend=-1)).tolist(), len(gears)]
+        found: list[Bounds] = []
+        for begin, end in pairwise(edges):
+            found += self._end_if_due(int(t_ns[begin]))
+            if gears[begin] != self._gear:
+                self._gear, self._since_ns = int(gears[begin]), int(t_ns[begin])
+            if self._gear == 0:
+                place = end - 1 - int(np.argmin(over[begin:end][::-1]))  # the last of the slowest
+                if over[place] <= (math.inf if self._slowest is None else self._slowest[2]):
+                    self._slowest = int(t_ns[place]), float(engine_rad_s[place]), float(over[place])
+        return [*found, *self._end_if_due(until_ns)]
+
+    def interrupt(self, _: History, now_ns: int) -> list[Bounds]:
+        """Forget the stretch; what has not locked is no launch."""
+        found = self._end_if_due(now_ns)
+        self._forget()
+        return found
+
+    def _end_if_due(self, now_ns: int) -> list[Bounds]:
+        """Return the launch that led to the gear which has driven for long enough by now, if it was one."""
+        if self._slowest is None or self._gear < 1 or now_ns < self._since_ns + DWELL_NS:
+            return []
+        (start_ns, engine_rad_s, over), self._slowest = self._slowest, None
+        is_set_in_motion = over * self._gears.ratios[self._gear - 1] < ROLLING_RATIO * engine_rad_s
+        if not is_set_in_motion or self._since_ns > start_ns + MAX_LAUNCH_NS:
+            return []
+        return [Bounds(self._gear, self._gear, start_ns, self._since_ns, EndReason.COMPLETE, EventKind.LAUNCH)]
 
 
 def _gears(values: FloatArray) -> Int64Array:
@@ -239,10 +317,13 @@ class TargetTracker:
     ----------
     inputs : tuple of Signal
         Input speeds of the odd and of the even gears; the same signal twice where the bus has but one.
+    ratios : tuple of float
+        Of input speed over that signal in every gear, where the signal is a speed behind the gears.
     """
 
-    def __init__(self, inputs: tuple[Signal, Signal]) -> None:
+    def __init__(self, inputs: tuple[Signal, Signal], ratios: tuple[float, ...] = ()) -> None:
         self._inputs = inputs
+        self._ratios = np.array([math.nan, *ratios]) if ratios else None  # neutral first
         self._held = HeldSignals((Signal.TARGET_GEAR, Signal.ENGINE_SPEED, *inputs))
         self._forget()
 
@@ -262,12 +343,20 @@ class TargetTracker:
         """Walk target gear and slip with ``t < until_ns``."""
         t_ns, values = self._held.ahead(history, until_ns)
         target = _gears(values[Signal.TARGET_GEAR])
-        first, second = (np.abs(values[Signal.ENGINE_SPEED] - values[name]) for name in self._inputs)
-        slip_rad_s = np.where(clutch_of_gear(target) == 1, first, second)
-        state = 2 * target + (slip_rad_s > CLOSED_SLIP_RAD_S)  # an unknown slip counts as closed
+        engine_rad_s = values[Signal.ENGINE_SPEED]
+        shaft_rad_s = np.where(clutch_of_gear(target) == 1, *(values[name] for name in self._inputs))
+        bound_rad_s: FloatArray | float = CLOSED_SLIP_RAD_S
+        if self._ratios is not None:
+            shaft_rad_s = shaft_rad_s * self._ratios[np.where(target < len(self._ratios), target, 0)]
+            bound_rad_s = np.maximum(CLOSED_SLIP_RAD_S, CLOSED_RATIO * engine_rad_s)
+        state = 2 * target + (np.abs(engine_rad_s - shaft_rad_s) > bound_rad_s)  # an unknown slip counts as closed
+        is_open = (shaft_rad_s < ROLLING_RATIO * engine_rad_s) & (self._ratios is not None)
         found: list[Bounds] = []
         for row in np.flatnonzero(np.diff(state, prepend=-1)):
             found += self._step(int(t_ns[row]), int(target[row]), slips=bool(state[row] % 2))
+            if self._open is not None and self._open.start_ns == t_ns[row] and is_open[row]:
+                found.append(replace(self._open, end_reason=EndReason.COMPLETE, kind=EventKind.REGEAR))
+                self._open = None  # nothing drove: the gear is chosen for the launch to come
         return [*found, *self._end_if_due(until_ns)]
 
     def interrupt(self, _: History, now_ns: int) -> list[Bounds]:

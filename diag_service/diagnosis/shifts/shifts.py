@@ -4,8 +4,8 @@ from collections.abc import Set as AbstractSet
 
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.columns import GearRatios, Signal
-from diag_service.diagnosis.shifts.event_tracking import EventTracker
-from diag_service.diagnosis.shifts.gear_tracking import GearPairTracker, tracker_for
+from diag_service.diagnosis.shifts.event_tracking import EventTracker, SideBySide
+from diag_service.diagnosis.shifts.gear_tracking import GearPairTracker, LaunchTracker, tracker_for
 from diag_service.diagnosis.shifts.slip_tracking import SlipTracker, slip_signals
 from diag_service.diagnosis.shifts.tracking import NS_PER_S, EventFinder, Tracker
 
@@ -34,5 +34,8 @@ class DriveFinder(EventFinder):
 
     def __init__(self, signals: AbstractSet[Signal], calibration: Calibration, gears: GearRatios | None = None) -> None:
         slip = slip_signals(signals, calibration)
-        changes = tracker_for(signals, gears)
-        super().__init__(EventTracker(changes, None if slip is None else SlipTracker(slip)), PRE_NS, POST_NS, REST_NS)
+        tracker: Tracker = EventTracker(tracker_for(signals, gears), None if slip is None else SlipTracker(slip))
+        if slip is None and gears is not None and signals >= {Signal.ENGINE_SPEED, gears.over}:
+            told = next((one for one in (Signal.CURRENT_GEAR, Signal.TARGET_GEAR) if one in signals), None)
+            tracker = SideBySide(tracker, LaunchTracker(gears, told))
+        super().__init__(tracker, PRE_NS, POST_NS, REST_NS)

@@ -1,6 +1,7 @@
 """Shifts without the pair of gear signals: from target and slip, from the current gear alone, from speeds."""
 
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -8,10 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canlog.arrays import FloatArray, Series
+from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.shifts.gear_tracking import MAX_SHIFT_NS, GearPairTracker, tracker_for
-from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.diagnosis.shifts.shifts import DriveFinder, ShiftFinder
+
+if TYPE_CHECKING:
+    from diag_service.diagnosis.shifts.tracking import EventFinder
 
 STEP_NS = 10_000_000
 RATIOS = GearRatios(over=Signal.OUTPUT_SPEED, ratios=(4.0, 2.5, 1.5))
@@ -126,11 +131,72 @@ def test_a_pair_of_gears_is_preferred() -> None:
     assert isinstance(tracker_for(signals, RATIOS), GearPairTracker)
 
 
+SPEEDS = frozenset({Signal.ENGINE_SPEED, Signal.OUTPUT_SPEED})
+
+
+def launched(over: FloatArray, engine: FloatArray, target: FloatArray | None = None) -> list[tuple[str, Bounds]]:
+    """Return what speeds, ratios and the target gear, where there is one, tell of a drive."""
+    told = {} if target is None else {"target_gear": target}
+    signals = SPEEDS | {Signal(name) for name in told}
+    batch = columns_of(output_speed_rad_s=over, engine_speed_rad_s=engine, **told)
+    finder = DriveFinder(signals, nominal_calibration(), RATIOS)
+    events = finder.feed(batch) + finder.flush()
+    return [(event.kind.value, found) for event, found in zip(events, bounds(events), strict=True)]
+
+
+def set_in_motion(gear: int, *, idle_rows: int = 100, rows: int = 200) -> tuple[FloatArray, FloatArray]:
+    """Return output and engine speed of a car that stands, and whose clutch then locks in half of the rows."""
+    over = np.concatenate((np.zeros(idle_rows), np.linspace(0.0, 200.0 / RATIOS.ratios[gear - 1], rows)))
+    engine = np.maximum(over * RATIOS.ratios[gear - 1], np.repeat((80.0, 100.0), (idle_rows, rows)))
+    return over, engine
+
+
+def test_speeds_alone_tell_a_launch() -> None:
+    ((kind, (from_gear, to_gear, start, end, reason)),) = launched(*set_in_motion(1))
+    assert (kind, from_gear, to_gear, start, reason) == ("launch", 1, 1, 100, EndReason.COMPLETE)
+    assert end == pytest.approx(200, abs=5)
+
+
+def test_a_launch_in_second_gear_is_no_launch_in_first() -> None:
+    over, engine = set_in_motion(2, rows=800)  # slow enough to be within 4 % of the first ratio for a while
+    assert [found[:2] for kind, found in launched(over, engine, np.full(len(over), 2.0)) if kind == "launch"] == [
+        (2, 2)
+    ]
+
+
+def test_what_rolls_is_not_launched() -> None:
+    over = np.full(400, 40.0)
+    engine = np.repeat((160.0, 90.0, 160.0), (100, 200, 100))  # the clutch is opened and closed again
+    assert launched(over, engine, np.full(400, 1.0)) == []
+
+
+def test_who_stands_or_creeps_for_long_launches_when_he_goes() -> None:
+    over, engine = set_in_motion(1, idle_rows=3000)
+    ((kind, found),) = launched(over, engine)
+    assert (kind, found[2]) == ("launch", 3000)
+    over[500:3001] = 0.05  # rolls for 25 s
+    assert launched(over, engine) == []
+
+
+def test_a_gear_chosen_at_standstill_is_no_shift() -> None:
+    over, engine = set_in_motion(1)
+    ((kind, found), (then, _)) = launched(over, engine, np.repeat((2.0, 1.0), (50, 250)))
+    assert (kind, found, then) == ("regear", (2, 1, 50, 50, EndReason.COMPLETE), "launch")
+
+
+def test_a_target_and_ratios_bound_a_shift() -> None:
+    over = np.full(200, 50.0)
+    engine = np.concatenate((np.full(70, 200.0), np.linspace(200.0, 125.0, 40), np.full(90, 125.0)))
+    ((kind, (from_gear, to_gear, start, end, reason)),) = launched(over, engine, np.repeat((1.0, 2.0), (50, 150)))
+    assert (kind, from_gear, to_gear, start, reason) == ("shift", 1, 2, 50, EndReason.COMPLETE)
+    assert end == pytest.approx(109, abs=3)
+
+
 runs = st.lists(st.tuples(st.integers(0, 3), st.sampled_from((0.0, 3.0, 40.0)), st.integers(1, 90)), max_size=14)
 cuts = st.lists(st.integers(1, 1200), max_size=10)
 
 
-@given(runs=runs.filter(bool), cuts=cuts, kind=st.sampled_from(("target", "ratio", "current")))
+@given(runs=runs.filter(bool), cuts=cuts, kind=st.sampled_from(("target", "ratio", "current", "drive")))
 def test_cutting_the_stream_anywhere_changes_no_shift(
     runs: list[tuple[int, float, int]], cuts: list[int], kind: str
 ) -> None:
@@ -140,6 +206,7 @@ def test_cutting_the_stream_anywhere_changes_no_shift(
         "target": TARGET_SIGNALS,
         "ratio": frozenset({Signal.ENGINE_SPEED, Signal.OUTPUT_SPEED}),
         "current": frozenset({Signal.CURRENT_GEAR, Signal.TARGET_GEAR}),
+        "drive": SPEEDS | {Signal.TARGET_GEAR},
     }[kind]
     whole = columns_of(
         **{"current_gear" if kind == "current" else "target_gear": gears},
@@ -149,7 +216,9 @@ def test_cutting_the_stream_anywhere_changes_no_shift(
     )
 
     def found(rows: list[int]) -> list[Bounds]:
-        finder = ShiftFinder(tracker_for(tracker_signals, RATIOS if kind == "ratio" else None))
+        finder: EventFinder = ShiftFinder(tracker_for(tracker_signals, RATIOS if kind == "ratio" else None))
+        if kind == "drive":
+            finder = DriveFinder(tracker_signals, nominal_calibration(), RATIOS)
         events: list[Event] = []
         for start, stop in pairwise(rows):
             cut = {name: one.between(start * STEP_NS, stop * STEP_NS) for name, one in whole.columns.items()}
