@@ -8,6 +8,7 @@ connected to it.
 
     python -m benchmarks.hops            # an event to its stored result and to the broker
     python -m benchmarks.hops decode     # a log to a table of Parquet
+    python -m benchmarks.hops --listing  # and which modules and functions the calls are, the most called first
 """
 
 import argparse
@@ -51,20 +52,23 @@ MOST_CALLS, MOST_MODULES = 25, 10  # goals, of what hands an event on
 EVENT_GOALS, BROKER_MODULES, DECODE_GOALS = (500, 20), 30, (2_000, 30)  # of all calls: calls and modules
 
 
+Call = tuple[str, str]  # module and function
+
+
 @dataclass(slots=True)
 class Trip:
     """The calls that counted, in the order in which they ended."""
 
     hops: dict[CodeType, str] = field(default_factory=dict)  # code -> module
     handing_on: set[FrameType] = field(default_factory=set)  # open calls that called one that counts
-    calls: Counter[str] = field(default_factory=Counter)  # of all functions, by module
+    calls: Counter[Call] = field(default_factory=Counter)  # of all functions
 
     def watch(self, frame: FrameType, event: str, result: object) -> None:
         """Take one event of the interpreter's profiler; a coroutine returns whenever it waits."""
         module = str(frame.f_globals.get("__name__", ""))
         is_function = frame.f_code.co_flags & inspect.CO_OPTIMIZED and not frame.f_code.co_name.startswith("<")
         if event == "call" and is_function and module.startswith(PACKAGES):
-            self.calls[module] += 1
+            self.calls[(module, frame.f_code.co_qualname)] += 1
         if event != "return" or not module.startswith(PACKAGES) or frame.f_code.co_name.startswith(("<", "__")):
             return
         held = [value for value in frame.f_locals.values() if carries(value)]
@@ -117,7 +121,7 @@ async def delivered(outbox: Outbox, count: int) -> None:
         await asyncio.sleep(0.01)
 
 
-async def trip_of_a_shift(log: Path, port: int) -> tuple[Trip, Counter[str]]:
+async def trip_of_a_shift(log: Path, port: int) -> tuple[Trip, Counter[Call]]:
     """Return the trip of the second shift of a log, and its calls until it was stored; the first one compiles."""
     trip = Trip()
     with closing(ResultStore.in_memory()) as store:
@@ -148,23 +152,45 @@ def trip_of_decoding(log: Path, table: Path) -> Trip:
     return trip
 
 
-def said(what: str, calls: Counter[str], goals: tuple[int, int]) -> str:
+def modules_of(calls: Counter[Call]) -> Counter[str]:
+    """Return how many calls each module had."""
+    modules: Counter[str] = Counter()
+    for (module, _), count in calls.items():
+        modules[module] += count
+    return modules
+
+
+def said(what: str, calls: Counter[Call], goals: tuple[int, int]) -> str:
     """Return a count of all calls, with the modules that have most."""
-    most = ", ".join(f"{module} {count}" for module, count in calls.most_common(6))
-    return f"{what}: {calls.total()} own calls in {len(calls)} modules; goals {goals[0]} and {goals[1]}; most: {most}"
+    modules = modules_of(calls)
+    most = ", ".join(f"{module} {count}" for module, count in modules.most_common(6))
+    return f"{what}: {calls.total()} own calls in {len(modules)} modules; goals {goals[0]} and {goals[1]}; most: {most}"
+
+
+def listing(calls: Counter[Call]) -> str:
+    """Return the modules and their functions, one a line, the most called first."""
+    lines = []
+    for module, count in modules_of(calls).most_common():
+        lines.append(f"{count:6} {module}")
+        lines += [f"{n:12} {name}" for (where, name), n in calls.most_common() if where == module]
+    return "\n".join(lines)
 
 
 def main() -> int:
     """Print the way; return 1 if it is longer than the goals."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("way", nargs="?", choices=("event", "decode"), default="event")
-    if parser.parse_args().way == "decode":
+    parser.add_argument("--listing", action="store_true", help="print every module and function with its count")
+    asked = parser.parse_args()
+    if asked.way == "decode":
         with TemporaryDirectory() as folder:
             log = Path(folder) / "drive.log"
             record(log, 1)
             calls = trip_of_decoding(log, Path(folder) / "drive.parquet").calls
+        if asked.listing:
+            print(listing(calls))
         print(said("a log to a table", calls, DECODE_GOALS))
-        return int(calls.total() > DECODE_GOALS[0] or len(calls) > DECODE_GOALS[1])
+        return int(calls.total() > DECODE_GOALS[0] or len(modules_of(calls)) > DECODE_GOALS[1])
     with TemporaryDirectory() as folder:
         log, broker = Path(folder) / "drive.log", Mosquitto(Path(folder))
         record(log, 1)
@@ -177,8 +203,13 @@ def main() -> int:
     for module in modules:
         names = [code.co_qualname for code, where in trip.hops.items() if where == module]
         print(f"{module}: {', '.join(names)}")
+    if asked.listing:
+        print(listing(stored))
+        print("after that, until the broker has it:")
+        print(listing(trip.calls - stored))
     print(said("an event to its stored result", stored, EVENT_GOALS))
-    print(f"to the broker: {trip.calls.total()} own calls in {len(trip.calls)} modules; goal {BROKER_MODULES} modules")
+    all_modules = len(modules_of(trip.calls))
+    print(f"to the broker: {trip.calls.total()} own calls in {all_modules} modules; goal {BROKER_MODULES} modules")
     print(f"{len(trip.hops)} calls in {len(modules)} modules; goals {MOST_CALLS} and {MOST_MODULES}")
     return int(len(trip.hops) > MOST_CALLS or len(modules) > MOST_MODULES)
 
