@@ -11,11 +11,17 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import kernel
-from clutch_model.film import FilmLaw, contact_pressure_pa, film_mobility_m, piston_pressure_pa, viscous_torque_nm
+from clutch_model.film import (
+    CONTACT_END,
+    FilmLaw,
+    contact_pressure_pa,
+    film_mobility_m,
+    piston_pressure_pa,
+    viscous_torque_nm,
+)
 from clutch_model.friction import FrictionLaw, contact_torque_nm, kinetic_friction
 from clutch_model.thermal import clutch_heating_rate_k_s
 
-_CONTACT_END = 4.0  # film ratio beyond which nothing touches
 _MAX_ITERATIONS = 60
 _NUDGE_RATIO = 1e-6
 _TOLERANCE_RATIO = 1e-13
@@ -38,7 +44,7 @@ def film_of_torque_m(
 
     Newton's method kept between bounds: the torque falls as the film grows.
     """
-    low, high = law.min_film_m, _CONTACT_END * law.roughness_m
+    low, high = law.min_film_m, CONTACT_END * law.roughness_m
     if clutch_torque_nm(low, slip_rad_s, viscosity, friction, law) < torque_nm:
         return math.nan
     if clutch_torque_nm(high, slip_rad_s, viscosity, friction, law) > torque_nm:

@@ -1,7 +1,7 @@
 """The signals of one event on one clock and one even grid: when samples were taken, and what they read in between."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -10,7 +10,6 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from canlog.jit import array_kernel, kernel
 from clutch_model.calibration import Calibration
-from clutch_model.gears import both_clutches
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import Event
 
@@ -21,6 +20,8 @@ END_COUNT = 30  # samples, of which one is nearly on time; an event is cut that 
 COMMAND_LAG_S = 0.025  # from commanded to piston pressure: solenoid and feed orifice; docs/model.md, hydraulics
 
 _NO_WEIGHT = 1e-9  # of grid points: a sample at the very end of some rows says nothing there
+
+_MOVED = (Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE, Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)  # by latencies
 
 SampleTimes = Mapping[Signal, FloatArray]
 """When each signal of the balance was sampled [s] after the start of its event."""
@@ -48,26 +49,27 @@ class Resampled:
         _resample(times_s, value, grid_s, left, share, on_grid)
         return cls(times_s=times_s, value=value, left=left, share=share, on_grid=on_grid)
 
-    def is_sampled_with(self, other: "Resampled") -> bool:
-        """Return whether both were sampled at the same instants, as signals of one message are."""
-        return len(self.times_s) == len(other.times_s) and _is_same(self.times_s, other.times_s)
+    def to_samples(self, weights: Sequence[FloatArray], pieces: Sequence[slice]) -> tuple[FloatArray, ...]:
+        """Return the weight of each sample in weighted sums over pieces of the grid, shape (k, n) each.
 
-    def to_samples(self, weights: FloatArray, rows: slice) -> FloatArray:
-        """Return the weight of each sample, shape (k, n), in k weighted sums over rows of the grid, (k, len(rows)).
-
-        The samples are those that the rows lie between.
+        ``weights`` has shape (k, rows) for each piece; the samples are those that its rows lie between.
         """
-        left = self.left[rows]
-        spread = np.zeros((len(weights), left[-1] + 2 - left[0]))
-        _spread(weights, left, self.share[rows], spread)
-        return spread
+        found = []
+        for own, rows in zip(weights, pieces, strict=True):
+            left = self.left[rows]
+            found.append(np.zeros((len(own), left[-1] + 2 - left[0])))
+            _spread(own, left, self.share[rows], found[-1])
+        return tuple(found)
 
-    def around_samples(self, values: FloatArray, rows: slice) -> FloatArray:
-        """Return values on rows of the grid as means around the samples of `to_samples`, shape (n,)."""
-        left = self.left[rows]
-        means, weight = (np.zeros(left[-1] + 2 - left[0]) for _ in range(2))
-        _average(values, left, self.share[rows], means, weight)
-        return means
+    def around_samples(self, values: Sequence[FloatArray], pieces: Sequence[slice]) -> tuple[FloatArray, ...]:
+        """Return values on pieces of the grid as means around the samples of `to_samples`, shape (n,) each."""
+        found = []
+        for own, rows in zip(values, pieces, strict=True):
+            left = self.left[rows]
+            means, weight = np.zeros((2, left[-1] + 2 - left[0]))
+            _average(own, left, self.share[rows], means, weight)
+            found.append(means)
+        return tuple(found)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,14 +81,11 @@ class AlignedSignals:
     engine_torque: Resampled
     hub_speed: Resampled
     input_speed: tuple[Resampled, Resampled]
+    slip_rad_s: tuple[FloatArray, FloatArray]  # of clutch 1 and 2 on the grid: hub minus input shaft
     pressure: tuple[Resampled, Resampled]
     expected_pa: tuple[FloatArray | None, FloatArray | None]  # on the grid, from the command: free of sensor noise
     oil_k: float
     is_seen: BoolArray  # (len(grid),) whether every signal was sampled near by
-
-    def slip_rad_s(self, clutch: int) -> FloatArray:
-        """Return the slip of clutch 1 or 2 on the grid: hub minus input shaft."""
-        return self.hub_speed.on_grid - self.input_speed[clutch - 1].on_grid
 
 
 def sample_times_s(series: Series, origin_ns: int) -> FloatArray:
@@ -123,11 +122,13 @@ def segment_centres_s(times_s: FloatArray, speed_rad_s: FloatArray, segment_rad:
 
 def sampling_times(event: Event) -> SampleTimes:
     """Return when the signals of the balance were sampled, as far as they are there, freed of transmission jitter."""
-    return {
-        signal: sample_times_s(event.columns[signal], event.start_ns)
-        for signal in BALANCE_SIGNALS
-        if signal in event.columns
-    }
+    found = {}
+    for signal in BALANCE_SIGNALS:
+        series = event.columns.get(signal)
+        if series is not None:
+            found[signal] = times_s = np.empty(len(series.t_ns))
+            _free_of_jitter(series.t_ns, series.sequence, event.start_ns, series.period_ns * NS_TO_S, times_s)
+    return found
 
 
 def measured_times(sampled: SampleTimes, event: Event, calibration: Calibration) -> SampleTimes:
@@ -171,25 +172,29 @@ def align(
     # Whole steps after the shift's start: a latency that is found more exactly must not move the points.
     grid_s = GRID_S * np.arange(math.ceil(history_s / GRID_S), math.ceil(duration_s / GRID_S), dtype=np.float64)
 
-    def on_grid(signal: Signal) -> Resampled:
-        return Resampled.of(times[signal], event.columns[signal].value, grid_s)
-
-    engine_speed, engine_torque = on_grid(Signal.ENGINE_SPEED), on_grid(Signal.ENGINE_TORQUE)
-    pressure = (on_grid(Signal.CLUTCH1_PRESSURE), on_grid(Signal.CLUTCH2_PRESSURE))
     is_seen = _is_seen(grid_s, gaps_s)
-    if other is not None and len(other.grid_s) == len(grid_s):  # the same grid: it ends where the event ends
+    is_known = other is not None and len(other.grid_s) == len(grid_s)  # the same grid: it ends where the event ends
+    wanted = _MOVED if is_known else BALANCE_SIGNALS
+    on_grid = {one: Resampled.of(times[one], event.columns[one].value, grid_s) for one in wanted}
+    engine_speed, engine_torque = on_grid[Signal.ENGINE_SPEED], on_grid[Signal.ENGINE_TORQUE]
+    pressure = (on_grid[Signal.CLUTCH1_PRESSURE], on_grid[Signal.CLUTCH2_PRESSURE])
+    if other is not None and is_known:
         return replace(
             other, engine_speed=engine_speed, engine_torque=engine_torque, pressure=pressure, is_seen=is_seen
         )
-    commands = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
+    hub, first, second = (on_grid[one] for one in (Signal.HUB_SPEED, Signal.INPUT1_SPEED, Signal.INPUT2_SPEED))
     return AlignedSignals(
         grid_s=grid_s,
         engine_speed=engine_speed,
         engine_torque=engine_torque,
-        hub_speed=on_grid(Signal.HUB_SPEED),
-        input_speed=(on_grid(Signal.INPUT1_SPEED), on_grid(Signal.INPUT2_SPEED)),
+        hub_speed=hub,
+        input_speed=(first, second),
+        slip_rad_s=(hub.on_grid - first.on_grid, hub.on_grid - second.on_grid),
         pressure=pressure,
-        expected_pa=both_clutches(_expected_pa(event, command, grid_s) for command in commands),
+        expected_pa=(
+            _expected_pa(event, Signal.CLUTCH1_PRESSURE_COMMAND, grid_s),
+            _expected_pa(event, Signal.CLUTCH2_PRESSURE_COMMAND, grid_s),
+        ),
         oil_k=oil_k,
         is_seen=is_seen,
     )
@@ -207,9 +212,8 @@ def compile_alignment() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     ends, one = np.array([0.0, 1.0]), np.zeros((1, 2))
     signal = Resampled.of(ends, ends, ends)
-    signal.to_samples(one, slice(None))
-    signal.around_samples(ends, slice(None))
-    signal.is_sampled_with(signal)
+    signal.to_samples([one], [slice(None)])
+    signal.around_samples([ends], [slice(None)])
     _read_at(np.arange(2), ends, 0, 1.0, ends, np.empty(2))
     _free_of_jitter(np.arange(2), np.arange(2), 0, 1.0, np.empty(2))
     _lag_behind(ends, ends, ends, 1.0, np.empty(2))
@@ -293,14 +297,6 @@ def _resample(
         passed = (grid_s[row] - times_s[sample]) / (times_s[sample + 1] - times_s[sample])
         left[row], share[row] = sample, min(max(passed, 0.0), 1.0)
         on_grid[row] = (1.0 - share[row]) * value[sample] + share[row] * value[sample + 1]
-
-
-@array_kernel
-def _is_same(values: FloatArray, others: FloatArray) -> bool:
-    row = 0
-    while row < len(values) and values[row] == others[row]:
-        row += 1
-    return row == len(values)
 
 
 @array_kernel

@@ -22,11 +22,10 @@ import numpy as np
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, row_kernel, unchecked_kernel
 from clutch_model.calibration import Calibration, InputSide
-from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, row_stribeck_weight, stribeck_weight
-from clutch_model.gears import both_clutches
+from clutch_model.friction import FrictionLaw, contact_torque_nm, row_stribeck_weight, stribeck_weight
 from clutch_model.knowledge import SensorBias
 from clutch_model.row_functions import row_exponential, row_logarithm
-from diag_service.diagnosis.alignment import GRID_S, AlignedSignals, Resampled
+from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.drives import SLIP_DEGREE, SlipWindow, Weights, planned_drives, sines, spans_of
 from diag_service.diagnosis.friction.evidence import (
     PARAMETER_COUNT,
@@ -41,9 +40,11 @@ from diag_service.diagnosis.friction.film import (
     COARSE,
     FilmCause,
     FilmTrack,
+    PackLaw,
     PressureDrive,
     film_tangents,
     integrate_films,
+    pack_laws,
 )
 
 MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
@@ -59,10 +60,6 @@ class ClutchMoments:
     opened: FloatArray  # (k,) the part of it that an open pack drags
     by_friction: FloatArray  # (k, 2)
     by_warm_friction: FloatArray  # (k, 2) the same times the kelvins by which the pack is warmer than the reference
-
-    def impulse(self, mu: FloatArray) -> FloatArray:
-        """Return the weighted torque impulses [N m s], shape (k,), for ``mu = (mu_c, mu_s)``."""
-        return self.viscous + self.by_friction @ mu
 
 
 class Torques(NamedTuple):
@@ -80,20 +77,23 @@ class Torques(NamedTuple):
         cls,
         drives: tuple[PressureDrive, PressureDrive],
         tracks: tuple[FilmTrack, FilmTrack],
-        calibration: Calibration,
+        warmed: tuple[FilmTrack, FilmTrack],
+        laws: tuple[PackLaw, PackLaw],
         rows: slice,
     ) -> Self:
-        """Return the torques that films and slips of both clutches make on some rows of the grid."""
+        """Return the torques that films and slips of both clutches make on some rows of the grid.
+
+        How warm the packs are is taken from tracks of their own: a command shows how a clutch is filled less well than
+        how it heats up.
+        """
         count = rows.stop - rows.start
         lever_m3, parts_nm = np.empty((2, 2, count)), np.empty((2, 6, count))
-        for clutch, drive, track, levers, parts in zip(
-            calibration.clutches, drives, tracks, lever_m3, parts_nm, strict=True
-        ):
+        for m, (drive, track, law) in enumerate(zip(drives, tracks, laws, strict=True)):
             own = _Rows(
-                drive.slip_rad_s[rows], track.contact_pa[rows], track.clutch_k[rows], track.viscous_nm[rows],
+                drive.slip_rad_s[rows], track.contact_pa[rows], warmed[m].clutch_k[rows], track.viscous_nm[rows],
                 track.open_nm[rows],
             )  # fmt: skip
-            _fill_torques(own, friction_law(clutch.friction), clutch.geometry.contact_factor_m3, levers, parts)
+            _fill_torques(own, law.friction, law.film.contact_factor_m3, lever_m3[m], parts_nm[m])
         return cls(lever_m3=lever_m3, contact_nm=parts_nm[:, :2], parts_nm=parts_nm)
 
 
@@ -106,13 +106,17 @@ class Balance:
         The event and its slip window.
     measured
         What drives the film of clutch 1 and 2, pressures corrected by the offsets of these parameters.
-    calibration
-        That of these parameters.
+    calibration, laws
+        That of these parameters, and what it says of the clutches.
     at : (PARAMETER_COUNT,) array
         The parameters.
 
     Attributes
     ----------
+    mu : (2, 2) array
+        ``(mu_c, mu_s)`` of clutch 1 and 2 among the parameters.
+    final_clutch_k
+        Temperature of each pack at the end of the cut [K].
     known_nms : (k,) array
         Impulses of the hub and of the films' shear [N m s], with the sign of the balance.
     """
@@ -123,13 +127,16 @@ class Balance:
         window: SlipWindow,
         measured: tuple[PressureDrive, PressureDrive],
         calibration: Calibration,
+        laws: tuple[PackLaw, PackLaw],
         at: FloatArray,
     ) -> None:
         self.signals = signals
         self.measured = measured
         self.calibration = calibration
+        self.laws = laws
         self.window = window
         self.at = at
+        self.mu = at[: State.MU_S2 + 1].reshape(2, 2)
         torque_s = signals.engine_torque.times_s
         edges = np.searchsorted(torque_s, spans_of(window.pieces, signals.grid_s))
         sample_counts = (edges[:, 1] - edges[:, 0]).tolist()
@@ -138,8 +145,9 @@ class Balance:
         )
         counts = [max(3, min(MAX_MOMENT_COUNT, one // SAMPLES_PER_MOMENT)) for one in sample_counts]
         self.weights = sines(window, counts)
-        self.tracks = integrate_films(measured, calibration)
-        self.torques = Torques.of(measured, self.tracks, calibration, self.weights.rows)
+        self.tracks = integrate_films(measured, laws)
+        self.final_clutch_k = self.tracks[0].final_clutch_k, self.tracks[1].final_clutch_k
+        self.torques = Torques.of(measured, self.tracks, self.tracks, laws, self.weights.rows)
         self._moments = weigh(self.weights, self.torques)
         side, hub_rad_s = calibration.input_side, signals.hub_speed.on_grid[self.weights.rows]
         self.known_nms = np.asarray(
@@ -156,43 +164,28 @@ class Balance:
         by_kelvin = self.at[STATE_COUNT + Considered.FRICTION_TEMPERATURE]
         contact_nms = sum(
             (moments.by_friction + by_kelvin * moments.by_warm_friction) @ mu
-            for moments, mu in zip(self._moments, friction_pairs(self.at), strict=True)
+            for moments, mu in zip(self._moments, self.mu, strict=True)
         )
         engine_nms = side.engine_inertia_kg_m2 * (weights.rate @ self.signals.engine_speed.on_grid[weights.rows])
         driving_nms = weights.value @ (torque_nm - offset_nm)
         return np.asarray(driving_nms + bias.torque_gain * (engine_nms + self.known_nms) - contact_nms)
 
-    @property
-    def final_clutch_k(self) -> tuple[float, float]:
-        """Temperature of each pack at the end of the cut [K]."""
-        return both_clutches(track.final_clutch_k for track in self.tracks)
-
     def slip_energy_j(self, clutch: int, mu: FloatArray) -> float:
         """Return the heat made in a clutch over the whole cut [J], for its ``(mu_c, mu_s)``."""
         drive, track = self.measured[clutch - 1], self.tracks[clutch - 1]
-        nominal = self.calibration.clutches[clutch - 1]
-        law, factor_m3 = friction_law(nominal.friction), nominal.geometry.contact_factor_m3
-        slip_rad_s = np.ascontiguousarray(drive.slip_rad_s)
-        return GRID_S * _heat_w(slip_rad_s, track.contact_pa, track.viscous_nm, mu, law, factor_m3)
-
-
-def friction_pairs(at: FloatArray) -> FloatArray:
-    """Return ``(mu_c, mu_s)`` of clutch 1 and 2 among the parameters, shape (2, 2)."""
-    return at[: State.MU_S2 + 1].reshape(2, 2)
+        law, slip_rad_s = self.laws[clutch - 1], np.ascontiguousarray(drive.slip_rad_s)
+        factor_m3 = law.film.contact_factor_m3
+        return GRID_S * _heat_w(slip_rad_s, track.contact_pa, track.viscous_nm, mu, law.friction, factor_m3)
 
 
 def weigh(weights: Weights, torques: Torques) -> tuple[ClutchMoments, ClutchMoments]:
     """Return the weighted torques of both clutches, on the rows of the weights."""
     sums = weights.value @ torques.parts_nm.reshape(12, -1).T
-    return both_clutches(
-        ClutchMoments(
-            viscous=own[:, 4],
-            opened=own[:, 5],
-            by_friction=own[:, :2],
-            by_warm_friction=own[:, 2:4],
-        )
+    first, second = (
+        ClutchMoments(viscous=own[:, 4], opened=own[:, 5], by_friction=own[:, :2], by_warm_friction=own[:, 2:4])
         for own in (sums[:, :6], sums[:, 6:])
     )
+    return first, second
 
 
 def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: SensorBias) -> tuple[FloatArray, FloatArray]:
@@ -204,8 +197,8 @@ def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: Sensor
 
 def compile_balance(calibration: Calibration) -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
-    clutch, zeros = calibration.clutches[0], np.zeros(2)
-    law, factor_m3 = friction_law(clutch.friction), clutch.geometry.contact_factor_m3
+    clutch, zeros = pack_laws(calibration)[0], np.zeros(2)
+    law, factor_m3 = clutch.friction, clutch.film.contact_factor_m3
     _fill_torques(_Rows(zeros, zeros, zeros, zeros, zeros), law, factor_m3, np.empty((2, 2)), np.empty((6, 2)))
     _heat_w(zeros, zeros, zeros, zeros, law, factor_m3)
 
@@ -291,36 +284,29 @@ class _Spread:
     torque_value: Blocks
     engine_rate: Blocks
     hub_value: Blocks
-    hub_rate: Blocks
+    hub: Blocks  # by its inertia and its damping
     input_value: tuple[Blocks, Blocks]
     pressure_value: tuple[Blocks, Blocks]
 
     @classmethod
-    def of(cls, signals: AlignedSignals, weights: Weights) -> Self:
+    def of(cls, signals: AlignedSignals, weights: Weights, side: InputSide) -> Self:
         """Return those of a window's test functions; signals of one message share theirs."""
-        found: list[tuple[Resampled, Blocks]] = []
-
-        def value(signal: Resampled) -> Blocks:
-            for other, blocks in found:
-                if signal.is_sampled_with(other):
-                    return blocks
-            found.append((signal, weights.value.on_samples(signal)))
-            return found[-1][1]
-
-        return cls(
-            torque_value=value(signals.engine_torque),
-            engine_rate=weights.rate.on_samples(signals.engine_speed),
-            hub_value=value(signals.hub_speed),
-            hub_rate=weights.rate.on_samples(signals.hub_speed),
-            input_value=both_clutches(value(one) for one in signals.input_speed),
-            pressure_value=both_clutches(value(one) for one in signals.pressure),
-        )
-
-    def hub(self, side: InputSide) -> Blocks:
-        """Return the weights of the hub's speed by its inertia and damping."""
+        own = (signals.engine_torque, signals.hub_speed, *signals.input_speed, *signals.pressure)
+        found: dict[bytes, Blocks] = {}
+        instants = [signal.times_s.tobytes() for signal in own]
+        for instant, signal in zip(instants, own, strict=True):
+            if instant not in found:
+                found[instant] = weights.value.on_samples(signal)
+        torque, hub, first, second, first_pressure, second_pressure = (found[instant] for instant in instants)
         inertia, damping = side.hub_inertia_kg_m2, side.hub_damping_nms_rad
-        return tuple(
-            inertia * rate - damping * value for rate, value in zip(self.hub_rate, self.hub_value, strict=True)
+        hub_rate = weights.rate.on_samples(signals.hub_speed)
+        return cls(
+            torque_value=torque,
+            engine_rate=weights.rate.on_samples(signals.engine_speed),
+            hub_value=hub,
+            hub=tuple(inertia * rate - damping * value for rate, value in zip(hub_rate, hub, strict=True)),
+            input_value=(first, second),
+            pressure_value=(first_pressure, second_pressure),
         )
 
 
@@ -349,32 +335,22 @@ class Sensitivity:
     """
 
     def __init__(self, balance: Balance) -> None:
-        self._balance = balance
+        self._balance, laws, rows = balance, balance.laws, balance.weights.rows
         self._planned = planned_drives(balance.signals, balance.measured, balance.window)
-        self._spread = _Spread.of(balance.signals, balance.weights)
-        self._torque_nm = balance.weights.fitted(
-            balance.signals.engine_torque.on_grid[balance.weights.rows], SLIP_DEGREE
-        )
-        planned = integrate_films(self._planned, balance.calibration, balance.window.stop, COARSE)
-        self._tracks = both_clutches(  # a command shows how a clutch is filled less well than how it heats up
-            replace(track, clutch_k=seen.clutch_k) for track, seen in zip(planned, balance.tracks, strict=True)
-        )
-        self._torques = Torques.of(self._planned, self._tracks, balance.calibration, balance.weights.rows)
-        self._answers = both_clutches(self._answers_of(m, mu) for m, mu in enumerate(friction_pairs(balance.at)))
+        self._spread = _Spread.of(balance.signals, balance.weights, balance.calibration.input_side)
+        self._torque_nm = balance.weights.fitted(balance.signals.engine_torque.on_grid[rows], SLIP_DEGREE)
+        tracks = integrate_films(self._planned, laws, balance.window.rows.stop, COARSE)
+        self._torques = Torques.of(self._planned, tracks, balance.tracks, laws, rows)
+        self._answers = [ContactAnswers(*np.empty((5, rows.stop - rows.start))) for _ in laws]
+        for m, answers in enumerate(self._answers):
+            law, slip_rad_s, contact_pa = laws[m], self._planned[m].slip_rad_s[rows], tracks[m].contact_pa[rows]
+            doubt_nm, area_ratio = balance.tracks[m].doubt_nm[rows], law.film.piston_area_m2 / law.film.lining_area_m2
+            contact_nm, mu = self._torques.contact_nm[m], balance.mu[m]
+            _fill_answers(slip_rad_s, contact_nm, contact_pa, doubt_nm, mu, law.friction, area_ratio, answers)
         self._nominal = weigh(balance.weights, self._torques)
         self.noises = self._noises()
         self.slope = self._slope()
         self.overlaps = self._overlaps()
-
-    def _answers_of(self, m: int, mu: FloatArray) -> ContactAnswers:
-        """Return what the contact of clutch ``m + 1`` answers to what it depends on."""
-        balance, clutch, rows = self._balance, self._balance.calibration.clutches[m], self._balance.weights.rows
-        answers = ContactAnswers(*np.empty((5, rows.stop - rows.start)))
-        area_ratio = clutch.geometry.piston_area_m2 / clutch.geometry.lining_area_m2
-        slip_rad_s, contact_pa = self._planned[m].slip_rad_s[rows], self._tracks[m].contact_pa[rows]
-        doubt_nm, curve = balance.tracks[m].doubt_nm[rows], friction_law(clutch.friction)
-        _fill_answers(slip_rad_s, self._torques.contact_nm[m], contact_pa, doubt_nm, mu, curve, area_ratio, answers)
-        return answers
 
     def _slope(self) -> FloatArray:
         balance, at = self._balance, self._balance.at
@@ -390,12 +366,12 @@ class Sensitivity:
         considered[:, Considered.MOTORING_GAIN] = weights.value @ motoring_nm
         considered[:, Considered.TORQUE_LATENCY] = weights.rate @ torque_nm  # smooth: noise would hold it where it is
         std_nms = np.sqrt(np.concatenate([np.diag(noise) for noise in self.noises]))
-        for m, mu in enumerate(friction_pairs(at)):
+        for m, mu in enumerate(balance.mu):
             plain = self._nominal[m]
             slope[:, friction_rows(m + 1)] = plain.by_friction
             considered[:, Considered.FRICTION_TEMPERATURE] += plain.by_warm_friction @ mu
             considered[:, Considered.OPEN_DRAG] += bias.torque_gain * plain.opened
-            if np.max(np.abs(plain.impulse(mu)) / std_nms) > IDLE_RATIO:
+            if np.max(np.abs(plain.viscous + plain.by_friction @ mu) / std_nms) > IDLE_RATIO:
                 self._add_film(slope, m, mu)
                 answers = self._answers[m]
                 considered[:, Considered.STRIBECK_SPEED] += weights.value @ answers.by_stribeck_speed_nm
@@ -407,7 +383,7 @@ class Sensitivity:
         balance, drive = self._balance, self._planned[m]
         rows, considered = balance.weights.rows, slope[:, STATE_COUNT:]
         clutch_k, lever_m3 = balance.tracks[m].clutch_k, mu @ self._torques.lever_m3[m]
-        answers = balance.weights.value @ film_tangents(m + 1, drive, clutch_k, balance.calibration, rows, lever_m3)
+        answers = balance.weights.value @ film_tangents(balance.laws[m], drive, clutch_k, rows, lever_m3)
         slope[:, State.TOUCH1 + m] = -answers[:, FilmCause.PRESSURE]
         slope[:, State.ZERO1 + m] = -answers[:, FilmCause.PRESSURE]
         considered[:, Considered.PISTON_AREA1 + m] = answers[:, FilmCause.PISTON_AREA]
@@ -419,18 +395,19 @@ class Sensitivity:
         sensors, bias, weights = balance.calibration.noise, balance.calibration.bias, balance.weights
         speed_std = sensors.engine_speed_rad_s * balance.calibration.input_side.engine_inertia_kg_m2
         speed_slopes = weights.rate.fitted_on_samples(SLIP_DEGREE, signals.engine_speed)
-        hubs = self._spread.hub(balance.calibration.input_side)
+        hubs = self._spread.hub
         motoring = self._motoring_shares()
         overlaps = []
         for place, noise in enumerate(self.noises):
             precision, overlap = np.asarray(np.linalg.inv(noise)), np.zeros(PARAMETER_COUNT)
             considered = overlap[STATE_COUNT:]
-            speed = speed_std**2 * _trace(precision, speed_slopes[place] @ self._spread.engine_rate[place].T)
-            hub = sensors.hub_speed_rad_s**2 * _trace(precision, hubs[place] @ hubs[place].T)
+            by_speed, by_hub = speed_slopes[place] @ self._spread.engine_rate[place].T, hubs[place] @ hubs[place].T
+            speed = speed_std**2 * float(np.vdot(precision, by_speed.T))  # the trace of the product
+            hub = sensors.hub_speed_rad_s**2 * float(np.vdot(precision, by_hub.T))
             considered[Considered.TORQUE_GAIN] = -bias.torque_gain * (speed + hub)
             considered[Considered.ENGINE_INERTIA] = -(bias.torque_gain**2) * speed
             if motoring is not None:
-                shared = _trace(precision, motoring[place])
+                shared = float(np.vdot(precision, motoring[place].T))
                 considered[Considered.MOTORING_GAIN] = sensors.engine_torque_nm**2 * shared
             overlaps.append(overlap)
         return overlaps
@@ -464,7 +441,7 @@ class Sensitivity:
         self._add_doubt(noises)
         by_hub_nms = self._answers[0].by_slip_nms + self._answers[1].by_slip_nms
         around = weights.value.around_samples(by_hub_nms, signals.hub_speed)
-        for place, hub in enumerate(self._spread.hub(side)):
+        for place, hub in enumerate(self._spread.hub):
             by_hub = gain * hub - self._spread.hub_value[place] * around[place]
             noises[place] += sensors.hub_speed_rad_s**2 * by_hub @ by_hub.T
         return noises
@@ -496,11 +473,6 @@ class Sensitivity:
         for place, (rows_of_piece, band, block) in enumerate(zip(value.places, value.bands, value.blocks, strict=True)):
             doubt = block[:, ::DOUBT_STEP] * doubt_nm[rows_of_piece][::DOUBT_STEP]
             noises[place] += doubt @ doubt.T + opened_nms[band] @ opened_nms[band].T
-
-
-def _trace(one: FloatArray, other: FloatArray) -> float:
-    """Return the trace of the product of two square matrices."""
-    return float(np.vdot(one, other.T))
 
 
 def measured(balance: Balance, near: Sequence[Measurement] = ()) -> tuple[Measurement, ...]:
@@ -537,5 +509,5 @@ def _fill_answers(
 
 def compile_sensitivity(calibration: Calibration) -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
-    rows, curve = np.zeros(1), friction_law(calibration.clutches[0].friction)
+    rows, curve = np.zeros(1), pack_laws(calibration)[0].friction
     _fill_answers(rows, np.zeros((2, 1)), rows, rows, np.zeros(2), curve, 1.0, ContactAnswers(*np.zeros((5, 1))))

@@ -11,12 +11,11 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration
-from clutch_model.gears import both_clutches
 from clutch_model.thermal import clutch_later_k
 from diag_service.diagnosis.alignment import GRID_S, NS_TO_S, TURNING_RAD_S, AlignedSignals, Resampled
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.evidence import Evidence, State, open_drag_ratio
-from diag_service.diagnosis.friction.film import PressureDrive
+from diag_service.diagnosis.friction.film import PackLaw, PressureDrive
 
 SLIP_DEGREE = 5  # a controller's slip profile over one piece: smooth start, smooth end
 LOADED_PA = 0.25e5  # above its touch point by this much a clutch carries torque
@@ -37,42 +36,31 @@ class Piece:
     stop: int
     is_rest: bool = False  # both clutches are open: engine and hub turn by themselves
 
-    @property
-    def rows(self) -> slice:
-        """The rows, as arrays over the grid take them."""
-        return slice(self.first, self.stop)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlipWindow:
     """Pieces of an event in which every clutch that carries torque slips, and of a rest before it, in order of time."""
 
     pieces: tuple[Piece, ...]
+    slipping: tuple[Piece, ...]  # without the rest
+    rows: slice  # from the first to the last one, with what lies between the pieces
+    slip_rows: slice  # from the first to the last one in which a clutch slips under load
+
+    @classmethod
+    def of(cls, pieces: tuple[Piece, ...]) -> "SlipWindow":
+        """Return a window of some pieces, of which one at least slips."""
+        slipping = tuple(piece for piece in pieces if not piece.is_rest)
+        return cls(
+            pieces=pieces,
+            slipping=slipping,
+            rows=slice(pieces[0].first, pieces[-1].stop),
+            slip_rows=slice(slipping[0].first, slipping[-1].stop),
+        )
 
     @classmethod
     def between(cls, first: int, stop: int) -> "SlipWindow":
         """Return a window of one piece."""
-        return cls(pieces=(Piece(first=first, stop=stop),))
-
-    @property
-    def stop(self) -> int:
-        """The row after its last one."""
-        return self.pieces[-1].stop
-
-    @property
-    def rows(self) -> slice:
-        """The rows from its first to its last one, with what lies between the pieces."""
-        return slice(self.pieces[0].first, self.stop)
-
-    @property
-    def slipping(self) -> tuple[Piece, ...]:
-        """The pieces without the rest."""
-        return tuple(piece for piece in self.pieces if not piece.is_rest)
-
-    @property
-    def slip_rows(self) -> slice:
-        """The rows from the first to the last one in which a clutch slips under load."""
-        return slice(self.slipping[0].first, self.slipping[-1].stop)
+        return cls.of((Piece(first=first, stop=stop),))
 
 
 def find_window(
@@ -102,7 +90,7 @@ def find_window(
     pieces = [piece for first, stop in stretches for piece in _pieces(first, stop, round(MAX_PIECE_S / step_s))]
     rests = [rest for rest in _stretches(is_rest) if rest[1] - rest[0] >= round(MIN_REST_S / step_s)]
     rest = [Piece(first=first, stop=stop, is_rest=True) for first, stop in rests[-1:]]
-    return SlipWindow(pieces=(*rest, *pieces)) if pieces else None
+    return SlipWindow.of((*rest, *pieces)) if pieces else None
 
 
 @array_kernel
@@ -197,8 +185,8 @@ def on_other_grid(window: SlipWindow, grid_s: FloatArray, other_s: FloatArray) -
     """Return a window found on one grid on another one, as far as that reaches."""
     edges = np.searchsorted(other_s, spans_of(window.pieces, grid_s)).tolist()
     pairs = zip(window.pieces, edges, strict=True)
-    return SlipWindow(
-        pieces=tuple(
+    return SlipWindow.of(
+        tuple(
             Piece(first=first, stop=min(last + 1, len(other_s)), is_rest=piece.is_rest)
             for piece, (first, last) in pairs
         )
@@ -236,21 +224,17 @@ class Functions:
 
     def fitted_on_samples(self, degree: int, signal: Resampled) -> tuple[FloatArray, ...]:
         """Return `on_samples` of polynomial fits to the functions."""
-        found = []
-        for block, rows in zip(self.blocks, self.grid_rows, strict=True):
-            basis = _polynomials(block.shape[1], degree)
-            found.append((block @ basis) @ signal.to_samples(np.ascontiguousarray(basis.T), rows))
-        return tuple(found)
+        bases = [_polynomials(block.shape[1], degree) for block in self.blocks]
+        spread = signal.to_samples([np.ascontiguousarray(basis.T) for basis in bases], self.grid_rows)
+        return tuple((block @ basis) @ one for block, basis, one in zip(self.blocks, bases, spread, strict=True))
 
     def on_samples(self, signal: Resampled) -> tuple[FloatArray, ...]:
         """Return the weights of the samples of a signal in the sums over the grid, (functions, samples) each piece."""
-        pairs = zip(self.blocks, self.grid_rows, strict=True)
-        return tuple(signal.to_samples(block, rows) for block, rows in pairs)
+        return signal.to_samples(self.blocks, self.grid_rows)
 
     def around_samples(self, values: FloatArray, signal: Resampled) -> tuple[FloatArray, ...]:
         """Return values of the rows, shape (len(rows),), as means around those samples, (samples,) each piece."""
-        pairs = zip(self.places, self.grid_rows, strict=True)
-        return tuple(signal.around_samples(values[place], rows) for place, rows in pairs)
+        return signal.around_samples([values[place] for place in self.places], self.grid_rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -260,16 +244,14 @@ class Weights:
     value: Functions
     rate: Functions
 
-    @property
-    def rows(self) -> slice:
-        """Rows of the grid from the first to the last of the window."""
-        return self.value.rows
+    rows: slice  # of the grid from the first to the last of the window
 
     def fitted(self, values: FloatArray, degree: int) -> FloatArray:
         """Return polynomial fits to values, shape (len(rows),), one on each piece; nothing in between."""
         found = np.zeros_like(values)
         for place in self.value.places:
-            found[place] = fitted(values[place], degree)
+            basis = _polynomials(place.stop - place.start, degree)
+            found[place] = (values[place] @ basis) @ basis.T
         return found
 
 
@@ -280,12 +262,12 @@ def sines(window: SlipWindow, counts: Sequence[int]) -> Weights:
     pairs = [_sines(piece.stop - piece.first, count) for piece, count in zip(window.pieces, counts, strict=True)]
     value = Functions(
         rows=hull,
-        grid_rows=tuple(piece.rows for piece in window.pieces),
+        grid_rows=tuple(slice(piece.first, piece.stop) for piece in window.pieces),
         places=tuple(slice(piece.first - first, piece.stop - first) for piece in window.pieces),
         bands=tuple(slice(*band) for band in pairwise(ends)),
         blocks=tuple(value for value, _ in pairs),
     )
-    return Weights(value=value, rate=replace(value, blocks=tuple(rate for _, rate in pairs)))
+    return Weights(value=value, rate=replace(value, blocks=tuple(rate for _, rate in pairs)), rows=hull)
 
 
 @lru_cache(maxsize=32)
@@ -326,23 +308,18 @@ def smoothed(values: FloatArray, window: SlipWindow, degree: int) -> FloatArray:
     """Return the values, shape (len(grid),), with a polynomial fit in place of those inside each piece of a window."""
     smooth = values.copy()
     for piece in window.pieces:
-        smooth[piece.rows] = fitted(values[piece.rows], degree)
+        basis = _polynomials(piece.stop - piece.first, degree)
+        smooth[piece.first : piece.stop] = (values[piece.first : piece.stop] @ basis) @ basis.T
     return smooth
-
-
-def fitted(values: FloatArray, degree: int) -> FloatArray:
-    """Return the polynomial fit to values on an even grid, shape (..., n).
-
-    Fitting is symmetric: weights fitted and values as they are give the same sums as weights as they are and values
-    fitted.
-    """
-    basis = _polynomials(values.shape[-1], degree)
-    return np.asarray((values @ basis) @ basis.T)
 
 
 @lru_cache(maxsize=256)
 def _polynomials(count: int, degree: int) -> FloatArray:
-    """Return an orthonormal basis of the polynomials on ``count`` even points, shape (count, degree + 1)."""
+    """Return an orthonormal basis of the polynomials on ``count`` even points, shape (count, degree + 1).
+
+    ``(values @ basis) @ basis.T`` is the fit to values there. Fitting is symmetric: weights fitted and values as they
+    are give the same sums as weights as they are and values fitted.
+    """
     powers = np.polynomial.chebyshev.chebvander(np.linspace(-1.0, 1.0, count), degree)
     basis, _ = np.linalg.qr(powers)
     return basis
@@ -361,13 +338,16 @@ class PackTemperatures:
     clutch_k: tuple[float, float]
     at_ns: int
 
-    def later(self, m: int, oil_k: float, now_ns: float, calibration: Calibration) -> float:
-        """Return the temperature of pack ``m`` [K], cooled towards the oil since."""
-        thermal = calibration.clutches[m].thermal
+    def later(self, oil_k: float, now_ns: float, calibration: Calibration) -> tuple[float, float]:
+        """Return the temperatures of both packs [K], cooled towards the oil since."""
         elapsed_s = max(0.0, (now_ns - self.at_ns) * NS_TO_S)
-        return clutch_later_k(
-            self.clutch_k[m], oil_k, 0.0, elapsed_s, thermal.heat_capacity_j_k, thermal.convection_w_k
+        first_k, second_k = (
+            clutch_later_k(
+                then_k, oil_k, 0.0, elapsed_s, clutch.thermal.heat_capacity_j_k, clutch.thermal.convection_w_k
+            )
+            for then_k, clutch in zip(self.clutch_k, calibration.clutches, strict=True)
         )
+        return first_k, second_k
 
 
 def zeros_seen(signals: AlignedSignals, calibration: Calibration) -> Evidence:
@@ -391,18 +371,21 @@ def measured_drives(
 
     ``packs`` is None where nothing is known of the packs: then they are as warm as the oil.
     """
-    start_ns = event.start_ns + signals.grid_s[0] / NS_TO_S
-    is_known = packs is not None and start_ns >= packs.at_ns - OVERLAP_NS
-    return both_clutches(
+    start_ns, clutch_k = event.start_ns + signals.grid_s[0] / NS_TO_S, (signals.oil_k, signals.oil_k)
+    if packs is not None and start_ns >= packs.at_ns - OVERLAP_NS:
+        clutch_k = packs.later(signals.oil_k, start_ns, calibration)
+    drag_ratio = open_drag_ratio(at)
+    first, second = (
         PressureDrive(
             piston_pa=signals.pressure[m].on_grid - at[State.TOUCH1 + m] - at[State.ZERO1 + m],
-            slip_rad_s=signals.slip_rad_s(m + 1),
+            slip_rad_s=signals.slip_rad_s[m],
             oil_k=signals.oil_k,
-            clutch_k=packs.later(m, signals.oil_k, start_ns, calibration) if packs and is_known else signals.oil_k,
-            open_drag_ratio=open_drag_ratio(at),
+            clutch_k=clutch_k[m],
+            open_drag_ratio=drag_ratio,
         )
         for m in range(2)
     )
+    return first, second
 
 
 def planned_drives(
@@ -412,7 +395,7 @@ def planned_drives(
 
     Without a command on the bus the measured pressure is smoothed, which leaves a tenth of the noise.
     """
-    return both_clutches(
+    first, second = (
         replace(
             drive,
             piston_pa=smoothed(drive.piston_pa, window, PRESSURE_DEGREE) if expected_pa is None else expected_pa,
@@ -420,14 +403,14 @@ def planned_drives(
         )
         for drive, expected_pa in zip(measured, signals.expected_pa, strict=True)
     )
+    return first, second
 
 
 def slip_window(
-    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], calibration: Calibration
+    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], laws: tuple[PackLaw, PackLaw]
 ) -> tuple[SlipWindow, int] | None:
     """Return where clutches slip under load, and the one that carries most of it; or None."""
-    pairs = zip(drives, calibration.clutches, strict=True)
-    over_pa = np.array([drive.piston_pa - one.touch_pressure_pa for drive, one in pairs])
+    over_pa = np.array([drive.piston_pa - law.touch_pressure_pa for drive, law in zip(drives, laws, strict=True)])
     slip_rad_s = np.array([drive.slip_rad_s for drive in drives])
     is_turning = signals.engine_speed.on_grid > TURNING_RAD_S
     window = find_window(signals.grid_s, slip_rad_s, over_pa, signals.is_seen & is_turning)

@@ -40,7 +40,7 @@ from diag_service.diagnosis.friction.evidence import (
     friction_rows,
     fuse,
 )
-from diag_service.diagnosis.friction.film import PressureDrive, compile_film, compile_tangents
+from diag_service.diagnosis.friction.film import PackLaw, PressureDrive, compile_film, compile_tangents, pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, compile_selection, omission_cost
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.values import both_frictions
@@ -281,13 +281,13 @@ class Estimator:
         if isinstance(signals, Reason):
             return signals
         near = earlier if is_near else None
-        drives = measured_drives(signals, at, state.packs, samples.event, point)
-        found = _window(signals, drives, point, near)
+        drives, laws = measured_drives(signals, at, state.packs, samples.event, point), pack_laws(point)
+        found = _window(signals, drives, laws, near)
         if found is None:
             return Reason.NO_SLIP_WINDOW
         window, clutch = found
         before = earlier.before if earlier else self._unknown_friction(state.known, clutch)
-        balance = Balance(signals, window, drives, point, at)
+        balance = Balance(signals, window, drives, point, laws, at)
         if film_share(balance, clutch) > MOST_FILM_SHARE:
             return Reason.NO_SLIP_WINDOW
         seen = measured(balance, near.measurements if near else ())
@@ -345,11 +345,14 @@ def _judged_event(event: Event, seen: _Seen) -> JudgedEvent:
 
 
 def _window(
-    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], point: Calibration, near: _Seen | None
+    signals: AlignedSignals,
+    drives: tuple[PressureDrive, PressureDrive],
+    laws: tuple[PackLaw, PackLaw],
+    near: _Seen | None,
 ) -> tuple[SlipWindow, int] | None:
     """Return the window of an event and its clutch, those that were found near by if there are some."""
     if near is None:
-        return slip_window(signals, drives, point)
+        return slip_window(signals, drives, laws)
     return on_other_grid(near.balance.window, near.balance.signals.grid_s, signals.grid_s), near.clutch
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, unchecked_kernel
 from clutch_model.calibration import Calibration
-from clutch_model.clutch import ClutchCalibration
 from clutch_model.film import (
+    CONTACT_END,
     FilmLaw,
     applied_pressure_pa,
     equilibrium_film_m,
@@ -22,17 +22,35 @@ from clutch_model.film import (
 )
 from clutch_model.film_points import FilmPoint, FilmShape, film_point, film_shape, point_motion, point_rate_m_s
 from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, kinetic_friction
-from clutch_model.gears import both_clutches
 from clutch_model.thermal import clutch_heating_rate_k_s
 from diag_service.diagnosis.alignment import GRID_S
 
 COARSE = 2  # points of the grid: steps in which a film may be followed whose derivatives alone are wanted
 _ANY_K = 350.0
 DRAG_LIMIT_NM = 8.0  # of an open pack: its oil is full of air, so the law of a full film ends there
-_CONTACT_END = 4.0  # film over roughness from which no asperities touch: a pack begins to be open
 _TIMING_S = 0.015  # by how much earlier or later than its pressure says a film may close or open
 _HOVER_PA = 0.12e5  # so near its touch point a piston may press or not: nobody knows the film of an open pack
 _DOUBT_RISE = 10.0  # by openness: how oil drags that fills with air, or gives it off
+
+
+class _Oil(NamedTuple):
+    """Vogel's law in the form the kernel takes."""
+
+    a_pa_s: float
+    b_k: float
+    pole_k: float
+
+
+class PackLaw(NamedTuple):
+    """What a calibration says of one clutch and its oil, in the form the kernels take."""
+
+    film: FilmLaw
+    shape: FilmShape
+    friction: FrictionLaw
+    oil: _Oil
+    heat_capacity_j_k: float
+    convection_w_k: float
+    touch_pressure_pa: float
 
 
 class HeatLaw(NamedTuple):
@@ -58,7 +76,7 @@ class PressureDrive:
     open_drag_ratio: float = 1.0  # of the drag of an open pack to what is believed
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class FilmTrack:
     """Film of one clutch on the even grid."""
 
@@ -101,8 +119,31 @@ class _State(NamedTuple):
     film_rate_1_s: float  # of the step that led here, over the film
 
 
+def pack_laws(calibration: Calibration) -> tuple[PackLaw, PackLaw]:
+    """Return the laws of clutch 1 and 2: made once, and asked wherever a film or a friction is."""
+    oil = _Oil(calibration.viscosity.a_pa_s, calibration.viscosity.b_k, calibration.viscosity.pole_k)
+    found = []
+    for clutch in calibration.clutches:
+        law = film_law(clutch)
+        found.append(
+            PackLaw(
+                film=law,
+                shape=film_shape(law),
+                friction=friction_law(clutch.friction),
+                oil=oil,
+                heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
+                convection_w_k=float(clutch.thermal.convection_w_k),
+                touch_pressure_pa=law.closed_spring_force_n / law.piston_area_m2,
+            )
+        )
+    return found[0], found[1]
+
+
 def integrate_films(
-    drives: tuple[PressureDrive, PressureDrive], calibration: Calibration, stop: int | None = None, step: int = 1
+    drives: tuple[PressureDrive, PressureDrive],
+    laws: tuple[PackLaw, PackLaw],
+    stop: int | None = None,
+    step: int = 1,
 ) -> tuple[FilmTrack, FilmTrack]:
     """Integrate film and pack temperature of both clutches; docs/model.md eq. (7) and section "Thermal".
 
@@ -111,8 +152,8 @@ def integrate_films(
 
     Parameters
     ----------
-    drives
-        Of clutch 1 and 2, on the same grid.
+    drives, laws
+        Of clutch 1 and 2; the drives on the same grid.
     stop
         Number of grid points to integrate, by default all; the tracks are zero beyond them.
     step
@@ -121,54 +162,28 @@ def integrate_films(
     length = len(drives[0].piston_pa)
     count = length if stop is None else min(stop, length)
     found = np.empty((2, len(_Rows._fields), -(-count // step)))
-    first, second = both_clutches(
-        _pack(clutch, drive, calibration, slice(0, count, step), _Rows(*rows))
-        for clutch, drive, rows in zip(calibration.clutches, drives, found, strict=True)
-    )
-    final_k = _integrate(first, second, step * GRID_S)
-    return both_clutches(
-        FilmTrack(
-            contact_pa=contact_pa,
-            viscous_nm=viscous_nm,
-            open_nm=open_nm,
-            doubt_nm=doubt_nm,
-            clutch_k=clutch_k,
-            final_clutch_k=one_k,
+    packs = [
+        _Pack(
+            law=law.film,
+            shape=law.shape,
+            friction=law.friction,
+            heat=HeatLaw(*law.oil, law.heat_capacity_j_k, law.convection_w_k, drive.oil_k, drive.clutch_k),
+            piston_pa=np.ascontiguousarray(drive.piston_pa[0:count:step]),
+            slip_rad_s=np.ascontiguousarray(drive.slip_rad_s[0:count:step]),
+            open_drag_ratio=drive.open_drag_ratio,
+            rows=_Rows(*rows),
         )
-        for (contact_pa, viscous_nm, open_nm, doubt_nm, clutch_k), one_k in zip(
-            _filled(found, step, count, length), final_k, strict=True
-        )
-    )
+        for law, drive, rows in zip(laws, drives, found, strict=True)
+    ]
+    final_k = _integrate(packs[0], packs[1], step * GRID_S)
+    if step != 1 or count != length:
+        found = _spread_evenly(found, step, count, length)
+    first, second = (FilmTrack(rows[0], rows[1], rows[2], rows[3], rows[4], final_k[m]) for m, rows in enumerate(found))
+    return first, second
 
 
-def _pack(
-    clutch: ClutchCalibration, drive: PressureDrive, calibration: Calibration, points: slice, rows: _Rows
-) -> _Pack:
-    law, oil = film_law(clutch), calibration.viscosity
-    return _Pack(
-        law=law,
-        shape=film_shape(law),
-        friction=friction_law(clutch.friction),
-        heat=HeatLaw(
-            a_pa_s=oil.a_pa_s,
-            b_k=oil.b_k,
-            pole_k=oil.pole_k,
-            heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
-            convection_w_k=float(clutch.thermal.convection_w_k),
-            oil_k=drive.oil_k,
-            start_k=drive.clutch_k,
-        ),
-        piston_pa=np.ascontiguousarray(drive.piston_pa[points]),
-        slip_rad_s=np.ascontiguousarray(drive.slip_rad_s[points]),
-        open_drag_ratio=drive.open_drag_ratio,
-        rows=rows,
-    )
-
-
-def _filled(found: FloatArray, step: int, count: int, length: int) -> FloatArray:
+def _spread_evenly(found: FloatArray, step: int, count: int, length: int) -> FloatArray:
     """Return rows on a coarse grid, shape (..., n), on the even grid, zero beyond ``count`` points."""
-    if step == 1 and count == length:
-        return found
     whole = np.zeros((*found.shape[:-1], length))
     for after in range(step):
         places = whole[..., after:count:step]
@@ -179,7 +194,7 @@ def _filled(found: FloatArray, step: int, count: int, length: int) -> FloatArray
 def compile_film(calibration: Calibration) -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     still = PressureDrive(piston_pa=np.zeros(2), slip_rad_s=np.zeros(2), oil_k=_ANY_K, clutch_k=_ANY_K)
-    integrate_films((still, still), calibration)
+    integrate_films((still, still), pack_laws(calibration))
 
 
 @array_kernel
@@ -256,7 +271,7 @@ def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw
 @unchecked_kernel
 def _openness(film_m: float, law: FilmLaw) -> float:
     """Return how far a pack is open: 0 as long as asperities touch, 1 at its open gap."""
-    touching_m = _CONTACT_END * law.roughness_m
+    touching_m = CONTACT_END * law.roughness_m
     return max(0.0, film_m - touching_m) * (1.0 / (law.open_gap_m - touching_m))
 
 
@@ -289,14 +304,6 @@ class FilmCause(IntEnum):
 _PRESSURE, _AREA, _LATENCY, _VISCOSITY, _STIFFNESS, _MOBILITY = (int(one) for one in FilmCause)
 
 
-class _Oil(NamedTuple):
-    """Vogel's law in the form the kernel takes."""
-
-    a_pa_s: float
-    b_k: float
-    pole_k: float
-
-
 class _Moved(NamedTuple):
     """What moves a film, in the form the kernel takes."""
 
@@ -317,14 +324,14 @@ class _Answers(NamedTuple):
 
 
 def film_tangents(
-    clutch: int, drive: PressureDrive, clutch_k: FloatArray, calibration: Calibration, rows: slice, lever_m3: FloatArray
+    law: PackLaw, drive: PressureDrive, clutch_k: FloatArray, rows: slice, lever_m3: FloatArray
 ) -> FloatArray:
-    """Follow the film of clutch 1 or 2 with its derivatives; docs/model.md, "Estimator", section on derivatives.
+    """Follow the film of a clutch with its derivatives; docs/model.md, "Estimator", section on derivatives.
 
     Parameters
     ----------
-    clutch, drive, calibration
-        As for `film_track.integrate_film`.
+    law, drive
+        Of the clutch, as for `integrate_films`.
     clutch_k : (n,) array
         Temperature of the pack [K]; it is not changed by what moves the film, which is next to nothing.
     rows
@@ -337,7 +344,6 @@ def film_tangents(
     (count, len(FilmCause)) array
         By how much contact and sheared film carry more [N m] per unit of every cause.
     """
-    oil = calibration.viscosity
     moved = _Moved(
         piston_pa=np.ascontiguousarray(drive.piston_pa[: rows.stop]),
         slip_rad_s=np.ascontiguousarray(drive.slip_rad_s[: rows.stop]),
@@ -351,8 +357,7 @@ def film_tangents(
         contact=np.empty(len(FilmCause)),
         viscous=np.empty(len(FilmCause)),
     )
-    law = film_law(calibration.clutches[clutch - 1])
-    _follow(moved, law, film_shape(law), _Oil(oil.a_pa_s, oil.b_k, oil.pole_k), np.zeros(len(FilmCause)), answers)
+    _follow(moved, law.film, law.shape, law.oil, np.zeros(len(FilmCause)), answers)
     return answers.torque_nm
 
 
@@ -360,7 +365,7 @@ def compile_tangents(calibration: Calibration) -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     still, warm = np.zeros(2), np.full(2, 350.0)
     drive = PressureDrive(piston_pa=still, slip_rad_s=still, oil_k=350.0, clutch_k=350.0)
-    film_tangents(1, drive, warm, calibration, slice(0, 2), still)
+    film_tangents(pack_laws(calibration)[0], drive, warm, slice(0, 2), still)
 
 
 @array_kernel

@@ -46,7 +46,7 @@ from diag_service.diagnosis.friction.evidence import (
     prior_covariance,
     prior_mean,
 )
-from diag_service.diagnosis.friction.film import PressureDrive, integrate_films
+from diag_service.diagnosis.friction.film import PackLaw, PressureDrive, integrate_films, pack_laws
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
@@ -115,14 +115,14 @@ def _open_loads(signals: AlignedSignals, weights: Weights, at: FloatArray, calib
     drives = both_clutches(
         PressureDrive(
             piston_pa=np.zeros_like(signals.grid_s),
-            slip_rad_s=signals.slip_rad_s(clutch),
+            slip_rad_s=slip_rad_s,
             oil_k=signals.oil_k,
             clutch_k=signals.oil_k,
             open_drag_ratio=open_drag_ratio(at),
         )
-        for clutch in (1, 2)
+        for slip_rad_s in signals.slip_rad_s
     )
-    for track in integrate_films(drives, calibration):
+    for track in integrate_films(drives, pack_laws(calibration)):
         known_nms = known_nms - weights.value @ track.viscous_nm[weights.rows]
         opened_nms += weights.value @ track.open_nm[weights.rows]
     return _Loads(known_nms=known_nms, shaft_nms=np.zeros_like(known_nms), hub=hub, shafts=(), opened_nms=opened_nms)
@@ -331,11 +331,12 @@ def _seen_shifts(
         if isinstance(signals, Reason):
             continue
         drives = measured_drives(signals, at, packs, event, point)
-        found = _window(signals, drives, point, windows.get(event.number))
+        laws = pack_laws(point)
+        found = _window(signals, drives, laws, windows.get(event.number))
         if found is None:
             continue
         window, clutch = found
-        balance = Balance(signals, window, drives, point, at)
+        balance = Balance(signals, window, drives, point, laws, at)
         packs = PackTemperatures(clutch_k=balance.final_clutch_k, at_ns=event.end_ns)
         if film_share(balance, clutch) <= MOST_FILM_SHARE:
             seen = Evidence.of(measured(balance), at).loosened(own_variance(balance, clutch))
@@ -351,11 +352,14 @@ def _seen_shifts(
 
 
 def _window(
-    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], point: Calibration, before: _Seen | None
+    signals: AlignedSignals,
+    drives: tuple[PressureDrive, PressureDrive],
+    laws: tuple[PackLaw, PackLaw],
+    before: _Seen | None,
 ) -> tuple[SlipWindow, int] | None:
     """Return a window and its clutch, those of an earlier pass if there was one."""
     if before is None:
-        return slip_window(signals, drives, point)
+        return slip_window(signals, drives, laws)
     return on_other_grid(before.window, before.grid_s, signals.grid_s), before.clutch
 
 

@@ -283,8 +283,11 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
     if oil is None or not len(oil.t_ns) or len(sampled) < len(BALANCE_SIGNALS):
         return Reason.SIGNAL_MISSING if is_whole else Reason.INTERRUPTED
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
-    if any(is_lost(times_s, event.columns[one].period_ns, duration_s, limits) for one, times_s in sampled.items()):
-        return Reason.FRAMES_MISSING if is_whole else Reason.INTERRUPTED
+    for one, times_s in sampled.items():
+        period_s = event.columns[one].period_ns * NS_TO_S or limits.nominal_period_s
+        silence_s = longest_silence_s(times_s, -2.0 * period_s, duration_s)
+        if silence_s > limits.lost_periods * period_s:
+            return Reason.FRAMES_MISSING if is_whole else Reason.INTERRUPTED
     oil_k = mean(oil.value)
     if not limits.oil_range_k[0] <= oil_k <= limits.oil_range_k[1]:
         return Reason.OUT_OF_RANGE
@@ -304,14 +307,8 @@ def aligned(
     return align(times, samples.event, samples.oil_k, gaps_s(times, samples.event, limits), other)
 
 
-def is_lost(times_s: FloatArray, period_ns: int, duration_s: float, limits: QualityLimits = LIMITS) -> bool:
-    """Return whether too many samples in a row are missing between the event's start and its end; late ones are not."""
-    period_s = _period_s(period_ns, limits)
-    return _longest_silence_s(times_s, -2.0 * period_s, duration_s) > limits.lost_periods * period_s
-
-
 @array_kernel
-def _longest_silence_s(times_s: FloatArray, from_s: float, duration_s: float) -> float:
+def longest_silence_s(times_s: FloatArray, from_s: float, duration_s: float) -> float:
     """Return for how long [s] nothing was sampled between the event's start and its end; inf for fewer than 2 samples.
 
     Samples before the start count from ``from_s`` on.
@@ -329,7 +326,7 @@ def gaps_s(times: SampleTimes, event: Event, limits: QualityLimits = LIMITS) -> 
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     found = []
     for signal, times_s in times.items():
-        longest_s = limits.gap_periods * _period_s(event.columns[signal].period_ns, limits)
+        longest_s = limits.gap_periods * (event.columns[signal].period_ns * NS_TO_S or limits.nominal_period_s)
         if _step_range_s(times_s)[1] > longest_s:
             found += [times_s[row : row + 2] for row in np.flatnonzero(np.diff(times_s) > longest_s)]
         if duration_s - times_s[-1] > longest_s:
@@ -349,13 +346,8 @@ def _step_range_s(times_s: FloatArray) -> tuple[float, float]:
 
 def compile_usability() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
-    _longest_silence_s(np.zeros(2), 0.0, 0.0)
+    longest_silence_s(np.zeros(2), 0.0, 0.0)
     _step_range_s(np.zeros(2))
-
-
-def _period_s(period_ns: int, limits: QualityLimits) -> float:
-    """Return the period of a signal, the nominal one where its message states none."""
-    return period_ns * NS_TO_S or limits.nominal_period_s
 
 
 _DAYS_PER_YEAR: Final = 365.25

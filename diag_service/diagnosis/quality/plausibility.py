@@ -133,10 +133,10 @@ def speed_gap_rad_s(
     grid_s = signals.grid_s
     gaps = [shaft_gap_rad_s(signals, rows, limits) for rows in geared_stretches(event, grid_s, clutch, limits)]
     if event.from_gear != event.to_gear and event.kind is not EventKind.REGEAR:
-        locked = signals.slip_rad_s(clutch_of_gear(event.from_gear))
+        locked = signals.slip_rad_s[clutch_of_gear(event.from_gear) - 1]
         gaps.append(abs(mean(locked[: grid_s.searchsorted(grid_s[0] + limits.locked_s)])))
     if event.kind not in _WITHOUT_LOCK and event.end_reason is EndReason.COMPLETE:
-        closed = signals.slip_rad_s(clutch_of_gear(event.to_gear))[grid_s.searchsorted(end_s - limits.locked_s) :]
+        closed = signals.slip_rad_s[clutch_of_gear(event.to_gear) - 1][grid_s.searchsorted(end_s - limits.locked_s) :]
         gaps.append(0.0 if _is_settling(closed, limits) else abs(mean(closed)))
     return max(gaps, default=0.0)
 

@@ -104,7 +104,7 @@ def test_sample_weights_are_the_transpose_of_interpolation() -> None:
     times_s, grid_s = np.sort(rng.uniform(0.0, 1.0, 20)), np.linspace(0.0, 1.0, 300)
     weights, value = rng.normal(size=(4, 300)), rng.normal(size=20)
     resampled = Resampled.of(times_s, value, grid_s)
-    assert np.allclose(resampled.to_samples(weights, slice(None)) @ value, weights @ resampled.on_grid)
+    assert np.allclose(resampled.to_samples([weights], [slice(None)])[0] @ value, weights @ resampled.on_grid)
 
 
 def test_a_signal_is_read_between_its_samples_as_numpy_reads_it() -> None:

@@ -21,7 +21,7 @@ from diag_service.diagnosis.friction.estimator import (
     own_variance,
 )
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, STATE_COUNT, Considered
-from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films
+from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films, pack_laws
 from diag_service.diagnosis.records import Reason, Status
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
 
@@ -35,7 +35,7 @@ def track_of(piston_pa: list[float], oil_degc: float) -> FilmTrack:
     pressure = np.interp(GRID, np.linspace(0.0, 1.0, len(piston_pa)), piston_pa)
     oil_k = k_from_degc(oil_degc)
     drive = PressureDrive(piston_pa=pressure, slip_rad_s=np.full(len(GRID), SLIP_RAD_S), oil_k=oil_k, clutch_k=oil_k)
-    return integrate_films((drive, drive), CALIBRATION)[0]
+    return integrate_films((drive, drive), pack_laws(CALIBRATION))[0]
 
 
 def in_oil(event: Event, degc: float) -> Event:

@@ -122,7 +122,7 @@ def test_a_grid_that_is_no_grid_has_no_window(count: int) -> None:
 
 
 def test_the_clutch_is_the_one_that_carries_while_it_slips() -> None:
-    window = SlipWindow(pieces=(Piece(first=100, stop=300), Piece(first=500, stop=900)))
+    window = SlipWindow.of((Piece(first=100, stop=300), Piece(first=500, stop=900)))
     over_pa = np.array([2.0 * LOADED, LOADED])
     assert loaded_clutch(window, np.array([FAST, FAST]), over_pa) == 1
     assert loaded_clutch(window, np.array([STILL, FAST]), over_pa) == 2
@@ -131,7 +131,7 @@ def test_the_clutch_is_the_one_that_carries_while_it_slips() -> None:
 
 
 def test_a_window_is_found_again_on_another_grid() -> None:
-    window = SlipWindow(pieces=(Piece(first=100, stop=300, is_rest=True), Piece(first=500, stop=900)))
+    window = SlipWindow.of((Piece(first=100, stop=300, is_rest=True), Piece(first=500, stop=900)))
     again = on_other_grid(window, GRID_S, GRID_S[40:])
     assert pieces_of(again) == [(60, 260), (460, 860)]
     assert [piece.is_rest for piece in again.pieces] == [True, False]

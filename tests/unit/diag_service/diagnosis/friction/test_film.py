@@ -15,7 +15,7 @@ from clutch_model.film import (
     viscosity_pa_s,
 )
 from diag_service.diagnosis.alignment import GRID_S
-from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films
+from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films, pack_laws
 
 CALIBRATION = nominal_calibration()
 OIL_K = 363.15
@@ -48,7 +48,7 @@ def test_contact_pressure_follows_the_film_law(clutch: int) -> None:
     grid_s = np.arange(0.0, 1.2, GRID_S)
     piston_pa = engagement_pa(grid_s)
     drive = PressureDrive(piston_pa=piston_pa, slip_rad_s=np.zeros(len(grid_s)), oil_k=OIL_K, clutch_k=OIL_K)
-    track = integrate_films((drive, drive), CALIBRATION)[clutch - 1]
+    track = integrate_films((drive, drive), pack_laws(CALIBRATION))[clutch - 1]
     oil = CALIBRATION.viscosity
     expected = reference_contact_pa(clutch, piston_pa, viscosity_pa_s(OIL_K, oil.a_pa_s, oil.b_k, oil.pole_k))
     assert np.max(expected) > 1e5
@@ -64,7 +64,7 @@ def test_a_slipping_pack_heats_by_its_friction_power() -> None:
         piston_pa=np.full(len(grid_s), 3e5), slip_rad_s=np.full(len(grid_s), 50.0), oil_k=OIL_K, clutch_k=OIL_K
     )
     believed = CALIBRATION.clutches[0]
-    track = integrate_films((drive, drive), CALIBRATION)[0]
+    track = integrate_films((drive, drive), pack_laws(CALIBRATION))[0]
     torque_nm = believed.geometry.contact_factor_m3 * believed.friction.mu_c * track.contact_pa[250]
     heated_k = torque_nm * 50.0 / believed.thermal.heat_capacity_j_k
     assert track.final_clutch_k - OIL_K == pytest.approx(heated_k, rel=0.2)
@@ -74,7 +74,7 @@ def test_a_slipping_pack_heats_by_its_friction_power() -> None:
 def test_a_locked_pack_stays_cool_despite_the_noise_of_its_slip() -> None:
     slip = np.random.default_rng(1).normal(0.0, 0.3, 1000)
     drive = PressureDrive(piston_pa=np.full(1000, 8e5), slip_rad_s=slip, oil_k=OIL_K, clutch_k=OIL_K)
-    assert integrate_films((drive, drive), CALIBRATION)[0].final_clutch_k == pytest.approx(OIL_K, abs=0.05)
+    assert integrate_films((drive, drive), pack_laws(CALIBRATION))[0].final_clutch_k == pytest.approx(OIL_K, abs=0.05)
 
 
 def test_thicker_oil_delays_the_contact() -> None:
@@ -84,7 +84,7 @@ def test_thicker_oil_delays_the_contact() -> None:
     )
     oil = CALIBRATION.viscosity
     thicker = replace(CALIBRATION, viscosity=replace(oil, a_pa_s=1.5 * oil.a_pa_s))
-    thin, thick = (integrate_films((drive, drive), one)[0] for one in (CALIBRATION, thicker))
+    thin, thick = (integrate_films((drive, drive), pack_laws(one))[0] for one in (CALIBRATION, thicker))
     rising = (grid_s > 0.42) & (grid_s < 0.7)
     assert np.all(thick.contact_pa[rising] < thin.contact_pa[rising])
 
@@ -97,9 +97,9 @@ def test_each_pack_follows_its_own_drive(step: int) -> None:
     )
     empty = replace(pressed, piston_pa=np.zeros(len(grid_s)), slip_rad_s=np.full(len(grid_s), -80.0), clutch_k=350.0)
     for drives in ((pressed, empty), (empty, pressed)):
-        together = integrate_films(drives, CALIBRATION, 500, step)
+        together = integrate_films(drives, pack_laws(CALIBRATION), 500, step)
         for clutch, drive in enumerate(drives):
-            alone = integrate_films((drive, drive), CALIBRATION, 500, step)[clutch]
+            alone = integrate_films((drive, drive), pack_laws(CALIBRATION), 500, step)[clutch]
             for name in (field.name for field in fields(FilmTrack)):
                 assert np.array_equal(getattr(together[clutch], name), getattr(alone, name)), name
         assert together[0].viscous_nm[450] * together[1].viscous_nm[450] < 0.0  # they slip in opposite directions

@@ -12,7 +12,14 @@ from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.film import film_law, piston_pressure_pa
 from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, displaced
-from diag_service.diagnosis.friction.film import FilmCause, FilmTrack, PressureDrive, film_tangents, integrate_films
+from diag_service.diagnosis.friction.film import (
+    FilmCause,
+    FilmTrack,
+    PressureDrive,
+    film_tangents,
+    integrate_films,
+    pack_laws,
+)
 from diag_service.diagnosis.friction.posterior import Posterior
 
 CALIBRATION: Final = nominal_calibration()
@@ -50,12 +57,12 @@ CHANGES: Final[dict[FilmCause, tuple[float, Change]]] = {
 
 
 def track(drive: PressureDrive, calibration: Calibration) -> FilmTrack:
-    return integrate_films((drive, drive), calibration)[1]
+    return integrate_films((drive, drive), pack_laws(calibration))[1]
 
 
 def tangents(drive: PressureDrive, clutch_k: FloatArray, lever_m3: float, rows: slice = WHOLE) -> FloatArray:
     levers_m3 = np.full(rows.stop - rows.start, lever_m3)
-    return film_tangents(2, drive, clutch_k, CALIBRATION, rows, levers_m3)
+    return film_tangents(pack_laws(CALIBRATION)[1], drive, clutch_k, rows, levers_m3)
 
 
 @pytest.mark.parametrize("cause", FilmCause)

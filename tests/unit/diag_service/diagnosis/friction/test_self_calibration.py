@@ -15,6 +15,7 @@ from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction.balance import Balance, measured
 from diag_service.diagnosis.friction.drives import SlipWindow, measured_drives, slip_window
 from diag_service.diagnosis.friction.evidence import NAMES, STATE_COUNT, Considered, Measurement, State, displaced
+from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, run_up_measurement, self_calibrate
 from diag_service.diagnosis.friction.values import friction as friction_of
@@ -167,10 +168,10 @@ def shift_residual(event: Event, at: FloatArray, window: SlipWindow | None) -> t
     signals = usable_signals(event, calibration)
     assert not isinstance(signals, Reason)
     drives = measured_drives(signals, at, None, event, calibration)
-    found = slip_window(signals, drives, calibration)
+    found = slip_window(signals, drives, pack_laws(calibration))
     assert found is not None
     chosen = window or found[0]
-    (seen,) = measured(Balance(signals, chosen, drives, calibration, at))
+    (seen,) = measured(Balance(signals, chosen, drives, calibration, pack_laws(calibration), at))
     return seen, chosen
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.alignment import GRID_S, Resampled
-from diag_service.diagnosis.friction.drives import Piece, SlipWindow, fitted, sines, smoothed
+from diag_service.diagnosis.friction.drives import Piece, SlipWindow, sines, smoothed
 
 GRID = GRID_S * np.arange(-40.0, 460.0)
 WINDOW = SlipWindow.between(101, 352)  # 0.5 s
@@ -66,21 +66,21 @@ def test_smoothing_changes_nothing_outside_and_does_it_once() -> None:
 
 
 def test_weights_may_be_fitted_in_place_of_values() -> None:
-    weights = sines(WINDOW, (COUNT,)).value.blocks[0]
+    window = sines(WINDOW, (COUNT,))
+    weights = window.value.blocks[0]
     values = np.random.default_rng(2).normal(size=(weights.shape[1],))
-    assert fitted(weights, 5) @ values == pytest.approx(weights @ fitted(values, 5), abs=1e-14)
+    fits = np.array([window.fitted(row, 5) for row in weights])
+    assert fits @ values == pytest.approx(weights @ window.fitted(values, 5), abs=1e-14)
 
 
-PIECES = SlipWindow(pieces=(Piece(first=101, stop=201), Piece(first=240, stop=352)))
+PIECES = SlipWindow.of((Piece(first=101, stop=201), Piece(first=240, stop=352)))
 
 
 def test_each_piece_has_functions_of_its_own() -> None:
     weights = sines(PIECES, (5, 7))
     assert weights.rows == INSIDE
     assert weights.value.places == (slice(0, 100), slice(139, 251))
-    first, second = (
-        sines(SlipWindow(pieces=(one,)), (count,)) for one, count in zip(PIECES.pieces, (5, 7), strict=True)
-    )
+    first, second = (sines(SlipWindow.of((one,)), (count,)) for one, count in zip(PIECES.pieces, (5, 7), strict=True))
     values = np.exp(GRID[INSIDE])
     apart = np.concatenate((first.rate.blocks[0] @ values[:100], second.rate.blocks[0] @ values[139:]))
     assert np.array_equal(weights.rate @ values, apart)
@@ -98,7 +98,7 @@ def test_functions_are_a_matrix_of_which_most_is_zero() -> None:
     )
     assert functions.sums() == pytest.approx(matrix.sum(axis=1))
     first = np.searchsorted(signal.times_s, GRID[INSIDE][0], side="right") - 1
-    whole = signal.to_samples(matrix, INSIDE)
+    (whole,) = signal.to_samples([matrix], [INSIDE])
     for rows, piece, block in zip(
         (slice(0, 5), slice(5, 12)), PIECES.pieces, functions.on_samples(signal), strict=True
     ):
@@ -109,7 +109,9 @@ def test_functions_are_a_matrix_of_which_most_is_zero() -> None:
         times_s = signal.times_s[signal.left[piece.first] :][: len(means)]
         assert means[1:-2] == pytest.approx(times_s[1:-2], abs=4e-3)  # the ends of a piece cut one short
     for block, piece, fit in zip(functions.blocks, PIECES.pieces, functions.fitted_on_samples(2, signal), strict=True):
-        assert fit == pytest.approx(signal.to_samples(fitted(block, 2), piece.rows))
+        alone = sines(SlipWindow.of((piece,)), (len(block),))
+        smooth = np.array([alone.fitted(row, 2) for row in block])
+        assert fit == pytest.approx(signal.to_samples([smooth], [slice(piece.first, piece.stop)])[0])
 
 
 def test_each_piece_has_a_polynomial_of_its_own() -> None:

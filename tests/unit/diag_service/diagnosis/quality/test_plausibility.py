@@ -14,6 +14,7 @@ from diag_service.diagnosis.events import Event, EventKind
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.drives import measured_drives, slip_window
 from diag_service.diagnosis.friction.evidence import State
+from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.quality.data_quality import LIMITS, QualityLimits, agreement, usable_signals
 from diag_service.diagnosis.quality.plausibility import (
     PressureZeros,
@@ -99,7 +100,7 @@ def of_shift(event: Event) -> tuple[AlignedSignals, SlippingClutch]:
     signals = usable_signals(event, CALIBRATION)
     assert not isinstance(signals, Reason)
     drives = measured_drives(signals, Posterior.fresh(CALIBRATION).known.mean, None, event, CALIBRATION)
-    found = slip_window(signals, drives, CALIBRATION)
+    found = slip_window(signals, drives, pack_laws(CALIBRATION))
     assert found is not None
     window, clutch = found
     touch_pa = CALIBRATION.clutches[clutch - 1].touch_pressure_pa
@@ -263,5 +264,5 @@ def test_a_clutch_may_slip_on_when_its_gear_is_announced() -> None:
     seen = usable_signals(amid, CALIBRATION)
     assert isinstance(seen, AlignedSignals)
     end = (seen.grid_s >= middle_s - LIMITS.locked_s) & (seen.grid_s <= middle_s)
-    assert np.abs(seen.slip_rad_s(2)[end]).min() > LIMITS.speeds_rad_s
+    assert np.abs(seen.slip_rad_s[1][end]).min() > LIMITS.speeds_rad_s
     assert speed_gap_rad_s(amid, seen, clutch) < LIMITS.speeds_rad_s

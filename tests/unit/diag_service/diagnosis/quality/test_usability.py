@@ -12,11 +12,12 @@ from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.quality.data_quality import (
+    LIMITS,
     QualityLimits,
     Samples,
     aligned,
     gaps_s,
-    is_lost,
+    longest_silence_s,
     usable_samples,
     usable_signals,
 )
@@ -54,7 +55,7 @@ def test_the_signals_of_a_sound_shift_come_on_one_grid() -> None:
         assert one.times_s[0] <= signals.grid_s[0]
     assert all(expected is not None for expected in signals.expected_pa)
     slip_rad_s = signals.hub_speed.on_grid - signals.input_speed[1].on_grid
-    assert np.array_equal(signals.slip_rad_s(2), slip_rad_s)
+    assert np.array_equal(signals.slip_rad_s[1], slip_rad_s)
 
 
 @pytest.mark.parametrize("signal", [*BALANCE_SIGNALS, Signal.SUMP_TEMPERATURE])
@@ -95,7 +96,9 @@ def test_one_lost_frame_is_bridged_and_its_command_is_not_needed() -> None:
 def test_too_many_in_a_row_count_from_the_start_of_an_event_to_its_end(lost: Sequence[int], is_missing: bool) -> None:
     """120 samples from 0.2 s before the event; eight in a row inside or at an edge may hide anything."""
     times_s = np.delete(np.arange(-20, 100) * 0.01, lost)
-    assert is_lost(times_s, PERIOD_NS, 0.999) is is_missing
+    period_s = PERIOD_NS * 1e-9
+    silence_s = longest_silence_s(times_s, -2.0 * period_s, 0.999)
+    assert (silence_s > LIMITS.lost_periods * period_s) is is_missing
 
 
 def test_a_gap_in_any_signal_is_told_on_the_grid() -> None:
@@ -136,5 +139,7 @@ def test_limits_are_an_argument() -> None:
     assert usable_signals(event, CALIBRATION, QualityLimits(lost_periods=2.5)) is Reason.FRAMES_MISSING
     sound = first_shifts()[0]
     assert usable_signals(sound, CALIBRATION, QualityLimits(oil_range_k=(0.0, 1.0))) is Reason.OUT_OF_RANGE
-    assert is_lost(np.arange(0.0, 1.0, 0.02), 0, 0.98) is False
-    assert is_lost(np.arange(0.0, 1.0, 0.02), 0, 0.98, QualityLimits(nominal_period_s=0.002)) is True
+    unstated = {one: replace(series, period_ns=0) for one, series in sound.columns.items()}
+    assert isinstance(usable_signals(replace(sound, columns=unstated), CALIBRATION), AlignedSignals)
+    limits = QualityLimits(nominal_period_s=0.001)
+    assert usable_signals(replace(sound, columns=unstated), CALIBRATION, limits) is Reason.FRAMES_MISSING
