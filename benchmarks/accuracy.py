@@ -20,12 +20,11 @@ from pathlib import Path
 import numpy as np
 
 from canlog.frames import FrameBatch
-from clutch_model.calibration import Calibration, nominal_calibration
-from clutch_model.knowledge import SensorBias, Uncertainty
+from clutch_model.calibration import Calibration, SensorBias, Uncertainty, nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.friction.values import friction as friction_of
+from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.records import FrictionEstimate, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile

@@ -17,7 +17,7 @@ from benchmarks.drawing import as_svg, drawing_style
 from benchmarks.study import diagnose
 from clutch_model.calibration import nominal_calibration
 from demo.picture import CONDITION_COLOUR, INK
-from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
+from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.records import Condition, FrictionEstimate
 from ecu_emulator.scenario.scenario_file import load_scenario
 from ecu_emulator.truth.records import ShiftTruth

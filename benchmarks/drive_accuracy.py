@@ -31,13 +31,12 @@ from benchmarks.drive_events import planned
 from benchmarks.study import over_drives, root_mean_square
 from canlog.arrays import FloatArray
 from canlog.frames import FrameBatch
-from clutch_model.calibration import Calibration, nominal_calibration
-from clutch_model.knowledge import Uncertainty
+from clutch_model.calibration import Calibration, Uncertainty, nominal_calibration
 from clutch_model.units import degc_from_k, k_from_degc
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.friction.values import friction, scale_free
+from diag_service.diagnosis.friction.posterior import friction, scale_free
 from diag_service.diagnosis.records import Condition, FrictionEstimate, ScaleFreeFriction, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile

@@ -13,8 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
-from diag_service.diagnosis.condition.advice import Cause, advice
-from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
+from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, Cause, advice
 from diag_service.diagnosis.records import Condition, ShiftResult
 from fleet_backend import queries
 from fleet_backend.database import open_database

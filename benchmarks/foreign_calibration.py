@@ -23,8 +23,8 @@ from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Posterior
+from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import self_calibrate
-from diag_service.diagnosis.friction.values import friction as friction_of
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Diagnosis, Stages

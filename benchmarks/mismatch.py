@@ -20,7 +20,7 @@ from benchmarks.drive_accuracy import WRONG
 from benchmarks.mismatch_road import road_section
 from benchmarks.mismatch_rows import BY_NAME, ROWS, Mismatch
 from benchmarks.study import diagnose, over_drives, percent, root_mean_square
-from diag_service.diagnosis.friction.values import friction as friction_of
+from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.records import FrictionEstimate, Status
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario

@@ -31,7 +31,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.friction.values import scale_free
+from diag_service.diagnosis.friction.posterior import scale_free
 from diag_service.diagnosis.records import Condition, Status
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile

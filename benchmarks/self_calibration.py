@@ -35,9 +35,9 @@ from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT
+from diag_service.diagnosis.friction.posterior import friction as friction_of
+from diag_service.diagnosis.friction.posterior import scale_free
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
-from diag_service.diagnosis.friction.values import friction as friction_of
-from diag_service.diagnosis.friction.values import scale_free
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder

@@ -25,7 +25,7 @@ from benchmarks.study import over_drives
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.indices import measure
-from diag_service.diagnosis.condition.stick_slip import JUDDER_RAD_S
+from diag_service.diagnosis.condition.verdict import JUDDER_RAD_S
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.mapping.decoder import Decoder

@@ -4,8 +4,7 @@ The laws live in their own modules (`friction`, `film`, `viscosity`, `thermal`, 
 only reads a calibration does not load the compiler.
 """
 
-from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
-from clutch_model.clutch import ClutchCalibration
+from clutch_model.calibration import Calibration, ClutchCalibration, nominal_calibration, read_calibration
 from clutch_model.errors import CalibrationError, ClutchModelError, DomainError
 
 __all__ = [

@@ -1,22 +1,284 @@
 """Calibrations: frozen parameter records, range-checked once, loaded from TOML.
 
-Symbols in the comments are those of ``docs/model.md``. Clutch 1 carries the odd gears, clutch 2 the even ones.
+A calibration holds its clutches (lining, geometry, piston, film, heat), its fluid, its input side, and how well all of
+that is known. Symbols in the comments are those of ``docs/model.md``. Clutch 1 carries the odd gears, clutch 2 the even
+ones.
 """
 
+import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import date
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, Self, TypeVar
 
+import numpy as np
+import numpy.typing as npt
 import tomli_w
 
-from clutch_model.clutch import ClutchCalibration
 from clutch_model.errors import CalibrationError
-from clutch_model.knowledge import JointUncertainty, SensorBias, SensorNoise, Uncertainty
-from clutch_model.tables import Pair, Ranged, read_table, record_from, require
+from clutch_model.tables import read_table, record_from, require
+
+Gear = TypeVar("Gear", int, npt.NDArray[np.int64], npt.NDArray[np.float64])
+T = TypeVar("T")
+
+
+def clutch_of_gear(gear: Gear) -> Gear:
+    """Return the clutch that carries a gear: 1 the odd ones, 2 the even ones; a number, or an array of them.
+
+    Neutral (0) counts as even: something has to be said of it, and nothing that matters depends on it.
+    """
+    return 1 + (gear - 1) % 2
+
+
+def both_clutches(values: Iterable[T]) -> tuple[T, T]:
+    """Return what clutch 1 and what clutch 2 has; raises ValueError unless there are two."""
+    first, second = values
+    return first, second
+
+
+def with_clutch(both: tuple[T, T], clutch: int, value: T) -> tuple[T, T]:
+    """Return what both clutches have, with another value for clutch 1 or 2."""
+    return (value, both[1]) if clutch == 1 else (both[0], value)
+
+
+Pair = tuple[float, float]  # clutch 1 first
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ranged:
+    """A record whose every number is finite and, unless a subclass says otherwise, not negative."""
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            value = getattr(self, name)
+            if type(value) is float and 0.0 <= value < math.inf:  # as nearly all are
+                continue
+            for number in value if isinstance(value, tuple) else (value,):
+                if isinstance(number, int | float) and not (math.isfinite(number) and number >= 0.0):
+                    raise CalibrationError(f"{name} must be finite and >= 0, got {number}")
+
+
+MAX_LATENCY_S = 0.2  # a reading that is later still is no measurement of a shift
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Uncertainty(Ranged):
+    """Standard deviations of the vehicles of one type, before any of them was driven."""
+
+    torque_gain_ratio: float
+    engine_inertia_ratio: float
+    input_shaft_inertia_ratio: float  # both together
+    piston_area_ratio: float
+    viscosity_ratio: float
+    torque_latency_s: float
+    pressure_latency_s: float
+    torque_offset_nm: float
+    touch_pressure_pa: float
+    pressure_zero_pa: float
+    motoring_gain_ratio: float = 0.0  # of negative engine torque, on top of the gain of all torque
+    stribeck_speed_ratio: float = 0.0  # of both clutches
+    contact_stiffness_ratio: float = 0.0  # of both clutches
+    film_mobility_log: float = 0.5  # natural logarithm of how much faster the films of both clutches are
+    stribeck_exponent_log: float = 0.2  # natural logarithm, both clutches
+    friction_temperature_1_k: float = 0.0005  # by how much friction changes per kelvin of the pack, both clutches
+    open_drag_log: float = 0.7  # natural logarithm of what open packs drag, both clutches
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorNoise(Ranged):
+    """White noise of the readings, quantisation included, as the estimator assumes it."""
+
+    engine_speed_rad_s: float
+    hub_speed_rad_s: float
+    input_speed_rad_s: float
+    engine_torque_nm: float
+    pressure_pa: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorBias:
+    """Known errors of one vehicle: ``reading(t) = gain * quantity(t - latency) + offset``.
+
+    Latencies count against the speeds: what delays all readings alike does no harm.
+    """
+
+    torque_gain: float = 1.0
+    motoring_gain: float = 1.0  # of negative engine torque, on top of ``torque_gain``
+    torque_offset_nm: float = 0.0
+    torque_latency_s: float = 0.0
+    pressure_latency_s: float = 0.0
+    touch_offsets_pa: Pair = (0.0, 0.0)  # true touch pressures minus those of the springs
+    pressure_zeros_pa: Pair = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Check that the readings still mean something."""
+        for name in self.__dataclass_fields__:
+            values = getattr(self, name)
+            if not all(map(math.isfinite, values if isinstance(values, tuple) else (values,))):
+                raise CalibrationError(f"{name} must be finite")
+        for name in ("torque_gain", "motoring_gain"):
+            if not 0.5 <= (gain := getattr(self, name)) <= 2.0:
+                raise CalibrationError(f"{name} must be 0.5..2, got {gain}")
+        for name in ("torque_latency_s", "pressure_latency_s"):
+            if abs(getattr(self, name)) > MAX_LATENCY_S:
+                raise CalibrationError(f"{name} must be within {MAX_LATENCY_S} s")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointUncertainty:
+    """What a self-calibration leaves uncertain, with correlations; in place of the single deviations.
+
+    The names are those of the estimator's parameters, see ``docs/model.md``, section "Self-calibration".
+    """
+
+    names: tuple[str, ...]
+    std: tuple[float, ...]
+    correlation: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        """Check that it is a correlation matrix."""
+        count = len(self.names)
+        require(len(set(self.names)) == count, "names must differ")
+        require(len(self.std) == count and len(self.correlation) == count, f"joint needs {count} rows")
+        require(all(math.isfinite(value) and value >= 0.0 for value in self.std), "std must be finite and >= 0")
+        for row, values in enumerate(self.correlation):
+            require(len(values) == count and values[row] == 1.0, "correlation must be square, ones on its diagonal")
+            for column, value in enumerate(values):
+                require(-1.0 <= value <= 1.0, f"correlation must be within 1, got {value}")
+                require(value == self.correlation[column][row], "correlation must be symmetric")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrictionCurve(Ranged):
+    """Stribeck curve of one clutch, eq. (8)."""
+
+    mu_c: float  # Coulomb coefficient, reached at high slip
+    mu_s: float  # static coefficient, reached at zero slip
+    stribeck_speed_rad_s: float  # w_S
+    stribeck_exponent: float  # lambda_S
+    lock_band_rad_s: float  # w_rel
+
+    def __post_init__(self) -> None:
+        """Check that the coefficients are those of a lubricated friction lining."""
+        Ranged.__post_init__(self)
+        for name in ("mu_c", "mu_s"):
+            if not 0.02 <= (mu := getattr(self, name)) <= 0.5:
+                raise CalibrationError(f"{name} must be 0.02..0.5, got {mu}")
+        for name in ("stribeck_speed_rad_s", "stribeck_exponent"):
+            if not getattr(self, name) > 0.0:
+                raise CalibrationError(f"{name} must be > 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClutchGeometry(Ranged):
+    """Fixed geometry of one clutch pack."""
+
+    outer_radius_m: float  # Ro
+    inner_radius_m: float  # Ri
+    interface_count: int  # Np
+    piston_area_m2: float  # A_K
+
+    def __post_init__(self) -> None:
+        """Check that the ring exists and the piston pushes."""
+        Ranged.__post_init__(self)
+        if not 0.0 < self.inner_radius_m < self.outer_radius_m:
+            raise CalibrationError("inner_radius_m must lie between 0 and outer_radius_m")
+        if not self.interface_count >= 1:
+            raise CalibrationError("interface_count must be >= 1")
+        if not self.piston_area_m2 > 0.0:
+            raise CalibrationError("piston_area_m2 must be > 0")
+
+    @property
+    def lining_area_m2(self) -> float:
+        """Area of one friction face [m^2], A_lining."""
+        return math.pi * (self.outer_radius_m**2 - self.inner_radius_m**2)
+
+    @property
+    def contact_factor_m3(self) -> float:
+        """Torque per friction coefficient and contact pressure [m^3], C of eq. (6)."""
+        return self.interface_count * 2.0 * math.pi / 3.0 * (self.outer_radius_m**3 - self.inner_radius_m**3)
+
+    @property
+    def viscous_factor_m4(self) -> float:
+        """Torque per shear rate and viscosity [m^4], Vg of eq. (5)."""
+        return self.interface_count * math.pi / 2.0 * (self.outer_radius_m**4 - self.inner_radius_m**4)
+
+    @property
+    def squeeze_factor_m2(self) -> float:
+        """Geometric factor of the annular squeeze film [m^2], Q of eq. (7)."""
+        outer2, inner2 = self.outer_radius_m**2, self.inner_radius_m**2
+        return 1.5 * ((outer2 + inner2) - (outer2 - inner2) / math.log(self.outer_radius_m / self.inner_radius_m))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Piston(Ranged):
+    """Return spring and stroke of one clutch piston."""
+
+    spring_preload_n: float  # F_pre
+    spring_rate_n_m: float  # K_K
+    fill_stroke_m: float  # x_fill
+
+    @property
+    def closed_spring_force_n(self) -> float:
+        """Spring force with the pack closed [N], F_s."""
+        return self.spring_preload_n + self.spring_rate_n_m * self.fill_stroke_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilmSurface(Ranged):
+    """Rough, permeable lining surface and the oil film on it, eq. (7)."""
+
+    roughness_m: float  # sigma, combined rms roughness
+    contact_stiffness_pa: float  # K_c = K'E'
+    permeability_m2: float  # Phi
+    lining_thickness_m: float  # d
+    slip_coefficient: float  # a_BJ, Beavers-Joseph
+    open_gap_m: float  # h0
+    separation_time_s: float  # tau_sep
+    separation_pressure_pa: float  # p_sep
+    min_film_m: float  # h_min
+    mobility_ratio: float = 1.0  # of the film's rate to what the rest says
+
+    def __post_init__(self) -> None:
+        """Check that the film law has no zero denominator."""
+        Ranged.__post_init__(self)
+        lengths = ("roughness_m", "contact_stiffness_pa", "permeability_m2", "open_gap_m", "separation_time_s")
+        for name in (*lengths, "mobility_ratio"):
+            if not getattr(self, name) > 0.0:
+                raise CalibrationError(f"{name} must be > 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClutchThermal(Ranged):
+    """Lumped thermal mass of one clutch pack."""
+
+    heat_capacity_j_k: float  # C_th
+    convection_w_k: float  # hA
+
+    def __post_init__(self) -> None:
+        """Check that the pack has a heat capacity."""
+        Ranged.__post_init__(self)
+        require(self.heat_capacity_j_k > 0.0, "heat_capacity_j_k must be > 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClutchCalibration:
+    """Everything about one clutch that plant and estimator both use."""
+
+    friction: FrictionCurve
+    geometry: ClutchGeometry
+    piston: Piston
+    film: FilmSurface
+    thermal: ClutchThermal
+
+    @property
+    def touch_pressure_pa(self) -> float:
+        """Piston pressure at which the pack just closes [Pa], F_s / A_K."""
+        return self.piston.closed_spring_force_n / self.geometry.piston_area_m2
+
 
 CLUTCH_COUNT: Final = 2
 _TEXTS: Final = ("name", "version")  # a number will do
@@ -32,8 +294,10 @@ class Viscosity:
 
     def __post_init__(self) -> None:
         """Check that the law is a decreasing viscosity."""
-        require(self.a_pa_s > 0.0 and self.b_k > 0.0, "a_pa_s and b_k must be > 0")
-        require(0.0 < self.pole_k < 233.15, "pole_k must be 0..233.15 K (below any oil temperature)")
+        if not (self.a_pa_s > 0.0 and self.b_k > 0.0):
+            raise CalibrationError("a_pa_s and b_k must be > 0")
+        if not 0.0 < self.pole_k < 233.15:
+            raise CalibrationError("pole_k must be 0..233.15 K (below any oil temperature)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,9 +314,11 @@ class InputSide(Ranged):
     def __post_init__(self) -> None:
         """Check that the engine has an inertia."""
         Ranged.__post_init__(self)
-        require(self.engine_inertia_kg_m2 > 0.0, "engine_inertia_kg_m2 must be > 0")
-        require(self.hub_inertia_kg_m2 > 0.0, "hub_inertia_kg_m2 must be > 0")
-        require(min(self.input_shaft_inertias_kg_m2) > 0.0, "input_shaft_inertias_kg_m2 must be > 0")
+        for name in ("engine_inertia_kg_m2", "hub_inertia_kg_m2"):
+            if not getattr(self, name) > 0.0:
+                raise CalibrationError(f"{name} must be > 0")
+        if not min(self.input_shaft_inertias_kg_m2) > 0.0:
+            raise CalibrationError("input_shaft_inertias_kg_m2 must be > 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

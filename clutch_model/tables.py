@@ -1,8 +1,7 @@
 """Nested tables, as TOML yields them, into checked records; shared by everything that loads parameters."""
 
-import math
 from collections.abc import Iterable, Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from enum import StrEnum
 from pathlib import Path
 from types import NoneType, UnionType
@@ -116,20 +115,3 @@ def _word(hint: Any) -> str:  # noqa: ANN401 - an annotation
         count = "" if others == [...] else f"{1 + len(others)} "
         return f"a list of {count}{_word(inner).removeprefix('a ')}s"
     return _WORDS.get(hint, "something else")
-
-
-Pair = tuple[float, float]  # clutch 1 first
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ranged:
-    """A record whose every number is finite and, unless a subclass says otherwise, not negative."""
-
-    def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
-            value = getattr(self, name)
-            if type(value) is float and 0.0 <= value < math.inf:  # as nearly all are
-                continue
-            for number in value if isinstance(value, tuple) else (value,):
-                if isinstance(number, int | float) and not (math.isfinite(number) and number >= 0.0):
-                    raise CalibrationError(f"{name} must be finite and >= 0, got {number}")

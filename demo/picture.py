@@ -11,15 +11,14 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from clutch_model.calibration import nominal_calibration
-from clutch_model.clutch import FrictionCurve
+from clutch_model.calibration import FrictionCurve, nominal_calibration
 from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from demo.listener import ClutchState
 from demo.outcome import Outcome
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
+from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction.values import curve_band, new_curve
+from diag_service.diagnosis.friction.posterior import curve_band, new_curve
 
 NS_PER_S = 1e9
 LegendPlace = Literal["center left", "upper center"]  # where the signals of a shift leave room

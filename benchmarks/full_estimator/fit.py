@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.full_estimator.windows import Window
 from canlog.arrays import FloatArray
-from clutch_model.clutch import ClutchCalibration
+from clutch_model.calibration import ClutchCalibration
 from clutch_model.film import FilmLaw, film_law
 from clutch_model.friction import FrictionLaw, friction_law
 

@@ -19,8 +19,7 @@ from clutch_model.film import (
     piston_pressure_pa,
     viscous_torque_nm,
 )
-from clutch_model.friction import FrictionLaw, contact_torque_nm, kinetic_friction
-from clutch_model.thermal import clutch_heating_rate_k_s
+from clutch_model.friction import FrictionLaw, clutch_heating_rate_k_s, contact_torque_nm, kinetic_friction
 
 _MAX_ITERATIONS = 60
 _NUDGE_RATIO = 1e-6

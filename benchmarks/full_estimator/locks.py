@@ -5,7 +5,7 @@ import numpy as np
 from benchmarks.full_estimator.signals import BoolArray, FullSignals
 from benchmarks.full_estimator.torques import ClutchState
 from canlog.arrays import FloatArray
-from clutch_model.clutch import ClutchCalibration
+from clutch_model.calibration import ClutchCalibration
 from clutch_model.film import applied_pressure_pa, film_law
 from clutch_model.friction import contact_torques_nm
 

@@ -9,7 +9,7 @@ from benchmarks.full_estimator.signals import BoolArray, FullSignals
 from benchmarks.full_estimator.torques import ClutchState
 from benchmarks.reproduce.differences import central_difference
 from canlog.arrays import FloatArray
-from clutch_model.clutch import ClutchCalibration
+from clutch_model.calibration import ClutchCalibration
 from clutch_model.film import FilmLaw, film_law, piston_pressures_pa
 from clutch_model.friction import FrictionLaw, friction_law
 

@@ -11,7 +11,7 @@ from benchmarks.prognosis.oracle import oracle, without_bends_km
 from benchmarks.prognosis.scores import PROBABILITIES
 from benchmarks.prognosis.truth import KM_PER_YEAR, REFERENCE, Stratum
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.condition.thresholds import CHANGE_PROBABILITY
+from diag_service.diagnosis.condition.verdict import CHANGE_PROBABILITY
 from diag_service.diagnosis.prognosis import Passage, prognose
 from diag_service.diagnosis.prognosis.changes import fluid_starts
 

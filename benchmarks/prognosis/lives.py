@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.prognosis.truth import ALL_TYPES, KM_PER_YEAR, REFERENCE, Fleet, Lived, Plan, Stratum, Truth, lived_of
 from canlog.arrays import BoolArray, FloatArray
-from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
+from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from diag_service.diagnosis.prognosis import History
 
 DRIVEN_KM: Final = 150_000.0  # as far as results go

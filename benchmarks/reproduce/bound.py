@@ -22,8 +22,7 @@ from benchmarks.reproduce.differences import central_difference
 from benchmarks.reproduce.drives import PERIOD_S, PRESSURE_NOISE_RATIO, PaperDrive, rms
 from benchmarks.reproduce.study import CLUTCHES, PARAMETERS, Key, true_value
 from canlog.arrays import FloatArray
-from clutch_model.calibration import Viscosity
-from clutch_model.clutch import ClutchCalibration
+from clutch_model.calibration import ClutchCalibration, Viscosity
 from clutch_model.film import (
     FilmLaw,
     contact_pressure_pa,

@@ -23,7 +23,7 @@ from benchmarks.reproduce.drives import (
 )
 from benchmarks.reproduce.study import CALIBRATION, CLUTCHES, DRIVELINE, PARAMETERS, Key, true_value
 from canlog.arrays import FloatArray
-from clutch_model.gears import clutch_of_gear
+from clutch_model.calibration import clutch_of_gear
 from ecu_emulator.plant import Col
 
 PROCESS_COUNT = min(2, os.cpu_count() or 1)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 from canlog.errors import OutputError
 from canlog.extras import load_extra
 from diag_service.delivery.console import condition_words
-from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
+from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.records import Condition, ShiftResult, Status
 from diag_service.report.pictures import new_mu_c_of
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.jit import array_kernel
-from clutch_model.gears import clutch_of_gear
+from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import Event

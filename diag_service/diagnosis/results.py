@@ -12,8 +12,7 @@ from functools import cache
 from typing import Final
 
 from clutchdiag_io.files import legible_record
-from diag_service.diagnosis.plain_values import from_plain, to_plain
-from diag_service.diagnosis.records import ClutchVerdict, Condition, FluidFill, ShiftResult
+from diag_service.diagnosis.records import ClutchVerdict, Condition, FluidFill, ShiftResult, from_plain, to_plain
 from diag_service.errors import ResultError
 from fleet_contract import Channel, JsonObject, ResultKey, schema
 from fleet_contract.orders import Order

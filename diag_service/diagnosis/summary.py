@@ -7,9 +7,8 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Self
 
-from diag_service.diagnosis.condition.advice import Silence, advice
+from diag_service.diagnosis.condition.verdict import Silence, advice
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
-from diag_service.diagnosis.plain_values import to_plain
 from diag_service.diagnosis.records import (
     ClutchRatio,
     ClutchVerdict,
@@ -18,6 +17,7 @@ from diag_service.diagnosis.records import (
     ShiftResult,
     Status,
     Tier,
+    to_plain,
 )
 from diag_service.diagnosis.results import clutch_record, order_record, shift_record, utc_from_bus_ns
 from fleet_contract import JsonObject

@@ -8,14 +8,14 @@ import numpy as np
 from markupsafe import Markup
 
 from canlog.arrays import FloatArray
-from clutch_model.clutch import FrictionCurve
+from clutch_model.calibration import FrictionCurve
 from clutch_model.units import NS_PER_S, bar_from_pa, rpm_from_rad_s
 from clutchdiag_io.pages.content import Figure, Key, Table, number
 from clutchdiag_io.pages.plot import Axis, Plot, thinned
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
+from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction.values import curve_band, new_curve
+from diag_service.diagnosis.friction.posterior import curve_band, new_curve
 from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult
 from diag_service.diagnosis.results import utc_from_bus_ns
 

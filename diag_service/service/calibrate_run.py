@@ -17,8 +17,8 @@ from clutch_model.units import NS_PER_S, bar_from_pa
 from diag_service.console.terminal import PeopleConsole, ReadingLine
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.evidence import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
+from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
-from diag_service.diagnosis.friction.values import friction as friction_of
 from diag_service.diagnosis.results import dump
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder

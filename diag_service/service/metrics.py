@@ -13,8 +13,8 @@ from prometheus_client.registry import Collector
 
 from canlog.e2e.e2e_state import E2eState
 from canlog.live import BusState
-from diag_service.console.progress import Stage
 from diag_service.diagnosis.records import Condition, ShiftResult, Status
+from diag_service.service.session import Stage
 from diag_service.service.snapshot import Board, Snapshot
 from diag_service.service.web import serving_web
 from diag_service.settings.config import ListenAddress

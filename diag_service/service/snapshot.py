@@ -7,11 +7,10 @@ from typing import Protocol
 
 from canlog.live import BusState, BusStatus, LiveSource
 from clutch_model.units import NS_PER_S
-from diag_service.console.progress import Stuck
 from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.summary import FrameCounts, Summary
 from diag_service.mapping.decoder import MessageCounts
-from diag_service.service.session import Session
+from diag_service.service.session import Session, Stuck
 from diag_service.service.stages import Stages
 
 DEFAULT_BITRATE = 500_000

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from clutch_model.gears import clutch_of_gear
+from clutch_model.calibration import clutch_of_gear
 from ecu_emulator.diagnostics.clutch_heat import heated_k
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.values import Values

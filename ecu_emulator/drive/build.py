@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
-from clutch_model.calibration import Calibration, nominal_table
-from clutch_model.clutch import ClutchCalibration
+from clutch_model.calibration import Calibration, ClutchCalibration, nominal_table
 from clutch_model.errors import CalibrationError
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.parameters import PlantParameters, nominal_plant_table

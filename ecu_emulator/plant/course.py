@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from canlog.arrays import FloatArray
+from clutch_model.calibration import clutch_of_gear
 from clutch_model.errors import DomainError
-from clutch_model.gears import clutch_of_gear
 from clutch_model.tables import require
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import PowerBalance, power_balance

@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 from canlog.jit import kernel
-from clutch_model.clutch import ClutchCalibration
+from clutch_model.calibration import ClutchCalibration
 
 _FADE_RATIO = 0.02  # the first share of the volume over which an empty cavity loses its pressure
 

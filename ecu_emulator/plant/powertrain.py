@@ -3,8 +3,7 @@
 import numpy as np
 
 from canlog.arrays import FloatArray
-from clutch_model.calibration import Calibration
-from clutch_model.clutch import ClutchCalibration
+from clutch_model.calibration import Calibration, ClutchCalibration
 from clutch_model.film import applied_pressure_pa, equilibrium_film_m, film_law
 from clutch_model.friction import contact_torque_nm, friction_law
 from ecu_emulator.plant import state as at

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
-from clutch_model.gears import clutch_of_gear
+from clutch_model.calibration import clutch_of_gear
 from ecu_emulator.driving.states import EventKind
 from ecu_emulator.plant.columns import Col
 from ecu_emulator.shift_control.tcu_data import CLOSED_REVS

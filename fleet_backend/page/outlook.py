@@ -4,8 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, Final
 
-from clutch_model.calibration import Calibration, nominal_calibration
-from clutch_model.clutch import FrictionCurve
+from clutch_model.calibration import Calibration, FrictionCurve, nominal_calibration
 from clutch_model.fingerprint import fingerprint
 from diag_service.diagnosis.prognosis import Prognosis, history_of_estimates, prognose, without
 from diag_service.diagnosis.prognosis.sentence import outlook_line, soonest

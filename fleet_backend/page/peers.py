@@ -8,7 +8,7 @@ from typing import Final
 
 from sqlalchemy import Engine, select
 
-from clutch_model.clutch import FrictionCurve
+from clutch_model.calibration import FrictionCurve
 from diag_service.diagnosis.prognosis import (
     Ageing,
     Common,

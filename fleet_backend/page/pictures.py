@@ -11,7 +11,7 @@ from markupsafe import Markup
 from canlog.arrays import FloatArray
 from clutchdiag_io.pages.content import Key
 from clutchdiag_io.pages.plot import Axis, Plot, thinned
-from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
+from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.report.pictures import MOST_MOMENTS, MOST_POINTS, THRESHOLD_KEYS
 from fleet_backend.page.records import ClutchAlarm, Fill, TrendPoint, Usual
 from fleet_backend.page.wording import M_PER_KM

@@ -13,8 +13,8 @@ from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction import Estimator, Posterior
-from diag_service.diagnosis.friction.values import friction as friction_of
-from diag_service.diagnosis.friction.values import scale_free
+from diag_service.diagnosis.friction.posterior import friction as friction_of
+from diag_service.diagnosis.friction.posterior import scale_free
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diag_service.delivery.console import order_lines
-from diag_service.diagnosis.condition.advice import Cause, Silence, advice
+from diag_service.diagnosis.condition.verdict import Cause, Silence, advice
 from diag_service.diagnosis.prognosis import Passage, Prognosis
 from diag_service.diagnosis.prognosis.passage import DISTANCE_M
 from diag_service.diagnosis.prognosis.prognosis import Outlook, Reach

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from clutch_model.gears import clutch_of_gear
-from diag_service.diagnosis.condition.advice import advice
+from clutch_model.calibration import clutch_of_gear
+from diag_service.diagnosis.condition.verdict import advice
 from diag_service.diagnosis.records import (
     ClutchRatio,
     ClutchVerdict,

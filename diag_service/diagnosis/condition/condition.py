@@ -6,21 +6,22 @@ from enum import StrEnum
 from math import hypot
 from typing import Self
 
-from clutch_model.calibration import Calibration
-from clutch_model.gears import both_clutches, with_clutch
-from diag_service.diagnosis.condition.advice import Silence, advice
-from diag_service.diagnosis.condition.decision import decide, nothing
-from diag_service.diagnosis.condition.scatter import Scatter
-from diag_service.diagnosis.condition.stick_slip import Launches
-from diag_service.diagnosis.condition.thresholds import (
+from clutch_model.calibration import Calibration, both_clutches, with_clutch
+from diag_service.diagnosis.condition.verdict import (
     CALIBRATED_RATIO,
     FIT_WINDOW,
     MAX_MISFIT_SHARE,
     MIN_MISFIT_COUNT,
     NEW_FLUID_CONTRADICTIONS,
+    Launches,
+    Scatter,
+    Silence,
+    advice,
+    decide,
+    nothing,
 )
-from diag_service.diagnosis.friction.posterior import Posterior
-from diag_service.diagnosis.friction.values import (
+from diag_service.diagnosis.friction.posterior import (
+    Posterior,
     both_frictions,
     calibration_ratio,
     clutch_ratio,
@@ -30,7 +31,6 @@ from diag_service.diagnosis.friction.values import (
     scale_free,
     trend,
 )
-from diag_service.diagnosis.plain_values import from_plain, to_plain
 from diag_service.diagnosis.records import (
     ClutchVerdict,
     Condition,
@@ -40,6 +40,8 @@ from diag_service.diagnosis.records import (
     ScaleFreeFriction,
     ShiftEstimate,
     Status,
+    from_plain,
+    to_plain,
 )
 from fleet_contract import JsonObject
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from canlog.jit import array_kernel
-from clutch_model.calibration import Calibration
-from clutch_model.gears import clutch_of_gear
+from clutch_model.calibration import Calibration, clutch_of_gear
 from diag_service.diagnosis.alignment import read_at
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event

@@ -7,9 +7,8 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import FloatArray
-from clutch_model.calibration import Calibration
+from clutch_model.calibration import Calibration, clutch_of_gear
 from clutch_model.errors import CalibrationError
-from clutch_model.gears import clutch_of_gear
 from diag_service.diagnosis.alignment import NS_TO_S, AlignedSignals, compile_alignment
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
@@ -42,8 +41,7 @@ from diag_service.diagnosis.friction.evidence import (
 )
 from diag_service.diagnosis.friction.film import PackLaw, PressureDrive, compile_film, compile_tangents, pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, compile_selection, omission_cost
-from diag_service.diagnosis.friction.posterior import Posterior
-from diag_service.diagnosis.friction.values import both_frictions
+from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
 from diag_service.diagnosis.quality.data_quality import Samples, aligned, compile_usability, mean, usable_samples
 from diag_service.diagnosis.quality.plausibility import (
     PressureZeros,

@@ -14,10 +14,8 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
-from clutch_model.calibration import Calibration
-from clutch_model.clutch import ClutchCalibration
+from clutch_model.calibration import Calibration, ClutchCalibration, both_clutches
 from clutch_model.errors import CalibrationError
-from clutch_model.gears import both_clutches
 
 FRICTION_PRIOR_STD = 0.05  # a third of any lining's friction: weak against a single shift
 

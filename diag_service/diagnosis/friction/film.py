@@ -13,16 +13,26 @@ from clutch_model.calibration import Calibration
 from clutch_model.film import (
     CONTACT_END,
     FilmLaw,
+    FilmPoint,
+    FilmShape,
     applied_pressure_pa,
     equilibrium_film_m,
     film_law,
+    film_point,
+    film_shape,
     piston_pressure_pa,
+    point_motion,
+    point_rate_m_s,
     sheared_torque_nm,
     viscosity_pa_s,
 )
-from clutch_model.film_points import FilmPoint, FilmShape, film_point, film_shape, point_motion, point_rate_m_s
-from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, kinetic_friction
-from clutch_model.thermal import clutch_heating_rate_k_s
+from clutch_model.friction import (
+    FrictionLaw,
+    clutch_heating_rate_k_s,
+    contact_torque_nm,
+    friction_law,
+    kinetic_friction,
+)
 from diag_service.diagnosis.alignment import GRID_S
 
 COARSE = 2  # points of the grid: steps in which a film may be followed whose derivatives alone are wanted
@@ -133,7 +143,7 @@ def pack_laws(calibration: Calibration) -> tuple[PackLaw, PackLaw]:
                 oil=oil,
                 heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
                 convection_w_k=float(clutch.thermal.convection_w_k),
-                touch_pressure_pa=law.closed_spring_force_n / law.piston_area_m2,
+                touch_pressure_pa=clutch.touch_pressure_pa,
             )
         )
     return found[0], found[1]

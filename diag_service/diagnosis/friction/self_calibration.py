@@ -12,10 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
-from clutch_model.calibration import Calibration
+from clutch_model.calibration import Calibration, JointUncertainty, both_clutches
 from clutch_model.errors import CalibrationError
-from clutch_model.gears import both_clutches
-from clutch_model.knowledge import JointUncertainty
 from diag_service.diagnosis.alignment import AlignedSignals
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance, measured, motoring_corrected_nm

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
-from clutch_model.clutch import FrictionCurve
+from clutch_model.calibration import FrictionCurve
 from diag_service.diagnosis.prognosis.assumptions import REFERENCE_K
 from diag_service.diagnosis.prognosis.history import History
 from diag_service.diagnosis.prognosis.normal import robust_noise_ratio

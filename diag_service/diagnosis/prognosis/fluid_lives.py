@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from clutch_model.clutch import FrictionCurve
+from clutch_model.calibration import FrictionCurve
 from diag_service.diagnosis.prognosis.assumptions import (
     LEAST_ROWS,
     LEVEL_OF_NEW,

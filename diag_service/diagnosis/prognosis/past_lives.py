@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from clutch_model.clutch import FrictionCurve
-from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO
+from clutch_model.calibration import FrictionCurve
+from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO
 from diag_service.diagnosis.prognosis.assumptions import LEAST_ROWS
 from diag_service.diagnosis.prognosis.bends import Hindsight
 from diag_service.diagnosis.prognosis.changes import FluidStart, fluid_starts

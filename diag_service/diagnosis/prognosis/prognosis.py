@@ -5,8 +5,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from clutch_model.clutch import FrictionCurve
-from diag_service.diagnosis.condition.thresholds import (
+from clutch_model.calibration import FrictionCurve
+from diag_service.diagnosis.condition.verdict import (
     CHANGE_LEVEL_RATIO,
     WATCH_LEVEL_RATIO,
     WATCH_MARGIN_RATIO,

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from clutch_model.units import degc_from_k
-from diag_service.diagnosis.condition.thresholds import (
+from diag_service.diagnosis.condition.verdict import (
     CHANGE_LEVEL_RATIO,
     WATCH_LEVEL_RATIO,
     WATCH_MARGIN_RATIO,

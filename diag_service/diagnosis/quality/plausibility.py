@@ -13,7 +13,7 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from canlog.jit import array_kernel
-from clutch_model.gears import clutch_of_gear
+from clutch_model.calibration import clutch_of_gear
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind

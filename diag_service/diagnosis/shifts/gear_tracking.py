@@ -14,7 +14,7 @@ import numpy as np
 from canlog.arrays import FloatArray, Int64Array
 from canlog.frames import BEFORE_ALL_NS
 from canlog.jit import array_kernel, inlined_kernel
-from clutch_model.gears import clutch_of_gear
+from clutch_model.calibration import clutch_of_gear
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.shifts.history import History

@@ -6,8 +6,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import Int64Array
-from clutch_model.calibration import Calibration
-from clutch_model.gears import both_clutches
+from clutch_model.calibration import Calibration, both_clutches
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.shifts.history import History

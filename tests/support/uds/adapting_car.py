@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from clutch_model.gears import clutch_of_gear
+from clutch_model.calibration import clutch_of_gear
 from dbc.contract import load_contract
 from ecu_emulator.answering.monitoring import Monitoring
 from ecu_emulator.answering.on_board import FixedOpinion

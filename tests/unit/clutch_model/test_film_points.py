@@ -8,19 +8,17 @@ from canlog.jit import array_kernel, kernel
 from clutch_model.calibration import nominal_calibration
 from clutch_model.film import (
     FilmLaw,
+    FilmPoint,
+    FilmShape,
     contact_pressure_pa,
     film_law,
     film_mobility_m,
-    measured_film_rate_m_s,
-    shear_factor_difference,
-)
-from clutch_model.film_points import (
-    FilmPoint,
-    FilmShape,
     film_point,
     film_shape,
+    measured_film_rate_m_s,
     point_motion,
     point_rate_m_s,
+    shear_factor_difference,
 )
 
 CLUTCH = nominal_calibration().clutches[0]

@@ -10,14 +10,14 @@ import pytest
 
 from clutch_model.calibration import (
     Calibration,
+    FrictionCurve,
+    SensorNoise,
     calibration_toml,
     nominal_calibration,
     nominal_table,
     read_calibration,
 )
-from clutch_model.clutch import FrictionCurve
 from clutch_model.fingerprint import canonical_text, fingerprint
-from clutch_model.knowledge import SensorNoise
 from tests.golden import earlier
 
 NOMINAL = nominal_calibration()

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clutch_model.gears import clutch_of_gear
+from clutch_model.calibration import clutch_of_gear
 from ecu_emulator.shift_control.tcu import clutch_of
 
 ROOT = Path(__file__).parents[3]

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from clutch_model.gears import clutch_of_gear
+from clutch_model.calibration import clutch_of_gear
 from demo.listener import ClutchState
 from demo.outcome import SHIFTS_PER_CYCLE, FrameAccount, Outcome
 from diag_service.diagnosis.records import ShiftResult

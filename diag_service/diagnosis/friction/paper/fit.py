@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from canlog.arrays import BoolArray
-from clutch_model.clutch import FrictionCurve
+from clutch_model.calibration import FrictionCurve
 from diag_service.diagnosis.friction.paper.friction_data import FrictionData
 
 

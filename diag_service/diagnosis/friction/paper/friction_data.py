@@ -6,8 +6,7 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
 from canlog.jit import kernel
-from clutch_model.calibration import Viscosity
-from clutch_model.clutch import ClutchCalibration
+from clutch_model.calibration import ClutchCalibration, Viscosity
 from clutch_model.film import (
     FilmLaw,
     applied_pressure_pa,

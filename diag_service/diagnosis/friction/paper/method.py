@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
-from clutch_model.calibration import Calibration, InputSide
-from clutch_model.gears import both_clutches
+from clutch_model.calibration import Calibration, InputSide, both_clutches
 from diag_service.diagnosis.friction.paper.differentiate import Differentiator, Rated
 from diag_service.diagnosis.friction.paper.driveline import Driveline, Shaft
 from diag_service.diagnosis.friction.paper.friction_data import (

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
-from clutch_model.calibration import Calibration
-from clutch_model.gears import clutch_of_gear
+from clutch_model.calibration import Calibration, clutch_of_gear
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals, sample_times_s
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event

@@ -16,13 +16,13 @@ from canlog.e2e.e2e_state import E2eState
 from canlog.error_frames import BusTrouble
 from canlog.frames import FrameBatch
 from canlog.live import BusState, BusStatus, SourceCounts
-from diag_service.console.progress import Stage, Stuck
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.condition.advice import Cause, advice
+from diag_service.diagnosis.condition.verdict import Cause, advice
 from diag_service.diagnosis.records import Condition
 from diag_service.errors import ConfigError
 from diag_service.service.metrics import serving
 from diag_service.service.monitor import Monitor, screen
+from diag_service.service.session import Stage, Stuck
 from diag_service.service.snapshot import SILENT_S, STALE_S, Board, RateMeter, Snapshot, SnapshotTaker
 from diag_service.settings.config import ListenAddress, parse_listen_address
 from diag_service.store import ResultStore

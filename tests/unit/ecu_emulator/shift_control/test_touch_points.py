@@ -7,8 +7,7 @@ from math import isnan
 import numpy as np
 import pytest
 
-from clutch_model.calibration import Calibration, nominal_calibration
-from clutch_model.gears import clutch_of_gear
+from clutch_model.calibration import Calibration, clutch_of_gear, nominal_calibration
 from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
 from ecu_emulator.shift_control import tcu_data
 from ecu_emulator.shift_control.touch_points import (

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
-from clutch_model.calibration import Calibration, nominal_calibration
-from clutch_model.clutch import ClutchCalibration
+from clutch_model.calibration import Calibration, ClutchCalibration, nominal_calibration
 from clutch_model.film import film_law
 from ecu_emulator.bus.bus_faults import FrameLoss
 from ecu_emulator.bus.frames import EncodedFrames, merge

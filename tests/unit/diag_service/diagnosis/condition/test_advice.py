@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.condition.advice import Cause, Silence, advice
 from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge, no_verdict
+from diag_service.diagnosis.condition.verdict import Cause, Silence, advice
 from diag_service.diagnosis.records import ClutchVerdict, Condition
 from diag_service.diagnosis.results import clutch_record, dump, parse_shift, shift_record
 from diag_service.diagnosis.summary import Gap, order_by, unjudged

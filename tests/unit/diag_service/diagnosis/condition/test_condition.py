@@ -7,7 +7,7 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge
-from diag_service.diagnosis.condition.scatter import LEAST_SHIFT_COUNT
+from diag_service.diagnosis.condition.verdict import LEAST_SHIFT_COUNT
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, STATE_COUNT, Considered, Knowledge, friction_rows
 from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, Baseline, Posterior
 from diag_service.diagnosis.records import Condition, Reason, Status

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diag_service.diagnosis.condition.scatter import LEAST_SHIFT_COUNT, Scatter
+from diag_service.diagnosis.condition.verdict import LEAST_SHIFT_COUNT, Scatter
 from diag_service.diagnosis.records import FrictionEstimate
 from tests.support.builders import friction_estimate
 

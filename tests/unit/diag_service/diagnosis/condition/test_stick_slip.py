@@ -10,7 +10,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import Columns, Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge
 from diag_service.diagnosis.condition.indices import measure
-from diag_service.diagnosis.condition.stick_slip import LAUNCH_WINDOW, Launches
+from diag_service.diagnosis.condition.verdict import LAUNCH_WINDOW, Launches
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.records import Condition, ShiftEstimate, StickSlip
 from tests.support.builders import shift_estimate

@@ -13,7 +13,7 @@ from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import FULL_WINDOW_S, without_friction
 from diag_service.diagnosis.friction.evidence import Knowledge, State, friction_rows
 from diag_service.diagnosis.friction.judgement import STEP_COUNT
-from diag_service.diagnosis.friction.values import friction
+from diag_service.diagnosis.friction.posterior import friction
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, thinned
 

@@ -19,8 +19,7 @@ from diag_service.diagnosis.friction.evidence import (
     fuse,
 )
 from diag_service.diagnosis.friction.judgement import JudgedEvent
-from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, RECENT_COUNT, Posterior
-from diag_service.diagnosis.friction.values import friction, trend
+from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, RECENT_COUNT, Posterior, friction, trend
 from fleet_contract import JsonObject
 
 CALIBRATION = nominal_calibration()

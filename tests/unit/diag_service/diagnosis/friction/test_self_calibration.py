@@ -17,8 +17,8 @@ from diag_service.diagnosis.friction.drives import SlipWindow, measured_drives, 
 from diag_service.diagnosis.friction.evidence import NAMES, STATE_COUNT, Considered, Measurement, State, displaced
 from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.friction.posterior import Posterior
+from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, run_up_measurement, self_calibrate
-from diag_service.diagnosis.friction.values import friction as friction_of
 from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder

@@ -21,9 +21,11 @@ from diag_service.diagnosis.friction.evidence import (
     fuse,
     prior_covariance,
 )
-from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, Baseline, Posterior
-from diag_service.diagnosis.friction.values import (
+from diag_service.diagnosis.friction.posterior import (
+    BASELINE_SHIFT_COUNT,
     MODEL_STD_RATIO,
+    Baseline,
+    Posterior,
     clutch_ratio,
     common_scale_std_ratio,
     friction,

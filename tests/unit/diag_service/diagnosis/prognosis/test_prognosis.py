@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clutch_model.gears import both_clutches
-from diag_service.diagnosis.condition.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
+from clutch_model.calibration import both_clutches
+from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.prognosis import History, Outlook, Prognosis, history_of, prognose
 from diag_service.diagnosis.prognosis.prognosis import Reach
 from tests.support.histories import history as stored

@@ -4,9 +4,9 @@ import threading
 
 import pytest
 
-from diag_service.console.progress import Progress, Stage
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.records import ShiftResult
+from diag_service.service.session import Progress, Stage
 from diag_service.store import ResultStore, VehicleState
 from tests.support.patience import HANG_S
 from tests.unit.diag_service.service.test_live import gear_frames, session_for

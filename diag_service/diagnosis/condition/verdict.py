@@ -1,0 +1,339 @@
+"""What a verdict rests on: thresholds, launches, scatter, and the probability of each cause; docs/verdict.md says why.
+
+`Launches` are a witness for the sign of the slope that needs no torque: friction that falls with the slip lets a soft
+driveline swing as a clutch sticks. A launch without it says nothing: with little load worn fluid does not swing either.
+`Scatter` is measured, not stated: how far single shifts of a clutch lie from the running estimate. `advice` is one
+plain sentence for a workshop. It holds no order: both clutches slip in one oil, so `fleet_contract.orders` makes one
+order of what both of them say.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from statistics import NormalDist
+from typing import Final, Self
+
+from clutch_model.calibration import FrictionCurve
+from diag_service.diagnosis.events import EndReason, EventKind
+from diag_service.diagnosis.records import (
+    Condition,
+    FrictionEstimate,
+    FrictionTrend,
+    ShiftEstimate,
+    ShiftScatter,
+    StickSlip,
+)
+
+MIN_SHIFT_COUNT = 3  # of two that disagree nobody knows which is wrong
+MAX_MARGIN_STD_RATIO = 0.25  # of the reference margin: beyond it the slope is anyone's guess
+SURE_MARGIN_STD_RATIO = 0.05  # likewise: until it is known so well, more shifts will tell a thin margin from a good one
+CHANGE_LEVEL_RATIO = 0.80  # torque reserve of the hold pressure (1.5) is half used up; of new, and of the own baseline
+WATCH_LEVEL_RATIO = 0.90
+WATCH_MARGIN_RATIO = 0.50  # half of the new fluid's margin against shudder is gone
+CHANGE_PROBABILITY = 0.95  # a workshop visit costs: be sure
+WATCH_PROBABILITY = 0.80
+THIN_PROBABILITY = 0.01  # of a thin margin, to call a fluid good before that: a drive is judged a hundred times
+EARLY_MARGIN_STD_RATIO = 0.15  # worse known, the margin of one clutch is believed only as far as both together say so
+COMMON_THIN_PROBABILITY = 0.003  # the same by both clutches together: they slip in one oil
+LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
+FIT_WINDOW = 20  # shifts of both clutches: two cycles
+MAX_MISFIT_SHARE = 0.25  # none of the shifts of sound drives misfit; of another vehicle's calibration half do
+MIN_MISFIT_COUNT = 3  # one or two shifts are no share
+NEW_FLUID_CONTRADICTIONS = 6  # it contradicts what is known of each clutch up to three times, then that starts afresh
+CALIBRATED_RATIO = 0.7  # of what driving tells of a vehicle: from there on it is no longer said to be calibrating
+
+
+_PERCENT: Final = 100.0  # of a ratio
+_NEARLY_SURE: Final = 0.995  # beyond it a rounded percentage would promise certainty
+
+
+class Cause(StrEnum):
+    """What speaks for a change of the fluid, in the words of the verdict's reason."""
+
+    SHUDDER = "shudder"  # the slope is negative
+    LEVEL_LOW = "friction too low"
+    LOSS_LARGE = "too much friction lost since the baseline"
+    MARGIN_THIN = "margin against shudder halved"
+    LEVEL_FALLING = "friction falling"
+    LOSS_BEGUN = "friction lost since the baseline"
+
+
+class Silence(StrEnum):
+    """Why nothing is said of a clutch, and what would help."""
+
+    FEW_SHIFTS = f"fewer than {MIN_SHIFT_COUNT} of its shifts could be used so far; more drives will tell"
+    MARGIN_UNSURE = "its friction is not known well enough yet; more drives will tell"
+    LAUNCHES_JUDDER = "it slips again after it has stuck when the car starts off, and its friction does not say why"
+    CALIBRATION_MISFIT = "the calibration does not fit this vehicle; diag-service calibrate makes one that does"
+    SIGNALS_MISSING = "the signals of this vehicle do not tell its friction"
+    PART_OF_DRIVE = "only a part of the drive was seen; measure again on a whole one"
+
+
+_WHAT: Final = {
+    Cause.SHUDDER: "it can shudder",
+    Cause.LEVEL_LOW: f"its friction is below {_PERCENT * CHANGE_LEVEL_RATIO:.0f} % of new",
+    Cause.LOSS_LARGE: f"it has lost more than {_PERCENT * (1.0 - CHANGE_LEVEL_RATIO):.0f} % of its own friction",
+    Cause.MARGIN_THIN: "half of its margin against shudder is gone",
+    Cause.LEVEL_FALLING: f"its friction is below {_PERCENT * WATCH_LEVEL_RATIO:.0f} % of new",
+    Cause.LOSS_BEGUN: f"it has lost more than {_PERCENT * (1.0 - WATCH_LEVEL_RATIO):.0f} % of its own friction",
+}
+
+
+def advice(clutch: int, condition: Condition, ground: Cause | Silence | None, probability: float = 0.0) -> str:
+    """Return the sentence on clutch 1 or 2.
+
+    Parameters
+    ----------
+    condition, ground :
+        The verdict and what it rests on: a cause, or why there is none; None where nothing speaks against the fluid.
+    probability :
+        That the cause is there; of a good fluid, that none of them is.
+    """
+    if isinstance(ground, Silence):
+        return f"Clutch {clutch}: {ground}."
+    if ground is None:
+        return f"Clutch {clutch}: its friction is sound ({_percent(probability)} sure)."
+    given_at = CHANGE_PROBABILITY if condition is Condition.CHANGE_FLUID else WATCH_PROBABILITY
+    return f"Clutch {clutch}: {_WHAT[ground]} ({_until_called_off(probability, given_at)})."
+
+
+def _until_called_off(probability: float, given_at: float) -> str:
+    """Return how sure a cause is; of a verdict that merely stands also what calls it off."""
+    if probability >= given_at:
+        return f"{_percent(probability)} sure"
+    return (
+        f"{_percent(probability)} sure now, at least {_percent(given_at)} before; "
+        f"the verdict stands until that falls below {_percent(LEAVE_PROBABILITY)}"
+    )
+
+
+def _percent(probability: float) -> str:
+    return "over 99 %" if probability > _NEARLY_SURE else f"{_PERCENT * probability:.0f} %"
+
+
+JUDDER_RAD_S: Final = 5.2  # slip after the clutch had stuck: 5, and a little of what the noise of its speeds adds
+LAUNCH_WINDOW: Final = 20  # launches of a clutch that are remembered
+LEAST_COUNT: Final = 2  # a single one may be a load that pulled the clutch open
+EVIDENCE_RATIO: Final = 10.0  # for each beyond the first: half of the launches of aged fluid, none of 102 of others
+MOST_EVIDENCE_RATIO: Final = 20.0  # drivelines differ: a witness that nobody has calibrated does not decide alone
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Launches:
+    """Which of the last launches of one clutch juddered, the oldest first."""
+
+    juddered: tuple[bool, ...] = ()
+
+    def with_event(self, estimate: ShiftEstimate) -> Self:
+        """Return what is remembered after an event: a launch to lock whose slip is known counts, nothing else."""
+        indices = estimate.indices
+        if estimate.kind is not EventKind.LAUNCH or estimate.end_reason is not EndReason.COMPLETE:
+            return self
+        if indices is None or indices.reslip_rad_s is None:
+            return self
+        return replace(self, juddered=(*self.juddered, indices.reslip_rad_s > JUDDER_RAD_S)[-LAUNCH_WINDOW:])
+
+    @property
+    def reported(self) -> StickSlip | None:
+        """What is said of them; None before there is one."""
+        if not self.juddered:
+            return None
+        return StickSlip(launch_count=len(self.juddered), judder_count=sum(self.juddered))
+
+    @property
+    def speak(self) -> bool:
+        """Whether enough of them juddered to say something of the slope."""
+        return sum(self.juddered) >= LEAST_COUNT
+
+    @property
+    def text(self) -> str:
+        """What they say, for people."""
+        return f"{sum(self.juddered)} of {len(self.juddered)} launches juddered"
+
+    def probability_negative(self, by_friction: float) -> float:
+        """Return the probability of a negative slope, given what friction alone says of it."""
+        if not self.speak:
+            return by_friction
+        ratio = min(EVIDENCE_RATIO ** (sum(self.juddered) - 1), MOST_EVIDENCE_RATIO)
+        return by_friction * ratio / (by_friction * ratio + 1.0 - by_friction)
+
+
+LEAST_SHIFT_COUNT = 8  # the deviation is then known to a quarter of itself
+MEMORY_SHIFT_COUNT = 50  # a few hours of driving
+STATED_WEIGHT = 4.0  # shifts that the stated deviation of the first counts for: something to clip against
+CLIP_STD = 3.0  # a shift farther away counts as if it were so far; takes 0.5 % from the variance of normal ones
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scatter:
+    """Running variances of single shifts about the running estimate, recursive and with outliers clipped."""
+
+    variance_mu_c: float
+    variance_mu_s: float
+    shift_count: int
+
+    @classmethod
+    def begun(cls, alone: FrictionEstimate) -> Self:
+        """Return the scatter to expect before any was seen: the random deviation that a shift states."""
+        return cls(variance_mu_c=alone.random_std_mu_c**2, variance_mu_s=alone.random_std_mu_s**2, shift_count=0)
+
+    def with_shift(self, alone: FrictionEstimate, running: FrictionEstimate) -> Self:
+        """Return the scatter after another shift.
+
+        Parameters
+        ----------
+        alone : FrictionEstimate
+            Of the shift for itself.
+        running : FrictionEstimate
+            Of the clutch before the shift; its own random deviation is taken out.
+        """
+        count = self.shift_count + 1
+        weight = 1.0 / (STATED_WEIGHT + min(count, MEMORY_SHIFT_COUNT))
+        return type(self)(
+            variance_mu_c=_next_variance(
+                self.variance_mu_c, alone.mu_c - running.mu_c, alone.random_std_mu_c, running.random_std_mu_c, weight
+            ),
+            variance_mu_s=_next_variance(
+                self.variance_mu_s, alone.mu_s - running.mu_s, alone.random_std_mu_s, running.random_std_mu_s, weight
+            ),
+            shift_count=count,
+        )
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether shifts can scatter so; what was stored may be damaged."""
+        return 0.0 < self.variance_mu_c < 1.0 and 0.0 < self.variance_mu_s < 1.0 and self.shift_count >= 0
+
+    @property
+    def reported(self) -> ShiftScatter | None:
+        """What a result says of it; None before there were enough shifts."""
+        if self.shift_count < LEAST_SHIFT_COUNT:
+            return None
+        return ShiftScatter(
+            std_mu_c=self.variance_mu_c**0.5, std_mu_s=self.variance_mu_s**0.5, shift_count=self.shift_count
+        )
+
+
+def _next_variance(variance: float, distance: float, alone_std: float, running_std: float, weight: float) -> float:
+    share = alone_std**2 / (alone_std**2 + running_std**2)
+    return variance + weight * (min(share * distance**2, CLIP_STD**2 * variance) - variance)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """A verdict and what it rests on; the probability is that of the cause, of a good fluid that there is none."""
+
+    condition: Condition
+    reason: str
+    ground: Cause | Silence | None
+    probability: float = 0.0
+
+
+def nothing(silence: Silence, reason: str) -> Finding:
+    """Return that there is no verdict, and why."""
+    return Finding(condition=Condition.NO_VERDICT, reason=reason, ground=silence)
+
+
+def _because(condition: Condition, cause: Cause, probability: float, facts: str) -> Finding:
+    reason = f"{cause} ({_likely(probability)}): {facts}"
+    return Finding(condition=condition, reason=reason, ground=cause, probability=probability)
+
+
+def decide(
+    friction: FrictionEstimate,
+    since: FrictionTrend | None,
+    reference: FrictionCurve,
+    shift_count: int,
+    previous: Condition,
+    launches: Launches,
+    common: NormalDist,
+) -> Finding:
+    """Return the verdict on a clutch.
+
+    Parameters
+    ----------
+    friction, since
+        Its running friction, and what became of it since the baseline; None: there is no baseline.
+    reference
+        The calibration's.
+    shift_count
+        Events that the running friction rests on.
+    previous
+        The last verdict, which is kept until its cause has become unlikely.
+    launches
+        Which of its launches juddered.
+    common
+        Which part of the new fluid's margin is left by both clutches together.
+    """
+    if shift_count < MIN_SHIFT_COUNT:
+        return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
+    reference_margin = reference.mu_c - reference.mu_s
+    margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
+    level = NormalDist(friction.mu_c / reference.mu_c, friction.std_mu_c / reference.mu_c)
+    own_thin, common_thin = margin.cdf(WATCH_MARGIN_RATIO * reference_margin), common.cdf(WATCH_MARGIN_RATIO)
+    negative, thin = friction.probability_negative_slope, own_thin
+    if margin.stdev > EARLY_MARGIN_STD_RATIO * reference_margin:  # one clutch may be misread; both rarely are
+        negative, thin = min(negative, common.cdf(0.0)), min(own_thin, common_thin)
+    facts = _facts(friction, level, since, shift_count) + (f", {launches.text}" if launches.speak else "")
+    change = {
+        Cause.SHUDDER: launches.probability_negative(negative),
+        Cause.LEVEL_LOW: level.cdf(CHANGE_LEVEL_RATIO),
+        Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
+    }
+    cause, probability = _likeliest(change)
+    if probability >= (LEAVE_PROBABILITY if previous is Condition.CHANGE_FLUID else CHANGE_PROBABILITY):
+        return _because(Condition.CHANGE_FLUID, cause, probability, facts)
+    if margin.stdev > MAX_MARGIN_STD_RATIO * reference_margin:
+        return nothing(Silence.MARGIN_UNSURE, f"mu_C - mu_S known to {margin.stdev:.4f} only: {facts}")
+    watch = {
+        Cause.MARGIN_THIN: thin,
+        Cause.LEVEL_FALLING: level.cdf(WATCH_LEVEL_RATIO),
+        Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO),
+    }
+    cause, probability = _likeliest(watch)
+    if probability >= (LEAVE_PROBABILITY if previous is Condition.WATCH else WATCH_PROBABILITY):
+        return _because(Condition.WATCH, cause, probability, facts)
+    is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
+    if not is_sure and _may_be_thin(own_thin, common_thin, previous):
+        by_either = max(own_thin, common_thin)
+        return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({_likely(by_either)}): {facts}")
+    return _unless_they_judder(launches, 1.0 - probability, facts)
+
+
+def _may_be_thin(thin: float, common_thin: float, previous: Condition) -> bool:
+    """Return whether a margin is too likely thin to be called good, by its own clutch or by both together."""
+    if previous is Condition.GOOD:
+        return thin > LEAVE_PROBABILITY
+    return thin > THIN_PROBABILITY or common_thin > COMMON_THIN_PROBABILITY
+
+
+def _unless_they_judder(launches: Launches, probability: float, facts: str) -> Finding:
+    if launches.speak:
+        return nothing(Silence.LAUNCHES_JUDDER, f"its launches contradict its friction: {facts}")
+    return Finding(condition=Condition.GOOD, reason=facts, ground=None, probability=probability)
+
+
+def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend | None, shift_count: int) -> str:
+    facts = (
+        f"a negative mu-v slope is {_likely(friction.probability_negative_slope)}, "
+        f"mu_C {100.0 * level.mean:.0f} +- {100.0 * level.stdev:.0f} % of new"
+    )
+    if since is not None:
+        change, std = 100.0 * since.change_mu_c_ratio, 100.0 * since.std_change_mu_c_ratio
+        facts += f", {change:+.1f} +- {std:.1f} % since the baseline"
+    return f"{facts}, {shift_count} shifts"
+
+
+def _likely(probability: float) -> str:
+    return f"{100.0 * probability:.1f} % likely"
+
+
+def _lost(since: FrictionTrend | None, level_ratio: float) -> float:
+    """Return the probability that mu_C has fallen below a share of the vehicle's own baseline."""
+    if since is None:
+        return 0.0
+    return NormalDist(1.0 + since.change_mu_c_ratio, max(since.std_change_mu_c_ratio, 1e-9)).cdf(level_ratio)
+
+
+def _likeliest(causes: Mapping[Cause, float]) -> tuple[Cause, float]:
+    return max(causes.items(), key=lambda item: item[1])
