@@ -10,13 +10,8 @@ from diag_service.diagnosis.condition.indices import compile_indices, measure
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
-from diag_service.diagnosis.quality.data_quality import (
-    QualityBasis,
-    compile_data_quality,
-    data_quality,
-    reasons_against,
-)
-from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, ShiftIndices, Status, Tier
+from diag_service.diagnosis.quality.data_quality import QualityBasis, compile_data_quality, gate
+from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.diagnosis.summary import Capability
 from diag_service.mapping.decoder import Decoder
@@ -79,29 +74,24 @@ class Stages:
         return self._finder.flush()
 
     def conclude(self, event: Event) -> Diagnosis:
-        """Estimate and judge the next shift; shifts must come in order. May take a moment.
+        """Judge the data of the next shift, estimate, judge its clutch; shifts must come in order. May take a moment.
 
         Below the first tier nothing is said of friction, and the running state stays as it is.
         """
-        quality = data_quality(event, self._basis)
-        against = reasons_against(quality)
-        indices: ShiftIndices | None = None
-        if self.tier is Tier.FRICTION:
-            state, estimate = self._estimator.estimate(event, self._state, is_described_only=bool(against))
+        data = gate(event, self._basis, tells_friction=self.tier is Tier.FRICTION)
+        state = self._state
+        if data.samples is not None:
+            state, estimate = self._estimator.estimate(event, data.samples, state, data.against)
+        elif data.against:
+            estimate = without_friction(event, Status.REJECTED, *data.against)
         else:
-            state, estimate = self._state, without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
-        if against and estimate.status is not Status.REJECTED:
-            estimate = replace(estimate, status=Status.REJECTED, reasons=against, friction=None, scale_free=None)
-            state = self._state  # data that are not believed leave no trace in the running state
-        else:
-            indices = measure(event, self._calibration)
+            estimate = without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
+        is_believed = not data.against or estimate.reasons != data.against
         estimate = replace(
             estimate,
-            data_quality=quality,
+            data_quality=data.quality,
             tier=self.tier or Tier.KINEMATIC,
-            indices=indices,
-            kind=event.kind,
-            end_reason=event.end_reason,
+            indices=measure(event, self._calibration) if is_believed else None,
         )
         if self.tier is Tier.FRICTION:
             memory = self._memory.with_fit(estimate).with_shift(estimate, self._state).with_launch(estimate)

@@ -15,6 +15,7 @@ from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.posterior import scale_free
+from diag_service.diagnosis.quality.data_quality import usable_samples
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
@@ -38,7 +39,7 @@ def shifts(fluid: str = "ideal", seed: int = 77, cycles: int = 1) -> tuple[Event
 def followed(events: tuple[Event, ...]) -> Iterator[tuple[Posterior, ShiftEstimate]]:
     state, estimator = Posterior.fresh(CALIBRATION), Estimator(CALIBRATION)
     for event in events:
-        state, estimate = estimator.estimate(event, state)
+        state, estimate = estimator.estimate(event, usable_samples(event), state)
         yield state, estimate
 
 

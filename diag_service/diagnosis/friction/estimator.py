@@ -42,7 +42,7 @@ from diag_service.diagnosis.friction.evidence import (
 from diag_service.diagnosis.friction.film import PackLaw, PressureDrive, compile_film, compile_tangents, pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, compile_selection, omission_cost
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
-from diag_service.diagnosis.quality.data_quality import Samples, aligned, compile_usability, mean, usable_samples
+from diag_service.diagnosis.quality.data_quality import Samples, aligned, compile_usability, mean
 from diag_service.diagnosis.quality.plausibility import (
     PressureZeros,
     SlippingClutch,
@@ -153,23 +153,23 @@ class Estimator:
         compile_tangents(self._calibration)
 
     def estimate(
-        self, event: Event, state: Posterior, *, is_described_only: bool = False
+        self, event: Event, samples: Samples | Reason, state: Posterior, against: tuple[Reason, ...] = ()
     ) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after a shift, and what the shift alone says about the on-coming clutch.
 
         The shift's own estimate uses what is known of everything but the friction of its clutch. A shift whose signals
         contradict each other, or that does not fit the model, is rejected; one that fits, but contradicts the others,
-        is shown and left out, until three of the clutch agree that it has changed. One that is described only, because
-        its data are not believed, is not even held against the others.
+        is shown and left out, until three of the clutch agree that it has changed. One with anything ``against`` its
+        data is described and rejected; it leaves no trace in what is known, and is not even held against the others.
         """
-        samples = usable_samples(event)
         if isinstance(samples, Reason):
             return state, without_friction(event, Status.REJECTED, samples)
         first = self._linearised(samples, state, state.known.mean, None)
         if not isinstance(first, _Seen):
-            return state, without_friction(
-                event, Status.UNOBSERVED if first is Reason.NO_SLIP_WINDOW else Status.REJECTED, first
-            )
+            is_unobserved = first is Reason.NO_SLIP_WINDOW
+            reasons = against if is_unobserved and against else (first,)
+            status = Status.UNOBSERVED if is_unobserved and not against else Status.REJECTED
+            return state, without_friction(event, status, *reasons)
         slipping = SlippingClutch(
             number=first.clutch,
             rows=first.balance.window.slip_rows,
@@ -181,10 +181,10 @@ class Estimator:
         seen, room, judged = self._settled(samples, state, first)
         packs = PackTemperatures(clutch_k=seen.balance.final_clutch_k, at_ns=event.end_ns)
         is_misfit = _is_misfit(self._type, fuse(self._type, seen.evidence), seen.evidence.count)
-        if is_misfit or is_described_only:
-            state = state.warmed(packs)
+        if is_misfit or against:
+            state = state.warmed(packs) if is_misfit else state
             estimate = self._described(event, seen, state, seen.alone())
-            return state, _rejected(estimate, Reason.MISFIT) if is_misfit else estimate
+            return state, _rejected(estimate, *((Reason.MISFIT,) if is_misfit else against))
         return self._judged(event, seen, room, judged.warmed(packs))
 
     def _judged(self, event: Event, seen: _Seen, room: Posterior, state: Posterior) -> tuple[Posterior, ShiftEstimate]:
@@ -333,9 +333,9 @@ def _is_misfit(before: Knowledge, alone: Fusion, count: int) -> bool:
     return bool(score[FRICTION_COUNT:].max() > SCORE_GATE)
 
 
-def _rejected(estimate: ShiftEstimate, reason: Reason) -> ShiftEstimate:
+def _rejected(estimate: ShiftEstimate, *reasons: Reason) -> ShiftEstimate:
     """Return an estimate that is not believed."""
-    return replace(estimate, status=Status.REJECTED, reasons=(reason,), friction=None, scale_free=None)
+    return replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None, scale_free=None)
 
 
 def _judged_event(event: Event, seen: _Seen) -> JudgedEvent:
@@ -384,6 +384,8 @@ def without_friction(event: Event, status: Status, *reasons: Reason) -> ShiftEst
         slip_energy_j=None,
         duration_s=(event.end_ns - event.start_ns) * NS_TO_S,
         odometer_m=_mean(event, Signal.ODOMETER),
+        kind=event.kind,
+        end_reason=event.end_reason,
     )
 
 

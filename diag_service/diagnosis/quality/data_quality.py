@@ -394,6 +394,23 @@ def reasons_against(quality: DataQuality, limits: QualityLimits = LIMITS) -> tup
     return named or (Reason.LOW_DATA_QUALITY,)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gate:
+    """What the data of an event are worth, found before anything is estimated from them."""
+
+    quality: DataQuality
+    samples: Samples | Reason | None  # what tells friction, or why nothing does; None: the vehicle has no such signals
+    against: tuple[Reason, ...]  # why the data must not be believed; empty if they may, or there are none to believe
+
+
+def gate(event: Event, basis: QualityBasis, limits: QualityLimits = LIMITS, *, tells_friction: bool = True) -> Gate:
+    """Judge the data of an event, by themselves: which samples tell its friction, and whether they can be believed."""
+    quality = data_quality(event, basis, limits)
+    samples = usable_samples(event, limits) if tells_friction else None
+    against = () if isinstance(samples, Reason) else reasons_against(quality, limits)
+    return Gate(quality=quality, samples=samples, against=against)
+
+
 def compile_data_quality() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     compile_agreement()

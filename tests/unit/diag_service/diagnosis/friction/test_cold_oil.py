@@ -22,6 +22,7 @@ from diag_service.diagnosis.friction.estimator import (
 )
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, STATE_COUNT, Considered
 from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films, pack_laws
+from diag_service.diagnosis.quality.data_quality import usable_samples
 from diag_service.diagnosis.records import Reason, Status
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
 
@@ -83,7 +84,8 @@ def test_where_the_film_carries_the_torque_nothing_is_said_of_friction() -> None
     """A shift as it is, but in oil said to be cold: most of its torque would be the film's."""
     state, estimator = Posterior.fresh(CALIBRATION), Estimator(CALIBRATION)
     warm = first_shifts()[0]
-    after, estimate = estimator.estimate(in_oil(warm, -10.0), state)
+    cold = in_oil(warm, -10.0)
+    after, estimate = estimator.estimate(cold, usable_samples(cold), state)
     assert (estimate.status, estimate.reasons) == (Status.UNOBSERVED, (Reason.NO_SLIP_WINDOW,))
     assert after.shift_counts == (0, 0)
-    assert estimator.estimate(warm, state)[1].status is Status.VALID
+    assert estimator.estimate(warm, usable_samples(warm), state)[1].status is Status.VALID

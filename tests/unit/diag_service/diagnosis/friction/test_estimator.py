@@ -14,6 +14,7 @@ from diag_service.diagnosis.friction.estimator import FULL_WINDOW_S, without_fri
 from diag_service.diagnosis.friction.evidence import Knowledge, State, friction_rows
 from diag_service.diagnosis.friction.judgement import STEP_COUNT
 from diag_service.diagnosis.friction.posterior import friction
+from diag_service.diagnosis.quality.data_quality import usable_samples
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, thinned
 
@@ -26,7 +27,7 @@ ROWS = friction_rows(CLUTCH)
 
 
 def estimated(event: Event, state: Posterior = FRESH) -> tuple[Posterior, ShiftEstimate]:
-    return ESTIMATOR.estimate(event, state)
+    return ESTIMATOR.estimate(event, usable_samples(event), state)
 
 
 def known(mu_c: float, mu_s: float, std: float = 1e-3) -> Posterior:
@@ -77,21 +78,19 @@ def test_the_own_estimate_of_a_shift_knows_nothing_of_the_running_friction() -> 
     assert other.friction.std_mu_c == pytest.approx(plain.friction.std_mu_c, rel=0.05)
 
 
-def test_a_shift_described_only_says_the_same_and_changes_no_friction() -> None:
+def test_a_shift_whose_data_are_not_believed_is_described_and_leaves_no_trace() -> None:
     event, before = first_shifts()[0], known(0.14, 0.12)
     _, plain = estimated(event, before)
-    state, estimate = ESTIMATOR.estimate(event, before, is_described_only=True)
-    assert estimate == plain
-    assert state.known is before.known
-    assert (state.shift_counts, state.recent) == (before.shift_counts, ())
-    assert state.packs is not None
-    assert state.packs.at_ns == event.end_ns  # its heat is real, whatever its friction
+    state, estimate = ESTIMATOR.estimate(event, usable_samples(event), before, (Reason.LOW_DATA_QUALITY,))
+    reasons = (Reason.LOW_DATA_QUALITY,)
+    assert estimate == replace(plain, status=Status.REJECTED, reasons=reasons, friction=None, scale_free=None)
+    assert state is before
 
 
-def test_a_shift_described_only_is_not_held_against_the_state() -> None:
-    surprising = known(0.30, 0.28)
-    _, estimate = ESTIMATOR.estimate(first_shifts()[0], surprising, is_described_only=True)
-    assert (estimate.status, estimate.reasons) == (Status.VALID, ())
+def test_a_shift_whose_data_are_not_believed_is_not_held_against_the_state() -> None:
+    event, surprising = first_shifts()[0], known(0.30, 0.28)
+    _, estimate = ESTIMATOR.estimate(event, usable_samples(event), surprising, (Reason.LOW_DATA_QUALITY,))
+    assert (estimate.status, estimate.reasons) == (Status.REJECTED, (Reason.LOW_DATA_QUALITY,))
 
 
 def test_three_contradictions_in_a_row_start_the_friction_afresh() -> None:
