@@ -1,4 +1,4 @@
-"""The Python and the tables that docs/diagnostics.md shows do what the page says.
+"""The Python and the files that docs/diagnostics.md and docs/tester.md show do what the pages say.
 
 Its blocks for odxtools and python-OBD are run where those libraries are: tests/integration/test_uds_pdx.py,
 tests/e2e/test_obd.py.
@@ -25,9 +25,9 @@ PAGE = "docs/diagnostics.md"
 TOO_HOT = 0x27874B  # P2787, confirmed in one cycle
 
 
-def block(language: str, word: str) -> str:
-    """Return the block of the page that holds a word."""
-    blocks = re.findall(rf"^```{language}\n(.*?)^```", page_text(PAGE), re.MULTILINE | re.DOTALL)
+def block(language: str, word: str, page: str = PAGE) -> str:
+    """Return the block of a page that holds a word."""
+    blocks = re.findall(rf"^```{language}\n(.*?)^```", page_text(page), re.MULTILINE | re.DOTALL)
     (found,) = (text for text in blocks if word in text)
     return str(found)
 
@@ -73,7 +73,7 @@ def test_an_opinion_of_the_controllers_own() -> None:
 
 def test_a_description_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "gearbox.toml"
-    path.write_text(block("toml", 'name = "gearbox"'), encoding="utf-8")
+    path.write_text(block("toml", 'name = "gearbox"', "docs/tester.md"), encoding="utf-8")
     described = load_file(path).description
     assert (described.name, described.request_id, described.response_id) == ("gearbox", 0x7E1, 0x7E9)
     values = described.values(described.find_data("oil"), bytes.fromhex("04 B0 01") + b"A7")

@@ -1,4 +1,4 @@
-"""The table of clients in docs/diagnostics.md is one that the command makes; the command sees what is not the same."""
+"""The table of clients in docs/controller-tables.md is one that the command makes; the command sees differences."""
 
 import re
 

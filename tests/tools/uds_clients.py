@@ -1,8 +1,8 @@
 """Asks an emulated car by every client that is not ours, each a process, and prints who can do what.
 
 ``python -m tests.uml.run -- python -m tests.tools.uds_clients`` on a real vcan, where isotpdump and tshark read along;
-where there is no vcan0 on another bus, without those two. ``--write`` puts the table into docs/diagnostics.md. Status
-1: two clients were answered differently.
+where there is no vcan0 on another bus, without those two. ``--write`` puts the table into docs/controller-tables.md.
+Status 1: two clients were answered differently.
 """
 
 import argparse
@@ -32,7 +32,7 @@ from tests.support.replay import free_bus
 from tests.support.uds.clients_script import CLIENTS, LIST
 from tests.uml.vcan import has_can_sockets, is_up
 
-DOCUMENT: Final = Path(__file__).parents[2] / "docs/diagnostics.md"
+DOCUMENT: Final = Path(__file__).parents[2] / "docs/controller-tables.md"
 TOO_HOT: Final = 0x27874B  # P2787, confirmed in one cycle
 READERS: Final = ("isotpdump", "tshark")
 SETTLED_S: Final = 8.0  # of an engine that runs, so that routine and status bits are as they stay
@@ -46,7 +46,7 @@ Told = Mapping[str, tuple[str, str]]  # request and answer by the line of the li
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="the table into docs/diagnostics.md")
+    parser.add_argument("--write", action="store_true", help="the table into docs/controller-tables.md")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         told, read = asked(Path(folder))

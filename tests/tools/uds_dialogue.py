@@ -1,4 +1,4 @@
-"""Writes the dialogue of docs/diagnostics.md as scapy reads it: ``python -m tests.tools.uds_dialogue``.
+"""Writes the dialogue of docs/controller-tables.md as scapy reads it: ``python -m tests.tools.uds_dialogue``.
 
 ``--readers`` prints how other programs read it instead: isotpdump, where there is a vcan0, and tshark, where it is
 installed. In the guest: ``python -m tests.uml.run -- python -m tests.tools.uds_dialogue --readers``.
@@ -20,7 +20,7 @@ from tests.support.patience import HANG_S
 from tests.support.uds.dialogue import Dialogue, held_dialogue
 from tests.uml.vcan import has_can_sockets, is_up
 
-DOCUMENT: Final = Path(__file__).parents[2] / "docs/diagnostics.md"
+DOCUMENT: Final = Path(__file__).parents[2] / "docs/controller-tables.md"
 MOST_BYTES: Final = 16  # shown of a message
 _MARK: Final = re.compile(r"(<!-- dialogue -->\n).*?(<!-- end -->)", re.DOTALL)
 _FRAME_KINDS: Final = ("SF", "FF", "CF", "FC")

@@ -1,4 +1,4 @@
-"""Writes the tables of docs/diagnostics.md, from the controller's own table: ``python -m tests.tools.uds_tables``."""
+"""Writes docs/controller-tables.md from the controller's own table: ``python -m tests.tools.uds_tables``."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -9,7 +9,7 @@ from ecu_emulator.diagnostics.descriptions import Access, Datum, Field, Kind
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import shipped_table
 
-DOCUMENT: Final = Path(__file__).parents[2] / "docs/diagnostics.md"
+DOCUMENT: Final = Path(__file__).parents[2] / "docs/controller-tables.md"
 _MARK: Final = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 

@@ -1,4 +1,4 @@
-"""docs/diagnostics.md says what the controller's table says."""
+"""docs/controller-tables.md says what the controller's table says."""
 
 from ecu_emulator.diagnostics.table_file import shipped_table
 from tests.tools.uds_tables import DOCUMENT, written
