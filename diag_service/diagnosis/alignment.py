@@ -61,13 +61,15 @@ class Resampled:
             _spread(own, left, self.share[rows], found[-1])
         return tuple(found)
 
-    def around_samples(self, values: Sequence[FloatArray], pieces: Sequence[slice]) -> tuple[FloatArray, ...]:
-        """Return values on pieces of the grid as means around the samples of `to_samples`, shape (n,) each."""
+    def around_samples(
+        self, values: FloatArray, places: Sequence[slice], pieces: Sequence[slice]
+    ) -> tuple[FloatArray, ...]:
+        """Return values as means around the samples of `to_samples`, shape (n,) each; ``places`` are of the pieces."""
         found = []
-        for own, rows in zip(values, pieces, strict=True):
+        for place, rows in zip(places, pieces, strict=True):
             left = self.left[rows]
             means, weight = np.zeros((2, left[-1] + 2 - left[0]))
-            _average(own, left, self.share[rows], means, weight)
+            _average(values[place], left, self.share[rows], means, weight)
             found.append(means)
         return tuple(found)
 
@@ -99,16 +101,6 @@ def sample_times_s(series: Series, origin_ns: int) -> FloatArray:
     times_s = np.empty(len(series.t_ns))
     _free_of_jitter(series.t_ns, series.sequence, origin_ns, series.period_ns * NS_TO_S, times_s)
     return times_s
-
-
-def read_at(series: Series, at: FloatArray, origin_ns: int, unit_ns: float) -> FloatArray:
-    """Return what a signal reads at rising times, shape (n,): linear between samples, constant beyond both ends.
-
-    Times are counted from ``origin_ns`` in units of so many nanoseconds; the signal has one sample at least.
-    """
-    reading = np.empty(len(at))
-    _read_at(series.t_ns, series.value, origin_ns, unit_ns, at, reading)
-    return reading
 
 
 def segment_centres_s(times_s: FloatArray, speed_rad_s: FloatArray, segment_rad: float) -> FloatArray:
@@ -213,8 +205,8 @@ def compile_alignment() -> None:
     ends, one = np.array([0.0, 1.0]), np.zeros((1, 2))
     signal = Resampled.of(ends, ends, ends)
     signal.to_samples([one], [slice(None)])
-    signal.around_samples([ends], [slice(None)])
-    _read_at(np.arange(2), ends, 0, 1.0, ends, np.empty(2))
+    signal.around_samples(ends, [slice(None)], [slice(None)])
+    read_samples(np.arange(2), ends, 0, 1.0, ends, np.empty(2))
     _free_of_jitter(np.arange(2), np.arange(2), 0, 1.0, np.empty(2))
     _lag_behind(ends, ends, ends, 1.0, np.empty(2))
 
@@ -231,9 +223,13 @@ def _expected_pa(event: Event, command: Signal, grid_s: FloatArray) -> FloatArra
 
 
 @array_kernel
-def _read_at(
+def read_samples(
     t_ns: Int64Array, value: FloatArray, origin_ns: int, unit_ns: float, at: FloatArray, reading: FloatArray
 ) -> None:
+    """Fill in what a signal reads at rising times: linear between samples, constant beyond both ends.
+
+    Times are counted from ``origin_ns`` in units of so many nanoseconds; the signal has one sample at least.
+    """
     sample, last = 0, len(t_ns) - 1
     for row in range(len(at)):
         while sample < last and (t_ns[sample + 1] - origin_ns) / unit_ns <= at[row]:

@@ -143,8 +143,13 @@ def translated(where: str) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as exc:
-        kind = StoreFullError if getattr(exc, "sqlite_errorcode", None) in _NO_ROOM else StoreError
-        raise kind(f"cannot use store {where}: {exc}") from exc
+        raise store_error(where, exc) from exc
+
+
+def store_error(where: str, exc: sqlite3.Error) -> StoreError:
+    """Return an error of SQLite's as one of ours."""
+    kind = StoreFullError if getattr(exc, "sqlite_errorcode", None) in _NO_ROOM else StoreError
+    return kind(f"cannot use store {where}: {exc}")
 
 
 def _prepare(connection: sqlite3.Connection, path: Path) -> None:

@@ -19,7 +19,7 @@ from clutchdiag_io.files import keep_private
 from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.results import StoredResult, dump, parse_shift, shift_record
 from diag_service.errors import ResultError, StoreError
-from diag_service.store.file import DELIVERED, QUARANTINED, WAITING, connect, connect_in_memory, own, translated
+from diag_service.store.file import DELIVERED, QUARANTINED, WAITING, connect, connect_in_memory, own, store_error
 from diag_service.store.fills import add_fills, all_fills, latest_fill, read_fills
 from fleet_contract import JsonObject, Outcome, Receipt, ResultKey
 
@@ -300,6 +300,8 @@ class ResultStore:
     def fluid_at(self, vehicle: str, moment: str) -> FluidFill | None:
         """Return the fill of the fluid that a vehicle had at a moment (ISO 8601 UTC), if it is known."""
         with self._transaction() as sql:
+            if sql.execute("SELECT 1 FROM fill WHERE vehicle = ? LIMIT 1", (vehicle,)).fetchone() is None:
+                return None  # as for most vehicles, before each event
             return latest_fill(sql, vehicle, moment)
 
     def _read_stream(self) -> str:
@@ -333,14 +335,16 @@ class ResultStore:
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
         """Run one transaction alone; a failure takes all of it back."""
-        with self._guard, translated(self.where):
-            self._connection.execute("BEGIN IMMEDIATE")
+        with self._guard:
             try:
+                self._connection.execute("BEGIN IMMEDIATE")
                 yield self._connection
                 self._connection.execute("COMMIT")
-            except BaseException:
+            except BaseException as exc:
                 if self._connection.in_transaction:
                     self._connection.execute("ROLLBACK")
+                if isinstance(exc, sqlite3.Error):
+                    raise store_error(self.where, exc) from exc
                 raise
 
 

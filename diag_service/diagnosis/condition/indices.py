@@ -11,7 +11,7 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration, clutch_of_gear
-from diag_service.diagnosis.alignment import read_at
+from diag_service.diagnosis.alignment import read_samples
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.records import ShiftIndices
@@ -43,7 +43,9 @@ class _Grid:
         series = self.event.columns.get(signal)
         if series is None or len(series.t_ns) < 2:
             return None
-        return read_at(series, self.t_s, self.event.start_ns, NS_PER_S)
+        reading = np.empty(len(self.t_s))
+        read_samples(series.t_ns, series.value, self.event.start_ns, NS_PER_S, self.t_s, reading)
+        return reading
 
 
 def measure(event: Event, calibration: Calibration) -> ShiftIndices:

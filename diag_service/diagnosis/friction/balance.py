@@ -27,13 +27,13 @@ from clutch_model.row_functions import row_exponential, row_logarithm
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.drives import SLIP_DEGREE, SlipWindow, Weights, planned_drives, sines, spans_of
 from diag_service.diagnosis.friction.evidence import (
+    FRICTION_ROWS,
     PARAMETER_COUNT,
     REFERENCE_K,
     STATE_COUNT,
     Considered,
     Measurement,
     State,
-    friction_rows,
 )
 from diag_service.diagnosis.friction.film import (
     COARSE,
@@ -290,20 +290,21 @@ class _Spread:
     @classmethod
     def of(cls, signals: AlignedSignals, weights: Weights, side: InputSide) -> Self:
         """Return those of a window's test functions; signals of one message share theirs."""
+        value, rate = weights.value, weights.rate
         own = (signals.engine_torque, signals.hub_speed, *signals.input_speed, *signals.pressure)
         found: dict[bytes, Blocks] = {}
         instants = [signal.times_s.tobytes() for signal in own]
         for instant, signal in zip(instants, own, strict=True):
             if instant not in found:
-                found[instant] = weights.value.on_samples(signal)
+                found[instant] = signal.to_samples(value.blocks, value.grid_rows)
         torque, hub, first, second, first_pressure, second_pressure = (found[instant] for instant in instants)
         inertia, damping = side.hub_inertia_kg_m2, side.hub_damping_nms_rad
-        hub_rate = weights.rate.on_samples(signals.hub_speed)
+        hub_rate = signals.hub_speed.to_samples(rate.blocks, rate.grid_rows)
         return cls(
             torque_value=torque,
-            engine_rate=weights.rate.on_samples(signals.engine_speed),
+            engine_rate=signals.engine_speed.to_samples(rate.blocks, rate.grid_rows),
             hub_value=hub,
-            hub=tuple(inertia * rate - damping * value for rate, value in zip(hub_rate, hub, strict=True)),
+            hub=tuple(inertia * by_rate - damping * by_value for by_rate, by_value in zip(hub_rate, hub, strict=True)),
             input_value=(first, second),
             pressure_value=(first_pressure, second_pressure),
         )
@@ -367,7 +368,7 @@ class Sensitivity:
         std_nms = np.sqrt(np.concatenate([np.diag(noise) for noise in self.noises]))
         for m, mu in enumerate(balance.mu):
             plain = self._nominal[m]
-            slope[:, friction_rows(m + 1)] = plain.by_friction
+            slope[:, FRICTION_ROWS[m]] = plain.by_friction
             considered[:, Considered.FRICTION_TEMPERATURE] += plain.by_warm_friction @ mu
             considered[:, Considered.OPEN_DRAG] += bias.torque_gain * plain.opened
             if np.max(np.abs(plain.viscous + plain.by_friction @ mu) / std_nms) > IDLE_RATIO:
@@ -439,7 +440,7 @@ class Sensitivity:
         self._add_clutch_noise(noises)
         self._add_doubt(noises)
         by_hub_nms = self._answers[0].by_slip_nms + self._answers[1].by_slip_nms
-        around = weights.value.around_samples(by_hub_nms, signals.hub_speed)
+        around = signals.hub_speed.around_samples(by_hub_nms, weights.value.places, weights.value.grid_rows)
         for place, hub in enumerate(self._spread.hub):
             by_hub = gain * hub - self._spread.hub_value[place] * around[place]
             noises[place] += sensors.hub_speed_rad_s**2 * by_hub @ by_hub.T
@@ -455,7 +456,9 @@ class Sensitivity:
                 (sensors.pressure_pa, answers.by_pressure_m3, signals.pressure[m], spread.pressure_value[m]),
             ):
                 if by.any():
-                    squares = tuple((std * means) ** 2 for means in value.around_samples(by, signal))
+                    squares = tuple(
+                        (std * means) ** 2 for means in signal.around_samples(by, value.places, value.grid_rows)
+                    )
                     of_blocks.setdefault(id(blocks), (blocks, []))[1].append(squares)
         for blocks, variances in of_blocks.values():
             for place, weight in enumerate(blocks):

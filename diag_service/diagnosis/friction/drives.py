@@ -223,18 +223,10 @@ class Functions:
         return np.concatenate([block.sum(axis=1) for block in self.blocks])
 
     def fitted_on_samples(self, degree: int, signal: Resampled) -> tuple[FloatArray, ...]:
-        """Return `on_samples` of polynomial fits to the functions."""
+        """Return the weights of the samples of a signal in sums with polynomial fits to the functions, one a piece."""
         bases = [_polynomials(block.shape[1], degree) for block in self.blocks]
         spread = signal.to_samples([np.ascontiguousarray(basis.T) for basis in bases], self.grid_rows)
         return tuple((block @ basis) @ one for block, basis, one in zip(self.blocks, bases, spread, strict=True))
-
-    def on_samples(self, signal: Resampled) -> tuple[FloatArray, ...]:
-        """Return the weights of the samples of a signal in the sums over the grid, (functions, samples) each piece."""
-        return signal.to_samples(self.blocks, self.grid_rows)
-
-    def around_samples(self, values: FloatArray, signal: Resampled) -> tuple[FloatArray, ...]:
-        """Return values of the rows, shape (len(rows),), as means around those samples, (samples,) each piece."""
-        return signal.around_samples([values[place] for place in self.places], self.grid_rows)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,6 +26,7 @@ from diag_service.diagnosis.friction.drives import (
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
     FRICTION_PRIOR_STD,
+    FRICTION_ROWS,
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
@@ -36,13 +37,12 @@ from diag_service.diagnosis.friction.evidence import (
     State,
     compile_evidence,
     displaced,
-    friction_rows,
     fuse,
 )
 from diag_service.diagnosis.friction.film import PackLaw, PressureDrive, compile_film, compile_tangents, pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, compile_selection, omission_cost
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
-from diag_service.diagnosis.quality.data_quality import Samples, aligned, compile_usability, mean
+from diag_service.diagnosis.quality.data_quality import Samples, aligned, compile_usability
 from diag_service.diagnosis.quality.plausibility import (
     PressureZeros,
     SlippingClutch,
@@ -82,7 +82,7 @@ _COLD_VARIANCE: Final = _cold_variance()
 
 def own_variance(balance: Balance, clutch: int) -> FloatArray:
     """Return how far the parameters of one event may be from those of the vehicle, shape (PARAMETER_COUNT,)."""
-    pack_k = mean(balance.tracks[clutch - 1].clutch_k[balance.window.slip_rows])
+    pack_k = float(balance.tracks[clutch - 1].clutch_k[balance.window.slip_rows].mean())
     variance = _COLD_VARIANCE * max(0.0, (WORKING_K - pack_k) / COLD_SPAN_K) ** 2
     variance[STATE_COUNT + Considered.OPEN_DRAG] += OPEN_DRAG_SPEED_LOG**2
     variance[:FRICTION_COUNT] = (FRICTION_RATIO * balance.at[:FRICTION_COUNT]) ** 2
@@ -94,7 +94,7 @@ def film_share(balance: Balance, clutch: int) -> float:
     rows, track = balance.window.slip_rows, balance.tracks[clutch - 1]
     first = balance.weights.rows.start
     by_friction_nm = balance.torques.contact_nm[clutch - 1, :, rows.start - first : rows.stop - first]
-    contact = float(np.abs(balance.at[friction_rows(clutch)] @ by_friction_nm).sum())
+    contact = float(np.abs(balance.at[FRICTION_ROWS[clutch - 1]] @ by_friction_nm).sum())
     film = float(np.abs(track.viscous_nm[rows]).sum())
     return film / max(film + contact, 1e-9)
 
@@ -203,7 +203,7 @@ class Estimator:
 
     def _unknown_friction(self, known: Knowledge, clutch: int) -> Knowledge:
         """Return what is known with the friction of one clutch unknown again, everything else kept."""
-        rows = friction_rows(clutch)
+        rows = FRICTION_ROWS[clutch - 1]
         mean, covariance = known.mean.copy(), known.covariance.copy()
         mean[rows] = self._type.mean[rows]
         covariance[rows, :] = 0.0
@@ -318,7 +318,7 @@ class Estimator:
             chi_square_ratio=ratio,
             quality=fit * min(1.0, window_s / FULL_WINDOW_S) / (1.0 + event.bad_frame_count / balance.sample_count),
             clutch_temperature_k=balance.final_clutch_k[clutch - 1],
-            slip_energy_j=balance.slip_energy_j(clutch, alone.knowledge.mean[friction_rows(clutch)]),
+            slip_energy_j=balance.slip_energy_j(clutch, alone.knowledge.mean[FRICTION_ROWS[clutch - 1]]),
         )
 
 
@@ -391,4 +391,4 @@ def without_friction(event: Event, status: Status, *reasons: Reason) -> ShiftEst
 
 def _mean(event: Event, signal: Signal) -> float | None:
     series = event.columns.get(signal)
-    return mean(series.value) if series is not None and len(series.value) else None
+    return float(series.value.mean()) if series is not None and len(series.value) else None

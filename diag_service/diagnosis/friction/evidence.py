@@ -14,7 +14,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
-from clutch_model.calibration import Calibration, ClutchCalibration, both_clutches
+from clutch_model.calibration import Calibration, ClutchCalibration
 from clutch_model.errors import CalibrationError
 
 FRICTION_PRIOR_STD = 0.05  # a third of any lining's friction: weak against a single shift
@@ -57,16 +57,12 @@ class Considered(IntEnum):
 STATE_COUNT = len(State)
 PARAMETER_COUNT = STATE_COUNT + len(Considered)
 FRICTION_COUNT = 4
+FRICTION_ROWS: Final = (slice(0, 2), slice(2, 4))  # (mu_C, mu_S) of clutch 1 and 2
 REFERENCE_K = 363.15  # of a pack at work, for which friction is stated
 NAMES = tuple(one.name.lower() for one in (*State, *Considered))
 """Names of all parameters, states first: the order of every joint vector."""
 NUISANCE_NAMES = NAMES[FRICTION_COUNT:]
 LEAST_JOINT_COUNT = 16  # names of the joint uncertainty in calibration files of the first versions
-
-
-def friction_rows(clutch: int) -> slice:
-    """Return the state rows (mu_C, mu_S) of clutch 1 or 2."""
-    return slice(2 * clutch - 2, 2 * clutch)
 
 
 def open_drag_ratio(at: FloatArray) -> float:
@@ -151,6 +147,7 @@ def displaced(calibration: Calibration, mean: FloatArray) -> Calibration:
     """
     by, bias = mean[STATE_COUNT:].tolist(), calibration.bias
     side, oil, (first, second) = calibration.input_side, calibration.viscosity, calibration.clutches
+    inertias_kg_m2 = side.input_shaft_inertias_kg_m2
     shafts_ratio = 1.0 + by[Considered.SHAFT_INERTIA]
     return replace(
         calibration,
@@ -162,7 +159,7 @@ def displaced(calibration: Calibration, mean: FloatArray) -> Calibration:
         input_side=replace(
             side,
             engine_inertia_kg_m2=side.engine_inertia_kg_m2 * (1.0 + by[Considered.ENGINE_INERTIA]),
-            input_shaft_inertias_kg_m2=both_clutches(one * shafts_ratio for one in side.input_shaft_inertias_kg_m2),
+            input_shaft_inertias_kg_m2=(inertias_kg_m2[0] * shafts_ratio, inertias_kg_m2[1] * shafts_ratio),
         ),
         bias=replace(
             bias,

@@ -15,11 +15,11 @@ from canlog.arrays import BoolArray, FloatArray
 from canlog.jit import array_kernel
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_PRIOR_STD,
+    FRICTION_ROWS,
     PARAMETER_COUNT,
     Evidence,
     Fusion,
     Knowledge,
-    friction_rows,
     fuse,
 )
 
@@ -269,7 +269,7 @@ def saved_by_step(known: Knowledge, since: Evidence, clutch: int) -> float:
 
     The least over that step and all parameters, by Schur's complement of the parameters: chi-square is quadratic.
     """
-    rows = friction_rows(clutch)
+    rows = FRICTION_ROWS[clutch - 1]
     by_step = since.matrix[rows]
     gradient = since.vector[rows] - by_step @ known.mean
     (a, b), (c, d) = (by_step[:, rows] - by_step @ known.covariance @ by_step.T + _PRIOR).tolist()
@@ -304,7 +304,7 @@ def after_change(known: Knowledge, clutch: int) -> Knowledge:
 def friction_variance(clutch: int, variance: float) -> FloatArray:
     """Return a variance for the friction of one clutch, none for all else, shape (PARAMETER_COUNT,)."""
     added = np.zeros(PARAMETER_COUNT)
-    added[friction_rows(clutch)] = variance
+    added[FRICTION_ROWS[clutch - 1]] = variance
     return added
 
 

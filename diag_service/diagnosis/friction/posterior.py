@@ -22,6 +22,7 @@ from clutch_model.friction import friction_law, stribeck_weights
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
+    FRICTION_ROWS,
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
@@ -29,7 +30,6 @@ from diag_service.diagnosis.friction.evidence import (
     Fusion,
     Knowledge,
     State,
-    friction_rows,
     fuse,
     prior_covariance,
     prior_mean,
@@ -67,7 +67,7 @@ class Baseline:
 
     @classmethod
     def of(cls, clutch: int, known: Knowledge, *, end_ns: int, count: int) -> Self:
-        rows = friction_rows(clutch)
+        rows = FRICTION_ROWS[clutch - 1]
         return cls(
             mean=known.mean[rows],
             covariance=known.covariance[rows, rows],
@@ -147,7 +147,7 @@ class Posterior:
     def shift_counts(self) -> tuple[int, int]:
         """Events that the friction of clutch 1 and 2 rests on."""
         used = [event.clutch for event, is_used in zip(self.recent, self.is_used, strict=True) if is_used]
-        return both_clutches(self.folded_counts[m] + used.count(m + 1) for m in range(2))
+        return self.folded_counts[0] + used.count(1), self.folded_counts[1] + used.count(2)
 
     def warmed(self, packs: PackTemperatures) -> Self:
         """Return the same with the temperatures of both packs."""
@@ -367,7 +367,7 @@ class _Pair(NamedTuple):
     @classmethod
     def of(cls, known: Knowledge, clutch: int, place: int, factor: float, slope: float) -> Self:
         """Return them, times a factor that has some slope over the parameter in this place."""
-        rows = friction_rows(clutch)
+        rows = FRICTION_ROWS[clutch - 1]
         own_c, own_s = known.mean[rows].tolist()
         (c_c, c_s), (_, s_s) = known.covariance[rows, rows].tolist()
         (c_f, s_f), f_f = known.covariance[rows, place].tolist(), float(known.covariance[place, place])
@@ -399,7 +399,8 @@ def both_frictions(state: Posterior, clutch: int) -> tuple[FrictionEstimate, Sca
 
 
 def _with_scale(state: Posterior, clutch: int, free: _Pair) -> FrictionEstimate:
-    known, gain = state.known, state.torque_gain + float(state.known.mean[_GAIN])
+    known = state.known
+    gain = state.torque_gain + float(known.mean[_GAIN])
     pair = _Pair.of(known, clutch, _GAIN, 1.0 / gain, -1.0 / gain**2)
     width = state.stribeck_speed_rad_s[clutch - 1] * (1.0 + float(known.mean[_WIDTH]))
     difference = NormalDist(pair.mu_c - pair.mu_s, math.sqrt(pair.variance_c + pair.variance_s - 2.0 * pair.covariance))
@@ -437,7 +438,8 @@ def _scale_free(pair: _Pair) -> ScaleFreeFriction:
 
 def _without_scale(state: Posterior, clutch: int) -> _Pair:
     area = _AREAS[clutch - 1]
-    return _Pair.of(state.known, clutch, area, 1.0 + float(state.known.mean[area]), 1.0)
+    known = state.known
+    return _Pair.of(known, clutch, area, 1.0 + float(known.mean[area]), 1.0)
 
 
 def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalDist:
@@ -446,7 +448,8 @@ def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalD
     ``new_margins`` are those of new fluid. The better known clutch weighs more, by its variance; what both share is in
     the deviation.
     """
-    known, gain = state.known, state.torque_gain + float(state.known.mean[_GAIN])
+    known = state.known
+    gain = state.torque_gain + float(known.mean[_GAIN])
     c_1, s_1, c_2, s_2 = known.mean[:FRICTION_COUNT].tolist()
     by_1, by_2 = (1.0 / (gain * new_margin) for new_margin in new_margins)
     left_1, left_2 = by_1 * (c_1 - s_1), by_2 * (c_2 - s_2)
@@ -461,7 +464,8 @@ def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalD
 
 def common_scale_std_ratio(state: Posterior, clutch: int) -> float:
     """Return the relative deviation of gain times piston area: what all friction of clutch 1 or 2 shares, for good."""
-    mean, covariance, area = state.known.mean, state.known.covariance, _AREAS[clutch - 1]
+    known, area = state.known, _AREAS[clutch - 1]
+    mean, covariance = known.mean, known.covariance
     by_gain, by_area = 1.0 / (state.torque_gain + float(mean[_GAIN])), 1.0 / (1.0 + float(mean[area]))
     gain, both, own = float(covariance[_GAIN, _GAIN]), float(covariance[_GAIN, area]), float(covariance[area, area])
     return math.sqrt(by_gain**2 * gain + 2.0 * by_gain * by_area * both + by_area**2 * own)
@@ -475,7 +479,7 @@ def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
     baseline, later_count = state.baselines[clutch - 1], state.later_count(clutch)
     if baseline is None or later_count <= 0:
         return None
-    known, rows = state.known, friction_rows(clutch)
+    known, rows = state.known, FRICTION_ROWS[clutch - 1]
     gain = state.torque_gain + float(known.mean[_GAIN])
     now, then = known.mean[rows].tolist(), baseline.mean.tolist()
     spread = known.covariance[rows, rows], baseline.covariance, state.cross(clutch)[rows]

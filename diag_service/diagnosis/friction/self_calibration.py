@@ -102,7 +102,7 @@ def _hub(signals: AlignedSignals, weights: Weights, calibration: Calibration) ->
     """Return the impulse of the hub and the noise in it."""
     side = calibration.input_side
     weight = weights.rate * side.hub_inertia_kg_m2 + weights.value * -side.hub_damping_nms_rad
-    (on_samples,) = weight.on_samples(signals.hub_speed)
+    (on_samples,) = signals.hub_speed.to_samples(weight.blocks, weight.grid_rows)
     return weight @ signals.hub_speed.on_grid[weights.rows], calibration.noise.hub_speed_rad_s * on_samples
 
 
@@ -138,7 +138,7 @@ def _closed_loads(signals: AlignedSignals, weights: Weights, calibration: Calibr
         speed_rad_s = speed.on_grid[weights.rows]
         known_nms = known_nms + weight @ speed_rad_s
         shaft_nms = shaft_nms + inertia @ speed_rad_s
-        (on_samples,) = weight.on_samples(speed)
+        (on_samples,) = speed.to_samples(weight.blocks, weight.grid_rows)
         shafts.append(calibration.noise.input_speed_rad_s * on_samples)
     return _Loads(known_nms=known_nms, shaft_nms=shaft_nms, hub=hub, shafts=tuple(shafts))
 
@@ -149,9 +149,9 @@ def _noise_and_overlap(
     """Return the covariance of the residual, shape (k, k), and what the derivatives share with it; eq. (31)."""
     bias, side, sensors = calibration.bias, calibration.input_side, calibration.noise
     motoring_weights = weights.value * (is_motoring / bias.motoring_gain)
-    (torque,) = weights.value.on_samples(signals.engine_torque)
-    (motoring,) = motoring_weights.on_samples(signals.engine_torque)
-    (engine,) = weights.rate.on_samples(signals.engine_speed)
+    (torque,) = signals.engine_torque.to_samples(weights.value.blocks, weights.value.grid_rows)
+    (motoring,) = signals.engine_torque.to_samples(motoring_weights.blocks, motoring_weights.grid_rows)
+    (engine,) = signals.engine_speed.to_samples(weights.rate.blocks, weights.rate.grid_rows)
     torque, motoring = sensors.engine_torque_nm * torque, sensors.engine_torque_nm * motoring
     engine = side.engine_inertia_kg_m2 * sensors.engine_speed_rad_s * engine
     turning = np.zeros((MOMENT_COUNT, MOMENT_COUNT))

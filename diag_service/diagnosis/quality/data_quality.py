@@ -30,11 +30,6 @@ from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.records import DataQuality, QualityPart, Reason
 
 
-def mean(values: FloatArray) -> float:
-    """Return the mean of values, shape (n,), n >= 1."""
-    return float(values.sum() / len(values))
-
-
 @kernel
 def median(values: FloatArray) -> float:
     """Return the median of finite values, shape (n,), n >= 1."""
@@ -203,7 +198,7 @@ def _hub(columns: Columns, limits: QualityLimits) -> float | None:
     engine, hub = columns.get(Signal.ENGINE_SPEED), columns.get(Signal.HUB_SPEED)
     if engine is None or hub is None or not len(engine.t_ns) or not len(hub.t_ns):
         return None
-    return limits.hub_mean_rad_s.score(abs(mean(_apart(engine, hub))))
+    return limits.hub_mean_rad_s.score(abs(float(_apart(engine, hub).mean())))
 
 
 def _pressures(columns: Columns, limits: QualityLimits) -> float | None:
@@ -288,7 +283,7 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
         silence_s = longest_silence_s(times_s, -2.0 * period_s, duration_s)
         if silence_s > limits.lost_periods * period_s:
             return Reason.FRAMES_MISSING if is_whole else Reason.INTERRUPTED
-    oil_k = mean(oil.value)
+    oil_k = float(oil.value.mean())
     if not limits.oil_range_k[0] <= oil_k <= limits.oil_range_k[1]:
         return Reason.OUT_OF_RANGE
     return Samples(event=event, times=sampled, oil_k=oil_k)

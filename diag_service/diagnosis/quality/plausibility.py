@@ -17,7 +17,7 @@ from clutch_model.calibration import clutch_of_gear
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
-from diag_service.diagnosis.quality.data_quality import LIMITS, SHAFT_GEARS, QualityLimits, mean, median
+from diag_service.diagnosis.quality.data_quality import LIMITS, SHAFT_GEARS, QualityLimits, median
 from diag_service.diagnosis.records import Reason
 
 _LEAST: Final = 0.0  # what a sensor of pressure or speed cannot show less of: it repeats that with reason
@@ -134,17 +134,17 @@ def speed_gap_rad_s(
     gaps = [shaft_gap_rad_s(signals, rows, limits) for rows in geared_stretches(event, grid_s, clutch, limits)]
     if event.from_gear != event.to_gear and event.kind is not EventKind.REGEAR:
         locked = signals.slip_rad_s[clutch_of_gear(event.from_gear) - 1]
-        gaps.append(abs(mean(locked[: grid_s.searchsorted(grid_s[0] + limits.locked_s)])))
+        gaps.append(abs(float(locked[: grid_s.searchsorted(grid_s[0] + limits.locked_s)].mean())))
     if event.kind not in _WITHOUT_LOCK and event.end_reason is EndReason.COMPLETE:
         closed = signals.slip_rad_s[clutch_of_gear(event.to_gear) - 1][grid_s.searchsorted(end_s - limits.locked_s) :]
-        gaps.append(0.0 if _is_settling(closed, limits) else abs(mean(closed)))
+        gaps.append(0.0 if _is_settling(closed, limits) else abs(float(closed.mean())))
     return max(gaps, default=0.0)
 
 
 def _is_settling(slip_rad_s: FloatArray, limits: QualityLimits) -> bool:
     """Return whether a clutch still slips, as in a coast change; what a sensor reads too much changes less fast."""
     middle = len(slip_rad_s) // 2
-    return abs(mean(slip_rad_s[middle:]) - mean(slip_rad_s[:middle])) > limits.settling_rad_s
+    return abs(float(slip_rad_s[middle:].mean() - slip_rad_s[:middle].mean())) > limits.settling_rad_s
 
 
 def hub_gap_rad_s(signals: AlignedSignals, limits: QualityLimits = LIMITS) -> float:

@@ -8,7 +8,7 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge
 from diag_service.diagnosis.condition.verdict import LEAST_SHIFT_COUNT
-from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, STATE_COUNT, Considered, Knowledge, friction_rows
+from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, FRICTION_ROWS, STATE_COUNT, Considered, Knowledge
 from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, Baseline, Posterior
 from diag_service.diagnosis.records import Condition, Reason, Status
 from tests.support.builders import rejected, shift_estimate, shift_result
@@ -92,7 +92,7 @@ def test_what_one_clutch_alone_says_early_is_not_called_good_if_the_other_contra
     state = believed(0.140, 0.119, std=0.0025)
     assert condition_of(state) is Condition.GOOD
     mean = state.known.mean.copy()
-    mean[friction_rows(2)] = (0.133, 0.124)
+    mean[FRICTION_ROWS[1]] = (0.133, 0.124)
     contradicted = Posterior.of(replace(state.known, mean=mean), CALIBRATION)
     assert condition_of(replace(contradicted, folded_counts=(5, 5))) is Condition.NO_VERDICT
 
@@ -103,7 +103,7 @@ def test_what_one_clutch_alone_says_early_is_no_alarm_if_the_other_contradicts_i
         state = believed(0.133, 0.127, std=std)
         assert condition_of(state) is Condition.WATCH
         mean = state.known.mean.copy()
-        mean[friction_rows(2)] = (0.140, 0.119)
+        mean[FRICTION_ROWS[1]] = (0.140, 0.119)
         contradicted = Posterior.of(replace(state.known, mean=mean), CALIBRATION)
         assert condition_of(replace(contradicted, folded_counts=(5, 5))) is expected
 

@@ -11,7 +11,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import FULL_WINDOW_S, without_friction
-from diag_service.diagnosis.friction.evidence import Knowledge, State, friction_rows
+from diag_service.diagnosis.friction.evidence import FRICTION_ROWS, Knowledge, State
 from diag_service.diagnosis.friction.judgement import STEP_COUNT
 from diag_service.diagnosis.friction.posterior import friction
 from diag_service.diagnosis.quality.data_quality import usable_samples
@@ -23,7 +23,7 @@ ESTIMATOR = Estimator(CALIBRATION)
 FRESH = Posterior.fresh(CALIBRATION)
 CLUTCH = 2  # the first shift goes to second gear
 TOUCH_PA = CALIBRATION.clutches[CLUTCH - 1].touch_pressure_pa
-ROWS = friction_rows(CLUTCH)
+ROWS = FRICTION_ROWS[CLUTCH - 1]
 
 
 def estimated(event: Event, state: Posterior = FRESH) -> tuple[Posterior, ShiftEstimate]:
@@ -59,7 +59,7 @@ def test_a_sound_shift_is_valid_and_enters_the_state() -> None:
     assert state.packs.at_ns == event.end_ns
     assert estimate.clutch_temperature_k == state.packs.clutch_k[CLUTCH - 1]
     assert astuple(friction(state, CLUTCH)) == pytest.approx(astuple(estimate.friction), rel=1e-9)  # nothing else yet
-    other = friction_rows(1)  # the other clutch was let go
+    other = FRICTION_ROWS[0]  # the other clutch was let go
     assert state.known.mean[other] == pytest.approx(FRESH.known.mean[other], abs=1e-3)
     assert state.known.std()[other] == pytest.approx(FRESH.known.std()[other], rel=0.02)
     assert 0.0 < estimate.quality <= 1.0

@@ -9,6 +9,7 @@ import pytest
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.friction.evidence import (
+    FRICTION_ROWS,
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
@@ -16,7 +17,6 @@ from diag_service.diagnosis.friction.evidence import (
     Knowledge,
     Measurement,
     State,
-    friction_rows,
     fuse,
     prior_covariance,
     prior_mean,
@@ -43,7 +43,7 @@ def base() -> Knowledge:
 def event(number: int, clutch: int, mu: FloatArray, rng: np.random.Generator) -> JudgedEvent:
     """Return an event that saw friction ten times over and nothing else."""
     slope = np.zeros((20, PARAMETER_COUNT))
-    slope[:, friction_rows(clutch)] = np.tile(np.eye(2), (10, 1))
+    slope[:, FRICTION_ROWS[clutch - 1]] = np.tile(np.eye(2), (10, 1))
     noise = np.eye(20) * (10.0 * STD**2)
     at = base().mean
     seen = np.tile(mu, 10) + rng.normal(size=20) * np.sqrt(10.0) * STD

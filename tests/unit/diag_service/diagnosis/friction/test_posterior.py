@@ -10,12 +10,12 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import (
+    FRICTION_ROWS,
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
     Evidence,
     Measurement,
-    friction_rows,
     fuse,
 )
 from diag_service.diagnosis.friction.judgement import JudgedEvent
@@ -31,10 +31,10 @@ def event(number: int, clutch: int, mu: np.ndarray, rng: np.random.Generator) ->
     """Return an event that sees friction and, less sharply, something of everything else."""
     at, std = Posterior.fresh(CALIBRATION).known.mean, Posterior.fresh(CALIBRATION).known.std()
     slope = 0.05 * rng.normal(size=(24, PARAMETER_COUNT)) / std
-    slope[:, friction_rows(1)] = slope[:, friction_rows(2)] = 0.0
-    slope[:, friction_rows(clutch)] = np.tile(np.eye(2), (12, 1)) / STD / np.sqrt(12.0)
+    slope[:, FRICTION_ROWS[0]] = slope[:, FRICTION_ROWS[1]] = 0.0
+    slope[:, FRICTION_ROWS[clutch - 1]] = np.tile(np.eye(2), (12, 1)) / STD / np.sqrt(12.0)
     truth = at.copy()
-    truth[friction_rows(clutch)] = mu
+    truth[FRICTION_ROWS[clutch - 1]] = mu
     residual = slope @ (truth - at) + rng.normal(size=24)
     measured = Measurement(residual=residual, slope=slope, noise=np.eye(24))
     return JudgedEvent(clutch=clutch, end_ns=number, evidence=Evidence.of([measured], at))
@@ -87,7 +87,7 @@ def test_a_change_begins_the_count_anew_and_keeps_the_rest() -> None:
     before = driven(20)
     state = driven(26, mu=lambda number: MU * (0.8 if number >= 20 and number % 2 else 1.0))
     assert state.shift_counts == (13, 3)
-    assert state.known.mean[friction_rows(2)] == pytest.approx(0.8 * MU, abs=5.0 * STD)
+    assert state.known.mean[FRICTION_ROWS[1]] == pytest.approx(0.8 * MU, abs=5.0 * STD)
     latency = STATE_COUNT + Considered.TORQUE_LATENCY
     assert state.known.std()[latency] <= before.known.std()[latency]
 

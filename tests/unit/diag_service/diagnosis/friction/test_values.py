@@ -12,12 +12,12 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
+    FRICTION_ROWS,
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
     Evidence,
     Knowledge,
-    friction_rows,
     fuse,
     prior_covariance,
 )
@@ -212,7 +212,7 @@ def test_the_common_scale_is_that_of_gain_and_piston_area(clutch: int) -> None:
 @pytest.mark.parametrize("clutch", [1, 2])
 def test_a_piston_area_that_is_the_lever_of_friction_only_leaves_the_scale_free_value_certain(clutch: int) -> None:
     """More area than believed looks like more friction: their product is what the torque shows."""
-    rows = friction_rows(clutch)
+    rows = FRICTION_ROWS[clutch - 1]
     slope = np.zeros((FRICTION_COUNT, len(Considered)))
     slope[rows, AREAS[clutch - 1] - STATE_COUNT] = -FRESH.known.mean[rows]
     state = driven_by(slope, noise=1e-3)

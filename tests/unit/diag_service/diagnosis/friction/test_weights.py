@@ -100,12 +100,17 @@ def test_functions_are_a_matrix_of_which_most_is_zero() -> None:
     first = np.searchsorted(signal.times_s, GRID[INSIDE][0], side="right") - 1
     (whole,) = signal.to_samples([matrix], [INSIDE])
     for rows, piece, block in zip(
-        (slice(0, 5), slice(5, 12)), PIECES.pieces, functions.on_samples(signal), strict=True
+        (slice(0, 5), slice(5, 12)),
+        PIECES.pieces,
+        signal.to_samples(functions.blocks, functions.grid_rows),
+        strict=True,
     ):
         begin = signal.left[piece.first] - first
         assert block == pytest.approx(whole[rows, begin : begin + block.shape[1]])
         assert np.abs(block).sum() == pytest.approx(np.abs(whole[rows]).sum())
-    for piece, means in zip(PIECES.pieces, functions.around_samples(GRID[INSIDE], signal), strict=True):
+    for piece, means in zip(
+        PIECES.pieces, signal.around_samples(GRID[INSIDE], functions.places, functions.grid_rows), strict=True
+    ):
         times_s = signal.times_s[signal.left[piece.first] :][: len(means)]
         assert means[1:-2] == pytest.approx(times_s[1:-2], abs=4e-3)  # the ends of a piece cut one short
     for block, piece, fit in zip(functions.blocks, PIECES.pieces, functions.fitted_on_samples(2, signal), strict=True):
