@@ -9,11 +9,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canlog.jit import kernel, unchecked_kernel
-from clutch_model.calibration import FrictionCurve
+from clutch_model.calibration import FrictionCurve, clutch_of_gear
 from clutch_model.row_functions import row_exponential, row_logarithm
 from clutch_model.units import Quantity
 
 _NEXT_TO_ZERO: Final = 1e-290  # [rad/s]: has a logarithm, and a weight of 1
+gear_clutch = kernel(clutch_of_gear)  # for other kernels: the only law of the gearbox that they call
 
 
 class FrictionLaw(NamedTuple):

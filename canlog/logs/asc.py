@@ -21,6 +21,7 @@ LONGEST_SHOWN = 60  # bytes of a date
 HEADER = re.compile(rb"(?:date|base|no\s+internal|internal|begin|end|previous|split)\b|//", re.IGNORECASE)
 START = re.compile(rb"(?:date|begin\s+triggerblock)\s+(?P<date>\S.*)", re.IGNORECASE)
 BASE_LINE = re.compile(rb"base\s+(?P<base>hex|dec)(?:\s+timestamps\s+(?P<kind>absolute|relative))?", re.IGNORECASE)
+FIRST_LINE = re.compile(rb"base\s+(?:hex|dec)|(?:date|begin\s+triggerblock)\s+\S", re.IGNORECASE)
 WHOLE_BYTE_AT_END = re.compile(rb"\s[0-9a-f]{2}\s*$", re.IGNORECASE)
 
 

@@ -12,26 +12,26 @@ from types import MappingProxyType
 from canlog.database.signal_columns import SignalColumn
 from canlog.errors import SourceError
 from canlog.logs import sqlite
-from canlog.logs.asc import AscLog, is_asc_header
+from canlog.logs.asc import FIRST_LINE, AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog
 from canlog.logs.captures import capture_of
 from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, is_traffic, proposed
 from canlog.logs.columns.busmaster import Busmaster
-from canlog.logs.columns.clx000 import Clx000, is_clx000_header
-from canlog.logs.columns.csv_tables import GvretCsv, PythonCanCsv, is_gvret_header, is_python_can_header
+from canlog.logs.columns.clx000 import CLX000_HEADER, Clx000
+from canlog.logs.columns.csv_tables import GVRET_HEADER, PYTHON_CAN_HEADER, GvretCsv, PythonCanCsv
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.nmea2000 import Actisense, Canboat, YachtDevices
 from canlog.logs.columns.programs import (
+    CANHACKER_HEADER,
     CANKING,
+    CANKING_HEADER,
     CARBUS,
+    CARBUS_HEADER,
     CRTD,
+    MICROCHIP_HEADER,
     CanHacker,
     Microchip,
-    is_canhacker_header,
-    is_canking_header,
-    is_carbus_header,
-    is_microchip_header,
 )
 from canlog.logs.columns.trc import Trc
 from canlog.logs.console import ConsoleLog
@@ -101,18 +101,18 @@ TEXT_LOGS: Mapping[LogFormat, Callable[[], TextLog]] = MappingProxyType(
 )
 NAMED_ONLY = frozenset({LogFormat.COLUMNS, LogFormat.CLX000})  # columns of any name, and times of any digits
 UNNAMED = tuple(log_format for log_format in TEXT_LOGS if log_format not in NAMED_ONLY)
-HEADERS: Mapping[LogFormat, Callable[[bytes], bool]] = MappingProxyType(
+HEADERS: Mapping[LogFormat, re.Pattern[bytes]] = MappingProxyType(
     {
-        LogFormat.ASC: is_asc_header,
-        LogFormat.TRC: lambda line: line.upper().startswith(b";$FILEVERSION"),
-        LogFormat.CSV: is_python_can_header,
-        LogFormat.GVRET: is_gvret_header,
-        LogFormat.BUSMASTER: lambda line: line.startswith(b"***BUSMASTER"),
-        LogFormat.CARBUS: is_carbus_header,
-        LogFormat.CANHACKER: is_canhacker_header,
-        LogFormat.MICROCHIP: is_microchip_header,
-        LogFormat.CLX000: is_clx000_header,
-        LogFormat.CANKING: is_canking_header,
+        LogFormat.ASC: FIRST_LINE,
+        LogFormat.TRC: re.compile(rb";\$FILEVERSION", re.IGNORECASE),
+        LogFormat.CSV: PYTHON_CAN_HEADER,
+        LogFormat.GVRET: GVRET_HEADER,
+        LogFormat.BUSMASTER: re.compile(rb"\*\*\*BUSMASTER"),
+        LogFormat.CARBUS: CARBUS_HEADER,
+        LogFormat.CANHACKER: CANHACKER_HEADER,
+        LogFormat.MICROCHIP: MICROCHIP_HEADER,
+        LogFormat.CLX000: CLX000_HEADER,
+        LogFormat.CANKING: CANKING_HEADER,
     }
 )
 
@@ -230,8 +230,8 @@ def detect_text(probe: bytes) -> Detected:
         raise SourceError("a text in UTF-16: convert it to UTF-8, for example by iconv -f UTF-16 -t UTF-8")
     text = probe.removeprefix(BYTE_ORDER_MARK)
     for number, line in enumerate(text.splitlines()[:HEADER_LINES], 1):
-        for log_format, is_header in HEADERS.items():
-            if is_header(line.strip()):
+        for log_format, first in HEADERS.items():
+            if first.match(line.strip()) and (log_format is not LogFormat.ASC or is_asc_header(line.strip())):
                 return Detected(format=log_format, evidence=f"line {number} is its header")
     lines = first_lines(text, is_cut=len(probe) >= PROBE_BYTES)
     hint, most = "", 0

@@ -74,7 +74,9 @@ class DecodeAccount:
     def add_values(self, found: MessageValues) -> None:
         """Count the values of some frames of one message."""
         for name, decoded in found.signals.items():
-            counts = self.of_signal(found.slot, name)
+            place = found.slot, name
+            if (counts := self.signals.get(place)) is None:
+                counts = self.signals[place] = SignalCounts()
             present = decoded.is_present
             counts.values += len(found.rows) if present is None else int(np.count_nonzero(present))
             counts.out_of_range += decoded.invalid.out_of_range

@@ -15,10 +15,8 @@ from cantools.database.can.signal import Signal
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt32Array
 from canlog.database.addressing import sort_by_slot
-from canlog.decode.bit_fields import PayloadWords
 from canlog.decode.codec import MessageTable, MessageValues
-from canlog.decode.signal_table import SignalTable
-from canlog.decode.value_codes import FloatCode
+from canlog.decode.signals import FloatCode, PayloadWords, SignalTable
 from canlog.frames import EXTENDED_FLAG
 from canlog.parquet_file import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
 from canlog.tables.frame_stock import FrameGroup
@@ -153,7 +151,8 @@ class WideLayout(TableLayout):
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
         """What is to be known of columns."""
-        return {self.names.columns[place]: {UNIT: unit} for place in self._places if (unit := self.unit(place))}
+        units = ((place, self._tables[place[0]].definitions[place[1]].unit) for place in self._places)
+        return {self.names.columns[place]: {UNIT: unit} for place, unit in units if unit}
 
     def columns(self, group: FrameGroup, found: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
         """Return the number of rows and the columns of one row group, in their order."""
@@ -167,8 +166,9 @@ class WideLayout(TableLayout):
             self._fill(cells, one, row_of[one.rows])
         columns = self._frame_columns(group, frames[order])
         columns[MESSAGE] = _name_column([self.names.messages[one.slot] for one in found], which[order])
+        numbers = cells.numbers(self._places)
         for place in self._places:
-            columns[self.names.columns[place]] = cells.numbers(place)
+            columns[self.names.columns[place]] = numbers[place]
             if place in self.texts:
                 columns[self.names.columns[place] + TEXT_SUFFIX] = cells.texts(place, self.texts[place].names)
         return len(frames), columns
@@ -286,11 +286,19 @@ class _Cells:
         """Fill in some rows of a signal's texts."""
         self._codes.setdefault(place, np.full(self._count, NAMELESS, np.int32))[rows] = codes
 
-    def numbers(self, place: Place) -> Column:
-        """Return the numbers of a signal."""
-        if place not in self._value:
-            return load_pyarrow().nulls(self._count, "float64")
-        return _column(self._value[place], self._is_there[place])
+    def numbers(self, places: Sequence[Place]) -> dict[Place, Column]:
+        """Return the numbers of signals; they are not copied, and the bits of what is there are packed fast."""
+        arrow = load_pyarrow()
+        found: dict[Place, Column] = {}
+        for place in places:
+            value = self._value.get(place)
+            if value is None:
+                found[place] = arrow.nulls(self._count, "float64")
+                continue
+            is_there = np.packbits(self._is_there[place], bitorder="little")
+            buffers = [arrow.py_buffer(is_there), arrow.py_buffer(value)]
+            found[place] = arrow.Array.from_buffers(arrow.float64(), self._count, buffers)
+        return found
 
     def texts(self, place: Place, names: Sequence[str]) -> Column:
         """Return the texts of a signal."""

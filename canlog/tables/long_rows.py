@@ -8,8 +8,8 @@ import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.database.addressing import NOBODY
-from canlog.decode.bit_fields import PayloadWords
 from canlog.decode.codec import Codec, FrameMatch, MessageValues
+from canlog.decode.signals import PayloadWords
 from canlog.frames import COLUMNS, FrameBatch, empty_batch
 from canlog.transport import Reassembler, Transfer, TransferCounts
 from canlog.transport.long_messages import fast_groups

@@ -58,12 +58,15 @@ def table_names(tables: Sequence[MessageTable]) -> TableNames:
     used: set[str] = set()
     for (slot, signal), column in wanted.items():
         is_ambiguous = taken[column] > 1 or taken[column + TEXT_SUFFIX] > 1
-        name = _unused(f"{_with_identifier(tables[slot].message)}.{signal}" if is_ambiguous else column, used)
+        name = f"{_with_identifier(tables[slot].message)}.{signal}" if is_ambiguous else column
+        if name in used or name + TEXT_SUFFIX in used:
+            name = _unused(name, used)
         columns[slot, signal] = name
         used |= {name, name + TEXT_SUFFIX}
     distinct: dict[str, None] = {}
     for name in messages:
-        distinct[_unused(name, distinct.keys())] = None
+        is_taken = name in distinct or name + TEXT_SUFFIX in distinct
+        distinct[_unused(name, distinct.keys()) if is_taken else name] = None
     return TableNames(messages=tuple(distinct), columns=columns)
 
 

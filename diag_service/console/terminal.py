@@ -47,7 +47,7 @@ class PeopleConsole(Console):
             for segments in self.render_lines(what, self.options.update(width=width, max_width=width), pad=False):
                 yield _text_of(segments)
             return
-        text = what if isinstance(what, Text) else Text("".join(map(_shown, legible(what))), style)
+        text = what if isinstance(what, Text) else Text(_shown(legible(what)), style)
         yield from text.split("\n", allow_blank=True) if text.plain else [text]
 
 
@@ -75,9 +75,9 @@ def _text_of(segments: list[Segment]) -> Text:
     return text
 
 
-def _shown(char: str) -> str:
-    """Return a character as it may stand before a terminal, which would act on some."""
-    return char if char.isprintable() or char == "\n" else ascii(char)[1:-1]
+def _shown(text: str) -> str:
+    """Return a text as it may stand before a terminal, which would act on some characters."""
+    return "".join(char if char.isprintable() or char == "\n" else ascii(char)[1:-1] for char in text)
 
 
 class ReadingLine:

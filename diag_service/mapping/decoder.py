@@ -9,8 +9,7 @@ from cantools.database.can import Database
 
 from canlog.arrays import Int64Array, Series
 from canlog.database.addressing import kernel_filters
-from canlog.decode.bit_fields import PayloadWords
-from canlog.decode.signal_table import NO_INVALID, InvalidCounts
+from canlog.decode.signals import NO_INVALID, InvalidCounts, PayloadWords
 from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from canlog.error_frames import BusTrouble, reports

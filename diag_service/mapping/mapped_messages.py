@@ -11,8 +11,7 @@ from cantools.database.can.signal import Signal as DatabaseSignal
 from canlog.arrays import BoolArray, FloatArray
 from canlog.database.addressing import MessageAddress, message_address, parameter_group
 from canlog.database.not_available import no_value_codes
-from canlog.decode.bit_fields import PayloadWords
-from canlog.decode.signal_table import Decoded, InvalidCounts, SignalTable, compile_signal
+from canlog.decode.signals import Decoded, InvalidCounts, PayloadWords, SignalTable, compile_signal
 from canlog.errors import DefinitionError
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError

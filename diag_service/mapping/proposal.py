@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray, Series
-from canlog.decode.signal_table import NO_INVALID, Decoded, InvalidCounts
+from canlog.decode.signals import NO_INVALID, Decoded, InvalidCounts
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import SignalSource, to_si

@@ -7,9 +7,8 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt8Array, UInt32Array
 from canlog.database.addressing import NOBODY, sort_by_slot
-from canlog.decode.bit_fields import pick_words
-from canlog.decode.signal_block import SignalRules, decode_signal, is_plain, signal_rules
-from canlog.decode.signal_table import InvalidCounts
+from canlog.decode.codec import SignalRules, decode_signal, signal_rules
+from canlog.decode.signals import InvalidCounts, pick_words
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 from canlog.frames import ERROR_FLAG, MAX_GAP_NS, FrameBatch, empty_batch
 from canlog.jit import array_kernel, inlined_kernel
@@ -77,7 +76,7 @@ class SamplePass:
 def is_able(table: SourceTable) -> bool:
     """Return whether a signal is plain enough: an integer of its own, in one word, always in its message."""
     is_alone = (table.less, table.times, table.valid, table.invalid) == (None, None, None, ())
-    return is_alone and not table.main.selectors and is_plain(table.main)
+    return is_alone and not table.main.selectors and table.main.is_plain
 
 
 @array_kernel

@@ -8,17 +8,15 @@ import math
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, kernel
-from clutch_model.calibration import clutch_of_gear
+from clutch_model.friction import gear_clutch
 from ecu_emulator.shift_control import tcu_data as at
 from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters
-
-_gear_clutch = kernel(clutch_of_gear)  # for other kernels
 
 
 @kernel
 def clutch_of(gear: int) -> int:
     """Return the index of the clutch that carries a gear: 0 for clutch 1."""
-    return _gear_clutch(gear) - 1
+    return gear_clutch(gear) - 1
 
 
 @array_kernel

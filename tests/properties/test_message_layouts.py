@@ -8,9 +8,8 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canlog.decode.bit_fields import PayloadWords
-from canlog.decode.codec import message_table
-from canlog.decode.signal_block import SignalBlock
+from canlog.decode.codec import SignalBlock, message_table
+from canlog.decode.signals import PayloadWords
 from tests.support.cantools_oracle import reference, same_bits
 
 FD_LENGTHS = [1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64]

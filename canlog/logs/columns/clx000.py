@@ -17,6 +17,7 @@ from canlog.logs.columns.roles import DAY_US, HEXADECIMAL, MINUTE_US, Column, La
 
 SENT: Final = 0x8  # of a frame's type; its lowest bit says that the identifier has 29 bits
 ENTRY: Final = re.compile(rb"^# (Value separator|Time): *\"?([^\"\r\n]*)", re.MULTILINE)
+CLX000_HEADER: Final = re.compile(rb"# Logger type: (?:CL|CANLogger)")
 START: Final = re.compile(r"(\d{4})(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)")
 ROLES: Final = MappingProxyType(
     {
@@ -90,8 +91,3 @@ class Clx000(TableLog):
 def _local_us(year: int, month: int, day: int, hour: int, minute: int, second: int) -> int | None:
     """Return a time of a clock on the wall [us]; None if there is no such day."""
     return date_us(b"%d-%02d-%02d %02d:%02d:%02d" % (year, month, day, hour, minute, second))
-
-
-def is_clx000_header(line: bytes) -> bool:
-    """Return whether a line is the first of a log of a CLX000."""
-    return line.startswith((b"# Logger type: CL", b"# Logger type: CANLogger"))

@@ -5,6 +5,7 @@ it made relative to a later frame begins below zero. Other programs write millis
 the load of the bus tells.
 """
 
+import re
 from dataclasses import replace
 
 from canlog.logs.columns.header import in_unit
@@ -13,8 +14,8 @@ from canlog.logs.columns.roles import COMMA, HEXADECIMAL, MICROSECONDS, SECONDS,
 from canlog.logs.text_log import frames_of
 from canlog.logs.time_unit import likely_unit
 
-PYTHON_CAN_HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
-GVRET_HEADER = b"time stamp,id,extended,"
+PYTHON_CAN_HEADER = re.compile(rb"\s*timestamp,arbitration_id,extended,remote,error,dlc,data\s*\Z", re.IGNORECASE)
+GVRET_HEADER = re.compile(rb"\s*time stamp,id,extended,", re.IGNORECASE)
 
 PYTHON_CAN = Layout(
     columns=(
@@ -48,7 +49,7 @@ class PythonCanCsv(TableLog):
 
     def read_comment(self, line: bytes) -> bool:
         """Take up what a line without a frame says; return whether it belongs to the format."""
-        return is_python_can_header(line)
+        return PYTHON_CAN_HEADER.match(line) is not None
 
 
 class GvretCsv(TableLog):
@@ -60,7 +61,7 @@ class GvretCsv(TableLog):
 
     def read_comment(self, line: bytes) -> bool:
         """Take up what a line without a frame says; return whether it belongs to the format."""
-        if not is_gvret_header(line):
+        if not GVRET_HEADER.match(line):
             return False
         self._set_layout(GVRET_WITH_DIRECTION if b",dir," in line.lower() else GVRET)
         return True
@@ -73,12 +74,3 @@ class GvretCsv(TableLog):
 
     def _set_layout(self, layout: Layout) -> None:
         self.set_layout(replace(layout, columns=in_unit(layout.columns, self._unit)))
-
-
-def is_python_can_header(line: bytes) -> bool:
-    return line.strip().lower() == PYTHON_CAN_HEADER
-
-
-def is_gvret_header(line: bytes) -> bool:
-    """Return whether a line is the first of a GVRET log."""
-    return line.strip().lower().startswith(GVRET_HEADER)

@@ -53,11 +53,7 @@ CARBUS = Layout(
 )
 
 
-def is_carbus_header(line: bytes) -> bool:
-    """Return whether a line is the first of a trace of CARBUS Analyzer."""
-    return line.upper().startswith(b"@ TEXT @")
-
-
+CARBUS_HEADER = re.compile(rb"@ TEXT @", re.IGNORECASE)
 CANHACKER_HEADER = re.compile(rb"\s*time\s+id\s+dlc\s+data\b", re.IGNORECASE)
 CANHACKER_TIME = re.compile(rb"^\s*(\d+)[.,]\d+\s", re.MULTILINE)
 MINUTE_S = 60
@@ -86,10 +82,6 @@ class CanHacker(TableLog):
             self.set_layout(replace(self.layout, wrap_us=MINUTE_US))
 
 
-def is_canhacker_header(line: bytes) -> bool:
-    return CANHACKER_HEADER.match(line) is not None
-
-
 CANKING_HEADER = re.compile(rb"\s*chn\s+identifier\s+flg\s+dlc\b", re.IGNORECASE)
 CANKING = Layout(
     columns=(
@@ -107,10 +99,7 @@ CANKING = Layout(
 )
 
 
-def is_canking_header(line: bytes) -> bool:
-    return CANKING_HEADER.match(line) is not None
-
-
+MICROCHIP_HEADER = re.compile(rb"Microchip Technology Inc")
 MICROCHIP_LINE = re.compile(rb"^\s*\d+;[RT]X;", re.MULTILINE)
 MICROCHIP_START = re.compile(
     rb"Logging Started:\s*(?P<date>\d{1,2}/\d{1,2}/\d{4}\s+\d{1,2}:\d{1,2}:\d{1,2}(?:\s+[AP]M)?)", re.IGNORECASE
@@ -145,11 +134,6 @@ class Microchip(TableLog):
                 self.notes.append(f"the date {start[0].decode()!r} may be two days: times count from 1970")
             else:
                 self.set_base(start_us)
-
-
-def is_microchip_header(line: bytes) -> bool:
-    """Return whether a line says that Microchip's CAN Bus Analyzer wrote the log, or another for it."""
-    return line.startswith(b"Microchip Technology Inc")
 
 
 CRTD = Layout(

@@ -13,8 +13,9 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
-from canlog.jit import array_kernel, inlined_kernel, kernel
+from canlog.jit import array_kernel, inlined_kernel
 from clutch_model.calibration import Calibration, clutch_of_gear
+from clutch_model.friction import gear_clutch
 from diag_service.diagnosis.columns import DriveState, Signal
 from diag_service.diagnosis.shifts.history import History
 from diag_service.diagnosis.shifts.tracking import compile_now, hold
@@ -36,7 +37,6 @@ _PEDAL_ROW: Final = 5
 _STATE_ROW: Final = 6
 _STATE_SIZE: Final = 4  # grip, grip of the gear's clutch, gear, whether force is asked for
 _NOTHING_YET: Final = -2
-_gear_clutch = kernel(clutch_of_gear)  # for other kernels
 
 
 class Grip(IntEnum):
@@ -162,7 +162,7 @@ def find_changes(
     count = 0
     for place in range(len(engine_rad_s)):
         gear = 0 if np.isnan(held[_GEAR_ROW, place]) else int(held[_GEAR_ROW, place])
-        own = _gear_clutch(gear) - 1
+        own = gear_clutch(gear) - 1
         any_grip, gear_grip = _OPEN, _OPEN
         for clutch in range(2):
             if held[_LOADS_ROW + clutch, place] > above[clutch] and (clutch == own or not are_shared):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cantools.database.can import Database, Message, Signal
 
-from canlog.decode.bit_fields import BitField, PayloadWords, place_signal
+from canlog.decode.signals import BitField, PayloadWords, place_signal
 from tests.support.wire import DATABASE
 
 CORNERS: Final = cantools.database.load_file(Path(__file__).parents[3] / "data" / "corners.dbc", strict=False)

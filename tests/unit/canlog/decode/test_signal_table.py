@@ -14,8 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from canlog.decode.bit_fields import PayloadWords
-from canlog.decode.signal_table import InvalidCounts, compile_signal
+from canlog.decode.signals import InvalidCounts, PayloadWords, compile_signal
 from canlog.errors import DefinitionError
 from tests.support.wire import CONTRACTS, DATABASE
 

@@ -7,8 +7,7 @@ from cantools.database.can import Database, Message
 
 from canlog.arrays import UInt8Array
 from canlog.database.loading import load_database
-from canlog.decode.bit_fields import PayloadWords
-from canlog.decode.signal_table import InvalidCounts
+from canlog.decode.signals import InvalidCounts, PayloadWords
 from diag_service.errors import ConfigError
 from diag_service.mapping.mapped_messages import compile_source, find_message, signal_name
 from diag_service.mapping.profile import PROFILE_FOLDER, SignalSource

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from canlog.database.loading import load_database
-from canlog.decode.bit_fields import PayloadWords
-from canlog.decode.signal_table import InvalidCounts
+from canlog.decode.signals import InvalidCounts, PayloadWords
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from dbc.contract import load_contract
