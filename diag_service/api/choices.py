@@ -7,9 +7,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Literal
 
-from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
+from clutch_model.calibration import Calibration, nominal_calibration
 from diag_service.delivery import Acknowledge
+from diag_service.diagnosis.columns import GearRatios
 from diag_service.errors import ConfigError
+from diag_service.mapping.vehicle_file import read_description
 from diag_service.settings.config import DiagnosisConfig, PollConfig, broker_of, vehicle_of
 
 if TYPE_CHECKING:
@@ -80,10 +82,12 @@ def configuration(
     store_budget_mib: int | None = None,
 ) -> DiagnosisConfig:
     """Return how frames become results; raises ConfigError or CalibrationError."""
-    chosen = _calibration(calibration)
+    chosen, gears = _described(calibration)
     return DiagnosisConfig(
         vehicle=vehicle_of(vehicle, chosen),
         calibration=chosen,
+        gears=gears,
+        vehicle_file=None if gears is None or isinstance(calibration, Calibration) else optional_path(calibration),
         dbc=optional_path(dbc),
         profile=optional_path(profile),
         is_lenient=is_lenient,
@@ -127,10 +131,10 @@ def check_one_bus(bus: "can.BusABC | None", *names: object) -> None:
         raise ConfigError("give either an open bus or an interface and a channel, not both")
 
 
-def _calibration(choice: Calibration | AnyPath | None) -> Calibration:
+def _described(choice: Calibration | AnyPath | None) -> tuple[Calibration, GearRatios | None]:
     if isinstance(choice, Calibration):
-        return choice
-    return nominal_calibration() if choice is None else read_calibration(Path(choice))
+        return choice, None
+    return (nominal_calibration(), None) if choice is None else read_description(Path(choice))
 
 
 def _options(delivery: Delivery) -> SimpleNamespace:

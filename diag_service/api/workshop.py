@@ -7,11 +7,12 @@ from typing import Any
 import canlog
 from canlog.whole_log import Log
 from canlog.written_tables import EVERY_SIGNAL
-from clutch_model.calibration import Calibration
+from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
 from diag_service.api.choices import AnyPath, AnyPaths, configuration, optional_path, path_list
 from diag_service.commands.arguments import DEFAULT_BITRATE
 from diag_service.commands.conversations import Conversations
 from diag_service.commands.inspect import Inspection, inspect_log
+from diag_service.commands.learn import learned_from, record, write_description
 from diag_service.commands.predict import predict_shifts
 from diag_service.commands.signals import proposed_profile
 from diag_service.console.notices import collected_notices
@@ -175,6 +176,49 @@ def predict(
         meaning = interpret(optional_path(dbc), Path(profile), is_lenient=is_lenient)
         found = predict_shifts(path_list(paths), meaning, touch_pa=touch_pa, is_by_halves=is_by_halves, stop=Trigger())
     return found.records()
+
+
+def learn(
+    paths: AnyPaths,
+    profile: AnyPath | None = None,
+    dbc: AnyPath | None = None,
+    *,
+    output: AnyPath | None = None,
+    calibration: AnyPath | None = None,
+    is_lenient: bool = False,
+    columns: str = "",
+) -> dict[str, Any]:
+    """Describe an unknown vehicle from its logs, as ``diag-service learn`` does.
+
+    Parameters
+    ----------
+    paths
+        Logs of one vehicle, frames or tables of signals.
+    profile, dbc, is_lenient, columns
+        As of ``analyze``.
+    output
+        Where the description goes, which ``analyze(calibration=...)`` takes; None: nowhere.
+    calibration
+        Of the type that all is assumed from which the logs do not tell; None: the shipped one.
+
+    Returns
+    -------
+    dict
+        ``gears`` with ratio, deviation and clutch of each, and by clutch touch points [Pa], lags [s] and gains
+        [rad/s^2 a Pa], each with its deviation and origin; what is absent the logs do not tell.
+
+    Raises
+    ------
+    SourceError, DefinitionError, ConfigError
+        If a log or the database cannot be read, or the profile lacks the speeds.
+    """
+    with collected_notices():
+        meaning = interpret(optional_path(dbc), optional_path(profile), is_lenient=is_lenient)
+        learned = learned_from(path_list(paths), meaning, stop=Trigger(), columns=columns)
+        if output is not None:
+            assumed = nominal_calibration() if calibration is None else read_calibration(Path(calibration))
+            write_description(Path(output), learned, assumed, path_list(paths))
+    return record(learned)
 
 
 def calibrate(

@@ -279,6 +279,19 @@ _PREDICT: Final = Command(
     "Needs engine speed, both clutch pressures, and speeds behind the clutches or ratios; no torque, no drawing.",
     examples=(f"{PROGRAM} predict drive-a.csv drive-b.csv --profile car.toml",),
 )
+_LEARN: Final = Command(
+    "learn",
+    "describe an unknown vehicle from its logs: gears, ratios, clutches, touch points, for a person to complete",
+    _logs("logs of one vehicle, frames or tables of signals"),
+    _output("description to write (TOML), for analyze --vehicle-file", required=True),
+    FORCE,
+    *(option for option in MEANING if option.name in {"dbc", "lenient", "parser_time", "profile", "calibration"}),
+    _COLUMNS,
+    *(JSON, VERBOSE),
+    description="Each value has its standard deviation and says whether it is from the log or assumed. Nothing is "
+    "claimed that the logs do not tell.",
+    examples=(f"{PROGRAM} learn drive-a.csv drive-b.csv --profile car.toml -o car1.toml",),
+)
 _DECODE: Final = Command(
     "decode",
     "write the signals of logs as a table: Parquet, CSV, JSON lines, Arrow or MF4",
@@ -403,7 +416,7 @@ COMMAND_LINE: Final = Program(
     _MONITOR,
     Group("config", "look at the settings", _CHECK, metavar="ACTION"),
     *(_ANALYZE, _REPORT, _HISTORY, _SHOW, _FLUID_CHANGED),
-    *(_CALIBRATE, _INSPECT, _SIGNALS, _DECODE, _PREDICT),
+    *(_CALIBRATE, _INSPECT, _SIGNALS, _DECODE, _PREDICT, _LEARN),
     *(DTC, DID, ROUTINE, SCAN),
     *(LAKE, CLUSTER),
 )

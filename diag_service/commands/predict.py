@@ -77,19 +77,19 @@ class Standing:
 
 
 def slip_phases(
-    log: Path, meaning: Interpretation, standing: Standing, stop: Trigger, watch: Watch | None = None
+    log: Path, meaning: Interpretation, standing: Standing, stop: Trigger, watch: Watch | None = None, columns: str = ""
 ) -> tuple[list[SlipPhase], list[NoPhase]]:
     """Return the slip phases of the gear changes of a log, and the gear changes without one; raises StoppedError."""
     decoder = meaning.decoder()
     finder = EventFinder(tracker_for(decoder.signals, decoder.gears), PRE_NS, AFTER_NS)
     events: list[Event] = []
-    with read_log(log, is_stopped=lambda: stop.is_set, watch=watch) as reader:
+    with read_log(log, is_stopped=lambda: stop.is_set, watch=watch, columns=columns) as reader:
         for batch in reader:
             if stop.is_set:
                 raise StoppedError("stopped early: nothing is predicted from a part of a log")
-            for columns in decoder.stream(batch):
-                standing.add(columns)
-                events += finder.feed(columns)
+            for one in decoder.stream(batch):
+                standing.add(one)
+                events += finder.feed(one)
     found = [slip_phase(event, decoder.gears) for event in [*events, *finder.flush()]]
     return [one for one in found if isinstance(one, SlipPhase)], [one for one in found if isinstance(one, NoPhase)]
 

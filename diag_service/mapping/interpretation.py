@@ -1,15 +1,16 @@
 """What frames mean: database and profile, as the user named them or as they fit each other."""
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 from cantools.database.can import Database
 
 from canlog.database.loading import bus_of
 from canlog.database.signal_columns import columns_database
 from canlog.notice import NOTICE
-from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.records import Tier
 from diag_service.errors import ConfigError
 from diag_service.mapping.databases import open_database
@@ -40,6 +41,12 @@ class Interpretation:
     def decoder(self) -> Decoder:
         """Return a fresh decoder."""
         return Decoder(self.database, self.profile)
+
+    def with_gears(self, gears: GearRatios | None, *files: Path) -> Self:
+        """Return the same with the ratios of a description, if it has some, and its file."""
+        if gears is None:
+            return self
+        return replace(self, profile=replace(self.profile, gears=gears), files=(*self.files, *files))
 
 
 def interpret(

@@ -46,7 +46,7 @@ def gear_ratios(batches: Iterable[ColumnBatch], over: Signal) -> Mapping[int, Ge
     known = np.searchsorted(gear_t_s, t_s, side="right") - 1
     is_fast = (known >= 0) & (output > LEAST_SPEED * output.max(initial=0.0))
     found = {
-        int(one): _densest(engine[rows] / output[rows])
+        int(one): densest(engine[rows] / output[rows])
         for one in np.unique(gears)
         if one > 0 and np.count_nonzero(rows := is_fast & (gears[np.maximum(known, 0)] == one)) >= LEAST_SAMPLES
     }
@@ -68,11 +68,11 @@ def _joined(series: Iterable[Series]) -> tuple[FloatArray, FloatArray]:
     return t_ns[order] / 1e9, np.concatenate([one.value for one in pieces])[order]
 
 
-def _densest(ratios: FloatArray) -> GearRatio | None:
+def densest(ratios: FloatArray, least_share: float = LEAST_SHARE) -> GearRatio | None:
     """Return the middle of the band that holds most ratios; None if too few lie in any."""
     ordered = np.sort(ratios[ratios > 0.0])
     counts = np.searchsorted(ordered, ordered * (1.0 + WINDOW), side="right") - np.arange(len(ordered))
-    if not len(counts) or counts.max() < max(LEAST_SAMPLES, LEAST_SHARE * len(ratios)):
+    if not len(counts) or counts.max() < max(LEAST_SAMPLES, least_share * len(ratios)):
         return None
     first = int(counts.argmax())
     band = ordered[first : first + int(counts[first])]

@@ -6,10 +6,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
+from clutch_model.calibration import Calibration, nominal_calibration
 from diag_service.delivery import Acknowledge
+from diag_service.diagnosis.columns import GearRatios
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import Interpretation, interpret
+from diag_service.mapping.vehicle_file import read_description
 from fleet_contract import is_vehicle
 from fleet_link import AddressError, BrokerAddress, TlsFiles, parse_broker
 
@@ -30,6 +32,8 @@ class DiagnosisConfig:
     calibration: Calibration
     dbc: Path | None = None
     profile: Path | None = None
+    vehicle_file: Path | None = None
+    gears: GearRatios | None = None  # of the vehicle file
     broker: BrokerAddress | None = None
     is_strict: bool = False  # of logs: stop at the first fault
     is_lenient: bool = False  # of the database: leave out what cannot be right
@@ -40,7 +44,8 @@ class DiagnosisConfig:
 
     def interpretation(self) -> Interpretation:
         """Return what frames mean; raises ConfigError."""
-        return interpret(self.dbc, self.profile, is_lenient=self.is_lenient, parser_time_s=self.parser_time_s)
+        meaning = interpret(self.dbc, self.profile, is_lenient=self.is_lenient, parser_time_s=self.parser_time_s)
+        return meaning.with_gears(self.gears, *([] if self.vehicle_file is None else [self.vehicle_file]))
 
     def __post_init__(self) -> None:
         """Check what depends on each other."""
@@ -114,7 +119,10 @@ def check_vehicle(vehicle: str) -> str:
 
 def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
     """Return how frames become results; names the vehicle in the options. Raises ConfigError or CalibrationError."""
-    calibration = nominal_calibration() if options.calibration is None else read_calibration(options.calibration)
+    if options.vehicle_file is not None and options.calibration is not None:
+        raise ConfigError("a vehicle file holds a calibration: give either --vehicle-file or --calibration")
+    described_in = options.vehicle_file or options.calibration
+    calibration, gears = (nominal_calibration(), None) if described_in is None else read_description(described_in)
     options.vehicle = vehicle_of(options.vehicle, calibration)
     config = DiagnosisConfig(
         vehicle=options.vehicle,
@@ -122,6 +130,8 @@ def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
         is_lenient=options.lenient,
         parser_time_s=options.parser_time,
         profile=options.profile,
+        vehicle_file=described_in,
+        gears=gears,
         calibration=calibration,
         is_strict=getattr(options, "strict", False),
         columns=getattr(options, "columns", None) or "",

@@ -87,6 +87,7 @@ MEANING: Final = (
         FILE,
     ),
     Setting("--calibration FILE", "of a vehicle or its type (TOML; default: nominal)", FILE),
+    Setting("--vehicle-file FILE", "description that learn wrote, instead of a calibration: it has ratios, too", FILE),
 )
 DELIVERY: Final = (
     Setting(

@@ -1,0 +1,104 @@
+"""The description of a vehicle: a calibration with the ratios of its gears, every value with where it is from.
+
+It is what ``diag-service learn`` writes and a person completes; a calibration is one without ratios.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from clutch_model.calibration import Calibration, ClutchCalibration, calibration_toml, with_clutch
+from clutch_model.errors import CalibrationError
+from clutch_model.tables import read_table, record_from
+from diag_service.diagnosis.columns import GearRatios
+
+if TYPE_CHECKING:
+    from diag_service.mapping.learning import Found, LearnedVehicle
+
+LEARNED: Final = "learned"  # the table of what the logs told: for people, nothing is computed from it
+PA_PER_KPA: Final = 1e3
+_LOG, _ASSUMED = "  # from the log", "  # assumed"
+
+
+class Described(NamedTuple):
+    """What a description says."""
+
+    calibration: Calibration
+    gears: GearRatios | None  # None: a signal tells the gear
+
+
+def read_description(path: Path) -> Described:
+    """Read the description of a vehicle; raises CalibrationError, naming the file and the key."""
+    table = read_table(path, "vehicle")
+    gears = table.pop("gears", None)
+    table.pop(LEARNED, None)
+    try:
+        ratios = None if gears is None else record_from(GearRatios, gears, "gears.")
+        return Described(Calibration.from_mapping(table), ratios)
+    except CalibrationError as exc:
+        raise CalibrationError(f"{path}: {exc}") from exc
+
+
+def described(learned: "LearnedVehicle", assumed: Calibration, name: str) -> Calibration:
+    """Return a calibration with what was learned; all else is assumed as the type has it."""
+    clutches, stds = assumed.clutches, [assumed.uncertainty.touch_pressure_pa]
+    for clutch in (1, 2):
+        if (found := learned.touch_point(clutch)) is not None:
+            clutches = with_clutch(clutches, clutch, _touching_at(clutches[clutch - 1], found.value))
+            stds.append(found.std)
+    uncertainty = replace(assumed.uncertainty, touch_pressure_pa=max(stds))
+    return replace(assumed, name=name, clutches=clutches, uncertainty=uncertainty)
+
+
+def _touching_at(clutch: ClutchCalibration, touch_pa: float) -> ClutchCalibration:
+    """Return a clutch whose spring is as strong as a touch point says."""
+    force_n = touch_pa * clutch.geometry.piston_area_m2
+    share = force_n / clutch.piston.closed_spring_force_n
+    piston = replace(
+        clutch.piston,
+        spring_preload_n=share * clutch.piston.spring_preload_n,
+        spring_rate_n_m=share * clutch.piston.spring_rate_n_m,
+    )
+    return replace(clutch, piston=piston)
+
+
+def description_toml(learned: "LearnedVehicle", assumed: Calibration, name: str, remarks: tuple[str, ...]) -> str:
+    """Return the text of a description, with where each value is from behind it."""
+    calibration = described(learned, assumed, name)
+    lines = [f"# {one}".rstrip() for one in remarks]
+    before = calibration_toml(assumed).splitlines()
+    for old, new in zip(before, calibration_toml(calibration).splitlines(), strict=True):
+        is_value = " = " in new and not new.startswith(("name", "version"))
+        lines.append(f"{new}{(_ASSUMED if old == new else _LOG) if is_value else ''}")
+    ratios = learned.ratios
+    if ratios is not None:
+        values = ", ".join(f"{one:.5g}" for one in ratios.ratios)
+        lines += ["", "[gears]", f'over = "{ratios.over.value}"', f"ratios = [{values}]{_LOG}"]
+    return "\n".join([*lines, "", *learned_lines(learned)]) + "\n"
+
+
+def learned_lines(learned: "LearnedVehicle") -> Iterator[str]:
+    """Yield the tables of what the logs told, as TOML."""
+    for gear, one in learned.gears.items():
+        yield f'[{LEARNED}."gear {gear}"]'
+        yield f"ratio = {one.ratio.ratio:.5g}"
+        yield f"ratio_std = {one.ratio.std:.2g}"
+        yield f"sample_count = {one.ratio.sample_count}"
+        if one.clutch is not None:
+            yield f"clutch = {one.clutch}"
+    tables: tuple[tuple[str, Mapping[int, Found], float], ...] = (
+        ("touch_pressure_kpa", learned.touch_pa, 1.0 / PA_PER_KPA),
+        ("pressure_lag_ms", learned.lag_s, 1e3),
+        ("gain_rad_s2_kpa", learned.gain_rad_s2_pa, PA_PER_KPA),
+    )
+    for clutch in sorted({one for _, found, _ in tables for one in found}):
+        yield f'[{LEARNED}."clutch {clutch}"]'
+        for name, values, scale in tables:
+            if (found := values.get(clutch)) is not None:
+                yield f"{name} = {scale * found.value:.4g}"
+                yield f"{name}_std = {scale * found.std:.2g}"
+                yield f'{name}_origin = "{found.origin}"'
+    if learned.rates_hz:
+        yield f"[{LEARNED}.rates_hz]"
+        yield from (f"{signal.value} = {rate:.3g}" for signal, rate in learned.rates_hz.items())

@@ -1,0 +1,86 @@
+"""``learn``: the description of an emulated car of other ratios, which ``analyze --vehicle-file`` takes."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import diag_service
+from benchmarks.learn import GEARS_OF, drawn_ratios, driven
+from benchmarks.scan_tool import written
+from clutch_model.calibration import nominal_calibration
+from diag_service.commands.signals import proposed_profile
+from diag_service.mapping.vehicle_file import read_description
+from diag_service.service.stopping import Trigger
+from tests.support.in_process import ended
+
+
+@pytest.fixture(name="car", scope="module")
+def _car(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[float]]:
+    gears, truth = drawn_ratios(np.random.default_rng(5))
+    log, _ = driven(tmp_path_factory.mktemp("car"), 5, gears)
+    return log, truth
+
+
+def test_a_car_of_other_ratios_is_described(car: tuple[Path, list[float]], tmp_path: Path) -> None:
+    log, truth = car
+    run = ended("learn", log, "-o", tmp_path / "car.toml", "--json")
+    assert run.status == 0, run.err
+    told = json.loads(run.out)
+    for gear, ratio in enumerate(truth, 1):
+        one = told["gears"][str(gear)]
+        assert abs(one["ratio"] - ratio) < 3.0 * one["std"]
+        assert one["std"] < 0.01 * ratio
+        assert one["clutch"] == 2 - gear % 2
+    assert set(told["pressure_lag_s"]) == {"1", "2"}
+    assert told["touch_pressure_pa"] == {}  # this car holds no clutch at standstill
+    text = (tmp_path / "car.toml").read_text(encoding="utf-8")
+    assert "# clutch 1: touch point not in the logs, assumed" in text
+    calibration, gears = read_description(tmp_path / "car.toml")
+    assert calibration.clutches == nominal_calibration().clutches
+    assert gears is not None
+    assert gears.ratios == pytest.approx(truth, rel=5e-3)
+    assert set(tomllib.loads(text)["learned"]) >= {"gear 1", "clutch 1", "rates_hz"}
+    assert diag_service.learn(log)["gears"] == told["gears"]
+
+
+def test_a_description_tells_the_gears_of_a_table_without_them(car: tuple[Path, list[float]], tmp_path: Path) -> None:
+    log, _ = car
+    table, profile, file = tmp_path / "car.csv", tmp_path / "profile.toml", tmp_path / "car.toml"
+    written(log, table, np.random.default_rng(5), left_out=GEARS_OF)
+    profile.write_text(proposed_profile(table, None, Trigger(), is_lenient=False), encoding="utf-8")
+    diag_service.learn(table, profile, output=file)
+    assert read_description(file).gears is not None
+    shifts = changes("analyze", log, "--json")
+    assert changes("analyze", table, "--profile", profile, "--vehicle-file", file, "--json") == shifts
+    assert len(shifts) >= 10
+
+
+def changes(*words: str | Path) -> list[tuple[int, int]]:
+    run = ended(*words)
+    assert run.status == 0, run.err
+    records = [json.loads(line) for line in run.out.splitlines()]
+    gears = [(one["from_gear"], one["to_gear"]) for one in records if "from_gear" in one]
+    return [one for one in gears if one[0] != one[1]]
+
+
+def test_what_cannot_be_described_is_told(car: tuple[Path, list[float]], tmp_path: Path) -> None:
+    log, _ = car
+    poor = tmp_path / "poor.toml"
+    poor.write_text(
+        'name = "poor"\n[signals]\ntarget_gear = { message = "TCU_Shift", signal = "TargetGear" }\n'
+        'current_gear = { message = "TCU_Shift", signal = "CurrentGear" }\n',
+        encoding="utf-8",
+    )
+    run = ended("learn", log, "--profile", poor, "-o", tmp_path / "poor-car.toml")
+    assert (run.status, "nothing can be learned without" in run.err) == (2, True)
+    file = tmp_path / "car.toml"
+    file.write_text("[gears]\nover = 3\nratios = [1.0]\n", encoding="utf-8")
+    run = ended("analyze", log, "--vehicle-file", file)
+    assert run.status == 2
+    assert f"{file}: gears.over" in run.err
+    both = ended("analyze", log, "--vehicle-file", file, "--calibration", file)
+    assert "either --vehicle-file or --calibration" in both.err
+    assert "is there already" in ended("learn", log, "-o", file).err

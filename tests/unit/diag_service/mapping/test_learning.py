@@ -1,0 +1,135 @@
+"""What drives tell of a vehicle: nothing else than they show, with deviations that fit, in bounded memory."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from canlog.arrays import FloatArray, Series
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.mapping import learning
+from diag_service.mapping.learning import LearnedVehicle, VehicleSurvey
+from diag_service.mapping.vehicle_file import described, description_toml
+
+RATIOS = (10.0, 7.0, 5.0, 3.8)
+ROW_S = 0.037
+TOUCH_PA = 1.4e5
+
+
+def series(t_s: FloatArray, value: npt.NDArray[np.floating]) -> Series:
+    return Series(
+        t_ns=np.round(t_s * 1e9).astype(np.int64), sequence=np.full(len(t_s), -1), value=value.astype(np.float64)
+    )
+
+
+def drive(gears: FloatArray, *, skew_s: float = 0.0, noise: float = 0.3, is_swapped: bool = False) -> ColumnBatch:
+    """Return a car that speeds up in each gear in turn, 200 rows each, after it stood in the first one."""
+    rng = np.random.default_rng(1)
+    gear = np.concatenate((np.full(100, gears[0]), np.repeat(gears, 200)))
+    t_s: FloatArray = np.arange(len(gear), dtype=np.float64) * ROW_S
+    output = np.where(np.arange(len(gear)) < 100, 0.0, 40.0 + 0.3 * (np.arange(len(gear)) - 100))
+    ratio = np.array(RATIOS)[gear.astype(int) - 1]
+    later = np.interp(t_s + skew_s, t_s, output)
+    engine = np.where(output > 0.0, later * ratio, 120.0) + rng.normal(0.0, noise, len(gear))
+    is_odd = (gear % 2 == 1) ^ is_swapped
+    closed = np.where(output > 0.0, 6e5, TOUCH_PA) + rng.normal(0.0, 1e3, len(gear))
+    columns = {
+        Signal.ENGINE_SPEED: series(t_s, engine),
+        Signal.OUTPUT_SPEED: series(t_s, output),
+        Signal.TARGET_GEAR: series(t_s, gear),
+        Signal.CLUTCH1_PRESSURE: series(t_s, np.where(is_odd, closed, 0.0)),
+        Signal.CLUTCH2_PRESSURE: series(t_s, np.where(is_odd, 0.0, closed)),
+    }
+    return ColumnBatch(columns=columns, watermark_ns=int(t_s[-1] * 1e9))
+
+
+def learned(*batches: ColumnBatch) -> LearnedVehicle:
+    survey = VehicleSurvey(Signal.OUTPUT_SPEED)
+    for batch in batches:
+        survey.add(batch)
+    return survey.learned()
+
+
+def without(batch: ColumnBatch, *signals: Signal) -> ColumnBatch:
+    columns = {signal: one for signal, one in batch.columns.items() if signal not in signals}
+    return ColumnBatch(columns=columns, watermark_ns=batch.watermark_ns)
+
+
+EVERY_GEAR = np.array([1.0, 2.0, 3.0, 4.0])
+
+
+@pytest.mark.parametrize("skew_s", [0.0, 0.03])
+def test_ratios_and_clutches_are_found_whatever_columns_are_apart(skew_s: float) -> None:
+    found = learned(drive(EVERY_GEAR, skew_s=skew_s))
+    assert found.ratios is not None
+    assert found.ratios.ratios == pytest.approx(RATIOS, rel=5e-3)
+    assert [found.gears[gear].clutch for gear in (1, 2, 3, 4)] == [1, 2, 1, 2]
+    for gear, ratio in enumerate(RATIOS, 1):
+        one = found.gears[gear].ratio
+        assert abs(one.ratio - ratio) < 3.0 * one.std
+
+
+def test_gears_that_no_signal_names_are_numbered_from_the_highest_ratio() -> None:
+    found = learned(without(drive(EVERY_GEAR), Signal.TARGET_GEAR))
+    assert not found.are_named
+    assert [one.ratio.ratio for one in found.gears.values()] == pytest.approx(RATIOS, rel=2e-3)
+
+
+def test_a_gear_that_was_not_driven_is_absent() -> None:
+    found = learned(drive(np.array([1.0, 3.0, 4.0])))
+    assert sorted(found.gears) == [1, 3, 4]
+    assert found.ratios is None
+
+
+def test_a_held_touch_point_is_told_and_the_other_one_is_assumed() -> None:
+    found = learned(drive(EVERY_GEAR))
+    assert found.touch_pa.keys() == {1}
+    assert found.touch_pa[1].value == pytest.approx(TOUCH_PA, rel=0.01)
+    other = found.touch_point(2)
+    assert other is not None
+    assert (other.origin, other.std) == ("assumed, as of clutch 1", learning.TYPE_STD_PA)
+    calibration = described(found, nominal_calibration(), "car")
+    assert [one.touch_pressure_pa for one in calibration.clutches] == pytest.approx([TOUCH_PA] * 2, rel=0.01)
+
+
+def test_without_pressures_and_commands_nothing_is_said_of_clutches() -> None:
+    found = learned(without(drive(EVERY_GEAR), Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE))
+    assert {one.clutch for one in found.gears.values()} == {None}
+    assert (found.touch_pa, found.lag_s, found.gain_rad_s2_pa) == ({}, {}, {})
+    assert described(found, nominal_calibration(), "car").clutches == nominal_calibration().clutches
+    assert "# from the log" not in description_toml(found, nominal_calibration(), "car", ()).partition("[gears]")[0]
+
+
+def test_a_lag_is_found_behind_a_command() -> None:
+    batch = drive(EVERY_GEAR)
+    t_s = np.arange(0.0, 30.0, 0.01)
+    asked = 2e5 + 1e5 * np.sin(3.0 * t_s)
+    behind = 2e5 + 1e5 * np.sin(3.0 * (t_s - 0.04))
+    columns = {
+        **batch.columns,
+        Signal.CLUTCH1_PRESSURE: series(t_s, behind),
+        Signal.CLUTCH1_PRESSURE_COMMAND: series(t_s, asked),
+    }
+    many = [ColumnBatch(columns=columns, watermark_ns=batch.watermark_ns)] * 5
+    assert learned(*many).lag_s[1].value == pytest.approx(0.04, abs=0.003)
+
+
+def test_pressures_that_are_named_the_wrong_way_round_are_noticed() -> None:
+    assert learned(drive(EVERY_GEAR, is_swapped=True)).is_swapped
+    assert not learned(drive(EVERY_GEAR)).is_swapped
+
+
+def test_nothing_moves_and_nothing_is_learned() -> None:
+    still = without(drive(EVERY_GEAR), Signal.ENGINE_SPEED)
+    assert learned(still).gears == {}
+    assert learned().gears == {}
+
+
+def test_memory_is_bounded() -> None:
+    survey, batch = VehicleSurvey(Signal.OUTPUT_SPEED), drive(EVERY_GEAR)
+    for _ in range(2 * learning.MOST_ROWS // len(batch.columns[Signal.OUTPUT_SPEED].t_ns)):
+        survey.add(batch)
+    assert sum(map(len, survey.rows)) <= learning.MOST_ROWS
+    found = survey.learned().ratios
+    assert found is not None
+    assert found.ratios == pytest.approx(RATIOS, rel=2e-3)
