@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import date
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, Self, TypeVar
+from typing import Any, ClassVar, Final, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +51,8 @@ Pair = tuple[float, float]  # clutch 1 first
 class Ranged:
     """A record whose every number is finite and, unless a subclass says otherwise, not negative."""
 
+    ABOVE_ZERO: ClassVar[tuple[str, ...]] = ()  # names of those that are not zero either
+
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
@@ -59,6 +61,10 @@ class Ranged:
             for number in value if isinstance(value, tuple) else (value,):
                 if isinstance(number, int | float) and not (math.isfinite(number) and number >= 0.0):
                     raise CalibrationError(f"{name} must be finite and >= 0, got {number}")
+        for name in self.ABOVE_ZERO:
+            value = getattr(self, name)
+            if not (min(value) if isinstance(value, tuple) else value) > 0.0:
+                raise CalibrationError(f"{name} must be > 0")
 
 
 MAX_LATENCY_S = 0.2  # a reading that is later still is no measurement of a shift
@@ -155,6 +161,8 @@ class JointUncertainty:
 class FrictionCurve(Ranged):
     """Stribeck curve of one clutch, eq. (8)."""
 
+    ABOVE_ZERO = ("stribeck_speed_rad_s", "stribeck_exponent")
+
     mu_c: float  # Coulomb coefficient, reached at high slip
     mu_s: float  # static coefficient, reached at zero slip
     stribeck_speed_rad_s: float  # w_S
@@ -167,14 +175,13 @@ class FrictionCurve(Ranged):
         for name in ("mu_c", "mu_s"):
             if not 0.02 <= (mu := getattr(self, name)) <= 0.5:
                 raise CalibrationError(f"{name} must be 0.02..0.5, got {mu}")
-        for name in ("stribeck_speed_rad_s", "stribeck_exponent"):
-            if not getattr(self, name) > 0.0:
-                raise CalibrationError(f"{name} must be > 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClutchGeometry(Ranged):
     """Fixed geometry of one clutch pack."""
+
+    ABOVE_ZERO = ("piston_area_m2",)
 
     outer_radius_m: float  # Ro
     inner_radius_m: float  # Ri
@@ -188,8 +195,6 @@ class ClutchGeometry(Ranged):
             raise CalibrationError("inner_radius_m must lie between 0 and outer_radius_m")
         if not self.interface_count >= 1:
             raise CalibrationError("interface_count must be >= 1")
-        if not self.piston_area_m2 > 0.0:
-            raise CalibrationError("piston_area_m2 must be > 0")
 
     @property
     def lining_area_m2(self) -> float:
@@ -231,6 +236,15 @@ class Piston(Ranged):
 class FilmSurface(Ranged):
     """Rough, permeable lining surface and the oil film on it, eq. (7)."""
 
+    ABOVE_ZERO = (
+        "roughness_m",
+        "contact_stiffness_pa",
+        "permeability_m2",
+        "open_gap_m",
+        "separation_time_s",
+        "mobility_ratio",
+    )
+
     roughness_m: float  # sigma, combined rms roughness
     contact_stiffness_pa: float  # K_c = K'E'
     permeability_m2: float  # Phi
@@ -242,26 +256,15 @@ class FilmSurface(Ranged):
     min_film_m: float  # h_min
     mobility_ratio: float = 1.0  # of the film's rate to what the rest says
 
-    def __post_init__(self) -> None:
-        """Check that the film law has no zero denominator."""
-        Ranged.__post_init__(self)
-        lengths = ("roughness_m", "contact_stiffness_pa", "permeability_m2", "open_gap_m", "separation_time_s")
-        for name in (*lengths, "mobility_ratio"):
-            if not getattr(self, name) > 0.0:
-                raise CalibrationError(f"{name} must be > 0")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClutchThermal(Ranged):
     """Lumped thermal mass of one clutch pack."""
 
+    ABOVE_ZERO = ("heat_capacity_j_k",)
+
     heat_capacity_j_k: float  # C_th
     convection_w_k: float  # hA
-
-    def __post_init__(self) -> None:
-        """Check that the pack has a heat capacity."""
-        Ranged.__post_init__(self)
-        require(self.heat_capacity_j_k > 0.0, "heat_capacity_j_k must be > 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -304,21 +307,14 @@ class Viscosity:
 class InputSide(Ranged):
     """Engine side of the clutches: what the torque impulse balance needs."""
 
+    ABOVE_ZERO = ("engine_inertia_kg_m2", "hub_inertia_kg_m2", "input_shaft_inertias_kg_m2")
+
     engine_inertia_kg_m2: float  # J_E, engine and primary flywheel
     hub_inertia_kg_m2: float  # J_H
     hub_damping_nms_rad: float  # B_H
     crank_segment_rad: float  # engine speed is broadcast as the mean over this crank angle
     input_shaft_inertias_kg_m2: Pair  # J_L + J_G of each input shaft in neutral
     input_shaft_dampings_nms_rad: Pair  # B_L + B_G
-
-    def __post_init__(self) -> None:
-        """Check that the engine has an inertia."""
-        Ranged.__post_init__(self)
-        for name in ("engine_inertia_kg_m2", "hub_inertia_kg_m2"):
-            if not getattr(self, name) > 0.0:
-                raise CalibrationError(f"{name} must be > 0")
-        if not min(self.input_shaft_inertias_kg_m2) > 0.0:
-            raise CalibrationError("input_shaft_inertias_kg_m2 must be > 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,7 +5,7 @@ from dataclasses import MISSING, fields, is_dataclass
 from enum import StrEnum
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Final, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Final, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -66,7 +66,8 @@ def record_from(
     """
     if not isinstance(table, Mapping):
         raise error(f"{prefix.rstrip('. :')} must be a table, got {table!r}".lstrip())
-    members = {name: hint for name, hint in get_type_hints(kind).items() if name not in given}
+    hints = {name: hint for name, hint in get_type_hints(kind).items() if get_origin(hint) is not ClassVar}
+    members = {name: hint for name, hint in hints.items() if name not in given}
     for key in sorted(set(table) - set(members)):
         raise error(f"{prefix}{key} is unknown; known: {', '.join(sorted(members))}")
     for key in members:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
@@ -27,12 +26,12 @@ SampleTimes = Mapping[Signal, FloatArray]
 """When each signal of the balance was sampled [s] after the start of its event."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, init=False, eq=False)
 class Resampled:
     """One signal of an event: when it was sampled, what it read, and the same on the even grid.
 
     Grid point j reads ``(1 - share[j]) * value[left[j]] + share[j] * value[left[j] + 1]``: linear between samples,
-    constant beyond both ends.
+    constant beyond both ends. There are two or more ``times_s``, strictly increasing.
     """
 
     times_s: FloatArray  # (n,) after the start of the event
@@ -41,13 +40,11 @@ class Resampled:
     share: FloatArray  # (len(grid),)
     on_grid: FloatArray  # (len(grid),)
 
-    @classmethod
-    def of(cls, times_s: FloatArray, value: FloatArray, grid_s: FloatArray) -> Self:
-        """Return a signal on the grid; two or more ``times_s``, strictly increasing."""
-        left = np.empty(len(grid_s), dtype=np.int64)
-        share, on_grid = np.empty(len(grid_s)), np.empty(len(grid_s))
-        _resample(times_s, value, grid_s, left, share, on_grid)
-        return cls(times_s=times_s, value=value, left=left, share=share, on_grid=on_grid)
+    def __init__(self, times_s: FloatArray, value: FloatArray, grid_s: FloatArray) -> None:
+        self.times_s, self.value = times_s, value
+        self.left = np.empty(len(grid_s), dtype=np.int64)
+        self.share, self.on_grid = np.empty(len(grid_s)), np.empty(len(grid_s))
+        _resample(times_s, value, grid_s, self.left, self.share, self.on_grid)
 
     def to_samples(self, weights: Sequence[FloatArray], pieces: Sequence[slice]) -> tuple[FloatArray, ...]:
         """Return the weight of each sample in weighted sums over pieces of the grid, shape (k, n) each.
@@ -167,7 +164,7 @@ def align(
     is_seen = _is_seen(grid_s, gaps_s)
     is_known = other is not None and len(other.grid_s) == len(grid_s)  # the same grid: it ends where the event ends
     wanted = _MOVED if is_known else BALANCE_SIGNALS
-    on_grid = {one: Resampled.of(times[one], event.columns[one].value, grid_s) for one in wanted}
+    on_grid = {one: Resampled(times[one], event.columns[one].value, grid_s) for one in wanted}
     engine_speed, engine_torque = on_grid[Signal.ENGINE_SPEED], on_grid[Signal.ENGINE_TORQUE]
     pressure = (on_grid[Signal.CLUTCH1_PRESSURE], on_grid[Signal.CLUTCH2_PRESSURE])
     if other is not None and is_known:
@@ -203,7 +200,7 @@ def _is_seen(grid_s: FloatArray, gaps_s: FloatArray) -> BoolArray:
 def compile_alignment() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     ends, one = np.array([0.0, 1.0]), np.zeros((1, 2))
-    signal = Resampled.of(ends, ends, ends)
+    signal = Resampled(ends, ends, ends)
     signal.to_samples([one], [slice(None)])
     signal.around_samples(ends, [slice(None)], [slice(None)])
     read_samples(np.arange(2), ends, 0, 1.0, ends, np.empty(2))

@@ -37,6 +37,7 @@ class _Grid:
 
     t_s: FloatArray  # (n,) since the start of the shift
     event: Event
+    clutch: int  # that of the gear
 
     def value(self, signal: Signal) -> FloatArray | None:
         """Return a signal on the grid, linear between samples, shape (n,); None if it is not there."""
@@ -52,7 +53,7 @@ def measure(event: Event, calibration: Calibration) -> ShiftIndices:
     """Return the indices of a shift as far as its signals go."""
     is_complete = event.end_reason is EndReason.COMPLETE and event.end_ns > event.start_ns
     shift_time_s = (event.end_ns - event.start_ns) / NS_PER_S
-    grid = _Grid(np.arange(0.0, max(shift_time_s, GRID_S), GRID_S), event)
+    grid = _Grid(np.arange(0.0, max(shift_time_s, GRID_S), GRID_S), event, clutch_of_gear(event.to_gear))
     slip_rad_s = _slip(grid) if is_complete else None
     if slip_rad_s is None:
         return ShiftIndices(
@@ -130,8 +131,7 @@ def _largest_swing(slip_rad_s: FloatArray, pressed_rad_s: FloatArray) -> float:
 
 def _pressed(grid: _Grid, calibration: Calibration) -> BoolArray:
     """Return where the clutch of the gear carries load, shape (n,); everywhere if nothing tells."""
-    clutch = clutch_of_gear(grid.event.to_gear)
-    is_first = clutch == 1
+    clutch, is_first = grid.clutch, grid.clutch == 1
     pressure_pa = grid.value(Signal.CLUTCH1_PRESSURE if is_first else Signal.CLUTCH2_PRESSURE)
     if pressure_pa is not None:
         return pressure_pa > calibration.clutches[clutch - 1].touch_pressure_pa + LOADED_PA
@@ -143,7 +143,7 @@ def _slip(grid: _Grid) -> FloatArray | None:
     """Return the slip of the on-coming clutch: its input side less the shaft of the gear that engages."""
     hub = grid.value(Signal.HUB_SPEED)
     engine = hub if hub is not None else grid.value(Signal.ENGINE_SPEED)
-    is_first = clutch_of_gear(grid.event.to_gear) == 1
+    is_first = grid.clutch == 1
     shaft = grid.value(Signal.INPUT1_SPEED if is_first else Signal.INPUT2_SPEED)
     shaft = shaft if shaft is not None else grid.value(Signal.INPUT_SPEED)
     return None if engine is None or shaft is None else engine - shaft
@@ -196,7 +196,7 @@ def _fit_ratio(
 def _asked(grid: _Grid) -> tuple[FloatArray, FloatArray, bool] | None:
     """Return the torques asked of the on-coming and of the off-going clutch, and whether their signs are the slip's."""
     commands = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
-    is_first = clutch_of_gear(grid.event.to_gear) == 1
+    is_first = grid.clutch == 1
     on, off = (grid.value(signal) for signal in (commands if is_first else commands[::-1]))
     if on is not None and off is not None:
         return on, off, False

@@ -51,8 +51,7 @@ SAMPLES_PER_MOMENT = 2
 SIGN_WIDTH_RAD_S = 0.5  # near lock the sign of the slip fades with it, and so does its noise
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClutchMoments:
+class ClutchMoments(NamedTuple):
     """Weighted torques of one clutch: ``viscous + by_friction @ (mu_c, mu_s)``."""
 
     viscous: FloatArray  # (k,)

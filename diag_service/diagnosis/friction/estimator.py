@@ -9,13 +9,12 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, clutch_of_gear
 from clutch_model.errors import CalibrationError
-from diag_service.diagnosis.alignment import NS_TO_S, AlignedSignals, compile_alignment
+from diag_service.diagnosis.alignment import NS_TO_S, compile_alignment
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance, compile_balance, compile_sensitivity, measured
 from diag_service.diagnosis.friction.drives import (
     PackTemperatures,
-    SlipWindow,
     compile_window,
     measured_drives,
     on_other_grid,
@@ -39,7 +38,7 @@ from diag_service.diagnosis.friction.evidence import (
     displaced,
     fuse,
 )
-from diag_service.diagnosis.friction.film import PackLaw, PressureDrive, compile_film, compile_tangents, pack_laws
+from diag_service.diagnosis.friction.film import compile_film, compile_tangents, pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, compile_selection, omission_cost
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
 from diag_service.diagnosis.quality.data_quality import Samples, aligned, compile_usability
@@ -164,7 +163,7 @@ class Estimator:
         """
         if isinstance(samples, Reason):
             return state, without_friction(event, Status.REJECTED, samples)
-        first = self._linearised(samples, state, state.known.mean, None)
+        first = self._linearised(samples, state, state.fusion.knowledge.mean, None)
         if not isinstance(first, _Seen):
             is_unobserved = first is Reason.NO_SLIP_WINDOW
             reasons = against if is_unobserved and against else (first,)
@@ -173,7 +172,7 @@ class Estimator:
         slipping = SlippingClutch(
             number=first.clutch,
             rows=first.balance.window.slip_rows,
-            pressure_zero_pa=self._zero_pa(first.empty, state.known, first.clutch),
+            pressure_zero_pa=self._zero_pa(first.empty, state.fusion.knowledge, first.clutch),
             touch_pressure_pa=self._calibration.clutches[first.clutch - 1].touch_pressure_pa,
         )
         if faults := plausibility_faults(event, first.balance.signals, slipping):
@@ -189,7 +188,7 @@ class Estimator:
 
     def _judged(self, event: Event, seen: _Seen, room: Posterior, state: Posterior) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after an event, and its estimate: used or left out, and why."""
-        others = room.known if state.believes_as(room) else state.others
+        others = room.fusion.knowledge if state.believes_as(room) else state.others
         before = self._unknown_friction(others, seen.clutch)
         alone = fuse(before, seen.evidence)
         estimate = self._described(event, seen, state, alone)
@@ -221,12 +220,12 @@ class Estimator:
         event, room = samples.event, state.with_room()
 
         def expected(seen: _Seen) -> Knowledge | None:
-            together = fuse(room.known, seen.evidence)
+            together = fuse(room.fusion.knowledge, seen.evidence)
             return together.knowledge if together.chi_square < omission_cost(seen.evidence) else None
 
         def found(seen: _Seen) -> Knowledge:
             judged = state.with_event(_judged_event(event, seen), room)
-            return judged.known if judged.is_used[-1] else seen.alone().knowledge
+            return judged.fusion.knowledge if judged.is_used[-1] else seen.alone().knowledge
 
         if (seen := self._met(samples, state, first, expected)) is not None:
             judged = state.with_event(_judged_event(event, seen), room)
@@ -280,17 +279,20 @@ class Estimator:
             return signals
         near = earlier if is_near else None
         drives, laws = measured_drives(signals, at, state.packs, samples.event, point), pack_laws(point)
-        found = _window(signals, drives, laws, near)
+        if near is None:
+            found = slip_window(signals, drives, laws)
+        else:
+            found = on_other_grid(near.balance.window, near.balance.signals.grid_s, signals.grid_s), near.clutch
         if found is None:
             return Reason.NO_SLIP_WINDOW
         window, clutch = found
-        before = earlier.before if earlier else self._unknown_friction(state.known, clutch)
+        before = earlier.before if earlier else self._unknown_friction(state.fusion.knowledge, clutch)
         balance = Balance(signals, window, drives, point, laws, at)
         if film_share(balance, clutch) > MOST_FILM_SHARE:
             return Reason.NO_SLIP_WINDOW
         seen = measured(balance, near.measurements if near else ())
         empty = zeros_seen(signals, point)
-        evidence = Evidence.of(seen, at).plus(empty).loosened(own_variance(balance, clutch))
+        evidence = Evidence.of(seen, at, empty, own_variance(balance, clutch))
         return _Seen(
             clutch=earlier.clutch if earlier else clutch,
             before=before,
@@ -340,18 +342,6 @@ def _rejected(estimate: ShiftEstimate, *reasons: Reason) -> ShiftEstimate:
 
 def _judged_event(event: Event, seen: _Seen) -> JudgedEvent:
     return JudgedEvent(clutch=seen.clutch, end_ns=event.end_ns, evidence=seen.evidence)
-
-
-def _window(
-    signals: AlignedSignals,
-    drives: tuple[PressureDrive, PressureDrive],
-    laws: tuple[PackLaw, PackLaw],
-    near: _Seen | None,
-) -> tuple[SlipWindow, int] | None:
-    """Return the window of an event and its clutch, those that were found near by if there are some."""
-    if near is None:
-        return slip_window(signals, drives, laws)
-    return on_other_grid(near.balance.window, near.balance.signals.grid_s, signals.grid_s), near.clutch
 
 
 def misfit_gate(count: int) -> float:

@@ -236,8 +236,24 @@ class Evidence:
         return cls(matrix=matrix, vector=vector, constant=constant, count=count)
 
     @classmethod
-    def of(cls, measurements: Iterable[Measurement], at: FloatArray) -> Self:
-        """Return what measurements say that were linearised about ``at``, shape (PARAMETER_COUNT,)."""
+    def of(
+        cls,
+        measurements: Iterable[Measurement],
+        at: FloatArray,
+        readings: "Evidence | None" = None,
+        variance: FloatArray | None = None,
+    ) -> Self:
+        """Return what an event says: chi-square least over what its own parameters may differ by.
+
+        Parameters
+        ----------
+        measurements
+            Linearised about ``at``, shape (PARAMETER_COUNT,).
+        readings
+            What it says besides.
+        variance
+            By which each parameter of this event differs, shape (PARAMETER_COUNT,).
+        """
         joint, count = np.zeros((PARAMETER_COUNT + 1, PARAMETER_COUNT + 1)), 0
         for seen in measurements:
             number = len(seen.residual)
@@ -248,7 +264,14 @@ class Evidence:
                 joint[:-1, -1] -= seen.overlap
             count += number
         matrix, vector = np.empty((PARAMETER_COUNT, PARAMETER_COUNT)), np.empty(PARAMETER_COUNT)
-        return cls(matrix=matrix, vector=vector, constant=_move_to_zero(joint, at, matrix, vector), count=count)
+        constant = _move_to_zero(joint, at, matrix, vector)
+        if readings is not None:
+            matrix += readings.matrix
+            vector += readings.vector
+            constant, count = constant + readings.constant, count + readings.count
+        if variance is not None:
+            constant -= _loosen(variance, matrix, vector)
+        return cls(matrix=matrix, vector=vector, constant=constant, count=count)
 
     @classmethod
     def of_readings(cls, rows: Sequence[int], reading: Sequence[float], variance: Sequence[float]) -> Self:
@@ -267,12 +290,6 @@ class Evidence:
             constant=self.constant + sign * other.constant,
             count=self.count + round(sign) * other.count,
         )
-
-    def loosened(self, variance: FloatArray) -> Self:
-        """Return what is left if each parameter of this event differs by a variance, shape (PARAMETER_COUNT,)."""
-        matrix, vector = self.matrix.copy(), self.vector.copy()
-        lost = _loosen(variance, matrix, vector)
-        return type(self)(matrix=matrix, vector=vector, constant=self.constant - lost, count=self.count)
 
     def chi_square(self, at: FloatArray) -> float:
         """Return chi-square of the residuals at some parameters."""
@@ -472,4 +489,4 @@ def compile_evidence() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     one = Measurement(residual=np.zeros(1), slope=np.zeros((1, PARAMETER_COUNT)), noise=np.eye(1))
     nowhere = np.zeros(PARAMETER_COUNT)
-    fuse(Knowledge(mean=nowhere, covariance=np.eye(PARAMETER_COUNT)), Evidence.of([one], nowhere).loosened(nowhere))
+    fuse(Knowledge(mean=nowhere, covariance=np.eye(PARAMETER_COUNT)), Evidence.of([one], nowhere, variance=nowhere))

@@ -21,6 +21,7 @@ from clutch_model.film import (
     film_point,
     film_shape,
     piston_pressure_pa,
+    piston_pressures_pa,
     point_motion,
     point_rate_m_s,
     sheared_torque_nm,
@@ -86,8 +87,7 @@ class PressureDrive:
     open_drag_ratio: float = 1.0  # of the drag of an open pack to what is believed
 
 
-@dataclass(frozen=True, slots=True)
-class FilmTrack:
+class FilmTrack(NamedTuple):
     """Film of one clutch on the even grid."""
 
     contact_pa: FloatArray  # (n,) P_C
@@ -143,7 +143,7 @@ def pack_laws(calibration: Calibration) -> tuple[PackLaw, PackLaw]:
                 oil=oil,
                 heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
                 convection_w_k=float(clutch.thermal.convection_w_k),
-                touch_pressure_pa=clutch.touch_pressure_pa,
+                touch_pressure_pa=piston_pressures_pa(0.0, law),
             )
         )
     return found[0], found[1]

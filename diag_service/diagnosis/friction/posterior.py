@@ -363,6 +363,7 @@ class _Pair(NamedTuple):
     variance_c: float
     variance_s: float
     covariance: float
+    correlation: float  # of the errors of both
 
     @classmethod
     def of(cls, known: Knowledge, clutch: int, place: int, factor: float, slope: float) -> Self:
@@ -373,18 +374,10 @@ class _Pair(NamedTuple):
         (c_f, s_f), f_f = known.covariance[rows, place].tolist(), float(known.covariance[place, place])
         by_c, by_s = slope * own_c, slope * own_s
         mu_c, mu_s = factor * own_c, factor * own_s
-        return cls(
-            mu_c=mu_c,
-            mu_s=mu_s,
-            variance_c=factor * (factor * c_c + 2.0 * by_c * c_f) + by_c**2 * f_f + (MODEL_STD_RATIO * mu_c) ** 2,
-            variance_s=factor * (factor * s_s + 2.0 * by_s * s_f) + by_s**2 * f_f + (MODEL_STD_RATIO * mu_s) ** 2,
-            covariance=factor * (factor * c_s + by_s * c_f + by_c * s_f) + by_c * by_s * f_f,
-        )
-
-    @property
-    def correlation(self) -> float:
-        """Correlation of the errors of both."""
-        return self.covariance / math.sqrt(self.variance_c * self.variance_s)
+        variance_c = factor * (factor * c_c + 2.0 * by_c * c_f) + by_c**2 * f_f + (MODEL_STD_RATIO * mu_c) ** 2
+        variance_s = factor * (factor * s_s + 2.0 * by_s * s_f) + by_s**2 * f_f + (MODEL_STD_RATIO * mu_s) ** 2
+        covariance = factor * (factor * c_s + by_s * c_f + by_c * s_f) + by_c * by_s * f_f
+        return cls(mu_c, mu_s, variance_c, variance_s, covariance, covariance / math.sqrt(variance_c * variance_s))
 
 
 def friction(state: Posterior, clutch: int) -> FrictionEstimate:
@@ -399,7 +392,7 @@ def both_frictions(state: Posterior, clutch: int) -> tuple[FrictionEstimate, Sca
 
 
 def _with_scale(state: Posterior, clutch: int, free: _Pair) -> FrictionEstimate:
-    known = state.known
+    known = state.fusion.knowledge
     gain = state.torque_gain + float(known.mean[_GAIN])
     pair = _Pair.of(known, clutch, _GAIN, 1.0 / gain, -1.0 / gain**2)
     width = state.stribeck_speed_rad_s[clutch - 1] * (1.0 + float(known.mean[_WIDTH]))
@@ -438,7 +431,7 @@ def _scale_free(pair: _Pair) -> ScaleFreeFriction:
 
 def _without_scale(state: Posterior, clutch: int) -> _Pair:
     area = _AREAS[clutch - 1]
-    known = state.known
+    known = state.fusion.knowledge
     return _Pair.of(known, clutch, area, 1.0 + float(known.mean[area]), 1.0)
 
 
@@ -448,7 +441,7 @@ def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalD
     ``new_margins`` are those of new fluid. The better known clutch weighs more, by its variance; what both share is in
     the deviation.
     """
-    known = state.known
+    known = state.fusion.knowledge
     gain = state.torque_gain + float(known.mean[_GAIN])
     c_1, s_1, c_2, s_2 = known.mean[:FRICTION_COUNT].tolist()
     by_1, by_2 = (1.0 / (gain * new_margin) for new_margin in new_margins)
@@ -464,7 +457,7 @@ def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalD
 
 def common_scale_std_ratio(state: Posterior, clutch: int) -> float:
     """Return the relative deviation of gain times piston area: what all friction of clutch 1 or 2 shares, for good."""
-    known, area = state.known, _AREAS[clutch - 1]
+    known, area = state.fusion.knowledge, _AREAS[clutch - 1]
     mean, covariance = known.mean, known.covariance
     by_gain, by_area = 1.0 / (state.torque_gain + float(mean[_GAIN])), 1.0 / (1.0 + float(mean[area]))
     gain, both, own = float(covariance[_GAIN, _GAIN]), float(covariance[_GAIN, area]), float(covariance[area, area])
@@ -479,7 +472,7 @@ def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
     baseline, later_count = state.baselines[clutch - 1], state.later_count(clutch)
     if baseline is None or later_count <= 0:
         return None
-    known, rows = state.known, FRICTION_ROWS[clutch - 1]
+    known, rows = state.fusion.knowledge, FRICTION_ROWS[clutch - 1]
     gain = state.torque_gain + float(known.mean[_GAIN])
     now, then = known.mean[rows].tolist(), baseline.mean.tolist()
     spread = known.covariance[rows, rows], baseline.covariance, state.cross(clutch)[rows]
@@ -528,7 +521,7 @@ def clutch_ratio(state: Posterior) -> ClutchRatio | None:
     """Return the friction of clutch 1 over that of clutch 2, or None before both have had a shift."""
     if not all(state.shift_counts):
         return None
-    known = state.known
+    known = state.fusion.knowledge
     mean, covariance = known.mean[:FRICTION_COUNT].tolist(), known.covariance[:FRICTION_COUNT, :FRICTION_COUNT].tolist()
     (ratio_c, std_c), (ratio_s, std_s) = (_ratio(mean, covariance, one) for one in (State.MU_C1, State.MU_S1))
     return ClutchRatio(mu_c_ratio=ratio_c, mu_s_ratio=ratio_s, std_mu_c_ratio=std_c, std_mu_s_ratio=std_s)
@@ -581,7 +574,7 @@ _AMONG_NUISANCES: Final = (_LEARNT - FRICTION_COUNT).tolist()
 
 def calibration_ratio(state: Posterior, calibration: Calibration) -> float:
     """Return by how much the deviations of sensors, oil and latencies have shrunk from those of the type, 0 to 1."""
-    variances, stds = state.known.covariance[_LEARNT, _LEARNT].tolist(), type_std(calibration)
+    variances, stds = state.fusion.knowledge.covariance[_LEARNT, _LEARNT].tolist(), type_std(calibration)
     of_type = [stds[row] for row in _AMONG_NUISANCES]
     left = [math.sqrt(now) / std if std else 0.0 for now, std in zip(variances, of_type, strict=True)]
     return sum(1.0 - min(one, 1.0) for one in left) / len(left)

@@ -337,7 +337,7 @@ def _seen_shifts(
         balance = Balance(signals, window, drives, point, laws, at)
         packs = PackTemperatures(clutch_k=balance.final_clutch_k, at_ns=event.end_ns)
         if film_share(balance, clutch) <= MOST_FILM_SHARE:
-            seen = Evidence.of(measured(balance), at).loosened(own_variance(balance, clutch))
+            seen = Evidence.of(measured(balance), at, variance=own_variance(balance, clutch))
             yield _Seen(
                 balance=seen,
                 zeros=zeros_seen(signals, point),

@@ -91,11 +91,11 @@ def test_an_engine_that_stands_or_is_started_has_no_segments() -> None:
 def test_interpolation_is_exact_for_straight_lines(degree: int) -> None:
     times_s = np.array([0.0, 0.01, 0.03, 0.04])
     grid_s = np.linspace(0.0, 0.04, 41)
-    assert np.allclose(Resampled.of(times_s, times_s**degree, grid_s).on_grid, grid_s**degree)
+    assert np.allclose(Resampled(times_s, times_s**degree, grid_s).on_grid, grid_s**degree)
 
 
 def test_interpolation_holds_the_ends() -> None:
-    ends = Resampled.of(np.array([0.0, 1.0, 2.0]), np.array([7.0, 8.0, 9.0]), np.array([-1.0, 5.0]))
+    ends = Resampled(np.array([0.0, 1.0, 2.0]), np.array([7.0, 8.0, 9.0]), np.array([-1.0, 5.0]))
     assert np.allclose(ends.on_grid, [7.0, 9.0])
 
 
@@ -103,7 +103,7 @@ def test_sample_weights_are_the_transpose_of_interpolation() -> None:
     rng = np.random.default_rng(2)
     times_s, grid_s = np.sort(rng.uniform(0.0, 1.0, 20)), np.linspace(0.0, 1.0, 300)
     weights, value = rng.normal(size=(4, 300)), rng.normal(size=20)
-    resampled = Resampled.of(times_s, value, grid_s)
+    resampled = Resampled(times_s, value, grid_s)
     assert np.allclose(resampled.to_samples([weights], [slice(None)])[0] @ value, weights @ resampled.on_grid)
 
 

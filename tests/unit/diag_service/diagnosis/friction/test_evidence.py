@@ -97,10 +97,11 @@ def test_an_event_with_parameters_of_its_own_is_least_squares_with_twice_as_many
     """Chi-square, least over what the event may differ by, at any parameters."""
     rng = np.random.default_rng(5)
     known = knowledge(rng)
-    evidence = Evidence.of([measurement(rng, known.mean, known.mean)], known.mean)
+    seen = measurement(rng, known.mean, known.mean)
+    evidence = Evidence.of([seen], known.mean)
     variance = np.where(np.arange(PARAMETER_COUNT) % 3 == 0, (0.3 * SCALES) ** 2, 0.0)
     free = variance > 0.0
-    loosened = evidence.loosened(variance)
+    loosened = Evidence.of([seen], known.mean, variance=variance)
     for at in (known.mean, known.mean + SCALES):
         pull = (evidence.vector - evidence.matrix @ at)[free]
         own = np.linalg.solve(evidence.matrix[np.ix_(free, free)] + np.diag(1.0 / variance[free]), pull)
@@ -114,7 +115,11 @@ def test_an_event_with_parameters_of_its_own_is_least_squares_with_twice_as_many
 def test_an_event_without_parameters_of_its_own_says_what_it_says() -> None:
     rng = np.random.default_rng(6)
     known = knowledge(rng)
-    evidence = Evidence.of([measurement(rng, known.mean, known.mean)], known.mean)
-    same = evidence.loosened(np.zeros(PARAMETER_COUNT))
+    seen = measurement(rng, known.mean, known.mean)
+    evidence, readings = Evidence.of([seen], known.mean), Evidence.of_readings([5], [2.0], [0.25])
+    same = Evidence.of([seen], known.mean, variance=np.zeros(PARAMETER_COUNT))
     assert np.array_equal(same.vector, evidence.vector)
     assert same.matrix == pytest.approx(evidence.matrix, rel=1e-12)
+    both, apart = Evidence.of([seen], known.mean, readings), evidence.plus(readings)
+    assert np.array_equal(both.matrix, apart.matrix)
+    assert (both.constant, both.count) == (apart.constant, apart.count)

@@ -92,7 +92,7 @@ def test_functions_are_a_matrix_of_which_most_is_zero() -> None:
     matrix[:5, :100], matrix[5:, 139:] = functions.blocks
     factor = np.linspace(-1.0, 2.0, 251)
     both = functions * factor + functions * 3.0
-    signal = Resampled.of(np.arange(-0.05, 0.5, 0.01), np.arange(55.0), GRID)
+    signal = Resampled(np.arange(-0.05, 0.5, 0.01), np.arange(55.0), GRID)
     assert both @ np.column_stack((factor, factor**2)) == pytest.approx(
         (matrix * (factor + 3.0)) @ np.column_stack((factor, factor**2))
     )
