@@ -17,6 +17,7 @@ import numpy as np
 
 from benchmarks.real_dct import meaning_of
 from benchmarks.scan_tool import written
+from clutch_model.calibration import clutch_of_gear
 from diag_service.commands.learn import learned_from, said
 from diag_service.mapping.interpretation import interpret
 from diag_service.mapping.learning import LearnedVehicle
@@ -63,7 +64,7 @@ def rows(name: str, found: LearnedVehicle, truth: Sequence[float]) -> Iterator[s
         true = truth[gear - 1] if gear <= len(truth) else float("nan")
         ratio, std = one.ratio.ratio, one.ratio.std
         off = f"{100 * (ratio / true - 1.0):+.3f} % | {(ratio - true) / std:+.1f}"
-        right = "right" if one.clutch == 1 + (gear - 1) % 2 else f"wrong: {one.clutch}"
+        right = "right" if one.clutch == clutch_of_gear(gear) else f"wrong: {one.clutch}"
         yield f"| {name} | ratio of gear {gear} | {ratio:.4f} | {std:.4f} | {true:.4f} | {off} | {right} |"
     for clutch, lag in found.lag_s.items():
         value, std = 1e3 * lag.value, 1e3 * lag.std

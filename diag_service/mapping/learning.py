@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Series
+from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.prediction import LEAST_EVENTS, SlipPhase, fitted
@@ -88,7 +89,7 @@ class LearnedVehicle:
     @property
     def is_swapped(self) -> bool:
         """Whether clutch 1 carries the even gears here: the pressures are named the other way round."""
-        told = [one.clutch == 1 + (gear - 1) % 2 for gear, one in self.gears.items() if one.clutch is not None]
+        told = [one.clutch == clutch_of_gear(gear) for gear, one in self.gears.items() if one.clutch is not None]
         return self.are_named and bool(told) and not any(told)
 
 
