@@ -53,8 +53,7 @@ def described(learned: "LearnedVehicle", assumed: Calibration, name: str) -> Cal
 
 def _touching_at(clutch: ClutchCalibration, touch_pa: float) -> ClutchCalibration:
     """Return a clutch whose spring is as strong as a touch point says."""
-    force_n = touch_pa * clutch.geometry.piston_area_m2
-    share = force_n / clutch.piston.closed_spring_force_n
+    share = touch_pa / clutch.touch_pressure_pa
     piston = replace(
         clutch.piston,
         spring_preload_n=share * clutch.piston.spring_preload_n,
