@@ -41,7 +41,7 @@ __all__ = [
     "write_pdx",
 ]
 
-__version__ = "0.1.0"
+__version__ = "0.9.0"
 
 _HOMES = {
     "ecu_emulator.api.emulator": ("Answers", "Emulator"),

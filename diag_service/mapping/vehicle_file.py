@@ -29,8 +29,8 @@ class Described(NamedTuple):
 
 
 def read_description(path: Path) -> Described:
-    """Read the description of a vehicle; raises CalibrationError, naming the file and the key."""
-    table = read_table(path, "vehicle")
+    """Read a calibration, or the description of a vehicle; raises CalibrationError, naming the file and the key."""
+    table = read_table(path, "calibration")
     gears = table.pop("gears", None)
     table.pop(LEARNED, None)
     try:

@@ -7,6 +7,7 @@ import signal
 import sqlite3
 import subprocess
 from contextlib import closing
+from importlib.metadata import version
 from operator import itemgetter
 from pathlib import Path
 
@@ -289,7 +290,7 @@ def test_results_that_nobody_keeps_are_told(drive_log: Path, tmp_path: Path) -> 
 
 def test_version(tmp_path: Path) -> None:
     ended = run("--version")
-    assert (ended.status, ended.out) == (0, "diag-service 0.1.0\n")
+    assert (ended.status, ended.out) == (0, f"diag-service {version('clutchdiag')}\n")
 
 
 @pytest.mark.parametrize("command", ["analyze", "inspect", "signals"])

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+import ecu_emulator
+
 ROOT = Path(__file__).parents[2]
 PACKAGES = (
     "canlog",
@@ -117,9 +119,26 @@ def test_the_lock_holds_every_direct_requirement() -> None:
     assert names - locked == set()
 
 
-def test_the_changelog_knows_the_version_or_is_ahead_of_it() -> None:
-    headings = re.findall(r"^## \[([^\]]+)\]", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
-    assert headings[0] in {"Unreleased", project()["project"]["version"]}
+def test_the_changelog_is_a_line_a_change_and_newest_first() -> None:
+    lines = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").splitlines()
+    headings = [
+        match for line in lines if (match := re.fullmatch(r"## \[(\d+\.\d+\.\d+)\] - (\d{4}-\d\d-\d\d): .+", line))
+    ]
+    releases = [tuple(map(int, one[1].split("."))) for one in headings]
+    assert len(headings) == sum(line.startswith("## ") for line in lines)
+    assert releases == sorted(releases, reverse=True)
+    assert [one[2] for one in headings] == sorted((one[2] for one in headings), reverse=True)
+    assert headings[0][1] == project()["project"]["version"]
+    assert [line for line in lines if len(line) > 160] == []
+    assert [line for line in lines if line.startswith("  ")] == []  # nothing goes on in a second line
+
+
+def test_every_package_has_the_version_of_the_project() -> None:
+    wanted = project()["project"]["version"]
+    own = tomllib.loads((ROOT / "canlog" / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    image = re.search(r"image: clutchdiag:(\S+)", (ROOT / "docker-compose.yml").read_text(encoding="utf-8"))
+    assert image is not None
+    assert {own, image[1], ecu_emulator.__version__} == {wanted}
 
 
 def anchors(document: Path) -> set[str]:
