@@ -22,7 +22,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.batch.drives import drive_of
 from diag_service.batch.journal import Entry
 from diag_service.batch.worker import Analyst
-from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import fit_of, interpret
 from diag_service.settings.config import DiagnosisConfig

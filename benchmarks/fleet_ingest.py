@@ -20,7 +20,7 @@ import psutil
 from benchmarks.fleet_load import Load, Wire, wire
 from demo.fleet.mosquitto import mosquitto
 from demo.fleet.postgres import PostgresServer
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 from fleet_backend.queries import table_hash

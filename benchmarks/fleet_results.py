@@ -10,7 +10,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 from benchmarks.fleet_load import Wire, wire
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from fleet_contract import MAX_BUNDLED, Outgoing, bundle_messages, shift_message
 from tests.support.fleet import fleet_result
 

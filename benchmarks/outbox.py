@@ -24,7 +24,7 @@ import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
 from diag_service.delivery import Acknowledge, MqttConnector, Outbox
-from diag_service.diagnosis.results import dump, iso_utc, shift_record
+from diag_service.diagnosis.records import dump, iso_utc, shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import (
     Channel,

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import aiomqtt
 
 from demo.errors import DemoError
-from diag_service.diagnosis.records import FrictionEstimate, ShiftResult
-from diag_service.diagnosis.results import shift_from, verdict_from
+from diag_service.diagnosis.records import FrictionEstimate, ShiftResult, shift_from, verdict_from
 from diag_service.errors import ResultError
 from fleet_contract import CLUTCHES, Channel, ContractError, Incoming, read_message, topic_of
 from fleet_link import BrokerAddress

@@ -13,8 +13,7 @@ from diag_service.batch.tables import columns, drive_rows, flattened, record_col
 from diag_service.console.notices import collected_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.delivery.console import condition_words
-from diag_service.diagnosis.records import ClutchVerdict, ShiftResult
-from diag_service.diagnosis.results import dump, shift_record, verdict_from
+from diag_service.diagnosis.records import ClutchVerdict, ShiftResult, dump, shift_record, verdict_from
 from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged
 from diag_service.errors import ConfigError
 from diag_service.service.drive import insist

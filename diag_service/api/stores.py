@@ -9,8 +9,7 @@ from clutch_model.calibration import Calibration, nominal_calibration
 from diag_service.api.choices import AnyPath, AnyPaths, configuration, path_list
 from diag_service.commands.store import check_name, findings_of, noted_fill
 from diag_service.console.notices import collected_notices
-from diag_service.diagnosis.records import FluidFill, ShiftResult
-from diag_service.diagnosis.results import shift_from
+from diag_service.diagnosis.records import FluidFill, ShiftResult, shift_from
 from diag_service.report.findings import findings_of_store
 from diag_service.report.history import history_records
 from diag_service.report.page import page_of, write_page

@@ -21,7 +21,7 @@ from diag_service.batch.processes import job_count, progress_bar, shared_out
 from diag_service.batch.tables import check_output, write_results
 from diag_service.batch.worker import analyse_drive, start_worker
 from diag_service.delivery import Acknowledge
-from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.records import dump
 from diag_service.diagnosis.summary import GAP_TEXT, Gap
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.service.drive import stream_of

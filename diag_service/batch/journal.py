@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Self
 
 from clutchdiag_io.files import OPEN_FLAGS, PRIVATE_MODE, keep_private, lock
-from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.records import dump
 from diag_service.errors import StoreError
 from fleet_contract import JsonObject
 

@@ -11,7 +11,7 @@ from canlog.files import replacing
 from canlog.parquet_file import BOOL_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
 from clutchdiag_io.files import legible
 from diag_service.batch.journal import Entry
-from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, StoreError
 from fleet_contract import Channel, JsonObject, schema
 

@@ -8,7 +8,7 @@ from typing import Final, TypeVar
 
 from diag_service.console.keys import is_confirmed
 from diag_service.console.terminal import PeopleConsole, ReadingLine
-from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.service.stopping import Controls, Trigger
 from diag_service.tester.addresses import hexadecimal, parse_address

@@ -54,7 +54,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     if not decoded.is_whole:
         raise StoppedError(f"stopped early: {'a part was written' if is_piped else 'no file was written'}")
     if options.json:
-        from diag_service.diagnosis.results import dump  # noqa: PLC0415 - the records of results take a while
+        from diag_service.diagnosis.records import dump  # noqa: PLC0415 - the records of results take a while
 
         sys.stdout.write(dump(_record(options, decoded)) + "\n")
     else:

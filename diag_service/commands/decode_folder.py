@@ -20,7 +20,7 @@ from diag_service.batch.processes import job_count, shared_out
 from diag_service.batch.tables_of_logs import TableDone, TableTask, begin_tables, write_own_table
 from diag_service.commands.decode import check_messages, choice_of, planned
 from diag_service.console.terminal import PeopleConsole
-from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.databases import asked_database
 from diag_service.service.stopping import Controls

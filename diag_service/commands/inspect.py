@@ -23,7 +23,7 @@ from canlog.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
 from diag_service.batch.drives import LeftOut, TakenFor, left_out_record, sorted_out
 from diag_service.commands.conversations import Conversations
 from diag_service.console.terminal import PeopleConsole, ReadingLine
-from diag_service.diagnosis.results import dump, utc_from_bus_ns
+from diag_service.diagnosis.records import dump, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.databases import asked_database
 from diag_service.service.stopping import Controls, Trigger

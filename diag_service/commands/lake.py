@@ -10,7 +10,7 @@ from typing import Final
 
 from canlog.logs import STANDARD_INPUT
 from canlog.notice import NOTICE
-from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoreError
 from diag_service.lake.manifest import DONE, Manifest
 from diag_service.lake.nodes import ClusterAddress, run_scheduler, run_workers

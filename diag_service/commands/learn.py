@@ -16,7 +16,7 @@ from diag_service.commands.predict import Standing, slip_phases
 from diag_service.console.terminal import PeopleConsole, ReadingLine
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.prediction import SlipPhase
-from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation, interpret
 from diag_service.mapping.learning import LearnedVehicle, VehicleSurvey

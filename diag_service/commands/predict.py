@@ -25,7 +25,7 @@ from diag_service.diagnosis.prediction import (
     predicted_simply,
     slip_phase,
 )
-from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.records import dump
 from diag_service.diagnosis.shifts.gear_tracking import tracker_for
 from diag_service.diagnosis.shifts.shifts import PRE_NS
 from diag_service.diagnosis.shifts.tracking import NS_PER_S, EventFinder

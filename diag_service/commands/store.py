@@ -15,8 +15,7 @@ from clutch_model.calibration import nominal_calibration
 from clutchdiag_io.files import legible, replacement_refusal
 from diag_service.console.terminal import PeopleConsole, ReadingLine
 from diag_service.diagnosis.prognosis import Population, population_from
-from diag_service.diagnosis.records import FluidFill
-from diag_service.diagnosis.results import dump, iso_utc
+from diag_service.diagnosis.records import FluidFill, dump, iso_utc
 from diag_service.errors import ConfigError
 from diag_service.report.findings import Findings, findings_of_logs, findings_of_store
 from diag_service.report.history import history_lines, history_records, shift_lines

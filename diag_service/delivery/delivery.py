@@ -12,8 +12,15 @@ from typing import Final
 
 from canlog.notice import NOTICE
 from diag_service.delivery.base import DeliveryLimits, Link
-from diag_service.diagnosis.records import FluidFill
-from diag_service.diagnosis.results import StoredResult, clutch_record, fill_record, iso_utc, parse_shift, shift_record
+from diag_service.diagnosis.records import (
+    FluidFill,
+    StoredResult,
+    clutch_record,
+    fill_record,
+    iso_utc,
+    parse_shift,
+    shift_record,
+)
 from diag_service.diagnosis.summary import of_present_fluid, order_by
 from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore

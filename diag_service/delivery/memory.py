@@ -4,8 +4,7 @@ import asyncio
 from collections.abc import Sequence
 
 from diag_service.delivery.base import News, OnFills, OnReceipts
-from diag_service.diagnosis.records import FluidFill, ShiftResult
-from diag_service.diagnosis.results import shift_from
+from diag_service.diagnosis.records import FluidFill, ShiftResult, shift_from
 from diag_service.diagnosis.summary import Summary
 from diag_service.errors import PublishError
 from diag_service.tester.trouble_report import ControllerReport

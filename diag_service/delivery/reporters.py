@@ -9,8 +9,7 @@ from typing import Final, TextIO
 from rich.console import Console
 
 from diag_service.delivery.base import News, Reporter
-from diag_service.diagnosis.records import ShiftResult
-from diag_service.diagnosis.results import dump, shift_record
+from diag_service.diagnosis.records import ShiftResult, dump, shift_record
 from diag_service.diagnosis.summary import Summary, summary_record
 from diag_service.tester.trouble_report import ControllerReport, controller_record
 

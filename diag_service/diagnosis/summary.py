@@ -1,11 +1,9 @@
 """What a run did, in numbers: frames in, frames refused and why, shifts out. For people and for machines."""
 
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import StrEnum
-from typing import Self
 
 from diag_service.diagnosis.condition.verdict import Silence, advice
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
@@ -15,15 +13,17 @@ from diag_service.diagnosis.records import (
     Condition,
     FluidFill,
     ShiftResult,
-    Status,
+    ShiftStatistics,
     Tier,
+    clutch_record,
+    order_record,
+    shift_record,
     to_plain,
+    utc_from_bus_ns,
 )
-from diag_service.diagnosis.results import clutch_record, order_record, shift_record, utc_from_bus_ns
 from fleet_contract import JsonObject
 from fleet_contract.orders import UNKNOWN_FLUID, Finding, Order, is_of_earlier_fluid, order_of, unseen_since_new
 
-RECENT_COUNT = 8
 SUMMARY_SCHEMA = "clutchdiag/summary/v1"
 NAMED_SIGNALS = 3  # of those that lost values
 _FRAME_KEYS = {"invalid": "invalid_signals"}  # public, where they are not the names of `FrameCounts`
@@ -87,37 +87,6 @@ class Capability:
 
 
 FULL = Capability()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ShiftStatistics:
-    """Counts of the shifts of one run, and its last results; replaced, never changed: other threads read them."""
-
-    by_status: Mapping[str, int] = field(default_factory=lambda: {status.value: 0 for status in Status})
-    by_reason: Mapping[str, int] = field(default_factory=dict)  # sorted
-    by_clutch: Mapping[tuple[int, str], int] = field(default_factory=dict)  # clutch, status -> shifts
-    stored_count: int = 0
-    known_count: int = 0  # their key was in the store before
-    latest: Mapping[int, ShiftResult] = field(default_factory=dict)  # of each clutch
-    recent: tuple[ShiftResult, ...] = ()  # oldest first
-
-    def with_shift(self, result: ShiftResult, *, is_new: bool) -> Self:
-        estimate, status = result.estimate, result.estimate.status.value
-        by_reason = self.by_reason
-        if estimate.reasons:
-            added = Counter(reason.value for reason in estimate.reasons)
-            by_reason = dict(sorted((added + Counter(by_reason)).items()))
-        key = estimate.clutch, status
-        return replace(
-            self,
-            by_status={**self.by_status, status: self.by_status[status] + 1},
-            by_reason=by_reason,
-            by_clutch={**self.by_clutch, key: self.by_clutch.get(key, 0) + 1},
-            stored_count=self.stored_count + is_new,
-            known_count=self.known_count + (not is_new),
-            latest={**self.latest, estimate.clutch: result},
-            recent=(*self.recent, result)[-RECENT_COUNT:],
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 from canlog.parquet_file import TIME_TYPE, ParquetTable, load_pyarrow
-from diag_service.diagnosis.results import iso_utc
+from diag_service.diagnosis.records import iso_utc
 from diag_service.errors import StoreError
 from diag_service.lake.places import Place
 

@@ -15,7 +15,7 @@ from canlog.parquet_file import ParquetTable
 from canlog.tables.decoding import Plan, decode_logs
 from canlog.tables.outputs import TableFormat
 from diag_service.batch.tables import BATCH_ROWS, columns, flattened
-from diag_service.diagnosis.results import utc_from_bus_ns
+from diag_service.diagnosis.records import utc_from_bus_ns
 from diag_service.errors import ConfigError, StoreError
 from diag_service.lake.manifest import DONE, Manifest
 from diag_service.lake.places import Held, Place

@@ -19,7 +19,7 @@ from diag_service.batch.drives import drive_of
 from diag_service.batch.folder_run import settings_digest
 from diag_service.batch.journal import Entry
 from diag_service.batch.worker import Analyst
-from diag_service.diagnosis.results import dump, iso_utc
+from diag_service.diagnosis.records import dump, iso_utc
 from diag_service.errors import ConfigError, StoreError
 from diag_service.lake.manifest import DONE, FAILED, LogRow
 from diag_service.lake.parts import (

@@ -12,8 +12,16 @@ from clutchdiag_io.pages.content import spread
 from diag_service.delivery.console import condition_words, order_lines
 from diag_service.diagnosis.prognosis import Population, history_of, prognose, without
 from diag_service.diagnosis.prognosis.sentence import outlook_line
-from diag_service.diagnosis.records import ClutchVerdict, FluidFill, FrictionEstimate, FrictionTrend, LiningChange
-from diag_service.diagnosis.results import fill_record, order_record, utc_from_bus_ns
+from diag_service.diagnosis.records import (
+    ClutchVerdict,
+    FluidFill,
+    FrictionEstimate,
+    FrictionTrend,
+    LiningChange,
+    fill_record,
+    order_record,
+    utc_from_bus_ns,
+)
 from diag_service.report.findings import Findings
 from diag_service.store import Row
 from fleet_contract import JsonObject

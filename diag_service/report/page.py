@@ -15,8 +15,17 @@ from clutchdiag_io.files import legible, legible_record
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Key, Section, Table, number, spread
 from clutchdiag_io.pages.environment import templates_of
 from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
-from diag_service.diagnosis.records import ClutchVerdict, QualityPart, ShiftResult, Status
-from diag_service.diagnosis.results import SHIFT_SCHEMA, clutch_record, order_record, shift_record, utc_from_bus_ns
+from diag_service.diagnosis.records import (
+    SHIFT_SCHEMA,
+    ClutchVerdict,
+    QualityPart,
+    ShiftResult,
+    Status,
+    clutch_record,
+    order_record,
+    shift_record,
+    utc_from_bus_ns,
+)
 from diag_service.diagnosis.summary import capability_line, frames_line, gaps_line, summary_record, values_line
 from diag_service.errors import StoreError
 from diag_service.report.findings import Findings

@@ -16,8 +16,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.posterior import curve_band, new_curve
-from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult
-from diag_service.diagnosis.results import utc_from_bus_ns
+from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult, utc_from_bus_ns
 
 BAND_STD: Final = 2.0
 MOST_POINTS: Final = 600  # of a trend; a screen shows no more

@@ -28,7 +28,7 @@ from diag_service.delivery import (
     Reporter,
 )
 from diag_service.delivery.outbox import MetricsMessage
-from diag_service.diagnosis.results import ServiceStatus
+from diag_service.diagnosis.records import ServiceStatus
 from diag_service.errors import StoreError
 from diag_service.service.session import Session, utc_now, versions_for
 from diag_service.service.stopping import Trigger

@@ -19,7 +19,7 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.evidence import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
-from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.records import dump
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.diagnosis.summary import GAP_TEXT, Gap

@@ -20,7 +20,7 @@ from diag_service.diagnosis.friction.paper import (
     PooledClutch,
     nominal_driveline,
 )
-from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.records import dump
 from diag_service.diagnosis.summary import Gap, frames_line, gaps_line
 from diag_service.service.drive import insist, open_drive
 from diag_service.service.recorded import Account, replay

@@ -10,7 +10,7 @@ from typing import Final, Self
 from canlog.errors import CanlogError
 from canlog.notice import NOTICE
 from diag_service.delivery import Reporter
-from diag_service.diagnosis.results import dump
+from diag_service.diagnosis.records import dump
 from diag_service.errors import DiagServiceError
 from diag_service.settings.config import BusConfig, PollConfig
 from diag_service.store import ResultStore

@@ -22,9 +22,8 @@ from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, Posterior
-from diag_service.diagnosis.records import ShiftResult
-from diag_service.diagnosis.results import iso_utc, parse_shift, utc_from_bus_ns
-from diag_service.diagnosis.summary import FrameCounts, Gap, ShiftStatistics, Summary, frames_line, of_present_fluid
+from diag_service.diagnosis.records import ShiftResult, ShiftStatistics, iso_utc, parse_shift, utc_from_bus_ns
+from diag_service.diagnosis.summary import FrameCounts, Gap, Summary, frames_line, of_present_fluid
 from diag_service.errors import ResultError, StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Diagnosis, Stages

@@ -8,8 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Final
 
-from diag_service.diagnosis.records import FluidFill
-from diag_service.diagnosis.results import iso_utc
+from diag_service.diagnosis.records import FluidFill, iso_utc
 from diag_service.errors import ConfigError, StoreError
 from diag_service.store.file import connect, translated
 from fleet_contract.fills import SAME_WITHIN, distinct, odometer_complaint

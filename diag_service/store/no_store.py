@@ -4,8 +4,7 @@ import uuid
 from collections.abc import Sequence
 from typing import Protocol
 
-from diag_service.diagnosis.records import FluidFill, ShiftResult
-from diag_service.diagnosis.results import StoredResult
+from diag_service.diagnosis.records import FluidFill, ShiftResult, StoredResult
 from diag_service.store.result_store import VehicleState, Versions
 
 

@@ -11,8 +11,7 @@ from typing import Final, Self
 from urllib.parse import quote
 
 from canlog.files import open_plain_file
-from diag_service.diagnosis.records import FluidFill, ShiftResult
-from diag_service.diagnosis.results import parse_shift
+from diag_service.diagnosis.records import FluidFill, ShiftResult, parse_shift
 from diag_service.errors import ResultError, StoreError
 from diag_service.store.file import APPLICATION_ID, SCHEMA_VERSION, translated
 from diag_service.store.fills import read_fills

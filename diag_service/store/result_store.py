@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Final, Self
 
 from clutchdiag_io.files import keep_private
-from diag_service.diagnosis.records import FluidFill, ShiftResult
-from diag_service.diagnosis.results import StoredResult, dump, parse_shift, shift_record
+from diag_service.diagnosis.records import FluidFill, ShiftResult, StoredResult, dump, parse_shift, shift_record
 from diag_service.errors import ResultError, StoreError
 from diag_service.store.file import DELIVERED, QUARANTINED, WAITING, connect, connect_in_memory, own, store_error
 from diag_service.store.fills import add_fills, all_fills, latest_fill, read_fills

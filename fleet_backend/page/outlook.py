@@ -14,8 +14,8 @@ from diag_service.diagnosis.records import (
     ScaleFreeFriction,
     ShiftEstimate,
     Status,
+    iso_utc,
 )
-from diag_service.diagnosis.results import iso_utc
 from fleet_backend.page.past import friction_in
 from fleet_backend.page.populations import Kept
 from fleet_backend.page.records import Fill, OutlookAnswer, ReachAnswer

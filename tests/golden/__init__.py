@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from diag_service.diagnosis.results import ServiceStatus, clutch_record, shift_record, status_record
+from diag_service.diagnosis.records import ServiceStatus, clutch_record, shift_record, status_record
 from diag_service.tester.trouble import Snapshot, TroubleCode
 from diag_service.tester.trouble_report import ControllerReport, controller_record
 from fleet_contract import (

@@ -12,7 +12,7 @@ from amqtt.broker import Broker as AmqttBroker
 from jsonschema import Draft202012Validator
 
 from diag_service.delivery import DeliveryLimits, MqttConnector, Outbox
-from diag_service.diagnosis.results import ServiceStatus, clutch_record, shift_record
+from diag_service.diagnosis.records import ServiceStatus, clutch_record, shift_record
 from diag_service.diagnosis.summary import order_by
 from diag_service.store import ResultStore
 from fleet_contract import schema

@@ -12,7 +12,7 @@ from sqlalchemy import Engine, func, select
 
 from demo.fleet.nats import NatsServer
 from diag_service.delivery import Acknowledge, MqttConnector, Outbox
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from diag_service.store import ResultStore
 from fleet_backend.broker import BUNDLES, connected
 from fleet_backend.choices import Pace

@@ -16,7 +16,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from sqlalchemy import Engine
 
 from demo.fleet.postgres import PostgresServer
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate

@@ -14,7 +14,7 @@ from threading import Thread
 import pytest
 from paho.mqtt import publish
 
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from fleet_backend.cli import main
 from fleet_contract import Outgoing, bundle_messages, shift_message, status_message
 from tests.plugins.broker import Mosquitto, free_port

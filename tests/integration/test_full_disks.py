@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine
 
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_backend import queries
 from fleet_backend.choices import Axis

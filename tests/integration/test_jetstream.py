@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from demo.fleet.nats import NatsServer
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from fleet_backend.broker import connected
 from fleet_backend.certificates.authority import Authority, Lifetime
 from fleet_backend.errors import BrokerError

@@ -17,7 +17,7 @@ from pyarrow import parquet
 from dbc.contract import DBC_PATH
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import write_results
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from tests.support.builders import shift_result
 from tests.support.patience import HANG_S
 

@@ -13,7 +13,7 @@ import can
 import pytest
 
 from dbc.contract import load_contract
-from diag_service.diagnosis.results import dump, shift_record
+from diag_service.diagnosis.records import dump, shift_record
 from diag_service.store import ResultStore, StoreReader
 from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.answering.monitoring import Monitoring

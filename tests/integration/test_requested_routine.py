@@ -15,7 +15,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.results import dump, shift_record
+from diag_service.diagnosis.records import dump, shift_record
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Outbox
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from diag_service.store import ResultStore
 from fleet_backend import queries
 from fleet_backend.certificates.authority import Authority, Lifetime

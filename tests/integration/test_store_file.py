@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from diag_service.diagnosis.results import StoredResult
+from diag_service.diagnosis.records import StoredResult
 from diag_service.errors import StoreError
 from diag_service.store import (
     APPLICATION_ID,

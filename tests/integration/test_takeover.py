@@ -13,8 +13,7 @@ from sqlalchemy import select
 
 from clutch_model.calibration import nominal_calibration, read_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.records import ShiftResult
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import ShiftResult, shift_record
 from diag_service.service.session import resume, versions_for
 from diag_service.store import ResultStore
 from fleet_backend import queries

@@ -14,8 +14,15 @@ from diag_service.diagnosis.prognosis import Passage, Prognosis
 from diag_service.diagnosis.prognosis.passage import DISTANCE_M
 from diag_service.diagnosis.prognosis.prognosis import Outlook, Reach
 from diag_service.diagnosis.prognosis.sentence import outlook_line
-from diag_service.diagnosis.records import Condition, FluidFill, ShiftResult
-from diag_service.diagnosis.results import clutch_record, iso_utc, shift_record, utc_from_bus_ns
+from diag_service.diagnosis.records import (
+    Condition,
+    FluidFill,
+    ShiftResult,
+    clutch_record,
+    iso_utc,
+    shift_record,
+    utc_from_bus_ns,
+)
 from diag_service.diagnosis.summary import of_present_fluid, order_by
 from diag_service.report.page import advice_of
 from fleet_backend.orders import with_orders

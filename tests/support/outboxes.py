@@ -6,7 +6,7 @@ from contextlib import asynccontextmanager
 from typing import Final
 
 from diag_service.delivery import Outbox
-from diag_service.diagnosis.results import ServiceStatus
+from diag_service.diagnosis.records import ServiceStatus
 from diag_service.store import ResultStore, VehicleState, Versions
 from tests.support.builders import shift_result
 from tests.support.patience import HANG_S

@@ -9,8 +9,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
 from diag_service.diagnosis.prognosis.assumptions import NEW_WITHIN_M
-from diag_service.diagnosis.records import FluidFill, ShiftEstimate, ShiftResult, Status
-from diag_service.diagnosis.results import utc_from_bus_ns
+from diag_service.diagnosis.records import FluidFill, ShiftEstimate, ShiftResult, Status, utc_from_bus_ns
 
 NS_PER_S: Final = 1e9
 MAX_CORRELATION: Final = 0.999

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from diag_service.delivery import Acknowledge, Link, MqttConnector, Outbox
-from diag_service.diagnosis.results import iso_utc
+from diag_service.diagnosis.records import iso_utc
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_link import BrokerAddress
 from tests.support.fleet import fleet_result

@@ -13,7 +13,7 @@ from typing import Final
 from sqlalchemy import Engine, select
 
 from demo.fleet.nats import NatsServer
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from diag_service.store import ResultStore
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate

@@ -8,8 +8,7 @@ import pytest
 
 from demo.errors import DemoError
 from demo.listener import Listener
-from diag_service.diagnosis.records import ShiftResult
-from diag_service.diagnosis.results import ServiceStatus, shift_record, status_record
+from diag_service.diagnosis.records import ServiceStatus, ShiftResult, shift_record, status_record
 from fleet_contract import Channel, Outgoing, shift_message, status_message, topic_of
 from tests.support.builders import shift_result
 

@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
 from fleet_backend.ingest import FILTERS, Worker

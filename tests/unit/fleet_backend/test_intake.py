@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from diag_service.diagnosis.results import clutch_record, shift_record
+from diag_service.diagnosis.records import clutch_record, shift_record
 from diag_service.tester.trouble_report import controller_record
 from fleet_backend.intake import Kind, Taken, batch_of, receipts_of, refuse, take, take_all
 from fleet_contract import (

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from fleet_contract import (
     MAX_BUNDLE_BYTES,
     MAX_BUNDLED,

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from diag_service.diagnosis.results import clutch_record, shift_record
+from diag_service.diagnosis.records import clutch_record, shift_record
 from fleet_contract import (
     ContractError,
     IdentityError,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from fleet_contract import (
     MAX_RECEIPTS,
     Channel,

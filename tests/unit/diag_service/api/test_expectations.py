@@ -7,8 +7,8 @@ import pytest
 
 from diag_service.api.analysis import Analysis
 from diag_service.api.expectations import expect_frames, expect_same_frames, expect_shifts, expect_verdict
-from diag_service.diagnosis.records import Condition
-from diag_service.diagnosis.summary import FrameCounts, ShiftStatistics, Summary
+from diag_service.diagnosis.records import Condition, ShiftStatistics
+from diag_service.diagnosis.summary import FrameCounts, Summary
 from tests.support.builders import rejected, shift_result
 
 FRAMES = FrameCounts(

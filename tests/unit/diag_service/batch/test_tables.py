@@ -11,7 +11,7 @@ from canlog.errors import ExtraMissingError
 from canlog.parquet_file import load_pyarrow
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import columns, flattened, format_of, write_results
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from diag_service.errors import ConfigError, StoreError
 from tests.support.builders import rejected, shift_result
 

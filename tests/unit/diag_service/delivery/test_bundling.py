@@ -8,7 +8,7 @@ import pytest
 
 from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
 from diag_service.delivery.delivery import Bundling
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import shift_record
 from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore
 from fleet_contract import MAX_BUNDLED, Outgoing, Receipt, key_of

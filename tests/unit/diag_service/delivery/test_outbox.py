@@ -8,8 +8,7 @@ from dataclasses import replace
 import pytest
 
 from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
-from diag_service.diagnosis.records import FluidFill
-from diag_service.diagnosis.results import shift_record
+from diag_service.diagnosis.records import FluidFill, shift_record
 from diag_service.errors import PublishError, StoreFullError
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Channel, Outcome, Outgoing, Receipt, key_of, metrics_message, read_message

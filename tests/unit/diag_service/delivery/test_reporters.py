@@ -9,9 +9,8 @@ from rich.console import Console
 
 from diag_service.delivery import ConsoleReporter, JsonLinesReporter, MemoryReporter, News, PipeReporter
 from diag_service.diagnosis.events import EventKind
-from diag_service.diagnosis.records import Reason, ShiftResult
-from diag_service.diagnosis.results import shift_record
-from diag_service.diagnosis.summary import FrameCounts, ShiftStatistics, Summary, frames_line, shifts_line
+from diag_service.diagnosis.records import Reason, ShiftResult, ShiftStatistics, shift_record
+from diag_service.diagnosis.summary import FrameCounts, Summary, frames_line, shifts_line
 from tests.support.builders import rejected, shift_result
 
 FRAMES = FrameCounts(

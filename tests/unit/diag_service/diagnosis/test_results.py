@@ -8,9 +8,11 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from diag_service.diagnosis.events import EndReason, EventKind
-from diag_service.diagnosis.records import Condition, Reason, Status
-from diag_service.diagnosis.results import (
+from diag_service.diagnosis.records import (
+    Condition,
+    Reason,
     ServiceStatus,
+    Status,
     clutch_record,
     dump,
     parse_shift,

@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from diag_service.diagnosis.records import Tier
+from diag_service.diagnosis.records import ShiftStatistics, Tier
 from diag_service.diagnosis.summary import (
     Capability,
     FrameCounts,
-    ShiftStatistics,
     Summary,
     capability_line,
     summary_record,

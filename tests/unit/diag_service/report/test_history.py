@@ -9,8 +9,7 @@ from rich.text import Text
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.prognosis import ChannelName, Kind, Peers, Population, Usual
-from diag_service.diagnosis.records import FluidFill
-from diag_service.diagnosis.results import shift_record, utc_from_bus_ns
+from diag_service.diagnosis.records import FluidFill, shift_record, utc_from_bus_ns
 from diag_service.errors import StoreError
 from diag_service.report.findings import findings_of_store
 from diag_service.report.history import history_lines, history_records, periods_of, shift_lines

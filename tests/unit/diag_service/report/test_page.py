@@ -13,8 +13,7 @@ from canlog.arrays import Series
 from clutchdiag_io.pages.content import spread
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.records import FluidFill, Reason, Status
-from diag_service.diagnosis.results import clutch_record, dump, shift_record, utc_from_bus_ns
+from diag_service.diagnosis.records import FluidFill, Reason, Status, clutch_record, dump, shift_record, utc_from_bus_ns
 from diag_service.errors import StoreError
 from diag_service.report.findings import Album, Findings
 from diag_service.report.page import html_of, page_of, record_of, write_page

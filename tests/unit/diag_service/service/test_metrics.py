@@ -10,8 +10,8 @@ from prometheus_client.core import Metric, Sample
 from prometheus_client.parser import text_string_to_metric_families
 
 from canlog.live import BusState, BusStatus
-from diag_service.diagnosis.records import Condition, FluidFill, ShiftResult
-from diag_service.diagnosis.summary import FrameCounts, ShiftStatistics, Summary, of_present_fluid
+from diag_service.diagnosis.records import Condition, FluidFill, ShiftResult, ShiftStatistics
+from diag_service.diagnosis.summary import FrameCounts, Summary, of_present_fluid
 from diag_service.service.metrics import SnapshotCollector
 from diag_service.service.snapshot import Board, Snapshot
 from tests.support.builders import rejected, shift_result

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from diag_service.diagnosis.records import FluidFill
-from diag_service.diagnosis.results import StoredResult, dump, shift_record
+from diag_service.diagnosis.records import FluidFill, StoredResult, dump, shift_record
 from diag_service.errors import ResultError
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Outcome, Receipt, key_of

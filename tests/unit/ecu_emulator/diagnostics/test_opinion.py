@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from diag_service.diagnosis.records import Condition
-from diag_service.diagnosis.results import dump, shift_record
+from diag_service.diagnosis.records import Condition, dump, shift_record
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from ecu_emulator.diagnostics.opinion import (
     ClutchOpinion,

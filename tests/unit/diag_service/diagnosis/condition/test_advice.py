@@ -8,8 +8,7 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge, no_verdict
 from diag_service.diagnosis.condition.verdict import Cause, Silence, advice
-from diag_service.diagnosis.records import ClutchVerdict, Condition
-from diag_service.diagnosis.results import clutch_record, dump, parse_shift, shift_record
+from diag_service.diagnosis.records import ClutchVerdict, Condition, clutch_record, dump, parse_shift, shift_record
 from diag_service.diagnosis.summary import Gap, order_by, unjudged
 from tests.support.builders import shift_result
 from tests.unit.diag_service.diagnosis.condition.test_condition import aged, believed, uncertain_scale

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from diag_service.diagnosis.prognosis import history_of
-from diag_service.diagnosis.records import FluidFill, ShiftResult
-from diag_service.diagnosis.results import utc_from_bus_ns
+from diag_service.diagnosis.records import FluidFill, ShiftResult, utc_from_bus_ns
 from tests.support.histories import history as stored
 from tests.support.pasts import ageing, past
 
