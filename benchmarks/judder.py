@@ -16,8 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import equilibrium_film_m, viscosity_pa_s
-from clutch_model.friction import contact_torque_nm, friction_law, kinetic_friction
+from clutch_model.pack import contact_torque_nm, equilibrium_film_m, friction_law, kinetic_friction, viscosity_pa_s
 from clutch_model.units import k_from_degc
 from ecu_emulator.plant import DriveSettings, FrictionFactors, nominal_parameters
 from ecu_emulator.plant import state as at

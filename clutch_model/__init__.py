@@ -1,7 +1,7 @@
 """Shared physics of the wet dual clutch: laws as pure SI functions and the calibrations that feed them.
 
-The laws live in their own modules (`friction`, `film`, `viscosity`, `thermal`, `units`), so that a program which
-only reads a calibration does not load the compiler.
+The laws live in a module of their own (`pack`), so that a program which only reads a calibration does not load the
+compiler.
 """
 
 from clutch_model.calibration import Calibration, ClutchCalibration, nominal_calibration, read_calibration

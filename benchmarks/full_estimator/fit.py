@@ -9,8 +9,7 @@ import numpy as np
 from benchmarks.full_estimator.windows import Window
 from canlog.arrays import FloatArray
 from clutch_model.calibration import ClutchCalibration
-from clutch_model.film import FilmLaw, film_law
-from clutch_model.friction import FrictionLaw, friction_law
+from clutch_model.pack import FilmLaw, FrictionLaw, film_law, friction_law
 
 MAX_ITERATIONS = 30
 CONVERGED_STD = 0.02  # a step this small in standard deviations ends the iteration

@@ -11,15 +11,18 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import kernel
-from clutch_model.film import (
+from clutch_model.pack import (
     CONTACT_END,
     FilmLaw,
+    FrictionLaw,
+    clutch_heating_rate_k_s,
     contact_pressure_pa,
+    contact_torque_nm,
     film_mobility_m,
+    kinetic_friction,
     piston_pressure_pa,
     viscous_torque_nm,
 )
-from clutch_model.friction import FrictionLaw, clutch_heating_rate_k_s, contact_torque_nm, kinetic_friction
 
 _MAX_ITERATIONS = 60
 _NUDGE_RATIO = 1e-6

@@ -6,8 +6,7 @@ from benchmarks.full_estimator.signals import BoolArray, FullSignals
 from benchmarks.full_estimator.torques import ClutchState
 from canlog.arrays import FloatArray
 from clutch_model.calibration import ClutchCalibration
-from clutch_model.film import applied_pressure_pa, film_law
-from clutch_model.friction import contact_torques_nm
+from clutch_model.pack import applied_pressure_pa, contact_torques_nm, film_law
 
 LOAD_RATIO = 0.85  # of the least torque at which the clutch would slip
 FRICTION_RATIO = 0.85  # of the calibrated friction: lower it may have fallen, then fewer samples count as locked

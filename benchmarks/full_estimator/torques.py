@@ -10,7 +10,7 @@ from benchmarks.full_estimator.signals import FullSignals
 from benchmarks.full_estimator.smoother import Motion
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
-from clutch_model.film import viscosities_pa_s
+from clutch_model.pack import viscosities_pa_s
 from diag_service.diagnosis.friction.paper.driveline import Driveline
 
 REST_RAD_S = 0.3  # slip below this is a locked clutch's and heats nothing

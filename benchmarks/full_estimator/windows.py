@@ -10,8 +10,7 @@ from benchmarks.full_estimator.torques import ClutchState
 from benchmarks.reproduce.differences import central_difference
 from canlog.arrays import FloatArray
 from clutch_model.calibration import ClutchCalibration
-from clutch_model.film import FilmLaw, film_law, piston_pressures_pa
-from clutch_model.friction import FrictionLaw, friction_law
+from clutch_model.pack import FilmLaw, FrictionLaw, film_law, friction_law, piston_pressures_pa
 
 SLIP_MIN_RAD_S = 0.3  # three times the slip at which a clutch locks: what is slower may be locked
 TORQUE_MIN_NM = 1.0  # below, a sample says nothing

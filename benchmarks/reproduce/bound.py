@@ -23,14 +23,18 @@ from benchmarks.reproduce.drives import PERIOD_S, PRESSURE_NOISE_RATIO, PaperDri
 from benchmarks.reproduce.study import CLUTCHES, PARAMETERS, Key, true_value
 from canlog.arrays import FloatArray
 from clutch_model.calibration import ClutchCalibration, Viscosity
-from clutch_model.film import (
+from clutch_model.pack import (
     FilmLaw,
+    FrictionLaw,
     contact_pressure_pa,
+    contact_torque_nm,
     film_law,
+    friction_law,
+    kinetic_friction,
+    stribeck_weight,
     viscosities_pa_s,
     viscous_torque_nm,
 )
-from clutch_model.friction import FrictionLaw, contact_torque_nm, friction_law, kinetic_friction, stribeck_weight
 from ecu_emulator.plant import Col
 
 BoolArray = npt.NDArray[np.bool_]

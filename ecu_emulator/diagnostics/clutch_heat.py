@@ -10,8 +10,7 @@ from functools import cache
 from typing import Final
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import film_law
-from clutch_model.friction import clutch_later_k, contact_torque_nm
+from clutch_model.pack import clutch_later_k, contact_torque_nm, film_law
 from ecu_emulator.diagnostics.adaptation import CLUTCHES
 
 ASSUMED_FRICTION: Final = 0.13  # docs/model.md (S1)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel
-from clutch_model.friction import convected_w
+from clutch_model.pack import convected_w
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.driveline import ENGAGED, brake_force_n, geared_torque_nm, road_load_n
 from ecu_emulator.plant.rates import PlantLaw

@@ -5,8 +5,16 @@ from typing import NamedTuple
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, kernel
-from clutch_model.film import FilmLaw, contact_pressure_pa, film_rate_m_s, shear_factor_difference, sheared_torque_nm
-from clutch_model.friction import FrictionLaw, contact_torque_nm, kinetic_friction
+from clutch_model.pack import (
+    FilmLaw,
+    FrictionLaw,
+    contact_pressure_pa,
+    contact_torque_nm,
+    film_rate_m_s,
+    kinetic_friction,
+    shear_factor_difference,
+    sheared_torque_nm,
+)
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.hydraulics import CavityLaw, HydraulicsParameters, cavity_pressure_pa, orifice_flow_m3_s
 

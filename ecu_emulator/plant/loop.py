@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel
-from clutch_model.film import viscosity_pa_s
+from clutch_model.pack import viscosity_pa_s
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import BRAKES, stored_energy_j
 from ecu_emulator.plant.clutch import friction_ratio

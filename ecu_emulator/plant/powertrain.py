@@ -4,8 +4,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, ClutchCalibration
-from clutch_model.film import applied_pressure_pa, equilibrium_film_m, film_law
-from clutch_model.friction import contact_torque_nm, friction_law
+from clutch_model.pack import applied_pressure_pa, contact_torque_nm, equilibrium_film_m, film_law, friction_law
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import ClutchLaw, OpenDragLaw, grooved, refresh_contact
 from ecu_emulator.plant.course import ROWS_PER_S, Course, as_record, blank_machine, check_step

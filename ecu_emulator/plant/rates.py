@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel
-from clutch_model.friction import clutch_heating_rate_k_s, convected_w, sump_heating_rate_k_s
+from clutch_model.pack import clutch_heating_rate_k_s, convected_w, sump_heating_rate_k_s
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import ClutchLaw, LiningParameters, capacity_nm, contact_nm, viscous_nm
 from ecu_emulator.plant.driveline import (

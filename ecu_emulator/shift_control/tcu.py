@@ -8,7 +8,7 @@ import math
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, kernel
-from clutch_model.friction import gear_clutch
+from clutch_model.pack import gear_clutch
 from ecu_emulator.shift_control import tcu_data as at
 from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters
 

@@ -17,7 +17,7 @@ USE_LAWS = """
 from canlog.kernel_cache import on_compiling
 compiled = []
 on_compiling(compiled.append)
-from clutch_model.friction import FrictionLaw, kinetic_friction
+from clutch_model.pack import FrictionLaw, kinetic_friction
 mu = kinetic_friction(10.0, FrictionLaw(0.1, 0.12, 5.0, 1.0, 0.1))
 print(*(name.rpartition(".")[2] for name in compiled))
 """
@@ -51,10 +51,10 @@ class Checkout:
         for path in laws.glob("*.py"):
             path.write_text(path.read_text().replace(f"{LAWS}.{name} ", f"{LAWS}.{new_name} "))
 
-    def compiled(self, law: str = "friction") -> set[str]:
+    def compiled(self, law: str = "pack") -> set[str]:
         """Return the names of the kernels that a program compiles here."""
         done = subprocess.run(
-            [sys.executable, "-c", USE_LAWS.replace("friction import", f"{law} import")],
+            [sys.executable, "-c", USE_LAWS.replace("pack import", f"{law} import")],
             cwd=self._folder,
             env={**os.environ, "PYTHONPATH": str(self._folder), "XDG_CACHE_HOME": str(self._cache)},
             capture_output=True,
@@ -76,7 +76,7 @@ def test_a_comment_and_another_folder_compile_nothing_and_a_law_what_it_is_part_
     second = Checkout(tmp_path / "second", cache)
     second.comment_everywhere()
     assert second.compiled() == set()
-    second.edit("clutch_model/friction.py", "np.exp(-excess)", "np.exp(-2.0 * excess)")
+    second.edit("clutch_model/pack.py", "np.exp(-excess)", "np.exp(-2.0 * excess)")
     assert second.compiled() == COLD
     assert first.compiled() == set()  # whose machine code is still there
 
@@ -86,7 +86,7 @@ def test_the_forms_of_a_kernel_do_not_pile_up(tmp_path: Path, cache: Path) -> No
     checkout.edit("canlog/kernel_cache.py", "KEPT_VERSIONS = 8", "KEPT_VERSIONS = 1")
     checkout.compiled()
     before = sorted(path.suffix for path in cache.rglob("*.nb?"))
-    checkout.edit("clutch_model/friction.py", "np.exp(-excess)", "np.exp(-2.0 * excess)")
+    checkout.edit("clutch_model/pack.py", "np.exp(-excess)", "np.exp(-2.0 * excess)")
     checkout.compiled()
     assert sorted(path.suffix for path in cache.rglob("*.nb?")) == before
 
@@ -101,9 +101,9 @@ def test_where_nothing_can_be_kept_the_laws_are_compiled_each_time(tmp_path: Pat
 def test_a_law_that_moved_to_another_module_is_compiled_there(tmp_path: Path, cache: Path) -> None:
     checkout = Checkout(tmp_path / "only", cache)
     assert checkout.compiled() == COLD
-    checkout.move("friction", "lining_friction")
-    assert checkout.compiled("lining_friction") == COLD
-    assert checkout.compiled("lining_friction") == set()
+    checkout.move("pack", "clutch_pack")
+    assert checkout.compiled("clutch_pack") == COLD
+    assert checkout.compiled("clutch_pack") == set()
 
 
 def test_the_time_of_a_first_compilation_is_told_in_one_way() -> None:

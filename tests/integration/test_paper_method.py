@@ -14,7 +14,7 @@ from benchmarks.reproduce.drives import PERIOD_S, Case, PaperDrive, drive, noisy
 from benchmarks.reproduce.film_check import known_film_errors
 from benchmarks.reproduce.study import Setup, matched_differentiators, noiseless_errors, noisy_errors
 from clutch_model.calibration import SensorBias, nominal_calibration
-from clutch_model.film import film_law
+from clutch_model.pack import film_law
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.friction.paper import PaperCollection, nominal_driveline
 from diag_service.diagnosis.friction.paper.fit import NOISY_GATES

@@ -2,8 +2,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import contact_pressure_pa, film_law, viscous_torque_nm
-from clutch_model.friction import FrictionLaw, contact_torque_nm, kinetic_friction
+from clutch_model.pack import (
+    FrictionLaw,
+    contact_pressure_pa,
+    contact_torque_nm,
+    film_law,
+    kinetic_friction,
+    viscous_torque_nm,
+)
 
 FILM = film_law(nominal_calibration().clutches[0])
 SLIPS = st.floats(-400.0, 400.0)

@@ -4,18 +4,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import (
+from clutch_model.pack import (
     FilmLaw,
     applied_pressure_pa,
     contact_pressure_pa,
+    contact_torque_nm,
     equilibrium_film_m,
     film_law,
     film_mobility_m,
+    friction_law,
+    kinetic_friction,
     shear_factor_difference,
     squeeze_rate_m_s,
     viscosity_pa_s,
 )
-from clutch_model.friction import contact_torque_nm, friction_law, kinetic_friction
 from clutch_model.units import k_from_degc, pa_from_bar
 from diag_service.diagnosis.friction.paper.differentiate import steady_kalman_gain
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from clutch_model.film import shear_factor_difference
+from clutch_model.pack import shear_factor_difference
 from tests.reference.golden import CALIBRATION, LAWS, Golden, golden_values, viscosity_at
 
 

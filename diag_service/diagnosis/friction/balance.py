@@ -22,7 +22,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, row_kernel, unchecked_kernel
 from clutch_model.calibration import Calibration, InputSide, SensorBias
-from clutch_model.friction import FrictionLaw, contact_torque_nm, row_stribeck_weight, stribeck_weight
+from clutch_model.pack import FrictionLaw, contact_torque_nm, row_stribeck_weight, stribeck_weight
 from clutch_model.row_functions import row_exponential, row_logarithm
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.drives import SLIP_DEGREE, SlipWindow, Weights, planned_drives, sines, spans_of

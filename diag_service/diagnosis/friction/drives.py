@@ -11,7 +11,7 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration
-from clutch_model.friction import clutch_later_k
+from clutch_model.pack import clutch_later_k
 from diag_service.diagnosis.alignment import GRID_S, NS_TO_S, TURNING_RAD_S, AlignedSignals, Resampled
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.evidence import Evidence, State, open_drag_ratio

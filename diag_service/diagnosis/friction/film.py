@@ -10,29 +10,27 @@ import numpy as np
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, unchecked_kernel
 from clutch_model.calibration import Calibration
-from clutch_model.film import (
+from clutch_model.pack import (
     CONTACT_END,
     FilmLaw,
     FilmPoint,
     FilmShape,
+    FrictionLaw,
     applied_pressure_pa,
+    clutch_heating_rate_k_s,
+    contact_torque_nm,
     equilibrium_film_m,
     film_law,
     film_point,
     film_shape,
+    friction_law,
+    kinetic_friction,
     piston_pressure_pa,
     piston_pressures_pa,
     point_motion,
     point_rate_m_s,
     sheared_torque_nm,
     viscosity_pa_s,
-)
-from clutch_model.friction import (
-    FrictionLaw,
-    clutch_heating_rate_k_s,
-    contact_torque_nm,
-    friction_law,
-    kinetic_friction,
 )
 from diag_service.diagnosis.alignment import GRID_S
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, FrictionCurve, both_clutches, with_clutch
-from clutch_model.friction import friction_law, stribeck_weights
+from clutch_model.pack import friction_law, stribeck_weights
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,

@@ -15,7 +15,7 @@ import numpy as np
 from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel, inlined_kernel
 from clutch_model.calibration import Calibration, clutch_of_gear
-from clutch_model.friction import gear_clutch
+from clutch_model.pack import gear_clutch
 from diag_service.diagnosis.columns import DriveState, Signal
 from diag_service.diagnosis.shifts.history import History
 from diag_service.diagnosis.shifts.tracking import compile_now, hold

@@ -1,7 +1,7 @@
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import (
+from clutch_model.pack import (
     applied_pressure_pa,
     contact_pressure_pa,
     equilibrium_film_m,

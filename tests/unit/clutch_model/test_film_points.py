@@ -6,7 +6,7 @@ import pytest
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, kernel
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import (
+from clutch_model.pack import (
     FilmLaw,
     FilmPoint,
     FilmShape,

@@ -3,7 +3,7 @@ import math
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.friction import contact_torque_nm, friction_law, kinetic_friction, stribeck_weight
+from clutch_model.pack import contact_torque_nm, friction_law, kinetic_friction, stribeck_weight
 
 LAW = friction_law(nominal_calibration().clutches[0].friction)
 

@@ -1,7 +1,6 @@
 import pytest
 
-from clutch_model.film import viscosity_pa_s
-from clutch_model.friction import clutch_heating_rate_k_s, sump_heating_rate_k_s
+from clutch_model.pack import clutch_heating_rate_k_s, sump_heating_rate_k_s, viscosity_pa_s
 
 
 def test_a_clutch_warms_with_its_friction_power() -> None:

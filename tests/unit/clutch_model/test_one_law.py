@@ -9,24 +9,22 @@ import pytest
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import (
+from clutch_model.pack import (
     applied_pressure_pa,
+    contact_torque_nm,
+    contact_torques_nm,
     film_law,
+    friction_law,
     piston_pressure_pa,
     piston_pressures_pa,
+    row_stribeck_weight,
     shear_factor_difference,
     sheared_torque_nm,
+    stribeck_weight,
+    stribeck_weights,
     viscosities_pa_s,
     viscosity_pa_s,
     viscous_torque_nm,
-)
-from clutch_model.friction import (
-    contact_torque_nm,
-    contact_torques_nm,
-    friction_law,
-    row_stribeck_weight,
-    stribeck_weight,
-    stribeck_weights,
 )
 
 ROOT = Path(__file__).parents[3]

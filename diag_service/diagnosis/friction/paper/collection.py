@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from clutch_model.calibration import Calibration, both_clutches, clutch_of_gear
-from clutch_model.film import film_law
+from clutch_model.pack import film_law
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.paper.differentiate import quiet_filter, steady_kalman
 from diag_service.diagnosis.friction.paper.driveline import Driveline

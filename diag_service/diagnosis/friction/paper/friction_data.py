@@ -7,17 +7,20 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray
 from canlog.jit import kernel
 from clutch_model.calibration import ClutchCalibration, Viscosity
-from clutch_model.film import (
+from clutch_model.pack import (
     FilmLaw,
+    FrictionLaw,
     applied_pressure_pa,
     contact_pressure_pa,
+    contact_torques_nm,
     equilibrium_film_m,
     film_law,
+    friction_law,
     shear_factor_difference,
+    stribeck_weight,
     viscosity_pa_s,
     viscous_torque_nm,
 )
-from clutch_model.friction import FrictionLaw, contact_torques_nm, friction_law, stribeck_weight
 
 TABLE_END_PA = 16.0e5  # above the line pressure
 TABLE_STEP_PA = 500.0

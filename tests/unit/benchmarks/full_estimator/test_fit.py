@@ -9,8 +9,7 @@ from benchmarks.full_estimator.fit import FLOOR_RATIO, FullEstimate, fit
 from benchmarks.full_estimator.inversion import clutch_torque_nm
 from benchmarks.full_estimator.windows import WINDOW_MIN_COUNT, Window, stretches
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import equilibrium_film_m, film_law
-from clutch_model.friction import friction_law
+from clutch_model.pack import equilibrium_film_m, film_law, friction_law
 
 BELIEVED = nominal_calibration().clutches[0]
 LAW, BELIEVED_FRICTION = film_law(BELIEVED), friction_law(BELIEVED.friction)

@@ -8,8 +8,7 @@ import pytest
 from benchmarks.full_estimator.inversion import clutch_torque_nm, film_of_torque_m, heated_k
 from benchmarks.full_estimator.windows import Window
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import equilibrium_film_m, film_law, measured_film_rate_m_s
-from clutch_model.friction import friction_law
+from clutch_model.pack import equilibrium_film_m, film_law, friction_law, measured_film_rate_m_s
 
 CALIBRATION = nominal_calibration()
 PERIOD_S, SUBSTEPS = 1e-3, 40

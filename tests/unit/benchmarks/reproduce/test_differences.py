@@ -8,7 +8,7 @@ from benchmarks.reproduce.differences import central_difference, matched_filter
 from benchmarks.reproduce.drives import trajectory_table
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import film_law
+from clutch_model.pack import film_law
 from diag_service.diagnosis.friction.paper.differentiate import SteadyKalman
 from diag_service.diagnosis.friction.paper.friction_data import static_table
 

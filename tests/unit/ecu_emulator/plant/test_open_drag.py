@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import viscous_torque_nm
+from clutch_model.pack import viscous_torque_nm
 from ecu_emulator.plant import DriveSettings, nominal_parameters
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import openness, refresh_contact, viscous_nm

@@ -8,7 +8,7 @@ import pytest
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, ClutchCalibration, nominal_calibration
-from clutch_model.film import film_law
+from clutch_model.pack import film_law
 from ecu_emulator.bus.bus_faults import FrameLoss
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.drive.build import BuiltVehicle, affected_calibration, affected_parameters, build_vehicle

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.friction import friction_law, stribeck_weights
+from clutch_model.pack import friction_law, stribeck_weights
 from diag_service.diagnosis.friction.posterior import curve_band, new_curve
 from tests.support.builders import friction_estimate
 

@@ -7,7 +7,7 @@ import pytest
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import (
+from clutch_model.pack import (
     contact_pressure_pa,
     equilibrium_film_m,
     film_law,

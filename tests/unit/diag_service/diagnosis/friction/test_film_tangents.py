@@ -9,7 +9,7 @@ import pytest
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
-from clutch_model.film import film_law, piston_pressure_pa
+from clutch_model.pack import film_law, piston_pressure_pa
 from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, displaced
 from diag_service.diagnosis.friction.film import (

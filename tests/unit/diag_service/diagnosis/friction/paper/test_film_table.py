@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import applied_pressure_pa, contact_pressure_pa, film_law
+from clutch_model.pack import applied_pressure_pa, contact_pressure_pa, film_law
 from diag_service.diagnosis.friction.paper.friction_data import static_table
 
 CLUTCHES = nominal_calibration().clutches

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.film import contact_pressure_pa, film_law, shear_factor_difference, viscosity_pa_s, viscous_torque_nm
+from clutch_model.pack import contact_pressure_pa, film_law, shear_factor_difference, viscosity_pa_s, viscous_torque_nm
 from diag_service.diagnosis.friction.paper.friction_data import (
     FrictionData,
     friction_data,
