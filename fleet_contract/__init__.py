@@ -12,21 +12,27 @@ from fleet_contract.errors import (
     VariableError,
 )
 from fleet_contract.messages import (
+    MAX_RECEIPTS,
     Incoming,
+    Outcome,
     Outgoing,
+    Receipt,
+    ResultKey,
     ack_messages,
     clutch_message,
     config_message,
     controller_message,
     fluid_message,
+    key_of,
     metrics_message,
     raw_shift_message,
     read_event,
     read_message,
+    receipts_of,
     shift_message,
     status_message,
+    takes_bundles,
 )
-from fleet_contract.receipts import MAX_RECEIPTS, Outcome, Receipt, ResultKey, key_of, receipts_of, takes_bundles
 from fleet_contract.schema_check import ASYNCAPI_PATH, SCHEMA_FOLDER, VSS_OVERLAY_PATH, schema
 from fleet_contract.strict_json import JsonObject, dump, parse_object
 from fleet_contract.topics import CLUTCHES, TOPIC_ROOT, Address, Channel, filter_of, is_vehicle, parse_topic, topic_of

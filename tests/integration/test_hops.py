@@ -1,0 +1,39 @@
+"""The way of one event, and of one log, stays as short as it is: own calls and modules, as `benchmarks.hops` counts."""
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from benchmarks.hops import listing, modules_of, trip_of_a_shift, trip_of_decoding
+from benchmarks.service import record
+from tests.plugins.broker import Mosquitto
+
+EVENT_CALLS, EVENT_MODULES = 540, 20  # to the stored result
+BROKER_MODULES = 30
+DECODE_CALLS, DECODE_MODULES = 1_620, 58  # from a log to its table
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("hops") / "drive.log"
+    record(path, 1)
+    return path
+
+
+def test_an_event_is_stored_and_sent_by_few_calls_in_few_modules(log: Path, tmp_path: Path) -> None:
+    broker = Mosquitto(tmp_path)
+    broker.start()
+    try:
+        trip, stored = asyncio.run(trip_of_a_shift(log, broker.port))
+    finally:
+        broker.stop()
+    assert stored.total() <= EVENT_CALLS, listing(stored)
+    assert len(modules_of(stored)) <= EVENT_MODULES, listing(stored)
+    assert len(modules_of(trip.calls)) <= BROKER_MODULES, listing(trip.calls)
+
+
+def test_a_log_becomes_a_table_by_few_calls_in_few_modules(log: Path, tmp_path: Path) -> None:
+    calls = trip_of_decoding(log, tmp_path / "drive.parquet").calls
+    assert calls.total() <= DECODE_CALLS, listing(calls)
+    assert len(modules_of(calls)) <= DECODE_MODULES, listing(calls)
