@@ -2,11 +2,11 @@
 
     python -m tests.tools.readability --rev v0.8.0
 
-Counted are README, CONTRIBUTING, SECURITY and the pages of ``docs`` but for the decisions. What a program writes is left
+README, CONTRIBUTING, SECURITY and the pages of ``docs`` are counted, decisions are not. What a program writes is left
 out: between ``<!-- name -->`` and ``<!-- end -->``, and the pages of ``make mismatch`` and ``make operating-curve``.
 Words are those of the whole page, tables and commands included. Sentences and reading ease are of its running text:
-Flesch's 206.835 - 1.015 words a sentence - 84.6 syllables a word, with syllables counted as groups of vowels; 30 to 50 is
-the text of a trade, 60 plain English.
+Flesch's 206.835 - 1.015 words a sentence - 84.6 syllables a word, with syllables counted as groups of vowels; 30 to 50
+are the text of a trade, 60 plain English.
 """
 
 import argparse
