@@ -18,15 +18,12 @@ from canlog.extras import load_extra
 from canlog.frames import FrameBatch, join
 from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_log
 from canlog.parquet_file import arrow_schema, load_pyarrow
-from canlog.tables.account import DecodeAccount
-from canlog.tables.decoding import MAX_CELLS, Plan, TableShape
-from canlog.tables.frame_stock import FrameGroup
+from canlog.tables.account import DecodeAccount, losses
+from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, groups, message_layout, stretches, values_in
 from canlog.tables.frame_table import frame_table
-from canlog.tables.groups import columns_of, groups, stretches, values_in
 from canlog.tables.inputs import log_paths
 from canlog.tables.layouts import ShapeName, TableShapeName, Values, ValuesName, WideLayout
-from canlog.tables.report import losses
-from canlog.tables.sinks import message_layout
+from canlog.tables.long_rows import FrameGroup
 from canlog.transport import LongMessage, LongMessages
 
 WARNED_CELLS: Final = 50_000_000  # of a wide table: 0.4 GB

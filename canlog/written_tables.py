@@ -9,11 +9,11 @@ from cantools.database.can import Database, Message
 
 from canlog.database.loading import database_of
 from canlog.errors import OutputError
+from canlog.tables.account import losses
 from canlog.tables.decoding import Plan, TableShape, decode_logs
 from canlog.tables.inputs import log_paths
 from canlog.tables.layouts import TableShapeName, Values, ValuesName
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, TableFormat
-from canlog.tables.report import losses
 
 FormatName = Literal["parquet", "csv", "jsonl", "arrow", "mf4"]
 

@@ -17,8 +17,7 @@ from canlog.database.loading import load_database
 from canlog.decode.codec import Codec, MessageTable
 from canlog.tables.account import DecodeAccount
 from canlog.tables.decoding import Plan, TableShape, decode_logs
-from canlog.tables.layouts import Values
-from canlog.tables.names import table_names
+from canlog.tables.layouts import Values, table_names
 from canlog.tables.outputs import TableFormat
 from tests.support.cantools_oracle import Readings, readings
 

@@ -9,8 +9,7 @@ import numpy as np
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.jit import array_kernel, inlined_kernel
-from canlog.logs.channels import ChannelNames, NameWords
-from canlog.logs.frame_buffer import FrameRows
+from canlog.logs.frame_buffer import ChannelNames, FrameRows, NameWords
 from canlog.logs.text_kernels import (
     BLANK,
     DECIMAL_PAIR,

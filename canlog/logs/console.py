@@ -21,8 +21,7 @@ from canlog.frames import (
 )
 from canlog.jit import array_kernel
 from canlog.logs.asc_dates import date_us
-from canlog.logs.channels import ChannelNames, NameWords
-from canlog.logs.frame_buffer import FrameRows
+from canlog.logs.frame_buffer import ChannelNames, FrameRows, NameWords
 from canlog.logs.text_kernels import (
     BLANK,
     FRAME,

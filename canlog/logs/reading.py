@@ -26,8 +26,7 @@ from canlog.logs.piped import STANDARD_INPUT, PipeStream, kept, never, open_stan
 from canlog.logs.signal_tables import read_signal_table
 from canlog.logs.sqlite import check_messages, read_sqlite
 from canlog.logs.text_log import reader_of
-from canlog.logs.time_unit import bus_load_ratio, is_plausible
-from canlog.logs.time_watch import TimeWatch
+from canlog.logs.time_watch import TimeWatch, bus_load_ratio, is_plausible
 from canlog.logs.unpacking import Contents, contents_of
 
 LOAD_FRAMES = 2_000  # the first ones, from which a load is told

@@ -1,31 +1,271 @@
 """Logs to tables: one pass from frames to columns and the account of what is not in them, for files and for memory."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
+from difflib import get_close_matches
 from enum import StrEnum
+from fnmatch import fnmatchcase
+from itertools import groupby
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Any, BinaryIO, Final, Protocol
 
 import numpy as np
 from cantools.database.can import Message
 
-from canlog.decode.codec import HAS_VALUES, Codec
-from canlog.errors import OutputError
+from canlog.decode.codec import HAS_VALUES, Codec, MessageValues
+from canlog.errors import DefinitionError, OutputError, SourceError
 from canlog.files import replacing
 from canlog.frames import FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader
 from canlog.logs.piped import never
 from canlog.logs.reading import Watch
 from canlog.tables.account import DecodeAccount
-from canlog.tables.groups import GroupSize, groups, stretches
 from canlog.tables.inputs import LogSet, Origins
-from canlog.tables.layouts import LongLayout, Values, WideLayout
-from canlog.tables.long_rows import LongRows
-from canlog.tables.names import TableNames, table_names
-from canlog.tables.outputs import TableFormat, check_libraries
-from canlog.tables.selection import EVERYTHING, Span, chosen_places
-from canlog.tables.sinks import ColumnRows, MessageRows, TableSink
+from canlog.tables.layouts import LongLayout, Place, TableNames, Values, WideLayout, frame_kinds, table_names
+from canlog.tables.long_rows import FrameGroup, FrameStock, LongRows, Stretch
+from canlog.tables.outputs import ColumnSink, TableFormat, check_libraries, open_columns
 from canlog.tables.table_folder import TableFolder, message_files, table_folder
+
+JUMP_NS: Final = 60_000_000_000  # so far behind the end a log is read on: its clock may jump back
+_NS_PER_S: Final = 1_000_000_000
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_LEAST, _MOST = -(2**63), 2**63 - 1
+
+
+def chosen_places(columns: Mapping[Place, str], patterns: Sequence[str]) -> frozenset[Place]:
+    """Return the signals that patterns name: ``Message.Signal``, a signal alone, or with ``*``, ``?`` and ``[...]``.
+
+    Raises
+    ------
+    DefinitionError
+        If a pattern names none.
+    """
+    found: set[Place] = set()
+    for pattern in patterns:
+        own = {place for place, column in columns.items() if fnmatchcase(column, pattern) or place[1] == pattern}
+        own |= {place for place in columns if "." not in pattern and fnmatchcase(place[1], pattern)}
+        if not own:
+            names = [*columns.values(), *(name for _, name in columns)]
+            near = ", ".join(dict.fromkeys(get_close_matches(pattern, names)))
+            raise DefinitionError(f"no signal is called {pattern}" + (f"; there is {near}" if near else ""))
+        found |= own
+    return frozenset(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A time, or so many seconds behind the first frame."""
+
+    ns: int
+    is_elapsed: bool
+
+    @classmethod
+    def of(cls, text: str) -> "Moment":
+        """Return the moment that a text names: ``12.5`` seconds, or ISO 8601, in UTC unless it says otherwise.
+
+        Raises
+        ------
+        SourceError
+            If it names none.
+        """
+        try:
+            return cls(round(float(text) * _NS_PER_S), is_elapsed=True)
+        except (ValueError, OverflowError):
+            pass
+        try:
+            moment = datetime.fromisoformat(text)
+        except ValueError:
+            raise SourceError(
+                f"{text!r} is not a time: 12.5 (seconds from the first frame) or 2026-01-01T12:30:00"
+            ) from None
+        moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+        return cls((moment - _EPOCH) // timedelta(microseconds=1) * 1_000, is_elapsed=False)
+
+    def at_ns(self, first_ns: int) -> int:
+        """Return when that is in a log with its first frame at ``first_ns``."""
+        return self.ns + first_ns if self.is_elapsed else self.ns
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A stretch of a log: from its begin on, up to its end and without it; None: all that there is."""
+
+    begin: Moment | None = None
+    end: Moment | None = None
+
+    @classmethod
+    def of(cls, begin: str | float | None, end: str | float | None) -> "Span":
+        """Return the stretch between two moments, or without a limit; raises SourceError if one of them is none."""
+        ends = [None if one is None else Moment.of(str(one)) for one in (begin, end)]
+        return cls(*ends)
+
+    def part(self, batches: Iterable[FrameBatch], left_out: Callable[[int], None]) -> Iterator[FrameBatch]:
+        """Yield what of some batches lies inside; ``left_out`` is called with how many frames do not.
+
+        Reading ends with the first batch that lies far behind the end.
+        """
+        if self.begin is None and self.end is None:
+            yield from batches
+            return
+        begin_ns = end_ns = None
+        for batch in batches:
+            if begin_ns is None and len(batch):
+                first_ns = int(batch.t_ns[0])
+                begin_ns = _LEAST if self.begin is None else self.begin.at_ns(first_ns)
+                end_ns = _MOST if self.end is None else self.end.at_ns(first_ns)
+            if begin_ns is None or end_ns is None:
+                continue
+            is_inside = (batch.t_ns >= begin_ns) & (batch.t_ns < end_ns)
+            kept = batch if is_inside.all() else batch[is_inside]
+            left_out(len(batch) - len(kept))
+            if len(kept):
+                yield kept
+            elif int(np.min(batch.t_ns)) - JUMP_NS >= end_ns:
+                return
+
+
+EVERYTHING: Final = Span()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GroupSize:
+    """How much a group of rows holds at most."""
+
+    frames: int
+    values: int
+    is_live: bool = False  # somebody waits for the rows: what came together is a group, however few frames that are
+
+
+def stretches(
+    batches: Iterable[FrameBatch], account: DecodeAccount, pairs: Collection[tuple[int, int]] = ()
+) -> Iterator[Stretch]:
+    """Yield frames with their messages, and with those messages that several frames are; all enter the account."""
+    together = LongRows(account.codec, pairs)
+    account.transfers, account.long_counts = together.counts, together.counts_of
+    for stretch in together.stretches(batches):
+        account.add(stretch)
+        yield stretch
+
+
+def groups(
+    found: Iterable[Stretch], codec: Codec, size: GroupSize, origins: Origins | None = None
+) -> Iterator[FrameGroup]:
+    """Yield the frames that have signals, in groups."""
+    stock = FrameStock.of(codec, origins, size.frames, size.values)
+    for stretch in found:
+        yield from stock.add(stretch)
+        if size.is_live:
+            yield from stock.rest()
+    yield from stock.rest()
+
+
+def values_in(group: FrameGroup, account: DecodeAccount) -> list[MessageValues]:
+    """Return what the signals of a group say, message by message; it enters the account."""
+    found = list(account.codec.decode_slots(group.frames, group.slot_in_frames, group.has_short))
+    if group.long is not None:
+        found += group.long.values(account.codec)
+    for one in found:
+        account.add_values(one)
+    return found
+
+
+def columns_of(group: FrameGroup, account: DecodeAccount, layout: WideLayout | LongLayout) -> Mapping[str, Any]:
+    """Return the columns of a group, empty if it has no rows; values and rows enter the account."""
+    found = values_in(group, account)
+    count, columns = layout.columns(group, found) if found else (0, {})
+    account.row_count += count
+    return columns if count else {}
+
+
+class TableSink(Protocol):
+    """What takes groups of frames."""
+
+    def write_group(self, group: FrameGroup) -> None:
+        """Write some frames; values and rows enter the account."""
+
+    def close(self) -> None:
+        """Write what the format needs at its end."""
+
+    def discard(self) -> None:
+        """Leave what there is: it is not complete."""
+
+
+class ColumnRows:
+    """Rows of columns into any file of columns."""
+
+    def __init__(
+        self, output: BinaryIO, table_format: TableFormat, layout: WideLayout | LongLayout, account: DecodeAccount
+    ) -> None:
+        self._layout = layout
+        self._account = account
+        self._columns = open_columns(output, table_format, layout.kinds, layout.metadata)
+
+    def write_group(self, group: FrameGroup) -> None:
+        if columns := columns_of(group, self._account, self._layout):
+            self._columns.write_columns(columns)
+
+    def close(self) -> None:
+        """Write the end."""
+        self._columns.close()
+
+    def discard(self) -> None:
+        """Leave it as it is."""
+        self._columns.discard()
+
+
+class MessageRows:
+    """A table for each message, of its frames alone."""
+
+    def __init__(
+        self,
+        tables: TableFolder,
+        table_format: TableFormat,
+        account: DecodeAccount,
+        values: Values,
+        origins: Origins | None,
+    ) -> None:
+        self._tables = tables
+        self._format = table_format
+        self._account = account
+        self._values = values
+        self._origins = origins
+        self._open: dict[int, tuple[WideLayout, ColumnSink]] = {}
+
+    def write_group(self, group: FrameGroup) -> None:
+        """Write some frames, message by message."""
+        found = sorted(values_in(group, self._account), key=lambda one: one.slot)
+        for slot, parts in groupby(found, key=lambda one: one.slot):
+            layout, sink = self._table(slot)
+            count, columns = layout.columns(group, list(parts))
+            self._account.row_count += count
+            sink.write_columns(columns)
+
+    def close(self) -> None:
+        """Write the ends."""
+        for _, sink in self._open.values():
+            sink.close()
+
+    def discard(self) -> None:
+        """Leave them as they are."""
+        for _, sink in self._open.values():
+            sink.discard()
+
+    def _table(self, slot: int) -> tuple[WideLayout, ColumnSink]:
+        if slot not in self._open:
+            layout = message_layout(self._account, slot, self._values, self._origins)
+            sink = open_columns(self._tables.file(slot), self._format, layout.kinds, layout.metadata)
+            self._open[slot] = layout, sink
+        return self._open[slot]
+
+
+def message_layout(
+    account: DecodeAccount, slot: int, values: Values, origins: Origins | None, *, is_measured: bool = False
+) -> WideLayout:
+    """Return the columns of the table of one message, called as its signals are."""
+    names = account.names.of_message(slot, frame_kinds(origins))
+    return WideLayout(account.codec.tables, names, values, [slot], origins, is_measured=is_measured)
+
 
 MAX_CELLS: Final = 8_000_000  # of a row group: 64 MB of numbers
 CELLS_PER_VALUE: Final = 8  # of the long table

@@ -6,7 +6,7 @@ import numpy as np
 
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.parquet_file import TIME_TYPE, arrow_schema, load_pyarrow
-from canlog.tables.names import BARE_ID
+from canlog.tables.layouts import BARE_ID
 
 KINDS = {
     "time": TIME_TYPE,

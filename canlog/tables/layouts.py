@@ -1,16 +1,19 @@
 """Decoded frames as the columns of a table: wide, a row per frame, or long, a row per value.
 
 Nothing is null that a frame carries: null are signals of other messages, of other pages of a multiplexer, and what lies
-behind the end of a short frame.
+behind the end of a short frame. Columns are called ``Message.Signal``, with the identifier where that does not tell two
+signals apart.
 """
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt32Array
@@ -19,9 +22,81 @@ from canlog.decode.codec import MessageTable, MessageValues
 from canlog.decode.signals import FloatCode, PayloadWords, SignalTable
 from canlog.frames import EXTENDED_FLAG
 from canlog.parquet_file import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
-from canlog.tables.frame_stock import FrameGroup
 from canlog.tables.inputs import Origins
-from canlog.tables.names import TEXT_SUFFIX, Place, TableNames
+from canlog.tables.long_rows import FrameGroup
+
+TEXT_SUFFIX: Final = ".text"  # of the column that names the states beside the numbers
+BARE_ID: Final = 0x1FFF_FFFF
+Place = tuple[int, str]  # slot of a message in its codec, and its signal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableNames:
+    """How messages and signals are called in a table; it depends on the database alone, not on the log."""
+
+    messages: tuple[str, ...]  # by slot
+    columns: Mapping[Place, str]
+
+    def of_message(self, slot: int, taken: Iterable[str]) -> "TableNames":
+        """Return the names in a table of one message alone: those of its signals, unless they are ``taken``."""
+        used = set(taken)
+        columns: dict[Place, str] = {}
+        for place in (place for place in self.columns if place[0] == slot):
+            columns[place] = _unused(place[1], used)
+            used |= {columns[place], columns[place] + TEXT_SUFFIX}
+        return TableNames(messages=self.messages, columns=columns)
+
+
+def flagged_id(message: Message) -> int:
+    """Return the identifier of a message as its frames have it, with the flag of 29 bits."""
+    return int(message.frame_id | (EXTENDED_FLAG if message.is_extended_frame else 0))
+
+
+def identifier_text(can_id: int) -> str:
+    """Return an identifier with its flags in hexadecimal: eight digits if it has 29 bits, three if it has 11."""
+    return f"0x{can_id & BARE_ID:08X}" if can_id & EXTENDED_FLAG else f"0x{can_id & BARE_ID:03X}"
+
+
+def table_names(tables: Sequence[MessageTable]) -> TableNames:
+    """Return names of which no two are alike.
+
+    Messages of one name are called ``Name@0x123``. Dots in names can still make two columns alike: then their messages
+    get the identifier, too, and should even that not help, the later column a number.
+    """
+    count = Counter(table.message.name for table in tables)
+    messages = [
+        _with_identifier(table.message) if count[table.message.name] > 1 else table.message.name for table in tables
+    ]
+    wanted = {(slot, name): f"{messages[slot]}.{name}" for slot, table in enumerate(tables) for name in table.signals}
+    taken = Counter(name for column in wanted.values() for name in (column, column + TEXT_SUFFIX))
+    columns: dict[Place, str] = {}
+    used: set[str] = set()
+    for (slot, signal), column in wanted.items():
+        is_ambiguous = taken[column] > 1 or taken[column + TEXT_SUFFIX] > 1
+        name = f"{_with_identifier(tables[slot].message)}.{signal}" if is_ambiguous else column
+        if name in used or name + TEXT_SUFFIX in used:
+            name = _unused(name, used)
+        columns[slot, signal] = name
+        used |= {name, name + TEXT_SUFFIX}
+    distinct: dict[str, None] = {}
+    for name in messages:
+        is_taken = name in distinct or name + TEXT_SUFFIX in distinct
+        distinct[_unused(name, distinct.keys()) if is_taken else name] = None
+    return TableNames(messages=tuple(distinct), columns=columns)
+
+
+def _with_identifier(message: Message) -> str:
+    return f"{message.name}@{identifier_text(flagged_id(message))}"
+
+
+def _unused(name: str, used: Container[str]) -> str:
+    """Return a name, with a number if it or its text column is taken."""
+    found, number = name, 1
+    while found in used or found + TEXT_SUFFIX in used:
+        number += 1
+        found = f"{name}#{number}"
+    return found
+
 
 Int32Array = npt.NDArray[np.int32]
 NAMELESS = -1

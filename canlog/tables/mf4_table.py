@@ -11,9 +11,9 @@ from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.decode.codec import MessageValues
 from canlog.extras import load_extra
 from canlog.tables.account import DecodeAccount
-from canlog.tables.frame_stock import FrameGroup
-from canlog.tables.groups import values_in
+from canlog.tables.decoding import values_in
 from canlog.tables.inputs import Origins
+from canlog.tables.long_rows import FrameGroup
 
 VERSION: Final = "4.10"
 TRANSPOSED_AND_DEFLATED: Final = 2

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO, Final, cast
 
 from canlog.errors import OutputError
-from canlog.tables.names import TableNames
+from canlog.tables.layouts import TableNames
 from canlog.tables.outputs import SUFFIX_OF_FORMAT, TableFormat
 
 LONGEST_BYTES: Final = 160  # of a name without number and suffix; systems take 255

@@ -7,9 +7,9 @@ from pathlib import Path
 from cantools.database.can import Message
 
 from canlog.errors import SourceError
+from canlog.tables.account import account_record, frame_texts, losses
 from canlog.tables.decoding import Decoded, Plan, decode_logs
 from canlog.tables.outputs import TableFormat
-from canlog.tables.report import account_record, frame_texts, losses
 from canlog.written_tables import TableChoice
 from diag_service.batch.processes import follow_parent
 from fleet_contract import JsonObject

@@ -10,9 +10,9 @@ from cantools.database.can import Message
 
 from canlog.errors import SourceError
 from canlog.logs import STANDARD_INPUT, is_folder, shown_name
+from canlog.tables.account import account_record, frame_texts, losses, remarks, values_text
 from canlog.tables.decoding import Decoded, Plan, TableShape, decode_logs
 from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat, check_libraries
-from canlog.tables.report import account_record, frame_texts, losses, remarks, values_text
 from canlog.tables.table_folder import message_files, tables_there
 from canlog.written_tables import TableChoice, default_shape
 from clutchdiag_io.command_line import STANDARD_STREAM

@@ -17,7 +17,7 @@ from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import InputLeftError, SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import STANDARD_INPUT, LogReader, is_folder, read_log
-from canlog.logs.fault_texts import assumed_texts, lost_texts
+from canlog.logs.log_counts import assumed_texts, lost_texts
 from canlog.logs.reading import Watch
 from canlog.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
 from diag_service.batch.drives import LeftOut, TakenFor, left_out_record, sorted_out

@@ -15,7 +15,7 @@ from canlog.errors import SourceError
 from canlog.files import open_plain_file
 from canlog.frames import FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader, merged_by_time, read_log, split_member
-from canlog.logs.fault_texts import assumed_texts, lost_texts, odd_texts
+from canlog.logs.log_counts import assumed_texts, lost_texts, odd_texts
 from canlog.logs.piped import never
 from canlog.logs.reading import Watch
 from canlog.logs.source_marks import SourceMarks

@@ -12,7 +12,7 @@ from canlog.logs.columns.header import in_unit
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.roles import COMMA, HEXADECIMAL, MICROSECONDS, SECONDS, Column, Layout, Role
 from canlog.logs.text_log import frames_of
-from canlog.logs.time_unit import likely_unit
+from canlog.logs.time_watch import likely_unit
 
 PYTHON_CAN_HEADER = re.compile(rb"\s*timestamp,arbitration_id,extended,remote,error,dlc,data\s*\Z", re.IGNORECASE)
 GVRET_HEADER = re.compile(rb"\s*time stamp,id,extended,", re.IGNORECASE)

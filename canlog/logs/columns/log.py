@@ -10,7 +10,6 @@ from canlog.arrays import Int64Array, UInt8Array
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.logs.asc_dates import date_us
-from canlog.logs.channels import MOST_CHANNELS
 from canlog.logs.columns.header import (
     NO_BASE,
     Proposal,
@@ -35,9 +34,9 @@ from canlog.logs.columns.message_kernel import (
     WRAP_US,
 )
 from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, MICROSECONDS, SECONDS, Column, Layout, Role
-from canlog.logs.frame_buffer import FrameRows
+from canlog.logs.frame_buffer import MOST_CHANNELS, FrameRows
 from canlog.logs.text_log import TextLog, frames_of
-from canlog.logs.time_unit import UNIT_NAMES, likely_unit
+from canlog.logs.time_watch import UNIT_NAMES, likely_unit
 
 HEADER_LINES_LOOKED_AT = 20
 SAMPLE_LINES = 2_000

@@ -9,7 +9,7 @@ import numpy as np
 
 from canlog.arrays import BoolArray, Int64Array
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG
-from canlog.logs.channels import name_hash
+from canlog.logs.frame_buffer import name_hash
 
 
 class Role(IntEnum):

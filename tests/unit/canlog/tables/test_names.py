@@ -4,7 +4,7 @@ from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
 from canlog.decode.codec import message_table
-from canlog.tables.names import TableNames, table_names
+from canlog.tables.layouts import TableNames, table_names
 
 
 def names(*messages: tuple[str, int, tuple[str, ...]]) -> TableNames:
