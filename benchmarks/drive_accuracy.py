@@ -129,7 +129,7 @@ def driven(case: Case) -> list[Outcome]:
         diagnoses += stages.feed(batch if case.burst == 1 else without_bursts(batch, case.loss_ratio, case.burst, rng))
     diagnoses += [stages.conclude(event) for event in stages.flush()]
     true = np.array([[drive.truth.mu_c[m], drive.truth.mu_s[m]] for m in range(2)])
-    return [_outcome(diagnoses, true, vehicle, scenario.fluid.condition)]
+    return [outcome_of(diagnoses, true, vehicle, scenario.fluid.condition)]
 
 
 def without_bursts(batch: FrameBatch, ratio: float, burst: int, rng: np.random.Generator) -> FrameBatch:
@@ -153,7 +153,8 @@ def known_vehicle(calibration: Calibration) -> Calibration:
     )
 
 
-def _outcome(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicle | None, fluid: str) -> Outcome:
+def outcome_of(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicle | None, fluid: str) -> Outcome:
+    """Return what the diagnoses of one drive say; ``true`` are ``(mu_c, mu_s)`` of each clutch."""
     shown = true.copy()
     if vehicle is not None:
         shown *= vehicle.torque_gain * (1.0 + np.array(vehicle.area_ratios))[:, None]

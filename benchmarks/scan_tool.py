@@ -21,8 +21,11 @@ COLUMNS: Mapping[str, tuple[str, str, float]] = {  # column: signal, unit, step
     "Current Gear": ("TCU_Shift.CurrentGear", "", 1.0),
     "Target Gear": ("TCU_Shift.TargetGear", "", 1.0),
     "Output Shaft Speed": ("TCU_Output.OutputSpeed", "rpm", 0.25),
+    "Clutch Hub Speed": ("TCU_InputSpeeds.ClutchHubSpeed", "rpm", 0.25),
+    "Oil Temperature": ("TCU_Temperature.SumpOilTemperature", "degC", 1.0),
 }
-OUTPUT: Final = frozenset({"Output Shaft Speed"})  # what a tool need not ask that knows the input shafts
+OF_FRICTION: Final = frozenset({"Clutch Hub Speed", "Oil Temperature"})
+OUTPUT: Final = OF_FRICTION | {"Output Shaft Speed"}  # what a tool need not ask that knows the input shafts
 KPA_PER_BAR = 100.0
 SETTLED_S = 0.2  # behind the first frame: until then sensors tell that they have no value yet
 

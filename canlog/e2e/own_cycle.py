@@ -5,6 +5,7 @@ frame and run late for ever; held against its own cycle it is as regular as any 
 apart: frames that were sent and lost leave gaps in it.
 """
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -17,6 +18,7 @@ SLOWER_RATIO: Final = 1.25  # below it the database is believed: jitter is no ot
 LEAST_STEPS: Final = 8
 LEAST_REGULAR: Final = 0.5  # share of the steps that must be near the typical one
 NEAR: Final = 0.25  # of the typical step
+LEAST_SHARED: Final = 0.8  # of the times of columns: cells may be blank
 NS_PER_MS: Final = 1_000_000
 _NO_SAMPLES: Final = np.empty(0, np.int64)
 
@@ -43,6 +45,19 @@ def own_period_ns(series: Series) -> int:
         return series.period_ns
     own_ns = round(float(regular_ns.mean()) / NS_PER_MS) * NS_PER_MS
     return own_ns if series.period_ns < own_ns <= SLOWEST * series.period_ns else series.period_ns
+
+
+def row_period_ns(columns: Sequence[Series]) -> int:
+    """Return the time from row to row [ns] of a table whose columns these are; 0 if they are none of one.
+
+    The columns of a table have the times of its rows; messages of a bus have times of their own, or counters.
+    """
+    first = columns[0]
+    if not len(first.t_ns) or any(one.period_ns or not len(one.t_ns) or one.sequence[0] >= 0 for one in columns):
+        return 0
+    if len(first.t_ns) < 2 or any(np.isin(one.t_ns, first.t_ns).mean() < LEAST_SHARED for one in columns[1:]):
+        return 0
+    return int(np.median(np.diff(first.t_ns)))
 
 
 @array_kernel

@@ -7,7 +7,14 @@ from rich.text import Text
 
 from clutch_model.units import degc_from_k
 from diag_service.delivery.base import News
-from diag_service.diagnosis.records import Condition, ShiftEstimate, ShiftResult, Status
+from diag_service.diagnosis.records import (
+    LEAST_SLIP_ROWS,
+    Condition,
+    Reason,
+    ShiftEstimate,
+    ShiftResult,
+    Status,
+)
 from diag_service.diagnosis.summary import (
     Summary,
     capability_line,
@@ -41,7 +48,13 @@ def gear_words(estimate: ShiftEstimate) -> str:
 
 def reason_words(estimate: ShiftEstimate) -> str:
     """Return why an event was not used; empty if there is no reason."""
-    return ", ".join(reason.value.replace("_", " ") for reason in estimate.reasons)
+    return ", ".join(_reason_word(reason, estimate) for reason in estimate.reasons)
+
+
+def _reason_word(reason: Reason, estimate: ShiftEstimate) -> str:
+    if reason is Reason.FEW_SAMPLES:
+        return f"not enough samples in the slip ({estimate.sample_count} of at least {LEAST_SLIP_ROWS})"
+    return reason.value.replace("_", " ")
 
 
 _CONDITION_STYLE = {

@@ -18,9 +18,20 @@ TURNING_RAD_S = 58.0  # 554 rpm: below any idle; there a starter may turn the en
 END_COUNT = 30  # samples, of which one is nearly on time; an event is cut that much wider than its slip window
 COMMAND_LAG_S = 0.025  # from commanded to piston pressure: solenoid and feed orifice; docs/model.md, hydraulics
 
+FRAME_AGE_STD_S = 3e-3  # of a value that was sent every 10 ms before it was asked for
+BEND_RATIO = 0.125  # of the second difference of rows: so far a parabola is from the straight line between two
+HELD_STEPS, HELD_ROWS, LEAST_RUNS = 2.5, 1.5, 4  # of the resolution, of the rows, of what must agree
+
 _NO_WEIGHT = 1e-9  # of grid points: a sample at the very end of some rows says nothing there
 
 _MOVED = (Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE, Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)  # by latencies
+
+AGE_RATIO: Mapping[Signal, float] = {
+    **dict.fromkeys(BALANCE_SIGNALS, 0.3),  # of a row: columns are asked one after the other
+    **dict.fromkeys((Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE), 0.0),  # the latencies of torque and pressure hold that
+    **dict.fromkeys((Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE), 0.15),  # what both do not share
+}
+"""Standard deviation of the age of values within a row, of its length."""
 
 SampleTimes = Mapping[Signal, FloatArray]
 """When each signal of the balance was sampled [s] after the start of its event."""
@@ -39,9 +50,10 @@ class Resampled:
     left: Int64Array  # (len(grid),)
     share: FloatArray  # (len(grid),)
     on_grid: FloatArray  # (len(grid),)
+    doubt: FloatArray | None  # (n,) standard deviation beside the sensor's noise; None: there is none
 
     def __init__(self, times_s: FloatArray, value: FloatArray, grid_s: FloatArray) -> None:
-        self.times_s, self.value = times_s, value
+        self.times_s, self.value, self.doubt = times_s, value, None
         self.left = np.empty(len(grid_s), dtype=np.int64)
         self.share, self.on_grid = np.empty(len(grid_s)), np.empty(len(grid_s))
         _resample(times_s, value, grid_s, self.left, self.share, self.on_grid)
@@ -57,6 +69,15 @@ class Resampled:
             found.append(np.zeros((len(own), left[-1] + 2 - left[0])))
             _spread(own, left, self.share[rows], found[-1])
         return tuple(found)
+
+    def doubted(self, blocks: Sequence[FloatArray], pieces: Sequence[slice]) -> tuple[FloatArray, ...]:
+        """Return weights of `to_samples` times the doubt of each sample; nothing where there is none."""
+        if self.doubt is None:
+            return ()
+        firsts = [self.left[rows][0] for rows in pieces]
+        return tuple(
+            block * self.doubt[first : first + block.shape[1]] for block, first in zip(blocks, firsts, strict=True)
+        )
 
     def around_samples(
         self, values: FloatArray, places: Sequence[slice], pieces: Sequence[slice]
@@ -85,6 +106,7 @@ class AlignedSignals:
     expected_pa: tuple[FloatArray | None, FloatArray | None]  # on the grid, from the command: free of sensor noise
     oil_k: float
     is_seen: BoolArray  # (len(grid),) whether every signal was sampled near by
+    row_s: float = 0.0  # from row to row [s] where signals are columns of a table, else 0
 
 
 def sample_times_s(series: Series, origin_ns: int) -> FloatArray:
@@ -139,7 +161,12 @@ def measured_times(sampled: SampleTimes, event: Event, calibration: Calibration)
 
 
 def align(
-    times: SampleTimes, event: Event, oil_k: float, gaps_s: FloatArray, other: AlignedSignals | None = None
+    times: SampleTimes,
+    event: Event,
+    oil_k: float,
+    gaps_s: FloatArray,
+    other: AlignedSignals | None = None,
+    row_s: float = 0.0,
 ) -> AlignedSignals:
     """Return the signals of an event on the even grid that all of them reach.
 
@@ -155,6 +182,8 @@ def align(
         Between which instants [s] samples are missing, on the clock of ``times``.
     other
         The same event as another calibration has it: what no calibration moves is taken over from there.
+    row_s
+        From row to row [s] where signals are columns of a table, else 0.
     """
     history_s = max(one[0] for one in times.values())
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
@@ -165,6 +194,9 @@ def align(
     is_known = other is not None and len(other.grid_s) == len(grid_s)  # the same grid: it ends where the event ends
     wanted = _MOVED if is_known else BALANCE_SIGNALS
     on_grid = {one: Resampled(times[one], event.columns[one].value, grid_s) for one in wanted}
+    if row_s:
+        for one, signal in on_grid.items():
+            signal.doubt = row_doubt(signal.times_s, signal.value, AGE_RATIO[one] * row_s)
     engine_speed, engine_torque = on_grid[Signal.ENGINE_SPEED], on_grid[Signal.ENGINE_TORQUE]
     pressure = (on_grid[Signal.CLUTCH1_PRESSURE], on_grid[Signal.CLUTCH2_PRESSURE])
     if other is not None and is_known:
@@ -186,7 +218,47 @@ def align(
         ),
         oil_k=oil_k,
         is_seen=is_seen,
+        row_s=row_s,
     )
+
+
+def row_doubt(times_s: FloatArray, value: FloatArray, age_std_s: float) -> FloatArray:
+    """Return the standard deviation of each value of a column beside its sensor's noise, shape (n,); n >= 2.
+
+    What a straight line between two rows leaves out is bounded by how much the rows bend; a step of the resolution is
+    even noise; an age that is not known, that of a held value too, counts as far as the value changes.
+
+    Parameters
+    ----------
+    times_s, value : (n,) array
+        The column.
+    age_std_s
+        Of the age of a value within its row.
+    """
+    rise, moved = np.diff(value), np.abs(np.diff(value)) > 0.0
+    step = float(np.abs(rise[moved]).min()) if moved.any() else 0.0
+    bend = np.zeros(len(value))
+    bend[1:-1] = np.abs(np.diff(rise)) * BEND_RATIO
+    bend[:-1], bend[1:] = np.maximum(bend[:-1], bend[1:]), np.maximum(bend[1:], bend[:-1])
+    age_s = math.hypot(age_std_s, FRAME_AGE_STD_S, held_s(times_s, value, step) / math.sqrt(12.0))
+    slope = np.abs(np.gradient(value, times_s))
+    return np.asarray(np.sqrt(bend**2 + step**2 / 12.0 + (age_s * slope) ** 2))
+
+
+def held_s(times_s: FloatArray, value: FloatArray, step: float) -> float:
+    """Return for how long [s] a column holds a value while it moves; 0 if each row has its own.
+
+    Where runs of one value end in a jump of several steps they were held, not at rest.
+    """
+    starts = np.flatnonzero(np.diff(value, prepend=np.nan) != 0.0)
+    if len(starts) < LEAST_RUNS:
+        return 0.0
+    jumps = np.abs(np.diff(value[starts])) > HELD_STEPS * step
+    lengths_s = np.diff(times_s[starts])[jumps]
+    if len(lengths_s) < LEAST_RUNS:
+        return 0.0
+    held = float(np.median(lengths_s))
+    return held if held > HELD_ROWS * float(np.median(np.diff(times_s))) else 0.0
 
 
 def _is_seen(grid_s: FloatArray, gaps_s: FloatArray) -> BoolArray:

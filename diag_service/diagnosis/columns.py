@@ -65,6 +65,10 @@ BALANCE_SIGNALS = (
 """What the torque balance of the input side needs, sample by sample."""
 
 
+ROW_SIGNALS = (Signal.ENGINE_SPEED, Signal.INPUT1_SPEED, Signal.CLUTCH1_PRESSURE)
+"""What no bus has in one message: if they have the same times, these are the rows of a table."""
+
+
 class DriveState(IntEnum):
     """What the transmission does with the engine's torque, as it says itself."""
 

@@ -25,6 +25,7 @@ from fleet_contract import Channel, JsonObject, ResultKey, schema
 from fleet_contract.orders import Order
 
 RecordT = TypeVar("RecordT")
+LEAST_SLIP_ROWS = 5  # of a table, in a slip phase: three numbers of the balance, and two that hold them
 
 
 def to_plain(record: object) -> JsonObject:
@@ -75,6 +76,7 @@ class Reason(StrEnum):
     SIGNAL_MISSING = "signal_missing"
     FRAMES_MISSING = "frames_missing"
     NO_SLIP_WINDOW = "no_slip_window"
+    FEW_SAMPLES = "few_samples"  # a table has too few rows in the slip
     MISFIT = "misfit"  # chi-square above the gate
     SENSOR_FROZEN = "sensor_frozen"  # a signal repeats a value while noise is expected
     SPEEDS_DISAGREE = "speeds_disagree"  # shafts that turn together read different speeds

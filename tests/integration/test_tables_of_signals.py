@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import diag_service
-from benchmarks.scan_tool import written
+from benchmarks.scan_tool import OF_FRICTION, OUTPUT, written
 from dbc.contract import load_contract
 from diag_service.mapping.profile import PROFILE_PATH
 from ecu_emulator.cli import main as emulator
@@ -130,6 +130,35 @@ def test_shifts_of_a_table_are_predicted_from_each_other(tmp_path: Path) -> None
     shown = ended("predict", table, "--profile", profile, "--halves").out
     assert "power upshifts: change of engine speed in the slip [rad/s]" in shown
     assert "median error" in shown
+
+
+def asked(folder: Path, rate_hz: float) -> tuple[list[dict[str, Any]], str]:
+    """Return what is found in a table of a car with 20 gear changes, and what is shown of it."""
+    log, table, profile = folder / "car.log", folder / "car.csv", folder / "car.toml"
+    assert emulator(["record", str(log), "--seed", "5", "--cycles", "2"]) == 0
+    written(log, table, np.random.default_rng(5), rate_hz=rate_hz, left_out=OUTPUT - OF_FRICTION)
+    profile.write_text(ended("signals", table).out, encoding="utf-8")
+    return analysed(table, "--profile", profile), ended("analyze", table, "--profile", profile).out
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 27.0])
+def test_friction_is_told_from_few_rows_with_wider_intervals(tmp_path: Path, rate_hz: float) -> None:
+    found, _ = asked(tmp_path, rate_hz)
+    assert [one["kind"] for one in found] == 2 * (5 * ["power_on_upshift"] + 5 * ["coast_downshift"])
+    estimates = [one["friction"] for one in found if one["status"] == "valid"]
+    assert len(estimates) == 20
+    far = [abs(one["mu_c"] - 0.14) / one["std_mu_c"] for one in estimates]
+    assert max(far) < 3.0
+    assert np.mean(np.array(far) < 2.0) > 0.9
+    assert min(one["std_mu_c"] for one in estimates) > 0.0045
+    assert not {one["verdict"]["condition"] for one in found} & {"watch", "change_fluid"}
+
+
+def test_too_few_rows_in_a_slip_are_said_in_place_of_a_number(tmp_path: Path) -> None:
+    found, shown = asked(tmp_path, 10.0)
+    assert sum(one["reasons"] == ["few_samples"] for one in found) >= 15
+    assert all(one["friction"] is None for one in found if one["reasons"])
+    assert "[not enough samples in the slip (3 of at least 5)]" in shown
 
 
 def test_what_a_prediction_needs_is_said(tmp_path: Path) -> None:

@@ -438,6 +438,8 @@ class Sensitivity:
         ]
         self._add_clutch_noise(noises)
         self._add_doubt(noises)
+        if signals.row_s:
+            self._add_row_doubt(noises)
         by_hub_nms = self._answers[0].by_slip_nms + self._answers[1].by_slip_nms
         around = signals.hub_speed.around_samples(by_hub_nms, weights.value.places, weights.value.grid_rows)
         for place, hub in enumerate(self._spread.hub):
@@ -463,6 +465,29 @@ class Sensitivity:
             for place, weight in enumerate(blocks):
                 scaled = weight * np.sqrt(np.sum([squares[place] for squares in variances], axis=0))
                 noises[place] += scaled @ scaled.T
+
+    def _add_row_doubt(self, noises: list[FloatArray]) -> None:
+        """Add what the rows of a table leave open beside the noise of sensors: ages, steps, and what lies between."""
+        balance, spread = self._balance, self._spread
+        signals, weights, side = balance.signals, balance.weights, balance.calibration.input_side
+        rows, gain = weights.value.grid_rows, balance.calibration.bias.torque_gain
+        inertia_kg_m2 = gain * side.engine_inertia_kg_m2
+        parts = [
+            signals.engine_torque.doubted(spread.torque_value, rows),
+            signals.engine_speed.doubted([inertia_kg_m2 * block for block in spread.engine_rate], rows),
+            signals.hub_speed.doubted([gain * block for block in spread.hub], rows),
+        ]
+        for m, answers in enumerate(self._answers):
+            for by, signal, blocks in (
+                (answers.by_slip_nms, signals.input_speed[m], spread.input_value[m]),
+                (answers.by_pressure_m3, signals.pressure[m], spread.pressure_value[m]),
+            ):
+                around = signal.around_samples(by, weights.value.places, rows)
+                scaled = [block * means for block, means in zip(blocks, around, strict=True)]
+                parts.append(signal.doubted(scaled, rows))
+        for part in parts:
+            for place, weight in enumerate(part):
+                noises[place] += weight @ weight.T
 
     def _add_doubt(self, noises: list[FloatArray]) -> None:
         """Add what no law of friction, film and drag holds, wrong one way for a while."""

@@ -21,6 +21,7 @@ SLIP_DEGREE = 5  # a controller's slip profile over one piece: smooth start, smo
 LOADED_PA = 0.25e5  # above its touch point by this much a clutch carries torque
 RELEASED_PA = 0.10e5  # not above its touch point by more than this, twice the sensor noise, it carries none
 SLIP_MIN_RAD_S = 0.8  # nearly three times the noise of the slip: slower may be locked; what is slow tells mu_S
+SLIPPING_RAD_S = 5.0  # beyond it a row is one of a slip, however few there are
 FADE_S = 0.02  # after a release: contact fades within a few film time constants
 MIN_PIECE_S = 0.1  # ten samples; anything shorter is noise, or a shaft that still swings in its new gear
 MAX_PIECE_S = 0.7  # the longest slip of a gear change, which one polynomial follows; a launch is cut into such pieces
@@ -64,7 +65,7 @@ class SlipWindow:
 
 
 def find_window(
-    grid_s: FloatArray, slip_rad_s: FloatArray, over_touch_pa: FloatArray, is_seen: BoolArray
+    grid_s: FloatArray, slip_rad_s: FloatArray, over_touch_pa: FloatArray, is_seen: BoolArray, row_s: float = 0.0
 ) -> SlipWindow | None:
     """Return the stretches in which a clutch is loaded, and each one slips one way or carries nothing; None if none.
 
@@ -79,13 +80,15 @@ def find_window(
         Slip of clutch 1 and 2 [rad/s], and their piston pressures above the touch points [Pa].
     is_seen : (n,) array
         Where no frames are missing and the engine runs.
+    row_s
+        From row to row [s] of a table, by which pressures and speeds may be apart; else 0.
     """
     if len(grid_s) < 2:
         return None
     is_told, is_rest = np.empty((2, len(grid_s)), np.bool_)
     _mark(grid_s, slip_rad_s, over_touch_pa, is_seen, np.zeros(2), is_told, is_rest)
     step_s = float(grid_s[1] - grid_s[0])
-    fade, least = round(FADE_S / step_s), round(MIN_PIECE_S / step_s)
+    fade, least = round((FADE_S + row_s) / step_s), round(MIN_PIECE_S / step_s)
     stretches = [(first + fade, stop) for first, stop in _stretches(is_told) if stop - first >= fade + least]
     pieces = [piece for first, stop in stretches for piece in _pieces(first, stop, round(MAX_PIECE_S / step_s))]
     rests = [rest for rest in _stretches(is_rest) if rest[1] - rest[0] >= round(MIN_REST_S / step_s)]
@@ -405,5 +408,24 @@ def slip_window(
     over_pa = np.array([drive.piston_pa - law.touch_pressure_pa for drive, law in zip(drives, laws, strict=True)])
     slip_rad_s = np.array([drive.slip_rad_s for drive in drives])
     is_turning = signals.engine_speed.on_grid > TURNING_RAD_S
-    window = find_window(signals.grid_s, slip_rad_s, over_pa, signals.is_seen & is_turning)
+    sure_rad_s = _sure_slip(signals, slip_rad_s) if signals.row_s else slip_rad_s
+    window = find_window(signals.grid_s, sure_rad_s, over_pa, signals.is_seen & is_turning, signals.row_s)
     return None if window is None else (window, loaded_clutch(window, slip_rad_s, over_pa))
+
+
+def _sure_slip(signals: AlignedSignals, slip_rad_s: FloatArray) -> FloatArray:
+    """Return slips, zero where speeds of one row may be apart by as much as they change until the next."""
+    changing_rad_s = np.abs(np.gradient(signals.engine_speed.on_grid, GRID_S)) * signals.row_s
+    return np.where(np.abs(slip_rad_s) > changing_rad_s + SLIP_MIN_RAD_S, slip_rad_s, 0.0)
+
+
+def rows_in_slip(
+    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], laws: tuple[PackLaw, PackLaw]
+) -> int:
+    """Return in how many rows of a table a clutch slips under load, as far as it can be told."""
+    is_told = np.zeros(len(signals.grid_s), np.bool_)
+    for drive, law in zip(drives, laws, strict=True):
+        is_loaded = drive.piston_pa - law.touch_pressure_pa > LOADED_PA
+        is_told |= is_loaded & (np.abs(drive.slip_rad_s) > SLIPPING_RAD_S) & (signals.grid_s >= 0.0)
+    at = np.searchsorted(signals.grid_s, signals.pressure[0].times_s)
+    return int(np.count_nonzero(is_told[at[(at > 0) & (at < len(is_told))]]))

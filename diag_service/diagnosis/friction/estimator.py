@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from diag_service.diagnosis.friction.drives import (
     compile_window,
     measured_drives,
     on_other_grid,
+    rows_in_slip,
     slip_window,
     spans_of,
     zeros_seen,
@@ -37,6 +38,7 @@ from diag_service.diagnosis.friction.evidence import (
     compile_evidence,
     displaced,
     fuse,
+    row_variance,
 )
 from diag_service.diagnosis.friction.film import compile_film, compile_tangents, pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, compile_selection, omission_cost
@@ -49,7 +51,7 @@ from diag_service.diagnosis.quality.plausibility import (
     plausibility_faults,
     zero_has_jumped,
 )
-from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
+from diag_service.diagnosis.records import LEAST_SLIP_ROWS, Reason, ShiftEstimate, Status
 
 WORKING_K: Final = 353.15  # of a pack: from there on the film is as believed
 COLD_SPAN_K: Final = 60.0  # below that temperature, where the deviations are as large as these:
@@ -128,12 +130,29 @@ class _Seen:
         return fuse(self.before, self.evidence)
 
 
-class Estimator:
-    """Estimates friction from shifts; holds nothing but the calibration."""
+class _TooFew(NamedTuple):
+    """So few rows of a table are in the slip that nothing is said of friction."""
 
-    def __init__(self, calibration: Calibration) -> None:
+    row_count: int
+
+
+class Estimator:
+    """Estimates friction from shifts; holds nothing but the calibration.
+
+    Parameters
+    ----------
+    calibration
+        Of the vehicle.
+    row_s
+        From row to row [s] of a table that its events are of; 0: they are of a bus.
+    """
+
+    def __init__(self, calibration: Calibration, row_s: float = 0.0) -> None:
         self._calibration = calibration
+        self._row_s = row_s
         self._type = Posterior.fresh(calibration).base
+        if row_s:
+            self._type = self._type.less_sure(row_variance(row_s))
         std = self._type.std()
         self._per_std = 1.0 / np.where(std > 0.0, std, np.inf)
         self._per_std[:FRICTION_COUNT] = 0.0
@@ -163,12 +182,13 @@ class Estimator:
         """
         if isinstance(samples, Reason):
             return state, without_friction(event, Status.REJECTED, samples)
+        if samples.row_s != self._row_s:
+            return Estimator(self._calibration, samples.row_s).estimate(event, samples, state, against)
+        if self._row_s:
+            state = self._of_rows(state)
         first = self._linearised(samples, state, state.fusion.knowledge.mean, None)
         if not isinstance(first, _Seen):
-            is_unobserved = first is Reason.NO_SLIP_WINDOW
-            reasons = against if is_unobserved and against else (first,)
-            status = Status.UNOBSERVED if is_unobserved and not against else Status.REJECTED
-            return state, without_friction(event, status, *reasons)
+            return state, _untold(event, first, against)
         slipping = SlippingClutch(
             number=first.clutch,
             rows=first.balance.window.slip_rows,
@@ -185,6 +205,15 @@ class Estimator:
             estimate = self._described(event, seen, state, seen.alone())
             return state, _rejected(estimate, *((Reason.MISFIT,) if is_misfit else against))
         return self._judged(event, seen, room, judged.warmed(packs))
+
+    def _of_rows(self, state: Posterior) -> Posterior:
+        """Return what is known before the first event of a table, whose columns are apart by nobody knows how much."""
+        if state.recent or state.folded_counts != (0, 0):
+            return state
+        added = np.maximum(self._type.covariance.diagonal() - state.base.covariance.diagonal(), 0.0)
+        added *= row_variance(self._row_s) > 0.0
+        base = state.base.less_sure(added)
+        return replace(state, base=base, fusion=fuse(base, Evidence.none()))
 
     def _judged(self, event: Event, seen: _Seen, room: Posterior, state: Posterior) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after an event, and its estimate: used or left out, and why."""
@@ -268,7 +297,7 @@ class Estimator:
 
     def _linearised(
         self, samples: Samples, state: Posterior, at: FloatArray, earlier: _Seen | None, *, is_near: bool = False
-    ) -> _Seen | Reason:
+    ) -> "_Seen | Reason | _TooFew":
         """Linearise an event about ``at`` with what an earlier pass found: its clutch; near by all but the residual."""
         try:
             point = displaced(self._calibration, at)
@@ -284,12 +313,15 @@ class Estimator:
         else:
             found = on_other_grid(near.balance.window, near.balance.signals.grid_s, signals.grid_s), near.clutch
         if found is None:
-            return Reason.NO_SLIP_WINDOW
+            count = rows_in_slip(signals, drives, laws) if signals.row_s else 0
+            return _TooFew(count) if 0 < count < LEAST_SLIP_ROWS else Reason.NO_SLIP_WINDOW
         window, clutch = found
         before = earlier.before if earlier else self._unknown_friction(state.fusion.knowledge, clutch)
         balance = Balance(signals, window, drives, point, laws, at)
         if film_share(balance, clutch) > MOST_FILM_SHARE:
             return Reason.NO_SLIP_WINDOW
+        if signals.row_s and balance.sample_count < LEAST_SLIP_ROWS:
+            return _TooFew(balance.sample_count)
         seen = measured(balance, near.measurements if near else ())
         empty = zeros_seen(signals, point)
         evidence = Evidence.of(seen, at, empty, own_variance(balance, clutch))
@@ -333,6 +365,16 @@ def _is_misfit(before: Knowledge, alone: Fusion, count: int) -> bool:
     learnt = np.sqrt(np.maximum(variance - after.covariance.diagonal(), LEAST_LEARNT**2 * variance))
     score = np.abs(after.mean - before.mean) / np.where(learnt > 0.0, learnt, np.inf)
     return bool(score[FRICTION_COUNT:].max() > SCORE_GATE)
+
+
+def _untold(event: Event, why: Reason | _TooFew, against: tuple[Reason, ...]) -> ShiftEstimate:
+    """Return the estimate of an event that cannot be linearised."""
+    reason = Reason.FEW_SAMPLES if isinstance(why, _TooFew) else why
+    is_unobserved = reason in {Reason.NO_SLIP_WINDOW, Reason.FEW_SAMPLES}
+    reasons = against if is_unobserved and against else (reason,)
+    status = Status.UNOBSERVED if is_unobserved and not against else Status.REJECTED
+    untold = without_friction(event, status, *reasons)
+    return replace(untold, sample_count=why.row_count) if isinstance(why, _TooFew) else untold
 
 
 def _rejected(estimate: ShiftEstimate, *reasons: Reason) -> ShiftEstimate:

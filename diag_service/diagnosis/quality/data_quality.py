@@ -6,7 +6,7 @@ part that cannot be judged, because the bus lacks its signals, is left out. Belo
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime
 from typing import Final
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.e2e_state import E2eState
+from canlog.e2e.own_cycle import row_period_ns
 from canlog.jit import array_kernel, inlined_kernel, kernel
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.alignment import (
@@ -25,7 +26,7 @@ from diag_service.diagnosis.alignment import (
     measured_times,
     sampling_times,
 )
-from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, ROW_SIGNALS, Columns, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.records import DataQuality, QualityPart, Reason
 
@@ -61,6 +62,8 @@ class QualityLimits:
     gap_periods: float = 2.5  # one missing frame is bridged by interpolation; in a longer gap no friction is looked for
     lost_periods: float = 8.5  # a longer gap may hide anything: the event is not used
     nominal_period_s: float = 0.01  # of signals whose message states no cycle time
+    row_gap_periods: float = 3.5  # as gap_periods, of the rows of a table, which come unevenly
+    near_row_periods: float = 0.25  # a row that comes so soon after another tells nothing beside it
     oil_range_k: tuple[float, float] = (233.15, 443.15)  # -40..170 degC: where the fluid's viscosity law holds
 
     # Data quality: each part from 0 to 1, and the least product of all parts.
@@ -198,6 +201,8 @@ def _hub(columns: Columns, limits: QualityLimits) -> float | None:
     engine, hub = columns.get(Signal.ENGINE_SPEED), columns.get(Signal.HUB_SPEED)
     if engine is None or hub is None or not len(engine.t_ns) or not len(hub.t_ns):
         return None
+    if engine.sequence[0] < 0 and np.array_equal(engine.t_ns, hub.t_ns):
+        return None  # columns of a table, asked one after the other: how far they are apart in time nobody knows
     return limits.hub_mean_rad_s.score(abs(float(_apart(engine, hub).mean())))
 
 
@@ -260,6 +265,7 @@ class Samples:
     event: Event
     times: SampleTimes
     oil_k: float
+    row_s: float = 0.0  # from row to row [s] where signals are columns of a table, else 0
 
 
 def usable_signals(event: Event, calibration: Calibration, limits: QualityLimits = LIMITS) -> AlignedSignals | Reason:
@@ -274,19 +280,48 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
         return Reason.INTERRUPTED
     is_whole = event.end_reason is EndReason.COMPLETE  # what another event cut short may be seen in full, or not
     oil = event.columns.get(Signal.SUMP_TEMPERATURE)
+    row_s = _row_s(event, limits)
+    if row_s:
+        event = _without_near_rows(event, round(limits.near_row_periods * row_s / NS_TO_S))
     sampled = sampling_times(event)
     if oil is None or not len(oil.t_ns) or len(sampled) < len(BALANCE_SIGNALS):
         return Reason.SIGNAL_MISSING if is_whole else Reason.INTERRUPTED
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     for one, times_s in sampled.items():
-        period_s = event.columns[one].period_ns * NS_TO_S or limits.nominal_period_s
+        period_s = row_s or event.columns[one].period_ns * NS_TO_S or limits.nominal_period_s
         silence_s = longest_silence_s(times_s, -2.0 * period_s, duration_s)
         if silence_s > limits.lost_periods * period_s:
             return Reason.FRAMES_MISSING if is_whole else Reason.INTERRUPTED
     oil_k = float(oil.value.mean())
     if not limits.oil_range_k[0] <= oil_k <= limits.oil_range_k[1]:
         return Reason.OUT_OF_RANGE
-    return Samples(event=event, times=sampled, oil_k=oil_k)
+    return Samples(event=event, times=sampled, oil_k=oil_k, row_s=row_s)
+
+
+def _row_s(event: Event, limits: QualityLimits) -> float:
+    """Return the time from row to row [s] of the table that an event is of, 0 if it is of a bus."""
+    columns = [event.columns[one] for one in ROW_SIGNALS if one in event.columns]
+    if len(columns) < len(ROW_SIGNALS) or not len(columns[0].t_ns) or columns[0].sequence[0] >= 0:
+        return 0.0
+    row_ns = row_period_ns(columns)
+    return max(row_ns * NS_TO_S, limits.nominal_period_s) if row_ns else 0.0
+
+
+def _without_near_rows(event: Event, least_ns: int) -> Event:
+    """Return an event of a table without rows that come too soon after the one before."""
+    columns = dict(event.columns)
+    for signal in BALANCE_SIGNALS:
+        if (series := columns.get(signal)) is None:
+            continue
+        kept, last_ns = list[int](), None
+        for place, t_ns in enumerate(series.t_ns.tolist()):
+            if last_ns is None or t_ns - last_ns >= least_ns:
+                kept.append(place)
+                last_ns = t_ns
+        columns[signal] = replace(
+            series, t_ns=series.t_ns[kept], sequence=series.sequence[kept], value=series.value[kept]
+        )
+    return replace(event, columns=columns)
 
 
 def aligned(
@@ -299,7 +334,8 @@ def aligned(
     times = measured_times(samples.times, samples.event, calibration)
     if min(_step_range_s(one)[0] for one in times.values()) <= 0.0:
         return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock cannot be believed
-    return align(times, samples.event, samples.oil_k, gaps_s(times, samples.event, limits), other)
+    gaps = gaps_s(times, samples.event, limits, samples.row_s)
+    return align(times, samples.event, samples.oil_k, gaps, other, samples.row_s)
 
 
 @array_kernel
@@ -316,12 +352,13 @@ def longest_silence_s(times_s: FloatArray, from_s: float, duration_s: float) -> 
     return max(longest_s, duration_s - latest_s) if count > 1 else np.inf
 
 
-def gaps_s(times: SampleTimes, event: Event, limits: QualityLimits = LIMITS) -> FloatArray:
+def gaps_s(times: SampleTimes, event: Event, limits: QualityLimits = LIMITS, row_s: float = 0.0) -> FloatArray:
     """Return between which instants [s] two samples of any signal or more are missing in a row, shape (n, 2)."""
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     found = []
     for signal, times_s in times.items():
-        longest_s = limits.gap_periods * (event.columns[signal].period_ns * NS_TO_S or limits.nominal_period_s)
+        period_s = event.columns[signal].period_ns * NS_TO_S or limits.nominal_period_s
+        longest_s = limits.row_gap_periods * row_s if row_s else limits.gap_periods * period_s
         if _step_range_s(times_s)[1] > longest_s:
             found += [times_s[row : row + 2] for row in np.flatnonzero(np.diff(times_s) > longest_s)]
         if duration_s - times_s[-1] > longest_s:

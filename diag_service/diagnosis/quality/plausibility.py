@@ -48,13 +48,20 @@ def plausibility_faults(
     event: Event, signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits = LIMITS
 ) -> tuple[Reason, ...]:
     """Return why the signals of a shift, once put on one clock, cannot all be true; empty if they can."""
+    apart_rad_s = _apart_in_rows_rad_s(signals) if signals.row_s else 0.0
     found = {
         Reason.SENSOR_FROZEN: any(is_frozen(event.columns[one], one, limits) for one in BALANCE_SIGNALS),
-        Reason.SPEEDS_DISAGREE: speed_gap_rad_s(event, signals, clutch, limits) > limits.speeds_rad_s
-        or hub_gap_rad_s(signals, limits) > hub_limit_rad_s(event, limits),
+        Reason.SPEEDS_DISAGREE: speed_gap_rad_s(event, signals, clutch, limits) > limits.speeds_rad_s + apart_rad_s
+        or hub_gap_rad_s(signals, limits) > hub_limit_rad_s(event, limits) + apart_rad_s,
         Reason.PRESSURE_OFF_COMMAND: _misses_command(signals, clutch, limits),
     }
     return tuple(reason for reason, is_found in found.items() if is_found)
+
+
+def _apart_in_rows_rad_s(signals: AlignedSignals) -> float:
+    """Return how far speeds of one row may be apart [rad/s]: by what they change until the next one."""
+    speeds = (signals.engine_speed, signals.hub_speed, *signals.input_speed)
+    return max(float(np.abs(np.diff(speed.value)).max()) for speed in speeds)
 
 
 def zero_has_jumped(known: PressureZeros, measured: PressureZeros, limits: QualityLimits = LIMITS) -> bool:

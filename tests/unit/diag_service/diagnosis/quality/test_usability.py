@@ -131,7 +131,7 @@ def numbers_of(part: object) -> list[FloatArray]:
         return [number for one in part for number in numbers_of(one)]
     if is_dataclass(part):
         return [number for one in fields(part) for number in numbers_of(getattr(part, one.name))]
-    return [np.asarray(part, float)]
+    return [] if part is None else [np.asarray(part, float)]
 
 
 def test_limits_are_an_argument() -> None:

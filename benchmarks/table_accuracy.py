@@ -1,0 +1,157 @@
+"""Friction from tables of signals: coverage at every moment, wrong verdicts, widths, at few rows a second.
+
+Each vehicle is drawn as ``benchmarks.drive_accuracy`` draws it, driven along a trace with one of three fluids, and
+recorded once; a table of every rate is made of that log as a scan tool writes them: pressures in steps of 5.86 kPa,
+columns asked one after the other over a whole row, rows 10 ms early or late. Nothing of the vehicle is known but its
+type. Without torque nothing may be said of friction.
+
+    python -m benchmarks.table_accuracy --vehicles 12 --workers 1
+"""
+
+import argparse
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.drive_accuracy import END, MOMENTS, STRETCH_S, WRONG, Case, Outcome, coverage, outcome_of, scenario_of
+from benchmarks.drive_events import planned
+from benchmarks.scan_tool import OF_FRICTION, OUTPUT, written
+from benchmarks.study import over_drives
+from canlog.logs import read_log
+from clutch_model.calibration import nominal_calibration
+from diag_service.commands.signals import proposed_profile
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Posterior
+from diag_service.diagnosis.records import Status
+from diag_service.mapping.interpretation import interpret
+from diag_service.service.stages import Diagnosis, Stages
+from diag_service.service.stopping import Trigger
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.log_formats.record import open_log
+
+RATES_HZ: Final = (50.0, 27.0, 10.0)
+TRACES: Final = ("udds", "us06")
+FIRST_SEED: Final = 97_000
+NO_TORQUE: Final = "no torque"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """What the tables of one drive gave, by the name of the table."""
+
+    trace: str
+    seed: int
+    outcomes: dict[str, Outcome]
+
+
+def shown(case: Case) -> list[Shown]:
+    """Drive, write tables, diagnose each."""
+    scenario, vehicle = scenario_of(case)
+    drive = Drive(scenario, planned=iter([planned(case.trace)]))
+    outcomes = {}
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "drive.log"
+        with open_log(log) as file:
+            for stretch in drive.stretches(STRETCH_S):
+                file.write(stretch.frames)
+        true = np.array([[drive.truth.mu_c[m], drive.truth.mu_s[m]] for m in range(2)])
+        for rate_hz in RATES_HZ:
+            left_out = OUTPUT - OF_FRICTION
+            for name, missing in ((f"{rate_hz:.0f}/s", left_out), (NO_TORQUE, left_out | {"Engine Torque"})):
+                if name == NO_TORQUE and rate_hz != RATES_HZ[1]:
+                    continue
+                table = Path(folder) / "drive.csv"
+                rng = np.random.default_rng(case.seed)
+                written(log, table, rng, rate_hz=rate_hz, left_out=missing)
+                outcomes[name] = outcome_of(diagnosed(table), true, vehicle, scenario.fluid.condition)
+    return [Shown(trace=case.trace, seed=case.seed, outcomes=outcomes)]
+
+
+def diagnosed(table: Path) -> list[Diagnosis]:
+    """Return the diagnoses of a table, with the profile that is proposed for it."""
+    profile = table.with_suffix(".toml")
+    profile.write_text(proposed_profile(table, None, Trigger(), is_lenient=False), encoding="utf-8")
+    calibration = nominal_calibration()
+    decoder = interpret(None, profile).decoder()
+    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+    with read_log(table) as reader:
+        diagnoses = [one for batch in reader for one in stages.feed(batch)]
+    return [*diagnoses, *(stages.conclude(event) for event in stages.flush())]
+
+
+def moments(drives: Sequence[Shown]) -> Table:
+    """Return coverage and widths of the running estimate at every moment."""
+    table = Table("trace", "table", "events used", "estimates", "absolute: within 2 std", "stated %",
+                  "scale-free: within 2 std", "stated %", title="Running friction, mu_C and mu_S")  # fmt: skip
+    for trace in TRACES:
+        for name in drives[0].outcomes:
+            looks = [look for one in drives if one.trace == trace for look in one.outcomes[name].looks]
+            for moment in (*MOMENTS, END):
+                some = [look for look in looks if look.moment == moment]
+                if not some:
+                    continue
+                cells = [trace, name, str(moment) if moment else "all", str(len(some))]
+                for what in ("absolute", "free"):
+                    errors, stds = (np.array([getattr(one, key) for one in some]) for key in (what, f"{what}_std"))
+                    cells += [coverage(errors, stds), f"{np.median(stds[:, 0]):.1f}, {np.median(stds[:, 1]):.1f}"]
+                table.add_row(*cells)
+    return table
+
+
+def events(drives: Sequence[Shown]) -> Table:
+    """Return what became of the events, and the verdicts."""
+    table = Table("trace", "table", "events", "used", "why not", "verdicts at the end", "drives with a wrong one",
+                  title="Events and verdicts")  # fmt: skip
+    for trace in TRACES:
+        for name in drives[0].outcomes:
+            own = [one.outcomes[name] for one in drives if one.trace == trace]
+            statuses = sum((one.statuses for one in own), Counter[tuple[str, str, str]]())
+            used = sum(count for (_, status, why), count in statuses.items() if status == Status.VALID and not why)
+            reasons = Counter[str]()
+            for (_, _, why), count in statuses.items():
+                reasons[why] += count if why else 0
+            ends = Counter(final for one in own for final in one.final_verdicts)
+            table.add_row(
+                trace, name, str(statuses.total()), str(used),
+                ", ".join(f"{count} {why}" for why, count in reasons.most_common(5) if count),
+                ", ".join(f"{count} {final}" for final, count in ends.most_common()),
+                f"{sum(bool(one.wrong_verdicts) for one in own)} of {len(own)}",
+            )  # fmt: skip
+    return table
+
+
+def main() -> int:
+    """Drive all vehicles and print the tables; return 1 if a verdict was wrong."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--vehicles", type=int, default=12, help="on each of the two traces")
+    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first vehicle")
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
+    cases = [
+        Case(seed=seed, trace=trace, oil_degc=80.0, is_plain=False, has_mismatch=False, loss_ratio=0.0)
+        for seed in range(options.seed, options.seed + options.vehicles)
+        for trace in TRACES
+    ]
+    drives = over_drives(shown, cases, options.workers)
+    console = Console(markup=False, width=170)
+    console.print(moments(drives))
+    console.print(events(drives))
+    wrong = [
+        (one, name, said) for one in drives for name, found in one.outcomes.items() for said in found.wrong_verdicts[:1]
+    ]
+    for one, name, said in wrong:
+        console.print(f"{one.trace}, seed {one.seed}, {name}, {one.outcomes[name].fluid}: {said}")
+    console.print(f"wrong verdicts count for {', '.join(WRONG)}: {len(wrong)}")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
