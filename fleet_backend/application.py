@@ -16,7 +16,7 @@ from fleet_backend.broker import BrokerInbox, connected
 from fleet_backend.choices import Pace
 from fleet_backend.database import place_of
 from fleet_backend.errors import DatabaseAwayError
-from fleet_backend.ingest import FILTERS, Pauses, Worker
+from fleet_backend.ingest import Pauses, Worker, filters_of
 from fleet_backend.intake import Kind
 from fleet_backend.migrate import make_ready
 from fleet_backend.sign_of_life import give_signs, prepare
@@ -27,7 +27,9 @@ REPORT_S = 60.0
 _LOG = logging.getLogger(__name__)
 
 
-def run_ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str | None, alive: Path | None = None) -> None:
+def run_ingest(
+    engine: Engine, address: BrokerAddress, pace: Pace, name: str | None, alive: Path | None = None, *, group: str
+) -> None:
     """Ingest until SIGINT or SIGTERM; while all is well, touch the file ``alive``.
 
     An SQLite database of an earlier schema, which belongs to this program alone, is upgraded first; a PostgreSQL must
@@ -42,12 +44,14 @@ def run_ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str | N
     """
     if alive is not None:
         prepare(alive)
-    asyncio.run(_ingest(engine, address, pace, name or f"{socket.gethostname()}-{uuid.uuid4().hex[:8]}", alive))
+    asyncio.run(_ingest(engine, address, pace, name or f"{socket.gethostname()}-{uuid.uuid4().hex[:8]}", alive, group))
 
 
-async def _ingest(engine: Engine, address: BrokerAddress, pace: Pace, name: str, alive: Path | None) -> None:
+async def _ingest(
+    engine: Engine, address: BrokerAddress, pace: Pace, name: str, alive: Path | None, group: str
+) -> None:
     def connect() -> AbstractAsyncContextManager[BrokerInbox]:
-        return connected(address, FILTERS, max_unsettled=pace.max_unsettled)
+        return connected(address, filters_of(group), max_unsettled=pace.max_unsettled)
 
     if address.exposure:
         _LOG.warning("%s", address.exposure)

@@ -11,6 +11,7 @@ from fleet_backend.choices import Axis, Pace
 
 PROGRAM: Final = "fleet-backend"
 BROKER_VARIABLE: Final = "CLUTCHDIAG_BROKER"  # these keep passwords out of the process list
+GROUP_VARIABLE: Final = "CLUTCHDIAG_GROUP"
 MAIL_VARIABLE: Final = "CLUTCHDIAG_MAIL"
 DATABASE_VARIABLE: Final = "CLUTCHDIAG_DATABASE"
 
@@ -72,6 +73,13 @@ _INGEST: Final = Command(
     ),
     *_BROKER[1:],
     Option("--worker NAME", "unique name of this worker (default: generated)"),
+    Option(
+        "--group NAME",
+        "of workers that share what an MQTT broker sends; better a secret that no vehicle can guess"
+        f" (default: the environment's {GROUP_VARIABLE}, else ingest)",
+        default="ingest",
+        envvar=GROUP_VARIABLE,
+    ),
     Option("--alive FILE", "touch this file every 5 s while broker and database answer", FILE),
     Option("--batch N", f"results per transaction (default: {_PACE.batch_size})", INT, default=_PACE.batch_size),
     Option(

@@ -15,8 +15,7 @@ from fleet_contract import Channel, Outgoing, filter_of
 from fleet_link import AddressError, BrokerAddress, Connection, JetStream, LinkDownError, Message, Terms
 from fleet_link.jetstream import STREAM, subject_of
 
-GROUP: Final = "ingest"  # of workers that share what comes
-BUNDLES: Final = filter_of(Channel.BUNDLE, group=GROUP)
+GROUP: Final = "ingest"  # of workers that share what comes, unless another name is told
 KEEPALIVE_S: Final = 15  # a dead broker is known after 1.5 times this
 MOST_IN_FLIGHT: Final = 100  # receipts without the broker's answer; the others go without one
 USUAL_BYTES: Final = 4096  # of one of the messages that may be unsettled: a result alone has less, most bundles more
@@ -97,6 +96,11 @@ async def connected(
         await connection.close()
 
 
+def is_of_bundles(name: str) -> bool:
+    """Return whether a subscription, shared or not, is to bundles."""
+    return name.endswith(filter_of(Channel.BUNDLE))
+
+
 async def _subscribed(connection: Connection | JetStream, filters: Sequence[str]) -> bool:
     """Subscribe, and return whether bundles are among what comes; what an operator set up earlier may lack them.
 
@@ -106,12 +110,13 @@ async def _subscribed(connection: Connection | JetStream, filters: Sequence[str]
         if connection.strangers:
             subjects = ", ".join(sorted(map(subject_of, connection.strangers)))
             _LOG.warning("the stream %s lacks %s: add it with `nats stream edit`", STREAM, subjects)
-        return BUNDLES in filters and BUNDLES not in connection.strangers
-    await connection.subscribe([name for name in filters if name != BUNDLES])
-    if BUNDLES not in filters:
+        return any(is_of_bundles(name) and name not in connection.strangers for name in filters)
+    bundles = [name for name in filters if is_of_bundles(name)]
+    await connection.subscribe([name for name in filters if name not in bundles])
+    if not bundles:
         return False
     try:
-        await connection.subscribe([BUNDLES])
+        await connection.subscribe(bundles)
     except LinkDownError as exc:  # of a connection that is lost the next call tells
         _LOG.warning("vehicles are asked to send each result alone: %s", exc)
         return False

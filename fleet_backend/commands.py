@@ -20,7 +20,7 @@ from fleet_backend.alarms.words import parse_mail, parse_secret, parse_service_k
 from fleet_backend.application import run_ingest
 from fleet_backend.arguments import BROKER_VARIABLE
 from fleet_backend.choices import Axis
-from fleet_backend.config import parse_broker, parse_listen, parse_moment, parse_pace
+from fleet_backend.config import parse_broker, parse_group, parse_listen, parse_moment, parse_pace
 from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import ConfigError, ExtraMissingError
 from fleet_backend.layout import Sheet
@@ -54,6 +54,7 @@ def _ingest(options: SimpleNamespace, engine: Engine) -> None:
         pace,
         options.worker,
         options.alive,
+        group=parse_group(options.group),
     )
 
 

@@ -61,6 +61,13 @@ def parse_pace(batch_size: int, patience_ms: float, *, takes_bundles: bool = Tru
     return Pace(batch_size=batch_size, patience_s=patience_ms / 1000.0, takes_bundles=takes_bundles)
 
 
+def parse_group(text: str) -> str:
+    """Return the name of the group of workers; raises ConfigError if it cannot be a level of a subscription."""
+    if re.fullmatch(r"[A-Za-z0-9_.-]{1,64}", text) is None:
+        raise ConfigError("a group must be 1 to 64 of A-Z, a-z, 0-9, _ . -")
+    return text
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
     """Where a server listens; port 0 is any free one."""

@@ -31,8 +31,16 @@ from fleet_backend.writer import Batch
 from fleet_contract import JsonObject, Outgoing, ack_messages, filter_of, fluid_message
 from fleet_link import Message
 
-# States go to every worker: a shared subscription never gets what the broker retained, and two writers agree.
-FILTERS: Final = tuple(filter_of(channel, group=None if channel.is_retained else GROUP) for channel in INGESTED)
+
+def filters_of(group: str = GROUP) -> tuple[str, ...]:
+    """Return what a worker of a group subscribes to.
+
+    States go to every worker: a shared subscription never gets what the broker retained, and two writers agree.
+    """
+    return tuple(filter_of(channel, group=None if channel.is_retained else group) for channel in INGESTED)
+
+
+FILTERS: Final = filters_of()
 FIRST_PAUSE_S: Final = 0.2
 LONGEST_PAUSE_S: Final = 10.0
 

@@ -84,10 +84,9 @@ def outbox_of(config: DiagnosisConfig, store: ResultStore, session: Session, *, 
         algorithm_version=versions.algorithm,
         calibration_version=versions.calibration,
     )
-    identifier = f"clutchdiag-{config.vehicle}" if is_live else f"clutchdiag-{uuid.uuid4()}"
     connector = MqttConnector(
         config.broker,
-        identifier,
+        f"clutchdiag-{config.vehicle}-{_secret_of(store)}" if is_live else f"clutchdiag-{uuid.uuid4()}",
         status if is_live else None,
         is_persistent=is_live and config.acknowledge is Acknowledge.BACKEND,
     )
@@ -102,6 +101,15 @@ def outbox_of(config: DiagnosisConfig, store: ResultStore, session: Session, *, 
         shares_fluid=is_live,
         metrics=_metrics_of(store, session) if is_live else None,
     )
+
+
+def _secret_of(store: ResultStore) -> str:
+    """Return what makes our name at the broker unguessable: who connects by it ends our connection."""
+    try:
+        return store.connection_secret()
+    except StoreError as exc:
+        _LOG.warning("the broker knows us by a new name until the next start: %s", exc)
+        return uuid.uuid4().hex
 
 
 def _greeting(config: DiagnosisConfig, status: ServiceStatus) -> Outgoing:

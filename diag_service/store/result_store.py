@@ -248,6 +248,13 @@ class ResultStore:
         with self._transaction() as sql:
             sql.execute("INSERT OR REPLACE INTO meta VALUES ('takes_bundles', ?)", (str(int(is_taken)),))
 
+    def connection_secret(self) -> str:
+        """Return the part of our name at a broker that nobody can guess; the same as long as the store lives."""
+        with self._transaction() as sql:
+            sql.execute("INSERT OR IGNORE INTO meta VALUES ('connection_secret', ?)", (uuid.uuid4().hex,))
+            (secret,) = sql.execute("SELECT value FROM meta WHERE key = 'connection_secret'").fetchone()
+        return str(secret)
+
     def latest(self, vehicle: str) -> list[StoredResult]:
         """Return the newest result of each clutch."""
         with self._transaction() as sql:

@@ -1,4 +1,4 @@
-"""Command line: ``fleet-certificates init|server|client``; the same command renews."""
+"""Command line: ``fleet-certificates init|server|client|node|access``; the same command renews."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -51,6 +51,12 @@ COMMAND_LINE: Final = Program(
         *(_FOLDER, _days(90.0)),
         examples=(f"{PROGRAM} node node1 --host node1.example --folder fleet",),
     ),
+    Command(
+        "access",
+        "write what each client may say and hear: dynamic-security.json for Mosquitto, nats-users.conf for nats-server",
+        _FOLDER,
+        examples=(f"{PROGRAM} access --folder fleet",),
+    ),
 )
 
 
@@ -66,11 +72,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _execute(options: SimpleNamespace) -> None:
     try:
-        from fleet_backend.certificates.authority import Authority, Lifetime  # noqa: PLC0415 - needs the extra
+        from fleet_backend.certificates.access import write_access  # noqa: PLC0415 - needs the extra
+        from fleet_backend.certificates.authority import Authority, Lifetime  # noqa: PLC0415
     except ModuleNotFoundError as exc:
         if exc.name is None or exc.name.startswith("fleet_backend.certificates"):
             raise
         raise CertificateError(f"the module {exc.name} is not installed: pip install 'clutchdiag[security]'") from exc
+    if options.command == "access":
+        write_access(options.folder)
+        return
     lifetime = Lifetime.of_days(options.days, datetime.now(UTC))
     if options.command == "init":
         Authority.make(options.folder, lifetime)

@@ -14,7 +14,7 @@ from demo.fleet.nats import NatsServer
 from diag_service.delivery import Acknowledge, MqttConnector, Outbox
 from diag_service.diagnosis.records import shift_record
 from diag_service.store import ResultStore
-from fleet_backend.broker import BUNDLES, connected
+from fleet_backend.broker import connected, is_of_bundles
 from fleet_backend.choices import Pace
 from fleet_backend.database import open_database, transaction
 from fleet_backend.ingest import FILTERS, Worker
@@ -28,7 +28,7 @@ from tests.support.outboxes import NOW, put, sending, until
 from tests.support.patience import HANG_S
 
 pytestmark = pytest.mark.broker
-OLDER = [name for name in FILTERS if name != BUNDLES]
+OLDER = [name for name in FILTERS if not is_of_bundles(name)]
 
 
 @pytest.fixture(name="server", params=[Mosquitto, NatsServer])
