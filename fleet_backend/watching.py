@@ -21,6 +21,7 @@ from fleet_backend.alarms.rules import (
     Limits,
     Transition,
     due_finding,
+    odometer_finding,
     quality_finding,
     silence_finding,
     transitions,
@@ -129,6 +130,8 @@ class Watch:
             last = rows[-limits.unused_events :]
             unused = sum(row["status"] == "rejected" for row in last)
             yield quality_finding(vehicle, one.clutch, unused, len(last), limits)
+            readings_m = [row["odometer_m"] for row in last if row["odometer_m"] is not None]
+            yield odometer_finding(vehicle, one.clutch, readings_m, limits)
             if rows:
                 founds.append(outlook_of(one.clutch, rows, fills, self._orders.service_distance_m, kept))
         text = f"{clutches[0].order} {outlook_text(founds, clutches[0].action)}"

@@ -1,9 +1,10 @@
 """When an alarm is raised and when it is over: pure, each with a gap between both so that none flutters."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from enum import StrEnum
+from itertools import pairwise
 
 WHOLE_VEHICLE = 0  # in place of the number of a clutch
 
@@ -14,6 +15,7 @@ class Rule(StrEnum):
     VERDICT = "verdict"  # the fluid of a clutch is to be changed
     DUE = "due"  # it probably has to be before the next service
     QUALITY = "quality"  # most events of a clutch cannot be used
+    ODOMETER = "odometer"  # it went back or leapt
     SILENCE = "silence"  # nothing was heard of a vehicle
 
 
@@ -34,6 +36,7 @@ class Limits:
     unused_until: float = 0.25
     unused_events: int = 50
     least_events: int = 20
+    leap_m: float = 1.0e8  # between two results, which no vehicle drives
     silence_from: timedelta = timedelta(days=14)
     silence_until: timedelta = timedelta(days=1)
 
@@ -84,6 +87,16 @@ def quality_finding(vehicle: str, clutch: int, unused_count: int, event_count: i
     is_wrong = None if event_count < limits.least_events else _beyond(share, limits.unused_from, limits.unused_until)
     reason = f"{unused_count} of the last {event_count} events of clutch {clutch} could not be used"
     return Finding(subject=_subject(vehicle, clutch, Rule.QUALITY), is_wrong=is_wrong, reason=reason)
+
+
+def odometer_finding(vehicle: str, clutch: int, readings_m: Sequence[float], limits: Limits) -> Finding:
+    """Return whether the last readings of an odometer, in their order, can be those of one."""
+    wrong = [(a, b) for a, b in pairwise(readings_m) if not 0.0 <= b - a <= limits.leap_m]
+    reason = "the odometer is plausible"
+    if wrong:
+        before_m, after_m = wrong[-1]
+        reason = f"the odometer went from {before_m / 1000.0:,.0f} km to {after_m / 1000.0:,.0f} km between two results"
+    return Finding(subject=_subject(vehicle, clutch, Rule.ODOMETER), is_wrong=bool(wrong), reason=reason)
 
 
 def silence_finding(vehicle: str, last_heard_at: datetime, now: datetime, limits: Limits) -> Finding:

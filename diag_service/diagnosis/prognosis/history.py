@@ -13,6 +13,9 @@ from diag_service.diagnosis.records import FluidFill, ShiftEstimate, ShiftResult
 
 NS_PER_S: Final = 1e9
 MAX_CORRELATION: Final = 0.999
+TAKEN_UP_AFTER: Final = 5  # readings of another odometer that agree with each other
+FASTEST_M_S: Final = 70.0  # 250 km/h, all day
+UNSEEN_M: Final = 1.0e8  # 100,000 km: driven while a clock stood still or was wrong
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +41,8 @@ class History:
     event_count: FloatArray  # events of the clutch since the row before, this one included
     fluid_number: Int64Array  # of the fluid, counted by the fills that are known; never falls
     new_fluids: tuple[int, ...] = ()  # numbers of the fluids that were new when first seen
-    left_out_count: int = 0  # used events that miss something or go back in odometer
+    left_out_count: int = 0  # used events that miss something or whose odometer cannot be true
+    is_stale: bool = False  # some results came after the last row, and none of them can be used
     is_fluid_newer: bool = False  # than every row: of the fluid that is in nothing is known
 
     def __post_init__(self) -> None:
@@ -58,7 +62,7 @@ class History:
 
     def first(self, count: int) -> Self:
         """Return the history as it was after so many rows."""
-        return replace(self._rows(slice(None, count)), is_fluid_newer=False)
+        return replace(self._rows(slice(None, count)), is_fluid_newer=False, is_stale=False)
 
     def since(self, row: int) -> Self:
         return self._rows(slice(row, None))
@@ -76,7 +80,7 @@ def history_of(results: Iterable[ShiftResult], fills: Sequence[FluidFill], clutc
     """Return the past of clutch 1 or 2 from stored results, in whatever order they are.
 
     Events of which the friction is not known only count as events. Known ones without odometer or oil temperature, and
-    those whose odometer goes back, are left out and counted.
+    those whose odometer cannot be true, are left out and counted.
     """
     return history_of_estimates((one.estimate for one in results), fills, clutch)
 
@@ -84,25 +88,72 @@ def history_of(results: Iterable[ShiftResult], fills: Sequence[FluidFill], clutc
 def history_of_estimates(estimates: Iterable[ShiftEstimate], fills: Sequence[FluidFill], clutch: int) -> History:
     """Return the same from the estimates alone, which is all that a past is made of."""
     own = sorted((one for one in estimates if one.clutch == clutch), key=lambda one: one.end_ns)
-    rows: list[dict[str, float]] = []
-    waiting = left_out = 0
-    highest_m = -np.inf
-    for estimate in own:
-        waiting += 1
+    usable: list[dict[str, float]] = []
+    valid_count = unused_count = 0  # the latter since the last event that is used
+    for number, estimate in enumerate(own, start=1):
         if estimate.status is not Status.VALID:
             continue
+        valid_count += 1
         row = _row(estimate)
-        if row is None or row["odometer_m"] < highest_m:
-            left_out += 1
-            continue
-        rows.append(row | {"event_count": float(waiting), "fluid_number": _fluid_of(estimate, fills)})
-        highest_m, waiting = row["odometer_m"], 0
+        if row is not None:
+            usable.append(row | {"event_count": float(number), "fluid_number": _fluid_of(estimate, fills)})
+        unused_count = 0 if row is not None else unused_count + 1
+    rows, dropped_count = _plausible(usable)
+    unused_count += dropped_count
     columns: dict[str, Any] = {name: np.array([row[name] for row in rows], np.float64) for name in _COLUMNS}
+    columns["event_count"] = np.diff(columns["event_count"], prepend=0.0)
     columns["fluid_number"] = columns["fluid_number"].astype(np.int64)
     energy_j = _energies(columns.pop("slip_energy_j"))
-    history = History(**columns, slip_energy_j=energy_j, left_out_count=left_out)
+    history = History(
+        **columns,
+        slip_energy_j=energy_j,
+        left_out_count=valid_count - len(rows),
+        is_stale=len(rows) > 0 and unused_count >= TAKEN_UP_AFTER,
+    )
     is_newer = len(fills) > (history.fluid_number[-1] if len(history) else 0)
     return replace(history, new_fluids=_new_fluids(history, fills), is_fluid_newer=bool(is_newer))
+
+
+def _plausible(rows: Sequence[dict[str, float]]) -> tuple[list[dict[str, float]], int]:
+    """Return the rows whose odometer can be true, as one distance that never falls, and how many were left out last.
+
+    A reading that goes back, or ahead faster than any vehicle, is left out. Some that agree with each other are another
+    instrument cluster: the distance goes on from where it was. Fewer that
+    they contradict are dropped.
+    """
+    kept: list[dict[str, float]] = []
+    run: list[dict[str, float]] = []  # of one instrument, as it was read
+    other: list[dict[str, float]] = []  # what contradicts it
+    offset_m = 0.0
+    for row in rows:
+        if not run or _follows(run[-1], row):
+            run.append(row)
+            kept.append(row | {"odometer_m": row["odometer_m"] + offset_m})
+            other = []
+            continue
+        other = [*other, row] if other and _follows(other[-1], row) else [row]
+        if len(other) == TAKEN_UP_AFTER:
+            wrong_count = _wrong_at_the_end(run, other[0])
+            del kept[len(kept) - wrong_count :]
+            if wrong_count == len(run) or not _follows(run[-1 - wrong_count], other[0]):
+                offset_m = kept[-1]["odometer_m"] - other[0]["odometer_m"] if kept else 0.0
+            kept += [one | {"odometer_m": one["odometer_m"] + offset_m} for one in other]
+            run, other = other, []
+    last = kept[-1]["event_count"] if kept else 0.0
+    return kept, sum(row["event_count"] > last for row in rows)
+
+
+def _wrong_at_the_end(run: Sequence[dict[str, float]], later: dict[str, float]) -> int:
+    """Return how many readings, the last of a run, have to go for another to follow; 0 where these are a run, too."""
+    most = min(len(run), TAKEN_UP_AFTER - 1)
+    fitting = (count for count in range(1, most + 1) if count == len(run) or _follows(run[-1 - count], later))
+    return next(fitting, 0)
+
+
+def _follows(earlier: dict[str, float], later: dict[str, float]) -> bool:
+    """Return whether a vehicle can have gone from one reading of its odometer to another."""
+    distance_m = later["odometer_m"] - earlier["odometer_m"]
+    return 0.0 <= distance_m <= UNSEEN_M + FASTEST_M_S * (later["end_s"] - earlier["end_s"])
 
 
 def _row(estimate: ShiftEstimate) -> dict[str, float] | None:

@@ -82,6 +82,7 @@ class Prognosis:
     fluid_starts: tuple[FluidStart, ...]
     assumptions: tuple[str, ...]
     left_out_count: int = 0  # results that no prognosis can use
+    stale_since_s: float | None = None  # UTC, of the last result that can be used, where later ones cannot
     margin: ChannelState | None = None
     level: ChannelState | None = None
     lining: Value | None = None  # change of the level of new fluid against that of the first one
@@ -112,6 +113,7 @@ def prognose(
         fluid_starts=starts,
         assumptions=assumptions_of(history, starts, service_distance_m, peers),
         left_out_count=history.left_out_count,
+        stale_since_s=float(history.end_s[-1]) if history.is_stale else None,
     )
     if row_count < LEAST_ROWS:
         return blank

@@ -5,6 +5,7 @@ that an order has said otherwise.
 """
 
 from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
 from math import inf
 from typing import Final
 
@@ -58,8 +59,12 @@ def _end(when: Reach) -> tuple[float, ...]:
 def _left_out(founds: Sequence[Prognosis]) -> list[str]:
     """Return how many results no prognosis uses, and why."""
     counts = [f"{one.left_out_count} results of clutch {one.clutch}" for one in founds if one.left_out_count]
-    why = "they miss odometer or oil temperature, or their odometer went back"
-    return [f"Left out: {', '.join(counts)}: {why}."] if counts else []
+    why = "they miss odometer or oil temperature, or their odometer went back or leapt"
+    stale = [one.stale_since_s for one in founds if one.stale_since_s is not None]
+    since = (
+        [f"Stale since {datetime.fromtimestamp(min(stale), UTC):%Y-%m-%d}: no later result counts."] if stale else []
+    )
+    return [*since, f"Left out: {', '.join(counts)}: {why}."] if counts else since
 
 
 def _range(when: Reach) -> str:

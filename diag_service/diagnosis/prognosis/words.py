@@ -67,4 +67,5 @@ def _assumptions(history: History, starts: tuple[FluidStart, ...], service_dista
     if history.slip_energy_j is None:
         yield "ageing is counted by distance, as slip energy is not known"
     if history.left_out_count:
-        yield f"{history.left_out_count} results are left out: no odometer or oil temperature, or odometer went back"
+        why = "no odometer or oil temperature, or odometer went back or leapt"
+        yield f"{history.left_out_count} results are left out: {why}"

@@ -12,6 +12,7 @@ from fleet_backend.alarms.rules import (
     Limits,
     Subject,
     due_finding,
+    odometer_finding,
     quality_finding,
     silence_finding,
     transitions,
@@ -61,6 +62,15 @@ def test_a_few_events_say_nothing_of_the_data(unused: int, events: int, is_wrong
     found = quality_finding("a", 2, unused, events, LIMITS)
     assert found.is_wrong is is_wrong
     assert f"{unused} of the last {events} events of clutch 2" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("readings_m", "is_wrong"), [([], False), ([1e7, 2e7], False), ([1e7, 1e9, 2e7], True), ([4e7, 1e7], True)]
+)
+def test_an_odometer_that_went_back_or_leapt_is_an_alarm(readings_m: list[float], is_wrong: bool) -> None:
+    found = odometer_finding("a", 1, readings_m, LIMITS)
+    assert found.is_wrong is is_wrong
+    assert happened([found]) == [Event.RAISED] * is_wrong
 
 
 @pytest.mark.parametrize(("days", "is_wrong"), [(15.0, True), (14.0, True), (13.0, None), (1.0, False), (-1.0, False)])

@@ -16,6 +16,10 @@ def own_of(results: Sequence[ShiftResult], clutch: int) -> list[ShiftResult]:
     return [one for one in results if one.estimate.clutch == clutch]
 
 
+def own_valid(count: int) -> list[ShiftResult]:
+    return [one for one in own_of(stored(count), 1) if one.estimate.friction is not None]
+
+
 def with_odometer(result: ShiftResult, odometer_m: float | None) -> ShiftResult:
     return replace(result, estimate=replace(result.estimate, odometer_m=odometer_m))
 
@@ -51,6 +55,33 @@ def test_results_without_odometer_or_with_one_that_went_back_are_counted() -> No
     found = history_of(results, (), 1)
     assert (len(found), found.left_out_count) == (len(results) - 2, 2)
     assert np.all(np.diff(found.odometer_m) >= 0.0)
+
+
+@pytest.mark.parametrize("wrong_m", [1.0e9, 5.0e7])
+@pytest.mark.parametrize("at", [0, 5])
+def test_one_wrong_odometer_costs_one_result(wrong_m: float, at: int) -> None:
+    results = own_valid(60)
+    results[at] = with_odometer(results[at], wrong_m)
+    found = history_of(results, (), 1)
+    assert (len(found), found.left_out_count, found.is_stale) == (len(results) - 1, 1, False)
+    read_m = [one.estimate.odometer_m for number, one in enumerate(results) if number != at]
+    assert found.odometer_m.tolist() == read_m
+
+
+def test_after_another_instrument_cluster_the_distance_goes_on() -> None:
+    results = own_valid(60)
+    before = [with_odometer(one, (one.estimate.odometer_m or 0.0) + 3.0e7) for one in results[:12]]
+    found = history_of([*before, *results[12:]], (), 1)
+    assert (len(found), found.left_out_count, found.is_stale) == (len(results), 0, False)
+    first_m, last_m = (one.estimate.odometer_m or 0.0 for one in (results[12], results[-1]))
+    assert found.odometer_m[-1] - found.odometer_m[12] == pytest.approx(last_m - first_m)
+
+
+def test_a_past_to_which_nothing_is_added_is_stale() -> None:
+    results = own_valid(60)
+    unknown = [with_odometer(one, None) for one in results[-6:]]
+    assert history_of([*results[:-6], *unknown], (), 1).is_stale
+    assert not history_of([*results[:-6], *unknown[:3]], (), 1).is_stale
 
 
 def test_nothing_known_is_an_empty_past() -> None:

@@ -58,8 +58,13 @@ def test_few_results_are_named() -> None:
 
 def test_what_is_left_out_is_told() -> None:
     few = prognosis(Outlook.TOO_FEW, left_out_count=12)
-    why = "they miss odometer or oil temperature, or their odometer went back"
+    why = "they miss odometer or oil temperature, or their odometer went back or leapt"
     assert said(few).endswith(f" Left out: 12 results of clutch 2: {why}.")
+
+
+def test_a_stale_prognosis_says_since_when() -> None:
+    stale = replace(prognosis(Outlook.NO_TREND, reach(6.34e7, None, 0.01)), stale_since_s=1.7e9)
+    assert said(stale).endswith(" Stale since 2023-11-14: no later result counts.")
 
 
 def test_without_a_trend_there_is_a_least_distance() -> None:
