@@ -134,11 +134,12 @@ def main() -> int:
     parser.add_argument("--vehicles", type=int, default=12, help="on each of the two traces")
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first vehicle")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--traces", nargs="+", default=TRACES, choices=TRACES)
     options = parser.parse_args()
     cases = [
         Case(seed=seed, trace=trace, oil_degc=80.0, is_plain=False, has_mismatch=False, loss_ratio=0.0)
         for seed in range(options.seed, options.seed + options.vehicles)
-        for trace in TRACES
+        for trace in options.traces
     ]
     drives = over_drives(shown, cases, options.workers)
     console = Console(markup=False, width=170)

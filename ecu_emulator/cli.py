@@ -65,6 +65,7 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
             channel=options.channel,
             truth=options.truth,
             longest_stay_s=options.parked,
+            table=commands.table_options(options),
         )
         commands.record(scenario, log, stop, is_json=options.json, is_forced=options.force)
         return

@@ -21,6 +21,7 @@ from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.errors import ConfigError, ExtraMissingError, RecordError
 from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFile, LogFormat, LogStream, open_log, open_log_stream
+from ecu_emulator.log_formats.table import TableOptions, write_table
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Routine, Scenario, Truth
@@ -60,6 +61,22 @@ class LogOptions:
     channel: str = "vcan0"
     truth: Path | None = None  # None: beside the log
     longest_stay_s: float = MOST_PARKED_S
+    table: TableOptions | None = None  # beside the log
+
+
+def table_options(options: SimpleNamespace) -> TableOptions | None:
+    """Return what a command line says of a table; raises ConfigError if it has no such columns."""
+    if options.table is None:
+        return None
+    return TableOptions(
+        path=options.table,
+        rate_hz=options.table_rate,
+        jitter_s=options.table_jitter / 1e3,
+        skew_ratio=options.table_skew,
+        held_rows=options.table_held,
+        pressure_step_kpa=options.table_step,
+        left_out=options.table_without,
+    )
 
 
 def drive_options(options: SimpleNamespace) -> DriveOptions:
@@ -306,6 +323,8 @@ def write_log(
         if writer is not None and path != STANDARD_STREAM and truth_file.is_file():
             truth_file.unlink()  # nobody needs the truth of a log that is not there
         raise
+    if options.table is not None:
+        write_table(path, options.table, scenario.seed_of_drive)
     return Recording(
         path=path,
         truth=truth_file,
@@ -333,7 +352,11 @@ def record(scenario: Scenario, options: LogOptions, stop: Event, *, is_json: boo
     is_piped = path == STANDARD_STREAM
     if is_piped and is_json:
         raise ConfigError("the log goes to standard output: --json cannot be used")
+    if is_piped and options.table is not None:
+        raise ConfigError("the log goes to standard output: there is none to make a table of")
     outputs = (truth,) if is_piped else (path, truth or truth_path(path))
+    if options.table is not None:
+        outputs = (*outputs, options.table.path)
     if text := refusal(*outputs, is_forced=is_forced):
         raise ConfigError(text)
     console = people()
@@ -348,7 +371,8 @@ def record(scenario: Scenario, options: LogOptions, stop: Event, *, is_json: boo
     name, beside = ("standard output", truth) if is_piped else (path, made.truth)
     console.print(
         f"{state}{name}: {totals.frames} frames, {totals.shifts} shifts, {totals.driven_s:.1f} s of driving "
-        f"in {made.took_s:.1f} s{f'; truth in {beside}' if beside else ''}",
+        f"in {made.took_s:.1f} s{f'; truth in {beside}' if beside else ''}"
+        f"{f'; table in {options.table.path}' if options.table else ''}",
         markup=False,
     )
     if is_json:

@@ -48,16 +48,16 @@ def own_period_ns(series: Series) -> int:
 
 
 def row_period_ns(columns: Sequence[Series]) -> int:
-    """Return the time from row to row [ns] of a table whose columns these are; 0 if they are none of one.
+    """Return the time from row to row [ns] of a table whose columns these are; 0 if they are none of one."""
+    times_ns = columns[0].t_ns
+    return int(np.median(np.diff(times_ns))) if len(times_ns) > 1 and share_rows(columns) else 0
 
-    The columns of a table have the times of its rows; messages of a bus have times of their own, or counters.
-    """
-    first = columns[0]
-    if not len(first.t_ns) or any(one.period_ns or not len(one.t_ns) or one.sequence[0] >= 0 for one in columns):
-        return 0
-    if len(first.t_ns) < 2 or any(np.isin(one.t_ns, first.t_ns).mean() < LEAST_SHARED for one in columns[1:]):
-        return 0
-    return int(np.median(np.diff(first.t_ns)))
+
+def share_rows(columns: Sequence[Series]) -> bool:
+    """Return whether columns have the times of the rows of one table; messages of a bus have their own, or counters."""
+    if any(one.period_ns or not len(one.t_ns) or one.sequence[0] >= 0 for one in columns):
+        return False
+    return all(np.isin(one.t_ns, columns[0].t_ns).mean() >= LEAST_SHARED for one in columns[1:])
 
 
 @array_kernel

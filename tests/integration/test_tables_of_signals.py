@@ -161,6 +161,45 @@ def test_too_few_rows_in_a_slip_are_said_in_place_of_a_number(tmp_path: Path) ->
     assert "[not enough samples in the slip (3 of at least 5)]" in shown
 
 
+def test_record_writes_a_table_beside_its_log(tmp_path: Path) -> None:
+    log, table, again = tmp_path / "car.log", tmp_path / "car.csv", tmp_path / "again.csv"
+    words = ["--seed", "5", "--cycles", "1", "--table-without", "Engine Torque", "--table-held", "3"]
+    assert emulator(["record", str(log), "--table", str(table), *words]) == 0
+    assert emulator(["record", str(log), "--force", "--table", str(again), *words]) == 0
+    assert table.read_bytes() == again.read_bytes()
+    assert log.with_name("car.log.truth.jsonl").exists()
+    head, *rows = table.read_text(encoding="utf-8").splitlines()
+    assert "Clutch 1 Pressure [kPa]" in head
+    assert "Engine Torque" not in head
+    cells = np.array([row.split(",") for row in rows], np.float64)
+    place = head.split(",").index("Clutch 1 Pressure [kPa]")
+    assert np.median(np.diff(cells[:, 0])) == pytest.approx(37.0, abs=1.5)
+    steps = cells[:, place] / 5.86
+    assert np.abs(steps - np.round(steps)).max() < 1e-3
+    changed = np.flatnonzero(np.diff(cells[:, place]))
+    assert np.diff(changed).min() == 3
+
+
+def test_values_that_are_held_make_no_launch(tmp_path: Path) -> None:
+    log, table, profile = tmp_path / "car.log", tmp_path / "car.csv", tmp_path / "car.toml"
+    words = ["--seed", "5", "--cycles", "2", "--table-held", "3", "--table-rate", "50"]
+    assert emulator(["record", str(log), "--table", str(table), *words]) == 0
+    profile.write_text(ended("signals", table).out, encoding="utf-8")
+    found = analysed(table, "--profile", profile)
+    assert len(found) == 20
+    far = [abs(one["friction"]["mu_c"] - 0.14) / one["friction"]["std_mu_c"] for one in found if one["friction"]]
+    assert len(far) > 15
+    assert max(far) < 3.0
+
+
+def test_a_table_of_columns_that_nobody_has_is_refused(tmp_path: Path) -> None:
+    log, table = tmp_path / "car.log", tmp_path / "car.csv"
+    assert emulator(["record", str(log), "--table", str(table), "--table-without", "Torque"]) != 0
+    assert emulator(["record", "-", "--table", str(table)]) != 0
+    assert not log.exists()
+    assert not table.exists()
+
+
 def test_what_a_prediction_needs_is_said(tmp_path: Path) -> None:
     table, profile = tmp_path / "drive.csv", tmp_path / "drive.toml"
     road(table)

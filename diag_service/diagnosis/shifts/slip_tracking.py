@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array, Series
-from canlog.e2e.own_cycle import row_period_ns
+from canlog.e2e.own_cycle import share_rows
 from canlog.jit import array_kernel, inlined_kernel
 from clutch_model.calibration import Calibration, clutch_of_gear
 from clutch_model.pack import gear_clutch
@@ -22,7 +22,8 @@ from diag_service.diagnosis.shifts.history import History
 from diag_service.diagnosis.shifts.tracking import compile_now, hold
 
 SLIP_RAD_S: Final = 5.0  # 50 rpm: beyond it a clutch slips, whatever two controllers' speeds differ by
-ROWS_APART: Final = 2.0  # times what a speed changed since the row before: it may change faster until the next one
+ROWS_APART: Final = 2.0  # times what a speed changed from row to row lately: it may change faster until the next one
+HELD_ROWS: Final = 4  # a value may be held for so many
 LOADED_PA: Final = 0.15e5  # above the touch point: three times what touch point and zero are known to
 LOADED_NM: Final = 5.0  # asked for: what is less does not move a car
 PEDAL_RATIO: Final = 0.02  # beyond it a foot is on the pedal, below it may be the zero of its sensor
@@ -114,7 +115,7 @@ class SlipTracker:
         """Forget all values: another segment begins."""
         self._last = [math.nan] * len(self._held)
         self._doing = np.full(_STATE_SIZE, _NOTHING_YET)
-        self._before: tuple[float, ...] = (math.nan,)  # engine and shafts, in the last row of a table
+        self._rows = np.empty((1 + _LOADS_ROW, 0))  # engine and shafts, in the last rows of a table
 
     def track(self, history: History, until_ns: int) -> list[GripChange]:
         """Walk the samples with ``t < until_ns``."""
@@ -132,12 +133,14 @@ class SlipTracker:
     def _forgive_rows(self, history: History, engine: Series, held: FloatArray, until_ns: int) -> None:
         """Take for locked what the columns of a table, asked one after the other, may be apart within a row."""
         others = [history.ahead(one, until_ns) for one in (self._signals.shafts[0], self._signals.loads[0])]
-        before, self._before = self._before, (float(engine.value[-1]), *self._last[:_LOADS_ROW])
-        if not row_period_ns([engine, *others]):
+        rows = np.hstack([self._rows, np.vstack([engine.value, held[:_LOADS_ROW]])])
+        before, self._rows = self._rows.shape[1], rows[:, -HELD_ROWS - 1 :].copy()
+        if not share_rows([engine, *others]):
             return
-        rows = np.vstack([engine.value, held[:_LOADS_ROW]])
-        first = rows[:, 0] if np.isnan(before).any() else np.array(before)
-        changing_rad_s = np.abs(np.diff(rows, prepend=first[:, None]))
+        changes_rad_s = np.nan_to_num(np.abs(np.diff(rows, prepend=rows[:, :1])))
+        changing_rad_s = np.max(
+            [np.pad(changes_rad_s, ((0, 0), (back, 0)))[:, : rows.shape[1]] for back in range(HELD_ROWS)], axis=0
+        )[:, before:]
         for shaft, changing in zip(held[:_LOADS_ROW], changing_rad_s[1:], strict=True):
             apart_rad_s = ROWS_APART * np.maximum(changing, changing_rad_s[0])
             is_locked = np.abs(engine.value - shaft) < apart_rad_s
