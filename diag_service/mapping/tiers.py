@@ -18,6 +18,8 @@ INPUT_PAIR: Final = frozenset({Signal.INPUT1_SPEED, Signal.INPUT2_SPEED})
 INPUT: Final = frozenset({Signal.INPUT_SPEED})
 TORQUE_COMMANDS: Final = frozenset({Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND})
 
+PRESSURES: Final = frozenset({Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE})
+
 MANDATORY: Final = frozenset({*BALANCE_SIGNALS, Signal.CURRENT_GEAR, Signal.TARGET_GEAR, Signal.SUMP_TEMPERATURE})
 """Without these there is no friction to estimate."""
 
@@ -70,6 +72,13 @@ def missing_for_next(signals: AbstractSet[Signal], *, knows_gears: bool = False)
         return ""
     wanted = Tier.KINEMATIC if tier is None else Tier(tier - 1)
     return f"{PURPOSE[wanted]} needs {', '.join(missing_signals(wanted, signals, knows_gears=knows_gears))}"
+
+
+def why_no_friction(signals: AbstractSet[Signal], *, knows_gears: bool = False) -> str:
+    """Return one sentence: why there is no verdict on friction; empty at the first tier."""
+    if Signal.ENGINE_TORQUE not in signals and signals >= PRESSURES:
+        return "engine torque is not measured, and without it the level of friction is known up to a scale at best"
+    return missing_for_next(signals, knows_gears=knows_gears)
 
 
 def _unmet(tier: Tier, signals: AbstractSet[Signal], *, knows_gears: bool) -> Iterator[Requirement]:

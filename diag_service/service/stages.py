@@ -15,7 +15,7 @@ from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate,
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.diagnosis.summary import Capability
 from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.tiers import missing_for_next, tier_of
+from diag_service.mapping.tiers import missing_for_next, tier_of, why_no_friction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,7 +35,7 @@ class Stages:
         self.decoder = decoder
         self._finder = DriveFinder(decoder.signals, calibration, decoder.gears)
         self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
-        self._missing = missing_for_next(decoder.signals, knows_gears=knows_gears(decoder))
+        self._missing = why_no_friction(decoder.signals, knows_gears=knows_gears(decoder))
         self._estimator = Estimator(calibration)
         compile_data_quality()
         compile_indices()

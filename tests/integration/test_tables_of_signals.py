@@ -200,6 +200,16 @@ def test_a_table_of_columns_that_nobody_has_is_refused(tmp_path: Path) -> None:
     assert not table.exists()
 
 
+def test_without_torque_the_level_is_withheld_with_that_reason(tmp_path: Path) -> None:
+    log, table, profile = tmp_path / "car.log", tmp_path / "car.csv", tmp_path / "car.toml"
+    words = ["--seed", "5", "--cycles", "1", "--table-without", "Engine Torque"]
+    assert emulator(["record", str(log), "--table", str(table), *words]) == 0
+    profile.write_text(ended("signals", table).out, encoding="utf-8")
+    found = analysed(table, "--profile", profile)
+    assert {one["verdict"]["condition"] for one in found} == {"no_verdict"}
+    assert all("engine torque is not measured" in one["verdict"]["reason"] for one in found)
+
+
 def test_what_a_prediction_needs_is_said(tmp_path: Path) -> None:
     table, profile = tmp_path / "drive.csv", tmp_path / "drive.toml"
     road(table)
