@@ -101,7 +101,8 @@ def number(value: float | None, form: str = "{:.4f}", *, scale: float = 1.0) -> 
     """Return a number for people and programs, a dash where there is none; people read it times ``scale``."""
     if value is None or not np.isfinite(value):
         return NONE
-    return Number(value=float(value), text=form.format(value * scale).replace("%", " %"))
+    text = form.format(value * scale).replace("%", " %")
+    return Number(value=float(value), text=text if any(digit in text for digit in "123456789") else text.lstrip("-"))
 
 
 def moment(value: datetime | None, form: str = "%Y-%m-%d %H:%M") -> Cell:

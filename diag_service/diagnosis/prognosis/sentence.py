@@ -6,7 +6,7 @@ that an order has said otherwise.
 
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
-from math import inf
+from math import inf, isnan
 from typing import Final
 
 from diag_service.diagnosis.prognosis.assumptions import HORIZON_M, LEAST_ROWS
@@ -41,10 +41,11 @@ def _line(founds: Sequence[Prognosis], action: Action) -> str:
         p10_m = min(HORIZON_M if one.p10_m is None else one.p10_m for one in known)
         return (
             _UNKNOWN
-            if p10_m == 0.0
+            if not p10_m > 0.0  # nor where it is no number
             else f"No trend yet: left in, the fluid lasts at least {_km(p10_m)} km (90 % sure)."
         )
-    if first.p90_m == 0.0 or (first.p90_m is None and first.p10_m == 0.0):
+    ends = (0.0 if one is None else one for one in (first.p10_m, first.p50_m, first.p90_m))
+    if first.p90_m == 0.0 or (first.p90_m is None and first.p10_m == 0.0) or any(map(isnan, ends)):
         return _UNKNOWN
     return (
         f"The fluid ages: left in, it reaches its limit {_range(first)}; {_percent(first.probability_before_service)} "
@@ -79,7 +80,7 @@ def _range(when: Reach) -> str:
 
 def _km(distance_m: float) -> str:
     """Return a distance [m] in kilometres with two digits that mean something."""
-    return f"{float(f'{distance_m / M_PER_KM:.2g}'):,.0f}"
+    return f"{round(float(f'{distance_m / M_PER_KM:.2g}')):,d}"
 
 
 def _percent(probability: float) -> str:

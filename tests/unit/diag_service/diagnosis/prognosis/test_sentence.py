@@ -62,6 +62,13 @@ def test_what_is_left_out_is_told() -> None:
     assert said(few).endswith(f" Left out: 12 results of clutch 2: {why}.")
 
 
+def test_a_distance_is_a_number_that_is_not_below_nothing() -> None:
+    nan = float("nan")
+    assert said(prognosis(Outlook.NO_TREND, reach(nan, None, 0.0))) == UNKNOWN
+    assert said(prognosis(Outlook.AGEING, reach(nan, 5.0e6, 0.5))) == UNKNOWN
+    assert "in 0 to 5,000 km" in said(prognosis(Outlook.AGEING, reach(-1.0, 5.0e6, 0.5)))
+
+
 def test_a_stale_prognosis_says_since_when() -> None:
     stale = replace(prognosis(Outlook.NO_TREND, reach(6.34e7, None, 0.01)), stale_since_s=1.7e9)
     assert said(stale).endswith(" Stale since 2023-11-14: no later result counts.")
