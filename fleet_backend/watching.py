@@ -21,6 +21,7 @@ from fleet_backend.alarms.rules import (
     Limits,
     Transition,
     due_finding,
+    heard_last,
     odometer_finding,
     quality_finding,
     silence_finding,
@@ -35,6 +36,7 @@ from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.outlook import chance_of, outlook_of, outlook_text
 from fleet_backend.page.populations import latest
 from fleet_backend.page.records import ClutchNow, Severity
+from fleet_backend.page.running import last_arrivals
 from fleet_backend.page.vehicle_state import fills_of
 
 ROUND_S: Final = 10.0
@@ -98,10 +100,13 @@ class Watch:
         for one in snapshot.clutches:
             is_old = self._speaks_of_old_fluid(one)
             yield verdict_finding(one.vehicle, one.clutch, one.condition, one.order, is_old_fluid=is_old)
+        arrivals = last_arrivals(self._engine)
         for record in queries.last_seen(self._engine):
-            heard_at = record["last_result_at"] or record["connected_at"]
-            if isinstance(heard_at, datetime):
-                yield silence_finding(str(record["vehicle"]), heard_at, now, self._orders.limits)
+            vehicle = str(record["vehicle"])
+            told = (record["last_result_at"] or record["connected_at"], arrivals.get(vehicle))
+            heard_at = heard_last(told, now)
+            if heard_at is not None:
+                yield silence_finding(vehicle, heard_at, now, self._orders.limits)
         end_s = time.monotonic() + judging_s
         for vehicle in dict.fromkeys(one.vehicle for one in snapshot.clutches):
             clutches = snapshot.vehicles[vehicle]

@@ -6,6 +6,7 @@ from datetime import datetime, timedelta
 from enum import StrEnum
 from itertools import pairwise
 
+CLOCK_ERROR = timedelta(days=1)  # of a vehicle; a moment that is farther ahead is none
 WHOLE_VEHICLE = 0  # in place of the number of a clutch
 
 
@@ -97,6 +98,12 @@ def odometer_finding(vehicle: str, clutch: int, readings_m: Sequence[float], lim
         before_m, after_m = wrong[-1]
         reason = f"the odometer went from {before_m / 1000.0:,.0f} km to {after_m / 1000.0:,.0f} km between two results"
     return Finding(subject=_subject(vehicle, clutch, Rule.ODOMETER), is_wrong=bool(wrong), reason=reason)
+
+
+def heard_last(told: Iterable[object], now: datetime) -> datetime | None:
+    """Return the last moment at which a vehicle was heard, by its clock or ours; one that is to come tells nothing."""
+    moments = (one for one in told if isinstance(one, datetime))
+    return max((one for one in moments if one <= now + CLOCK_ERROR), default=None)
 
 
 def silence_finding(vehicle: str, last_heard_at: datetime, now: datetime, limits: Limits) -> Finding:

@@ -120,6 +120,18 @@ def vehicles_with_news(engine: Engine, since: datetime) -> list[str]:
         return [str(name) for name in connection.execute(statement).scalars()]
 
 
+def last_arrivals(engine: Engine) -> dict[str, datetime]:
+    """Return when a result of each vehicle was stored last, by the database's clock."""
+    table, stored_at = (
+        (CLUTCH_STREAM, CLUTCH_STREAM.c.last_stored_at)
+        if has_partitions(engine)
+        else (SHIFT_RESULT, SHIFT_RESULT.c.stored_at)
+    )
+    with transaction(engine) as connection:
+        rows = connection.execute(select(table.c.vehicle, func.max(stored_at)).group_by(table.c.vehicle))
+        return {str(vehicle): at for vehicle, at in rows if at is not None}
+
+
 def database_time(engine: Engine) -> datetime:
     """Return what time it is where results are stored."""
     with transaction(engine) as connection:

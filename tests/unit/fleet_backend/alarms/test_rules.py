@@ -1,6 +1,6 @@
 """When alarms begin and end: a value that swings a little raises one alarm, not many."""
 
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from hypothesis import given
@@ -12,6 +12,7 @@ from fleet_backend.alarms.rules import (
     Limits,
     Subject,
     due_finding,
+    heard_last,
     odometer_finding,
     quality_finding,
     silence_finding,
@@ -71,6 +72,13 @@ def test_an_odometer_that_went_back_or_leapt_is_an_alarm(readings_m: list[float]
     found = odometer_finding("a", 1, readings_m, LIMITS)
     assert found.is_wrong is is_wrong
     assert happened([found]) == [Event.RAISED] * is_wrong
+
+
+def test_a_clock_that_is_wrong_neither_hides_nor_makes_silence() -> None:
+    year_9999, of_a_log, long_ago = (datetime(year, 1, 1, tzinfo=UTC) for year in (9999, 2024, 2025))
+    assert heard_last((year_9999, long_ago), NOW) == long_ago
+    assert heard_last((of_a_log, NOW), NOW) == NOW
+    assert heard_last((year_9999, None), NOW) is None
 
 
 @pytest.mark.parametrize(("days", "is_wrong"), [(15.0, True), (14.0, True), (13.0, None), (1.0, False), (-1.0, False)])
