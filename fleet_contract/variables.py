@@ -24,7 +24,7 @@ SERVICE_VARIABLES: Final = frozenset(
             "PASSWORD_FILE",
             "PROFILE",
         ),
-        *("STORE", "STORE_BUDGET", "VEHICLE", "ACTIVE", "DESCRIPTION", "ECU", "POLL", "REPLY"),
+        *("STORE", "STORE_BUDGET", "VEHICLE", "VEHICLE_FILE", "ACTIVE", "DESCRIPTION", "ECU", "POLL", "REPLY"),
     )
 )
 BACKEND_VARIABLES: Final = frozenset({f"{PREFIX}BROKER", f"{PREFIX}DATABASE"})

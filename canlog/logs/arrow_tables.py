@@ -5,7 +5,9 @@ The unit of a column is its field's metadata ``unit``, as ``diag-service decode`
 
 import io
 import os
+import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any, BinaryIO, Final, NamedTuple
 
 import numpy as np
@@ -19,10 +21,12 @@ from canlog.logs.signal_tables import MOST_US, frames_of_rows, is_rising, signal
 from canlog.parquet_file import load_pyarrow
 
 PARQUET_MAGIC, ARROW_MAGIC, ARROW_STREAM_MAGIC = b"PAR1", b"ARROW1", b"\xff\xff\xff\xff"
-ROWS: Final = 16_384  # of a batch
+ROWS, CELLS = 16_384, 4_000_000  # of a batch, at most
 FREE_ROWS, ROWS_PER_BYTE = 1_000_000, 1_000  # a file that claims more was made to do harm
+FREE_BYTES, PACKED_RATIO = 128 << 20, 50  # of a batch as it is unpacked, and over its packed bytes
 NS_PER_US: Final = 1000.0
 UNIT: Final = b"unit"
+RECORD_BATCH: Final = 3  # a kind of message
 DAMAGE: Final = (OSError, ValueError, TypeError, KeyError, OverflowError, MemoryError)  # that pyarrow falls over
 
 
@@ -116,12 +120,56 @@ def _opened(stream: BinaryIO) -> tuple[Any, Iterator[Any]]:
         table = arrow.parquet.ParquetFile(file)
         if table.metadata.num_rows > FREE_ROWS + ROWS_PER_BYTE * stream.seek(0, os.SEEK_END):
             raise SourceError(f"it claims {table.metadata.num_rows} rows, more than times can be packed into its bytes")
-        return table.schema_arrow, table.iter_batches(ROWS)
+        return table.schema_arrow, table.iter_batches(min(ROWS, max(1, CELLS // len(table.schema_arrow))))
+    _check_batches(stream)
     if beginning.startswith(ARROW_MAGIC):
         whole = arrow.ipc.open_file(file)
         return whole.schema, (whole.get_batch(number) for number in range(whole.num_record_batches))
     reader = arrow.ipc.open_stream(file)
     return reader.schema, iter(reader)
+
+
+def _check_batches(stream: BinaryIO) -> None:
+    """Raise SourceError if a batch of an Arrow stream would unpack to far more than its bytes; damage is told later.
+
+    Each message is a length, what it holds as a flatbuffer, and its body (Arrow's columnar format, IPC messages).
+    """
+    position = 8 if stream.read(len(ARROW_MAGIC)) == ARROW_MAGIC else 0
+    with suppress(struct.error, IndexError):
+        while stream.seek(position) is not None and (head := stream.read(8))[:4] == ARROW_STREAM_MAGIC:
+            (size,) = struct.unpack_from("<i", head, 4)
+            if size <= 0:
+                break
+            cells, body = _claimed(stream.read(size))
+            if cells * 8 > max(FREE_BYTES, PACKED_RATIO * body):
+                raise SourceError(f"a batch of it claims {cells} values in {body} bytes")
+            position += 8 + size + body
+    stream.seek(0)
+
+
+def _claimed(message: bytes) -> tuple[int, int]:
+    """Return how many values a message says that it has, and the bytes of its body; raises struct.error."""
+    top = struct.unpack_from("<I", message, 0)[0]
+    body = _field(message, top, 3)
+    length = struct.unpack_from("<q", message, body)[0] if body else 0
+    kind, header = _field(message, top, 1), _field(message, top, 2)
+    if length < 0 or not kind or message[kind] != RECORD_BATCH or not header:
+        return 0, max(length, 0)
+    batch = header + struct.unpack_from("<I", message, header)[0]
+    rows, nodes = _field(message, batch, 0), _field(message, batch, 1)
+    if not rows or not nodes:
+        return 0, length
+    count = struct.unpack_from("<I", message, nodes + struct.unpack_from("<I", message, nodes)[0])[0]
+    return struct.unpack_from("<q", message, rows)[0] * count, length
+
+
+def _field(message: bytes, table: int, number: int) -> int:
+    """Return where a field of a table of a flatbuffer is; 0 if it is not there."""
+    layout = table - struct.unpack_from("<i", message, table)[0]
+    if 4 + 2 * number >= struct.unpack_from("<H", message, layout)[0]:
+        return 0
+    offset = struct.unpack_from("<H", message, layout + 4 + 2 * number)[0]
+    return table + offset if offset else 0
 
 
 def _planned(schema: Any, batch: Any) -> _Plan:  # noqa: ANN401 - of pyarrow

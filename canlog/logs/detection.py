@@ -140,6 +140,7 @@ TYPICAL: Mapping[LogFormat, re.Pattern[bytes]] = MappingProxyType(
         LogFormat.CRTD: re.compile(rb"\d+(?:\.\d+)?\s+\d?(?:[RT](?:11|29)|C[A-Z]{2})\s"),
     }
 )
+MOST_NAMED = 20  # columns in a complaint
 OTHER_FORMATS: Mapping[bytes, str] = MappingProxyType(
     {
         b"7z\xbc\xaf": "a 7z archive",
@@ -303,7 +304,8 @@ def _not_known(probe: bytes, hint: str) -> str:
 
 def _as_table(probe: bytes) -> str:
     """Return what one may do about what looks like a table; nothing if it does not."""
-    names, text = ", ".join(columns_seen(probe)), probe.removeprefix(BYTE_ORDER_MARK)
+    seen, text = columns_seen(probe), probe.removeprefix(BYTE_ORDER_MARK)
+    names = ", ".join(seen[:MOST_NAMED]) + (f" and {len(seen) - MOST_NAMED} more" if len(seen) > MOST_NAMED else "")
     choice = guessed(text)
     if not choice or not _has_frames_by(choice, text):
         return (

@@ -21,6 +21,11 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from tests.tools.hostile_archives import LINE, LINES, PACKED, QUICKLY_REFUSED, deflated, xz_bomb
 
@@ -159,7 +164,56 @@ ENTITIES = (
     b'<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "bbbbbbbb"><!ENTITY c "&b;&b;&b;&b;&b;&b;">]>'
     b"<NetworkDefinition>&c;</NetworkDefinition>"
 )
+TABLE_HEAD = b"Time [s],Engine Speed [rpm],Pressure [kPa]\n"
+TABLE_ROWS = b"".join(b"%d.0,1000,%d\n" % (second, second % 7) for second in range(100))
+
+
+def parquet_bomb(columns: int = 2, rows: int = 50_000_000) -> bytes:
+    """Return a table of few bytes and many rows: one value, said once for all."""
+    group = 1 << 20
+    same = pa.DictionaryArray.from_arrays(pa.array(np.zeros(group, np.int8)), pa.array([1.5]))
+    names = ["time", *(f"Signal {number}" for number in range(1, columns))]
+    written = pa.BufferOutputStream()
+    table = pa.table([same] * columns, names=names)
+    with pq.ParquetWriter(written, table.schema, compression="zstd") as writer:
+        for _ in range(rows // group):
+            writer.write_table(table)
+    found: bytes = written.getvalue().to_pybytes()
+    return found
+
+
+def arrow_bomb() -> bytes:
+    """Return a stream whose one batch unpacks to gigabytes."""
+    written = pa.BufferOutputStream()
+    zeros = pa.array(np.zeros(1 << 26))
+    table = pa.table([zeros] * 3, names=["time", "Engine Speed", "Pressure"])
+    options = pa.ipc.IpcWriteOptions(compression="zstd")
+    with pa.ipc.new_stream(written, table.schema, options=options) as writer:
+        writer.write_table(table)
+    found: bytes = written.getvalue().to_pybytes()
+    return found
+
+
+def nested_parquet() -> bytes:
+    """Return a table whose cells are lists in lists in lists, beside a time and a signal."""
+    cells: Any = [1.0]
+    for _ in range(60):
+        cells = [cells]
+    written = pa.BufferOutputStream()
+    pq.write_table(pa.table({"time": np.arange(50.0), "speed": np.arange(50.0), "deep": [cells] * 50}), written)
+    found: bytes = written.getvalue().to_pybytes()
+    return found
+
+
 HOSTILE: Mapping[str, Callable[[], bytes]] = {
+    "row.csv": lambda: TABLE_HEAD + TABLE_ROWS + b"101.0," + b"1," * (32 << 20) + b"\n" + TABLE_ROWS,
+    "cells.csv": lambda: TABLE_HEAD + TABLE_ROWS + b"101.0," + b"9" * (64 << 20) + b"\n" + TABLE_ROWS,
+    "columns.csv": lambda: b"Time [s]" + b",Speed [rpm]" * 500_000 + b"\n" + (b"1.0" + b",5" * 500_000 + b"\n") * 4,
+    "quotes.csv": lambda: TABLE_HEAD + TABLE_ROWS + b'"' * (16 << 20),
+    "bomb.parquet": parquet_bomb,
+    "columns.parquet": lambda: parquet_bomb(columns=400, rows=1 << 20),
+    "nested.parquet": nested_parquet,
+    "bomb.arrows": arrow_bomb,
     "endless.blf": endless_blf,
     "bomb.blf": lambda: blf(deflated(bytes(1 << 20), 80, 15), 2, 1 << 30),
     **PACKED,

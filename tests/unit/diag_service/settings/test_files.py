@@ -21,6 +21,7 @@ VALUES: dict[str, str | int | float | bool] = {
     "dbc": "car.dbc",
     "profile": "car.toml",
     "calibration": "type.toml",
+    "vehicle_file": "vehicle.toml",
     "store": "car.sqlite",
     "store_budget": 64,
     "broker": "mqtt://car1@host",
