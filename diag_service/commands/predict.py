@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 SCHEMA: Final = "clutchdiag/predict/v1"
 OURS: Final = "friction"
 STANDING_RAD_S: Final = 0.5
+HELD_PA: Final = 0.3e5  # what is less is an empty piston, not a clutch that is held at its touch point
 AFTER_NS: Final = NS_PER_S // 2  # behind a gear change: its slip is nearly closed there
 PA_PER_KPA: Final = 1e3
 QUANTILES: Final = (np.arange(400) + 0.5) / 400.0
@@ -67,7 +68,7 @@ class Standing:
         if output is None or pressure is None or not len(output.t_ns):
             return
         is_standing = np.interp(pressure.t_ns, output.t_ns, output.value) < STANDING_RAD_S
-        self._found.append(pressure.value[is_standing & (pressure.value > 0.0)])
+        self._found.append(pressure.value[is_standing & (pressure.value > HELD_PA)])
 
     @property
     def touch_pa(self) -> float | None:
