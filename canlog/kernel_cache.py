@@ -59,8 +59,11 @@ def cache_folder(configured: str) -> Path | None:
     return folder if os.access(folder, os.W_OK) else None
 
 
-def announce_compiling(say: Callable[[str], object]) -> None:
-    """Have ``say`` called with a line for people when this process begins to compile, and with more as it goes on."""
+def announce_compiling(say: Callable[[str], object]) -> Callable[[], None]:
+    """Have ``say`` called with a line for people when this process begins to compile, and with more as it goes on.
+
+    Return what takes that back.
+    """
     count = 0
 
     def tell(_name: str) -> None:
@@ -72,6 +75,7 @@ def announce_compiling(say: Callable[[str], object]) -> None:
         count += 1
 
     on_compiling(tell)
+    return lambda: _listeners.remove(tell)
 
 
 def _how_often() -> str:

@@ -46,53 +46,56 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
         from ecu_emulator.diagnostics.doip.tls import tls_node  # noqa: PLC0415 - likewise
         from ecu_emulator.live import live_drive as live  # noqa: PLC0415 - likewise
 
-    announce_compiling(lambda line: sys.stderr.write(f"{PROGRAM}: {line}\n"))
-    if options.command == "scenarios":
-        commands.list_scenarios()
-        return
-    if options.command == "pdx":
-        commands.write_pdx(options.table, options.output, is_json=options.json, is_forced=options.force)
-        return
-    if options.command == "dbc":
-        commands.save_dbc(options.output, is_forced=options.force)
-        return
-    scenario = commands.choose_scenario(commands.drive_options(options))
-    if options.command == "record":
-        log = commands.LogOptions(
-            path=options.file,
-            log_format=options.format,
-            start_ns=options.start_time,
-            channel=options.channel,
+    silence = announce_compiling(lambda line: sys.stderr.write(f"{PROGRAM}: {line}\n"))
+    try:
+        if options.command == "scenarios":
+            commands.list_scenarios()
+            return
+        if options.command == "pdx":
+            commands.write_pdx(options.table, options.output, is_json=options.json, is_forced=options.force)
+            return
+        if options.command == "dbc":
+            commands.save_dbc(options.output, is_forced=options.force)
+            return
+        scenario = commands.choose_scenario(commands.drive_options(options))
+        if options.command == "record":
+            log = commands.LogOptions(
+                path=options.file,
+                log_format=options.format,
+                start_ns=options.start_time,
+                channel=options.channel,
+                truth=options.truth,
+                longest_stay_s=options.parked,
+                table=commands.table_options(options),
+            )
+            commands.record(scenario, log, stop, is_json=options.json, is_forced=options.force)
+            return
+        if text := refusal(options.truth, options.summary, is_forced=options.force):
+            raise ConfigError(text)
+        live.run(
+            scenario,
+            choice=live.BusChoice(
+                interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=options.fd
+            ),
             truth=options.truth,
+            summary=options.summary,
+            control=options.control,
+            alive=options.alive,
+            diagnostics=live.diagnostics_choice(
+                options.diagnostics,
+                options.diagnostic_memory,
+                options.doip,
+                options.elm327,
+                has_service=options.on_board,
+                tls=tls_node(options.doip_certificate, options.doip_key, options.doip_tls_port),
+            ),
+            start_delay_s=options.start_delay,
             longest_stay_s=options.parked,
-            table=commands.table_options(options),
+            is_json=options.json,
+            stop=stop,
         )
-        commands.record(scenario, log, stop, is_json=options.json, is_forced=options.force)
-        return
-    if text := refusal(options.truth, options.summary, is_forced=options.force):
-        raise ConfigError(text)
-    live.run(
-        scenario,
-        choice=live.BusChoice(
-            interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=options.fd
-        ),
-        truth=options.truth,
-        summary=options.summary,
-        control=options.control,
-        alive=options.alive,
-        diagnostics=live.diagnostics_choice(
-            options.diagnostics,
-            options.diagnostic_memory,
-            options.doip,
-            options.elm327,
-            has_service=options.on_board,
-            tls=tls_node(options.doip_certificate, options.doip_key, options.doip_tls_port),
-        ),
-        start_delay_s=options.start_delay,
-        longest_stay_s=options.parked,
-        is_json=options.json,
-        stop=stop,
-    )
+    finally:
+        silence()  # a program that called this one prints nothing of its own
 
 
 @contextmanager

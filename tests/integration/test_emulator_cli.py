@@ -14,6 +14,7 @@ import can
 import cantools
 import pytest
 
+from canlog import kernel_cache
 from dbc.contract import load_contract
 from ecu_emulator import __version__, write_dbc
 from ecu_emulator.cli import main
@@ -70,6 +71,13 @@ def test_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scenarios"]) == 0
     names = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert names == ["ageing", "case1", "case2", "ideal", "noise_only"]
+
+
+def test_a_program_that_has_ended_says_no_more_of_compiling() -> None:
+    before = list(kernel_cache._listeners)
+    assert main(["scenarios"]) == 0
+    assert main(["record", "drive.unknown"]) != 0
+    assert kernel_cache._listeners == before
 
 
 def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
