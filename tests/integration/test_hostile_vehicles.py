@@ -61,11 +61,12 @@ def _authority(tmp_path: Path) -> Authority:
 class Hostile:
     """What a vehicle with its own certificate tries, from connections of its own."""
 
-    def __init__(self, authority: Authority, port: int, *, is_version_5: bool) -> None:
+    def __init__(self, authority: Authority, port: int, *, is_version_5: bool, flood_count: int = 20) -> None:
         self.codes: list[int] = []  # what the broker said to its subscriptions
         self.heard: list[str] = []  # topics on which it was told something
         self._folder = authority.folder
         self._port = port
+        self._flood_count = flood_count  # messages of each connection to each topic
         self._version = MQTTProtocolVersion.MQTTv5 if is_version_5 else MQTTProtocolVersion.MQTTv311
         self._is_over = threading.Event()
 
@@ -113,7 +114,7 @@ class Hostile:
                     f"clutchdiag/v1/{BAD}/status",
                     f"clutchdiag/v1/{victim}/ack",
                 ):
-                    for _ in range(20):
+                    for _ in range(self._flood_count):
                         client.publish(topic, b"x" * 10_000, 1, retain=topic.endswith("status"))
                 self._is_over.wait(0.05)
                 client.disconnect()
@@ -138,14 +139,14 @@ async def deliver(authority: Authority, port: int) -> float:
     """Deliver what all good vehicles have, and return how long it took [s]."""
     folder, begin_s = authority.folder, time.monotonic()
     async with AsyncExitStack() as stack:
-        stores = {}
+        stores, outboxes = {}, {}
         for name in GOOD:
             store = stores[name] = stack.enter_context(closing(ResultStore.in_memory()))
             tls = TlsFiles(authority=folder / "ca.crt", certificate=folder / f"{name}.crt", key=folder / f"{name}.key")
             address = BrokerAddress(host="127.0.0.1", port=port, tls=tls)
             identifier = f"clutchdiag-{name}-{store.connection_secret()}"
             connect = partial(MqttConnector(address, identifier, is_persistent=True).connect, NOW)
-            outbox = Outbox(
+            outbox = outboxes[name] = Outbox(
                 store,
                 name,
                 connect,
@@ -157,6 +158,7 @@ async def deliver(authority: Authority, port: int) -> float:
         for number in range(1, SHIFTS + 1):
             for name in GOOD:
                 put(stores[name], [number], vehicle=name)
+                outboxes[name].nudge()
             await asyncio.sleep(0.05)
         await until(lambda: not any(stores[name].unpublished_count(name) for name in GOOD), 90.0)
     return time.monotonic() - begin_s
@@ -198,20 +200,27 @@ async def test_it_hurts_nobody_behind_mosquitto(tmp_path: Path, authority: Autho
     assert not any(f"Client {name} already connected" in log for name in (*GOOD, "fleet-backend"))
 
 
-def test_nats_grants_it_nothing_of_others(tmp_path: Path, authority: Authority) -> None:
+async def test_it_hurts_nobody_behind_nats(tmp_path: Path, authority: Authority, sqlite_url: str) -> None:
     text = (DEPLOY / "nats.conf").read_text(encoding="utf-8").partition("authorization {")[0]
     text += f"authorization {{\n{nats_users([*GOOD, BAD, 'fleet-backend'])}}}\n"
     folder = tmp_path / "nats"
     folder.mkdir()
     server = NatsServer(folder, text.replace("/etc/clutchdiag", str(authority.folder)))
     server.start()
+    open_database(sqlite_url).dispose()
+    url = server.url.replace("nats://", "nats+tls://")
     try:
-        hostile = Hostile(authority, server.port, is_version_5=False)
-        granted = [topic for topic in OTHERS if hostile.subscribe(topic)]
+        with worker(tmp_path, url, sqlite_url, *backend(authority)):
+            hostile = Hostile(authority, server.port, is_version_5=False, flood_count=1)
+            granted = [topic for topic in OTHERS if hostile.subscribe(topic)]
+            with hostile.storming():
+                took_s = await deliver(authority, server.port)
     finally:
         server.stop()
     assert granted == []
     assert hostile.heard == []
+    assert stored(sqlite_url) == len(GOOD) * SHIFTS
+    assert took_s < 60.0
 
 
 def test_the_shipped_access_is_what_the_program_writes(authority: Authority) -> None:
