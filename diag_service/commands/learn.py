@@ -19,7 +19,7 @@ from diag_service.diagnosis.prediction import SlipPhase
 from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation, interpret
-from diag_service.mapping.learning import LearnedVehicle, VehicleSurvey
+from diag_service.mapping.learning import COMMANDS, LearnedVehicle, VehicleSurvey
 from diag_service.mapping.vehicle_file import PA_PER_KPA, description_toml
 from diag_service.service.stopping import Controls, Trigger
 
@@ -115,13 +115,18 @@ def said(learned: LearnedVehicle) -> Iterator[str]:
             yield f"clutch {clutch}: touch point {pressure} ({touch.origin})"
         else:
             yield f"clutch {clutch}: touch point not in the logs, assumed"
-        if (lag := learned.lag_s.get(clutch)) is not None:
-            yield f"clutch {clutch}: pressure {1e3 * lag.value:.0f} +- {1e3 * lag.std:.0f} ms behind its command"
-        else:
-            yield f"clutch {clutch}: lag of the pressure not in the logs: no command that moves"
+        yield f"clutch {clutch}: {_lag_said(learned, clutch)}"
         if (gain := learned.gain_rad_s2_pa.get(clutch)) is not None:
             value, std = (PA_PER_KPA * one for one in (gain.value, gain.std))
             yield f"clutch {clutch}: engine speed changes by {value:.3g} +- {std:.2g} rad/s2 a kPa ({gain.origin})"
+
+
+def _lag_said(learned: LearnedVehicle, clutch: int) -> str:
+    if (lag := learned.lag_s.get(clutch)) is not None:
+        return f"pressure {1e3 * lag.value:.0f} +- {1e3 * lag.std:.0f} ms behind its command"
+    if COMMANDS[clutch - 1] in learned.rates_hz:
+        return "lag of the pressure not told: its command moves too little, or not as the pressure does"
+    return "lag of the pressure not told: the profile names no commanded pressure"
 
 
 def record(learned: LearnedVehicle) -> dict[str, object]:

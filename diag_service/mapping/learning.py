@@ -50,6 +50,11 @@ class Found:
     std: float
     origin: str
 
+    @property
+    def is_assumed(self) -> bool:
+        """Whether no log tells it."""
+        return self.origin.startswith("assumed")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LearnedGear:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 LEARNED: Final = "learned"  # the table of what the logs told: for people, nothing is computed from it
 PA_PER_KPA: Final = 1e3
 _LOG, _ASSUMED = "  # from the log", "  # assumed"
+_OF_TOUCH: Final = ("spring_preload_n", "spring_rate_n_m")  # of a clutch: what its touch point makes of them
 
 
 class Described(NamedTuple):
@@ -66,15 +67,23 @@ def description_toml(learned: "LearnedVehicle", assumed: Calibration, name: str,
     """Return the text of a description, with where each value is from behind it."""
     calibration = described(learned, assumed, name)
     lines = [f"# {one}".rstrip() for one in remarks]
-    before = calibration_toml(assumed).splitlines()
-    for old, new in zip(before, calibration_toml(calibration).splitlines(), strict=True):
-        is_value = " = " in new and not new.startswith(("name", "version"))
-        lines.append(f"{new}{(_ASSUMED if old == new else _LOG) if is_value else ''}")
+    clutch = 0
+    for line in calibration_toml(calibration).splitlines():
+        clutch += line == "[[clutch]]"
+        is_value = " = " in line and not line.startswith(("name", "version"))
+        lines.append(f"{line}{_behind(line, learned.touch_point(clutch) if clutch else None) if is_value else ''}")
     ratios = learned.ratios
     if ratios is not None:
         values = ", ".join(f"{one:.5g}" for one in ratios.ratios)
         lines += ["", "[gears]", f'over = "{ratios.over.value}"', f"ratios = [{values}]{_LOG}"]
     return "\n".join([*lines, "", *learned_lines(learned)]) + "\n"
+
+
+def _behind(line: str, touch: "Found | None") -> str:
+    """Return where a value of a calibration is from: only springs follow a touch point, that of their own clutch."""
+    if touch is None or not line.startswith(_OF_TOUCH):
+        return _ASSUMED
+    return f"  # {touch.origin}" if touch.is_assumed else f"{_LOG}: its touch point"
 
 
 def learned_lines(learned: "LearnedVehicle") -> Iterator[str]:

@@ -6,6 +6,7 @@ import pytest
 
 from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
+from diag_service.commands.learn import said
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.mapping import learning
 from diag_service.mapping.learning import LearnedVehicle, VehicleSurvey
@@ -90,6 +91,23 @@ def test_a_held_touch_point_is_told_and_the_other_one_is_assumed() -> None:
     assert (other.origin, other.std) == ("assumed, as of clutch 1", learning.TYPE_STD_PA)
     calibration = described(found, nominal_calibration(), "car")
     assert [one.touch_pressure_pa for one in calibration.clutches] == pytest.approx([TOUCH_PA] * 2, rel=0.01)
+
+
+def test_only_what_the_log_tells_is_marked_as_from_the_log() -> None:
+    text = description_toml(learned(drive(EVERY_GEAR)), nominal_calibration(), "car", ())
+    first, second = text.partition("[gears]")[0].split("[[clutch]]")[1:]
+    assert first.count("# from the log") == 2
+    assert second.count("# from the log") == 0
+    assert second.count("# assumed, as of clutch 1") == 2
+    assert text.split("[[clutch]]")[0].count("# from the log") == 0  # an uncertainty that two constants make
+
+
+def test_a_lag_that_is_not_told_gives_its_true_reason() -> None:
+    batch = drive(EVERY_GEAR)
+    still = {**batch.columns, Signal.CLUTCH1_PRESSURE_COMMAND: series(np.arange(9.0), np.zeros(9))}
+    lines = "\n".join(said(learned(ColumnBatch(columns=still, watermark_ns=batch.watermark_ns))))
+    assert "clutch 1: lag of the pressure not told: its command moves too little" in lines
+    assert "clutch 2: lag of the pressure not told: the profile names no commanded pressure" in lines
 
 
 def test_without_pressures_and_commands_nothing_is_said_of_clutches() -> None:
