@@ -15,7 +15,7 @@ VCAN_LIMIT_S ?= 3600
 # Hundreds of programs start in the tests; where bytecode is not kept, each of them compiles two hundred modules first.
 PYTHONDONTWRITEBYTECODE =
 export PYTHONDONTWRITEBYTECODE
-# Matrices are small here: a second thread would take time and gain none, as clutchdiag_io.one_thread says.
+# Matrices are small here: a second thread would take time and gain none, as clutchdiag_io.program says.
 OPENBLAS_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS
 

@@ -1,5 +1,5 @@
 """Speed, size and accuracy figures: ``make bench``, ``make accuracy``."""
 
-from clutchdiag_io.one_thread import reckon_in_one_thread
+from clutchdiag_io.program import reckon_in_one_thread
 
 reckon_in_one_thread()  # as the programs do

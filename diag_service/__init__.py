@@ -26,7 +26,6 @@ if typing.TYPE_CHECKING:
     from diag_service.api.live import BackgroundDiagnosis, LiveDiagnosis, diagnose
     from diag_service.api.stores import history, note_fluid, stored_shift, write_report
     from diag_service.api.tables import ResultTable
-    from diag_service.api.tester import UdsTester, scan_controllers
     from diag_service.api.workshop import (
         PaperAnalysis,
         analyze_by_paper,
@@ -50,6 +49,7 @@ if typing.TYPE_CHECKING:
         SilentError,
         StoreError,
     )
+    from diag_service.tester.uds_tester import UdsTester, scan_controllers
 
 __all__ = [
     "Analysis",
@@ -115,7 +115,7 @@ _HOMES = {
     "diag_service.api.live": ("BackgroundDiagnosis", "LiveDiagnosis", "diagnose"),
     "diag_service.api.stores": ("history", "note_fluid", "stored_shift", "write_report"),
     "diag_service.api.tables": ("ResultTable",),
-    "diag_service.api.tester": ("UdsTester", "scan_controllers"),
+    "diag_service.tester.uds_tester": ("UdsTester", "scan_controllers"),
     "diag_service.api.workshop": (
         "PaperAnalysis",
         "analyze_by_paper",

@@ -13,10 +13,9 @@ from typing import Final
 from canlog.errors import DefinitionError, ExtraMissingError, InputLeftError, OutputError, SourceError
 from canlog.files import widen
 from canlog.lazy_imports import TESTER, wait_with
+from clutchdiag_io.annexes import is_attached, part
 from clutchdiag_io.command_line import STANDARD_STREAM
-from clutchdiag_io.complaint import Kinds, complain
-from clutchdiag_io.one_thread import reckon_in_one_thread
-from clutchdiag_io.standard_output import standard_output
+from clutchdiag_io.program import Kinds, complain, reckon_in_one_thread, standard_output
 from diag_service.commands.arguments import (
     EXIT_CONFIG,
     EXIT_INCOMPLETE,
@@ -26,12 +25,11 @@ from diag_service.commands.arguments import (
     EXIT_STORE,
     parse_arguments,
 )
-from diag_service.commands.asking_arguments import PROGRAM
+from diag_service.commands.program import PROGRAM
 from diag_service.errors import ConfigError, ControllerError, IncompleteError, StoppedError, StoreError
 from diag_service.service.stopping import Controls, PatientTrigger, Trigger, ignore
 
 _FUNCTIONS: Final = {  # of commands that share a module; the others are ``execute`` in a module of their own
-    **{word: f"controller.{word}" for word in ("did", "dtc", "routine", "scan")},
     **{word: f"live.{word}" for word in ("monitor", "run")},
     **{word: f"store.{word}" for word in ("fluid_changed", "history", "report", "show")},
     "cluster": "lake.cluster",
@@ -86,8 +84,11 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
 
     set_up_notices(options.verbose)
     word = options.command.replace("-", "_")
-    module, _, name = _FUNCTIONS.get(word, f"{word}.execute").partition(".")
-    execute = getattr(import_module(f"diag_service.commands.{module}"), name)
+    if is_attached("diag_service.commands", options.command):
+        execute = part("diag_service.commands", options.command)
+    else:
+        module, _, name = _FUNCTIONS.get(word, f"{word}.execute").partition(".")
+        execute = getattr(import_module(f"diag_service.commands.{module}"), name)
     try:
         execute(options, _patient(controls) if _reads_standard_input(options) else controls)
     except SourceError as exc:

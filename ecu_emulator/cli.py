@@ -10,9 +10,8 @@ from threading import Event
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Final
 
-from clutchdiag_io.complaint import complain
 from clutchdiag_io.files import refusal
-from clutchdiag_io.standard_output import standard_output
+from clutchdiag_io.program import complain, standard_output
 from ecu_emulator.arguments import PROGRAM, parse_arguments
 from ecu_emulator.errors import BusError, ConfigError, ExtraMissingError, RecordError
 

@@ -8,9 +8,7 @@ from importlib import import_module
 from types import ModuleType, SimpleNamespace
 from typing import Final
 
-from clutchdiag_io.complaint import complain
-from clutchdiag_io.one_thread import reckon_in_one_thread
-from clutchdiag_io.standard_output import standard_output
+from clutchdiag_io.program import complain, reckon_in_one_thread, standard_output
 from fleet_backend.arguments import (
     EXIT_BROKER,
     EXIT_CONFIG,

@@ -13,7 +13,7 @@ from clutch_model.calibration import Calibration
 from diag_service.api.analysis import Analysis
 from diag_service.api.choices import AnyPath, Delivery, Poll, check_one_bus, configuration, optional_path, poll_config
 from diag_service.console.notices import collected_notices
-from diag_service.delivery import News
+from diag_service.delivery import ControllerNews, News
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import FrameCounts, Summary
 from diag_service.errors import ConfigError
@@ -25,7 +25,6 @@ from diag_service.service.snapshot import frame_counts
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import BusConfig, DiagnosisConfig
 from diag_service.store import ResultStore
-from diag_service.tester.trouble_report import ControllerReport
 
 if TYPE_CHECKING:
     import can
@@ -69,7 +68,7 @@ class BackgroundDiagnosis:
         return tuple(self._diagnosis.results)
 
     @property
-    def controller_reports(self) -> tuple[ControllerReport, ...]:
+    def controller_reports(self) -> tuple[ControllerNews, ...]:
         """What the controller said of its trouble codes until now, as ``LiveDiagnosis`` has it."""
         return tuple(self._diagnosis.controller_reports)
 
@@ -146,7 +145,7 @@ class LiveDiagnosis:
     ----------
     results : list of ShiftResult
         What was found until now.
-    controller_reports : list of ControllerReport
+    controller_reports : list of ControllerNews
         What the controller said of its trouble codes, each time that it was something new; empty without ``poll``.
     left_out_count : int
         Results that were not handed over, since whoever iterates was too far behind; they are in ``results``.
@@ -176,7 +175,7 @@ class LiveDiagnosis:
         self._summary: Summary | None = None
         self._notices: list[str] = []
         self.results: list[ShiftResult] = []
-        self.controller_reports: list[ControllerReport] = []
+        self.controller_reports: list[ControllerNews] = []
         self.left_out_count = 0
 
     @property
@@ -316,7 +315,7 @@ class LiveDiagnosis:
 class _Handing:
     """Hands over what a run reports."""
 
-    def __init__(self, use: Callable[[ShiftResult], None], note: Callable[[ControllerReport], None]) -> None:
+    def __init__(self, use: Callable[[ShiftResult], None], note: Callable[[ControllerNews], None]) -> None:
         self._use = use
         self._note = note
 
@@ -324,7 +323,7 @@ class _Handing:
         """Hand over a result or what a controller says; all else can be asked for."""
         if isinstance(news, ShiftResult):
             self._use(news)
-        elif isinstance(news, ControllerReport):
+        elif isinstance(news, ControllerNews):
             self._note(news)
 
 

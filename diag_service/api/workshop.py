@@ -10,11 +10,11 @@ from canlog.written_tables import EVERY_SIGNAL
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
 from diag_service.api.choices import AnyPath, AnyPaths, configuration, optional_path, path_list
 from diag_service.commands.arguments import DEFAULT_BITRATE
-from diag_service.commands.conversations import Conversations
 from diag_service.commands.inspect import Inspection, inspect_log
 from diag_service.commands.learn import learned_from, record, write_description
 from diag_service.commands.predict import predict_shifts
 from diag_service.commands.signals import proposed_profile
+from diag_service.commands.talks import conversations_of
 from diag_service.console.notices import collected_notices
 from diag_service.diagnosis.friction.paper import PaperShift, PooledClutch
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration
@@ -123,7 +123,7 @@ def inspect(
     """
     with collected_notices():
         messages = open_database(optional_path(dbc), [Path(path)], is_lenient=is_lenient).messages
-        talks = Conversations(messages, pairs) if has_conversations or pairs else None
+        talks = conversations_of(messages, pairs) if has_conversations or pairs else None
         return inspect_log(Path(path), messages, bitrate, Trigger(), columns=columns, conversations=talks)
 
 

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import click
 
+from clutchdiag_io.annexes import attached
 from clutchdiag_io.command_line import (
     FILE,
     FILE_OR_STORE,
@@ -20,7 +21,7 @@ from clutchdiag_io.command_line import (
     Program,
     parse,
 )
-from diag_service.commands.asking_arguments import DID, DTC, JSON, PROGRAM, ROUTINE, SCAN
+from diag_service.commands.program import JSON, PROGRAM
 from diag_service.settings.options import BUS, CONFIG, DELIVERY, MEANING, PAGE, POLL, VARIABLES
 
 DEFAULT_LIMIT_S: Final = 600.0  # an hour of a bus takes half a minute
@@ -417,7 +418,7 @@ COMMAND_LINE: Final = Program(
     Group("config", "look at the settings", _CHECK, metavar="ACTION"),
     *(_ANALYZE, _REPORT, _HISTORY, _SHOW, _FLUID_CHANGED),
     *(_CALIBRATE, _INSPECT, _SIGNALS, _DECODE, _PREDICT, _LEARN),
-    *(DTC, DID, ROUTINE, SCAN),
+    *(command for words in attached("diag_service.command_words") for command in words),
     *(LAKE, CLUSTER),
 )
 

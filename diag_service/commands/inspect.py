@@ -21,7 +21,7 @@ from canlog.logs.log_counts import assumed_texts, lost_texts
 from canlog.logs.reading import Watch
 from canlog.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
 from diag_service.batch.drives import LeftOut, TakenFor, left_out_record, sorted_out
-from diag_service.commands.conversations import Conversations
+from diag_service.commands.talks import Conversations, conversations_of
 from diag_service.console.terminal import PeopleConsole, ReadingLine
 from diag_service.diagnosis.records import dump, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoppedError
@@ -72,7 +72,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         try:
             with ReadingLine() as line:
                 has_talks = options.conversations or options.pairs
-                talks = Conversations(messages, options.pairs or "") if has_talks else None
+                talks = conversations_of(messages, options.pairs or "") if has_talks else None
                 if talks is not None and path == STANDARD_INPUT and not options.json:
                     talks.tell_at_once(console.print)
                 inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch, columns, talks)

@@ -4,10 +4,11 @@ import asyncio
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from canlog.errors import SourceError
 from canlog.live import BusOpener, LinkBreak, LiveSource, Silence, supervise
+from diag_service.commands.talks import Conversations, conversations_of
 from diag_service.console.terminal import PeopleConsole
 from diag_service.mapping.databases import asked_database
 from diag_service.service import bus_run
@@ -15,9 +16,6 @@ from diag_service.service.live import close_in_time
 from diag_service.service.onlookers import LiveRun
 from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import BusConfig, ListenAddress, bus_config, default_store, diagnosis_config
-
-if TYPE_CHECKING:
-    from diag_service.commands.conversations import Conversations
 
 LOOK_PERIOD_S: Final = 0.25
 NS_PER_S: Final = 1e9
@@ -43,29 +41,25 @@ def run(options: SimpleNamespace, controls: Controls) -> None:
 def monitor(options: SimpleNamespace, controls: Controls) -> None:
     """Show the bus, or what is said on it, until it is told to stop."""
     if options.conversations or options.pairs:
-        from diag_service.commands.conversations import Conversations  # noqa: PLC0415 - for few runs
-
-        messages = asked_database(options).messages
-        follow_bus(
-            bus_config(options), Conversations(messages, options.pairs or ""), controls.stop, PeopleConsole().print
-        )
+        talks = conversations_of(asked_database(options).messages, options.pairs or "")
+        follow_bus(bus_config(options), talks, controls.stop, PeopleConsole().print)
         return
     bus_run.run_monitor(diagnosis_config(options), bus_config(options), controls)
 
 
-def follow_bus(bus: BusConfig, talks: "Conversations", stop: Trigger, show: Show) -> None:
+def follow_bus(bus: BusConfig, talks: Conversations, stop: Trigger, show: Show) -> None:
     """Show the conversations of a bus until told to stop, or as long as was asked for; raises SourceError."""
     asyncio.run(_open_and_follow(bus, talks, stop, show))
 
 
-async def _open_and_follow(bus: BusConfig, talks: "Conversations", stop: Trigger, show: Show) -> None:
+async def _open_and_follow(bus: BusConfig, talks: Conversations, stop: Trigger, show: Show) -> None:
     source = await supervise(BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd))
     show(f"{source.description}: conversations as they come")
     await follow(source, talks, stop, show, bus.duration_s)
 
 
 async def follow(
-    source: LiveSource, talks: "Conversations", stop: Trigger, show: Show, duration_s: float | None = None
+    source: LiveSource, talks: Conversations, stop: Trigger, show: Show, duration_s: float | None = None
 ) -> None:
     """Show the conversations of a source until it ends, and then what came of all of them; raises SourceError."""
     failure: SourceError | None = None
@@ -114,13 +108,13 @@ class _Heard:
         return self._last_ns + round((asyncio.get_running_loop().time() - self._at_s) * NS_PER_S)
 
 
-async def _look_again(talks: "Conversations", heard: _Heard, show: Show) -> None:
+async def _look_again(talks: Conversations, heard: _Heard, show: Show) -> None:
     """Show what is settled by silence."""
     while True:
         await asyncio.sleep(LOOK_PERIOD_S)
         _show_news(talks, heard.now_ns, show)
 
 
-def _show_news(talks: "Conversations", now_ns: int | None, show: Show) -> None:
+def _show_news(talks: Conversations, now_ns: int | None, show: Show) -> None:
     for line in talks.news(now_ns) if now_ns is not None else ():
         show(line)

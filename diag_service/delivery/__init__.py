@@ -1,6 +1,6 @@
 """Those who hear of results: people, the next program in a pipe, a broker, and a double for tests."""
 
-from diag_service.delivery.base import DeliveryLimits, Link, News, Reporter
+from diag_service.delivery.base import ControllerNews, DeliveryLimits, Link, News, Reporter
 from diag_service.delivery.console import ConsoleReporter
 from diag_service.delivery.delivery import Acknowledge
 from diag_service.delivery.memory import MemoryLink, MemoryReporter
@@ -12,6 +12,7 @@ __all__ = [
     "Acknowledge",
     "AllReporters",
     "ConsoleReporter",
+    "ControllerNews",
     "DeliveryLimits",
     "DetachedReporter",
     "JsonLinesReporter",

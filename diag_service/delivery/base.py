@@ -1,16 +1,26 @@
 """What the pipeline knows about those who hear of results."""
 
-from collections.abc import Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.summary import Summary
-from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract import Outgoing, Receipt
 
+
+class ControllerNews(ABC):
+    """What a controller said of itself; ``str`` returns it on a line for people."""
+
+    @property
+    @abstractmethod
+    def record(self) -> Mapping[str, object]:
+        """The public record that stores and messages hold."""
+
+
 # Where frames are read from; then each shift, and what a controller says that is new; at the end the numbers.
-News = str | ShiftResult | ControllerReport | Summary
+News = str | ShiftResult | ControllerNews | Summary
 OnFills = Callable[[list[FluidFill]], None]
 
 

@@ -6,7 +6,7 @@ from rich.table import Table
 from rich.text import Text
 
 from clutch_model.units import degc_from_k
-from diag_service.delivery.base import News
+from diag_service.delivery.base import ControllerNews, News
 from diag_service.diagnosis.records import (
     LEAST_SLIP_ROWS,
     Condition,
@@ -26,7 +26,6 @@ from diag_service.diagnosis.summary import (
     shifts_line,
     values_line,
 )
-from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract.orders import SHOWN_AS, Order
 
 
@@ -86,7 +85,7 @@ class ConsoleReporter:
         """Print one of the news; the last one, the numbers of the run, with a table of clutches."""
         if isinstance(news, str):
             self._line(Text(f"listening on {news}"))
-        elif isinstance(news, ControllerReport):
+        elif isinstance(news, ControllerNews):
             self._line(Text(str(news)))
         elif isinstance(news, Summary):
             self._conclude(news)

@@ -3,11 +3,10 @@
 import asyncio
 from collections.abc import Sequence
 
-from diag_service.delivery.base import News, OnFills, OnReceipts
+from diag_service.delivery.base import ControllerNews, News, OnFills, OnReceipts
 from diag_service.diagnosis.records import FluidFill, ShiftResult, shift_from
 from diag_service.diagnosis.summary import Summary
 from diag_service.errors import PublishError
-from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract import (
     Channel,
     JsonObject,
@@ -84,7 +83,7 @@ class MemoryReporter:
         self.places: list[str] = []
         self.results: list[ShiftResult] = []
         self.summaries: list[Summary] = []
-        self.controllers: list[ControllerReport] = []
+        self.controllers: list[ControllerNews] = []
 
     def report(self, news: News) -> None:
         """Keep what came."""
@@ -94,5 +93,5 @@ class MemoryReporter:
             self.results.append(news)
         elif isinstance(news, Summary):
             self.summaries.append(news)
-        elif isinstance(news, ControllerReport):
+        elif isinstance(news, ControllerNews):
             self.controllers.append(news)

@@ -8,10 +8,9 @@ from typing import Final, TextIO
 
 from rich.console import Console
 
-from diag_service.delivery.base import News, Reporter
+from diag_service.delivery.base import ControllerNews, News, Reporter
 from diag_service.diagnosis.records import ShiftResult, dump, shift_record
 from diag_service.diagnosis.summary import Summary, summary_record
-from diag_service.tester.trouble_report import ControllerReport, controller_record
 
 LIMIT: Final = 1_000  # results that a slow reader may be behind
 DRAIN_S: Final = 3.0  # how long an ending service waits for a reader
@@ -30,8 +29,8 @@ class JsonLinesReporter:
         if isinstance(news, str):
             self._people.print(f"listening on {news}", highlight=False, markup=False, soft_wrap=True)
             return
-        if isinstance(news, ControllerReport):
-            record = controller_record(news)
+        if isinstance(news, ControllerNews):
+            record = news.record
         else:
             record = shift_record(news) if isinstance(news, ShiftResult) else summary_record(news)
         self._stream.write(dump(record) + "\n")

@@ -15,7 +15,7 @@ from typing import TypeVar
 from rich.console import Console
 
 from clutchdiag_io.files import legible
-from clutchdiag_io.standard_output import discard
+from clutchdiag_io.program import discard
 from diag_service.console.terminal import PeopleConsole
 from diag_service.delivery import (
     Acknowledge,

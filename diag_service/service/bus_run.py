@@ -4,13 +4,14 @@ import asyncio
 import logging
 import os
 import socket
-from collections.abc import AsyncIterator, Callable
-from contextlib import ExitStack, asynccontextmanager, closing, suppress
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager, ExitStack, closing, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from canlog.live import BusOpener, ReadSchedule, SupervisedSource, supervise
 from canlog.notice import NOTICE
+from clutchdiag_io.annexes import part
 from diag_service.console.keys import ending_key
 from diag_service.console.terminal import PeopleConsole
 from diag_service.delivery import DetachedReporter, Outbox
@@ -19,13 +20,11 @@ from diag_service.service.application import opened_store, outbox_of, reporter_o
 from diag_service.service.live import run_live
 from diag_service.service.monitor import Monitor
 from diag_service.service.onlookers import LastShifts, LiveRun, OpenPage
-from diag_service.service.polling import tell_controller
-from diag_service.service.session import Session, utc_now
+from diag_service.service.session import Session
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import BusConfig, DiagnosisConfig
 from diag_service.store import ResultStore
-from fleet_contract import Outgoing
 
 QUIT_KEY = "q"
 _LOG = logging.getLogger(__name__)
@@ -138,31 +137,16 @@ async def _run_bus(
             )
 
 
-@asynccontextmanager
-async def polling(
+def polling(
     vehicle: str, bus: BusConfig, store: ResultStore, session: Session, outbox: Outbox | None
-) -> AsyncIterator[None]:
-    """Ask a controller now and then until the block ends, if that is wanted; in the loop that runs the outbox."""
+) -> AbstractAsyncContextManager[None]:
+    """Return what asks a controller now and then while it is entered, if that is wanted."""
     if bus.poll is None:
-        yield
-        return
-    from diag_service.service.polling import poller_for  # noqa: PLC0415 - libraries of an extra, for few runs
-
-    loop = asyncio.get_running_loop()
-
-    def publish(message: Outgoing) -> None:
-        if outbox is not None:
-            with suppress(RuntimeError):  # the run has ended meanwhile
-                loop.call_soon_threadsafe(outbox.tell_state, message)
-
-    poller = poller_for(
-        vehicle, bus, bus.poll, utc_now, lambda report: tell_controller(report, store, session.reporter, publish)
+        return nullcontext()
+    poll: AbstractAsyncContextManager[None] = part("diag_service.parts", "polling")(
+        vehicle, bus, bus.poll, store, session.reporter, outbox
     )
-    with poller:
-        try:
-            yield
-        finally:
-            await asyncio.to_thread(poller.end)  # a question that is under way keeps nobody else waiting
+    return poll
 
 
 def _report_life(manager: "ServiceManager", snapshot: Snapshot) -> None:

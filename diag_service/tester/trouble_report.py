@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from diag_service.delivery import ControllerNews
 from diag_service.tester.description import Value, Values
 from diag_service.tester.trouble import Snapshot, TroubleCode
 
@@ -12,7 +13,7 @@ NOTHING: Final = "not available"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ControllerReport:
+class ControllerReport(ControllerNews):
     """What a controller said of its trouble codes."""
 
     vehicle: str
@@ -26,23 +27,23 @@ class ControllerReport:
         ranked = sorted(self.codes, key=lambda code: not code.is_confirmed)
         return f"controller {self.controller}: {', '.join(map(code_words, ranked)) or 'no trouble codes'}"
 
+    @property
+    def record(self) -> Record:
+        """The public record that stores and messages hold."""
+        return {
+            "schema": "clutchdiag/controller/v1",
+            "vehicle": self.vehicle,
+            "produced_at": self.read_at,
+            "controller": self.controller,
+            "description": self.description,
+            "codes": [trouble_record(code) for code in self.codes],
+        }
+
 
 def code_words(code: TroubleCode) -> str:
     """Return a code with what it says and how sure the controller is."""
     state = "confirmed" if code.is_confirmed else "pending" if code.is_pending else "not confirmed"
     return f"{code.code} {code.text} ({state})" if code.text else f"{code.code} ({state})"
-
-
-def controller_record(report: ControllerReport) -> Record:
-    """Return a report as the public record that stores and messages hold."""
-    return {
-        "schema": "clutchdiag/controller/v1",
-        "vehicle": report.vehicle,
-        "produced_at": report.read_at,
-        "controller": report.controller,
-        "description": report.description,
-        "codes": [trouble_record(code) for code in report.codes],
-    }
 
 
 def trouble_record(code: TroubleCode) -> Record:

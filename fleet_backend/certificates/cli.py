@@ -9,7 +9,7 @@ from typing import Final
 import click
 
 from clutchdiag_io.command_line import FILE, FLOAT, Command, Option, Program, parse
-from clutchdiag_io.complaint import complain
+from clutchdiag_io.program import complain
 from fleet_backend.certificates.errors import CertificateError
 
 PROGRAM: Final = "fleet-certificates"

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from diag_service.diagnosis.records import ServiceStatus, clutch_record, shift_record, status_record
 from diag_service.tester.trouble import Snapshot, TroubleCode
-from diag_service.tester.trouble_report import ControllerReport, controller_record
+from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract import (
     JsonObject,
     Outcome,
@@ -63,7 +63,7 @@ def messages_v1() -> dict[str, Outgoing]:
         "status-offline": status_message(status_record(_status(is_online=False))),
         "metrics": metrics_message("car1", NOW, {"outbox_waiting_count": 3, "outbox_bytes": 81920, "load_ratio": 0.25}),
         "config": config_message("car1", NOW, {"broker.url": "mqtts://car1:***@broker", "outbox.budget_bytes": 1}),
-        "controller": controller_message(controller_record(CONTROLLER)),
+        "controller": controller_message(CONTROLLER.record),
         "ack": ack,
         "fluid": fluid_message("car1", NOW, fills, is_to_vehicle=False),
         "fills": fluid_message("car1", NOW, fills, is_to_vehicle=True),

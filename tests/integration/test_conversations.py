@@ -12,10 +12,10 @@ from canlog.frames import FrameBatch
 from canlog.live import LinkBreak, SourceCounts
 from canlog.logs import read_log
 from diag_service.cli import main
-from diag_service.commands.conversations import Conversations
 from diag_service.commands.live import follow
 from diag_service.errors import ConfigError
 from diag_service.service.stopping import Trigger
+from diag_service.tester.conversations import Conversations
 from tests.support.pipes import piped
 
 LINES = """

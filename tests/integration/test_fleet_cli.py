@@ -13,7 +13,6 @@ import pytest
 from sqlalchemy import Engine, select
 
 from diag_service.diagnosis.records import Condition
-from diag_service.tester.trouble_report import controller_record
 from fleet_backend.alarm_tables import AUDIT
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
@@ -121,7 +120,7 @@ def test_vehicles_are_listed_with_their_last_result(capsys: pytest.CaptureFixtur
 
 
 def test_trouble_codes_are_listed(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
-    row = controller_row(controller_record(CONTROLLER))
+    row = controller_row(CONTROLLER.record)
     Writer(filled).store(Batch(controllers=[{**row, "vehicle": "worn"}]))
     shown = told(capsys, filled, "codes")
     assert "Trouble codes: 1 of 1 vehicles" in shown

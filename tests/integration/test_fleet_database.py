@@ -8,7 +8,7 @@ from sqlalchemy import Engine
 
 from diag_service.diagnosis.records import Condition
 from diag_service.tester.trouble import TroubleCode
-from diag_service.tester.trouble_report import ControllerReport, controller_record
+from diag_service.tester.trouble_report import ControllerReport
 from fleet_backend import queries
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
@@ -205,7 +205,7 @@ def controller(read_at: str, *codes: TroubleCode, vehicle: str = "car1") -> Row:
     report = ControllerReport(
         vehicle=vehicle, read_at=read_at, controller="7E1 (answers 7E9)", description="TCU", codes=codes
     )
-    return controller_row(controller_record(report))
+    return controller_row(report.record)
 
 
 def test_the_latest_word_of_a_controller_stays_and_is_told_code_by_code(engine: Engine) -> None:

@@ -254,7 +254,7 @@ def test_a_bus_that_was_handed_over_is_polled_by_another_end(bus: can.BusABC) ->
             until_s = time.monotonic() + HANG_S
             while not heard.controller_reports and time.monotonic() < until_s:
                 time.sleep(0.01)
-        assert [report.controller for report in heard.controller_reports] == ["7E1 (answers 7E9)"]
+        assert [report.record["controller"] for report in heard.controller_reports] == ["7E1 (answers 7E9)"]
 
 
 async def test_why_a_controller_was_not_asked_is_a_notice() -> None:

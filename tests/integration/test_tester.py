@@ -10,9 +10,9 @@ from typing import Any
 import can
 import pytest
 
-from diag_service.commands.controller import waiting
 from diag_service.console.terminal import ReadingLine
 from diag_service.service.stopping import Trigger
+from diag_service.tester.commands import waiting
 from diag_service.tester.scanning import find_addresses, standard_requests
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.link import DiagnosticLink
@@ -143,9 +143,7 @@ def test_codes_are_cleared_one_by_one_and_all_together(monkeypatch: pytest.Monke
     with failing_car("clearing") as (controller, bus):
         would = told("dtc", "--clear", *bus)["would_ask"]
         assert would == ["19 02 AF: the codes", "14 FF FF FF: clear", "19 02 AF: what is left"]
-        monkeypatch.setattr(
-            "diag_service.commands.controller.is_confirmed", lambda question, _: "P0811" not in question
-        )
+        monkeypatch.setattr("diag_service.tester.commands.is_confirmed", lambda question, _: "P0811" not in question)
         refused = told("dtc", "--clear", *bus, "--active")
         assert (refused["cleared"]["groups"], len(refused["codes"])) == ([], 2)
         monkeypatch.undo()  # nobody sits there: the command line has the word

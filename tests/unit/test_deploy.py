@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from diag_service import cli
-from diag_service.commands.asking_arguments import PROGRAM
+from diag_service.commands.program import PROGRAM
 from diag_service.service.snapshot import STALE_S
 
 UNIT = Path(__file__).parents[2] / "docs" / "deploy" / "clutchdiag.service"

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from clutchdiag_io.one_thread import reckon_in_one_thread
+from clutchdiag_io.program import reckon_in_one_thread
 
 THREADS = "OPENBLAS_NUM_THREADS"
 COUNTED = """

@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 
 from diag_service.diagnosis.records import clutch_record, shift_record
-from diag_service.tester.trouble_report import controller_record
 from fleet_backend.intake import Kind, Taken, batch_of, receipts_of, refuse, take, take_all
 from fleet_contract import (
     Outcome,
@@ -144,7 +143,7 @@ def test_status_and_metrics_become_rows_of_their_vehicle() -> None:
     assert (online.kind, online.row["is_online"]) == (Kind.STATUS, True)
     metrics = take(delivered(metrics_message("car1", "2026-01-01T00:00:00.000000Z", {"outbox_count": 3})), NOW)
     assert (metrics.kind, metrics.row["metrics"]) == (Kind.METRICS, '{"outbox_count": 3}')
-    codes = take(delivered(controller_message(controller_record(CONTROLLER))), NOW)
+    codes = take(delivered(controller_message(CONTROLLER.record)), NOW)
     assert (codes.kind, codes.receipt) == (Kind.CONTROLLER, None)
     assert batch_of([codes]).controllers == [codes.row]
 

@@ -9,10 +9,10 @@ import pytest
 from canlog.errors import DefinitionError
 from diag_service.delivery import MemoryReporter
 from diag_service.errors import ResultError, SilentError, StoreError
-from diag_service.service.polling import Poller, message_of, pause_s, tell_controller
 from diag_service.store import ResultStore
+from diag_service.tester.polling import Poller, message_of, pause_s, tell_controller
 from diag_service.tester.trouble import Snapshot, TroubleCode
-from diag_service.tester.trouble_report import ControllerReport, controller_record
+from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract import Channel, Outgoing, read_message
 from tests.support.patience import HANG_S
 
@@ -112,7 +112,7 @@ def test_the_newest_stays_however_long_it_is() -> None:
 def test_a_message_fits_the_contract_whatever_a_controller_says(count: int) -> None:
     long = Snapshot(number=1, data={"datum": {f"field {number}": "x" * 50 for number in range(20)}})
     codes = [TroubleCode(number=number << 8, status=0x0A, text="t" * 40, snapshots=(long,)) for number in range(count)]
-    message = message_of(controller_record(report(*codes)))
+    message = message_of(report(*codes).record)
     assert len(message.payload) <= Channel.CONTROLLER.max_bytes
     data = read_message(message.topic, message.payload).data
     assert isinstance(data["codes"], list)

@@ -5,10 +5,8 @@ from typing import Final
 import click
 
 from clutchdiag_io.command_line import FILE, FLOAT, VERBOSE, Choice, Command, Option
+from diag_service.commands.program import JSON, PROGRAM
 from diag_service.settings.options import BUS, CONFIG, VARIABLES
-
-PROGRAM: Final = "diag-service"
-JSON: Final = Option("--json", "one JSON object on standard output")
 
 _ASKED_BUS: Final = tuple(option for option in BUS if option.name in {"interface", "channel", "bitrate", "fd"})
 _LISTENS: Final = (
@@ -120,3 +118,4 @@ SCAN: Final = Command(
     ),
     examples=(f"{PROGRAM} scan -i socketcan -c can0 --active", f"{PROGRAM} scan -c can0 --extended --active --json"),
 )
+COMMANDS: Final = (DTC, DID, ROUTINE, SCAN)

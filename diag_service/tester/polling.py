@@ -1,17 +1,20 @@
 """Now and then the controller's own word: its trouble codes, asked for while its bus is diagnosed."""
 
+import asyncio
 import contextvars
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
 from types import TracebackType
 from typing import Final, Self
 
 from canlog.errors import CanlogError
 from canlog.notice import NOTICE
-from diag_service.delivery import Reporter
+from diag_service.delivery import Outbox, Reporter
 from diag_service.diagnosis.records import dump
 from diag_service.errors import DiagServiceError
+from diag_service.service.session import utc_now
 from diag_service.settings.config import BusConfig, PollConfig
 from diag_service.store import ResultStore
 from diag_service.tester.addresses import parse_address
@@ -20,7 +23,7 @@ from diag_service.tester.description import Description
 from diag_service.tester.description_file import find_description, recognised
 from diag_service.tester.reading import read_troubles
 from diag_service.tester.timing import Timing
-from diag_service.tester.trouble_report import ControllerReport, controller_record
+from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract import Channel, Outgoing, controller_message
 
 MOST_CODES: Final = 1024  # as the contract has it
@@ -39,7 +42,7 @@ def tell_controller(
 
     What is new to this run is published in any case: a broker may have forgotten it.
     """
-    record = controller_record(report)
+    record = report.record
     said = dump({key: value for key, value in record.items() if key != "produced_at"})
     is_new = store.note_controller(report.vehicle, report.controller, said, dump(record))
     publish(message_of(record))
@@ -181,3 +184,23 @@ def poller_for(
     )
     poller = Poller(lambda: read_once(vehicle, target, description, now, lambda: poller.goes_on), tell, poll.period_s)
     return poller
+
+
+@asynccontextmanager
+async def polling(
+    vehicle: str, bus: BusConfig, poll: PollConfig, store: ResultStore, reporter: Reporter, outbox: Outbox | None
+) -> AsyncIterator[None]:
+    """Ask a controller now and then until the block ends; in the loop that runs the outbox."""
+    loop = asyncio.get_running_loop()
+
+    def publish(message: Outgoing) -> None:
+        if outbox is not None:
+            with suppress(RuntimeError):  # the run has ended meanwhile
+                loop.call_soon_threadsafe(outbox.tell_state, message)
+
+    poller = poller_for(vehicle, bus, poll, utc_now, lambda report: tell_controller(report, store, reporter, publish))
+    with poller:
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(poller.end)  # a question that is under way keeps nobody else waiting

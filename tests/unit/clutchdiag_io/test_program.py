@@ -2,7 +2,7 @@
 
 import pytest
 
-from clutchdiag_io.complaint import complain
+from clutchdiag_io.program import complain
 
 STATUSES = (((FileNotFoundError, KeyError), 2), (OSError, 3))
 
