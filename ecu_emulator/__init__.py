@@ -11,8 +11,10 @@ import typing
 from canlog.lazy_imports import on_demand as _on_demand
 
 if typing.TYPE_CHECKING:
-    from ecu_emulator.api.emulator import Answers, Emulator
-    from ecu_emulator.api.files import write_dbc, write_pdx
+    from ecu_emulator.answering.answers import Answers
+    from ecu_emulator.answering.pdx_command import write_pdx
+    from ecu_emulator.api.emulator import Emulator
+    from ecu_emulator.api.files import write_dbc
     from ecu_emulator.commands import Recording
     from ecu_emulator.errors import BusError, ConfigError, EmulatorError, ExtraMissingError, RecordError
     from ecu_emulator.scenario.faults import BusFault, SensorFault
@@ -44,9 +46,11 @@ __all__ = [
 __version__ = "0.9.0"
 
 _HOMES = {
-    "ecu_emulator.api.emulator": ("Answers", "Emulator"),
-    "ecu_emulator.api.files": ("write_dbc", "write_pdx"),
+    "ecu_emulator.answering.answers": ("Answers",),
+    "ecu_emulator.api.emulator": ("Emulator",),
+    "ecu_emulator.api.files": ("write_dbc",),
     "ecu_emulator.commands": ("Recording",),
+    "ecu_emulator.answering.pdx_command": ("write_pdx",),
     "ecu_emulator.errors": ("BusError", "ConfigError", "EmulatorError", "ExtraMissingError", "RecordError"),
     "ecu_emulator.scenario.faults": ("BusFault", "SensorFault"),
     "ecu_emulator.scenario.scenario": ("Scenario",),

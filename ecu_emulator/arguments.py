@@ -7,6 +7,7 @@ from typing import Final
 
 import click
 
+from clutchdiag_io.annexes import attached
 from clutchdiag_io.command_line import FILE, FORCE, INT, Choice, Command, Option, Program, parse
 from ecu_emulator.scenario.drive_names import DriveName
 
@@ -17,8 +18,6 @@ EXIT_TEXT: Final = (
 )
 _NS_PER_S: Final = 1_000_000_000  # not of clutch_model, which imports numpy
 DEFAULT_REVS: Final = "4,4"
-DEFAULT_ELM_PORT: Final = "35000"
-DOIP_TLS_PORT: Final = 3496  # registered for DoIP by TLS, as 13400 is without
 OIL_RANGE_DEGC: Final = (-15.0, 130.0)
 MASS_RANGE_KG: Final = (900.0, 3500.0)
 DELAY_RANGE_S: Final = (0.0, 3600.0)
@@ -127,29 +126,7 @@ _RUN: Final = Command(
     Option("--summary FILE", "write the transmit report to this file as JSON", FILE),
     FORCE,
     Option("--control SOCKET", "take faults at run time on this Unix socket", FILE),
-    Option(
-        "--diagnostics [TABLE]",
-        "answer UDS requests of testers (7E1, 7DF); TABLE: a controller of your own instead of the one that ships",
-        flag_value="",
-    ),
-    Option(
-        "--doip [HOST:]PORT",
-        "answer testers on an IP network as well (ISO 13400-2; its port is 13400); only on this machine unless HOST "
-        "says otherwise",
-    ),
-    Option("--doip-certificate FILE", "answer over IP by TLS as well, with this certificate (PEM)", FILE),
-    Option("--doip-key FILE", "its key, unless that is in the same file", FILE),
-    Option("--doip-tls-port PORT", f"port for TLS (default: {DOIP_TLS_PORT})", INT, default=DOIP_TLS_PORT),
-    Option("--diagnostic-memory FILE", "keep trouble codes in this file, over restarts", FILE),
-    Option(
-        "--elm327 [[HOST:]PORT]",
-        "serve OBD apps on this TCP port as an ELM327 adapter does (127.0.0.1:35000)",
-        flag_value=DEFAULT_ELM_PORT,
-    ),
-    Option(
-        "--on-board",
-        "start a diag-service beside the controller: testers are told what it finds (P0897, friction)",
-    ),
+    *(option for options in attached("ecu_emulator.run_options") for option in options),
     Option("--alive FILE", "touch this file while frames go out", FILE),
     Option("--start-delay S", "wait before the first frame", _between(*DELAY_RANGE_S, "s"), default="0"),
     Option(
@@ -217,22 +194,6 @@ _RECORD: Final = Command(
         f"{PROGRAM} record cold.log --drive wltc --oil-degc 0 --mass-kg 1900",
     ),
 )
-_PDX: Final = Command(
-    "pdx",
-    "describe for diagnostic tools what a tester can ask: a PDX package, ODX 2.2 (ISO 22901-1)",
-    click.Argument(
-        ["table"],
-        type=FILE,
-        metavar="[TABLE]",
-        required=False,
-        help="TOML table of a controller (default: the own one)",
-    ),
-    Option("-o --output FILE", "PDX file to write", FILE, default="tcu.pdx"),
-    FORCE,
-    Option("--json", "print the result as one JSON line on stdout"),
-    _VERBOSE,
-    examples=(f"{PROGRAM} pdx -o tcu.pdx", f"{PROGRAM} pdx my.toml -o my.pdx"),
-)
 _DBC: Final = Command(
     "dbc",
     "write the database of the emulated vehicle, for every program that reads DBC files",
@@ -247,7 +208,7 @@ COMMAND_LINE: Final = Program(
     EXIT_TEXT,
     _RUN,
     _RECORD,
-    _PDX,
+    *(command for words in attached("ecu_emulator.command_words") for command in words),
     _DBC,
     Command(
         "scenarios",

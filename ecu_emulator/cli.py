@@ -10,6 +10,7 @@ from threading import Event
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Final
 
+from clutchdiag_io.annexes import is_attached, part
 from clutchdiag_io.files import refusal
 from clutchdiag_io.program import complain, standard_output
 from ecu_emulator.arguments import PROGRAM, parse_arguments
@@ -42,7 +43,6 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
     with _without("asammdf"):  # python-can loads it where it is installed, and that pandas: 0.3 s for nothing
         from canlog.kernel_cache import announce_compiling  # noqa: PLC0415 - heavy; signals are in hand before
         from ecu_emulator import commands  # noqa: PLC0415 - likewise
-        from ecu_emulator.diagnostics.doip.tls import tls_node  # noqa: PLC0415 - likewise
         from ecu_emulator.live import live_drive as live  # noqa: PLC0415 - likewise
 
     silence = announce_compiling(lambda line: sys.stderr.write(f"{PROGRAM}: {line}\n"))
@@ -50,8 +50,8 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
         if options.command == "scenarios":
             commands.list_scenarios()
             return
-        if options.command == "pdx":
-            commands.write_pdx(options.table, options.output, is_json=options.json, is_forced=options.force)
+        if is_attached("ecu_emulator.commands", options.command):
+            part("ecu_emulator.commands", options.command)(options)
             return
         if options.command == "dbc":
             commands.save_dbc(options.output, is_forced=options.force)
@@ -80,14 +80,7 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
             summary=options.summary,
             control=options.control,
             alive=options.alive,
-            diagnostics=live.diagnostics_choice(
-                options.diagnostics,
-                options.diagnostic_memory,
-                options.doip,
-                options.elm327,
-                has_service=options.on_board,
-                tls=tls_node(options.doip_certificate, options.doip_key, options.doip_tls_port),
-            ),
+            answers=part("ecu_emulator.parts", "answers")(options),
             start_delay_s=options.start_delay,
             longest_stay_s=options.parked,
             is_json=options.json,

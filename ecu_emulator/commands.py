@@ -12,14 +12,14 @@ from importlib import resources
 from pathlib import Path
 from threading import Event
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from clutch_model.units import k_from_degc
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.files import refusal
 from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
-from ecu_emulator.errors import ConfigError, ExtraMissingError, RecordError
+from ecu_emulator.errors import ConfigError, RecordError
 from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFile, LogFormat, LogStream, open_log, open_log_stream
 from ecu_emulator.log_formats.table import TableOptions, write_table
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
@@ -27,9 +27,6 @@ from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Routine, Scenario, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
 from ecu_emulator.truth.records import Totals, TruthWriter, read_truth, truth_path
-
-if TYPE_CHECKING:
-    from ecu_emulator.diagnostics.table import DiagnosticTable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,48 +168,12 @@ def save_dbc(path: Path | None, *, is_forced: bool) -> int:
     if path is None:
         sys.stdout.buffer.write(database)
     else:
-        _save(database, path, is_forced=is_forced)
+        save(database, path, is_forced=is_forced)
     return len(database)
 
 
-def write_pdx(table: Path | None, path: Path, *, is_json: bool, is_forced: bool = False) -> None:
-    """Write what a controller can be asked for diagnostic tools, and say so; raises what ``save_pdx`` raises."""
-    described, size_bytes = save_pdx(table, path, is_forced=is_forced)
-    people().print(
-        f"{path}: {described.name}, {len(described.services)} services, {len(described.data)} data, "
-        f"{len(described.routines)} routines, {len(described.troubles)} trouble codes",
-        markup=False,
-    )
-    if is_json:
-        print_json({"file": str(path), "controller": described.name, "bytes": size_bytes})
-
-
-def save_pdx(table: Path | None, path: Path, *, is_forced: bool) -> tuple["DiagnosticTable", int]:
-    """Write a PDX package of a table, or of the one that ships; return what it describes, and its size [bytes].
-
-    Raises
-    ------
-    ConfigError, RecordError
-        If the table cannot be used, or the file is there already or cannot be written.
-    ExtraMissingError
-        If odxtools is not installed.
-    """
-    from ecu_emulator.diagnostics.table_file import load_table, shipped_table  # noqa: PLC0415 - for this command alone
-
-    try:
-        from ecu_emulator.diagnostics.pdx.package import pdx_package  # noqa: PLC0415 - likewise
-    except ImportError as exc:
-        raise ExtraMissingError("PDX files need odxtools: pip install 'clutchdiag[odx]'") from exc
-
-    if table is not None and path.absolute() == table.absolute():
-        raise ConfigError(f"table and package cannot both be {path}")
-    described = shipped_table() if table is None else load_table(table)
-    package = pdx_package(described)
-    _save(package, path, is_forced=is_forced)
-    return described, len(package)
-
-
-def _save(content: bytes, path: Path, *, is_forced: bool) -> None:
+def save(content: bytes, path: Path, *, is_forced: bool) -> None:
+    """Write a file; raises ConfigError or RecordError if it is there already or cannot be written."""
     if text := refusal(path, is_forced=is_forced):
         raise ConfigError(text)
     try:

@@ -6,7 +6,7 @@ import uuid
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from threading import Event, Thread
@@ -17,7 +17,6 @@ import can
 
 from ecu_emulator.arguments import (
     DELAY_RANGE_S,
-    DOIP_TLS_PORT,
     LIVE_PARKED_S,
     MASS_RANGE_KG,
     MOST_PARKED_S,
@@ -27,10 +26,9 @@ from ecu_emulator.arguments import (
 )
 from ecu_emulator.bus.sender import open_bus
 from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, write_log
-from ecu_emulator.diagnostics.doip.tls import tls_node
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.live_drive import BusChoice, DiagnosticsChoice, diagnostics_choice, send
+from ecu_emulator.live.live_drive import AnswersTesters, BusChoice, send
 from ecu_emulator.live.sent_truth import SentTruth, TruthSink
 from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFormat
 from ecu_emulator.scenario.drive_names import DriveName
@@ -46,36 +44,6 @@ VIRTUAL: Final = "virtual"
 POLL_S: Final = 0.01
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Answers:
-    """How the emulated controller answers testers; each member is the option of that name.
-
-    Attributes
-    ----------
-    table : path, optional
-        A TOML file that describes a controller of your own.
-    memory : path, optional
-        A file that keeps trouble codes over restarts.
-    doip, elm327 : str, optional
-        ``[HOST:]PORT`` at which it answers over IP, and as an ELM327 adapter.
-    doip_certificate, doip_key : path, optional
-        With a certificate it answers over IP by TLS as well; the key may be in the same file.
-    doip_tls_port : int
-        Where it does.
-    on_board : bool
-        Whether a diag-service that is started beside it tells it of its clutches; not on a virtual bus.
-    """
-
-    table: AnyPath | None = None
-    memory: AnyPath | None = None
-    doip: str | None = None
-    elm327: str | None = None
-    doip_certificate: AnyPath | None = None
-    doip_key: AnyPath | None = None
-    doip_tls_port: int = DOIP_TLS_PORT
-    on_board: bool = False
-
-
 def with_faults(scenario: Scenario, faults: Iterable[AnyFault]) -> Scenario:
     """Return a scenario with more faults; raises ConfigError if one cannot be."""
     given = [fault_of(one) for one in faults]
@@ -89,17 +57,6 @@ def with_faults(scenario: Scenario, faults: Iterable[AnyFault]) -> Scenario:
 def fault_of(fault: AnyFault) -> SensorFault | BusFault:
     """Return a fault, from its table perhaps; raises ConfigError if it cannot be."""
     return fault if isinstance(fault, SensorFault | BusFault) else parse_fault(fault)
-
-
-def diagnostics_of(answers: Answers | None) -> DiagnosticsChoice | None:
-    """Return how testers are answered; raises ConfigError if an address is none."""
-    if answers is None:
-        return None
-    table = "" if answers.table is None else os.fspath(answers.table)
-    memory = None if answers.memory is None else Path(answers.memory)
-    certificate, key = (None if one is None else Path(one) for one in (answers.doip_certificate, answers.doip_key))
-    tls = tls_node(certificate, key, answers.doip_tls_port)
-    return diagnostics_choice(table, memory, answers.doip, answers.elm327, has_service=answers.on_board, tls=tls)
 
 
 def check_range(name: str, value: float | None, limits: tuple[float, float]) -> None:
@@ -239,7 +196,7 @@ class Emulator:
         is_in_workshop: bool = False,
         faults: Iterable[AnyFault] = (),
         truth: AnyPath | None = None,
-        answers: Answers | None = None,
+        answers: AnswersTesters | None = None,
         start_delay_s: float = 0.0,
         parked_s: float | None = None,
     ) -> None:
@@ -268,7 +225,7 @@ class Emulator:
         own = {"preserve_timestamps": True} if interface == VIRTUAL else {}
         self._options = {**own, **(options or {})}
         self._truth_path = None if truth is None else Path(truth)
-        self._diagnostics = diagnostics_of(answers)
+        self._answers = answers
         self._start_delay_s = start_delay_s
         self._parked_s = parked_s
         self._stop = Event()
@@ -432,7 +389,7 @@ class Emulator:
         try:
             with bus, self._file or nullcontext():
                 self._result = send(
-                    self.scenario, sent, bus, choice=self._choice, diagnostics=self._diagnostics,
+                    self.scenario, sent, bus, choice=self._choice, answers=self._answers,
                     start_delay_s=self._start_delay_s, stop=self._stop, say=self._said.append, show=lambda *_: None,
                 )  # fmt: skip
         except BaseException as exc:  # noqa: BLE001 - carried to the thread that waits

@@ -2,12 +2,13 @@
 
 import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING, Final
+from types import TracebackType
+from typing import Final, Protocol, Self
 
 import can
 
@@ -15,22 +16,15 @@ from canlog.e2e.message_contract import message_contracts
 from clutchdiag_io.files import give_sign, make_sign
 from dbc.contract import load_contract
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
-from ecu_emulator.diagnostics.doip.listening import Place, parse_place
-from ecu_emulator.diagnostics.doip.tls import TlsNode
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError, RecordError
 from ecu_emulator.live.control import ControlSocket
 from ecu_emulator.live.other_senders import WORTH_SAYING, OtherSenders
 from ecu_emulator.live.sent_truth import SentTruth
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
-from ecu_emulator.scenario.scenario import OpinionFrom, Scenario
+from ecu_emulator.scenario.scenario import Scenario
 from ecu_emulator.truth.records import ROTATED_BYTES, TruthWriter
 
-if TYPE_CHECKING:
-    from ecu_emulator.answering.answering_tester import Answering
-    from ecu_emulator.answering.on_board import OpinionSource
-
-PRIVATE_INTERFACE: Final = "virtual"  # of python-can, within one process
 MS_PER_S: Final = 1e3
 
 
@@ -79,15 +73,51 @@ class BusChoice:
         return [word for name, value in named.items() if value for word in (name, value)] + ["--fd"] * self.is_fd
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DiagnosticsChoice:
-    """Which controller answers testers, and what it keeps."""
+class Link(Protocol):
+    """Where a controller that answers hears the bus."""
 
-    table: str  # a TOML file; empty: the one that ships
-    memory: Path | None
-    doip: Place | None  # where it answers on an IP network
-    elm327: str | None  # [HOST:]PORT of an adapter for OBD apps
-    has_service: bool = False  # whether a diag-service beside it tells it of its clutches
+    @property
+    def can_ids(self) -> Sequence[int]:
+        """The identifiers that it listens to."""
+
+    def feed(self, message: can.Message) -> None:
+        """Take a frame of one of them."""
+
+
+class Answering(Protocol):
+    """A controller that answers testers; frames of the drive go out through it."""
+
+    @property
+    def link(self) -> Link:
+        """Where it hears the bus."""
+
+    @property
+    def places(self) -> Sequence[str]:
+        """Where else than on the bus it can be asked, for people."""
+
+    @property
+    def outcome(self) -> Mapping[str, object]:
+        """What was asked, for programs."""
+
+    @property
+    def summary(self) -> str:
+        """The same for people."""
+
+    def send(self, message: can.Message) -> None:
+        """Put a frame on the bus, unless a tester has forbidden that."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class AnswersTesters(Protocol):
+    """What opens a controller that answers testers; raises ConfigError, RecordError, BusError if that cannot be."""
+
+    def opened(self, bus: can.BusABC, choice: BusChoice, scenario: Scenario, drive: Drive) -> Answering:
+        """Return the controller, which answers while it is entered."""
 
 
 def run(
@@ -98,7 +128,7 @@ def run(
     summary: Path | None,
     control: Path | None,
     alive: Path | None,
-    diagnostics: DiagnosticsChoice | None,
+    answers: AnswersTesters | None,
     start_delay_s: float,
     longest_stay_s: float,
     is_json: bool,
@@ -133,7 +163,7 @@ def run(
             )
 
         result = send(
-            scenario, sent, bus, choice=choice, diagnostics=diagnostics, start_delay_s=start_delay_s, stop=stop,
+            scenario, sent, bus, choice=choice, answers=answers, start_delay_s=start_delay_s, stop=stop,
             say=lambda line: console.print(line, markup=False), show=show,
         )  # fmt: skip
     _write_summary(summary, result)
@@ -147,7 +177,7 @@ def send(
     bus: can.BusABC,
     *,
     choice: BusChoice,
-    diagnostics: DiagnosticsChoice | None,
+    answers: AnswersTesters | None,
     start_delay_s: float,
     stop: Event,
     say: Callable[[str], None],
@@ -163,7 +193,7 @@ def send(
         If the controller that answers testers cannot be used, the bus goes away, or a file cannot be written.
     """
     with (
-        _answering(bus, diagnostics, choice, scenario, sent.drive) as answering,
+        _answering(bus, answers, choice, scenario, sent.drive) as answering,
         OtherSenders(
             bus,
             own_ids(),
@@ -202,76 +232,13 @@ def send(
 
 
 def _answering(
-    bus: can.BusABC,
-    choice: DiagnosticsChoice | None,
-    bus_choice: BusChoice,
-    scenario: Scenario,
-    drive: Drive,
-) -> "AbstractContextManager[Answering | None]":
-    if choice is None and scenario.routine.on_request:
+    bus: can.BusABC, answers: AnswersTesters | None, choice: BusChoice, scenario: Scenario, drive: Drive
+) -> AbstractContextManager[Answering | None]:
+    if answers is not None:
+        return answers.opened(bus, choice, scenario, drive)
+    if scenario.routine.on_request:
         raise ConfigError("the workshop routine waits for a tester: --diagnostics is needed, so that one is answered")
-    if choice is None:
-        return nullcontext()
-    from ecu_emulator.answering.answering_tester import Answering  # noqa: PLC0415 - a drive that nobody asks begins sooner
-
-    return Answering(
-        bus,
-        table=choice.table,
-        memory=choice.memory,
-        doip=choice.doip,
-        is_fd=bus_choice.is_fd,
-        elm327=choice.elm327,
-        bitrate=bus_choice.bitrate,
-        on_board=_opinion_source(choice, bus_choice, scenario),
-        performer=drive,
-        ignition=drive.ignition,
-    )
-
-
-def _opinion_source(choice: DiagnosticsChoice, bus: BusChoice, scenario: Scenario) -> "OpinionSource | None":
-    """Return whose opinion of its clutches the controller tells, None if it has none."""
-    from ecu_emulator.answering.on_board import FixedOpinion, OnBoardService  # noqa: PLC0415 - see above
-    from ecu_emulator.diagnostics.opinion import own_opinion  # noqa: PLC0415 - see above
-
-    if scenario.on_board.estimate is OpinionFrom.OWN:
-        return FixedOpinion(own_opinion(scenario.on_board))
-    if not choice.has_service or scenario.on_board.estimate is OpinionFrom.NONE:
-        return None
-    if bus.interface == PRIVATE_INTERFACE:
-        raise ConfigError(f"--on-board needs a bus that another process can hear, not {PRIVATE_INTERFACE}")
-    store = None if choice.memory is None else choice.memory.with_name(choice.memory.name + ".on-board.sqlite")
-    return OnBoardService(bus.words, store)
-
-
-def diagnostics_choice(
-    table: str | None,
-    memory: Path | None,
-    doip: str | None,
-    elm327: str | None = None,
-    *,
-    has_service: bool = False,
-    tls: TlsNode | None = None,
-) -> DiagnosticsChoice | None:
-    """Return what was chosen on the command line; None if nobody is to answer.
-
-    Raises
-    ------
-    ConfigError
-        If there is a memory or an address and nobody who uses it, or the address is none.
-    """
-    options = {
-        "--diagnostic-memory": memory, "--doip": doip, "--elm327": elm327, "--on-board": has_service or None,
-        "--doip-certificate": tls,
-    }  # fmt: skip
-    for option, value in options.items():
-        if table is None and value is not None:
-            raise ConfigError(f"{option} needs --diagnostics")
-    if table is None:
-        return None
-    if doip is None and tls is not None:
-        raise ConfigError("--doip-certificate needs --doip")
-    place = None if doip is None else replace(parse_place(doip), tls=tls)
-    return DiagnosticsChoice(table=table, memory=memory, doip=place, elm327=elm327, has_service=has_service)
+    return nullcontext()
 
 
 def _drive_text(scenario: Scenario) -> str:

@@ -14,7 +14,6 @@ from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.doip.tls import TlsNode, tls_node
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.live_drive import diagnostics_choice
 from fleet_backend.certificates.authority import Authority, Lifetime
 from tests.support.doip.desk import activation, framed
 from tests.support.doip.tester import entity, free_port
@@ -139,8 +138,4 @@ def test_tls_needs_what_it_needs() -> None:
         tls_node(None, Path("key"), 3496)
     with pytest.raises(ConfigError, match=r"--doip-tls-port must be 1\.\.65535, got 0"):
         tls_node(Path("certificate"), None, 0)
-    with pytest.raises(ConfigError, match="--doip-certificate needs --doip"):
-        diagnostics_choice("", None, None, tls=tls_node(Path("certificate"), None, 3496))
-    with pytest.raises(ConfigError, match="--doip-certificate needs --diagnostics"):
-        diagnostics_choice(None, None, None, tls=tls_node(Path("certificate"), None, 3496))
     ended("dtc", "--doip-authority", "ca.crt", "--active").assert_one_line(2, "--doip-authority needs --doip")

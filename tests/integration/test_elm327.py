@@ -17,7 +17,6 @@ from ecu_emulator.diagnostics.elm327.client import MOST_LINE_BYTES
 from ecu_emulator.diagnostics.elm327.server import MOST_CLIENTS, ElmServer, parse_place
 from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
 from ecu_emulator.errors import BusError, ConfigError
-from ecu_emulator.live.live_drive import diagnostics_choice
 from tests.support.patience import HANG_S
 from tests.support.uds.full_table import full_text
 from tests.unit.ecu_emulator.diagnostics.bench import PARKED
@@ -277,8 +276,6 @@ def test_an_adapter_needs_a_port_and_a_controller_without_extended_addresses() -
         ElmServer(odd, ("127.0.0.1", 0))
     with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(BusError, match="ELM327 cannot listen at"):
         ElmServer(controller(), taken.getsockname())
-    with pytest.raises(ConfigError, match="--elm327 needs --diagnostics"):
-        diagnostics_choice(None, None, None, "35000")
 
 
 class Bus:

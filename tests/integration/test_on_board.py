@@ -33,8 +33,7 @@ from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.opinion import ClutchOpinion
 from ecu_emulator.diagnostics.table_file import shipped_table
-from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.live_drive import BusChoice, diagnostics_choice
+from ecu_emulator.live.live_drive import BusChoice
 from ecu_emulator.scenario.scenario import FluidVerdict
 from tests.support.builders import shift_result
 from tests.support.histories import fill_store, history
@@ -216,11 +215,6 @@ def test_the_bus_is_named_to_the_service_as_it_was_to_the_emulator() -> None:
     assert choice.words == ["-i", "socketcan", "-c", "can0", "-b", "500000", "--fd"]
     assert BusChoice(interface=None, channel=None, bitrate=None, is_fd=False).words == []
     assert without_settings({"CLUTCHDIAG_BROKER": "x", "CAN_CHANNEL": "y"}) == {"CAN_CHANNEL": "y"}
-
-
-def test_where_it_cannot_be_is_told() -> None:
-    with pytest.raises(ConfigError, match="--on-board needs --diagnostics"):
-        diagnostics_choice(None, None, None, has_service=True)
 
 
 class Following(FixedOpinion):

@@ -208,7 +208,7 @@ def test_a_car_that_nobody_can_ask_does_not_wait(tmp_path: Path) -> None:
     choice = BusChoice(interface="virtual", channel="nobody", bitrate=None, is_fd=False)
     with can.Bus("nobody", interface="virtual") as bus, pytest.raises(ConfigError, match="--diagnostics is needed"):
         send(
-            scenario, SentTruth(drive, None), bus, choice=choice, diagnostics=None, start_delay_s=0.0,
+            scenario, SentTruth(drive, None), bus, choice=choice, answers=None, start_delay_s=0.0,
             stop=None, say=lambda _: None, show=lambda *_: None,  # type: ignore[arg-type]  # it does not come so far
         )  # fmt: skip
     with pytest.raises(ConfigError, match="a log has no tester"):

@@ -6,7 +6,6 @@ from ecu_emulator.answering.answering_tester import place_text
 from ecu_emulator.diagnostics.doip.listening import parse_place
 from ecu_emulator.diagnostics.table_file import parse_table
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.live_drive import diagnostics_choice
 from tests.support.uds.full_table import full_text
 
 
@@ -30,14 +29,6 @@ def test_whoever_can_be_reached_by_others_is_exposed() -> None:
         "DoIP on", "0.0.0.0:13400", is_exposed=True
     )
     assert place_text("DoIP on", "127.0.0.1:13400", is_exposed=False) == "DoIP on 127.0.0.1:13400"
-
-
-def test_nobody_is_there_to_answer_without_diagnostics() -> None:
-    with pytest.raises(ConfigError, match="--doip needs --diagnostics"):
-        diagnostics_choice(None, None, "13400")
-    choice = diagnostics_choice("", None, "13400")
-    assert choice is not None
-    assert str(choice.doip) == "127.0.0.1:13400"
 
 
 @pytest.mark.parametrize(

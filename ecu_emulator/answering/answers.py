@@ -1,0 +1,139 @@
+"""Whether and how the emulated controller answers testers: what attaches to a drive by its entry point."""
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Final
+
+import can
+
+from ecu_emulator.answering.answering_tester import Answering
+from ecu_emulator.answering.command_words import DOIP_TLS_PORT
+from ecu_emulator.answering.on_board import FixedOpinion, OnBoardService, OpinionSource
+from ecu_emulator.diagnostics.doip.listening import Place, parse_place
+from ecu_emulator.diagnostics.doip.tls import tls_node
+from ecu_emulator.diagnostics.opinion import own_opinion
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.live.live_drive import BusChoice
+from ecu_emulator.scenario.scenario import OpinionFrom, Scenario
+
+AnyPath = str | os.PathLike[str]
+PRIVATE_INTERFACE: Final = "virtual"  # of python-can, within one process
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answers:
+    """How the emulated controller answers testers; each member is the option of that name.
+
+    Attributes
+    ----------
+    table : path, optional
+        A TOML file that describes a controller of your own.
+    memory : path, optional
+        A file that keeps trouble codes over restarts.
+    doip, elm327 : str, optional
+        ``[HOST:]PORT`` at which it answers over IP, and as an ELM327 adapter.
+    doip_certificate, doip_key : path, optional
+        With a certificate it answers over IP by TLS as well; the key may be in the same file.
+    doip_tls_port : int
+        Where it does.
+    on_board : bool
+        Whether a diag-service that is started beside it tells it of its clutches; not on a virtual bus.
+
+    Raises
+    ------
+    ConfigError
+        If an address is none.
+    """
+
+    table: AnyPath | None = None
+    memory: AnyPath | None = None
+    doip: str | None = None
+    elm327: str | None = None
+    doip_certificate: AnyPath | None = None
+    doip_key: AnyPath | None = None
+    doip_tls_port: int = DOIP_TLS_PORT
+    on_board: bool = False
+
+    def __post_init__(self) -> None:
+        self._place()
+
+    def opened(self, bus: can.BusABC, choice: BusChoice, scenario: Scenario, drive: Drive) -> Answering:
+        """Return the controller that answers while it is entered.
+
+        Raises
+        ------
+        ConfigError, RecordError, BusError, ExtraMissingError
+            If the table, the memory, the bus or an address cannot be used, or can-isotp is not installed.
+        """
+        return Answering(
+            bus,
+            table="" if self.table is None else os.fspath(self.table),
+            memory=self._memory,
+            doip=self._place(),
+            is_fd=choice.is_fd,
+            elm327=self.elm327,
+            bitrate=choice.bitrate,
+            on_board=self._opinion_source(choice, scenario),
+            performer=drive,
+            ignition=drive.ignition,
+        )
+
+    @property
+    def _memory(self) -> Path | None:
+        return None if self.memory is None else Path(self.memory)
+
+    def _place(self) -> Place | None:
+        """Return where it answers on an IP network, None if it does not."""
+        certificate, key = (None if one is None else Path(one) for one in (self.doip_certificate, self.doip_key))
+        tls = tls_node(certificate, key, self.doip_tls_port)
+        if self.doip is not None:
+            return replace(parse_place(self.doip), tls=tls)
+        if tls is not None:
+            raise ConfigError("--doip-certificate needs --doip")
+        return None
+
+    def _opinion_source(self, choice: BusChoice, scenario: Scenario) -> OpinionSource | None:
+        """Return whose opinion of its clutches the controller tells, None if it has none."""
+        if scenario.on_board.estimate is OpinionFrom.OWN:
+            return FixedOpinion(own_opinion(scenario.on_board))
+        if not self.on_board or scenario.on_board.estimate is OpinionFrom.NONE:
+            return None
+        if choice.interface == PRIVATE_INTERFACE:
+            raise ConfigError(f"--on-board needs a bus that another process can hear, not {PRIVATE_INTERFACE}")
+        memory = self._memory
+        return OnBoardService(
+            choice.words, None if memory is None else memory.with_name(memory.name + ".on-board.sqlite")
+        )
+
+
+def chosen(options: SimpleNamespace) -> Answers | None:
+    """Return what a command line says of it, None if nobody is to answer.
+
+    Raises
+    ------
+    ConfigError
+        If there is a memory or an address and nobody who uses it, or the address is none.
+    """
+    given = {
+        "--diagnostic-memory": options.diagnostic_memory, "--doip": options.doip, "--elm327": options.elm327,
+        "--on-board": options.on_board or None, "--doip-certificate": options.doip_certificate,
+        "--doip-key": options.doip_key,
+    }  # fmt: skip
+    if options.diagnostics is None:
+        for option, value in given.items():
+            if value is not None:
+                raise ConfigError(f"{option} needs --diagnostics")
+        return None
+    return Answers(
+        table=options.diagnostics or None,
+        memory=options.diagnostic_memory,
+        doip=options.doip,
+        elm327=options.elm327,
+        doip_certificate=options.doip_certificate,
+        doip_key=options.doip_key,
+        doip_tls_port=options.doip_tls_port,
+        on_board=options.on_board,
+    )
