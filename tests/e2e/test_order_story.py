@@ -24,11 +24,11 @@ from fleet_backend.choices import Pace
 from fleet_backend.cli import main as fleet
 from fleet_backend.database import open_database
 from fleet_backend.ingest import FILTERS, Worker
+from fleet_backend.office.watching import Orders, Watch
 from fleet_backend.page import fleet_view, maintenance_view, vehicle_view
 from fleet_backend.page.asking import Ask, read_words
 from fleet_backend.page.vehicle_state import fills_of
 from fleet_backend.page.view import View
-from fleet_backend.watching import Orders, Watch
 from fleet_backend.writer import Writer
 from fleet_contract import CLUTCHES
 from fleet_link import BrokerAddress

@@ -29,9 +29,9 @@ from fleet_backend.alarms.rules import Rule, Subject
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import CarrierError
+from fleet_backend.office.watching import Orders, Watch
 from fleet_backend.page import alarms_view
 from fleet_backend.page.asking import read_words
-from fleet_backend.watching import Orders, Watch
 from fleet_backend.writer import Batch, Writer
 from fleet_link import Connection, Message, Terms, parse_broker
 from tests.plugins.broker import Mosquitto

@@ -13,7 +13,7 @@ from fleet_backend.database import open_database, transaction
 from fleet_backend.migrations.versions.r0010_near_views import CLUTCH_ALARM as ALARMS_BY_BLOCKS
 from fleet_backend.months.locations import BLOCK, FILL
 from fleet_backend.months.partitions import keep_months
-from fleet_backend.months.retention import retain
+from fleet_backend.office.retention import retain
 from fleet_backend.page import past, running
 from fleet_backend.page.vehicle_state import Stored, state_of
 from fleet_backend.rows import Row

@@ -16,7 +16,7 @@ from fleet_backend.errors import ConfigError
 from fleet_backend.migrate import migrate
 from fleet_backend.months.moving import move_some, prepare
 from fleet_backend.months.partitions import keep_months, partitions
-from fleet_backend.months.retention import retain, roll_up
+from fleet_backend.office.retention import retain, roll_up
 from fleet_backend.rows import Row
 from fleet_backend.schema import CLUTCH, CLUTCH_MONTH, SHIFT_RESULT, VEHICLE
 from fleet_backend.writer import Batch, Writer

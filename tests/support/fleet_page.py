@@ -13,6 +13,7 @@ from sqlalchemy import Engine
 from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database
+from fleet_backend.office.watching import Orders, Watch
 from fleet_backend.page.access import Access, Proxy, Role
 from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.news import News
@@ -20,7 +21,6 @@ from fleet_backend.page.records import ClutchNow
 from fleet_backend.page.server import address_of, closing_socket, serve
 from fleet_backend.page.view import Sources
 from fleet_backend.rows import Poison, quarantine_row
-from fleet_backend.watching import Orders, Watch
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import NOW, fleet_result, row_of
 from tests.support.histories import history

@@ -1,0 +1,105 @@
+"""The words of the commands of the fleet office. Needs no extra."""
+
+from typing import Final
+
+from clutchdiag_io.command_line import FILE, FLOAT, Command, Option
+from fleet_backend.options import BROKER, CLUTCH, COMMON, MAIL_VARIABLE, PROGRAM, QUESTION, count
+
+DEFAULT_SERVICE_KM: Final = 15_000
+DEFAULT_SILENCE_DAYS: Final = 14
+DEFAULT_LISTEN: Final = "127.0.0.1:8090"
+_ALARMS: Final = Command(
+    "alarms",
+    "show or acknowledge alarms",
+    *QUESTION,
+    Option("--all", "include cleared alarms"),
+    Option(
+        "--acknowledge VEHICLE",
+        "acknowledge the latest alarm of its --clutch, or without --clutch what was kept aside on its topics",
+    ),
+    Option("--clutch", "whose alarm is acknowledged", CLUTCH),
+    Option("--by WHO", "who acknowledges (default: the user)"),
+    Option("--note TEXT", "a note to keep with it"),
+    examples=(
+        f"{PROGRAM} alarms --all --json",
+        f"{PROGRAM} alarms --acknowledge car1 --clutch 2 --note 'fluid is on order'",
+    ),
+)
+_PEERS: Final = Command(
+    "peers",
+    "learn how fluids of each type usually age, and show which lots age faster than others",
+    *QUESTION,
+    Option("--keep", "keep what was learned as the next version: prognoses begin with it"),
+    Option("--write FILE", "write what was learned as JSON, for diag-service history --peers", FILE),
+    examples=(f"{PROGRAM} peers", f"{PROGRAM} peers --keep --write peers.json"),
+)
+_LOTS: Final = Command(
+    "lots",
+    "show properties that vehicles share, such as the lot of their fluid, or read them from a table",
+    *QUESTION,
+    Option("--read FILE", "CSV with a column vehicle and one for each property; empty cells are forgotten", FILE),
+    examples=(f"{PROGRAM} lots --read lots.csv", f"{PROGRAM} lots --json"),
+)
+_SERVE: Final = Command(
+    "serve",
+    "show the fleet to browsers and programs, until stopped",
+    *COMMON,
+    Option(
+        "--listen ADDRESS",
+        f"HOST:PORT to listen at, a loopback address unless --access is given; port 0 takes any free one"
+        f" (default: {DEFAULT_LISTEN})",
+        default=DEFAULT_LISTEN,
+    ),
+    Option(
+        "--access FILE", "who may read and change what, by a login here or by a proxy with one (docs/page.md)", FILE
+    ),
+    examples=(f"{PROGRAM} serve", f"{PROGRAM} serve --listen 127.0.0.1:8090"),
+)
+_WATCH: Final = Command(
+    "watch",
+    "raise alarms by rules and deliver them, until stopped",
+    *COMMON,
+    Option("--webhook URL", "post each alarm there, signed with the secret"),
+    Option("--secret FILE", "secret that the receiver of the webhook knows, as Standard Webhooks has it", FILE),
+    Option(
+        "--mail URL",
+        f"smtp[s]://[user[:password]@]host[:port] that sends e-mail (default: the environment's {MAIL_VARIABLE})",
+        envvar=MAIL_VARIABLE,
+    ),
+    Option("--from ADDRESS", "sender of e-mail"),
+    Option("--to ADDRESS", "who gets e-mail; may be given several times", multiple=True),
+    Option("--mqtt", "publish each alarm on clutchdiag/alarms/v1/VEHICLE of the broker"),
+    *BROKER,
+    Option(
+        "--service-km KM",
+        f"distance to the next service (default: {DEFAULT_SERVICE_KM})",
+        FLOAT,
+        default=float(DEFAULT_SERVICE_KM),
+    ),
+    Option(
+        "--silence-days D",
+        f"days without a result until an alarm is raised (default: {DEFAULT_SILENCE_DAYS})",
+        FLOAT,
+        default=float(DEFAULT_SILENCE_DAYS),
+    ),
+    Option("--once", "check everything once, deliver, and end"),
+    examples=(
+        f"{PROGRAM} watch --webhook https://hooks.example/fleet --secret webhook.secret",
+        f"{PROGRAM} watch --mqtt --broker mqtts://fleet@broker.example",
+        f"{PROGRAM} watch --mail smtp://mail.example --from fleet@example.org --to workshop@example.org --once",
+    ),
+)
+_ROLLUP: Final = Command(
+    "rollup",
+    "sum up the results so far by clutch and month",
+    *COMMON,
+    examples=(f"{PROGRAM} rollup",),
+)
+_RETAIN: Final = Command(
+    "retain",
+    "sum up and forget old results; the last of each clutch stays",
+    *COMMON,
+    Option("--months N", "whole months to keep besides this one", count, required=True),
+    examples=(f"{PROGRAM} retain --months 24",),
+)
+COMMANDS: Final = (_ALARMS, _PEERS, _LOTS, _SERVE, _WATCH, _ROLLUP, _RETAIN)

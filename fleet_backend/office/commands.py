@@ -1,0 +1,123 @@
+"""What the commands of the fleet office do."""
+
+import sys
+from datetime import UTC, datetime
+from importlib import import_module
+from types import ModuleType, SimpleNamespace
+
+from sqlalchemy import Engine
+
+from fleet_backend import queries, report
+from fleet_backend.alarms.carriers import Carrier, Mail, Webhook
+from fleet_backend.alarms.mqtt import Mqtt
+from fleet_backend.alarms.rules import Limits
+from fleet_backend.alarms.words import parse_mail, parse_secret, parse_service_km, parse_silence, parse_webhook
+from fleet_backend.commands import broker_of, tell, user_name
+from fleet_backend.config import parse_listen
+from fleet_backend.database import default_database, open_database
+from fleet_backend.errors import ExtraMissingError
+from fleet_backend.lots import lots_of, read_lots, store_lots
+from fleet_backend.office.retention import retain as retain_months
+from fleet_backend.office.retention import roll_up
+from fleet_backend.page.access import Access, read_access
+
+
+def alarms(options: SimpleNamespace, engine: Engine) -> None:
+    if options.acknowledge is not None:
+        _acknowledge(options, engine)
+        return
+    clutches = queries.clutch_alarms(engine, is_open_only=not options.all)
+    identities = queries.identity_alarms(engine)
+    records = [{"alarm": "clutch", **record} for record in clutches]
+    records += [{"alarm": "identity", **record} for record in identities]
+    tell(options, records, lambda: report.alarm_table(clutches, identities))
+
+
+def _acknowledge(options: SimpleNamespace, engine: Engine) -> None:
+    vehicle, clutch = options.acknowledge, options.clutch
+    by, now = options.by or user_name(), datetime.now(UTC)
+    queries.check_vehicle(engine, vehicle)
+    if clutch is None:
+        count = queries.acknowledge_quarantine(engine, vehicle, by=by, at=now)
+        sys.stdout.write(f"{count} messages on the topics of {vehicle} acknowledged\n")
+    else:
+        queries.acknowledge_clutch(engine, vehicle, clutch, by=by, note=options.note, at=now)
+        sys.stdout.write(f"alarm of clutch {clutch} of {vehicle} acknowledged\n")
+
+
+def peers(options: SimpleNamespace, engine: Engine) -> None:
+    found = _page_part("fleet_backend.page.peers").fleet_ageing(engine)
+    version = None
+    if options.keep:
+        kept = _page_part("fleet_backend.page.populations")
+        version = kept.keep(engine, found.population, found.clutch_count, at=datetime.now(UTC), by=user_name())
+    if options.write is not None:
+        _page_part("fleet_backend.page.populations").write(options.write, found.population, version)
+    if options.json:
+        kept_as = [] if version is None else [{"record": "population", "version": version}]
+        report.write_json([*found.usual, *found.lots, *kept_as], sys.stdout)
+        return
+    report.show(report.usual_table(found.usual, found.clutch_count, found.left_out_count), sys.stdout, options.width)
+    if found.lots:
+        report.show(report.lot_standings_table(found.lots), sys.stdout, options.width)
+    if version is not None:
+        sys.stdout.write(f"kept as population {version}\n")
+
+
+def lots(options: SimpleNamespace, engine: Engine) -> None:
+    if options.read is not None:
+        done = store_lots(engine, read_lots(options.read), at=datetime.now(UTC), by=user_name())
+        unheard = f"; of {done.unheard_count} of them have not been heard from" if done.unheard_count else ""
+        sys.stdout.write(f"{done.lot_count} properties of {done.vehicle_count} vehicles{unheard}\n")
+        return
+    known = lots_of(engine)
+    records = [{"vehicle": one, "name": name, "value": value} for one, own in known.items() for name, value in own]
+    tell(options, records, lambda: report.lots_table(records))
+
+
+def serve(options: SimpleNamespace, engine: Engine) -> None:
+    place = parse_listen(options.listen, has_login=options.access is not None)
+    server = _page_part("fleet_backend.page.server")
+    access = read_access(options.access) if options.access is not None else Access()
+    readers = open_database(options.database or default_database(), must_exist=True, is_read_only=True)
+    try:
+        server.run_server(readers, engine, place.host, place.port, access)
+    finally:
+        readers.dispose()
+
+
+def watch(options: SimpleNamespace, engine: Engine) -> None:
+    limits = Limits(silence_from=parse_silence(options.silence_days))
+    distance_m = parse_service_km(options.service_km)
+    carriers: list[Carrier] = []
+    if options.webhook is not None:
+        carriers.append(Webhook(url=parse_webhook(options.webhook), secret=parse_secret(options.secret)))
+    if options.mail:
+        server, sender, recipients = parse_mail(options.mail, getattr(options, "from"), options.to)
+        carriers.append(Mail(server=server, sender=sender, recipients=recipients))
+    if options.mqtt:
+        carriers.append(Mqtt(broker=broker_of(options)))
+    watching = _page_part("fleet_backend.office.watching")
+    orders = watching.Orders(carriers=carriers, limits=limits, service_distance_m=distance_m)
+    watching.run_watch(engine, orders, is_once=options.once)
+
+
+def _page_part(name: str) -> ModuleType:
+    """Return a module of the page, which needs another extra; raises ExtraMissingError."""
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as exc:
+        if exc.name is None or exc.name.startswith("fleet_backend"):
+            raise
+        raise ExtraMissingError(exc.name, extra="page") from exc
+
+
+def rollup(_options: SimpleNamespace, engine: Engine) -> None:
+    count = roll_up(engine, datetime.now(UTC))
+    sys.stdout.write(f"{count} months of clutches summed up\n")
+
+
+def retain(options: SimpleNamespace, engine: Engine) -> None:
+    done = retain_months(engine, options.months, now=datetime.now(UTC), by=user_name())
+    kept = f"; {done.kept_count} earlier ones stay, as they are the last of their clutches" if done.kept_count else ""
+    sys.stdout.write(f"{done.gone_count} results from before {done.before:%Y-%m} forgotten{kept}\n")

@@ -1,0 +1,68 @@
+"""How much code the core needs: all that service, logs, emulator and ingest import, directly or not, in lines.
+
+python -m tests.tools.core_size
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from importlib.util import find_spec
+from pathlib import Path
+
+import grimp
+
+PACKAGES = (
+    "canlog", "clutch_model", "clutchdiag_io", "dbc", "diag_service", "ecu_emulator", "fleet_backend",
+    "fleet_contract", "fleet_link",
+)  # fmt: skip
+CORE: Mapping[str, tuple[str, ...]] = {
+    "service": ("diag_service.service.application", "diag_service.service.bus_run", "diag_service.service.recorded"),
+    "logs": ("canlog.whole_log",),
+    "emulator": ("ecu_emulator.live.live_drive",),
+    "ingest": ("fleet_backend.ingest",),
+}
+ANNEXES = (
+    "diag_service.tester", "ecu_emulator.answering", "ecu_emulator.diagnostics", "fleet_backend.office",
+    "fleet_backend.page", "fleet_backend.alarms", "fleet_backend.certificates",
+)  # fmt: skip
+
+
+def import_graph() -> grimp.ImportGraph:
+    """Return who imports whom, but for what only type checkers see."""
+    return grimp.build_graph(*PACKAGES, cache_dir=None, exclude_type_checking_imports=True)
+
+
+def closure(graph: grimp.ImportGraph, modules: Iterable[str]) -> set[str]:
+    """Return modules with all that they import, directly or not, and the packages in which those stand."""
+    waiting, found = list(modules), set[str]()
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting += graph.find_modules_directly_imported_by(name)
+            waiting += [name.rpartition(".")[0]] if "." in name else []
+    return found
+
+
+def line_count(modules: Iterable[str]) -> int:
+    """Return the lines of the files of modules."""
+    specs = (find_spec(name) for name in modules)
+    return sum(len(Path(spec.origin).read_bytes().splitlines()) for spec in specs if spec is not None and spec.origin)
+
+
+def main() -> None:
+    """Print the parts of the core and their sum."""
+    graph = import_graph()
+    for name, modules in CORE.items():
+        found = closure(graph, modules)
+        print(f"{name:9} {line_count(found):6} lines, {len(found)} modules")
+    core = closure(graph, [one for modules in CORE.values() for one in modules])
+    print(f"{'core':9} {line_count(core):6} lines, {len(core)} modules")
+    rooms = Counter[str]()
+    for name in core:
+        rooms[".".join(name.split(".")[:2])] += line_count([name])
+    for room, count in rooms.most_common(20):
+        print(f"  {count:6} {room}")
+
+
+if __name__ == "__main__":
+    main()
