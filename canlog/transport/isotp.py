@@ -14,6 +14,7 @@ LONGEST = 1 << 20  # 32 bits could say more; no controller has it
 USUAL_FRAMES = 2  # by so many of its longest gaps a sender may be late
 TESTER_PRESENT = 0x3E
 MOST_FRAMES = LONGEST // 6
+LONGEST_CLASSIC = 0xFFF
 UNKNOWN = 1 << 62  # stays above all of them
 
 Key = tuple[int, int]  # channel, identifier with flags
@@ -259,3 +260,14 @@ class IsoTp:
 
     def _fault(self, fault: Fault) -> None:
         self.counts.add_fault(Protocol.ISO_TP, fault)
+
+
+def segments(payload: bytes) -> list[bytes]:
+    """Return the frames of eight bytes that carry a message; flow control comes after the first of several."""
+    if len(payload) < CLASSIC_BYTES:
+        return [bytes([len(payload)]) + payload]
+    if len(payload) > LONGEST_CLASSIC:
+        raise ValueError(f"a message of {len(payload)} bytes is too long")
+    first = bytes([FIRST << 4 | len(payload) >> 8, len(payload) & 0xFF]) + payload[:6]
+    rest = [payload[at : at + 7] for at in range(6, len(payload), 7)]
+    return [first, *(bytes([CONSECUTIVE << 4 | number % SEQUENCE]) + one for number, one in enumerate(rest, 1))]

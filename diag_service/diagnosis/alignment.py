@@ -196,6 +196,8 @@ def align(
     on_grid = {one: Resampled(times[one], event.columns[one].value, grid_s) for one in wanted}
     if row_s:
         for one, signal in on_grid.items():
+            if not is_of_rows(event.columns[one]):
+                continue
             signal.doubt = row_doubt(signal.times_s, signal.value, AGE_RATIO[one] * row_s)
     engine_speed, engine_torque = on_grid[Signal.ENGINE_SPEED], on_grid[Signal.ENGINE_TORQUE]
     pressure = (on_grid[Signal.CLUTCH1_PRESSURE], on_grid[Signal.CLUTCH2_PRESSURE])
@@ -220,6 +222,11 @@ def align(
         is_seen=is_seen,
         row_s=row_s,
     )
+
+
+def is_of_rows(series: Series) -> bool:
+    """Return whether samples have neither counter nor schedule, as columns of a table, and answers to a tester."""
+    return not series.period_ns and len(series.t_ns) > 1 and bool(series.sequence[0] < 0)
 
 
 def row_doubt(times_s: FloatArray, value: FloatArray, age_std_s: float) -> FloatArray:

@@ -17,6 +17,7 @@ from canlog.frames import MAX_GAP_NS, FrameBatch
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import ColumnBatch, Columns, GearRatios, Signal
 from diag_service.diagnosis.summary import FrameCounts
+from diag_service.mapping.asked_signals import Overheard
 from diag_service.mapping.mapped_messages import map_signals
 from diag_service.mapping.profile import Profile
 from diag_service.mapping.sample_pass import DecodedFrames, SamplePass, is_able, is_seamless
@@ -70,6 +71,8 @@ class Decoder:
         self._invalid_at_first: dict[Signal, int] = {}  # before a signal's first real value
         self._slot_of = {column.signal: slot for slot, one in enumerate(self._messages) for column in one.columns}
         self._seen: set[Signal] = set()
+        wanted = [one for signal, one in profile.asked.items() if signal in self._slot_of]
+        self.overheard = Overheard(wanted) if wanted else None
         self.last_ns: int | None = None  # bus time of the last frame
         self._is_interrupted = False
 
@@ -106,7 +109,8 @@ class Decoder:
     @property
     def kernel_filters(self) -> tuple[tuple[int, int], ...]:
         """Identifier and mask, as SocketCAN wants them, of each message that is looked at."""
-        return kernel_filters([mapped.address for mapped in self._messages])
+        asked = () if self.overheard is None else self.overheard.kernel_filters
+        return (*kernel_filters([mapped.address for mapped in self._messages]), *asked)
 
     @property
     def limits(self) -> Mapping[Signal, tuple[float, float]]:
@@ -159,6 +163,16 @@ class Decoder:
 
     def feed(self, batch: FrameBatch) -> list[ColumnBatch]:
         """Return the columns of a batch: none if it is empty, several if bus time jumps inside it."""
+        if self.overheard is None:
+            return self._fed(batch)
+        return [columns for part in self.overheard.feed(batch) for columns in self._fed(part)]
+
+    def drain(self) -> list[ColumnBatch]:
+        """Return the columns of frames that are held back while an answer is awaited: nothing is to follow soon."""
+        parts = () if self.overheard is None else self.overheard.drain()
+        return [columns for part in parts for columns in self._fed(part)]
+
+    def _fed(self, batch: FrameBatch) -> list[ColumnBatch]:
         batch = batch.plain()
         if self._goes_on(batch):
             self.last_ns = int(batch.t_ns[-1])

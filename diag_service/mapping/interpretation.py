@@ -64,16 +64,23 @@ def interpret(
         _LOG.log(NOTICE, "%s", fit.said)
         return Interpretation(database=database, profile=fit.profile, files=_files(dbc, fit.profile, None))
     named = find_profile(profile)
-    if named.columns and dbc is None:
+    if named.is_of_columns and dbc is None:
         database = columns_database(named.columns)
         return Interpretation(database=database, profile=named, files=_files(None, named, profile))
     database = open_database(dbc or named.database, is_lenient=is_lenient, parser_time_s=parser_time_s)
+    if named.asked:
+        asked = columns_database(one for one in named.columns if one.name in _asked_names(named)).messages
+        database = Database(messages=[*database.messages, *asked], dbc_specifics=database.dbc)
     if named.is_lenient:
         fit = fit_of(database, named)
         if fit.tier is None:
             raise ConfigError(f"profile {named.name} does not fit the database: {'; '.join(fit.problems)}")
         _LOG.log(NOTICE, "%s", fit.said)
     return Interpretation(database=database, profile=named, files=_files(dbc, named, profile))
+
+
+def _asked_names(profile: Profile) -> frozenset[str]:
+    return frozenset(one.name for one in profile.asked.values())
 
 
 def _files(dbc: Path | None, profile: Profile, named: Path | None) -> tuple[Path, ...]:

@@ -71,6 +71,7 @@ class SignalColumn:
     to_si: Conversion
     is_optional: bool
     limits: tuple[float, float] | None  # ends of the scale in SI, None if the database does not say
+    is_asked: bool = False  # a controller tells it whoever asks
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +105,8 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
     for signal, source in profile.sources.items():
         try:
             message = find_message(database.messages, source)
-            column = _column(message, signal, source, is_j1939=profile.is_j1939)
+            is_j1939 = profile.is_j1939 and not source.is_asked
+            column = _column(message, signal, source, is_j1939=is_j1939)
         except (ConfigError, DefinitionError) as error:
             if source.optional:
                 continue
@@ -120,7 +122,7 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
             message=messages[name],
             address=message_address(
                 messages[name],
-                is_j1939=profile.is_j1939,
+                is_j1939=profile.is_j1939 and not columns[0].is_asked,
                 sender=min(senders.get(name, ()), default=None),
                 channel=profile.channel,
             ),
@@ -143,6 +145,7 @@ def _column(message: Message, signal: Signal, source: SignalSource, *, is_j1939:
         to_si=convert,
         is_optional=source.optional,
         limits=_limits(found, convert) if is_plain else None,
+        is_asked=source.is_asked,
     )
 
 

@@ -10,14 +10,25 @@ from typing import Final
 
 from canlog.arrays import FloatArray
 from canlog.database.signal_columns import SignalColumn
+from canlog.errors import DefinitionError
 from clutch_model.tables import read_table, record_from
 from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.errors import ConfigError
+from diag_service.mapping.asked_signals import (
+    LARGEST_ID,
+    READ_DATA,
+    READ_LOCAL,
+    READ_PID,
+    AskedField,
+    sizes_of,
+    usual_reply_id,
+)
 
 MAX_NUMBER: Final = 0xFF  # of a channel or a J1939 source address
 PROTOCOLS: Final = {"can": False, "j1939": True}
-PROFILE_KEYS: Final = frozenset({"name", "signals", "protocol", "channel", "database", "gears"})
+PROFILE_KEYS: Final = frozenset({"name", "signals", "protocol", "channel", "database", "gears", "asking"})
+MOST_TOGETHER: Final = 64  # identifiers in one request
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,12 +114,28 @@ class SignalSource:
     times: str | None = None  # signal of the same message that multiplies, such as a reference torque
     optional: bool = False  # a database without it serves as well
     source_address: int | None = None  # of a J1939 message; None: the first sender that is heard
+    did: int | None = None  # of a datum that the controller tells who asks by service 22
+    pid: int | None = None  # likewise by service 01 of OBD
+    local: int | None = None  # likewise by service 21 of KWP2000
+    at: str = ""  # identifier of requests, hexadecimal
+    reply: str = ""  # of answers; empty: as the standard has it
+    byte: int = 0  # first byte of the value within the datum
+    bit: int = 0  # its lowest bit
+    length: int = 16  # [bit]
+    order: str = "big"
+    signed: bool = False
+    size: int = 0  # of the whole datum [byte]; 0: up to the end of its last value
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale) and math.isfinite(self.offset)) or self.scale == 0.0:
             raise ConfigError(f"scale {self.scale} and offset {self.offset} are not usable")
         if self.column and (self.message or self.signal or self.pgn is not None or self.spn is not None):
             raise ConfigError("has a column of a table beside a message or signal of a bus")
+        if self.is_asked:
+            self._check_asked()
+            return
+        if self.at or self.reply:
+            raise ConfigError("at and reply need did, pid or local")
         if bool(self.message_name) is (self.pgn is not None):
             raise ConfigError("lacks message, or has it beside pgn" if self.message else "lacks message")
         if bool(self.signal_name) is (self.spn is not None):
@@ -120,23 +147,89 @@ class SignalSource:
         if self.source_address is not None and not 0 <= self.source_address <= MAX_NUMBER:
             raise ConfigError(f"source_address {self.source_address} is not one of J1939")
 
+    def _check_asked(self) -> None:
+        if self.column or self.message or self.signal or self.pgn is not None or self.spn is not None:
+            raise ConfigError("is asked for, and has a message, signal or column beside")
+        if sum(one is not None for one in (self.did, self.pid, self.local)) > 1:
+            raise ConfigError("has more than one of did, pid, local")
+        if self.less is not None or self.times is not None:
+            raise ConfigError("less and times name signals of the same message: what is asked for has none")
+        if self.order not in {"big", "little"}:
+            raise ConfigError(f"order must be big or little, got {self.order!r}")
+        if not self.at:
+            raise ConfigError('lacks at: the identifier of requests, such as "7E1"')
+        _ = self.asked
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether a controller tells it whoever asks."""
+        return not self.did is self.pid is self.local is None
+
+    @property
+    def asked(self) -> AskedField:
+        """What is asked for; raises ConfigError."""
+        request_id = _identifier(self.at, "at")
+        service, number = next(
+            (service, number)
+            for service, number in ((READ_DATA, self.did), (READ_PID, self.pid), (READ_LOCAL, self.local))
+            if number is not None
+        )
+        return AskedField(
+            request_id=request_id,
+            reply_id=_identifier(self.reply, "reply") if self.reply else usual_reply_id(request_id),
+            service=service,
+            number=number,
+            byte=self.byte,
+            bit=self.bit,
+            length=self.length,
+            is_little=self.order == "little",
+            is_signed=self.signed,
+            size=self.size,
+        )
+
+    @property
+    def _own_name(self) -> str:
+        return self.asked.name if self.is_asked else self.column
+
     @property
     def message_name(self) -> str:
-        """The name of its message; of a column, its own."""
-        return self.column or self.message
+        """The name of its message; of a column, or of what is asked for, its own."""
+        return self._own_name or self.message
 
     @property
     def signal_name(self) -> str:
-        """The name of its signal; of a column, its own."""
-        return self.column or self.signal
+        """The name of its signal; of a column, or of what is asked for, its own."""
+        return self._own_name or self.signal
 
     @property
     def place(self) -> str:
         """Message and signal, for people."""
-        if self.column:
-            return self.column
+        if self._own_name:
+            return str(self.asked.data_id) if self.is_asked else self.column
         message = self.message or f"PGN {self.pgn}"
         return f"{message}.{self.signal}" if self.signal else f"{message} SPN {self.spn}"
+
+
+def _identifier(text: str, what: str) -> int:
+    """Return an identifier that was written in hexadecimal."""
+    try:
+        can_id = int(text, 16)
+    except ValueError:
+        can_id = -1
+    if not 0 < can_id <= LARGEST_ID:
+        raise ConfigError(f"{what} must be hexadecimal, 1 to {LARGEST_ID:X}, got {text!r}")
+    return can_id
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AskingRules:
+    """What the controllers of a profile allow whoever asks them."""
+
+    together: int = 1  # identifiers in one request of service 22
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.together <= MOST_TOGETHER:
+            raise ConfigError(f"together must be 1 to {MOST_TOGETHER}, got {self.together}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,11 +243,23 @@ class Profile:
     is_lenient: bool = False  # a shipped profile serves many databases: what one lacks is left out
     is_j1939: bool = False  # 29-bit identifiers are matched by their parameter group, whatever the database says
     channel: int | None = None  # bus of a log with several; None: the first on which a message is heard
+    asking: AskingRules = AskingRules()
 
     @property
     def columns(self) -> tuple[SignalColumn, ...]:
-        """The columns of a table of signals that it names."""
-        return tuple(SignalColumn(one.column, one.unit or "") for one in self.sources.values() if one.column)
+        """The columns of a table of signals that it names, and what is asked for."""
+        own = [one for one in self.sources.values() if one.column or one.is_asked]
+        return tuple(SignalColumn(one.message_name, one.unit or "") for one in own)
+
+    @property
+    def asked(self) -> Mapping[Signal, AskedField]:
+        """What a controller tells whoever asks."""
+        return {signal: one.asked for signal, one in self.sources.items() if one.is_asked}
+
+    @property
+    def is_of_columns(self) -> bool:
+        """Whether it needs no database: nothing of it is a signal of a message."""
+        return all(one.column or one.is_asked for one in self.sources.values())
 
 
 def shipped_profiles() -> tuple[str, ...]:
@@ -190,7 +295,8 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
     signals = table.get("signals")
     if not isinstance(signals, dict) or table.keys() - PROFILE_KEYS:
         raise ConfigError(
-            f"profile {path} must have a table [signals] and, besides, at most name, protocol, channel, database, gears"
+            f"profile {path} must have a table [signals] and, besides, at most name, protocol, channel, database, "
+            "gears, asking"
         )
     sources: dict[Signal, SignalSource] = {}
     problems: list[str] = []
@@ -199,11 +305,13 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
             sources[_canonical(key)] = record_from(SignalSource, entry, error=ConfigError)
         except ConfigError as error:
             problems.append(f"{key}: {error}")
-    gears: GearRatios | None = None
+    gears, asking = None, AskingRules()
     try:
         gears = _gears(table.get("gears"))
-    except ConfigError as error:
-        problems.append(f"gears: {error}")
+        asking = record_from(AskingRules, table.get("asking", {}), "asking.", error=ConfigError)
+        sizes_of(one.asked for one in sources.values() if one.is_asked)
+    except (ConfigError, DefinitionError) as error:
+        problems.append(str(error))
     channel = table.get("channel")
     if channel is not None and not (type(channel) is int and 0 <= channel <= MAX_NUMBER):
         problems.append(f"channel must be a number up to {MAX_NUMBER}")
@@ -221,6 +329,7 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
         database=path.parent / str(table["database"]) if "database" in table else None,
         is_j1939=PROTOCOLS[str(protocol)],
         channel=channel if isinstance(channel, int) else None,
+        asking=asking,
     )
 
 
@@ -249,12 +358,12 @@ def _gears(entry: object) -> GearRatios | None:
     """Return the checked table of ratios, if there is one."""
     if entry is None:
         return None
-    gears = record_from(GearRatios, entry, error=ConfigError)
+    gears = record_from(GearRatios, entry, "gears: ", error=ConfigError)
     if gears.over not in {Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED}:
-        raise ConfigError(f"over must be {Signal.OUTPUT_SPEED.value} or {Signal.VEHICLE_SPEED.value}")
+        raise ConfigError(f"gears: over must be {Signal.OUTPUT_SPEED.value} or {Signal.VEHICLE_SPEED.value}")
     ratios = gears.ratios
     if not all(math.isfinite(one) for one in ratios):
-        raise ConfigError("ratios must be finite")
+        raise ConfigError("gears: ratios must be finite")
     if len(ratios) < 2 or any(high <= low for high, low in pairwise(ratios)) or ratios[-1] <= 0.0:
-        raise ConfigError("ratios must fall from gear to gear and stay above 0")
+        raise ConfigError("gears: ratios must fall from gear to gear and stay above 0")
     return gears

@@ -70,8 +70,9 @@ class Stages:
 
     def flush(self) -> list[Event]:
         """End the segment: return what is still open; frames that come later begin another one."""
+        events = [event for columns in self.decoder.drain() for event in self._finder.feed(columns)]
         self.decoder.interrupt()
-        return self._finder.flush()
+        return events + self._finder.flush()
 
     def conclude(self, event: Event) -> Diagnosis:
         """Judge the data of the next shift, estimate, judge its clutch; shifts must come in order. May take a moment.

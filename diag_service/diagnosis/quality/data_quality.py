@@ -23,6 +23,7 @@ from diag_service.diagnosis.alignment import (
     AlignedSignals,
     SampleTimes,
     align,
+    is_of_rows,
     measured_times,
     sampling_times,
 )
@@ -102,6 +103,7 @@ class QualityLimits:
 LIMITS: Final = QualityLimits()
 
 
+UNSCHEDULED_PERIODS: Final = 1.5  # of the nominal one: what comes more seldom without schedule was asked for
 SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
 _LAG_NS: Final = round(COMMAND_LAG_S / NS_TO_S)
 _NEVER: Final = np.empty(0, np.int64)
@@ -288,7 +290,8 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
         return Reason.SIGNAL_MISSING if is_whole else Reason.INTERRUPTED
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     for one, times_s in sampled.items():
-        period_s = row_s or event.columns[one].period_ns * NS_TO_S or limits.nominal_period_s
+        series = event.columns[one]
+        period_s = is_of_rows(series) * row_s or series.period_ns * NS_TO_S or limits.nominal_period_s
         silence_s = longest_silence_s(times_s, -2.0 * period_s, duration_s)
         if silence_s > limits.lost_periods * period_s:
             return Reason.FRAMES_MISSING if is_whole else Reason.INTERRUPTED
@@ -299,19 +302,26 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
 
 
 def _row_s(event: Event, limits: QualityLimits) -> float:
-    """Return the time from row to row [s] of the table that an event is of, 0 if it is of a bus."""
+    """Return the time from row to row [s] of the table that an event is of; 0 if it is of a bus.
+
+    What controllers tell whoever asks makes rows of its own: as slow as the slowest of them.
+    """
     columns = [event.columns[one] for one in ROW_SIGNALS if one in event.columns]
-    if len(columns) < len(ROW_SIGNALS) or not len(columns[0].t_ns) or columns[0].sequence[0] >= 0:
+    if len(columns) < len(ROW_SIGNALS):
         return 0.0
-    row_ns = row_period_ns(columns)
-    return max(row_ns * NS_TO_S, limits.nominal_period_s) if row_ns else 0.0
+    if not (row_ns := row_period_ns(columns)):
+        own = [event.columns[one] for one in BALANCE_SIGNALS if one in event.columns]
+        row_ns = max((int(np.median(np.diff(one.t_ns))) for one in own if is_of_rows(one)), default=0)
+        if row_ns * NS_TO_S < UNSCHEDULED_PERIODS * limits.nominal_period_s:
+            return 0.0  # messages of a bus whose database knows no cycle
+    return max(row_ns * NS_TO_S, limits.nominal_period_s)
 
 
 def _without_near_rows(event: Event, least_ns: int) -> Event:
     """Return an event of a table without rows that come too soon after the one before."""
     columns = dict(event.columns)
     for signal in BALANCE_SIGNALS:
-        if (series := columns.get(signal)) is None:
+        if (series := columns.get(signal)) is None or not is_of_rows(series):
             continue
         kept, last_ns = list[int](), None
         for place, t_ns in enumerate(series.t_ns.tolist()):
@@ -358,7 +368,8 @@ def gaps_s(times: SampleTimes, event: Event, limits: QualityLimits = LIMITS, row
     found = []
     for signal, times_s in times.items():
         period_s = event.columns[signal].period_ns * NS_TO_S or limits.nominal_period_s
-        longest_s = limits.row_gap_periods * row_s if row_s else limits.gap_periods * period_s
+        is_row = row_s and is_of_rows(event.columns[signal])
+        longest_s = limits.row_gap_periods * row_s if is_row else limits.gap_periods * period_s
         if _step_range_s(times_s)[1] > longest_s:
             found += [times_s[row : row + 2] for row in np.flatnonzero(np.diff(times_s) > longest_s)]
         if duration_s - times_s[-1] > longest_s:

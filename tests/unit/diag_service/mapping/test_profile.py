@@ -199,7 +199,7 @@ shift_phase = { message = "M", signal = "S", valid = [3] }
     for complaint in (
         "odometer_km: not a canonical signal",
         "pedal_ratio: lacks signal",
-        "engine_torque_nm: gain is unknown; known: check_codes",
+        "engine_torque_nm: gain is unknown; known: at, bit, byte, check_codes",
         "hub_speed_rad_s: signal must be a string, got",
         "input1_speed_rad_s: scale must be a number, got",
         "input2_speed_rad_s: scale 0.0",

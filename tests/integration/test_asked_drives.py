@@ -1,0 +1,57 @@
+"""Drives whose clutch pressures were asked for: analysed from the recorded dialogue, alone and beside broadcasts."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from canlog.logs import read_log
+from ecu_emulator.cli import main as emulator
+from tests.support.asked import DSG, asked_profile, dialogue_of, merged, write_candump
+from tests.support.in_process import ended
+from tests.support.recode import drive_of
+
+ON_THE_BUS = ("engine_speed_rad_s", "hub_speed_rad_s", "current_gear", "target_gear")
+BROADCAST = """
+engine_speed_rad_s = { message = "ECM_TorqueSpeed", signal = "EngineSpeed" }
+hub_speed_rad_s = { message = "TCU_InputSpeeds", signal = "ClutchHubSpeed" }
+current_gear = { message = "TCU_Shift", signal = "CurrentGear" }
+target_gear = { message = "TCU_Shift", signal = "TargetGear" }
+"""
+
+
+@pytest.fixture(name="log", scope="module")
+def _log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("asked") / "drive.log"
+    assert emulator(["record", str(path), "--scenario", "case2", "--cycles", "1", "--seed", "7"]) == 0
+    return path
+
+
+@pytest.mark.parametrize("is_mixed", [False, True])
+def test_friction_is_found_from_answers_alone_and_beside_broadcast_frames(log: Path, *, is_mixed: bool) -> None:
+    text = DSG
+    if is_mixed:
+        text = "\n".join(line for line in DSG.splitlines() if not line.startswith(ON_THE_BUS)) + BROADCAST
+    profile = asked_profile(log.parent, text)
+    dialogue = dialogue_of(drive_of(log), profile, np.random.default_rng(1))
+    asked = log.with_name("asked.log")
+    write_candump(asked, merged(*read_log(log), dialogue) if is_mixed else dialogue)
+    run = ended("analyze", asked, "--profile", log.with_name("asked.toml"), "--json")
+    assert run.status == 0, run.err
+    valid = [one for one in run.records if "from_gear" in one and one["status"] == "valid"]
+    assert len(valid) >= 8
+    truth = next(json.loads(line) for line in log.with_suffix(".log.truth.jsonl").read_text("utf-8").splitlines())
+    for one in valid:
+        friction, true = one["friction"], truth["mu_c"][one["clutch"] - 1]
+        assert abs(friction["mu_c"] - true) < 4.0 * friction["std_mu_c"]
+
+
+def test_a_controller_that_says_other_things_than_the_profile_gives_no_estimate(log: Path) -> None:
+    dialogue = dialogue_of(drive_of(log), asked_profile(log.parent), np.random.default_rng(1))
+    longer = DSG.replace('did = 0x38EB, at = "7E1",', 'did = 0x38EB, at = "7E1", size = 4,')
+    asked_profile(log.parent, longer)
+    asked = log.with_name("other.log")
+    write_candump(asked, dialogue)
+    run = ended("analyze", asked, "--profile", log.with_name("asked.toml"), "--json")
+    assert not [one for one in run.records if one.get("status") == "valid"]
