@@ -345,6 +345,7 @@ def diagnose(
     delivery: Delivery | None = None,
     is_lenient: bool = False,
     poll: Poll | None = None,
+    asks: bool = False,
 ) -> LiveDiagnosis:
     """Diagnose a live bus, as ``diag-service run`` does.
 
@@ -364,7 +365,10 @@ def diagnose(
     vehicle, dbc, profile, calibration, store_budget_mib, delivery, is_lenient
         As of ``analyze``.
     poll
-        Whether the controller is asked for its trouble codes, and how often; without it nothing is sent.
+        Whether the controller is asked for its trouble codes, and how often.
+    asks
+        Whether signals are asked for that the profile says are to be; needs a bus that was named. Without this and
+        ``poll`` nothing is sent.
 
     Returns
     -------
@@ -382,9 +386,11 @@ def diagnose(
     check_one_bus(bus, interface, channel, bitrate, is_fd, is_only_mapped)
     if bus is not None and poll is not None and poll.bus is None:
         raise ConfigError("an open bus has only one reader: give Poll(bus=...) a connection of its own")
+    if bus is not None and asks:
+        raise ConfigError("an open bus has only one reader: name the bus, which is opened once more to ask on it")
     named = BusConfig(
         interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd, duration_s=duration_s,
-        is_filtered=is_only_mapped, poll=poll_config(poll),
+        is_filtered=is_only_mapped, poll=poll_config(poll), asks=asks,
     )  # fmt: skip
     config = configuration(
         vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient, delivery=delivery,

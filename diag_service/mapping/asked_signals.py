@@ -7,7 +7,7 @@ of its answer: the controller read it some time between the two.
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from canlog.database.signal_columns import column_id
 from canlog.errors import DefinitionError
 from canlog.frames import (
+    BEFORE_ALL_NS,
     EXTENDED_FLAG,
     MAX_GAP_NS,
     NS_PER_US,
@@ -30,6 +31,7 @@ from diag_service.errors import ConfigError
 READ_DATA, READ_PID, READ_LOCAL = 0x22, 0x01, 0x21  # UDS, OBD (SAE J1979), KWP2000
 POSITIVE, NEGATIVE, PENDING = 0x40, 0x7F, 0x78
 LATEST_NS: Final = 250_000_000  # of a whole answer after its request: nobody knows when a later one was read
+DISORDER_NS: Final = 1_000_000  # frames of one machine's own and of others are stamped in no exact order
 FUNCTIONAL_ID: Final = 0x7DF
 LARGEST_STANDARD_ID: Final = 0x7FF
 LARGEST_ID: Final = 0x1FFF_FFFF
@@ -180,7 +182,8 @@ class Overheard:
         self._open: dict[tuple[int, int], _Asked] = {}  # by channel and identifier of requests
         self._held = empty_batch()
         self._samples: list[_Sample] = []
-        self._last_ns: int | None = None
+        self._stamp_ns: int | None = None  # of the last frame, as it came
+        self._now_ns = BEFORE_ALL_NS  # the latest of them
 
     @property
     def kernel_filters(self) -> tuple[tuple[int, int], ...]:
@@ -194,9 +197,9 @@ class Overheard:
         """Yield the frames that follow with the samples among them, in the order of time, as far as that is known."""
         if not len(batch):
             return
-        before_ns = int(batch.t_ns[0]) if self._last_ns is None else self._last_ns
+        before_ns = int(batch.t_ns[0]) if self._stamp_ns is None else self._stamp_ns
         steps_ns = np.diff(batch.t_ns, prepend=before_ns)
-        breaks = np.flatnonzero((steps_ns < 0) | (steps_ns > MAX_GAP_NS)).tolist()
+        breaks = np.flatnonzero((steps_ns < -DISORDER_NS) | (steps_ns > MAX_GAP_NS)).tolist()
         for start, stop in zip([0, *breaks], [*breaks, len(batch)], strict=True):
             if start in breaks:
                 yield from self.drain()
@@ -213,7 +216,11 @@ class Overheard:
     def _go_on(self, piece: FrameBatch) -> Iterator[FrameBatch]:
         """Take frames without a jump of time between them."""
         rows = np.isin(piece.can_id, self._ids)
-        now_ns = self._last_ns = int(piece.t_ns[-1])
+        self._stamp_ns = int(piece.t_ns[-1])
+        ordered_ns = np.maximum.accumulate(np.maximum(piece.t_ns, self._now_ns))
+        if (ordered_ns != piece.t_ns).any():
+            piece = replace(piece, t_ns=ordered_ns)
+        now_ns = self._now_ns = int(ordered_ns[-1])
         if not rows.any() and not self._open and not len(self._held):
             yield piece
             return
@@ -269,7 +276,7 @@ class Overheard:
             self.faults["no answer in time"] += 1
             return
         request_id = self._pairs[answer.can_id] & ~_EXTENDED
-        found = _data_in(request.data, answer.data, request_id, self._sizes)
+        found = data_in(request.data, answer.data, request_id, self._sizes)
         if isinstance(found, str):
             self.faults[found] += 1
             return
@@ -281,7 +288,7 @@ class Overheard:
                 self._samples.append(_Sample(t_ns, answer.channel, column, float(one.value(data))))
 
 
-def _data_in(
+def data_in(
     request: bytes, answer: bytes, request_id: int, sizes: dict[DatumId, int]
 ) -> list[tuple[DatumId, bytes]] | str:
     """Return the data of an answer, or why it cannot be read; data that nobody looks for are none."""

@@ -71,8 +71,9 @@ class Decoder:
         self._invalid_at_first: dict[Signal, int] = {}  # before a signal's first real value
         self._slot_of = {column.signal: slot for slot, one in enumerate(self._messages) for column in one.columns}
         self._seen: set[Signal] = set()
-        wanted = [one for signal, one in profile.asked.items() if signal in self._slot_of]
-        self.overheard = Overheard(wanted) if wanted else None
+        self.asked = {signal: one for signal, one in profile.asked.items() if signal in self._slot_of}
+        self.asking = profile.asking
+        self.overheard = Overheard(list(self.asked.values())) if self.asked else None
         self.last_ns: int | None = None  # bus time of the last frame
         self._is_interrupted = False
 
@@ -121,7 +122,10 @@ class Decoder:
     @property
     def counts(self) -> FrameCounts:
         """What became of all frames until now; how they came here, their source knows."""
-        counts = self._monitor.counts.sum(axis=0)
+        told = [
+            slot for slot, mapped in enumerate(self._messages) if mapped.columns[0].is_asked
+        ]  # no frames of the bus
+        counts = self._monitor.counts.sum(axis=0) - self._monitor.counts[told].sum(axis=0)
         invalid = {
             signal.value: {reason: count for reason, count in counts._asdict().items() if count}
             for signal, counts in self._invalid.items()

@@ -30,7 +30,7 @@ _GEARS: Final[Requirement] = (
     frozenset({Signal.TARGET_GEAR, Signal.ENGINE_SPEED, *INPUT_PAIR}),
 )
 _REQUIREMENTS: Final[dict[Tier, tuple[Requirement, ...]]] = {
-    Tier.FRICTION: tuple((frozenset({signal}),) for signal in Signal if signal in MANDATORY),
+    Tier.FRICTION: (_GEARS, *((frozenset({signal}),) for signal in Signal if signal in MANDATORY - GEAR_PAIR)),
     Tier.TORQUE: (
         _SPEED,
         _GEARS,

@@ -16,6 +16,7 @@ from diag_service.console.keys import ending_key
 from diag_service.console.terminal import PeopleConsole
 from diag_service.delivery import DetachedReporter, Outbox
 from diag_service.diagnosis.summary import frames_line
+from diag_service.errors import ConfigError
 from diag_service.service.application import opened_store, outbox_of, reporter_of
 from diag_service.service.live import run_live
 from diag_service.service.monitor import Monitor
@@ -140,7 +141,20 @@ async def _run_bus(
 def polling(
     vehicle: str, bus: BusConfig, store: ResultStore, session: Session, outbox: Outbox | None
 ) -> AbstractAsyncContextManager[None]:
-    """Return what asks a controller now and then while it is entered, if that is wanted."""
+    """Return what asks controllers while it is entered, if that is wanted: for signals, or now and then for codes."""
+    decoder = session.stages.decoder
+    if decoder.asked and bus.asks:
+        if bus.poll is not None:
+            raise ConfigError("--poll: this profile asks all the time already, and two testers disturb each other")
+        asks: AbstractAsyncContextManager[None] = part("diag_service.parts", "signals")(
+            bus, decoder.asked, decoder.asking.together
+        )
+        return asks
+    if decoder.asked:
+        _LOG.log(
+            NOTICE, "%d signals have to be asked for, which --active allows; answers to others are read meanwhile",
+            len(decoder.asked),
+        )  # fmt: skip
     if bus.poll is None:
         return nullcontext()
     poll: AbstractAsyncContextManager[None] = part("diag_service.parts", "polling")(

@@ -95,7 +95,8 @@ class BusConfig:
     is_filtered: bool = False  # whether the kernel discards what no mapped signal needs
     metrics: ListenAddress | None = None  # where to serve metrics and health checks
     page: ListenAddress | None = None  # where to show the run to browsers, on this machine
-    poll: PollConfig | None = None  # None: the service only listens
+    poll: PollConfig | None = None  # None: trouble codes are not asked for
+    asks: bool = False  # whether signals are asked for that the profile says are to be
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -158,6 +159,7 @@ def bus_config(options: SimpleNamespace) -> BusConfig:
         metrics=parse_listen_address(options.metrics) if options.metrics else None,
         page=_page(getattr(options, "page", None)),
         poll=_poll(options),
+        asks=getattr(options, "active", False),
     )
 
 

@@ -133,7 +133,10 @@ POLL: Final = (
         FLOAT,
         flag_value=60.0,
     ),
-    Setting("--active", "allow requests on the bus: without it the service only listens"),
+    Setting(
+        "--active",
+        "allow requests on the bus, for signals of the profile, too: without it the service only listens",
+    ),
     Setting(
         "--ecu ID", "controller that is asked: identifier of its requests, hexadecimal (default: as described, or 7E1)"
     ),

@@ -1,6 +1,7 @@
 """The emulated transmission answers testers while it drives: what is sent tells it how the vehicle is."""
 
 import math
+import random
 import secrets
 import threading
 import time
@@ -37,7 +38,7 @@ from ecu_emulator.diagnostics.elm327.server import ElmServer, parse_place
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.monitors import SENSED
 from ecu_emulator.diagnostics.opinion import values_of
-from ecu_emulator.diagnostics.table_file import load_table, shipped_table
+from ecu_emulator.diagnostics.table_file import load_table, shipped_table, table_like
 from ecu_emulator.errors import ExtraMissingError
 
 RUNNING_RAD_S: Final = 30.0  # engine speed that no starter reaches
@@ -56,6 +57,8 @@ class Answering:
         Where responses go, and the frames that ``send`` is given.
     table
         A TOML file that describes the controller; empty: the one that ships.
+    like
+        Whose data it has besides, and whose times to answer; empty: its own alone.
     memory
         The file that keeps trouble codes over restarts; without one they are forgotten.
     doip
@@ -87,6 +90,7 @@ class Answering:
         bus: FrameSender,
         *,
         table: str,
+        like: str = "",
         memory: Path | None,
         doip: Place | None,
         is_fd: bool,
@@ -125,11 +129,18 @@ class Answering:
         self._is_over = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="monitors", daemon=True)
         self._error: BaseException | None = None
-        described = load_table(Path(table)) if table else shipped_table()
+        described = load_table(Path(table)) if table else table_like(like) if like else shipped_table()
+        least_s, most_s = described.timing.least_answer_s, described.timing.most_answer_s
+        times = random.Random()  # noqa: S311 - no secret: how long an answer takes
         store = None if memory is None else self._stack.enter_context(MemoryFile(memory, described))
         try:
             self.controller = Controller(
-                described, values=self._values, clock=clock, chance=secrets.token_bytes, store=store
+                described,
+                values=self._values,
+                clock=clock,
+                chance=secrets.token_bytes,
+                store=store,
+                work=lambda: time.sleep(times.uniform(least_s, most_s) / 2.0),
             )
             self._monitoring = Monitoring(
                 self.controller,

@@ -14,6 +14,7 @@ from ecu_emulator.answering.on_board import FixedOpinion, OnBoardService, Opinio
 from ecu_emulator.diagnostics.doip.listening import Place, parse_place
 from ecu_emulator.diagnostics.doip.tls import tls_node
 from ecu_emulator.diagnostics.opinion import own_opinion
+from ecu_emulator.diagnostics.table_file import table_like
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live.live_drive import BusChoice
@@ -31,6 +32,8 @@ class Answers:
     ----------
     table : path, optional
         A TOML file that describes a controller of your own.
+    like : str, optional
+        A controller of a real car whose data it has besides, and whose times to answer: ``vw_dsg`` or ``bmw_dkg``.
     memory : path, optional
         A file that keeps trouble codes over restarts.
     doip, elm327 : str, optional
@@ -49,6 +52,7 @@ class Answers:
     """
 
     table: AnyPath | None = None
+    like: str | None = None
     memory: AnyPath | None = None
     doip: str | None = None
     elm327: str | None = None
@@ -58,6 +62,10 @@ class Answers:
     on_board: bool = False
 
     def __post_init__(self) -> None:
+        if self.table is not None and self.like is not None:
+            raise ConfigError("a controller answers by a table of its own, or like another one, not both")
+        if self.like is not None:
+            table_like(self.like)
         self._place()
 
     def opened(self, bus: can.BusABC, choice: BusChoice, scenario: Scenario, drive: Drive) -> Answering:
@@ -71,6 +79,7 @@ class Answers:
         return Answering(
             bus,
             table="" if self.table is None else os.fspath(self.table),
+            like=self.like or "",
             memory=self._memory,
             doip=self._place(),
             is_fd=choice.is_fd,
@@ -122,13 +131,14 @@ def chosen(options: SimpleNamespace) -> Answers | None:
         "--on-board": options.on_board or None, "--doip-certificate": options.doip_certificate,
         "--doip-key": options.doip_key,
     }  # fmt: skip
-    if options.diagnostics is None:
+    if options.diagnostics is None and options.answers_like is None:
         for option, value in given.items():
             if value is not None:
                 raise ConfigError(f"{option} needs --diagnostics")
         return None
     return Answers(
         table=options.diagnostics or None,
+        like=options.answers_like,
         memory=options.diagnostic_memory,
         doip=options.doip,
         elm327=options.elm327,

@@ -4,7 +4,7 @@ from typing import Final
 
 import click
 
-from clutchdiag_io.command_line import FILE, FORCE, INT, Command, Option
+from clutchdiag_io.command_line import FILE, FORCE, INT, Choice, Command, Option
 
 DEFAULT_ELM_PORT: Final = "35000"
 DOIP_TLS_PORT: Final = 3496  # registered for DoIP by TLS, as 13400 is without
@@ -13,6 +13,11 @@ RUN_OPTIONS: Final = (
         "--diagnostics [TABLE]",
         "answer UDS requests of testers (7E1, 7DF); TABLE: a controller of your own instead of the one that ships",
         flag_value="",
+    ),
+    Option(
+        "--answers-like",
+        "answer as a controller of a real car does: its data, scales and times to answer, besides the own ones",
+        Choice(["bmw_dkg", "vw_dsg"]),
     ),
     Option(
         "--doip [HOST:]PORT",

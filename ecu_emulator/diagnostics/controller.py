@@ -49,6 +49,8 @@ class Controller:
         Returns so many random bytes.
     store
         The file that keeps what outlives a restart; without one, nothing does.
+    work
+        Takes a part of the time that an answer takes: called before the values for it are read, and after.
 
     Raises
     ------
@@ -64,12 +66,14 @@ class Controller:
         clock: Callable[[], float],
         chance: Callable[[int], bytes],
         store: MemoryFile | None = None,
+        work: Callable[[], None] = lambda: None,
     ) -> None:
         self.table = table
         self._values = values
         self._clock = clock
         self._chance = chance
         self._store = store
+        self._work = work
         self._lock = threading.Lock()
         self._state = switched_on(table, store.load() if store is not None else None, clock())
         if store is not None:
@@ -98,7 +102,10 @@ class Controller:
                 return refused
             self._lock.acquire()
         try:
-            return self._kept(answer(self.table, self._state, request, self._moment()), payload)
+            self._work()
+            reply = self._kept(answer(self.table, self._state, request, self._moment()), payload)
+            self._work()
+            return reply
         finally:
             self._lock.release()
 

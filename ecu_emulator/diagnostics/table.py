@@ -107,6 +107,8 @@ class Timing:
     p2_star_s: float
     s3_s: float
     reset_s: float  # from a reset until the controller listens again
+    least_answer_s: float = 0.0  # that an answer takes, drawn evenly up to the next
+    most_answer_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,6 +214,8 @@ class DiagnosticTable:
             ("s3_s", self.timing.s3_s),
         ):
             _check(0.0 < value <= 600.0, f"timing.{name} must be above 0 and at most 600 s, got {value}")
+        least_s, most_s = self.timing.least_answer_s, self.timing.most_answer_s
+        _check(0.0 <= least_s <= most_s < self.timing.p2_s, "0 <= timing.least_answer_s <= most_answer_s < p2_s")
 
     @property
     def most_periodic_bytes(self) -> int:

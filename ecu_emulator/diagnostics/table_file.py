@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass, replace
 from enum import StrEnum
 from functools import cache
 from importlib.resources import files
@@ -56,6 +56,7 @@ _LISTS: Final = (
     "vehicle_info",
     "monitor",
 )
+_LIKE: Final = "like_"
 _OPTIONAL: Final = ("clutches", "doip", "obd", "obd_clear_conditions", "periodic")
 _TABLES: Final = ("name", "snapshot", "addressing", "transport", "timing", "limits", "access")
 
@@ -65,6 +66,36 @@ def shipped_table() -> DiagnosticTable:
     """Return the table of the emulated transmission controller."""
     text = files("ecu_emulator").joinpath("diagnostics/tcu.toml").read_text(encoding="utf-8")
     return parse_table(text, "tcu.toml")
+
+
+def personalities() -> tuple[str, ...]:
+    """Return the names of controllers of real cars that the emulated one can answer like."""
+    found = (one.name for one in files("ecu_emulator").joinpath("diagnostics").iterdir())
+    return tuple(sorted(name[len(_LIKE) : -len(".toml")] for name in found if name.startswith(_LIKE)))
+
+
+@cache
+def table_like(name: str) -> DiagnosticTable:
+    """Return the shipped table with the data that another controller has besides, and with its times to answer.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such personality.
+    """
+    if name not in personalities():
+        raise ConfigError(f"nobody answers like {name}: there are {', '.join(personalities())}")
+    file = files("ecu_emulator").joinpath(f"diagnostics/{_LIKE}{name}.toml")
+    document, shipped = tomllib.loads(file.read_text(encoding="utf-8")), shipped_table()
+    access = {"open": Access(sessions=tuple(shipped.sessions))}
+    data = _numbered(_records(Datum, document, "data", access), "data")
+    return replace(
+        shipped,
+        name=document["name"],
+        timing=replace(shipped.timing, **document["timing"]),
+        limits=replace(shipped.limits, **document["limits"]),
+        data={**shipped.data, **data},
+    )
 
 
 def load_table(path: Path) -> DiagnosticTable:

@@ -103,6 +103,12 @@ def test_samples_do_not_depend_on_how_the_stream_was_cut(cut: int) -> None:
     assert len(expected) == len(batch) + 160
 
 
+def test_stamps_of_one_moment_in_disorder_are_no_jump_of_time() -> None:
+    batch = batch_of((10, 0x7E1, "2238EB"), (40, 0x7E9, "6238EBFF9C"))
+    batch.t_ns[1] = batch.t_ns[0] - 3000
+    assert samples(Overheard([PRESSURE]), batch, (PRESSURE,)) == [(10, -100.0)]
+
+
 def test_bits_order_and_sign_are_as_the_profile_says() -> None:
     field = AskedField(request_id=1, reply_id=2, service=0x22, number=1, byte=1, bit=4, length=12, is_little=True)
     assert field.value(bytes.fromhex("FF3412")) == 0x123

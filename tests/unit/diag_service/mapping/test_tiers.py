@@ -16,6 +16,7 @@ TORQUES = {Signal.ENGINE_TORQUE, Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_T
     ("signals", "tier"),
     [
         (DCT, Tier.FRICTION),
+        (DCT - {Signal.CURRENT_GEAR}, Tier.FRICTION),
         (DCT - PRESSURES, Tier.TORQUE),
         (DCT - {Signal.SUMP_TEMPERATURE}, Tier.TORQUE),
         (DCT - {Signal.CLUTCH1_PRESSURE} - TORQUES, Tier.KINEMATIC),

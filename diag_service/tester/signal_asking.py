@@ -1,0 +1,382 @@
+"""What a profile has to be asked for, asked while the bus is diagnosed: who asks only asks, the dialogue is overheard.
+
+Sent are the services 22, 01 and 21 alone: nothing that changes a controller, no session. Another tester comes first.
+"""
+
+import asyncio
+import contextvars
+import logging
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, asynccontextmanager, contextmanager, suppress
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Final, Protocol, Self, cast
+
+import can
+
+from canlog.errors import CanlogError
+from canlog.notice import NOTICE
+from diag_service.diagnosis.columns import Signal
+from diag_service.errors import ControllerError, DiagServiceError, StoppedError
+from diag_service.mapping.asked_signals import (
+    LATEST_NS,
+    NEGATIVE,
+    PENDING,
+    POSITIVE,
+    READ_DATA,
+    AskedField,
+    DatumId,
+    data_in,
+    sizes_of,
+)
+from diag_service.settings.config import BusConfig
+from diag_service.tester.addresses import FUNCTIONAL_ID, STANDARD_REQUESTS, CanAddress, id_text, is_extended, is_request
+from diag_service.tester.answers import refusal_text
+from diag_service.tester.asking import LISTEN_S, BusName, opened_bus
+from diag_service.tester.can_link import CanConnection
+from diag_service.tester.libraries import TimeoutException
+
+MOST_LOAD: Final = 0.05  # of the bus, by requests and answers together
+USUAL_BITRATE: Final = 500_000
+FRAME_BITS: Final = 125  # of eight bytes, with stuff bits, whoever sends it
+FIRST_SLOW: Final = 4  # times that they are asked for without delay: so often a message must come to be believed
+SLOW_S: Final = 1.0  # from question to question for what changes slowly
+ANSWER_S: Final = LATEST_NS / 1e9  # what comes later is no sample
+PENDING_S: Final = 5.0  # after the controller asked for patience
+BUSY: Final = 0x21
+BUSY_PAUSE_S: Final = 0.1
+MOST_SILENT: Final = 3  # questions in a row
+FIRST_PAUSE_S: Final = 1.0
+LONGEST_PAUSE_S: Final = 16.0  # between attempts at a controller that does not answer
+LEAST_ROWS: Final = 5  # of a slip: fewer tell no friction
+RATE_S: Final = 10.0  # over which the rate is told
+TOLD_RATIO: Final = 0.3  # by which it must change to be told again
+JOIN_S: Final = 3.0
+_SLOW: Final = frozenset({Signal.SUMP_TEMPERATURE, Signal.AMBIENT_TEMPERATURE, Signal.ODOMETER})
+_LOG: Final = logging.getLogger(__name__)
+
+
+class OtherTesterError(ControllerError):
+    """Somebody else asks: nothing more is sent."""
+
+
+class Line(Protocol):
+    """A way to controllers."""
+
+    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
+        """Return the answer to a request, None if none comes; raises ControllerError, OtherTesterError."""
+
+
+OpenLine = Callable[[], AbstractContextManager[Line]]
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """Data that are asked for in one request."""
+
+    address: CanAddress
+    data: tuple[DatumId, ...]
+
+    @property
+    def request(self) -> bytes:
+        """What is sent."""
+        width = 2 if self.data[0].service == READ_DATA else 1
+        return bytes([self.data[0].service]) + b"".join(one.number.to_bytes(width) for one in self.data)
+
+    def __str__(self) -> str:
+        """Return it for people."""
+        return ", ".join(map(str, self.data))
+
+
+@dataclass(slots=True)
+class Plan:
+    """What is asked when: fast quantities in every round, slow ones once in a while, so many at once as are taken."""
+
+    fields: Mapping[Signal, AskedField]
+    together: int = 1
+    refused: set[DatumId] = field(default_factory=set)
+    _slow_s: float = 0.0
+    _slow_count: int = 0
+
+    @property
+    def fast(self) -> list[Question]:
+        """The questions of a round."""
+        return self._questions([one for signal, one in self.fields.items() if signal not in _SLOW])
+
+    def due(self, now_s: float) -> list[Question]:
+        """Return the questions of the next round."""
+        questions = self.fast
+        if now_s >= self._slow_s:
+            self._slow_count += 1
+            self._slow_s = now_s + (SLOW_S if self._slow_count > FIRST_SLOW else 0.0)
+            questions += self._questions([one for signal, one in self.fields.items() if signal in _SLOW])
+        return questions
+
+    def refuse(self, question: Question, why: str) -> str:
+        """Ask for less at once, or for a single datum no more; return what is to be told of that."""
+        if len(question.data) > 1:
+            fewer = max(1, len(question.data) // 2)
+            self.together = min(self.together, fewer)
+            return (
+                f"{id_text(question.address.request_id)} does not take {len(question.data)} identifiers at once: {why}"
+            )
+        self.refused.add(question.data[0])
+        return f"{question} is not told ({why}), and not asked for again"
+
+    def _questions(self, fields: Sequence[AskedField]) -> list[Question]:
+        addresses = {one.data_id: CanAddress(request_id=one.request_id, response_id=one.reply_id) for one in fields}
+        data = [one for one in addresses if one not in self.refused]
+        found: list[Question] = []
+        for _, group in groupby(data, key=lambda one: (one.request_id, one.service)):
+            own = list(group)
+            width = self.together if own[0].service == READ_DATA else 1
+            found += [Question(addresses[own[at]], tuple(own[at : at + width])) for at in range(0, len(own), width)]
+        return found
+
+
+def frame_count(payload_bytes: int) -> int:
+    """Return how many frames a message and its flow control take."""
+    return 1 if payload_bytes <= 7 else 2 + -(-(payload_bytes - 6) // 7)
+
+
+class SignalAsker:
+    """Asks in a thread of its own while entered.
+
+    Parameters
+    ----------
+    fields, together
+        What is asked for, and how many identifiers a controller takes at once.
+    open_line
+        Opens the way to the controllers once nobody else asks there; raises SourceError, ControllerError.
+    bitrate
+        Of the bus; at most ``MOST_LOAD`` of it is used. None: as a usual one.
+    """
+
+    def __init__(
+        self, fields: Mapping[Signal, AskedField], together: int, open_line: OpenLine, bitrate: int | None = None
+    ) -> None:
+        self.plan = Plan(fields, together)
+        self.sent: Counter[int] = Counter()  # requests, by service
+        self.set_count = 0
+        self._sizes = sizes_of(fields.values())
+        self._open_line = open_line
+        self._bits_per_s = MOST_LOAD * (bitrate or USUAL_BITRATE)
+        self._is_over = threading.Event()
+        self._free_s = 0.0  # until when the bus is left alone
+        self._silent = 0
+        self._trouble, self._pause_s = "", FIRST_PAUSE_S
+        self._sets: deque[float] = deque(maxlen=10_000)
+        self._told_hz: float | None = None
+        context = contextvars.copy_context()
+        self._thread = threading.Thread(target=context.run, args=(self._run,), name="signal asker", daemon=True)
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether it was not told to end."""
+        return not self._is_over.is_set()
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """Ask no more."""
+        self._is_over.set()
+        self._thread.join(JOIN_S)
+
+    def _run(self) -> None:
+        while self.goes_on:
+            try:
+                with self._open_line() as line:
+                    self._rounds(line)
+            except StoppedError:
+                return
+            except OtherTesterError as exc:
+                _LOG.log(NOTICE, "%s: nothing is asked until it is silent; its answers are read", exc)
+                self._trouble = str(exc)
+            except (CanlogError, DiagServiceError) as exc:
+                if str(exc) != self._trouble:
+                    _LOG.warning("asking is interrupted: %s; trying again", exc)
+                self._trouble = str(exc)
+                self._is_over.wait(self._pause_s)
+                self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
+            self._sets.clear()
+
+    def _rounds(self, line: Line) -> None:
+        self._silent = 0
+        while self.goes_on:
+            questions = self.plan.due(time.monotonic())
+            if not questions:
+                raise ControllerError("everything that the profile asks for is refused")
+            answered = [self._ask(line, one) for one in questions]
+            if all(answered):
+                if self._trouble:
+                    _LOG.log(NOTICE, "asking goes on")
+                    self._trouble, self._pause_s = "", FIRST_PAUSE_S
+                self.set_count += 1
+                self._sets.append(time.monotonic())
+                self._tell_rate()
+
+    def _ask(self, line: Line, question: Question) -> bool:
+        """Ask once; return whether it was answered."""
+        self._is_over.wait(max(0.0, self._free_s - time.monotonic()))
+        if not self.goes_on:
+            return False
+        request, begun_s = question.request, time.monotonic()
+        self.sent[request[0]] += 1
+        answer = line.ask(request, question.address)
+        expected = 1 + sum(self._sizes[one] + (len(request) - 1) // len(question.data) for one in question.data)
+        frames = frame_count(len(request)) + frame_count(expected if answer is None else len(answer))
+        self._free_s = begun_s + frames * FRAME_BITS / self._bits_per_s
+        if answer is None:
+            self._silent += 1
+            if self._silent >= MOST_SILENT:
+                raise ControllerError(f"{question.address} does not answer")
+            return False
+        self._silent = 0
+        if answer[0] == request[0] + POSITIVE:
+            return self._is_told(question, answer)
+        code = answer[2] if answer[0] == NEGATIVE and len(answer) > 2 else 0
+        if code == BUSY:
+            self._free_s = time.monotonic() + BUSY_PAUSE_S
+        else:
+            _LOG.log(NOTICE, "%s", self.plan.refuse(question, refusal_text(code)))
+        return False
+
+    def _is_told(self, question: Question, answer: bytes) -> bool:
+        """Return whether an answer has what was asked for, in the lengths of the profile."""
+        found = data_in(question.request, answer, question.address.request_id, self._sizes)
+        if isinstance(found, str):
+            _LOG.log(NOTICE, "%s", self.plan.refuse(question, found))
+            return False
+        for datum in set(question.data) - dict(found).keys():
+            _LOG.log(NOTICE, "%s", self.plan.refuse(Question(question.address, (datum,)), "left out"))
+        return bool(found)
+
+    def _tell_rate(self) -> None:
+        first_s, last_s = self._sets[0], self._sets[-1]
+        if last_s - first_s < RATE_S:
+            return
+        rate_hz = (len(self._sets) - 1) / (last_s - first_s)
+        self._sets.clear()
+        if self._told_hz is None or abs(rate_hz / self._told_hz - 1.0) > TOLD_RATIO:
+            self._told_hz = rate_hz
+            _LOG.log(
+                NOTICE, "%.0f sets a second: enough for shifts that slip for %.2g s", rate_hz, LEAST_ROWS / rate_hz
+            )
+
+
+class WatchedBus:
+    """A bus as one who asks sees it: answers come through, and who else asks is noticed.
+
+    It gives no frame but answers; raises OtherTesterError where another tester's request comes.
+    """
+
+    def __init__(self, bus: can.BusABC, addresses: Sequence[CanAddress]) -> None:
+        self._bus = bus
+        self._answers = {one.response_id for one in addresses}
+        self._requests = {one.request_id for one in addresses}
+        wanted = {*self._answers, *self._requests, FUNCTIONAL_ID, *STANDARD_REQUESTS}
+        filters = [
+            {"can_id": one, "can_mask": 0x1FFF_FFFF if is_extended(one) else 0x7FF, "extended": is_extended(one)}
+            for one in sorted(wanted)
+        ]
+        bus.set_filters(filters)  # type: ignore[arg-type]  # as the library documents it
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Return the next answer, None if none comes in time."""
+        until_s = time.monotonic() + (timeout or 0.0)
+        while True:
+            message = self._bus.recv(max(0.0, until_s - time.monotonic()))
+            if message is None or message.is_error_frame:
+                return None
+            can_id = message.arbitration_id
+            if can_id in self._answers:
+                return message
+            if can_id in self._requests or is_request(can_id):
+                raise OtherTesterError(f"another tester asks (requests on {id_text(can_id)})")
+
+    def send(self, message: can.Message, timeout: float | None = None) -> None:
+        """Put a frame on the bus."""
+        self._bus.send(message, timeout)
+
+    def listen(self, duration_s: float, goes_on: Callable[[], bool]) -> None:
+        """Wait until nobody has asked for so long."""
+        until_s = time.monotonic() + duration_s
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            if not goes_on():
+                raise StoppedError("stopped early")
+            with suppress(OtherTesterError):
+                self.recv(min(0.1, left_s))
+                continue
+            until_s = time.monotonic() + duration_s
+
+
+class CanLine:
+    """Controllers on a bus, one request at a time."""
+
+    def __init__(self, bus: WatchedBus, *, is_fd: bool, goes_on: Callable[[], bool]) -> None:
+        self._bus = bus
+        self._is_fd = is_fd
+        self._goes_on = goes_on
+        self._connections: dict[CanAddress, CanConnection] = {}
+
+    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
+        """Return the answer to a request, None if none comes in time; raises ControllerError, OtherTesterError."""
+        if address not in self._connections:
+            bus = cast("can.BusABC", self._bus)  # of which a connection uses these two
+            self._connections[address] = CanConnection(bus, address, is_fd=self._is_fd, goes_on=self._goes_on)
+        connection = self._connections[address]
+        connection.empty_rxqueue()
+        connection.specific_send(request)
+        wait_s = ANSWER_S
+        while True:
+            try:
+                answer = connection.specific_wait_frame(wait_s)
+            except TimeoutException:
+                return None
+            is_refusal = answer[:2] == bytes([NEGATIVE, request[0]])
+            if is_refusal and answer[2:3] == bytes([PENDING]):
+                wait_s = PENDING_S
+            elif is_refusal or answer[:1] == bytes([request[0] + POSITIVE]):
+                return answer
+
+
+@contextmanager
+def line_on(
+    name: BusName | can.BusABC,
+    addresses: Sequence[CanAddress],
+    *,
+    is_fd: bool,
+    listen_s: float = LISTEN_S,
+    goes_on: Callable[[], bool] = lambda: True,
+) -> Iterator[CanLine]:
+    """Open a bus and wait until nobody else asks on it; raises SourceError, ControllerError, StoppedError."""
+    with opened_bus(name) as bus:
+        watched = WatchedBus(bus, addresses)
+        watched.listen(listen_s, goes_on)
+        yield CanLine(watched, is_fd=is_fd, goes_on=goes_on)
+
+
+@asynccontextmanager
+async def asking(bus: BusConfig, fields: Mapping[Signal, AskedField], together: int) -> AsyncIterator[None]:
+    """Ask for signals until the block ends."""
+    own = BusName(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, is_fd=bus.is_fd)
+    addresses = [CanAddress(request_id=one.request_id, response_id=one.reply_id) for one in fields.values()]
+    asker = SignalAsker(
+        fields,
+        together,
+        lambda: line_on(own, addresses, is_fd=bus.is_fd, goes_on=lambda: asker.goes_on),
+        bus.bitrate,
+    )
+    with asker:
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(asker.end)

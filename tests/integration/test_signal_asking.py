@@ -1,0 +1,173 @@
+"""Signals asked for on a bus: what is sent, and what happens with other testers and odd controllers."""
+
+import secrets
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+
+import can
+import pytest
+
+from canlog.notice import NOTICE
+from diag_service.diagnosis.columns import Signal
+from diag_service.mapping.profile import Profile, load_profile, load_shipped
+from diag_service.tester.addresses import CanAddress
+from diag_service.tester.signal_asking import Plan, SignalAsker, line_on
+from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.table_file import personalities, table_like
+from ecu_emulator.errors import ConfigError
+from tests.integration.test_tester import vehicle
+from tests.support.in_process import ended
+from tests.support.patience import HANG_S
+
+VALUES = {
+    "engine_torque_nm": 120.0,
+    "input1_speed_rad_s": 200.0,
+    "input2_speed_rad_s": 150.0,
+    "clutch1_pressure_pa": 4e5,
+    "clutch2_pressure_pa": 0.0,
+    "sump_temperature_k": 353.15,
+}
+ALLOWED = {0x22, 0x01, 0x21, 0x3E}
+NUMBERS = count()
+
+
+def controller(values: Mapping[str, float] = VALUES) -> Controller:
+    return Controller(table_like("vw_dsg"), values=lambda: values, clock=time.monotonic, chance=secrets.token_bytes)
+
+
+class Ear:
+    """Keeps what is said on a bus."""
+
+    def __init__(self) -> None:
+        self.frames: list[can.Message] = []
+
+    def __call__(self, message: can.Message) -> None:
+        self.frames.append(message)
+
+    def services(self, request_id: int = 0x7E1) -> set[int]:
+        """Return the services of the requests on an identifier."""
+        own = [bytes(one.data) for one in list(self.frames) if one.arbitration_id == request_id]
+        single = {data[1] for data in own if data[0] >> 4 == 0}
+        return single | {data[2] for data in own if data[0] >> 4 == 1}
+
+
+@contextmanager
+def asked(profile: Profile, channel: str, *, together: int = 8, listen_s: float = 0.05) -> Iterator[SignalAsker]:
+    addresses = [CanAddress(request_id=one.request_id, response_id=one.reply_id) for one in profile.asked.values()]
+    with can.Bus(channel, "virtual") as bus:
+        asker = SignalAsker(
+            profile.asked,
+            together,
+            lambda: line_on(bus, addresses, is_fd=False, listen_s=listen_s, goes_on=lambda: asker.goes_on),
+        )
+        with asker:
+            yield asker
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    deadline_s = time.monotonic() + HANG_S
+    while not condition():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.005)
+
+
+@pytest.fixture(name="channel")
+def _channel() -> str:
+    return f"signals {next(NUMBERS)}"
+
+
+@contextmanager
+def heard(channel: str) -> Iterator[Ear]:
+    ear = Ear()
+    with can.Bus(channel, "virtual") as bus, can.Notifier(bus, [ear], timeout=0.05):
+        yield ear
+
+
+def test_only_reading_services_are_sent_whatever_happens(channel: str) -> None:
+    with heard(channel) as ear, vehicle(channel, controller()), asked(load_shipped("dct_asked"), channel) as asker:
+        wait_for(lambda: asker.set_count >= 5)
+    assert ear.services() <= ALLOWED
+    assert set(asker.sent) == {0x22}
+
+
+@pytest.mark.parametrize("together", [1, 8])
+def test_what_is_refused_or_has_another_length_is_left_out_and_the_rest_goes_on(
+    channel: str, tmp_path: Path, together: int
+) -> None:
+    path = tmp_path / "more.toml"
+    path.write_text(
+        '[signals]\nclutch1_pressure_pa = { did = 0x38EB, at = "7E1", unit = "bar" }\n'
+        'clutch2_pressure_pa = { did = 0xABCD, at = "7E1", unit = "bar" }\n'
+        'sump_temperature_k = { did = 0x2104, at = "7E1", size = 4, unit = "degC" }\n',
+        encoding="utf-8",
+    )
+    with vehicle(channel, controller()), asked(load_profile(path), channel, together=together) as asker:
+        wait_for(lambda: asker.set_count >= 3 and len(asker.plan.refused) >= 2)
+    assert {str(one) for one in asker.plan.refused} == {"ABCD at 7E1", "2104 at 7E1"}
+
+
+def test_another_tester_makes_it_silent_until_that_one_is_gone(channel: str, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(NOTICE)
+    with vehicle(channel, controller()), asked(load_shipped("dct_asked"), channel) as asker:
+        wait_for(lambda: asker.set_count >= 2)
+        with can.Bus(channel, "virtual") as other:
+            over = threading.Event()
+
+            def ask() -> None:
+                while not over.wait(0.01):
+                    other.send(can.Message(arbitration_id=0x7E0, is_extended_id=False, data=b"\x02\x3e\x80"))
+
+            thread = threading.Thread(target=ask)
+            thread.start()
+            wait_for(lambda: "another tester asks" in caplog.text)
+            sent = asker.sent.total()
+            time.sleep(0.3)
+            assert asker.sent.total() == sent
+            over.set()
+            thread.join()
+        wait_for(lambda: asker.sent.total() > sent)
+
+
+def test_a_controller_that_comes_back_is_asked_again(channel: str, caplog: pytest.LogCaptureFixture) -> None:
+    with asked(load_shipped("dct_asked"), channel) as asker:
+        wait_for(lambda: "asking is interrupted" in caplog.text)
+        with vehicle(channel, controller()):
+            wait_for(lambda: asker.set_count >= 1)
+
+
+def test_temperatures_are_asked_for_rarely() -> None:
+    profile = load_shipped("dct_asked")
+    plan = Plan(profile.asked, together=3)
+    assert [len(one.data) for one in plan.fast] == [3, 2]
+    rounds = [len(plan.due(0.02 * number)) for number in range(100)]
+    assert sum(number == 3 for number in rounds) == 4 + 2
+    assert profile.sources[Signal.CLUTCH1_PRESSURE].place == "38EB at 7E1"
+
+
+def test_a_personality_answers_with_its_own_data() -> None:
+    assert personalities() == ("bmw_dkg", "vw_dsg")
+    assert controller().ask(bytes.fromhex("2238EB100C")) == bytes.fromhex("6238EB0190100C0960")
+    with pytest.raises(ConfigError, match="nobody answers like audi: there are bmw_dkg, vw_dsg"):
+        table_like("audi")
+
+
+def test_asking_for_signals_and_for_codes_at_once_is_refused(tmp_path: Path, channel: str) -> None:
+    words = (
+        "run",
+        "-i",
+        "virtual",
+        "-c",
+        channel,
+        "--profile",
+        "dct_asked",
+        "--active",
+        "--store",
+        tmp_path / "s.sqlite",
+    )
+    run = ended(*words, "--poll", "5")
+    assert run.status == 2
+    assert "error: --poll: this profile asks all the time already" in run.err
