@@ -127,6 +127,7 @@ class Session:
         self._pending: deque[tuple[ShiftResult, VehicleState | None]] = deque()  # what a full disk did not take yet
         self._max_pending_count = max_pending_count
         self._is_disk_full = False
+        self._is_doubted = False  # whether that was told
         self.given_up_count = 0  # results that never found room on the disk
 
     @property
@@ -246,6 +247,9 @@ class Session:
         self._note_fluid(event)
         with self.progress.working(Stage.ESTIMATE):
             diagnosis = self.stages.conclude(event)
+        if self.stages.doubt and not self._is_doubted:
+            self._is_doubted = True
+            _LOG.warning("nothing is estimated: %s", self.stages.doubt)
         is_live = self._stream is None
         result = ShiftResult(
             vehicle=self.vehicle,

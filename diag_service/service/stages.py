@@ -11,6 +11,7 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.quality.data_quality import QualityBasis, compile_data_quality, gate
+from diag_service.diagnosis.quality.meaning import MeaningCheck
 from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.diagnosis.summary import Capability
@@ -49,6 +50,12 @@ class Stages:
         )
         self._state = state
         self._memory = memory
+        self._meaning = MeaningCheck([one.friction.mu_c for one in calibration.clutches]) if decoder.asked else None
+
+    @property
+    def doubt(self) -> str:
+        """Why signals that were asked for cannot be what the profile says; empty if they can."""
+        return "" if self._meaning is None else self._meaning.doubt
 
     def feed(self, batch: FrameBatch) -> list[Diagnosis]:
         """Return the diagnoses of the shifts that these frames complete."""
@@ -83,6 +90,8 @@ class Stages:
         state = self._state
         if data.samples is not None:
             state, estimate = self._estimator.estimate(event, data.samples, state, data.against)
+            if self._meaning is not None and not self._meaning.is_believed(estimate):
+                state, estimate = self._state, without_friction(event, Status.REJECTED, Reason.IMPLAUSIBLE)
         elif data.against:
             estimate = without_friction(event, Status.REJECTED, *data.against)
         else:

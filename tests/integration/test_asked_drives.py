@@ -55,3 +55,24 @@ def test_a_controller_that_says_other_things_than_the_profile_gives_no_estimate(
     write_candump(asked, dialogue)
     run = ended("analyze", asked, "--profile", log.with_name("asked.toml"), "--json")
     assert not [one for one in run.records if one.get("status") == "valid"]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        (("scale = 0.05", "scale = 0.1"), "of what this type has new"),
+        (("scale = 0.05", "scale = 0.025"), "of what this type has new"),
+        (("0x38EB", "0x38EA"), "none of 3 events fits"),
+    ],
+)
+def test_a_profile_for_another_car_is_found_out_and_nothing_is_estimated(
+    log: Path, wrong: tuple[str, str], text: str
+) -> None:
+    dialogue = dialogue_of(drive_of(log), asked_profile(log.parent), np.random.default_rng(1))
+    asked_profile(log.parent, DSG.replace(wrong[0], "#").replace(wrong[1], wrong[0]).replace("#", wrong[1]))
+    asked = log.with_name("doubted.log")
+    write_candump(asked, dialogue)
+    run = ended("analyze", asked, "--profile", log.with_name("asked.toml"), "--json")
+    assert "warning: nothing is estimated: " in run.err
+    assert text in run.err
+    assert not [one for one in run.records if one.get("status") == "valid"]
