@@ -1,4 +1,4 @@
-"""The Python and the files that docs/diagnostics.md and docs/tester.md show do what the pages say.
+"""The Python and the files that docs/diagnostics.md, docs/tester.md and docs/usage.md show do what the pages say.
 
 Its blocks for odxtools and python-OBD are run where those libraries are: tests/integration/test_uds_pdx.py,
 tests/e2e/test_obd.py.
@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from udsoncan.configs import default_client_config
 
+from diag_service.mapping.profile import load_profile
 from diag_service.tester.description_file import load_file
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from ecu_emulator.scenario.scenario import OpinionFrom
@@ -79,3 +80,12 @@ def test_a_description_of_ones_own(tmp_path: Path) -> None:
     values = described.values(described.find_data("oil"), bytes.fromhex("04 B0 01") + b"A7")
     assert values == {"temperature [degC]": 80.0, "state": "warm", "batch": "A7"}
     assert described.trouble_text(0x02184B) == "Transmission Fluid Over Temperature Condition"
+
+
+def test_asked_signals_of_a_profile_are_read_as_shown(tmp_path: Path) -> None:
+    path = tmp_path / "car.toml"
+    path.write_text(block("toml", "did = ", "docs/usage.md"), encoding="utf-8")
+    profile = load_profile(path)
+    (asked,) = profile.asked.values()
+    assert (asked.number, asked.request_id, asked.is_signed) == (0x38EB, 0x7E1, True)
+    assert {signal.value for signal in profile.sources} == {"clutch1_pressure_pa", "engine_speed_rad_s"}
