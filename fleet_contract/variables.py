@@ -24,7 +24,18 @@ SERVICE_VARIABLES: Final = frozenset(
             "PASSWORD_FILE",
             "PROFILE",
         ),
-        *("STORE", "STORE_BUDGET", "VEHICLE", "VEHICLE_FILE", "ACTIVE", "DESCRIPTION", "ECU", "POLL", "REPLY"),
+        *(
+            "STORE",
+            "STORE_BUDGET",
+            "VEHICLE",
+            "VEHICLE_FILE",
+            "ACTIVE",
+            "ADAPTER",
+            "DESCRIPTION",
+            "ECU",
+            "POLL",
+            "REPLY",
+        ),
     )
 )
 BACKEND_VARIABLES: Final = frozenset({f"{PREFIX}BROKER", f"{PREFIX}DATABASE"})

@@ -23,7 +23,7 @@ from diag_service.service.live import run_live
 from diag_service.service.session import Session
 from diag_service.service.snapshot import frame_counts
 from diag_service.service.stopping import Trigger
-from diag_service.settings.config import BusConfig, DiagnosisConfig
+from diag_service.settings.config import BusConfig, DiagnosisConfig, adapter_bus
 from diag_service.store import ResultStore
 
 if TYPE_CHECKING:
@@ -346,6 +346,7 @@ def diagnose(
     is_lenient: bool = False,
     poll: Poll | None = None,
     asks: bool = False,
+    adapter: str | None = None,
 ) -> LiveDiagnosis:
     """Diagnose a live bus, as ``diag-service run`` does.
 
@@ -369,6 +370,9 @@ def diagnose(
     asks
         Whether signals are asked for that the profile says are to be; needs a bus that was named. Without this and
         ``poll`` nothing is sent.
+    adapter
+        Through which they are asked for in place of a bus: ``elm327://HOST[:PORT]``, ``elm327:/dev/NAME`` or
+        ``doip://HOST[:PORT]/ADDRESS``.
 
     Returns
     -------
@@ -388,9 +392,13 @@ def diagnose(
         raise ConfigError("an open bus has only one reader: give Poll(bus=...) a connection of its own")
     if bus is not None and asks:
         raise ConfigError("an open bus has only one reader: name the bus, which is opened once more to ask on it")
+    if adapter is not None:
+        if not asks or bus is not None or interface is not None or channel is not None:
+            raise ConfigError("adapter needs asks=True, and no bus beside")
+        interface, channel = adapter_bus()
     named = BusConfig(
         interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd, duration_s=duration_s,
-        is_filtered=is_only_mapped, poll=poll_config(poll), asks=asks,
+        is_filtered=is_only_mapped, poll=poll_config(poll), asks=asks, adapter=adapter,
     )  # fmt: skip
     config = configuration(
         vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient, delivery=delivery,

@@ -174,6 +174,7 @@ class Overheard:
         self._pairs = {flagged(one.reply_id): flagged(one.request_id) for one in fields}
         self._ids = np.array(sorted({*self._pairs, *self._pairs.values(), FUNCTIONAL_ID}), np.uint32)
         self._begin()
+        self.frame_count = 0  # of requests and answers that gave samples
         self.answered: Counter[DatumId] = Counter()
         self.faults: Counter[str] = Counter()  # of dialogues that gave no sample, by why, for people
 
@@ -282,6 +283,7 @@ class Overheard:
             return
         middle_ns = (request.last_ns + max(answer.first_ns, request.last_ns)) // 2 // NS_PER_US * NS_PER_US
         t_ns = max(middle_ns, request.last_ns)
+        self.frame_count += (request.frames + answer.frames) * bool(found)
         for datum, data in found:
             self.answered[datum] += 1
             for column, one in self._fields.get(datum, {}).items():

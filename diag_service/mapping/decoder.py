@@ -126,6 +126,10 @@ class Decoder:
             slot for slot, mapped in enumerate(self._messages) if mapped.columns[0].is_asked
         ]  # no frames of the bus
         counts = self._monitor.counts.sum(axis=0) - self._monitor.counts[told].sum(axis=0)
+        if self.overheard is not None:  # frames of dialogues are known by what they say, not by their identifier
+            known = min(self.overheard.frame_count, int(counts[FrameReason.UNKNOWN_ID]))
+            counts[FrameReason.OK] += known
+            counts[FrameReason.UNKNOWN_ID] -= known
         invalid = {
             signal.value: {reason: count for reason, count in counts._asdict().items() if count}
             for signal, counts in self._invalid.items()

@@ -1,6 +1,7 @@
 """What a run is to do, checked once: the command line's words become values, or a ConfigError."""
 
 import os
+import uuid
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -97,6 +98,7 @@ class BusConfig:
     page: ListenAddress | None = None  # where to show the run to browsers, on this machine
     poll: PollConfig | None = None  # None: trouble codes are not asked for
     asks: bool = False  # whether signals are asked for that the profile says are to be
+    adapter: str | None = None  # through which, in place of a bus; what is said there is said on the named one as well
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -147,11 +149,23 @@ def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
     )
 
 
+def adapter_bus() -> tuple[str, str]:
+    """Return interface and channel of a new bus of this process, on which dialogues through an adapter are said."""
+    return "virtual", f"adapter {uuid.uuid4()}"
+
+
 def bus_config(options: SimpleNamespace) -> BusConfig:
     """Return which bus to listen to; raises ConfigError."""
+    interface, channel, adapter = options.interface, options.channel, getattr(options, "adapter", None)
+    if adapter is not None:
+        if interface is not None or channel is not None:
+            raise ConfigError("give either --adapter or --interface and --channel: through an adapter no bus is heard")
+        if not options.active:
+            raise ConfigError("--adapter needs --active: an adapter tells nothing unless it is asked")
+        interface, channel = adapter_bus()
     return BusConfig(
-        interface=options.interface,
-        channel=options.channel,
+        interface=interface,
+        channel=channel,
         bitrate=options.bitrate,
         is_fd=options.fd,
         duration_s=options.duration,
@@ -160,6 +174,7 @@ def bus_config(options: SimpleNamespace) -> BusConfig:
         page=_page(getattr(options, "page", None)),
         poll=_poll(options),
         asks=getattr(options, "active", False),
+        adapter=adapter,
     )
 
 

@@ -134,6 +134,10 @@ POLL: Final = (
         flag_value=60.0,
     ),
     Setting(
+        "--adapter URL",
+        "ask through elm327://HOST[:PORT], elm327:/dev/NAME or doip://HOST[:PORT]/ADDRESS in place of a bus",
+    ),
+    Setting(
         "--active",
         "allow requests on the bus, for signals of the profile, too: without it the service only listens",
     ),

@@ -20,7 +20,7 @@ import can
 from canlog.errors import CanlogError
 from canlog.notice import NOTICE
 from diag_service.diagnosis.columns import Signal
-from diag_service.errors import ControllerError, DiagServiceError, StoppedError
+from diag_service.errors import ControllerError, DiagServiceError, SilentError, StoppedError
 from diag_service.mapping.asked_signals import (
     LATEST_NS,
     NEGATIVE,
@@ -33,6 +33,7 @@ from diag_service.mapping.asked_signals import (
     sizes_of,
 )
 from diag_service.settings.config import BusConfig
+from diag_service.tester.adapters import ELM327, ELM_TOGETHER, line_through, parse_adapter
 from diag_service.tester.addresses import FUNCTIONAL_ID, STANDARD_REQUESTS, CanAddress, id_text, is_extended, is_request
 from diag_service.tester.answers import refusal_text
 from diag_service.tester.asking import LISTEN_S, BusName, opened_bus
@@ -102,6 +103,15 @@ class Plan:
     _slow_count: int = 0
 
     @property
+    def addresses(self) -> set[CanAddress]:
+        """Who is asked."""
+        return {
+            CanAddress(request_id=one.request_id, response_id=one.reply_id)
+            for one in self.fields.values()
+            if one.data_id not in self.refused
+        }
+
+    @property
     def fast(self) -> list[Question]:
         """The questions of a round."""
         return self._questions([one for signal, one in self.fields.items() if signal not in _SLOW])
@@ -166,7 +176,8 @@ class SignalAsker:
         self._bits_per_s = MOST_LOAD * (bitrate or USUAL_BITRATE)
         self._is_over = threading.Event()
         self._free_s = 0.0  # until when the bus is left alone
-        self._silent = 0
+        self._silent: Counter[CanAddress] = Counter()  # questions in a row without answer
+        self._silent_until_s: dict[CanAddress, float] = {}
         self._trouble, self._pause_s = "", FIRST_PAUSE_S
         self._sets: deque[float] = deque(maxlen=10_000)
         self._told_hz: float | None = None
@@ -209,13 +220,14 @@ class SignalAsker:
             self._sets.clear()
 
     def _rounds(self, line: Line) -> None:
-        self._silent = 0
+        self._silent.clear()
         while self.goes_on:
             questions = self.plan.due(time.monotonic())
             if not questions:
                 raise ControllerError("everything that the profile asks for is refused")
-            answered = [self._ask(line, one) for one in questions]
-            if all(answered):
+            heard = [one for one in questions if self._silent_until_s.get(one.address, 0.0) <= time.monotonic()]
+            answered = [self._ask(line, one) for one in heard]
+            if answered and all(answered):
                 if self._trouble:
                     _LOG.log(NOTICE, "asking goes on")
                     self._trouble, self._pause_s = "", FIRST_PAUSE_S
@@ -235,11 +247,11 @@ class SignalAsker:
         frames = frame_count(len(request)) + frame_count(expected if answer is None else len(answer))
         self._free_s = begun_s + frames * FRAME_BITS / self._bits_per_s
         if answer is None:
-            self._silent += 1
-            if self._silent >= MOST_SILENT:
-                raise ControllerError(f"{question.address} does not answer")
+            self._leave_alone(question.address)
             return False
-        self._silent = 0
+        self._silent[question.address] = 0
+        if self._silent_until_s.pop(question.address, None) is not None:
+            _LOG.log(NOTICE, "%s answers", question.address)
         if answer[0] == request[0] + POSITIVE:
             return self._is_told(question, answer)
         code = answer[2] if answer[0] == NEGATIVE and len(answer) > 2 else 0
@@ -248,6 +260,20 @@ class SignalAsker:
         else:
             _LOG.log(NOTICE, "%s", self.plan.refuse(question, refusal_text(code)))
         return False
+
+    def _leave_alone(self, address: CanAddress) -> None:
+        """Ask a controller that does not answer now and then only; raises ControllerError if none does."""
+        self._silent[address] += 1
+        if self._silent[address] < MOST_SILENT:
+            return
+        self._silent[address] = 0
+        is_new = address not in self._silent_until_s
+        self._silent_until_s[address] = time.monotonic() + LONGEST_PAUSE_S
+        if self._silent_until_s.keys() >= self.plan.addresses:
+            self._silent_until_s.clear()
+            raise ControllerError(f"{address} does not answer")
+        if is_new:
+            _LOG.warning("%s does not answer: it is asked now and then", address)
 
     def _is_told(self, question: Question, answer: bytes) -> bool:
         """Return whether an answer has what was asked for, in the lengths of the profile."""
@@ -334,7 +360,10 @@ class CanLine:
             self._connections[address] = CanConnection(bus, address, is_fd=self._is_fd, goes_on=self._goes_on)
         connection = self._connections[address]
         connection.empty_rxqueue()
-        connection.specific_send(request)
+        try:
+            connection.specific_send(request)
+        except SilentError:
+            return None
         wait_s = ANSWER_S
         while True:
             try:
@@ -369,12 +398,14 @@ async def asking(bus: BusConfig, fields: Mapping[Signal, AskedField], together: 
     """Ask for signals until the block ends."""
     own = BusName(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, is_fd=bus.is_fd)
     addresses = [CanAddress(request_id=one.request_id, response_id=one.reply_id) for one in fields.values()]
-    asker = SignalAsker(
-        fields,
-        together,
-        lambda: line_on(own, addresses, is_fd=bus.is_fd, goes_on=lambda: asker.goes_on),
-        bus.bitrate,
-    )
+    open_line: OpenLine
+    if bus.adapter is not None:
+        adapter, channel = bus.adapter, bus.channel or ""
+        together = min(together, ELM_TOGETHER) if parse_adapter(adapter)[0] == ELM327 else together
+        open_line = lambda: line_through(adapter, channel, lambda: asker.goes_on)  # noqa: E731 - one of two
+    else:
+        open_line = lambda: line_on(own, addresses, is_fd=bus.is_fd, goes_on=lambda: asker.goes_on)  # noqa: E731
+    asker = SignalAsker(fields, together, open_line, bus.bitrate)
     with asker:
         try:
             yield

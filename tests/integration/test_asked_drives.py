@@ -6,7 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canlog.frames import join
 from canlog.logs import read_log
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Posterior
+from diag_service.mapping.interpretation import interpret
+from diag_service.service.stages import Stages
 from ecu_emulator.cli import main as emulator
 from tests.support.asked import DSG, asked_profile, dialogue_of, merged, write_candump
 from tests.support.in_process import ended
@@ -28,6 +34,17 @@ def _log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def piecewise(log: Path, profile: Path) -> list[float]:
+    """Return the friction that the events of a log give if its frames come few by few, as a live bus gives them."""
+    calibration = nominal_calibration()
+    decoder = interpret(None, profile).decoder()
+    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+    frames = join(list(read_log(log)))
+    found = [one for at in range(0, len(frames), 97) for one in stages.feed(frames[at : at + 97])]
+    found += [stages.conclude(event) for event in stages.flush()]
+    return [one.estimate.friction.mu_c for one in found if one.estimate.friction is not None]
+
+
 @pytest.mark.parametrize("is_mixed", [False, True])
 def test_friction_is_found_from_answers_alone_and_beside_broadcast_frames(log: Path, *, is_mixed: bool) -> None:
     text = DSG
@@ -37,10 +54,14 @@ def test_friction_is_found_from_answers_alone_and_beside_broadcast_frames(log: P
     dialogue = dialogue_of(drive_of(log), profile, np.random.default_rng(1))
     asked = log.with_name("asked.log")
     write_candump(asked, merged(*read_log(log), dialogue) if is_mixed else dialogue)
-    run = ended("analyze", asked, "--profile", log.with_name("asked.toml"), "--json")
+    profile_path = log.with_name("asked.toml")
+    run = ended("analyze", asked, "--profile", profile_path, "--json")
     assert run.status == 0, run.err
     valid = [one for one in run.records if "from_gear" in one and one["status"] == "valid"]
     assert len(valid) >= 8
+    frames = run.records[-1]["frames"]
+    assert frames["decoded"] + frames["ignored"] == frames["on_bus"]
+    assert [one["friction"]["mu_c"] for one in valid] == piecewise(asked, profile_path)
     truth = next(json.loads(line) for line in log.with_suffix(".log.truth.jsonl").read_text("utf-8").splitlines())
     for one in valid:
         friction, true = one["friction"], truth["mu_c"][one["clutch"] - 1]

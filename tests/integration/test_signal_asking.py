@@ -139,6 +139,20 @@ def test_a_controller_that_comes_back_is_asked_again(channel: str, caplog: pytes
             wait_for(lambda: asker.set_count >= 1)
 
 
+def test_a_controller_that_is_silent_keeps_no_other_from_being_asked(
+    channel: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "two.toml"
+    path.write_text(
+        '[signals]\nclutch1_pressure_pa = { did = 0x38EB, at = "7E1", unit = "bar" }\n'
+        'vehicle_speed_m_s = { pid = 0x0D, at = "7E0", length = 8, unit = "km/h" }\n',
+        encoding="utf-8",
+    )
+    with vehicle(channel, controller()), asked(load_profile(path), channel) as asker:
+        wait_for(lambda: asker.set_count >= 3)
+    assert "7E0 (answers 7E8) does not answer: it is asked now and then" in caplog.text
+
+
 def test_temperatures_are_asked_for_rarely() -> None:
     profile = load_shipped("dct_asked")
     plan = Plan(profile.asked, together=3)

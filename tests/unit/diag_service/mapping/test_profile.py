@@ -33,7 +33,7 @@ def test_the_profile_of_our_database_has_a_source_for_every_signal_of_ours() -> 
 
 
 def test_shipped_profiles_are_found_by_name() -> None:
-    assert shipped_profiles() == ("dct", "dct_asked", "hyundai_dct", "j1939", "vw_dsg", "vw_mqb")
+    assert shipped_profiles() == ("bmw_dkg", "dct", "dct_asked", "hyundai_dct", "j1939", "vw_dsg", "vw_mqb")
     for name in shipped_profiles():
         profile = find_profile(Path(name))
         assert (profile.name, profile.is_lenient) == (name, True)
@@ -41,7 +41,7 @@ def test_shipped_profiles_are_found_by_name() -> None:
 
 
 def test_a_name_that_does_not_ship_is_refused_with_those_that_do() -> None:
-    with pytest.raises(ConfigError, match="no profile audi: give a TOML file or one of dct, dct_asked, hyundai_dct"):
+    with pytest.raises(ConfigError, match="no profile audi: give a TOML file or one of bmw_dkg, dct, dct_asked"):
         find_profile(Path("audi"))
 
 

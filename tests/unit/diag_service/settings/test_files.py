@@ -41,6 +41,7 @@ VALUES: dict[str, str | int | float | bool] = {
     "metrics": "9100",
     "page": 8080,
     "poll": 30.0,
+    "adapter": "elm327:/dev/rfcomm0",
     "active": True,
     "ecu": "7E0",
     "reply": "7E8",

@@ -1,0 +1,229 @@
+"""Controllers behind what is no bus: an ELM327 adapter (TCP, or a serial port), or a node over IP.
+
+What is asked there is said on a bus of this process as well, where the diagnosis overhears it as on any other.
+"""
+
+import os
+import select
+import socket
+import termios
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Final
+from urllib.parse import urlsplit
+
+import can
+
+from canlog.transport.isotp import segments
+from diag_service.errors import ConfigError, ControllerError, RefusedError, SilentError, StoppedError
+from diag_service.mapping.asked_signals import NEGATIVE, PENDING
+from diag_service.tester.addresses import CanAddress, hexadecimal, is_extended
+from diag_service.tester.asking import LARGEST_LOGICAL, dialogue_over_ip, parse_doip
+from diag_service.tester.timing import Timing
+
+if TYPE_CHECKING:
+    from diag_service.tester.dialogue import Dialogue
+    from diag_service.tester.signal_asking import Line
+
+ELM327, DOIP = "elm327", "doip"
+ELM_PORT: Final = 35000
+ELM_TOGETHER: Final = 3  # identifiers that fit into a single frame: the adapter sends no longer request
+CONNECT_S: Final = 5.0
+RESET_S: Final = 3.0  # after ATZ
+ANSWER_S: Final = 1.0  # the adapter itself says NO DATA before
+LOOK_S: Final = 0.1
+_SETTINGS: Final = (
+    "ATE0",
+    "ATL0",
+    "ATS0",
+    "ATH0",
+    "ATAL",
+    "ATCAF1",
+    "ATSP6",
+)  # no echo, no blanks, 11 bits, 500 kbit/s
+_PROTOCOL_29: Final = "ATSP7"
+_LINE_END: Final = b">"
+_NO_ANSWER: Final = (
+    "NO DATA",
+    "?",
+    "STOPPED",
+    "SEARCHING",
+    "BUS",
+    "CAN ERROR",
+    "UNABLE",
+    "BUFFER",
+    "DATA ERROR",
+    "ERR",
+)
+
+
+class ElmLine:
+    """Controllers behind an ELM327, or one that understands its commands (STN).
+
+    Raises ControllerError if the adapter is not there or says nothing.
+    """
+
+    def __init__(self, place: str, stack: ExitStack, goes_on: Callable[[], bool]) -> None:
+        self._goes_on = goes_on
+        self._place = place
+        try:
+            self._descriptor = _opened(place, stack)
+        except OSError as exc:
+            raise ControllerError(f"adapter {place}: {exc.strerror or exc}") from exc
+        self._address: CanAddress | None = None
+        self._command("ATZ", RESET_S)
+        for setting in _SETTINGS:
+            self._command(setting)
+
+    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
+        """Return the answer to a request, None if there is none; raises ControllerError, StoppedError."""
+        if address != self._address:
+            self._command(_PROTOCOL_29 if is_extended(address.request_id) else _SETTINGS[-1])
+            if is_extended(address.request_id):
+                self._command(f"ATCP{address.request_id >> 24:02X}")
+            self._command(f"ATSH{address.request_id & 0xFFFFFF:0{6 if is_extended(address.request_id) else 3}X}")
+            self._command(f"ATCRA{address.response_id:X}")
+            self._address = address
+        found = messages_in(self._command(request.hex().upper()))
+        said = [one for one in found if one[:2] != bytes([NEGATIVE, request[0]]) or one[2:3] != bytes([PENDING])]
+        return said[-1] if said else None
+
+    def _command(self, text: str, wait_s: float = ANSWER_S) -> str:
+        try:
+            os.write(self._descriptor, text.encode() + b"\r")
+            return self._read(wait_s).decode("ascii", "replace").strip("\r\n >")
+        except OSError as exc:
+            raise ControllerError(f"adapter {self._place}: {exc.strerror or exc}") from exc
+
+    def _read(self, wait_s: float) -> bytes:
+        found, until_s = b"", time.monotonic() + wait_s
+        while _LINE_END not in found:
+            if not self._goes_on():
+                raise StoppedError("stopped early")
+            if time.monotonic() > until_s:
+                raise ControllerError(f"adapter {self._place} does not answer")
+            if select.select([self._descriptor], [], [], LOOK_S)[0]:
+                piece = os.read(self._descriptor, 4096)
+                if not piece:
+                    raise ControllerError(f"adapter {self._place} has hung up")
+                found += piece
+        return found
+
+
+def messages_in(text: str) -> list[bytes]:
+    """Return the messages in what an ELM327 shows: a line each, or a length and numbered lines; words are none."""
+    found, long, length = list[bytes](), b"", 0
+    for line in text.replace("\n", "\r").split("\r"):
+        words = line.strip().replace(" ", "").upper()
+        if not words or words.startswith(tuple(one.replace(" ", "") for one in _NO_ANSWER)):
+            continue
+        number, colon, rest = words.rpartition(":")
+        try:
+            if colon:
+                long = (b"" if number == "0" else long) + bytes.fromhex(rest)
+                if len(long) >= length > 0:
+                    found.append(long[:length])
+                    long, length = b"", 0
+            elif len(words) == 3:
+                length = int(words, 16)
+            else:
+                found.append(bytes.fromhex(words))
+        except ValueError:
+            continue
+    return found
+
+
+def _opened(place: str, stack: ExitStack) -> int:
+    """Return the descriptor of a TCP connection or of a serial port."""
+    if place.startswith("/"):
+        descriptor = os.open(place, os.O_RDWR | os.O_NOCTTY)
+        stack.callback(os.close, descriptor)
+        tty.setraw(descriptor)
+        settings = termios.tcgetattr(descriptor)
+        settings[4] = settings[5] = termios.B38400
+        termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+        return descriptor
+    host, _, port = place.rpartition(":")
+    connection = socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_S)
+    stack.callback(connection.close)
+    connection.setblocking(True)
+    return connection.fileno()
+
+
+class DoipLine:
+    """A controller over IP."""
+
+    def __init__(self, tester: "Dialogue") -> None:
+        self._tester = tester
+
+    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
+        """Return the answer to a request, None if there is none; raises ControllerError, StoppedError."""
+        del address  # the node is the controller
+        try:
+            return self._tester.ask(request)
+        except RefusedError as exc:
+            return bytes([NEGATIVE, request[0], exc.code])
+        except SilentError:
+            return None
+
+
+class Said:
+    """Says what is asked and answered on a bus, too."""
+
+    def __init__(self, line: "Line", bus: can.BusABC) -> None:
+        self._line = line
+        self._bus = bus
+
+    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
+        """Ask, and say both messages as they come."""
+        self._say(request, address.request_id)
+        answer = self._line.ask(request, address)
+        if answer is not None:
+            self._say(answer, address.response_id)
+        return answer
+
+    def _say(self, payload: bytes, can_id: int) -> None:
+        for frame in segments(payload):
+            self._bus.send(can.Message(arbitration_id=can_id, is_extended_id=is_extended(can_id), data=frame))
+
+
+def parse_adapter(text: str) -> tuple[str, str, int]:
+    """Return what kind an adapter is, its place, and the logical address of a node.
+
+    ``elm327://HOST[:PORT]``, ``elm327:/dev/rfcomm0`` or ``doip://HOST[:PORT]/1011``; raises ConfigError.
+    """
+    parts = urlsplit(text)
+    if parts.scheme == ELM327 and not parts.netloc and parts.path.startswith("/dev/"):
+        return ELM327, parts.path, 0
+    try:
+        port = parts.port
+    except ValueError:
+        port = -1
+    if port != -1 and parts.hostname:
+        host = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
+        if parts.scheme == ELM327 and not parts.path.strip("/"):
+            return ELM327, f"{host}:{port or ELM_PORT}", 0
+        if parts.scheme == DOIP and parts.path.strip("/"):
+            logical = hexadecimal(parts.path.strip("/"), "--adapter: the logical address", LARGEST_LOGICAL)
+            return DOIP, host if port is None else f"{host}:{port}", logical
+    raise ConfigError(
+        f"--adapter must be elm327://HOST[:PORT], elm327:/dev/NAME or doip://HOST[:PORT]/1011, got {text!r}"
+    )
+
+
+@contextmanager
+def line_through(adapter: str, channel: str, goes_on: Callable[[], bool] = lambda: True) -> Iterator[Said]:
+    """Open the way through an adapter; what is said there is said on a virtual bus of this process as well.
+
+    Raises ConfigError, ControllerError.
+    """
+    kind, place, logical = parse_adapter(adapter)
+    with ExitStack() as stack:
+        bus = stack.enter_context(can.Bus(channel, "virtual"))
+        if kind == ELM327:
+            yield Said(ElmLine(place, stack, goes_on), bus)
+            return
+        tester = stack.enter_context(dialogue_over_ip(parse_doip(place, logical), Timing(), goes_on=goes_on))
+        yield Said(DoipLine(tester), bus)

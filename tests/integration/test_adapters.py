@@ -1,0 +1,110 @@
+"""Signals asked for through an ELM327 adapter and over IP: said on a bus of the process, where they are overheard."""
+
+from collections.abc import Callable
+
+import can
+import numpy as np
+import pytest
+
+from canlog.database.signal_columns import column_id
+from canlog.frames import EXTENDED_FLAG, FrameBatch, join
+from diag_service.diagnosis.columns import Signal
+from diag_service.errors import ConfigError
+from diag_service.mapping.asked_signals import Overheard
+from diag_service.mapping.profile import load_shipped
+from diag_service.tester.adapters import ELM_TOGETHER, line_through, messages_in, parse_adapter
+from diag_service.tester.signal_asking import SignalAsker
+from ecu_emulator.diagnostics.doip.listening import Place
+from ecu_emulator.diagnostics.doip.server import DoipServer
+from ecu_emulator.diagnostics.elm327.server import ElmServer
+from tests.integration.test_signal_asking import controller, wait_for
+from tests.support.doip.tester import free_port
+
+ASKED = load_shipped("dct_asked").asked
+
+
+def batch_of(messages: list[can.Message]) -> FrameBatch:
+    data = np.zeros((len(messages), 8), np.uint8)
+    for row, one in enumerate(messages):
+        data[row, : len(one.data)] = list(one.data)
+    return FrameBatch(
+        t_ns=np.array([round(one.timestamp * 1e6) * 1000 for one in messages], np.int64),
+        can_id=np.array([one.arbitration_id for one in messages], np.uint32),
+        length=np.array([len(one.data) for one in messages], np.uint8),
+        data=data,
+    )
+
+
+def overheard(channel: str, asker: Callable[[], SignalAsker]) -> dict[Signal, float]:
+    """Return the raw values that are heard on a channel while somebody asks."""
+    heard: list[can.Message] = []
+    with can.Bus(channel, "virtual") as bus, can.Notifier(bus, [heard.append], timeout=0.05), asker() as one:
+        wait_for(lambda: one.set_count >= 3)
+        assert set(one.sent) == {0x22}
+    reader = Overheard(list(ASKED.values()))
+    out = join([*reader.feed(batch_of(list(heard))), *reader.drain()])
+    values = np.ascontiguousarray(out.data).view("<f8")[:, 0]
+    columns = {signal: column_id(field.name) | EXTENDED_FLAG for signal, field in ASKED.items()}
+    return {signal: float(values[out.can_id == column][-1]) for signal, column in columns.items()}
+
+
+def asking(adapter: str, channel: str, together: int) -> SignalAsker:
+    return SignalAsker(ASKED, together, lambda: line_through(adapter, channel))
+
+
+def check(values: dict[Signal, float]) -> None:
+    assert values.keys() == ASKED.keys()
+    assert values[Signal.CLUTCH1_PRESSURE] == 400.0
+    assert values[Signal.ENGINE_TORQUE] == 2400.0
+
+
+def test_an_elm327_adapter_is_asked_and_overheard() -> None:
+    with ElmServer(controller(), ("127.0.0.1", 0)) as server:
+        adapter = f"elm327://127.0.0.1:{server.address[1]}"
+        check(overheard("elm", lambda: asking(adapter, "elm", ELM_TOGETHER)))
+
+
+def test_a_node_over_ip_is_asked_and_overheard() -> None:
+    with DoipServer(controller(), Place(host="127.0.0.1", port=free_port())) as server:
+        adapter = f"doip://127.0.0.1:{server.place.port}/1011"
+        check(overheard("doip", lambda: asking(adapter, "doip", 8)))
+
+
+def test_an_adapter_that_hangs_up_is_found_again(caplog: pytest.LogCaptureFixture) -> None:
+    with ElmServer(controller(), ("127.0.0.1", 0)) as server:
+        port = server.address[1]
+        asker = asking(f"elm327://127.0.0.1:{port}", "elm 2", ELM_TOGETHER)
+        asker.__enter__()
+        wait_for(lambda: asker.set_count >= 1)
+    wait_for(lambda: "asking is interrupted" in caplog.text)
+    count = asker.set_count
+    with ElmServer(controller(), ("127.0.0.1", port)):
+        wait_for(lambda: asker.set_count > count)
+        asker.end()
+
+
+def test_what_an_adapter_shows_is_read() -> None:
+    assert messages_in("SEARCHING...\r6238EB0190\r") == [bytes.fromhex("6238EB0190")]
+    assert messages_in("00D\r0:6238EB019038\r1:EA0000100C0960\r") == [bytes.fromhex("6238EB019038EA0000100C0960")]
+    assert messages_in("7F2278\r6238EB0190") == [bytes.fromhex("7F2278"), bytes.fromhex("6238EB0190")]
+    assert (
+        messages_in("NO DATA") == messages_in("?") == messages_in("CAN ERROR") == messages_in("BUS INIT: ERROR") == []
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "parsed"),
+    [
+        ("elm327://192.168.0.10", ("elm327", "192.168.0.10:35000", 0)),
+        ("elm327:/dev/rfcomm0", ("elm327", "/dev/rfcomm0", 0)),
+        ("doip://192.0.2.7/1011", ("doip", "192.0.2.7", 0x1011)),
+    ],
+)
+def test_adapters_are_named_by_addresses(text: str, parsed: tuple[str, str, int]) -> None:
+    assert parse_adapter(text) == parsed
+
+
+@pytest.mark.parametrize("text", ["", "elm327:", "usb://1", "doip://192.0.2.7", "elm327://host:99999", "doip://h/xyz"])
+def test_what_is_no_adapter_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="--adapter"):
+        parse_adapter(text)
