@@ -1,4 +1,4 @@
-"""Pages of the site that are made, not written: command lines from ``--help``, Python from docstrings, schemas.
+"""Pages of the site that are made, not written: from ``--help``, docstrings, schemas, benchmarks.
 
 Hooks of mkdocs, which calls them by their names. Links to files that are no pages become their names.
 """
@@ -27,7 +27,7 @@ LINK: Final = re.compile(r"\[([^\]]*)\]\((?!\w+:|#)([^)#]+)(#[^)]*)?\)")
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages of the reference."""
-    pages = {"commands": _commands(), "schemas": _schemas()}
+    pages = {"commands": _commands(), "schemas": _schemas(), "tools": _tools()}
     pages |= {name: f"# {name}\n\n::: {name}\n" for name in PACKAGES}
     for name, text in pages.items():
         files.append(File.generated(config, f"reference/{name}.md", content=text))
@@ -79,6 +79,13 @@ def _schemas() -> str:
             for name, one in schema.get("properties", {}).items()
         ]
         parts += ["", f"## {path.stem}", "", about, "", "| key | type | |", "|---|---|---|", *rows]
+    return "\n".join(parts) + "\n"
+
+
+def _tools() -> str:
+    parts = ["# Commands for contributors", "", "What `python -m tests.tools` lists, with all that each says."]
+    for command, said in import_module("tests.tools.__main__").commands().items():
+        parts += ["", f"## {command.removeprefix('python -m ')}", "", "```text", said, "```"]
     return "\n".join(parts) + "\n"
 
 
