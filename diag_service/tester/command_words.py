@@ -118,4 +118,22 @@ SCAN: Final = Command(
     ),
     examples=(f"{PROGRAM} scan -i socketcan -c can0 --active", f"{PROGRAM} scan -c can0 --extended --active --json"),
 )
-COMMANDS: Final = (DTC, DID, ROUTINE, SCAN)
+TRY: Final = Command(
+    "try",
+    "find out what a car tells whoever asks, and how to go on",
+    *_ASKED_BUS,
+    Option("--adapter URL", "ask through elm327://HOST[:PORT], elm327:/dev/NAME or doip://HOST[:PORT]/ADDRESS"),
+    Option("--profile FILE", "profile to try, a file or the name of a shipped one (default: all that ask)", FILE),
+    Option("--dbc FILE", "database of what is broadcast", FILE),
+    Option("--lenient", "leave out what is wrong in it"),
+    Option("--active", "send requests"),
+    Option("--listen S", "how long to listen before (default: 5)", FLOAT, default=5.0),
+    *(CONFIG, VERBOSE),
+    variables=VARIABLES,
+    description=(
+        "Listen, ask for each signal of the profiles that ask, show the values and how many sets a second come, and "
+        "say what that suffices for. Only reading services are sent, and nothing without --active."
+    ),
+    examples=(f"{PROGRAM} try -i socketcan -c can0 --active", f"{PROGRAM} try --adapter elm327:/dev/rfcomm0 --active"),
+)
+COMMANDS: Final = (DTC, DID, ROUTINE, SCAN, TRY)

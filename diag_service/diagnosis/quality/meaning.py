@@ -27,7 +27,7 @@ class MeaningCheck:
             self._found[False] += bool(_MISFITS & set(estimate.reasons))
             if not self.doubt and self._found[False] >= MOST_MISFITS and not self._found[True]:
                 self.doubt = (
-                    f"none of {self._found[False]} events fits: pressures, torque and speeds do not follow each other "
+                    f"none of {self._found[False]} events fits: pressures, torque and speeds do not fit together "
                     "as the profile says"
                 )
             return not self.doubt or estimate.status is not Status.VALID
