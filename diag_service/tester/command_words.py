@@ -120,7 +120,7 @@ SCAN: Final = Command(
 )
 TRY: Final = Command(
     "try",
-    "find out what a car tells whoever asks, and how to go on",
+    "find out what a car tells a tester, and how to go on",
     *_ASKED_BUS,
     Option("--adapter URL", "ask through elm327://HOST[:PORT], elm327:/dev/NAME or doip://HOST[:PORT]/ADDRESS"),
     Option("--profile FILE", "profile to try, a file or the name of a shipped one (default: all that ask)", FILE),
