@@ -7,6 +7,7 @@ import pytest
 from tests.tools.readability import NOTHING, pages, readability, total
 
 MOST_WORDS = 54_600  # outside of what programs write and of decisions
+MOST_LONG_SENTENCES = 35
 PAGE = """# A heading of no sentence
 
 The clutch slips. It carries torque, and [the fluid](fluid.md) ages.
@@ -47,6 +48,7 @@ def test_short_words_in_short_sentences_are_easy() -> None:
 def test_the_documents_are_no_longer_than_agreed() -> None:
     found = total(pages())
     assert found.words <= MOST_WORDS
+    assert found.long_sentences <= MOST_LONG_SENTENCES
     assert found.ease > 60.0
 
 
