@@ -34,6 +34,7 @@ ELSEWHERE = {
     ".venv/bin/pre-commit": ".pre-commit-config.yaml",
     "sudo modprobe": "tests/uml/vcan.py",
     "diag-service run": "tests/e2e/test_vcan_drive.py",
+    "diag-service try": "tests/integration/test_trying.py",
     **dict.fromkeys(
         ("diag-service dtc", "diag-service did", "diag-service routine", "diag-service scan"),
         "tests/integration/test_tester.py",
