@@ -1,11 +1,14 @@
 """Drives whose clutch pressures were asked for: analysed from the recorded dialogue, alone and beside broadcasts."""
 
+import asyncio
 import json
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 
+import diag_service
 from canlog.frames import join
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
@@ -16,6 +19,7 @@ from diag_service.service.stages import Stages
 from ecu_emulator.cli import main as emulator
 from tests.support.asked import DSG, asked_profile, dialogue_of, merged, write_candump
 from tests.support.in_process import ended
+from tests.support.patience import HANG_S
 from tests.support.recode import drive_of
 
 ON_THE_BUS = ("engine_speed_rad_s", "hub_speed_rad_s", "current_gear", "target_gear")
@@ -97,3 +101,33 @@ def test_a_profile_for_another_car_is_found_out_and_nothing_is_estimated(
     assert "warning: nothing is estimated: " in run.err
     assert text in run.err
     assert not [one for one in run.records if one.get("status") == "valid"]
+
+
+async def test_a_bus_on_which_somebody_asks_says_what_its_recording_says(log: Path) -> None:
+    dialogue = dialogue_of(drive_of(log), asked_profile(log.parent), np.random.default_rng(1))
+    asked = log.with_name("recorded.log")
+    write_candump(asked, dialogue)
+    profile = log.with_name("asked.toml")
+    recorded = diag_service.analyze(asked, profile=profile)
+    frames = join(list(read_log(asked)))
+    live_results = []
+    with (
+        can.Bus("asked drive", "virtual", preserve_timestamps=True) as near,
+        can.Bus("asked drive", "virtual") as far,
+    ):
+        async with asyncio.timeout(HANG_S), diag_service.diagnose(far, profile=profile) as live:
+            for t_ns, can_id, length, data in zip(
+                frames.t_ns.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True
+            ):
+                near.send(
+                    can.Message(
+                        timestamp=t_ns / 1e9, arbitration_id=can_id, is_extended_id=False, data=data[:length].tobytes()
+                    )
+                )
+            async for result in live:
+                live_results.append(result)
+                if len(live_results) == len(recorded.results) - 1:  # the last one waits for more of the bus, or its end
+                    break
+    assert len(live_results) >= 8
+    told = [one.estimate for one in recorded.results[: len(live_results)]]
+    assert [one.estimate for one in live_results] == told
