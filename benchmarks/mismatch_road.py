@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.drive_accuracy import END, Case, Outcome, driven
+from benchmarks.drive_accuracy import END, MOMENTS, Case, Outcome, driven
 from benchmarks.study import over_drives, percent, root_mean_square
 
 FIRST_SEED: Final = 94_000
@@ -38,7 +38,7 @@ def road_section(vehicles: int, jobs: int) -> Iterator[str]:
 
 
 def _line(trace: str, oil_degc: float, outcomes: list[Outcome]) -> str:
-    looks = [look for outcome in outcomes for look in outcome.looks]
+    looks = [look for outcome in outcomes for look in outcome.looks if look.moment in {*MOMENTS, END}]
     errors, stds = (np.array([getattr(one, name) for one in looks]) for name in ("absolute", "absolute_std"))
     inside = np.mean(np.abs(errors) <= 2.0 * stds, axis=0).tolist()
     ends = [look for look in looks if look.moment == END]

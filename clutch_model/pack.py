@@ -359,6 +359,11 @@ class FilmPoint(NamedTuple):
     step_m: float  # by which that one is thicker
 
 
+def slower_film(law: FilmLaw, ratio: float) -> FilmLaw:
+    """Return the law of films that yield more slowly by a ratio; docs/model.md eq. (7)."""
+    return law._replace(squeeze_factor_m2=law.squeeze_factor_m2 * ratio)
+
+
 def film_shape(law: FilmLaw) -> FilmShape:
     """Return the shape of a clutch's films: the same for all pistons, stiffnesses and mobilities of one surface."""
     return _shape(law.roughness_m, law.permeability_m2, law.lining_thickness_m, law.slip_coefficient, law.open_gap_m)

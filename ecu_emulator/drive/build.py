@@ -49,6 +49,8 @@ def affected_parameters(parameters: PlantParameters, effects: Effects) -> PlantP
         lining=lining._replace(
             fade_per_k=lining.fade_per_k + effects.friction_fade_per_k,
             film_mobility_ratio=lining.film_mobility_ratio * effects.film_mobility_ratio,
+            open_drag_ratio=lining.open_drag_ratio * effects.open_drag_ratio,
+            open_drag_limit_nm=lining.open_drag_limit_nm + effects.open_drag_limit_nm,
         ),
     )
 

@@ -30,6 +30,8 @@ class LiningParameters(NamedTuple):
     fade_per_k: float  # k_muT: share of the friction lost per kelvin
     fade_reference_k: float  # temperature at which the calibration's friction is true
     film_mobility_ratio: float  # on the squeeze rate of the film
+    open_drag_ratio: float  # on the drag of open packs
+    open_drag_limit_nm: float  # above 0 an open pack drags by the film law, but no more than this
 
 
 @kernel
@@ -49,6 +51,8 @@ class OpenDragLaw(NamedTuple):
     peak_slip_rad_s: float  # slip of the greatest drag
     closing_film_ratio: float  # film over roughness at which the film law holds alone
     open_film_ratio: float  # film over open gap from which the pack drags as an open one
+    ratio: float  # on the drag
+    limit_nm: float  # above 0 the film law holds for open packs, too, up to this drag
 
 
 class ClutchLaw(NamedTuple):
@@ -161,8 +165,12 @@ def viscous_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> flo
     film_nm = float(sheared_torque_nm(slip_rad_s, film_m, viscosity, shear, law.film))
     if u[at.OPEN_DRAG + clutch] == 0.0 or y[at.OPENNESS + clutch] == 0.0 or slip_rad_s == 0.0:
         return film_nm
-    share = slip_rad_s / law.open_drag.peak_slip_rad_s
-    open_nm = 2.0 * u[at.OPEN_DRAG + clutch] * share / (1.0 + share * share)
+    limit_nm = law.open_drag.limit_nm
+    if limit_nm > 0.0:
+        open_nm = min(max(film_nm, -limit_nm), limit_nm)
+    else:
+        share = slip_rad_s / law.open_drag.peak_slip_rad_s
+        open_nm = law.open_drag.ratio * 2.0 * u[at.OPEN_DRAG + clutch] * share / (1.0 + share * share)
     if y[at.OPENNESS + clutch] == 1.0:
         return float(open_nm)
     return float(film_nm * (open_nm / film_nm) ** y[at.OPENNESS + clutch])

@@ -28,6 +28,7 @@ _MAY_BE_ZERO = frozenset(
         "friction_nms_rad",
         "ripple_ratio",
         "fade_per_k",
+        "open_drag_limit_nm",
         "damping_nms_rad",
         "clutch_damping_nms_rad",
         "gear_damping_nms_rad",

@@ -21,7 +21,7 @@ from ecu_emulator.shift_control.touch_points import PressureSteps
 
 _IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure, when the drive begins
 _FULL_BRAKE_M_S = 1.0  # of the shift cycles, which never stop
-OPEN_DRAG = OpenDragLaw(peak_slip_rad_s=120.0, closing_film_ratio=4.0, open_film_ratio=0.9)
+OPEN_DRAG = OpenDragLaw(peak_slip_rad_s=120.0, closing_film_ratio=4.0, open_film_ratio=0.9, ratio=1.0, limit_nm=0.0)
 _IDLE_RAD_S = 94.0  # engine speed when a drive begins at rest, about 900 rpm
 
 
@@ -120,7 +120,9 @@ def _clutch_law(clutch: ClutchCalibration, parameters: PlantParameters) -> Clutc
         valve=parameters.hydraulics,
         heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
         convection_w_k=float(clutch.thermal.convection_w_k),
-        open_drag=OPEN_DRAG,
+        open_drag=OPEN_DRAG._replace(
+            ratio=parameters.lining.open_drag_ratio, limit_nm=parameters.lining.open_drag_limit_nm
+        ),
     )
 
 

@@ -136,6 +136,8 @@ class Effects(_Ranged):
     viscosity_ratio: float = ranged(1.0, 0.5, 1.5)  # thicker still, cold oil would hold up the preselection
     contact_stiffness_ratio: float = ranged(1.0, 0.3, 3.0)  # on K_c
     film_mobility_ratio: float = ranged(1.0, 0.25, 4.0)  # grooves let the film yield faster
+    open_drag_ratio: float = ranged(1.0, 0.01, 4.0)  # on the drag of open packs
+    open_drag_limit_nm: float = ranged(0.0, 0.0, 50.0)  # above 0 open packs obey the film law, up to this drag
     piston_area_ratio: float = ranged(1.0, 0.9, 1.1)  # on A_K
     spring_force_n: float = ranged(0.0, -100.0, 100.0)  # added to the return springs' force
     driveline_damping_ratio: float = ranged(1.0, 0.25, 4.0)  # on flywheel, input shafts and output shafts

@@ -9,6 +9,7 @@ import hashlib
 import json
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -94,6 +95,10 @@ def main() -> int:
         print(*found[:5], sep="\n", end="\n" if found else "")
         count += len(found)
     if is_writing:
+        with tempfile.TemporaryDirectory() as folder:
+            said, file = calibration(Path(folder))
+        (ANALYSES / "calibrate.jsonl").write_text(said, encoding="utf-8")
+        (ANALYSES / "routine-calibration.toml").write_text(file, encoding="utf-8")
         ARITHMETIC.write_text(arithmetic() + "\n", encoding="utf-8")
     return 1 if count else 0
 

@@ -9,6 +9,7 @@ from typing import Self
 from clutch_model.calibration import Calibration, both_clutches, with_clutch
 from diag_service.diagnosis.condition.verdict import (
     CALIBRATED_RATIO,
+    COLD_K,
     FIT_WINDOW,
     MAX_MISFIT_SHARE,
     MIN_MISFIT_COUNT,
@@ -223,7 +224,8 @@ def judge(
     (now, free), since = both_frictions(state, clutch), trend(state, clutch) if known else None
     launches = memory.launches[index]
     common = common_margin(state, both_clutches(one.friction.mu_c - one.friction.mu_s for one in calibration.clutches))
-    finding = decide(now, since, reference, shift_count, memory.conditions[index], launches, common)
+    is_cold = state.packs is not None and state.packs.clutch_k[index] < COLD_K
+    finding = decide(now, since, reference, shift_count, memory.conditions[index], launches, common, is_cold=is_cold)
     progress = calibration_ratio(state, calibration)
     if memory.misfit_text:
         finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)

@@ -34,6 +34,9 @@ CHANGE_PROBABILITY = 0.95  # a workshop visit costs: be sure
 WATCH_PROBABILITY = 0.80
 THIN_PROBABILITY = 0.01  # of a thin margin, to call a fluid good before that: a drive is judged a hundred times
 EARLY_MARGIN_STD_RATIO = 0.15  # worse known, the margin of one clutch is believed only as far as both together say so
+COLD_K = 333.15  # of a pack: below it nobody knows the laws of film and drag well, and a drive has many looks at them
+COLD_CHANGE_PROBABILITY = 0.99
+COLD_WATCH_PROBABILITY = 0.95
 COMMON_THIN_PROBABILITY = 0.003  # the same by both clutches together: they slip in one oil
 LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
 FIT_WINDOW = 20  # shifts of both clutches: two cycles
@@ -247,6 +250,8 @@ def decide(
     previous: Condition,
     launches: Launches,
     common: NormalDist,
+    *,
+    is_cold: bool = False,
 ) -> Finding:
     """Return the verdict on a clutch.
 
@@ -264,7 +269,11 @@ def decide(
         Which of its launches juddered.
     common
         Which part of the new fluid's margin is left by both clutches together.
+    is_cold
+        Whether the pack is colder than ``COLD_K``: a bad verdict then takes more to be given.
     """
+    change_at = COLD_CHANGE_PROBABILITY if is_cold else CHANGE_PROBABILITY
+    watch_at = COLD_WATCH_PROBABILITY if is_cold else WATCH_PROBABILITY
     if shift_count < MIN_SHIFT_COUNT:
         return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
     reference_margin = reference.mu_c - reference.mu_s
@@ -281,7 +290,7 @@ def decide(
         Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
     }
     cause, probability = _likeliest(change)
-    if probability >= (LEAVE_PROBABILITY if previous is Condition.CHANGE_FLUID else CHANGE_PROBABILITY):
+    if probability >= (LEAVE_PROBABILITY if previous is Condition.CHANGE_FLUID else change_at):
         return _because(Condition.CHANGE_FLUID, cause, probability, facts)
     if margin.stdev > MAX_MARGIN_STD_RATIO * reference_margin:
         return nothing(Silence.MARGIN_UNSURE, f"mu_C - mu_S known to {margin.stdev:.4f} only: {facts}")
@@ -291,7 +300,7 @@ def decide(
         Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO),
     }
     cause, probability = _likeliest(watch)
-    if probability >= (LEAVE_PROBABILITY if previous is Condition.WATCH else WATCH_PROBABILITY):
+    if probability >= (LEAVE_PROBABILITY if previous is Condition.WATCH else watch_at):
         return _because(Condition.WATCH, cause, probability, facts)
     is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
     if not is_sure and _may_be_thin(own_thin, common_thin, previous):

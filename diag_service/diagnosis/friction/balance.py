@@ -15,14 +15,14 @@ measured ones (`Balance`).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Self
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, row_kernel, unchecked_kernel
 from clutch_model.calibration import Calibration, InputSide, SensorBias
-from clutch_model.pack import FrictionLaw, contact_torque_nm, row_stribeck_weight, stribeck_weight
+from clutch_model.pack import FrictionLaw, contact_torque_nm, row_stribeck_weight, slower_film, stribeck_weight
 from clutch_model.row_functions import row_exponential, row_logarithm
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.drives import SLIP_DEGREE, SlipWindow, Weights, planned_drives, sines, spans_of
@@ -115,6 +115,8 @@ class Balance:
         ``(mu_c, mu_s)`` of clutch 1 and 2 among the parameters.
     final_clutch_k
         Temperature of each pack at the end of the cut [K].
+    coldness, film_steps
+        How cold each pack is in the slip, and by which logarithm its film may yield more slowly for that.
     known_nms : (k,) array
         Impulses of the hub and of the films' shear [N m s], with the sign of the balance.
     """
@@ -144,6 +146,8 @@ class Balance:
         counts = [max(3, min(MAX_MOMENT_COUNT, one // SAMPLES_PER_MOMENT)) for one in sample_counts]
         self.weights = sines(window, counts)
         self.tracks = integrate_films(measured, laws)
+        self.coldness = coldness(self.tracks, window.slip_rows)
+        self.film_steps = [FILM_MOBILITY_LOG * cold for cold in self.coldness]
         self.final_clutch_k = self.tracks[0].final_clutch_k, self.tracks[1].final_clutch_k
         self.torques = Torques.of(measured, self.tracks, self.tracks, laws, self.weights.rows)
         self._moments = weigh(self.weights, self.torques)
@@ -255,6 +259,10 @@ def direction(slip_rad_s: float) -> float:
     return min(max(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0), 1.0)
 
 
+WORKING_K: Final = 353.15  # of a pack: from there on the film is as believed
+COLD_SPAN_K: Final = 60.0  # below that temperature, where the deviations are as large as these:
+FILM_MOBILITY_LOG: Final = 1.0
+LEAST_SECANT: Final = 0.2  # of that: below it the tangent is near enough
 MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
 DOUBT_RATIO = 0.01  # of a clutch's torque: so far no law of friction and film holds moment by moment
 OPEN_DOUBT_RATIO = 0.5  # of what an open pack drags: how that goes with the slip is another in every pack
@@ -319,6 +327,20 @@ class ContactAnswers(NamedTuple):
     doubt_nm: FloatArray  # standard deviation of what no law of friction and film holds
 
 
+def coldness(tracks: tuple[FilmTrack, FilmTrack], rows: slice) -> tuple[float, ...]:
+    """Return how cold each pack is on some rows: 0 at work, 1 where its oil is 60 K colder."""
+    return tuple(max(0.0, (WORKING_K - float(track.clutch_k[rows].mean())) / COLD_SPAN_K) for track in tracks)
+
+
+def slower_films(balance: Balance, drives: tuple[PressureDrive, PressureDrive]) -> tuple[FilmTrack, FilmTrack]:
+    """Return the films as they are where they yield as slowly as they may in the cold."""
+    first, second = (
+        law._replace(film=slower_film(law.film, math.exp(step)))
+        for law, step in zip(balance.laws, balance.film_steps, strict=True)
+    )
+    return integrate_films(drives, (first, second), balance.window.rows.stop, COARSE)
+
+
 class Sensitivity:
     """The derivatives of a balance by all parameters, and the covariance of its noise.
 
@@ -339,6 +361,7 @@ class Sensitivity:
         self._spread = _Spread.of(balance.signals, balance.weights, balance.calibration.input_side)
         self._torque_nm = balance.weights.fitted(balance.signals.engine_torque.on_grid[rows], SLIP_DEGREE)
         tracks = integrate_films(self._planned, laws, balance.window.rows.stop, COARSE)
+        self._slower = self._of_slower_films(tracks)
         self._torques = Torques.of(self._planned, tracks, balance.tracks, laws, rows)
         self._answers = [ContactAnswers(*np.empty((5, rows.stop - rows.start))) for _ in laws]
         for m, answers in enumerate(self._answers):
@@ -350,6 +373,28 @@ class Sensitivity:
         self.noises = self._noises()
         self.slope = self._slope()
         self.overlaps = self._overlaps()
+
+    def _of_slower_films(self, tracks: tuple[FilmTrack, FilmTrack]) -> list[FloatArray | None]:
+        """Return by how much contact [Pa] and film [N m] carry less where films yield as slowly as cold ones may.
+
+        Per unit of the logarithm of the mobility; (2, n) of each clutch, None where its oil is warm. A film that closes
+        before the window, as believed, has no tangent there, and one that closes three times as slowly has not closed.
+        """
+        balance, rows, steps = self._balance, self._balance.weights.rows, self._balance.film_steps
+        if max(steps) < LEAST_SECANT:
+            return [None, None]
+        moved = slower_films(balance, self._planned)
+        return [
+            None
+            if step < LEAST_SECANT
+            else np.stack(
+                [
+                    (was.contact_pa[rows] - now.contact_pa[rows]) / step,
+                    (was.viscous_nm[rows] - now.viscous_nm[rows]) / step,
+                ]
+            )
+            for was, now, step in zip(tracks, moved, steps, strict=True)
+        ]
 
     def _slope(self) -> FloatArray:
         balance, at = self._balance, self._balance.at
@@ -388,6 +433,9 @@ class Sensitivity:
         considered[:, Considered.PISTON_AREA1 + m] = answers[:, FilmCause.PISTON_AREA]
         for parameter, cause in COMMON_CAUSES.items():
             considered[:, parameter] += answers[:, cause]
+        if (slower := self._slower[m]) is not None:
+            secant = balance.weights.value @ (lever_m3 * slower[0] + slower[1])
+            considered[:, Considered.FILM_MOBILITY] += secant - answers[:, FilmCause.FILM_MOBILITY]
 
     def _overlaps(self) -> list[FloatArray]:
         balance, signals = self._balance, self._balance.signals

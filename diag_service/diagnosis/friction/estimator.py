@@ -12,7 +12,15 @@ from clutch_model.errors import CalibrationError
 from diag_service.diagnosis.alignment import NS_TO_S, compile_alignment
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction.balance import Balance, compile_balance, compile_sensitivity, measured
+from diag_service.diagnosis.friction.balance import (
+    FILM_MOBILITY_LOG,
+    LEAST_SECANT,
+    Balance,
+    compile_balance,
+    compile_sensitivity,
+    measured,
+    slower_films,
+)
 from diag_service.diagnosis.friction.drives import (
     PackTemperatures,
     compile_window,
@@ -53,16 +61,16 @@ from diag_service.diagnosis.quality.plausibility import (
 )
 from diag_service.diagnosis.records import LEAST_SLIP_ROWS, Reason, ShiftEstimate, Status
 
-WORKING_K: Final = 353.15  # of a pack: from there on the film is as believed
-COLD_SPAN_K: Final = 60.0  # below that temperature, where the deviations are as large as these:
 TOUCH_PRESSURE_PA: Final = 20e3
 VISCOSITY_RATIO: Final = 0.2
 PRESSURE_LATENCY_S: Final = 0.02  # a film that closes or opens earlier or later
 CONTACT_STIFFNESS_RATIO: Final = 0.2
-FILM_MOBILITY_LOG: Final = 1.0
 OPEN_DRAG_LOG: Final = 1.0
+SCALE_RATIO: Final = 0.03  # of gain and inertia: a film whose law is not known is no scale for torques
 OPEN_DRAG_SPEED_LOG: Final = 0.7  # also at work: twice or half; how drag goes with the slip is another in every pack
 FRICTION_RATIO: Final = 0.01  # of mu, also at work: heat, oil and load are spread over the linings anew each time
+COLD_FRICTION_RATIO: Final = 0.07  # and by this in oil that is 60 K colder: no law of the cold holds in every car
+MOST_SLOW_FILM_SHARE: Final = 0.7  # likewise of a film that yields more slowly
 MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it nothing is said of friction
 
 
@@ -75,6 +83,7 @@ def _cold_variance() -> FloatArray:
     variance[STATE_COUNT + Considered.CONTACT_STIFFNESS] = CONTACT_STIFFNESS_RATIO**2
     variance[STATE_COUNT + Considered.FILM_MOBILITY] = FILM_MOBILITY_LOG**2
     variance[STATE_COUNT + Considered.OPEN_DRAG] = OPEN_DRAG_LOG**2
+    variance[[STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA]] = SCALE_RATIO**2
     return variance
 
 
@@ -83,24 +92,37 @@ _COLD_VARIANCE: Final = _cold_variance()
 
 def own_variance(balance: Balance, clutch: int) -> FloatArray:
     """Return how far the parameters of one event may be from those of the vehicle, shape (PARAMETER_COUNT,)."""
-    pack_k = float(balance.tracks[clutch - 1].clutch_k[balance.window.slip_rows].mean())
-    variance = _COLD_VARIANCE * max(0.0, (WORKING_K - pack_k) / COLD_SPAN_K) ** 2
+    cold = balance.coldness[clutch - 1]
+    variance = _COLD_VARIANCE * cold**2
     variance[STATE_COUNT + Considered.OPEN_DRAG] += OPEN_DRAG_SPEED_LOG**2
-    variance[:FRICTION_COUNT] = (FRICTION_RATIO * balance.at[:FRICTION_COUNT]) ** 2
+    ratio = FRICTION_RATIO + COLD_FRICTION_RATIO * cold
+    variance[:FRICTION_COUNT] = (ratio * balance.at[:FRICTION_COUNT]) ** 2
     return variance
 
 
-def film_share(balance: Balance, clutch: int) -> float:
-    """Return which part of a clutch's torque its sheared film carries in the slip window, 0 to 1."""
-    rows, track = balance.window.slip_rows, balance.tracks[clutch - 1]
+def is_carried_by_film(balance: Balance, clutch: int) -> bool:
+    """Return whether the film may carry so much of a clutch's torque that nothing is said of friction.
+
+    As believed, or if it yields as slowly as it may in the cold: where that film would not close, a belief that it does
+    is no evidence.
+    """
+    rows = balance.window.slip_rows
     first = balance.weights.rows.start
-    by_friction_nm = balance.torques.contact_nm[clutch - 1, :, rows.start - first : rows.stop - first]
-    contact = float(np.abs(balance.at[FRICTION_ROWS[clutch - 1]] @ by_friction_nm).sum())
-    film = float(np.abs(track.viscous_nm[rows]).sum())
-    return film / max(film + contact, 1e-9)
+    lever_m3 = balance.torques.lever_m3[clutch - 1, :, rows.start - first : rows.stop - first]
+    by_friction_m3 = np.abs(balance.at[FRICTION_ROWS[clutch - 1]] @ lever_m3)
+
+    found = [(balance.tracks[clutch - 1], MOST_FILM_SHARE)]
+    if balance.film_steps[clutch - 1] >= LEAST_SECANT:
+        found.append((slower_films(balance, balance.measured)[clutch - 1], MOST_SLOW_FILM_SHARE))
+    for track, most in found:
+        contact = float((by_friction_m3 * track.contact_pa[rows]).sum())
+        film = float(np.abs(track.viscous_nm[rows]).sum())
+        if film > most * max(film + contact, 1e-9):
+            return True
+    return False
 
 
-ALGORITHM_VERSION = "torque-impulse-8"
+ALGORITHM_VERSION = "torque-impulse-9"
 MAX_PASS_COUNT = 4  # of linearisation: the first events of a vehicle move latencies by more than a line follows
 CONVERGED = 0.2  # of a standard deviation
 NEAR_STEP = 0.5  # standard deviations of the type: up to there derivatives are the same
@@ -170,7 +192,7 @@ class Estimator:
         compile_film(self._calibration)
         compile_tangents(self._calibration)
 
-    def estimate(
+    def estimate(  # noqa: PLR0911 - each stage may find that it ends there
         self, event: Event, samples: Samples | Reason, state: Posterior, against: tuple[Reason, ...] = ()
     ) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after a shift, and what the shift alone says about the on-coming clutch.
@@ -197,7 +219,10 @@ class Estimator:
         )
         if faults := plausibility_faults(event, first.balance.signals, slipping):
             return state, without_friction(event, Status.REJECTED, *faults)
-        seen, room, judged = self._settled(samples, state, first)
+        settled = self._settled(samples, state, first)
+        if settled is None:  # where event and all that is believed meet, the film carries too much
+            return state, _untold(event, Reason.NO_SLIP_WINDOW, against)
+        seen, room, judged = settled
         packs = PackTemperatures(clutch_k=seen.balance.final_clutch_k, at_ns=event.end_ns)
         is_misfit = _is_misfit(self._type, fuse(self._type, seen.evidence), seen.evidence.count)
         if is_misfit or against:
@@ -239,8 +264,10 @@ class Estimator:
         covariance[rows, rows] = _UNKNOWN_FRICTION
         return Knowledge(mean=mean, covariance=covariance)
 
-    def _settled(self, samples: Samples, state: Posterior, first: _Seen) -> tuple[_Seen, Posterior, Posterior]:
+    def _settled(self, samples: Samples, state: Posterior, first: _Seen) -> tuple[_Seen, Posterior, Posterior] | None:
         """Return the event linearised where it and all that is believed meet, what is known without it, and with it.
+
+        None if it says nothing of friction there.
 
         The event is taken to belong with all that did until now, and only the end is judged: if that finds otherwise,
         or the event costs more than leaving it out, each pass is. One that does not belong meets nothing, it is
@@ -256,17 +283,20 @@ class Estimator:
             judged = state.with_event(_judged_event(event, seen), room)
             return judged.fusion.knowledge if judged.is_used[-1] else seen.alone().knowledge
 
-        if (seen := self._met(samples, state, first, expected)) is not None:
+        seen = self._met(samples, state, first, expected)
+        if isinstance(seen, _Seen):
             judged = state.with_event(_judged_event(event, seen), room)
             if judged.is_used[-1] and judged.believes_as(room):
                 return seen, room, judged
-        seen = self._met(samples, state, first, found) or first
+        seen = self._met(samples, state, first, found)
+        if not isinstance(seen, _Seen):
+            return None
         return seen, room, state.with_event(_judged_event(event, seen), room)
 
     def _met(
         self, samples: Samples, state: Posterior, seen: _Seen, believed: Callable[[_Seen], Knowledge | None]
-    ) -> _Seen | None:
-        """Return the event linearised where it is ``believed`` to be, or None where that says nothing."""
+    ) -> _Seen | Reason | None:
+        """Return the event linearised where it is ``believed`` to be, None where that says nothing, or the reason."""
         for _ in range(MAX_PASS_COUNT - 1):
             at, after = seen.balance.at, believed(seen)
             if after is None:
@@ -277,6 +307,8 @@ class Estimator:
             longest = self._longest(step)
             at = at + step / max(1.0, longest / LONGEST_STEP)
             attempt = self._linearised(samples, state, at, seen, is_near=longest < NEAR_STEP)
+            if attempt is Reason.NO_SLIP_WINDOW:
+                return attempt
             if not isinstance(attempt, _Seen):
                 break
             seen = attempt
@@ -318,7 +350,7 @@ class Estimator:
         window, clutch = found
         before = earlier.before if earlier else self._unknown_friction(state.fusion.knowledge, clutch)
         balance = Balance(signals, window, drives, point, laws, at)
-        if film_share(balance, clutch) > MOST_FILM_SHARE:
+        if is_carried_by_film(balance, clutch):
             return Reason.NO_SLIP_WINDOW
         if signals.row_s and balance.sample_count < LEAST_SLIP_ROWS:
             return _TooFew(balance.sample_count)

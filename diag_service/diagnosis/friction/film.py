@@ -90,7 +90,7 @@ class FilmTrack(NamedTuple):
 
     contact_pa: FloatArray  # (n,) P_C
     viscous_nm: FloatArray  # (n,) T_V, sign of the slip
-    open_nm: FloatArray  # (n,) the part of it that an open pack drags
+    open_nm: FloatArray  # (n,) the part of it that goes as the drag of an open pack does
     doubt_nm: FloatArray  # (n,) standard deviation of the rest of it: how far the film of a closing pack is not known
     clutch_k: FloatArray  # (n,) temperature of the pack
     final_clutch_k: float
@@ -240,10 +240,13 @@ def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, fl
     """Fill row k; return the temperature of the pack a step later [K] and the viscosity of its oil at this point."""
     point, law, heat, rows, slip = at.point, pack.law, pack.heat, pack.rows, pack.slip_rad_s[k]
     viscosity = viscosity_pa_s(at.clutch_k, heat.a_pa_s, heat.b_k, heat.pole_k)
-    open_nm, viscous_nm = open_and_whole_nm(slip, point.film_m, viscosity, point.shear, pack.open_drag_ratio, law)
-    doubt = _doubt(_openness(point.film_m, law), at.film_rate_1_s, pack.piston_pa[k], law)
-    rows.contact_pa[k], rows.viscous_nm[k], rows.open_nm[k] = point.contact_pa, viscous_nm, open_nm
-    rows.doubt_nm[k], rows.clutch_k[k] = doubt * abs(viscous_nm - open_nm), at.clutch_k
+    open_nm, closing_nm = film_torques_nm(slip, point.film_m, viscosity, point.shear, pack.open_drag_ratio, law)
+    openness = _openness(point.film_m, law)
+    doubt = _doubt(openness, at.film_rate_1_s, pack.piston_pa[k], law)
+    viscous_nm = open_nm + closing_nm
+    rows.contact_pa[k], rows.viscous_nm[k] = point.contact_pa, viscous_nm
+    rows.open_nm[k] = open_nm + min(_DOUBT_RISE * openness, 1.0) * closing_nm
+    rows.doubt_nm[k], rows.clutch_k[k] = doubt * abs(closing_nm), at.clutch_k
     power_w = 0.0
     if abs(slip) >= 1.0:  # slower is locked, or as good as; the noise of the slip would heat it
         contact_nm = 0.0
@@ -256,16 +259,27 @@ def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, fl
 
 
 @unchecked_kernel
-def open_and_whole_nm(
+def film_torques_nm(
     slip_rad_s: float, film_m: float, viscosity: float, shear: float, open_drag_ratio: float, law: FilmLaw
 ) -> tuple[float, float]:
-    """Return what an open pack drags [N m], and that with what the film of a closing one shears; "Cold oil"."""
+    """Return what an open pack drags [N m], and what the film of a closing one shears; "Cold oil".
+
+    The oil of a thick film takes up air or gives it off: it drags more or less as that of an open pack does.
+    """
     full_nm = sheared_torque_nm(slip_rad_s, film_m, viscosity, shear, law)
     openness = _openness(film_m, law)
     if openness == 0.0:
         return 0.0, full_nm
     open_nm = openness * open_drag_ratio * full_nm / math.sqrt(1.0 + (full_nm / DRAG_LIMIT_NM) ** 2)
-    return open_nm, (1.0 - openness) * full_nm + open_nm
+    return open_nm, (1.0 - openness) * full_nm * open_drag_ratio ** min(_DOUBT_RISE * openness, 1.0)
+
+
+@unchecked_kernel
+def _whole_nm(
+    slip_rad_s: float, film_m: float, viscosity: float, shear: float, open_drag_ratio: float, law: FilmLaw
+) -> float:
+    open_nm, closing_nm = film_torques_nm(slip_rad_s, film_m, viscosity, shear, open_drag_ratio, law)
+    return open_nm + closing_nm
 
 
 @unchecked_kernel
@@ -415,9 +429,9 @@ def _answer(
     viscous: FloatArray,
 ) -> None:  # fmt: skip
     slip, drag_ratio, film_m, step_m = moved.slip_rad_s[k], moved.open_drag_ratio, point.film_m, point.step_m
-    _, whole_nm = open_and_whole_nm(slip, film_m, viscosity, point.shear, drag_ratio, law)
-    _, thicker_nm = open_and_whole_nm(slip, film_m + step_m, viscosity, point.thicker_shear, drag_ratio, law)
-    _, stiffer_nm = open_and_whole_nm(slip, film_m, viscosity * (1.0 + _VISCOSITY_STEP), point.shear, drag_ratio, law)
+    whole_nm = _whole_nm(slip, film_m, viscosity, point.shear, drag_ratio, law)
+    thicker_nm = _whole_nm(slip, film_m + step_m, viscosity, point.thicker_shear, drag_ratio, law)
+    stiffer_nm = _whole_nm(slip, film_m, viscosity * (1.0 + _VISCOSITY_STEP), point.shear, drag_ratio, law)
     by_film_pa_m = (point.thicker_contact_pa - point.contact_pa) / step_m
     by_film_n = (thicker_nm - whole_nm) / step_m
     for j in range(len(by)):

@@ -87,6 +87,8 @@ FRICTION_DRIFT_STD: Final = (
 )
 OFFSET_DRIFT_NM: Final = 0.005  # per event: warm-up of the torque model
 PRESSURE_DRIFT_PA: Final = 5.0  # per event: warm-up of the pressure sensors
+VISCOSITY_DRIFT_RATIO: Final = 0.01  # per event: an oil that warms up follows a law of its own
+OPEN_DRAG_DRIFT_LOG: Final = 0.05  # per event: likewise
 STATE_FORMAT: Final = 4
 _LOWER: Final = np.tril_indices(PARAMETER_COUNT)
 _STORED: Final = ("base", "folded_counts", "baselines", "packs")
@@ -97,6 +99,8 @@ def _drift() -> FloatArray:
     variance[: State.TORQUE_OFFSET] = FRICTION_DRIFT_STD**2
     variance[State.TORQUE_OFFSET] = OFFSET_DRIFT_NM**2
     variance[State.TOUCH1 : STATE_COUNT] = PRESSURE_DRIFT_PA**2
+    variance[STATE_COUNT + Considered.VISCOSITY] = VISCOSITY_DRIFT_RATIO**2
+    variance[STATE_COUNT + Considered.OPEN_DRAG] = OPEN_DRAG_DRIFT_LOG**2
     return variance
 
 

@@ -27,7 +27,7 @@ from diag_service.diagnosis.friction.drives import (
     slip_window,
     zeros_seen,
 )
-from diag_service.diagnosis.friction.estimator import MOST_FILM_SHARE, film_share, misfit_gate, own_variance
+from diag_service.diagnosis.friction.estimator import is_carried_by_film, misfit_gate, own_variance
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
     NAMES,
@@ -336,7 +336,7 @@ def _seen_shifts(
         window, clutch = found
         balance = Balance(signals, window, drives, point, laws, at)
         packs = PackTemperatures(clutch_k=balance.final_clutch_k, at_ns=event.end_ns)
-        if film_share(balance, clutch) <= MOST_FILM_SHARE:
+        if not is_carried_by_film(balance, clutch):
             seen = Evidence.of(measured(balance), at, variance=own_variance(balance, clutch))
             yield _Seen(
                 balance=seen,

@@ -291,7 +291,8 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     for one, times_s in sampled.items():
         series = event.columns[one]
-        period_s = is_of_rows(series) * row_s or series.period_ns * NS_TO_S or limits.nominal_period_s
+        own_s = series.period_ns * NS_TO_S or limits.nominal_period_s
+        period_s = row_s if row_s and is_of_rows(series) else own_s
         silence_s = longest_silence_s(times_s, -2.0 * period_s, duration_s)
         if silence_s > limits.lost_periods * period_s:
             return Reason.FRAMES_MISSING if is_whole else Reason.INTERRUPTED
@@ -307,10 +308,10 @@ def _row_s(event: Event, limits: QualityLimits) -> float:
     What controllers tell whoever asks makes rows of its own: as slow as the slowest of them.
     """
     columns = [event.columns[one] for one in ROW_SIGNALS if one in event.columns]
-    if len(columns) < len(ROW_SIGNALS):
+    own = [event.columns[one] for one in BALANCE_SIGNALS if one in event.columns]
+    if len(columns) < len(ROW_SIGNALS) or all(one.period_ns for one in own):
         return 0.0
     if not (row_ns := row_period_ns(columns)):
-        own = [event.columns[one] for one in BALANCE_SIGNALS if one in event.columns]
         row_ns = max((int(np.median(np.diff(one.t_ns))) for one in own if is_of_rows(one)), default=0)
         if row_ns * NS_TO_S < UNSCHEDULED_PERIODS * limits.nominal_period_s:
             return 0.0  # messages of a bus whose database knows no cycle
