@@ -71,7 +71,7 @@ def announce_compiling(say: Callable[[str], object]) -> Callable[[], None]:
         if count == 0:
             say(f"compiling numerical kernels, {_how_often()}; this takes up to a minute")
         elif count % STEP == 0:
-            say(f"compiling numerical kernels: {count} done, at most {kernel_count()} to do in all")
+            say(f"compiling numerical kernels: {count} done, of those that this run needs")
         count += 1
 
     on_compiling(tell)

@@ -116,8 +116,8 @@ class FrictionEstimate:
 class ScaleFreeFriction:
     """Friction coefficients of one clutch times gain of the torque reading and piston area: what driving alone tells.
 
-    Gain and area count as ratios to what the calibration says. Divided by both the numbers are the coefficients; the
-    uncertainty of the two, the common scale, is not in ``std_*``.
+    The gain is reading over truth, the area a ratio to what the calibration says. Divided by both the numbers are the
+    coefficients; the uncertainty of the two, the common scale, is not in ``std_*``.
     """
 
     mu_c: float

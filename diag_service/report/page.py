@@ -268,7 +268,7 @@ def _number_rows(verdict: ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
         std_ratio = friction.std_mu_c / friction.mu_c * verdict.level_ratio
         yield "mu_C over new", number(verdict.level_ratio, "{:.1%}"), number(std_ratio, "{:.1%}")
     yield "slope [s/rad]", number(friction.slope_s_rad, "{:.5f}"), number(friction.std_slope_s_rad, "{:.5f}")
-    yield "probability of a falling slope", number(friction.probability_negative_slope, "{:.3f}"), NONE
+    yield "probability of a falling slope", number(friction.probability_negative_slope, "{:.1%}"), NONE
     for name, since in (("baseline", verdict.trend), ("first fluid", verdict.lining)):
         if since is not None:
             yield (

@@ -14,7 +14,9 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration, JointUncertainty, both_clutches
 from clutch_model.errors import CalibrationError
+from clutch_model.units import degc_from_k
 from diag_service.diagnosis.alignment import AlignedSignals
+from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance, measured, motoring_corrected_nm
 from diag_service.diagnosis.friction.drives import (
@@ -172,6 +174,7 @@ def _noise_and_overlap(
     return noise, overlap
 
 
+COOL_K = 333.15  # of the oil: below it films carry much of the torque, and say less of the vehicle
 LEAST_SHIFTS_PER_CLUTCH = 4  # fewer do not tell touch point and friction apart
 MAX_EVENT_COUNT = 200  # bounds time and memory; three times what the latencies need
 MAX_PASS_COUNT = 18
@@ -276,10 +279,21 @@ def self_calibrate(
             # From here on the same data pass after pass, or it would not converge.
             windows = windows or {one.number: one for one in used if one.clutch}
     if rest > NEARLY_CONVERGED:
-        return f"the self-calibration did not converge: still {rest:.1f} standard deviations a pass"
+        return (
+            f"the self-calibration did not converge: still {rest:.1f} standard deviations a pass{advice_on_oil(shifts)}"
+        )
     if problem := _departure(mean - prior, spread):
         return problem
     return _concluded(point, mean, covariance, used, len(shifts), version)
+
+
+def advice_on_oil(shifts: Sequence[Event]) -> str:
+    """Return the advice to drive in warmer oil, if most of the shifts were in cold one."""
+    oil_k = [float(one.columns[Signal.SUMP_TEMPERATURE].value.mean()) for one in shifts]
+    middle_k = float(np.median(oil_k)) if oil_k else COOL_K
+    if middle_k >= COOL_K:
+        return ""
+    return f"; half of the shifts were in oil below {degc_from_k(middle_k):.0f} degC: a drive with warm oil mends it"
 
 
 def _gathered(used: Sequence[_Seen], at: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -18,7 +18,12 @@ from diag_service.diagnosis.friction.evidence import NAMES, STATE_COUNT, Conside
 from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
-from diag_service.diagnosis.friction.self_calibration import SelfCalibration, run_up_measurement, self_calibrate
+from diag_service.diagnosis.friction.self_calibration import (
+    SelfCalibration,
+    advice_on_oil,
+    run_up_measurement,
+    self_calibrate,
+)
 from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
@@ -28,6 +33,8 @@ from diag_service.mapping.profile import load_profile
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.scenario import Routine, Scenario, Truth
 from tests.support.builders import drive_scenario
+from tests.unit.diag_service.diagnosis.friction.test_cold_oil import in_oil
+from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
 
 NOMINAL = nominal_calibration()
 TORQUE_LATENCY_S, PRESSURE_LATENCY_S, SPEED_LATENCY_S = 0.023, 0.011, 0.004
@@ -241,3 +248,9 @@ def test_a_balanced_rev_leaves_nothing() -> None:
 
 def test_every_parameter_has_a_name() -> None:
     assert len(NAMES) == len(set(NAMES)) == STATE_COUNT + len(Considered)
+
+
+def test_drives_in_cold_oil_are_told_what_mends_them() -> None:
+    warm, cold = first_shifts(), [in_oil(one, 20.0) for one in first_shifts()]
+    assert advice_on_oil(cold) == "; half of the shifts were in oil below 20 degC: a drive with warm oil mends it"
+    assert advice_on_oil(warm) == advice_on_oil(()) == ""
