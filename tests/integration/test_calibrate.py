@@ -64,5 +64,6 @@ def test_too_short_a_drive_is_refused_and_writes_nothing(drive_log: Path, tmp_pa
 def test_a_file_that_cannot_be_written_is_a_clear_error(cycle_log: Path, tmp_path: Path) -> None:
     done = run("calibrate", str(cycle_log), "-o", str(tmp_path / "nowhere" / "car.toml"))
     assert done.status == 2
-    assert "cannot write" in done.err
-    assert done.err.count("\n") == 1
+    told = [line for line in done.err.splitlines() if "compiling numerical kernels" not in line]  # of a first start
+    assert len(told) == 1
+    assert "cannot write" in told[0]
