@@ -11,7 +11,7 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 from urllib.parse import urlsplit
 
 import can
@@ -25,7 +25,6 @@ from diag_service.tester.timing import Timing
 
 if TYPE_CHECKING:
     from diag_service.tester.dialogue import Dialogue
-    from diag_service.tester.signal_asking import Line
 
 ELM327, DOIP = "elm327", "doip"
 ELM_PORT: Final = 35000
@@ -57,6 +56,13 @@ _NO_ANSWER: Final = (
     "DATA ERROR",
     "ERR",
 )
+
+
+class Line(Protocol):
+    """A way to controllers."""
+
+    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
+        """Return the answer to a request, None if none comes; raises ControllerError."""
 
 
 class ElmLine:
@@ -172,7 +178,7 @@ class DoipLine:
 class Said:
     """Says what is asked and answered on a bus, too."""
 
-    def __init__(self, line: "Line", bus: can.BusABC) -> None:
+    def __init__(self, line: Line, bus: can.BusABC) -> None:
         self._line = line
         self._bus = bus
 

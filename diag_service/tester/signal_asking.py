@@ -13,7 +13,7 @@ from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import groupby
-from typing import Final, Protocol, Self, cast
+from typing import Final, Self, cast
 
 import can
 
@@ -33,7 +33,7 @@ from diag_service.mapping.asked_signals import (
     sizes_of,
 )
 from diag_service.settings.config import BusConfig
-from diag_service.tester.adapters import ELM327, ELM_TOGETHER, line_through, parse_adapter
+from diag_service.tester.adapters import ELM327, ELM_TOGETHER, Line, line_through, parse_adapter
 from diag_service.tester.addresses import FUNCTIONAL_ID, STANDARD_REQUESTS, CanAddress, id_text, is_extended, is_request
 from diag_service.tester.answers import refusal_text
 from diag_service.tester.asking import LISTEN_S, BusName, opened_bus
@@ -62,13 +62,6 @@ _LOG: Final = logging.getLogger(__name__)
 
 class OtherTesterError(ControllerError):
     """Somebody else asks: nothing more is sent."""
-
-
-class Line(Protocol):
-    """A way to controllers."""
-
-    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
-        """Return the answer to a request, None if none comes; raises ControllerError, OtherTesterError."""
 
 
 OpenLine = Callable[[], AbstractContextManager[Line]]

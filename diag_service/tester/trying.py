@@ -20,11 +20,11 @@ from diag_service.mapping.interpretation import fit_of
 from diag_service.mapping.profile import Profile, find_profile, load_shipped, shipped_profiles, to_si
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.service.stopping import Controls
-from diag_service.tester.adapters import line_through, parse_adapter
+from diag_service.tester.adapters import Line, line_through, parse_adapter
 from diag_service.tester.addresses import CanAddress, id_text
 from diag_service.tester.answers import refusal_text
 from diag_service.tester.asking import BusName, check_time, heard
-from diag_service.tester.signal_asking import Line, Plan, SignalAsker, line_on
+from diag_service.tester.signal_asking import Plan, SignalAsker, line_on
 
 RATE_S: Final = 5.0
 LEAST_LISTEN_S: Final = 0.0
