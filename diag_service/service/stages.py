@@ -50,12 +50,8 @@ class Stages:
         )
         self._state = state
         self._memory = memory
+        self.doubt = ""  # why signals that were asked for cannot be what the profile says
         self._meaning = MeaningCheck([one.friction.mu_c for one in calibration.clutches]) if decoder.asked else None
-
-    @property
-    def doubt(self) -> str:
-        """Why signals that were asked for cannot be what the profile says; empty if they can."""
-        return "" if self._meaning is None else self._meaning.doubt
 
     def feed(self, batch: FrameBatch) -> list[Diagnosis]:
         """Return the diagnoses of the shifts that these frames complete."""
@@ -90,8 +86,10 @@ class Stages:
         state = self._state
         if data.samples is not None:
             state, estimate = self._estimator.estimate(event, data.samples, state, data.against)
-            if self._meaning is not None and not self._meaning.is_believed(estimate):
-                state, estimate = self._state, without_friction(event, Status.REJECTED, Reason.IMPLAUSIBLE)
+            if self._meaning is not None:
+                if not self._meaning.is_believed(estimate):
+                    state, estimate = self._state, without_friction(event, Status.REJECTED, Reason.IMPLAUSIBLE)
+                self.doubt = self._meaning.doubt
         elif data.against:
             estimate = without_friction(event, Status.REJECTED, *data.against)
         else:

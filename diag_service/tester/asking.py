@@ -1,15 +1,19 @@
 """Listen first, then ask: what commands, polling and Python do with one controller."""
 
+import contextvars
 import ipaddress
 import socket
 import ssl
+import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from types import TracebackType
+from typing import TYPE_CHECKING, Final, Self
 
 import can
 
@@ -39,6 +43,7 @@ LARGEST_LOGICAL: Final = 0xFFFF
 MOST_WAITING: Final = 100_000  # frames on a bus that was handed over, from before anybody listened
 _LARGEST_PORT: Final = 0xFFFF
 LONGEST_S: Final = 3600.0
+JOIN_S: Final = 3.0  # how long an ending service waits for a question that is under way
 SHORTEST_ANSWER_S: Final = 0.001
 
 
@@ -289,6 +294,38 @@ def _find(place: DoipPlace, context: ssl.SSLContext | None) -> None:
     with socket.create_connection((place.host, place.port), timeout=CONNECT_S) as connection:
         if context is not None:
             context.wrap_socket(connection).close()
+
+
+class AskingThread(ABC):
+    """What asks in a thread of its own while it is entered; ``_run`` is to end soon after ``goes_on`` has."""
+
+    def __init__(self, name: str) -> None:
+        self._is_over = threading.Event()
+        context = contextvars.copy_context()  # what is said belongs to whoever makes this
+        self._thread = threading.Thread(target=context.run, args=(self._run,), name=name, daemon=True)
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether it was not told to end."""
+        return not self._is_over.is_set()
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """Ask no more; wait a little for a question that is under way."""
+        self._is_over.set()
+        self._thread.join(JOIN_S)
+
+    @abstractmethod
+    def _run(self) -> None:
+        """Ask until it is over."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

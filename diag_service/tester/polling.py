@@ -1,13 +1,10 @@
 """Now and then the controller's own word: its trouble codes, asked for while its bus is diagnosed."""
 
 import asyncio
-import contextvars
 import logging
-import threading
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 from canlog.errors import CanlogError
 from canlog.notice import NOTICE
@@ -18,7 +15,7 @@ from diag_service.service.session import utc_now
 from diag_service.settings.config import BusConfig, PollConfig
 from diag_service.store import ResultStore
 from diag_service.tester.addresses import parse_address
-from diag_service.tester.asking import LISTEN_S, BusName, BusTarget, address_for, asking, check_libraries
+from diag_service.tester.asking import LISTEN_S, AskingThread, BusName, BusTarget, address_for, asking, check_libraries
 from diag_service.tester.description import Description
 from diag_service.tester.description_file import find_description, recognised
 from diag_service.tester.reading import read_troubles
@@ -31,7 +28,6 @@ _KEPT: Final = ("snapshots", "extended_data")
 
 
 LONGEST_BACKOFF: Final = 16.0  # times the period, between attempts that fail
-JOIN_S: Final = 3.0  # how long an ending service waits for a question that is under way
 _LOG: Final = logging.getLogger(__name__)
 
 
@@ -67,7 +63,7 @@ def _most(codes: list[dict[str, object]]) -> int:
     return int((Channel.CONTROLLER.max_bytes - 2048) // longest)
 
 
-class Poller:
+class Poller(AskingThread):
     """Asks in a thread of its own while entered; a controller that fails to answer is asked less and less often.
 
     Parameters
@@ -83,33 +79,12 @@ class Poller:
     def __init__(
         self, read: Callable[[], ControllerReport], tell: Callable[[ControllerReport], None], period_s: float
     ) -> None:
+        super().__init__("poller")
         self._read = read
         self._tell = tell
         self._period_s = period_s
-        self._is_over = threading.Event()
-        context = contextvars.copy_context()  # what is said belongs to whoever makes this
-        self._thread = threading.Thread(target=context.run, args=(self._run,), name="poller", daemon=True)
         self.round_count = 0
         self.failure_count = 0
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether it was not told to end."""
-        return not self._is_over.is_set()
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.end()
-
-    def end(self) -> None:
-        """Ask no more; wait a little for a question that is under way."""
-        self._is_over.set()
-        self._thread.join(JOIN_S)
 
     def _run(self) -> None:
         failed_in_a_row = 0

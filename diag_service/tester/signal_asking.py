@@ -4,16 +4,14 @@ Sent are the services 22, 01 and 21 alone: nothing that changes a controller, no
 """
 
 import asyncio
-import contextvars
 import logging
-import threading
 import time
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import groupby
-from typing import Final, Self, cast
+from typing import Final, cast
 
 import can
 
@@ -36,7 +34,7 @@ from diag_service.settings.config import BusConfig
 from diag_service.tester.adapters import ELM327, ELM_TOGETHER, Line, line_through, parse_adapter
 from diag_service.tester.addresses import FUNCTIONAL_ID, STANDARD_REQUESTS, CanAddress, id_text, is_extended, is_request
 from diag_service.tester.answers import refusal_text
-from diag_service.tester.asking import LISTEN_S, BusName, opened_bus
+from diag_service.tester.asking import LISTEN_S, AskingThread, BusName, opened_bus
 from diag_service.tester.can_link import CanConnection
 from diag_service.tester.libraries import TimeoutException
 
@@ -55,7 +53,6 @@ LONGEST_PAUSE_S: Final = 16.0  # between attempts at a controller that does not 
 LEAST_ROWS: Final = 5  # of a slip: fewer tell no friction
 RATE_S: Final = 10.0  # over which the rate is told
 TOLD_RATIO: Final = 0.3  # by which it must change to be told again
-JOIN_S: Final = 3.0
 _SLOW: Final = frozenset({Signal.SUMP_TEMPERATURE, Signal.AMBIENT_TEMPERATURE, Signal.ODOMETER})
 _LOG: Final = logging.getLogger(__name__)
 
@@ -145,7 +142,7 @@ def frame_count(payload_bytes: int) -> int:
     return 1 if payload_bytes <= 7 else 2 + -(-(payload_bytes - 6) // 7)
 
 
-class SignalAsker:
+class SignalAsker(AskingThread):
     """Asks in a thread of its own while entered.
 
     Parameters
@@ -161,38 +158,19 @@ class SignalAsker:
     def __init__(
         self, fields: Mapping[Signal, AskedField], together: int, open_line: OpenLine, bitrate: int | None = None
     ) -> None:
+        super().__init__("signal asker")
         self.plan = Plan(fields, together)
         self.sent: Counter[int] = Counter()  # requests, by service
         self.set_count = 0
         self._sizes = sizes_of(fields.values())
         self._open_line = open_line
         self._bits_per_s = MOST_LOAD * (bitrate or USUAL_BITRATE)
-        self._is_over = threading.Event()
         self._free_s = 0.0  # until when the bus is left alone
         self._silent: Counter[CanAddress] = Counter()  # questions in a row without answer
         self._silent_until_s: dict[CanAddress, float] = {}
         self._trouble, self._pause_s = "", FIRST_PAUSE_S
         self._sets: deque[float] = deque(maxlen=10_000)
         self._told_hz: float | None = None
-        context = contextvars.copy_context()
-        self._thread = threading.Thread(target=context.run, args=(self._run,), name="signal asker", daemon=True)
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether it was not told to end."""
-        return not self._is_over.is_set()
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.end()
-
-    def end(self) -> None:
-        """Ask no more."""
-        self._is_over.set()
-        self._thread.join(JOIN_S)
 
     def _run(self) -> None:
         while self.goes_on:

@@ -361,7 +361,8 @@ class Sensitivity:
         self._spread = _Spread.of(balance.signals, balance.weights, balance.calibration.input_side)
         self._torque_nm = balance.weights.fitted(balance.signals.engine_torque.on_grid[rows], SLIP_DEGREE)
         tracks = integrate_films(self._planned, laws, balance.window.rows.stop, COARSE)
-        self._slower = self._of_slower_films(tracks)
+        is_cold = max(balance.film_steps) >= LEAST_SECANT
+        self._slower = self._of_slower_films(tracks) if is_cold else [None, None]
         self._torques = Torques.of(self._planned, tracks, balance.tracks, laws, rows)
         self._answers = [ContactAnswers(*np.empty((5, rows.stop - rows.start))) for _ in laws]
         for m, answers in enumerate(self._answers):
@@ -381,8 +382,6 @@ class Sensitivity:
         before the window, as believed, has no tangent there, and one that closes three times as slowly has not closed.
         """
         balance, rows, steps = self._balance, self._balance.weights.rows, self._balance.film_steps
-        if max(steps) < LEAST_SECANT:
-            return [None, None]
         moved = slower_films(balance, self._planned)
         return [
             None
