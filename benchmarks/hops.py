@@ -116,7 +116,7 @@ def new_session(store: ResultStore) -> Session:
 async def delivered(outbox: Outbox, count: int) -> None:
     """Return when the broker has acknowledged so many results."""
     while outbox.counts.acknowledged < count:
-        outbox.nudge()
+        outbox.wake()
         await asyncio.sleep(0.01)
 
 

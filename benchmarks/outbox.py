@@ -127,7 +127,7 @@ async def drain(store: TimedStore, port: int, kind: Acknowledge) -> tuple[float,
             position = store.last_position(VEHICLE) + 1
             live_s[position] = time.monotonic()
             await asyncio.to_thread(store.add, shift_result(position, vehicle=VEHICLE), STATE)
-            outbox.nudge()
+            outbox.wake()
     duration_s, cpu_s = time.monotonic() - begin_s, time.process_time() - begin_cpu_s
     await outbox.close(sender, timeout_s=20.0)
     delays_s = [store.settled_s[position] - added_s for position, added_s in live_s.items()]

@@ -17,7 +17,7 @@ from fleet_backend.choices import Pace
 from fleet_backend.database import place_of
 from fleet_backend.errors import DatabaseAwayError
 from fleet_backend.ingest import Pauses, Worker, filters_of
-from fleet_backend.intake import Kind
+from fleet_backend.intake import MessageKind
 from fleet_backend.migrate import make_ready
 from fleet_backend.sign_of_life import give_signs, prepare
 from fleet_backend.writer import Writer
@@ -94,8 +94,8 @@ async def _report(worker: Worker) -> None:
 
 
 def _counts_line(worker: Worker) -> str:
-    counts = worker.counts
-    return f"{counts[Kind.SHIFT]} results committed, repetitions included; {counts[Kind.POISON]} messages kept aside"
+    results, poison = worker.counts[MessageKind.SHIFT], worker.counts[MessageKind.POISON]
+    return f"{results} results committed, repetitions included; {poison} messages kept aside"
 
 
 def _utc_now() -> datetime:

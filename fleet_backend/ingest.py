@@ -19,7 +19,7 @@ from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
 from fleet_backend.intake import (
     IDENTITY_REASON,
     INGESTED,
-    Kind,
+    MessageKind,
     Taken,
     batch_of,
     receipts_of,
@@ -101,7 +101,7 @@ class Worker:
         self._name = name
         self._now = now
         self._pace = pace
-        self.counts: Counter[Kind] = Counter()  # committed, repetitions included
+        self.counts: Counter[MessageKind] = Counter()  # committed, repetitions included
         self.is_listening = False
 
     async def run(self) -> None:
@@ -148,12 +148,12 @@ class Worker:
         for vehicle, receipts in receipts_of(taken).items():
             acks = ack_messages(vehicle, receipts, sent_at=sent_at, worker=self._name, takes_bundles=takes_bundles)
             inbox.send(list(acks))
-        await self._tell_fills(inbox, vehicles_online(taken), sent_at)
+        await self._publish_fills(inbox, vehicles_online(taken), sent_at)
         inbox.settle(messages)
         self.counts.update(item.kind for item in taken)
         _warn_of_strangers(taken)
 
-    async def _tell_fills(self, inbox: Inbox, vehicles: Sequence[str], sent_at: str) -> None:
+    async def _publish_fills(self, inbox: Inbox, vehicles: Sequence[str], sent_at: str) -> None:
         """Tell vehicles that are there now which fluid fills the fleet knows; whoever has none hears nothing."""
         if not vehicles:
             return
@@ -196,7 +196,7 @@ class Worker:
 
 def _warn_of_strangers(taken: Sequence[Taken]) -> None:
     """Say at once who pretends to be another; ``fleet-backend alarms`` keeps saying so until it is acknowledged."""
-    strangers = [item for item in taken if item.kind is Kind.POISON and item.row["reason"] == IDENTITY_REASON]
+    strangers = [item for item in taken if item.kind is MessageKind.POISON and item.row["reason"] == IDENTITY_REASON]
     if strangers:
         row = strangers[0].row
         _LOG.warning(

@@ -49,7 +49,7 @@ _BUNDLE_END: Final = f"/{Channel.BUNDLE.label}"
 _LONGEST_KEY_PART: Final = 128  # what an acknowledgement can carry
 
 
-class Kind(Enum):
+class MessageKind(Enum):
     """Where a message belongs."""
 
     SHIFT = auto()
@@ -68,17 +68,17 @@ class Taken:
     """
 
     message: Message
-    kind: Kind
+    kind: MessageKind
     row: Row  # of several: what is common to them
     fills: Sequence[Row] = ()
     receipt: Receipt | None = None
 
 
-_STATES: Final[Mapping[Channel, tuple[Kind, Callable[[Mapping[str, object]], Row]]]] = MappingProxyType(
+_STATES: Final[Mapping[Channel, tuple[MessageKind, Callable[[Mapping[str, object]], Row]]]] = MappingProxyType(
     {
-        Channel.STATUS: (Kind.STATUS, status_row),
-        Channel.METRICS: (Kind.METRICS, metrics_row),
-        Channel.CONTROLLER: (Kind.CONTROLLER, controller_row),
+        Channel.STATUS: (MessageKind.STATUS, status_row),
+        Channel.METRICS: (MessageKind.METRICS, metrics_row),
+        Channel.CONTROLLER: (MessageKind.CONTROLLER, controller_row),
     }
 )
 
@@ -112,12 +112,12 @@ def _take(message: Message, address: Address, received_at: datetime) -> Taken:
         return refuse(message, _reason_of(exc), str(exc), received_at)
     channel, data = address.channel, incoming.data
     if channel is Channel.SHIFT and incoming.key is not None:
-        return Taken(message=message, kind=Kind.SHIFT, row=shift_row(data), receipt=Receipt(key=incoming.key))
+        return Taken(message=message, kind=MessageKind.SHIFT, row=shift_row(data), receipt=Receipt(key=incoming.key))
     if channel in _STATES:
         kind, row_of = _STATES[channel]
         return Taken(message=message, kind=kind, row=row_of(data))
     if channel is Channel.FLUID:
-        return Taken(message=message, kind=Kind.FILLS, row={"vehicle": data["vehicle"]}, fills=fill_rows(data))
+        return Taken(message=message, kind=MessageKind.FILLS, row={"vehicle": data["vehicle"]}, fills=fill_rows(data))
     return refuse(message, "topic", "a kind of message that the backend does not keep", received_at)
 
 
@@ -133,21 +133,21 @@ def refuse(message: Message, reason: str, detail: str, received_at: datetime) ->
     )
     key = None if address is None else _readable_key(address, message.payload)
     receipt = None if key is None else Receipt(key=key, outcome=Outcome.QUARANTINED, reason=f"{reason}: {detail}")
-    return Taken(message=message, kind=Kind.POISON, row=quarantine_row(poison, received_at), receipt=receipt)
+    return Taken(message=message, kind=MessageKind.POISON, row=quarantine_row(poison, received_at), receipt=receipt)
 
 
 def batch_of(taken: Sequence[Taken]) -> Batch:
     """Return the rows of messages, sorted into their tables."""
-    rows: dict[Kind, list[Row]] = {kind: [] for kind in Kind}
+    rows: dict[MessageKind, list[Row]] = {kind: [] for kind in MessageKind}
     for item in taken:
         rows[item.kind].append(item.row)
     return Batch(
-        shifts=rows[Kind.SHIFT],
-        statuses=rows[Kind.STATUS],
-        metrics=rows[Kind.METRICS],
-        controllers=rows[Kind.CONTROLLER],
+        shifts=rows[MessageKind.SHIFT],
+        statuses=rows[MessageKind.STATUS],
+        metrics=rows[MessageKind.METRICS],
+        controllers=rows[MessageKind.CONTROLLER],
         fills=[row for item in taken for row in item.fills],
-        quarantined=rows[Kind.POISON],
+        quarantined=rows[MessageKind.POISON],
     )
 
 
@@ -162,7 +162,7 @@ def receipts_of(taken: Sequence[Taken]) -> dict[str, list[Receipt]]:
 
 def vehicles_online(taken: Iterable[Taken]) -> list[str]:
     """Return the vehicles that say that they are there now, sorted."""
-    online = (item.row["vehicle"] for item in taken if item.kind is Kind.STATUS and item.row["is_online"])
+    online = (item.row["vehicle"] for item in taken if item.kind is MessageKind.STATUS and item.row["is_online"])
     return sorted(set(map(str, online)))
 
 

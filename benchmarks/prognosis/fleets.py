@@ -19,7 +19,7 @@ from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis import (
     Ageing,
     Hindsight,
-    Kind,
+    PeerGroup,
     Peers,
     Population,
     ageings,
@@ -60,7 +60,7 @@ def ageings_of_seed(seed: int, name: str, fleet: Fleet, until_km: float) -> list
     """Return what a vehicle's fluids say of their kind by what was driven until an odometer."""
     life = life_of(seed, ERRORS, fleet)
     history = life.history.first(life.rows_until(until_km))
-    kind = Kind(vehicle_type=name, fluid="usual")
+    kind = PeerGroup(vehicle_type=name, fluid="usual")
     return ageings(f"{name} {seed}", 1, history, REFERENCE, [kind, kind])
 
 

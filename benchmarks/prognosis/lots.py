@@ -15,7 +15,7 @@ from rich.table import Table
 from benchmarks.prognosis.fleets import TYPE_LOG_STD, ageings_of_seed
 from benchmarks.prognosis.lives import ERRORS, life_of
 from benchmarks.prognosis.truth import Fleet
-from diag_service.diagnosis.prognosis import Ageing, Kind, Lot, LotStanding, learn, lot_standings
+from diag_service.diagnosis.prognosis import Ageing, Lot, LotStanding, PeerGroup, learn, lot_standings
 
 ResultT = TypeVar("ResultT")
 BAD_FACTOR: Final = 0.5  # of the life
@@ -25,7 +25,7 @@ LOOKS_KM: Final = (5_000.0, 7_500.0, 10_000.0, 12_500.0, 15_000.0, 17_500.0, 20_
 BAD_COUNT: Final = 10  # of a fleet
 FLEETS: Final = 200
 MONTHS, PLANTS = 12, 3
-ONE: Final = Kind(vehicle_type="one", fluid="usual")
+ONE: Final = PeerGroup(vehicle_type="one", fluid="usual")
 BAD_LOT: Final = Lot(name="fluid lot", value="00")
 CASES: Final = {
     "no bad lot": (0, 10),

@@ -49,10 +49,10 @@ class PayloadWords:
             self._words[key] = self.words(np.array([key], np.int64))[0]
         return self._words[key]
 
-    def words(self, places: Int64Array) -> UInt64Array:
+    def words(self, starts: Int64Array) -> UInt64Array:
         """Return several words by their first bytes and whether they are big-endian, shape (words, n)."""
-        found = np.empty((len(places), len(self)), np.uint64)
-        pick_words(self._payloads, self._rows, places, found)
+        found = np.empty((len(starts), len(self)), np.uint64)
+        pick_words(self._payloads, self._rows, starts, found)
         return found
 
 
@@ -65,10 +65,10 @@ def word_view(data: UInt8Array) -> UInt64Array:
 
 
 @array_kernel
-def pick_words(payloads: UInt64Array, rows: Int64Array, places: Int64Array, words: UInt64Array) -> None:
+def pick_words(payloads: UInt64Array, rows: Int64Array, starts: Int64Array, words: UInt64Array) -> None:
     """Fill in words of some payloads, shape (words, rows): by their first bytes and whether they are big-endian."""
-    for number in range(places.shape[0]):
-        pick_word(payloads, rows, places[number, 0], places[number, 1] != 0, words[number])
+    for number in range(starts.shape[0]):
+        pick_word(payloads, rows, starts[number, 0], starts[number, 1] != 0, words[number])
 
 
 @array_kernel

@@ -58,7 +58,7 @@ class FrameQueue:
         if is_half_full:
             self._signal(self._is_urgent)
 
-    def tell_silence(self) -> None:
+    def mark_silent(self) -> None:
         """Let the consumer know, after the frames that are in the queue, that the bus has fallen silent."""
         with self._lock:
             self._is_silent = True

@@ -89,7 +89,7 @@ class PythonCanSource:
                 if messages:
                     heard_s = time.monotonic() if _is_of_now(messages[-1]) else None
                 elif heard_s is not None and asked_s - heard_s > SILENCE_S:
-                    self._queue.tell_silence()
+                    self._queue.mark_silent()
                     heard_s = None
             for _ in range(LAST_BATCHES):
                 self._offer(self._receive(0.0))

@@ -136,7 +136,7 @@ class SocketCanSource:
             self._timer = self._loop.call_later(gather_s if is_empty else 0.0, self._gather)
         else:
             self._timer = None
-            self._queue.tell_silence()
+            self._queue.mark_silent()
             self._loop.add_reader(self._socket, self._wake)
 
     def _gather_s(self) -> float:

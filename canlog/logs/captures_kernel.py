@@ -17,7 +17,7 @@ LINK, TICKS, OFFSET_S, CHANNEL, INTERFACE_FIELDS = range(5)
 
 SOCKETCAN, COOKED, COOKED_2 = LINKS = 227, 113, 276
 # Where a cooked header has hardware, protocol, whether the packet was sent; its length.
-COOKED_PLACES, COOKED_2_PLACES, COOKED_2_INTERFACE = (2, 14, 1, 16), (8, 0, 10, 20), 4
+COOKED_OFFSETS, COOKED_2_PLACES, COOKED_2_INTERFACE = (2, 14, 1, 16), (8, 0, 10, 20), 4
 CAN_HARDWARE, FD_PROTOCOL, XL_PROTOCOL, OUTGOING = 280, 0x000D, 0x000E, 4  # of if_arp.h and if_ether.h
 SECTION_HEADER, INTERFACE, SIMPLE_PACKET, PACKET = 0x0A0D_0D0A, 1, 3, 6
 HEADER_BYTES, PACKET_BYTES, LEAST_BLOCK_BYTES = 16, 28, 12  # of a packet in pcap; in pcapng up to its data
@@ -143,7 +143,7 @@ def _packet(  # noqa: PLR0911 - one for each reason
         rows.channel[row] = min(_long(raw, at + COOKED_2_INTERFACE, 1), 255)
     elif interfaces[number, LINK] != COOKED:
         return outcomes.SKIPPED
-    hardware, protocol, sent, header = COOKED_PLACES if interfaces[number, LINK] == COOKED else COOKED_2_PLACES
+    hardware, protocol, sent, header = COOKED_OFFSETS if interfaces[number, LINK] == COOKED else COOKED_2_PLACES
     if length < header:
         return outcomes.MALFORMED
     if _short(raw, at + hardware) != CAN_HARDWARE:

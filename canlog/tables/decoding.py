@@ -54,14 +54,14 @@ def chosen_places(columns: Mapping[Place, str], patterns: Sequence[str]) -> froz
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class TimeLimit:
     """A time, or so many seconds behind the first frame."""
 
     ns: int
     is_elapsed: bool
 
     @classmethod
-    def of(cls, text: str) -> "Moment":
+    def of(cls, text: str) -> "TimeLimit":
         """Return the moment that a text names: ``12.5`` seconds, or ISO 8601, in UTC unless it says otherwise.
 
         Raises
@@ -91,13 +91,13 @@ class Moment:
 class Span:
     """A stretch of a log: from its begin on, up to its end and without it; None: all that there is."""
 
-    begin: Moment | None = None
-    end: Moment | None = None
+    begin: TimeLimit | None = None
+    end: TimeLimit | None = None
 
     @classmethod
     def of(cls, begin: str | float | None, end: str | float | None) -> "Span":
         """Return the stretch between two moments, or without a limit; raises SourceError if one of them is none."""
-        ends = [None if one is None else Moment.of(str(one)) for one in (begin, end)]
+        ends = [None if one is None else TimeLimit.of(str(one)) for one in (begin, end)]
         return cls(*ends)
 
     def part(self, batches: Iterable[FrameBatch], left_out: Callable[[int], None]) -> Iterator[FrameBatch]:

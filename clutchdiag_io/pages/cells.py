@@ -6,7 +6,7 @@ from typing import Final
 
 from markupsafe import Markup, escape
 
-from clutchdiag_io.pages.content import Badge, Cell, Link, Moment, Number
+from clutchdiag_io.pages.content import Badge, Cell, Link, Number, TimeCell
 
 LONG: Final = 30  # letters: what has more gets a line of its own on a narrow screen
 
@@ -34,7 +34,7 @@ def _cell(one: Cell) -> str:
     if isinstance(one, Link):
         text = f'<time datetime="{escape(one.iso)}">{escape(one.text)}</time>' if one.iso else escape(one.text)
         return f'<a href="{escape(one.href)}">{text}</a>'
-    if isinstance(one, Moment):
+    if isinstance(one, TimeCell):
         return f'<time datetime="{escape(one.iso)}">{escape(one.text)}</time>'
     badge: Badge = one
     return f'<span class="{escape(badge.style)}"><strong class="badge">{escape(badge.text)}</strong></span>'

@@ -39,14 +39,14 @@ class Badge:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Moment:
+class TimeCell:
     """A moment as people read it, and all of it for programs."""
 
     iso: str
     text: str
 
 
-Cell = str | Number | Link | Badge | Moment
+Cell = str | Number | Link | Badge | TimeCell
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +110,7 @@ def moment(value: datetime | None, form: str = "%Y-%m-%d %H:%M") -> Cell:
     if value is None:
         return NONE
     utc = value.astimezone(UTC)
-    return Moment(iso=utc.isoformat(), text=utc.strftime(form))
+    return TimeCell(iso=utc.isoformat(), text=utc.strftime(form))
 
 
 def spread(values: FloatArray | Sequence[object], most: int) -> list[int]:

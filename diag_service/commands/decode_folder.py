@@ -51,7 +51,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
             raise SourceError(f"a process died while it decoded {task.log} or a log beside it") from exc
         totals["failed" if done.error else "done"] += 1
         losing += [f"{task.log}: {(done.losses or (done.error,))[0]}"] if done.losses or done.error else []
-        _tell(done, options, console)
+        _show_done(done, options, console)
     if totals.total() < len(tasks):
         raise StoppedError(f"stopped early: {totals['done']} of {len(tasks)} tables were written")
     if not options.json:
@@ -97,7 +97,7 @@ def _check_outputs(outputs: Sequence[Path], *, are_files: bool, is_forced: bool)
             raise ConfigError(text)
 
 
-def _tell(done: TableDone, options: SimpleNamespace, console: PeopleConsole) -> None:
+def _show_done(done: TableDone, options: SimpleNamespace, console: PeopleConsole) -> None:
     if options.json:
         sys.stdout.write(dump({**done.record, "layout": options.layout, "values": options.values}) + "\n")
         sys.stdout.flush()

@@ -74,12 +74,12 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
                 has_talks = options.conversations or options.pairs
                 talks = conversations_of(messages, options.pairs or "") if has_talks else None
                 if talks is not None and path == STANDARD_INPUT and not options.json:
-                    talks.tell_at_once(console.print)
+                    talks.show_at_once(console.print)
                 inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch, columns, talks)
         except SourceError as exc:
             if not is_found:
                 raise
-            _tell_left_out(LeftOut(path=path, reason=str(exc).removeprefix(f"{path}: ")), options, console)
+            _show_left_out(LeftOut(path=path, reason=str(exc).removeprefix(f"{path}: ")), options, console)
             continue
         if options.json:
             sys.stdout.write(inspection.to_json() + "\n")
@@ -183,7 +183,7 @@ def _files(options: SimpleNamespace, columns: str, console: PeopleConsole) -> It
         found, others = sorted_out(path, columns)
         if options.json:
             for left in others:
-                _tell_left_out(left, options, console)
+                _show_left_out(left, options, console)
         else:
             console.print(f"{path}: {len(found)} logs, {len(others)} other files")
             for line in sorted(_listing(found, others)):
@@ -196,7 +196,7 @@ def _listing(found: Sequence[TakenFor], others: Sequence[LeftOut]) -> Iterator[s
     yield from (f"{_on_one_line(one.path)}: no log: {one.reason}" for one in others)
 
 
-def _tell_left_out(left: LeftOut, options: SimpleNamespace, console: PeopleConsole) -> None:
+def _show_left_out(left: LeftOut, options: SimpleNamespace, console: PeopleConsole) -> None:
     if options.json:
         sys.stdout.write(dump(left_out_record(left)) + "\n")
     else:

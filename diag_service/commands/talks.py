@@ -13,7 +13,7 @@ from fleet_contract import JsonObject
 class Conversations(Protocol):
     """Messages longer than a frame, and what testers asked and controllers answered."""
 
-    def tell_at_once(self, show: Callable[[str], object]) -> None:
+    def show_at_once(self, show: Callable[[str], object]) -> None:
         """Have what is settled shown when it is, from now on: the frames come from a bus that goes on."""
 
     def add(self, batch: FrameBatch) -> None:

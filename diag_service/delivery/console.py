@@ -103,7 +103,7 @@ class ConsoleReporter:
         if summary.latest:
             self._console.print(_clutch_table(summary, is_detailed=self._is_detailed))
         if self._is_detailed:
-            self._tell_specialists(summary)
+            self._show_for_specialists(summary)
         self._line(Text(shifts_line(summary)))
         self._line(Text(frames_line(summary.frames)))
         if line := values_line(summary.frames):
@@ -111,7 +111,7 @@ class ConsoleReporter:
         if line := capability_line(summary):
             self._line(Text(line))
 
-    def _tell_specialists(self, summary: Summary) -> None:
+    def _show_for_specialists(self, summary: Summary) -> None:
         for result in summary.latest:
             self._line(Text(f"clutch {result.verdict.clutch}: {result.verdict.reason}"))
             for line in scale_free_lines(result.verdict):

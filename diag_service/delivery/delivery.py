@@ -288,7 +288,7 @@ class OutboxState:
         self._forget_settled(now_s)
         self.published.extend((now_s, position) for position in positions)
 
-    def take_up_published(self, now_s: float) -> None:
+    def resend_published(self, now_s: float) -> None:
         """Send again, over the next connection, what a broker acknowledged just before this one broke."""
         self._forget_settled(now_s)
         self.repeat.update((position, None) for _, position in self.published)

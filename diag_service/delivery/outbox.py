@@ -65,20 +65,20 @@ class Outbox:
         self._closing = asyncio.Event()
         self._is_down = False
 
-    def nudge(self) -> None:
+    def wake(self) -> None:
         """Say that the store holds something new."""
         if self._delivery is not None:
             self._delivery.wake.set()
 
-    def tell_state(self, message: Outgoing) -> None:
+    def publish_state(self, message: Outgoing) -> None:
         """Send a retained message, now or with the next connection, and again with each later one."""
         self._lasting[message.topic] = self._unsent[message.topic] = message
-        self.nudge()
+        self.wake()
 
     def release_states(self) -> None:
         """Let the states of clutches go out that were kept back."""
         self._state.holds_states = False
-        self.nudge()
+        self.wake()
 
     async def run(self) -> None:
         """Connect, send, reconnect; return after ``close`` once all is sent or a fresh attempt has sent nothing."""
@@ -92,7 +92,7 @@ class Outbox:
                     await self._serve(link)
                     return
             except (PublishError, StoreFullError) as exc:  # a full disk cannot note receipts; they come again
-                self._state.take_up_published(self._now_s())
+                self._state.resend_published(self._now_s())
                 await self._note_failure(exc)
             finally:
                 self._delivery = None
@@ -104,7 +104,7 @@ class Outbox:
     async def close(self, sender: asyncio.Task[None], timeout_s: float = DRAIN_S) -> int:
         """Let ``sender``, the task of ``run``, send what is left, for a limited time; return what remains unsent."""
         self._closing.set()
-        self.nudge()
+        self.wake()
         try:
             async with asyncio.timeout(timeout_s):
                 await sender

@@ -103,7 +103,7 @@ class _Work:
             async with self._turn:
                 is_stored = await asyncio.to_thread(self._session.retry)
             if is_stored and self._outbox is not None:
-                self._outbox.nudge()
+                self._outbox.wake()
 
     async def _read(self, source: LiveSource, schedule: ReadSchedule) -> None:
         stages = self._session.stages
@@ -117,7 +117,7 @@ class _Work:
             async with self._turn:
                 await asyncio.to_thread(self._session.process, event)
             if self._outbox is not None:
-                self._outbox.nudge()
+                self._outbox.wake()
 
 
 async def _keep_sending(outbox: Outbox) -> None:

@@ -53,7 +53,7 @@ async def run_logs_and_send(logs: Sequence[OpenLog], session: Session, *, stop: 
 
     def process(event: Event) -> None:
         session.process(event)
-        loop.call_soon_threadsafe(outbox.nudge)
+        loop.call_soon_threadsafe(outbox.wake)
 
     try:
         async with asyncio.TaskGroup() as tasks:

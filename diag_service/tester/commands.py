@@ -156,7 +156,7 @@ def scan(options: SimpleNamespace, controls: Controls) -> None:
     plan = _scan_plan(options)
     stop = controls.stop
     if not options.active:
-        tell_wish(
+        show_wish(
             "scan", plan.requests, heard(plan.place, plan.listen_s, lambda: not stop.is_set), is_json=options.json
         )
     else:
@@ -222,7 +222,7 @@ def ask_one(
     target = _target(options, description)
     if not options.active:
         place = target if isinstance(target, DoipPlace) else target.bus
-        tell_wish(options.command, wanted, heard(place, options.listen, lambda: not stop.is_set), is_json=options.json)
+        show_wish(options.command, wanted, heard(place, options.listen, lambda: not stop.is_set), is_json=options.json)
         return None
     with (
         ReadingLine() as line,
@@ -261,7 +261,7 @@ def _target(options: SimpleNamespace, description: Description) -> BusTarget | D
     )
 
 
-def tell_wish(schema: str, wanted: Sequence[str], traffic: Traffic | None, *, is_json: bool) -> None:
+def show_wish(schema: str, wanted: Sequence[str], traffic: Traffic | None, *, is_json: bool) -> None:
     """Say what was heard and what would be asked."""
     before: Record = {} if traffic is None else {"bus": traffic_record(traffic)}
     record = outcome(schema, is_asked=False, **before, would_ask=list(wanted))

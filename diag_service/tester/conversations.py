@@ -69,7 +69,7 @@ class Conversations:
         self._told = self._told_unanswered = 0  # of requests
         self._show: Callable[[str], object] | None = None
 
-    def tell_at_once(self, show: Callable[[str], object]) -> None:
+    def show_at_once(self, show: Callable[[str], object]) -> None:
         """Have what is settled shown when it is, from now on: the frames come from a bus that goes on."""
         self._show = show
 

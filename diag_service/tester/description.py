@@ -21,7 +21,7 @@ _FLOATS: Final = {4: ">f", 8: ">d"}
 _DIGITS: Final = 12  # significant digits of a scaled number: no more than its steps have
 
 
-class Kind(StrEnum):
+class Coding(StrEnum):
     """How a value is written into bytes, big-endian."""
 
     UNSIGNED = "unsigned"
@@ -36,7 +36,7 @@ class Field:
     """One value within bytes."""
 
     name: str
-    kind: Kind
+    kind: Coding
     size_bytes: int = 0  # 0: all that is left, for the last field
     unit: str = ""
     resolution: float = 1.0  # of one bit, in that unit
@@ -45,9 +45,9 @@ class Field:
     meanings: Mapping[str, str] = field(default_factory=dict)  # of numbers before they are scaled
 
     def __post_init__(self) -> None:
-        if self.size_bytes < 0 or (self.kind in {Kind.UNSIGNED, Kind.SIGNED} and not 1 <= self.size_bytes <= 8):
+        if self.size_bytes < 0 or (self.kind in {Coding.UNSIGNED, Coding.SIGNED} and not 1 <= self.size_bytes <= 8):
             raise ConfigError(f"{self.name}: size_bytes {self.size_bytes} is not usable: a number has 1 to 8")
-        if self.kind is Kind.FLOAT and self.size_bytes not in _FLOATS:
+        if self.kind is Coding.FLOAT and self.size_bytes not in _FLOATS:
             raise ConfigError(f"{self.name}: size_bytes {self.size_bytes} is not usable: a float has 4 or 8")
         if not (math.isfinite(self.resolution) and math.isfinite(self.offset)) or not self.resolution:
             raise ConfigError(f"{self.name}: resolution {self.resolution} and offset {self.offset} are not usable")
@@ -183,18 +183,18 @@ def read_fields(fields: tuple[Field, ...], data: bytes) -> dict[str, Value]:
 
 def _value(entry: Field, piece: bytes) -> Value:
     match entry.kind:
-        case Kind.TEXT:
+        case Coding.TEXT:
             return readable(piece)
-        case Kind.BYTES:
+        case Coding.BYTES:
             return piece.hex(" ").upper()
-        case Kind.FLOAT:
+        case Coding.FLOAT:
             return _float(entry, piece)
         case _:
             return _whole_number(entry, piece)
 
 
 def _whole_number(entry: Field, piece: bytes) -> Value:
-    number = int.from_bytes(piece, "big", signed=entry.kind is Kind.SIGNED)
+    number = int.from_bytes(piece, "big", signed=entry.kind is Coding.SIGNED)
     if number == entry.invalid:
         return None
     if (meaning := entry.numbered_meanings.get(number)) is not None:
@@ -234,7 +234,7 @@ def _find(word: str, names: Mapping[int, str], what: str) -> int:
 
 
 def _text(number: int, name: str, size_bytes: int = 0) -> Datum:
-    return Datum(number=number, name=name, fields=(Field(name=name, kind=Kind.TEXT, size_bytes=size_bytes),))
+    return Datum(number=number, name=name, fields=(Field(name=name, kind=Coding.TEXT, size_bytes=size_bytes),))
 
 
 # ISO 14229-1, annex C: data that controllers of all makers give. What a maker writes as bytes is shown as bytes.
@@ -242,7 +242,7 @@ STANDARD_DATA: Final[Mapping[int, Datum]] = {
     0xF186: Datum(
         number=0xF186,
         name="active diagnostic session",
-        fields=(Field(name="session", kind=Kind.UNSIGNED, size_bytes=1),),
+        fields=(Field(name="session", kind=Coding.UNSIGNED, size_bytes=1),),
     ),
     **{
         number: _text(number, name)
@@ -275,8 +275,8 @@ STANDARD_EXTENDED: Final[Mapping[int, Datum]] = {
         number=0x91,
         name="in-use performance of the monitor",
         fields=(
-            Field(name="completed", kind=Kind.UNSIGNED, size_bytes=2),
-            Field(name="conditions met", kind=Kind.UNSIGNED, size_bytes=2),
+            Field(name="completed", kind=Coding.UNSIGNED, size_bytes=2),
+            Field(name="conditions met", kind=Coding.UNSIGNED, size_bytes=2),
         ),
     )
 }

@@ -13,10 +13,10 @@ from diag_service.tester.answers import POSITIVE, READ_DATA, ROUTINE
 from diag_service.tester.description import (
     STANDARD_DATA,
     SYSTEMS,
+    Coding,
     Datum,
     Description,
     Field,
-    Kind,
     Reader,
     Routine,
     Trouble,
@@ -88,7 +88,7 @@ def _datum(service: Any, number: int) -> Datum:  # noqa: ANN401 - see above
     """Return a datum as long as its response says, if that is always the same."""
     bits = service.positive_responses[0].get_static_bit_length() if service.positive_responses else None
     size_bytes = 0 if bits is None else max(0, bits // 8 - _HEAD_BYTES)
-    whole = Field(name="bytes", kind=Kind.BYTES, size_bytes=size_bytes)
+    whole = Field(name="bytes", kind=Coding.BYTES, size_bytes=size_bytes)
     return Datum(number=number, name=_name(service), fields=(whole,))
 
 

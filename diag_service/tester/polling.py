@@ -31,7 +31,7 @@ LONGEST_BACKOFF: Final = 16.0  # times the period, between attempts that fail
 _LOG: Final = logging.getLogger(__name__)
 
 
-def tell_controller(
+def publish_controller(
     report: ControllerReport, store: ResultStore, reporter: Reporter, publish: Callable[[Outgoing], object]
 ) -> None:
     """Store what a controller said and tell it, if it is something new; raises StoreFullError, StoreError.
@@ -171,9 +171,11 @@ async def polling(
     def publish(message: Outgoing) -> None:
         if outbox is not None:
             with suppress(RuntimeError):  # the run has ended meanwhile
-                loop.call_soon_threadsafe(outbox.tell_state, message)
+                loop.call_soon_threadsafe(outbox.publish_state, message)
 
-    poller = poller_for(vehicle, bus, poll, utc_now, lambda report: tell_controller(report, store, reporter, publish))
+    poller = poller_for(
+        vehicle, bus, poll, utc_now, lambda report: publish_controller(report, store, reporter, publish)
+    )
     with poller:
         try:
             yield

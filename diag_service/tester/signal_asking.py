@@ -204,7 +204,7 @@ class SignalAsker(AskingThread):
                     self._trouble, self._pause_s = "", FIRST_PAUSE_S
                 self.set_count += 1
                 self._sets.append(time.monotonic())
-                self._tell_rate()
+                self._log_rate()
 
     def _ask(self, line: Line, question: Question) -> bool:
         """Ask once; return whether it was answered."""
@@ -256,7 +256,7 @@ class SignalAsker(AskingThread):
             _LOG.log(NOTICE, "%s", self.plan.refuse(Question(question.address, (datum,)), "left out"))
         return bool(found)
 
-    def _tell_rate(self) -> None:
+    def _log_rate(self) -> None:
         first_s, last_s = self._sets[0], self._sets[-1]
         if last_s - first_s < RATE_S:
             return

@@ -19,7 +19,7 @@ from canlog.e2e.message_contract import message_contracts
 from clutch_model.units import NS_PER_S
 from dbc.contract import load_contract
 from ecu_emulator.answering.monitoring import MONITOR_PERIOD_S, Monitoring
-from ecu_emulator.answering.on_board import FixedOpinion, OpinionSource
+from ecu_emulator.answering.on_board import EstimateSource, FixedEstimate
 from ecu_emulator.answering.requested_tasks import (
     AdaptedCar,
     Driven,
@@ -37,7 +37,7 @@ from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.elm327.server import ElmServer, parse_place
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.monitors import SENSED
-from ecu_emulator.diagnostics.opinion import values_of
+from ecu_emulator.diagnostics.on_board_friction import values_of
 from ecu_emulator.diagnostics.table_file import load_table, shipped_table, table_like
 from ecu_emulator.errors import ExtraMissingError
 
@@ -96,7 +96,7 @@ class Answering:
         is_fd: bool,
         elm327: str | None = None,
         bitrate: int | None = None,
-        on_board: OpinionSource | None = None,
+        on_board: EstimateSource | None = None,
         performer: Car | None = None,
         ignition: deque[float] | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -121,7 +121,7 @@ class Answering:
         self._pressure_id = database.get_message_by_name("TCU_Pressures").frame_id
         contracts = message_contracts(database).values()
         self._own_ids = {one.can_id: one.data_id or 0 for one in contracts if one.sender == OWN_NODE}
-        self._on_board: OpinionSource = on_board or FixedOpinion(None)
+        self._on_board: EstimateSource = on_board or FixedEstimate(None)
         self._driven = Driven()
         self._driven_s = -math.inf  # when the newest frame was due: the drive's time, also where sending lags behind
         self._looked_s = -math.inf  # at which moment of that the monitors looked last
@@ -251,7 +251,7 @@ class Answering:
             self._monitoring.restart(is_new_cycle=is_new_cycle)
         if self._sent.has_all(SENSED) and not self.controller.is_asleep:
             self._look()
-            self._monitoring.judge_clutches(self._on_board.opinions)
+            self._monitoring.judge_clutches(self._on_board.estimates)
 
     def _look(self) -> None:
         """Judge the newest frames once: a sender that the machine keeps waiting makes no shift longer."""
@@ -270,7 +270,7 @@ class Answering:
                 self.watch()
                 if self._routine is not None:
                     is_live = self._on_board.is_live
-                    self._routine.step(self._driven, self._on_board.opinions, self._clock(), is_live=is_live)
+                    self._routine.step(self._driven, self._on_board.estimates, self._clock(), is_live=is_live)
                 if self._adaptation is not None:
                     self._adaptation.step(self._values())
                 self._clearing.step()
@@ -312,7 +312,7 @@ class Answering:
     def _values(self) -> Mapping[str, float]:
         is_followed = self._on_board.is_live and self._on_board.problem is None
         before = (
-            self.controller.state.opinions if is_followed else {}
+            self.controller.state.estimates if is_followed else {}
         )  # until it speaks: what was known before the start
         more = {
             "time_s": self._clock() - self._began_s,
@@ -324,7 +324,7 @@ class Answering:
             **(self._adaptation.values if self._adaptation is not None else {}),
             **self._monitoring.temperatures,
             **(self._sent.silences if self.controller.state.communication.receives_normal else {}),
-            **values_of({**before, **self._on_board.opinions}),
+            **values_of({**before, **self._on_board.estimates}),
         }
         return self._sent.now(more)
 

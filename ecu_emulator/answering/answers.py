@@ -10,15 +10,15 @@ import can
 
 from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.answering.command_words import DOIP_TLS_PORT
-from ecu_emulator.answering.on_board import FixedOpinion, OnBoardService, OpinionSource
+from ecu_emulator.answering.on_board import EstimateSource, FixedEstimate, OnBoardService
 from ecu_emulator.diagnostics.doip.listening import Place, parse_place
 from ecu_emulator.diagnostics.doip.tls import tls_node
-from ecu_emulator.diagnostics.opinion import own_opinion
+from ecu_emulator.diagnostics.on_board_friction import scenario_friction
 from ecu_emulator.diagnostics.table_file import table_like
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live.live_drive import BusChoice
-from ecu_emulator.scenario.scenario import OpinionFrom, Scenario
+from ecu_emulator.scenario.scenario import EstimateFrom, Scenario
 
 AnyPath = str | os.PathLike[str]
 PRIVATE_INTERFACE: Final = "virtual"  # of python-can, within one process
@@ -85,7 +85,7 @@ class Answers:
             is_fd=choice.is_fd,
             elm327=self.elm327,
             bitrate=choice.bitrate,
-            on_board=self._opinion_source(choice, scenario),
+            on_board=self._estimate_source(choice, scenario),
             performer=drive,
             ignition=drive.ignition,
         )
@@ -104,11 +104,11 @@ class Answers:
             raise ConfigError("--doip-certificate needs --doip")
         return None
 
-    def _opinion_source(self, choice: BusChoice, scenario: Scenario) -> OpinionSource | None:
-        """Return whose opinion of its clutches the controller tells, None if it has none."""
-        if scenario.on_board.estimate is OpinionFrom.OWN:
-            return FixedOpinion(own_opinion(scenario.on_board))
-        if not self.on_board or scenario.on_board.estimate is OpinionFrom.NONE:
+    def _estimate_source(self, choice: BusChoice, scenario: Scenario) -> EstimateSource | None:
+        """Return whose estimate of its clutches the controller tells, None if it has none."""
+        if scenario.on_board.estimate is EstimateFrom.OWN:
+            return FixedEstimate(scenario_friction(scenario.on_board))
+        if not self.on_board or scenario.on_board.estimate is EstimateFrom.NONE:
             return None
         if choice.interface == PRIVATE_INTERFACE:
             raise ConfigError(f"--on-board needs a bus that another process can hear, not {PRIVATE_INTERFACE}")

@@ -8,11 +8,11 @@ from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.monitors import MonitorLimits, Watch, is_warm, judge
-from ecu_emulator.diagnostics.opinion import (
+from ecu_emulator.diagnostics.on_board_friction import (
     ADAPTATION_CODE,
     FLUID_CODE,
     LIMIT_CODE,
-    Opinions,
+    OnBoardEstimates,
     adaptation_test,
     failed_codes,
     fluid_test,
@@ -42,7 +42,7 @@ class Monitoring:
         self._codes = {number: code for code, number in self._numbers.items()}
         self._watch = Watch()
         self._limits = MonitorLimits(most_clutch_k=controller.table.clutches.most_temperature_k)
-        self._judged: Opinions | None = None
+        self._judged: OnBoardEstimates | None = None
         self._adaptation = controller.state.adaptation
         self.problem: str | None = None  # why something could not be kept, for people
 
@@ -63,30 +63,30 @@ class Monitoring:
         if is_new_cycle:
             self._keep(self._controller.cycle)
 
-    def judge_clutches(self, opinions: Opinions) -> None:
-        """Let each new opinion of the clutches be a test, with the controller's values of that moment.
+    def judge_clutches(self, estimates: OnBoardEstimates) -> None:
+        """Let each new estimate of the clutches be a test, with the controller's values of that moment.
 
         What is adapted is tested with it, when it changes, and once in every operation cycle.
         """
         adaptation = self._controller.state.adaptation
-        is_new = opinions is not self._judged
+        is_new = estimates is not self._judged
         is_changed = is_new or adaptation is not self._adaptation
-        self._judged, self._adaptation = opinions, adaptation
+        self._judged, self._adaptation = estimates, adaptation
         results: dict[str, TestResult | None] = {}
         if is_new:
             failed = failed_codes(self._controller.state.memory.records, self._codes)
-            results[FLUID_CODE] = fluid_test(opinions, failed)
-            if opinions:
-                self._keep(lambda: self._controller.think(opinions))
+            results[FLUID_CODE] = fluid_test(estimates, failed)
+            if estimates:
+                self._keep(lambda: self._controller.keep_estimates(estimates))
         if is_changed or self._is_untested(ADAPTATION_CODE):
-            results[ADAPTATION_CODE] = adaptation_test(adaptation, opinions, was_adapted=self._was_adapted)
+            results[ADAPTATION_CODE] = adaptation_test(adaptation, estimates, was_adapted=self._was_adapted)
         if is_changed or self._is_untested(LIMIT_CODE):
             results[LIMIT_CODE] = limit_test(adaptation)
         self._report({code: result for code, result in results.items() if result is not None})
 
     def note_cleared(self) -> None:
         """Note that what was learned of the clutches is cleared: that fails a test until they are known again."""
-        self._keep(lambda: self._controller.think({}))
+        self._keep(lambda: self._controller.keep_estimates({}))
         self._report({ADAPTATION_CODE: TestResult.FAILED})
 
     def _is_untested(self, code: str) -> bool:

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Final, Protocol, Self
 
-from ecu_emulator.diagnostics.opinion import ClutchOpinion, Opinions, read_line
+from ecu_emulator.diagnostics.on_board_friction import OnBoardEstimates, OnBoardFriction, read_line
 
 LONGEST_LINE: Final = 1 << 20
 LONGEST_COMPLAINT: Final = 1 << 16
@@ -40,11 +40,11 @@ runpy.run_module("diag_service", run_name="__main__")
 """
 
 
-class OpinionSource(Protocol):
-    """Where the controller's opinion of its clutches comes from, while it is entered."""
+class EstimateSource(Protocol):
+    """Where the controller's estimate of its clutches comes from, while it is entered."""
 
     @property
-    def opinions(self) -> Opinions:
+    def estimates(self) -> OnBoardEstimates:
         """What is thought now."""
 
     @property
@@ -65,14 +65,14 @@ class OpinionSource(Protocol):
     ) -> None: ...
 
 
-class FixedOpinion:
-    """The same opinion all the time, of both clutches; without one, none."""
+class FixedEstimate:
+    """The same estimate all the time, of both clutches; without one, none."""
 
     problem = None
     is_live = False
 
-    def __init__(self, opinion: ClutchOpinion | None) -> None:
-        self.opinions: Opinions = {} if opinion is None else {1: opinion, 2: opinion}
+    def __init__(self, estimate: OnBoardFriction | None) -> None:
+        self.estimates: OnBoardEstimates = {} if estimate is None else {1: estimate, 2: estimate}
 
     def begin_anew(self) -> bool:
         """Return that nothing was learned that could be forgotten."""
@@ -148,15 +148,15 @@ class OnBoardService:
         self._child: subprocess.Popen[bytes] | None = None
         # A thread that lasts: the kernel's word to end with the parent is about the thread that started a child.
         self._thread = threading.Thread(target=self._run, name="on board", daemon=True)
-        self._opinions: dict[int, ClutchOpinion] = {}
+        self._estimates: dict[int, OnBoardFriction] = {}
         self._anew_ns = 0  # when new fluid was noted: what ended before that is of the old one
         self.problem: str | None = None
         self.start_count = 0
 
     @property
-    def opinions(self) -> Opinions:
+    def estimates(self) -> OnBoardEstimates:
         """What the service found of each clutch, by its latest result."""
-        return self._opinions
+        return self._estimates
 
     def begin_anew(self) -> bool:
         """Have the service note new fluid: its friction is learned afresh, what is known of sensors stays."""
@@ -172,7 +172,7 @@ class OnBoardService:
         if noted.returncode and NOTHING_LEARNED.encode() not in noted.stderr:
             return False
         self._anew_ns = time.time_ns()
-        self._opinions = {}
+        self._estimates = {}
         return True
 
     @property
@@ -208,7 +208,7 @@ class OnBoardService:
                 return
             if in_a_row >= MOST_STARTS:
                 self.problem = f"the service on board ended {in_a_row} times in a row: {ending}"
-                self._opinions = {}
+                self._estimates = {}
                 return
             self._is_over.wait(self._first_pause_s * 2.0 ** (in_a_row - 1))
 
@@ -225,7 +225,7 @@ class OnBoardService:
             while line := child.stdout.readline(LONGEST_LINE):
                 found = read_line(line)
                 if found is not None and (not found[1].end_ns or found[1].end_ns >= self._anew_ns):
-                    self._opinions = {**self._opinions, found[0]: found[1]}
+                    self._estimates = {**self._estimates, found[0]: found[1]}
             child.wait()
             return complaints.last_line(END_S) or f"status {child.returncode}"
 

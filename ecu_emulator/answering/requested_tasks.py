@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Protocol
 
 from ecu_emulator.answering.monitoring import Monitoring
-from ecu_emulator.answering.on_board import OpinionSource
+from ecu_emulator.answering.on_board import EstimateSource
 from ecu_emulator.diagnostics.adaptation import CLUTCHES, Adaptation
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.descriptions import Task
-from ecu_emulator.diagnostics.opinion import Opinions
+from ecu_emulator.diagnostics.on_board_friction import OnBoardEstimates
 from ecu_emulator.diagnostics.state import RoutineRun
 from ecu_emulator.diagnostics.values import Values, holds
 from ecu_emulator.errors import RecordError
@@ -84,19 +84,19 @@ class RequestedRoutine:
         """Whether the car could begin now."""
         return self._performer.is_waiting
 
-    def step(self, driven: Driven, opinions: Opinions, t_s: float, *, is_live: bool) -> None:
+    def step(self, driven: Driven, estimates: OnBoardEstimates, t_s: float, *, is_live: bool) -> None:
         """Do what is due; to be called about ten times a second.
 
         Parameters
         ----------
         driven
             What the car has done on the bus.
-        opinions
+        estimates
             What is thought of its clutches.
         t_s
             A time that never goes back [s].
         is_live
-            Whether opinions follow what is driven.
+            Whether estimates follow what is driven.
         """
         found = running_routine(self._controller, Task.REVS)
         if found is None:
@@ -107,7 +107,7 @@ class RequestedRoutine:
             self._performer.begin_routine(Routine(open_revs=run.options[0], closed_revs=run.options[1]))
             self._performance = _Performance(shifts_before=driven.shift_count)
         now = self._performance = _after(self._performance, driven, t_s)
-        if now.over_s is not None and (not is_live or has_judged(opinions, driven) or t_s >= now.over_s + ESTIMATE_S):
+        if now.over_s is not None and (not is_live or has_judged(estimates, driven) or t_s >= now.over_s + ESTIMATE_S):
             self._controller.finish(number)
 
 
@@ -125,9 +125,9 @@ def _after(performance: _Performance, driven: Driven, t_s: float) -> _Performanc
     return replace(performance, over_s=t_s) if is_through and performance.over_s is None else performance
 
 
-def has_judged(opinions: Opinions, driven: Driven) -> bool:
-    """Return whether opinions take the last shift into account."""
-    latest_ns = max((opinion.end_ns for opinion in opinions.values()), default=0)
+def has_judged(estimates: OnBoardEstimates, driven: Driven) -> bool:
+    """Return whether estimates take the last shift into account."""
+    latest_ns = max((estimate.end_ns for estimate in estimates.values()), default=0)
     return latest_ns >= driven.last_shift_ns - SAME_END_NS
 
 
@@ -329,7 +329,7 @@ class RequestedClearing:
     Parameters
     ----------
     source
-        Where the controller's opinion of its clutches comes from.
+        Where the controller's estimate of its clutches comes from.
     controller
         Whose routines are looked after.
     monitoring
@@ -340,7 +340,7 @@ class RequestedClearing:
 
     def __init__(
         self,
-        source: OpinionSource,
+        source: EstimateSource,
         controller: Controller,
         monitoring: Monitoring,
         adaptation: RequestedAdaptation | None = None,

@@ -1,4 +1,4 @@
-"""Frames onto a bus in real time: absolute deadlines, measured punctuality, nothing lost in silence."""
+"""Frames onto a bus in real time: absolute deadlines, measured lateness, nothing lost in silence."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -40,7 +40,7 @@ ERROR_FLAG: Final = 0x2000_0000
 BUS_GONE: Final = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ENETUNREACH})
 
 
-class Punctuality:
+class SendLateness:
     """Lateness of frames against their deadlines, one value per frame."""
 
     def __init__(self, overrun_s: float) -> None:
@@ -126,7 +126,7 @@ class _Transmitter:
     def __init__(self, bus: FrameSender, stop: threading.Event) -> None:
         self._bus = bus
         self._stop = stop
-        self._punctuality = Punctuality(OVERRUN_S)
+        self._lateness = SendLateness(OVERRUN_S)
         self._is_stuck = False
         self.sent = 0
         self.given_up = 0
@@ -145,7 +145,7 @@ class _Transmitter:
             if self._stop.is_set():
                 return
             for message in messages:
-                self._punctuality.add(due_s, time.monotonic() - deadline_s)
+                self._lateness.add(due_s, time.monotonic() - deadline_s)
                 self._send(message)
 
     def report(self, duration_s: float, *, is_complete: bool) -> TransmitReport:
@@ -155,13 +155,13 @@ class _Transmitter:
             frames_given_up=self.given_up,
             retries=self.retries,
             duration_s=duration_s,
-            lateness_mean_s=self._punctuality.mean_s,
-            lateness_p50_s=self._punctuality.quantile_s(0.50),
-            lateness_p95_s=self._punctuality.quantile_s(0.95),
-            lateness_p99_s=self._punctuality.quantile_s(0.99),
-            lateness_max_s=self._punctuality.max_s,
-            drift_ppm=self._punctuality.drift_ppm,
-            overruns=self._punctuality.overruns,
+            lateness_mean_s=self._lateness.mean_s,
+            lateness_p50_s=self._lateness.quantile_s(0.50),
+            lateness_p95_s=self._lateness.quantile_s(0.95),
+            lateness_p99_s=self._lateness.quantile_s(0.99),
+            lateness_max_s=self._lateness.max_s,
+            drift_ppm=self._lateness.drift_ppm,
+            overruns=self._lateness.overruns,
             underruns=self.underruns,
             is_complete=is_complete,
         )

@@ -110,11 +110,11 @@ class SentValues:
         """Return whether the messages that carry these have been sent, whatever they said of them."""
         return all(self._carriers[quantity][0].frame_id in self._payloads for quantity in quantities)
 
-    def now(self, more: Mapping[str, float]) -> "Moment":
+    def now(self, more: Mapping[str, float]) -> "LatestValues":
         """Return the values of this moment, with others that are on no bus."""
         late = self._late
         payloads = {can_id: payload for can_id, payload in list(self._payloads.items()) if can_id not in late}
-        return Moment(self._carriers, payloads, more)
+        return LatestValues(self._carriers, payloads, more)
 
     @property
     def silences(self) -> dict[str, float]:
@@ -156,7 +156,7 @@ def _is_sound(payload: bytes, id_remainder: int) -> bool:
     return bool(profile1.crc_is_valid(np.frombuffer(payload, np.uint8)[None], id_remainder)[0])
 
 
-class Moment(Mapping[str, float]):
+class LatestValues(Mapping[str, float]):
     """Values at one moment, by quantity; those that are not known are missing."""
 
     def __init__(

@@ -9,7 +9,7 @@ from ecu_emulator.diagnostics.adaptation import Adaptation
 from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.opinion import Opinions
+from ecu_emulator.diagnostics.on_board_friction import OnBoardEstimates
 from ecu_emulator.diagnostics.server import (
     advance,
     answer,
@@ -26,7 +26,7 @@ from ecu_emulator.diagnostics.server import (
 from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.data import data_of
 from ecu_emulator.diagnostics.services.routines import failed, finished
-from ecu_emulator.diagnostics.state import Moment, Reply, Request, ServerState
+from ecu_emulator.diagnostics.state import Instant, Reply, Request, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import Values
 from ecu_emulator.errors import RecordError
@@ -196,9 +196,9 @@ class Controller:
         """Keep what was adapted, or cleared; raises RecordError as ``report``."""
         self._change(lambda state: replace(state, adaptation=adaptation))
 
-    def think(self, opinions: Opinions) -> None:
+    def keep_estimates(self, estimates: OnBoardEstimates) -> None:
         """Keep what is thought of the clutches; raises RecordError as ``report``."""
-        self._change(lambda state: replace(state, opinions=opinions))
+        self._change(lambda state: replace(state, estimates=estimates))
 
     def _change(self, change: Callable[[ServerState], ServerState]) -> None:
         with self._lock:
@@ -221,11 +221,11 @@ class Controller:
         if self._store is not None and not _are_same(state, self._state):
             self._store.save(state)
 
-    def _moment(self) -> Moment:
-        return Moment(t_s=self._clock(), values=self._values(), chance=self._chance(LONGEST_SEED_BYTES))
+    def _moment(self) -> Instant:
+        return Instant(t_s=self._clock(), values=self._values(), chance=self._chance(LONGEST_SEED_BYTES))
 
 
 def _are_same(one: ServerState, other: ServerState) -> bool:
     """Return whether two states keep the same, at a glance."""
-    kept = ("memory", "emissions", "written", "wrong_keys", "adaptation", "opinions")
+    kept = ("memory", "emissions", "written", "wrong_keys", "adaptation", "estimates")
     return all(getattr(one, name) is getattr(other, name) for name in kept)

@@ -15,7 +15,7 @@ _SYSTEMS: Final = "PCBU"  # powertrain, chassis, body, network: the two upper bi
 _CODE: Final = re.compile(r"[PCBU][0-3][0-9A-F]{3}")
 
 
-class Kind(StrEnum):
+class Coding(StrEnum):
     """How a value is written into bytes, big-endian."""
 
     UNSIGNED = "unsigned"
@@ -39,7 +39,7 @@ class Field:
     """One value within the bytes of a datum, a routine's options or results, or an extended record."""
 
     name: str
-    kind: Kind
+    kind: Coding
     size_bytes: int
     source: str = ""  # which value of the controller it shows, in SI
     unit: str = ""  # as it is on the wire
@@ -53,10 +53,10 @@ class Field:
     def __post_init__(self) -> None:
         if not 1 <= self.size_bytes <= 255:
             raise ConfigError(f"{self.name}: size_bytes must be 1..255, got {self.size_bytes}")
-        if self.kind in {Kind.UNSIGNED, Kind.SIGNED} and self.size_bytes > 8:
+        if self.kind in {Coding.UNSIGNED, Coding.SIGNED} and self.size_bytes > 8:
             raise ConfigError(f"{self.name}: a number has at most 8 bytes, got {self.size_bytes}")
         is_scaled = self.resolution != 1.0 or self.offset != 0.0
-        if self.kind is Kind.FLOAT and (self.size_bytes not in FLOAT_BYTES or is_scaled):
+        if self.kind is Coding.FLOAT and (self.size_bytes not in FLOAT_BYTES or is_scaled):
             raise ConfigError(f"{self.name}: a float has 4 or 8 bytes and is not scaled")
         if not self.resolution > 0.0:
             raise ConfigError(f"{self.name}: resolution must be > 0, got {self.resolution}")
@@ -176,7 +176,7 @@ class Datum:
         """What it holds before it was ever written, if it is stored."""
         text = self.initial or ""
         try:
-            return text.encode("ascii") if self.fields[0].kind is Kind.TEXT else bytes.fromhex(text)
+            return text.encode("ascii") if self.fields[0].kind is Coding.TEXT else bytes.fromhex(text)
         except ValueError as exc:
             raise ConfigError(f"data {self.name}: initial is neither ASCII text nor hexadecimal: {text!r}") from exc
 
@@ -277,8 +277,8 @@ IN_USE: Final = ExtendedRecord(
     number=0x91,
     name="in-use performance",
     fields=(
-        Field(name="completions", kind=Kind.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}ran_cycles"),
-        Field(name="conditions encountered", kind=Kind.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}driven_cycles"),
+        Field(name="completions", kind=Coding.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}ran_cycles"),
+        Field(name="conditions encountered", kind=Coding.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}driven_cycles"),
     ),
 )
 """Extended data of SAE J1979-2: in how many operation cycles a test has run, and in how many it should have."""

@@ -20,7 +20,7 @@ from ecu_emulator.diagnostics.adaptation import CLUTCHES, Adaptation
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.emissions import MOST_CYCLES, Emissions, FreezeFrame
 from ecu_emulator.diagnostics.memory import MOST_COUNT, Capture, TroubleMemory, TroubleRecord, empty_memory
-from ecu_emulator.diagnostics.opinion import ClutchOpinion
+from ecu_emulator.diagnostics.on_board_friction import OnBoardFriction
 from ecu_emulator.diagnostics.state import ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.errors import RecordError
@@ -157,9 +157,9 @@ def _document(state: ServerState) -> dict[str, Any]:
         "wrong_keys": {str(level): count for level, count in state.wrong_keys.items()},
         "obd": _emissions_document(state.emissions),
         "adaptation": None if state.adaptation is None else _adaptation_document(state.adaptation),
-        "opinions": {
-            str(clutch): {name: None if str(value) == "nan" else value for name, value in asdict(opinion).items()}
-            for clutch, opinion in state.opinions.items()
+        "estimates": {
+            str(clutch): {name: None if str(value) == "nan" else value for name, value in asdict(estimate).items()}
+            for clutch, estimate in state.estimates.items()
         },
     }
 
@@ -230,13 +230,16 @@ def _state(document: Mapping[str, Any], table: DiagnosticTable) -> ServerState:
         written=written,
         wrong_keys=wrong_keys,
         adaptation=_adaptation(document.get("adaptation")),
-        opinions={int(clutch): _opinion(entry) for clutch, entry in document.get("opinions", {}).items()},
+        estimates={
+            int(clutch): _friction(entry)
+            for clutch, entry in (document.get("estimates") or document.get("opinions", {})).items()
+        },
     )
 
 
-def _opinion(entry: Mapping[str, Any]) -> ClutchOpinion:
+def _friction(entry: Mapping[str, Any]) -> OnBoardFriction:
     known: dict[str, Any] = {name: math.nan if value is None else value for name, value in entry.items()}
-    return ClutchOpinion(**{**known, "fluid": FluidVerdict(entry["fluid"])})
+    return OnBoardFriction(**{**known, "fluid": FluidVerdict(entry["fluid"])})
 
 
 def _adaptation(entry: Mapping[str, Any] | None) -> Adaptation | None:

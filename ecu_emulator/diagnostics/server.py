@@ -60,7 +60,7 @@ from ecu_emulator.diagnostics.services.sessions import (
     tester_present,
 )
 from ecu_emulator.diagnostics.services.trouble import EMISSION_REPORTS, REPORTS, capture, clear_codes, read_codes
-from ecu_emulator.diagnostics.state import Moment, Reply, Request, ServerState, Waiting
+from ecu_emulator.diagnostics.state import Instant, Reply, Request, ServerState, Waiting
 from ecu_emulator.diagnostics.table import DiagnosticTable
 
 AGAIN_RATIO: Final = 0.7  # of P2*, after which 78 is sent again
@@ -98,7 +98,7 @@ def switched_on(table: DiagnosticTable, kept: ServerState | None, t_s: float) ->
     return started(kept or ServerState(memory=empty_memory(table.troubles)), table, t_s)
 
 
-def answer(table: DiagnosticTable, state: ServerState, request: Request, moment: Moment) -> Reply:
+def answer(table: DiagnosticTable, state: ServerState, request: Request, moment: Instant) -> Reply:
     """Return what a controller does with a request.
 
     Parameters
@@ -145,7 +145,7 @@ def _outcome(call: Call) -> Outcome:
     return replace(result, state=after_guest(before, result.state)) if is_guest else result
 
 
-def advance(table: DiagnosticTable, state: ServerState, moment: Moment) -> Reply:
+def advance(table: DiagnosticTable, state: ServerState, moment: Instant) -> Reply:
     """Return what a controller does because time has passed: a response that was awaited, or 78 once more."""
     sensed, moment = moment, under_control(table, state, moment)
     state = _settled(table, state, moment)
@@ -166,13 +166,13 @@ def advance(table: DiagnosticTable, state: ServerState, moment: Moment) -> Reply
     return Reply(payload=response if isinstance(response, bytes) else None, state=state)
 
 
-def broadcast(table: DiagnosticTable, state: ServerState, moment: Moment) -> tuple[tuple[bytes, ...], ServerState]:
+def broadcast(table: DiagnosticTable, state: ServerState, moment: Instant) -> tuple[tuple[bytes, ...], ServerState]:
     """Return what is sent now because a client asked to have it again and again (2A), and the state after it."""
     moment = under_control(table, state, moment)
     return due(table, _settled(table, state, moment), moment)
 
 
-def held(table: DiagnosticTable, state: ServerState, moment: Moment) -> ServerState:
+def held(table: DiagnosticTable, state: ServerState, moment: Instant) -> ServerState:
     """Return the state while a message is on its way: a session that has not ended by now goes on for another S3."""
     return replace(_settled(table, state, under_control(table, state, moment)), heard_s=moment.t_s)
 
@@ -187,7 +187,7 @@ def left(table: DiagnosticTable, state: ServerState, client: int) -> ServerState
     return in_session(state, table, DEFAULT_SESSION) if is_held else state
 
 
-def tested(table: DiagnosticTable, state: ServerState, number: int, result: TestResult, moment: Moment) -> ServerState:
+def tested(table: DiagnosticTable, state: ServerState, number: int, result: TestResult, moment: Instant) -> ServerState:
     """Return the state after a monitor has spoken; nothing changes while a client has switched that off (85)."""
     if not state.are_codes_updated:
         return state
@@ -218,7 +218,7 @@ def cycled(table: DiagnosticTable, state: ServerState) -> ServerState:
     return replace(state, memory=memory, emissions=after_cycle(state.emissions, state.memory, memory))
 
 
-def _settled(table: DiagnosticTable, state: ServerState, moment: Moment) -> ServerState:
+def _settled(table: DiagnosticTable, state: ServerState, moment: Instant) -> ServerState:
     """Return the state with everything done that time alone does."""
     state = timed_out(state, table, moment)
     for level in table.levels.values():
@@ -239,7 +239,7 @@ def _while_waiting(state: ServerState, request: Request) -> Reply:
 def refusal(table: DiagnosticTable, state: ServerState, request: Request) -> Reply | None:
     """Return the refusal of what is not supported at all, for which nobody is to wait; None if it is."""
     is_guest = state.session != DEFAULT_SESSION and request.client != state.holder
-    nowhere = Moment(t_s=0.0, values={})
+    nowhere = Instant(t_s=0.0, values={})
     seen = as_guest(state) if is_guest else state
     call = Call(table=table, state=seen, moment=nowhere, sensed=nowhere, request=request, is_guest=is_guest)
     nrc = None if not request.payload or _is_obd(call) else _refusal(call)

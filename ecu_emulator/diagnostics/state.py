@@ -7,7 +7,7 @@ from ecu_emulator.diagnostics.adaptation import Adaptation
 from ecu_emulator.diagnostics.codes import DEFAULT_SESSION
 from ecu_emulator.diagnostics.emissions import Emissions
 from ecu_emulator.diagnostics.memory import TroubleMemory
-from ecu_emulator.diagnostics.opinion import Opinions
+from ecu_emulator.diagnostics.on_board_friction import OnBoardEstimates
 from ecu_emulator.diagnostics.values import Values
 
 
@@ -21,7 +21,7 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Moment:
+class Instant:
     """What the server may know of the world at one instant: the time, the vehicle, and some chance for a seed."""
 
     t_s: float  # of a clock that never goes back
@@ -85,7 +85,7 @@ class ServerState:
     written: Mapping[int, bytes] = field(default_factory=dict)
     wrong_keys: Mapping[int, int] = field(default_factory=dict)  # by security level
     adaptation: Adaptation | None = None  # None: nothing was ever adapted or cleared
-    opinions: Opinions = field(default_factory=dict)  # the last ones of the estimate on board
+    estimates: OnBoardEstimates = field(default_factory=dict)  # the last ones of the estimate on board
     session: int = DEFAULT_SESSION
     holder: int = 0  # the client who entered it, if it is not the default session
     heard_s: float = 0.0  # when S3 began

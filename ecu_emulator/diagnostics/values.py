@@ -16,7 +16,7 @@ from clutch_model.units import (
     rad_s_from_rpm,
     rpm_from_rad_s,
 )
-from ecu_emulator.diagnostics.descriptions import Condition, Field, Kind
+from ecu_emulator.diagnostics.descriptions import Coding, Condition, Field
 
 Value = float | str | bytes
 Values = Mapping[str, Value]  # of the controller, by source; numbers in SI
@@ -49,23 +49,23 @@ def not_available(entry: Field) -> int:
     A float has no such number: it is not a number then.
     """
     bits = 8 * entry.size_bytes
-    return -(1 << (bits - 1)) if entry.kind is Kind.SIGNED else (1 << bits) - 1
+    return -(1 << (bits - 1)) if entry.kind is Coding.SIGNED else (1 << bits) - 1
 
 
 def _encoded(entry: Field, value: Value | None, *, keeps_code: bool) -> bytes:
-    if entry.kind is Kind.TEXT:
+    if entry.kind is Coding.TEXT:
         return (
             str("" if value is None else value).encode("ascii", "replace")[: entry.size_bytes].ljust(entry.size_bytes)
         )
-    if entry.kind is Kind.BYTES:
+    if entry.kind is Coding.BYTES:
         raw = value if isinstance(value, bytes) else b""
         return raw[: entry.size_bytes].ljust(entry.size_bytes, b"\0")
-    if entry.kind is Kind.FLOAT:
+    if entry.kind is Coding.FLOAT:
         return _float_bytes(entry, float(value) if isinstance(value, int | float) else math.nan)
     number = (
         _number(entry, float(value), keeps_code=keeps_code) if isinstance(value, int | float) else not_available(entry)
     )
-    return number.to_bytes(entry.size_bytes, "big", signed=entry.kind is Kind.SIGNED)
+    return number.to_bytes(entry.size_bytes, "big", signed=entry.kind is Coding.SIGNED)
 
 
 def _float_bytes(entry: Field, value: float) -> bytes:
@@ -84,7 +84,7 @@ def _number(entry: Field, value: float, *, keeps_code: bool) -> int:
     bits = 8 * entry.size_bytes
     low, high = (
         (1 - (1 << (bits - 1)), (1 << (bits - 1)) - 1)
-        if entry.kind is Kind.SIGNED
+        if entry.kind is Coding.SIGNED
         else (0, (1 << bits) - 1 - keeps_code)
     )
     steps = (_in_unit(entry, value) - entry.offset) / entry.resolution
@@ -118,16 +118,16 @@ def decoded(fields: tuple[Field, ...], raw: bytes) -> dict[str, float]:
 
 
 def _is_available(entry: Field, raw: bytes) -> bool:
-    if entry.kind is Kind.FLOAT:
+    if entry.kind is Coding.FLOAT:
         return not math.isnan(decode_number(entry, raw))
-    return int.from_bytes(raw, "big", signed=entry.kind is Kind.SIGNED) != not_available(entry)
+    return int.from_bytes(raw, "big", signed=entry.kind is Coding.SIGNED) != not_available(entry)
 
 
 def decode_number(entry: Field, raw: bytes) -> float:
     """Return a number in the field's unit."""
-    if entry.kind is Kind.FLOAT:
+    if entry.kind is Coding.FLOAT:
         return float(struct.unpack(_FORMATS[entry.size_bytes], raw)[0])
-    steps = int.from_bytes(raw, "big", signed=entry.kind is Kind.SIGNED)
+    steps = int.from_bytes(raw, "big", signed=entry.kind is Coding.SIGNED)
     return steps * entry.resolution + entry.offset
 
 
@@ -143,9 +143,9 @@ def are_valid(fields: tuple[Field, ...], raw: bytes) -> bool:
 
 
 def _is_valid(entry: Field, raw: bytes) -> bool:
-    if entry.kind is Kind.BYTES:
+    if entry.kind is Coding.BYTES:
         return not entry.pattern or re.fullmatch(entry.pattern, raw.hex()) is not None
-    if entry.kind is Kind.TEXT:
+    if entry.kind is Coding.TEXT:
         is_printable = all(0x20 <= byte < 0x7F for byte in raw)
         return is_printable and (not entry.pattern or re.fullmatch(entry.pattern, raw.decode("ascii")) is not None)
     value = decode_number(entry, raw)

@@ -12,7 +12,7 @@ from ecu_emulator.plant.audit import ACCOUNT_COUNT, SYNCHRONISERS, add_powers, n
 from ecu_emulator.plant.clutch import advance_clutch
 from ecu_emulator.plant.driveline import ENGAGED, SYNCHRONISING
 from ecu_emulator.plant.engine import throttle_flow_kg_s
-from ecu_emulator.plant.rates import PlantLaw, evaluate, settle_modes
+from ecu_emulator.plant.rates import PlantLaw, evaluate, lock_or_slip
 
 _MILLISECOND_S = 1.0e-3
 _MIN_STEP_S = 1.0e-9
@@ -48,7 +48,7 @@ def workspace(*, is_audited: bool) -> Workspace:
 def settle(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Evaluate the plant at ``y`` and bring the clutch modes into agreement with the torques."""
     evaluate(y, u, modes, out, law)
-    if settle_modes(y, u, modes, out, law):
+    if lock_or_slip(y, u, modes, out, law):
         evaluate(y, u, modes, out, law)
 
 

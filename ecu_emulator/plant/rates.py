@@ -235,7 +235,7 @@ def evaluate(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, l
 
 
 @array_kernel
-def settle_modes(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> bool:
+def lock_or_slip(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> bool:
     """Lock and unlock the clutches as the torques in ``out`` demand; True if a mode changed (Karnopp's rule)."""
     has_changed = False
     for k in range(2):

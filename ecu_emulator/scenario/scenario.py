@@ -166,8 +166,8 @@ def production_scatter() -> Scatter:
     return Scatter(**{name: _SCATTER_SHARE * getattr(believed, name) for name in scattered})
 
 
-class OpinionFrom(StrEnum):
-    """Where the controller has its opinion of its clutches from."""
+class EstimateFrom(StrEnum):
+    """Where the controller has its estimate of its clutches from."""
 
     SERVICE = "service"  # a diag-service beside it, if there is one
     NONE = "none"
@@ -185,9 +185,9 @@ class FluidVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OnBoard:
-    """What the controller tells testers of both clutches; an opinion of its own need not be true."""
+    """What the controller tells testers of both clutches; an estimate of its own need not be true."""
 
-    estimate: OpinionFrom = OpinionFrom.SERVICE
+    estimate: EstimateFrom = EstimateFrom.SERVICE
     fluid: FluidVerdict = FluidVerdict.NO_VERDICT
     mu_c: float | None = None
     std_mu_c: float | None = None
@@ -195,13 +195,13 @@ class OnBoard:
     std_mu_s: float | None = None
 
     def __post_init__(self) -> None:
-        """Check that numbers are coefficients, and that there is an opinion only where it is asked for."""
+        """Check that numbers are coefficients, and that there is an estimate only where it is asked for."""
         numbers = {name: getattr(self, name) for name in ("mu_c", "std_mu_c", "mu_s", "std_mu_s")}
         for name, value in numbers.items():
             if value is not None and not 0.0 < value <= 0.5:
                 raise ConfigError(f"{name} must be above 0 and at most 0.5, got {value}")
-        has_opinion = self.fluid is not FluidVerdict.NO_VERDICT or any(value is not None for value in numbers.values())
-        if has_opinion is not (self.estimate is OpinionFrom.OWN):
+        has_friction = self.fluid is not FluidVerdict.NO_VERDICT or any(value is not None for value in numbers.values())
+        if has_friction is not (self.estimate is EstimateFrom.OWN):
             raise ConfigError('fluid, mu_c and the others belong to estimate = "own", which needs one of them')
 
 

@@ -13,7 +13,7 @@ from fleet_backend.alarms.rules import Rule, Subject
 from fleet_backend.database import transaction
 from fleet_backend.page import wording
 from fleet_backend.page.access import Role
-from fleet_backend.page.asking import VEHICLE, Ask, Kind, Parameter
+from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
 from fleet_backend.page.errors import AskError, NotFoundError
 from fleet_backend.page.records import Alarm
 from fleet_backend.page.view import Action, Field, Form, Shown, Sources, View
@@ -22,7 +22,7 @@ _KEY: Final = (
     Parameter(name="vehicle", text=VEHICLE.text, is_required=True, pattern=VEHICLE.pattern, longest=VEHICLE.longest),
     Parameter(name="clutch", text="1 or 2; 0: the vehicle as a whole", choices=("0", "1", "2"), is_required=True),
     Parameter(name="rule", text="what it is about", choices=tuple(one.value for one in Rule), is_required=True),
-    Parameter(name="number", text="of the alarm", kind=Kind.COUNT, is_required=True),
+    Parameter(name="number", text="of the alarm", kind=ParameterType.COUNT, is_required=True),
 )
 _NOTE: Final = Parameter(name="note", text="what is to be remembered", longest=500)
 _NAMES: Final = tuple(field.name for field in fields(Alarm))

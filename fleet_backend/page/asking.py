@@ -25,7 +25,7 @@ _ENCODED_TEXT: Final = re.compile(
 _NAME: Final = r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}"  # of vehicles, by the contract
 
 
-class Kind(Enum):
+class ParameterType(Enum):
     """What a word stands for; the value is the type in OpenAPI."""
 
     TEXT = "string"
@@ -39,7 +39,7 @@ class Parameter:
 
     name: str
     text: str  # what it means
-    kind: Kind = Kind.TEXT
+    kind: ParameterType = ParameterType.TEXT
     in_path: bool = False
     is_required: bool = False
     pattern: str | None = None
@@ -59,9 +59,9 @@ class Parameter:
             raise AskError(f"{self.name}: must be one of {', '.join(self.choices)}")
         if self.pattern is not None and not re.fullmatch(self.pattern, word):
             raise AskError(f"{self.name}: is none")
-        if self.kind is Kind.COUNT:
+        if self.kind is ParameterType.COUNT:
             return self._count(word)
-        return _moment(self.name, word) if self.kind is Kind.MOMENT else word
+        return _moment(self.name, word) if self.kind is ParameterType.MOMENT else word
 
     def _count(self, word: str) -> int:
         if not re.fullmatch(r"[0-9]{1,19}", word) or not self.least <= int(word) <= self.most:
@@ -105,7 +105,7 @@ AFTER: Final = Parameter(
     name="after", text="the part behind this one: `next` of the part before", pattern="[A-Za-z0-9_-]*", longest=400
 )
 LIMIT: Final = Parameter(
-    name="limit", text="how many at most", kind=Kind.COUNT, most=MOST_IN_A_PART, default=USUAL_IN_A_PART
+    name="limit", text="how many at most", kind=ParameterType.COUNT, most=MOST_IN_A_PART, default=USUAL_IN_A_PART
 )
 
 

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, Engine, Select, func, select
 from clutchdiag_io.pages.content import Cell, Section, Table
 from fleet_backend.database import transaction
 from fleet_backend.page import wording
-from fleet_backend.page.asking import AFTER, LIMIT, Ask, Kind, Parameter
+from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter, ParameterType
 from fleet_backend.page.fleet_view import next_of
 from fleet_backend.page.listing import Wanted, matching, part_of
 from fleet_backend.page.records import Change, ChangesAnswer, ClutchNow
@@ -142,7 +142,7 @@ VIEW: Final = View(
     text="What changed since a given time, and why: new data, another algorithm or calibration, new fluid.",
     parameters=(
         Parameter(name="q", text="a part of the vehicle's name", longest=64),
-        Parameter(name="since", text="since when (default: a week ago)", kind=Kind.MOMENT, longest=40),
+        Parameter(name="since", text="since when (default: a week ago)", kind=ParameterType.MOMENT, longest=40),
         AFTER,
         LIMIT,
     ),

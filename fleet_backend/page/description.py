@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import msgspec
 
-from fleet_backend.page.asking import TEXT, Kind, Parameter
+from fleet_backend.page.asking import TEXT, Parameter, ParameterType
 from fleet_backend.page.files import MEDIA_TYPES, Format
 from fleet_backend.page.view import View
 
@@ -75,16 +75,16 @@ def _parameter(one: Parameter) -> dict[str, Any]:
 
 
 def _schema(one: Parameter) -> dict[str, Any]:
-    if one.kind is Kind.COUNT:
+    if one.kind is ParameterType.COUNT:
         limits: dict[str, Any] = {"type": "integer", "minimum": one.least, "maximum": one.most}
         return limits if one.default is None else {**limits, "default": one.default}
     schema: dict[str, Any] = {"type": "string", "maxLength": one.longest}
-    if one.kind is Kind.MOMENT:
+    if one.kind is ParameterType.MOMENT:
         schema["format"] = "date-time"
     if one.choices:
         schema["enum"] = list(one.choices)
     if one.pattern is not None:
         schema["pattern"] = f"^{one.pattern}$"
-    elif one.kind is Kind.TEXT and not one.choices:
+    elif one.kind is ParameterType.TEXT and not one.choices:
         schema["pattern"] = f"^{TEXT}$"
     return schema

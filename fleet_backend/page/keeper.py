@@ -16,7 +16,7 @@ from fleet_backend.page import running
 from fleet_backend.page.listing import choices_of, worst_first
 from fleet_backend.page.records import ClutchNow, Usual
 from fleet_backend.page.running import FillsSeen
-from fleet_backend.page.usual import Kind, usual_of
+from fleet_backend.page.usual import ClutchGroup, usual_of
 
 PERIOD_S: Final = 2.0
 REST_RATIO: Final = 19.0  # of the time that reading takes: a twentieth of a processor at most, while much arrives
@@ -80,7 +80,7 @@ class Snapshot:
     number: int = 0  # grows whenever something became different
     changed: frozenset[str] = frozenset()  # vehicles that did with this number
     vehicles: Mapping[str, tuple[ClutchNow, ...]] = field(default_factory=lambda: MappingProxyType({}))
-    usual: Mapping[Kind, Usual] = field(default_factory=lambda: MappingProxyType({}))
+    usual: Mapping[ClutchGroup, Usual] = field(default_factory=lambda: MappingProxyType({}))
     usual_at: datetime = _NEVER
     fluids: tuple[str, ...] = ()
     calibrations: tuple[str, ...] = ()

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 from typing import Final
 
-from clutchdiag_io.pages.content import NONE, Badge, Cell, Moment, Section, Table
+from clutchdiag_io.pages.content import NONE, Badge, Cell, Section, Table, TimeCell
 from diag_service.diagnosis.prognosis.sentence import soonest
 from fleet_backend.page import wording
-from fleet_backend.page.asking import AFTER, Ask, Kind, Parameter
+from fleet_backend.page.asking import AFTER, Ask, Parameter, ParameterType
 from fleet_backend.page.clutch_past import Past
 from fleet_backend.page.fleet_view import next_of
 from fleet_backend.page.listing import part_of
@@ -72,7 +72,7 @@ _WORDS: Final = (
     "Due from: it is 90 % likely that the fluid lasts until this day. 50 % and 90 % due by: it is so likely that the "
     "fluid has to be changed by this day. Days are counted by the distance of the last 90 days."
 )
-_LIMIT: Final = Parameter(name="limit", text="how many at most", kind=Kind.COUNT, most=MOST, default=50)
+_LIMIT: Final = Parameter(name="limit", text="how many at most", kind=ParameterType.COUNT, most=MOST, default=50)
 
 
 def find(sources: Sources, ask: Ask) -> MaintenanceAnswer:
@@ -168,7 +168,7 @@ def _day(now: ClutchNow, distance_m: float | None, a_day_m: float | None) -> dat
 
 def _cells(one: Due) -> tuple[Cell, ...]:
     days = (
-        NONE if day is None else Moment(iso=day.isoformat(), text=day.isoformat())
+        NONE if day is None else TimeCell(iso=day.isoformat(), text=day.isoformat())
         for day in (one.due_from, one.half_by, one.most_by)
     )
     return (

@@ -14,10 +14,10 @@ from diag_service.diagnosis.prognosis import (
     Common,
     Hindsight,
     History,
-    Kind,
     Lot,
     LotStanding,
     Monthly,
+    PeerGroup,
     Population,
     ageings,
     common_of,
@@ -61,7 +61,7 @@ class _Clutch:
     vehicle_type: str
     history: History
     reference: FrictionCurve
-    kinds: Sequence[Kind]
+    kinds: Sequence[PeerGroup]
 
     def ageings(self) -> list[Ageing]:
         """Return what its fluids say."""
@@ -135,7 +135,7 @@ def _clutch(engine: Engine, common: Mapping[str, Common], key: Key) -> _Clutch |
         vehicle_type=calibration,
         history=without(past, common.get(calibration)),
         reference=reference,
-        kinds=[Kind(vehicle_type=calibration, fluid=name) for name in (None, *(one.product for one in fills))],
+        kinds=[PeerGroup(vehicle_type=calibration, fluid=name) for name in (None, *(one.product for one in fills))],
     )
 
 

@@ -13,7 +13,7 @@ from starlette.responses import RedirectResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from fleet_backend.page.access import Access, Role, Viewer, check_role, check_token
-from fleet_backend.page.asking import LIMIT, VEHICLE, Ask, Kind, Parameter, read_words
+from fleet_backend.page.asking import LIMIT, VEHICLE, Ask, Parameter, ParameterType, read_words
 from fleet_backend.page.description import FORMAT
 from fleet_backend.page.errors import AskError, ForbiddenError, LoginError
 from fleet_backend.page.files import MEDIA_TYPES, Format, file_of, json_of
@@ -31,7 +31,7 @@ _LONGEST_FORM: Final = 16_384  # bytes
 _TOKEN: Final = "token"  # noqa: S105 - the name of a field
 _EVENT_WORDS: Final = (
     replace(VEHICLE, in_path=False, is_required=False),
-    Parameter(name="number", text="of the snapshot that the reader knows", kind=Kind.COUNT, least=0),
+    Parameter(name="number", text="of the snapshot that the reader knows", kind=ParameterType.COUNT, least=0),
 )
 
 

@@ -7,7 +7,7 @@ from clutch_model.units import degc_from_k
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Link, Section, Table, number
 from diag_service.report.pictures import curve_figure
 from fleet_backend.page import past, wording
-from fleet_backend.page.asking import VEHICLE, Ask, Kind, Parameter
+from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
 from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.outlook import friction_of, reference_of
 from fleet_backend.page.records import ShiftAnswer
@@ -18,7 +18,7 @@ _PARAMETERS: Final = (
     Parameter(
         name="stream", text="stream of results: a run of a service, or a log", is_required=True, pattern="[ -~]{1,128}"
     ),
-    Parameter(name="seq", text="position in the stream", kind=Kind.COUNT, is_required=True),
+    Parameter(name="seq", text="position in the stream", kind=ParameterType.COUNT, is_required=True),
 )
 _SIGNALS: Final = (
     "The fleet keeps no signals of single events; diag-service report shows those of a log, run --page those of a run."

@@ -11,18 +11,18 @@ from fleet_backend.page.records import ClutchNow, Usual
 LEAST_CLUTCHES: Final = 20  # fewer say little of what is usual
 _SHARES: Final = (0.1, 0.5, 0.9)
 
-Kind = tuple[str, int, str | None]  # calibration, which stands for the type; clutch; fluid
+ClutchGroup = tuple[str, int, str | None]  # calibration, which stands for the type; clutch; fluid
 
 
-def kind_of(now: ClutchNow) -> Kind:
+def group_of(now: ClutchNow) -> ClutchGroup:
     return now.calibration_version, now.clutch, now.fluid
 
 
-def usual_of(clutches: Iterable[ClutchNow]) -> Mapping[Kind, Usual]:
-    levels: dict[Kind, list[float]] = {}
+def usual_of(clutches: Iterable[ClutchNow]) -> Mapping[ClutchGroup, Usual]:
+    levels: dict[ClutchGroup, list[float]] = {}
     for now in clutches:
         if now.mu_c is not None:
-            levels.setdefault(kind_of(now), []).append(now.mu_c)
+            levels.setdefault(group_of(now), []).append(now.mu_c)
     return MappingProxyType({
         kind: Usual(clutch_count=len(some), **_quantiles(some))
         for kind, some in levels.items()

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, spread
 from fleet_backend.page import past, wording
-from fleet_backend.page.asking import VEHICLE, Ask, Kind, Parameter
+from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
 from fleet_backend.page.cache import Same
 from fleet_backend.page.clutch_past import Past, read_past
 from fleet_backend.page.errors import NotFoundError
@@ -18,7 +18,7 @@ from fleet_backend.page.pictures import (
     course_picture,
 )
 from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, TrendPoint, Usual, VehicleAnswer
-from fleet_backend.page.usual import kind_of
+from fleet_backend.page.usual import group_of
 from fleet_backend.page.vehicle_state import VehicleState, state_of
 from fleet_backend.page.view import Shown, Sources, View
 from fleet_contract.orders import Action
@@ -32,7 +32,7 @@ _PARAMETERS: Final = (
     Parameter(
         name="service_km",
         text="distance to the next service [km]",
-        kind=Kind.COUNT,
+        kind=ParameterType.COUNT,
         most=_MOST_SERVICE_KM,
         default=SERVICE_KM,
     ),
@@ -47,7 +47,7 @@ def find(sources: Sources, ask: Ask) -> VehicleAnswer:
         raise NotFoundError(f"no message was ever received of a vehicle {vehicle}")
     snapshot = sources.keeper.snapshot
     clutches = snapshot.vehicles.get(vehicle, ())
-    usual = tuple(snapshot.usual.get(kind_of(now)) for now in clutches)
+    usual = tuple(snapshot.usual.get(group_of(now)) for now in clutches)
 
     def make() -> VehicleAnswer:
         pasts = [past_of(sources, now, state, service_distance_m) for now in clutches]

@@ -197,7 +197,7 @@ async def test_from_aged_fluid_to_sound_fluid_all_tell_the_same(
 
         noted = ended("fluid-changed", world.store, "--at", FILLED, "--odometer", "12346", "--product", "DCTF-II")
         assert noted.status == 0
-        outbox.nudge()
+        outbox.wake()
         await world.until_told(OLD_SHIFTS, CLOSED)
         await until(lambda: len(fills_of(world.engine, "car1")) == 1, HANG_S)
         assert set(world.all_who_tell(capsys).values()) == {CLOSED}

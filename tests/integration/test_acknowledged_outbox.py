@@ -72,7 +72,7 @@ async def test_brokers_and_services_die_and_nothing_is_lost(store: ResultStore, 
         for first in (1, 51, 101):
             async with running(store, broker) as outbox:
                 put(store, range(first, first + 50))
-                outbox.nudge()
+                outbox.wake()
                 await until(lambda: outbox.counts.sent > 10)
                 await asyncio.to_thread(broker.kill)
                 await asyncio.to_thread(broker.start)

@@ -104,7 +104,7 @@ async def test_a_broker_that_comes_late_gets_everything(
         idle_broker.start()
         with Subscriber(idle_broker.port) as subscriber:
             put(store, range(6, 9))
-            outbox.nudge()
+            outbox.wake()
             await until(lambda: store.unpublished_count("car1") == 0)
             assert await outbox.close(sender) == 0
             subscriber.wait(lambda heard: seqs(heard)[-1:] == [8])
@@ -120,7 +120,7 @@ async def test_a_broker_that_dies_in_between_loses_and_doubles_nothing(
         async with sending(outbox) as sender:
             for first in (1, 21, 41):
                 put(store, range(first, first + 20))
-                outbox.nudge()
+                outbox.wake()
                 await until(lambda: store.unpublished_count("car1") < 20)
                 await asyncio.to_thread(end, broker)
                 await asyncio.to_thread(broker.start)
@@ -155,11 +155,11 @@ async def test_a_silent_broker_delays_the_end_for_a_limited_time(store: ResultSt
     outbox = outbox_for(store, local(broker.port))
     async with sending(outbox) as sender:
         put(store, [1])
-        outbox.nudge()
+        outbox.wake()
         await until(lambda: store.unpublished_count("car1") == 0)
         broker.freeze()
         put(store, range(2, 4))
-        outbox.nudge()
+        outbox.wake()
         async with asyncio.timeout(HANG_S):
             assert await outbox.close(sender, timeout_s=0.3) == 2
     broker.thaw()

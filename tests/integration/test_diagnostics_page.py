@@ -14,7 +14,7 @@ from udsoncan.configs import default_client_config
 from diag_service.mapping.profile import load_profile
 from diag_service.tester.description_file import load_file
 from ecu_emulator.diagnostics.memory import TestResult as Result
-from ecu_emulator.scenario.scenario import OpinionFrom
+from ecu_emulator.scenario.scenario import EstimateFrom
 from ecu_emulator.scenario.scenario_file import parse_scenario
 from tests.integration.test_tester import vehicle
 from tests.support.documents import ROOT, page_text
@@ -66,10 +66,10 @@ def test_a_tester_over_ip() -> None:
         assert server.counts["requests"] == 1
 
 
-def test_an_opinion_of_the_controllers_own() -> None:
+def test_an_estimate_of_the_controllers_own() -> None:
     ideal = (ROOT / "ecu_emulator" / "scenarios" / "ideal.toml").read_text(encoding="utf-8")
-    opinion = parse_scenario(f"{ideal}\n{block('toml', '[on_board]')}", PAGE).on_board
-    assert (opinion.estimate, opinion.mu_c) == (OpinionFrom.OWN, 0.118)
+    estimate = parse_scenario(f"{ideal}\n{block('toml', '[on_board]')}", PAGE).on_board
+    assert (estimate.estimate, estimate.mu_c) == (EstimateFrom.OWN, 0.118)
 
 
 def test_a_description_of_ones_own(tmp_path: Path) -> None:

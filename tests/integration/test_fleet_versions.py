@@ -14,7 +14,7 @@ from diag_service.delivery import Acknowledge, Link, MqttConnector, Outbox
 from diag_service.store import ResultStore
 from fleet_backend import queries
 from fleet_backend.database import open_database
-from fleet_backend.intake import Kind, batch_of, take
+from fleet_backend.intake import MessageKind, batch_of, take
 from fleet_backend.writer import Writer
 from fleet_link import BrokerAddress, Message
 from tests.golden import earlier
@@ -25,11 +25,11 @@ from tests.support.patience import HANG_S
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 KINDS = {
-    "shift": Kind.SHIFT,
-    "shift-rejected": Kind.SHIFT,
-    "status-online": Kind.STATUS,
-    "status-offline": Kind.STATUS,
-    "metrics": Kind.METRICS,
+    "shift": MessageKind.SHIFT,
+    "shift-rejected": MessageKind.SHIFT,
+    "status-online": MessageKind.STATUS,
+    "status-offline": MessageKind.STATUS,
+    "metrics": MessageKind.METRICS,
 }
 
 

@@ -158,7 +158,7 @@ async def deliver(authority: Authority, port: int) -> float:
         for number in range(1, SHIFTS + 1):
             for name in GOOD:
                 put(stores[name], [number], vehicle=name)
-                outboxes[name].nudge()
+                outboxes[name].wake()
             await asyncio.sleep(0.05)
         await until(lambda: not any(stores[name].unpublished_count(name) for name in GOOD), 90.0)
     return time.monotonic() - begin_s

@@ -23,15 +23,15 @@ from ecu_emulator.answering.on_board import (
     NEW_FLUID_NOTE,
     NOTHING_LEARNED,
     Complaints,
-    FixedOpinion,
+    EstimateSource,
+    FixedEstimate,
     OnBoardService,
-    OpinionSource,
     without_settings,
 )
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.opinion import ClutchOpinion
+from ecu_emulator.diagnostics.on_board_friction import OnBoardFriction
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.live.live_drive import BusChoice
 from ecu_emulator.scenario.scenario import FluidVerdict
@@ -42,7 +42,7 @@ from tests.support.patience import HANG_S
 from tests.support.uds.days import HOLDING, TripCar
 
 FLUID = 0x089700
-WORN = ClutchOpinion(fluid=FluidVerdict.CHANGE_FLUID, mu_c=0.118, std_mu_c=0.002, mu_s=0.125, std_mu_s=0.003)
+WORN = OnBoardFriction(fluid=FluidVerdict.CHANGE_FLUID, mu_c=0.118, std_mu_c=0.002, mu_s=0.125, std_mu_s=0.003)
 
 
 def wait_for(condition: Callable[[], object]) -> None:
@@ -57,13 +57,13 @@ def service(script: str, *words: str) -> OnBoardService:
     return OnBoardService(words, None, program=(sys.executable, "-S", "-c", script), first_pause_s=0.001)
 
 
-def test_lines_become_opinions_and_the_rest_is_passed_over() -> None:
+def test_lines_become_estimates_and_the_rest_is_passed_over() -> None:
     line = dump(shift_record(shift_result()))
     script = f"import sys, time; print('no JSON'); print('x' * 3_000_000); print({line!r}, flush=True); time.sleep(1e6)"
     with service(script) as on_board:
-        wait_for(lambda: on_board.opinions)
+        wait_for(lambda: on_board.estimates)
         clutch = shift_result().verdict.clutch
-        assert on_board.opinions[clutch].fluid is FluidVerdict.GOOD
+        assert on_board.estimates[clutch].fluid is FluidVerdict.GOOD
         assert on_board.problem is None
 
 
@@ -72,7 +72,7 @@ def test_it_is_started_again_a_few_times_and_then_given_up() -> None:
         wait_for(lambda: on_board.problem)
         assert on_board.start_count == MOST_STARTS
         assert on_board.problem == f"the service on board ended {MOST_STARTS} times in a row: no bus"
-        assert on_board.opinions == {}
+        assert on_board.estimates == {}
 
 
 def test_complaints_without_end_take_no_room() -> None:
@@ -133,8 +133,8 @@ def test_it_dies_with_its_parent_however_that_dies() -> None:
     wait_for(lambda: is_gone(pid))
 
 
-def drive(memory: Path, source: OpinionSource) -> Status:
-    """Let a controller have an opinion for one operation cycle; return the status of the code of the fluid."""
+def drive(memory: Path, source: EstimateSource) -> Status:
+    """Let a controller have an estimate for one operation cycle; return the status of the code of the fluid."""
     heard: list[can.Message] = []
 
     class Bus:
@@ -146,10 +146,10 @@ def drive(memory: Path, source: OpinionSource) -> Status:
             data = bytes(message.length)
             answering.send(can.Message(arbitration_id=message.frame_id, data=data, is_extended_id=False))
         records = answering.controller.state.memory.records
-        if source.opinions:
+        if source.estimates:
             wait_for(lambda: not answering.controller.state.memory.records[FLUID].status & Status.NOT_TESTED_THIS_CYCLE)
             friction = answering.controller.ask(bytes.fromhex("22 03 00")) or b""
-            assert friction[3:5] == round(source.opinions[1].mu_c * 1e5).to_bytes(2, "big")
+            assert friction[3:5] == round(source.estimates[1].mu_c * 1e5).to_bytes(2, "big")
             records = answering.controller.state.memory.records
             snapshot = answering.controller.ask(bytes.fromhex("19 04 08 97 00 02")) or b""
             assert (friction[3:11] in snapshot) is bool(records[FLUID].status & Status.TEST_FAILED)
@@ -158,12 +158,12 @@ def drive(memory: Path, source: OpinionSource) -> Status:
 
 def test_worn_fluid_is_pending_then_confirmed_and_heals(tmp_path: Path) -> None:
     memory = tmp_path / "tcu.json"
-    assert not drive(memory, FixedOpinion(None)) & Status.PENDING
-    first = drive(memory, FixedOpinion(WORN))
+    assert not drive(memory, FixedEstimate(None)) & Status.PENDING
+    first = drive(memory, FixedEstimate(WORN))
     assert first & Status.PENDING
     assert not first & Status.CONFIRMED
-    assert drive(memory, FixedOpinion(WORN)) & Status.CONFIRMED
-    healed = drive(memory, FixedOpinion(ClutchOpinion(fluid=FluidVerdict.GOOD, mu_c=0.14)))
+    assert drive(memory, FixedEstimate(WORN)) & Status.CONFIRMED
+    healed = drive(memory, FixedEstimate(OnBoardFriction(fluid=FluidVerdict.GOOD, mu_c=0.14)))
     assert not healed & Status.TEST_FAILED
     assert healed & Status.CONFIRMED  # until it has aged out
 
@@ -190,12 +190,12 @@ def test_new_fluid_is_noted_and_the_last_word_on_the_old_one_is_not_heard(tmp_pa
     lines = (json.dumps(record), json.dumps(record), json.dumps({**record, "end_bus_ns": new_ns}), str(go))
     program = (sys.executable, "-c", SPEAKING.format(lines=lines))
     with OnBoardService([], store, program=program, first_pause_s=0.001) as on_board:
-        wait_for(lambda: on_board.opinions)
+        wait_for(lambda: on_board.estimates)
         assert on_board.begin_anew()
-        assert on_board.opinions == {}
+        assert on_board.estimates == {}
         go.touch()
-        wait_for(lambda: on_board.opinions)
-        assert [opinion.end_ns for opinion in on_board.opinions.values()] == [new_ns]
+        wait_for(lambda: on_board.estimates)
+        assert [estimate.end_ns for estimate in on_board.estimates.values()] == [new_ns]
     with StoreReader.open(store) as reader:
         (fill,) = reader.fills("car1")
     assert fill.note == NEW_FLUID_NOTE
@@ -217,20 +217,20 @@ def test_the_bus_is_named_to_the_service_as_it_was_to_the_emulator() -> None:
     assert without_settings({"CLUTCHDIAG_BROKER": "x", "CAN_CHANNEL": "y"}) == {"CAN_CHANNEL": "y"}
 
 
-class Following(FixedOpinion):
+class Following(FixedEstimate):
     """An estimate that follows what is driven, and says what the test lets it."""
 
     is_live = True
 
 
 def test_friction_that_was_known_is_known_after_a_restart(tmp_path: Path) -> None:
-    def started(source: OpinionSource) -> tuple[str, int]:
+    def started(source: EstimateSource) -> tuple[str, int]:
         """Return what is told of the friction of clutch 1, and the status of the code of the fluid."""
         car = TripCar(memory=tmp_path / "tcu.json", on_board=source)
         with car.answering:
             car.say(HOLDING)
-            if source.opinions:
-                wait_for(lambda: car.answering.controller.state.opinions == source.opinions)
+            if source.estimates:
+                wait_for(lambda: car.answering.controller.state.estimates == source.estimates)
             return car.ask("22 03 00"), car.status("P0897")
 
     unknown = f"62 03 00 {'ff ' * 8}".strip()
@@ -240,8 +240,8 @@ def test_friction_that_was_known_is_known_after_a_restart(tmp_path: Path) -> Non
     again, status = started(Following(None))
     assert again == known
     assert status & Status.NOT_TESTED_THIS_CYCLE  # what was known before is no test of today
-    assert started(FixedOpinion(None))[0] == unknown  # a car without an estimate has none
-    half = ClutchOpinion(mu_c=0.125)  # some of it is not available
+    assert started(FixedEstimate(None))[0] == unknown  # a car without an estimate has none
+    half = OnBoardFriction(mu_c=0.125)  # some of it is not available
     assert started(Following(half))[0] == started(Following(None))[0]
     with MemoryFile(tmp_path / "tcu.json", shipped_table()) as store:
         controller = Controller(shipped_table(), values=dict, clock=lambda: 0.0, chance=bytes, store=store)

@@ -25,7 +25,7 @@ from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.commands import LogOptions, write_log
-from ecu_emulator.diagnostics.opinion import ClutchOpinion, read_line
+from ecu_emulator.diagnostics.on_board_friction import OnBoardFriction, read_line
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live.live_drive import BusChoice, send
@@ -54,14 +54,14 @@ class OnBoard:
         calibration = nominal_calibration()
         decoder = Decoder(load_contract(), load_profile())
         self._stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
-        self.opinions: dict[int, ClutchOpinion] = {}
+        self.estimates: dict[int, OnBoardFriction] = {}
 
     def hear(self, frames: EncodedFrames) -> None:
         for found in self._stages.feed(as_received(frames)):
             result = replace(shift_result(), estimate=found.estimate, verdict=found.verdict)
             told = read_line(dump(shift_record(result)).encode())
             assert told is not None
-            self.opinions = {**self.opinions, told[0]: told[1]}
+            self.estimates = {**self.estimates, told[0]: told[1]}
 
     def begin_anew(self) -> bool:
         """Return that it does not."""

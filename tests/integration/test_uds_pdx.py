@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from ecu_emulator.cli import main
 from ecu_emulator.diagnostics.descriptions import (
     Access,
+    Coding,
     Datum,
     ExtendedRecord,
     Field,
-    Kind,
     Profile,
     Routine,
     Trouble,
@@ -50,7 +50,7 @@ def numbers(sources: st.SearchStrategy[str]) -> st.SearchStrategy[Field]:
     return st.builds(
         Field,
         name=NAMES,
-        kind=st.sampled_from([Kind.UNSIGNED, Kind.SIGNED]),
+        kind=st.sampled_from([Coding.UNSIGNED, Coding.SIGNED]),
         size_bytes=st.integers(1, 8),
         source=sources,
         unit=st.sampled_from(["", "rpm", "%", "m/s²", "km/h"]),
@@ -60,7 +60,7 @@ def numbers(sources: st.SearchStrategy[str]) -> st.SearchStrategy[Field]:
 
 
 def texts(sources: st.SearchStrategy[str]) -> st.SearchStrategy[Field]:
-    kinds = st.sampled_from([Kind.TEXT, Kind.BYTES])
+    kinds = st.sampled_from([Coding.TEXT, Coding.BYTES])
     return st.builds(Field, name=NAMES, kind=kinds, size_bytes=st.integers(1, 20), source=sources)
 
 
@@ -84,7 +84,7 @@ def stored_data() -> st.SearchStrategy[Datum]:
             fields=st.just(entries),
             read=st.just(OPEN),
             write=st.sampled_from([OPEN, LOCKED]),
-            initial=st.just(("A" if entries[0].kind is Kind.TEXT else "41") * size_of(entries)),
+            initial=st.just(("A" if entries[0].kind is Coding.TEXT else "41") * size_of(entries)),
         )
     )
 

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import tomli_w
 
-from ecu_emulator.diagnostics.descriptions import Datum, ExtendedRecord, Field, Kind
+from ecu_emulator.diagnostics.descriptions import Coding, Datum, ExtendedRecord, Field
 from ecu_emulator.diagnostics.services.routines import COMPLETED, RUNNING, STOPPED
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import shipped_table
@@ -59,7 +59,7 @@ def _record(record: Datum | ExtendedRecord) -> dict[str, Any]:
 
 
 def _field(entry: Field) -> dict[str, Any]:
-    is_number = entry.kind in {Kind.UNSIGNED, Kind.SIGNED}
+    is_number = entry.kind in {Coding.UNSIGNED, Coding.SIGNED}
     found: dict[str, Any] = {"name": entry.name, "kind": entry.kind.value, "size_bytes": entry.size_bytes}
     found |= {"unit": entry.unit} if entry.unit else {}
     found |= {"resolution": entry.resolution} if entry.resolution != 1.0 else {}

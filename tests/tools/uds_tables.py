@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
-from ecu_emulator.diagnostics.descriptions import Access, Datum, Field, Kind
+from ecu_emulator.diagnostics.descriptions import Access, Coding, Datum, Field
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import shipped_table
 
@@ -67,11 +67,11 @@ def _layout(datum: Datum) -> str:
 
 
 def _field(entry: Field) -> str:
-    if entry.kind in {Kind.TEXT, Kind.BYTES, Kind.FLOAT}:
+    if entry.kind in {Coding.TEXT, Coding.BYTES, Coding.FLOAT}:
         return f"{entry.name}: {entry.size_bytes}, {entry.kind}"
     scale = "" if entry.resolution == 1.0 and not entry.unit else f", {entry.resolution:g} {entry.unit}".rstrip()
     offset = f" from {entry.offset:g}" if entry.offset else ""
-    return f"{entry.name}: {entry.size_bytes}{', signed' if entry.kind is Kind.SIGNED else ''}{scale}{offset}"
+    return f"{entry.name}: {entry.size_bytes}{', signed' if entry.kind is Coding.SIGNED else ''}{scale}{offset}"
 
 
 def _routines(table: DiagnosticTable) -> str:

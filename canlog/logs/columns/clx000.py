@@ -59,11 +59,11 @@ class Clx000(TableLog):
         self.set_layout(Layout(columns=columns, separator=separator, header_lines=place + 1, names=names))
         if "timestamp" in names and len(lines) > place + 1:
             stamp = dict(zip(names, names_in(lines[place + 1], separator), strict=False)).get("timestamp", "")
-            self._settle_times(
+            self._set_time_unit(
                 "".join(filter(str.isdigit, stamp)), "".join(filter(str.isdigit, entries.get(b"Time", "")))
             )
 
-    def _settle_times(self, stamp: str, start: str) -> None:
+    def _set_time_unit(self, stamp: str, start: str) -> None:
         """Find out from when times count of which the first has these digits, and when they begin again."""
         parts = [int(part) for part in found.groups()] if (found := START.match(start)) else []
         is_date = bool(parts) and 1 <= parts[1] <= 12

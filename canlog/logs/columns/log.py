@@ -130,13 +130,13 @@ class ColumnsLog(TableLog):
                 separator=separator,
                 comment_starts=COMMENTS,
                 header_lines=number,
-                extended_digits=8 if _tells_by_digits(_values(columns, Role.ID, rows)) else 0,
+                extended_digits=8 if _are_told_by_digits(_values(columns, Role.ID, rows)) else 0,
                 has_decimal_comma=separator != ord(","),
                 names=found.names,
                 channel_names=self._channel_names(_values(columns, Role.CHANNEL, rows)),
             )
         )
-        self._settle_times(found, rows, b"\n".join(body))
+        self._set_time_unit(found, rows, b"\n".join(body))
 
     def _based(self, column: Column, place: int, rows: Sequence[tuple[str, ...]], names: Sequence[str]) -> Column:
         """Return a column with its numbers in the base that they must have."""
@@ -155,7 +155,7 @@ class ColumnsLog(TableLog):
         self.notes.append(f"channels are numbered by name: {', '.join(f'{n} {name}' for n, name in enumerate(seen))}")
         return seen
 
-    def _settle_times(self, found: Proposal, rows: Sequence[tuple[str, ...]], body: bytes) -> None:
+    def _set_time_unit(self, found: Proposal, rows: Sequence[tuple[str, ...]], body: bytes) -> None:
         """Find out what the times count, and from when."""
         layout = self.layout
         times = _values(layout.columns, Role.TIME, rows)
@@ -163,18 +163,18 @@ class ColumnsLog(TableLog):
             self.notes.append(NO_TIMES)
         elif times and (date := DATE.match(times[0])):
             if not date["offset"]:
-                self._take_dates_as_local(times[0])
+                self._set_local_dates(times[0])
         elif times and CLOCK.match(times[0]):
             self.set_layout(replace(layout, wrap_us=DAY_US))
             self.notes.append("times are times of day, taken as those of 1970-01-01")
         elif times and not found.has_unit:
-            self._take_unit(_likely_unit(layout, times, body))
+            self._set_unit(_likely_unit(layout, times, body))
 
-    def _take_unit(self, unit: int) -> None:
+    def _set_unit(self, unit: int) -> None:
         self.notes.append(f"times are taken as {UNIT_NAMES[unit]}: the header does not say")
         self.set_layout(replace(self.layout, columns=in_unit(self.layout.columns, unit)))
 
-    def _take_dates_as_local(self, date: str) -> None:
+    def _set_local_dates(self, date: str) -> None:
         """Take dates without an offset as local time, all with the offset of the first."""
         local_us = date_us(date.replace("T", " ").replace("/", "-").encode())
         layout = Layout(columns=(Column(role=Role.TIME), Column(role=Role.ID, parameter=16)), separator=ord(";"))
@@ -254,7 +254,7 @@ def _values(columns: Sequence[Column], role: Role, rows: Sequence[tuple[str, ...
     return [] if place is None else [row[place] for row in rows if place < len(row) and row[place]]
 
 
-def _tells_by_digits(values: Sequence[str]) -> bool:
+def _are_told_by_digits(values: Sequence[str]) -> bool:
     """Return whether eight digits mean an extended identifier: where others have three, or four."""
     digits = {len(value.lower().removeprefix("0x")) for value in values}
     return 8 in digits and bool(digits & {3, 4})

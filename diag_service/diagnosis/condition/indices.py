@@ -159,13 +159,13 @@ def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibrati
     engine_nm = grid.value(Signal.ENGINE_TORQUE)
     if asked is None or engine_nm is None or Signal.ENGINE_SPEED not in grid.event.columns:
         return None
-    asked_nm, places = np.empty(len(slip_rad_s)), np.empty(len(slip_rad_s), np.int64)
-    count = _pick_asked(slip_rad_s, *asked, asked_nm, places)
+    asked_nm, rows = np.empty(len(slip_rad_s)), np.empty(len(slip_rad_s), np.int64)
+    count = _pick_asked(slip_rad_s, *asked, asked_nm, rows)
     if count * GRID_S < MIN_WINDOW_S:
         return None
-    asked_nm, places = asked_nm[:count], places[:count]
-    inertia_nm = calibration.input_side.engine_inertia_kg_m2 * _acceleration(grid.event, grid.t_s[places])
-    by_engine, by_offset, by_inertia, scatter = _fit_ratio(asked_nm, engine_nm[places], inertia_nm)
+    asked_nm, rows = asked_nm[:count], rows[:count]
+    inertia_nm = calibration.input_side.engine_inertia_kg_m2 * _acceleration(grid.event, grid.t_s[rows])
+    by_engine, by_offset, by_inertia, scatter = _fit_ratio(asked_nm, engine_nm[rows], inertia_nm)
     spread = calibration.uncertainty
     parts = (
         scatter * math.sqrt(CORRELATION_S / GRID_S),
@@ -211,11 +211,11 @@ def _pick_asked(
     off_nm: FloatArray,
     is_signed: bool,  # noqa: FBT001 - a compiled function
     asked_nm: FloatArray,
-    places: Int64Array,
+    rows: Int64Array,
 ) -> int:
     """Fill in the torque asked of a clutch that slips and alone carries the engine, signed as its slip, and where.
 
-    Return how many places there are.
+    Return how many rows there are.
     """
     count = 0
     for row in range(len(slip_rad_s)):
@@ -223,7 +223,7 @@ def _pick_asked(
             continue
         if abs(off_nm[row]) < RELEASED_RATIO * max(on_nm[row], MIN_TORQUE_NM):
             asked_nm[count] = on_nm[row] if is_signed or slip_rad_s[row] > 0.0 else -on_nm[row]
-            places[count] = row
+            rows[count] = row
             count += 1
     return count
 

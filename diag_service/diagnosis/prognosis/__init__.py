@@ -7,7 +7,7 @@ from diag_service.diagnosis.prognosis.history import History, history_of, histor
 from diag_service.diagnosis.prognosis.lots import Lot, LotStanding, lot_standings
 from diag_service.diagnosis.prognosis.passage import Passage
 from diag_service.diagnosis.prognosis.past_lives import ageings, hindsights
-from diag_service.diagnosis.prognosis.population import Ageing, Kind, Peers, Population, Usual, learn, with_bends
+from diag_service.diagnosis.prognosis.population import Ageing, PeerGroup, Peers, Population, Usual, learn, with_bends
 from diag_service.diagnosis.prognosis.prognosis import Outlook, Prognosis, prognose
 from diag_service.diagnosis.prognosis.written import population_from, population_record
 
@@ -17,12 +17,12 @@ __all__ = [
     "Common",
     "Hindsight",
     "History",
-    "Kind",
     "Lot",
     "LotStanding",
     "Monthly",
     "Outlook",
     "Passage",
+    "PeerGroup",
     "Peers",
     "Population",
     "Prognosis",

@@ -24,7 +24,7 @@ from diag_service.diagnosis.prognosis.fluid_lives import (
 )
 from diag_service.diagnosis.prognosis.history import History
 from diag_service.diagnosis.prognosis.passage import Passage
-from diag_service.diagnosis.prognosis.population import Ageing, Course, Kind, Peers, Population
+from diag_service.diagnosis.prognosis.population import Ageing, Course, PeerGroup, Peers, Population
 from diag_service.diagnosis.prognosis.trend import Part, fallen, summary
 
 LOOK_SHARES: Final = (0.1, 0.17, 0.25, 0.35, 0.5, 0.7)  # of a life: when it is foretold what came of it
@@ -32,7 +32,7 @@ _HALVINGS: Final = 6  # a fluid's end is found to a sixty-fourth of what was dri
 
 
 def ageings(
-    vehicle: str, clutch: int, history: History, reference: FrictionCurve, kinds: Sequence[Kind]
+    vehicle: str, clutch: int, history: History, reference: FrictionCurve, kinds: Sequence[PeerGroup]
 ) -> list[Ageing]:
     """Return what each fluid of a clutch that was new when first seen says of its kind.
 

@@ -25,7 +25,7 @@ _ROUNDS: Final = 50
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kind:
+class PeerGroup:
     """Which clutches are peers."""
 
     vehicle_type: str  # by the calibration that all of them have
@@ -48,7 +48,7 @@ class Ageing:
 
     vehicle: str
     clutch: int
-    kind: Kind
+    kind: PeerGroup
     distance_m: float  # with this fluid
     is_present: bool  # the fluid that is in now
     courses: Mapping[ChannelName, Course]  # until the limit was passed, or so far
@@ -69,7 +69,7 @@ class Usual:
 class Peers:
     """What is usual for one kind of clutches."""
 
-    kind: Kind
+    kind: PeerGroup
     life_count: int
     channels: Mapping[ChannelName, Usual]
     bends: Bends = field(default_factory=lambda: FUTURE_BENDS)
@@ -102,8 +102,8 @@ class Population:
     def of(self, vehicle_type: str, fluid: str | None) -> Peers | None:
         """Return the peers of a clutch: those with the same fluid, or else all of its type; None: too few are known."""
         known = {one.kind: one for one in self.peers}
-        same = known.get(Kind(vehicle_type=vehicle_type, fluid=fluid))
-        found = known.get(Kind(vehicle_type=vehicle_type, fluid=None)) if same is None else same
+        same = known.get(PeerGroup(vehicle_type=vehicle_type, fluid=fluid))
+        found = known.get(PeerGroup(vehicle_type=vehicle_type, fluid=None)) if same is None else same
         return None if found is None else replace(found, version=self.version)
 
 
@@ -130,7 +130,7 @@ def with_bends(population: Population, told: Iterable[tuple[Ageing, Sequence[Hin
 
 def learn(lives: Iterable[Ageing]) -> Population:
     """Return what lives of fluids have in common, by type and fluid, and by type alone."""
-    groups: dict[Kind, list[Ageing]] = {}
+    groups: dict[PeerGroup, list[Ageing]] = {}
     count = 0
     for life in lives:
         count += 1
@@ -141,7 +141,7 @@ def learn(lives: Iterable[Ageing]) -> Population:
     return Population(life_count=count, peers=tuple(one for one in found if one.channels))
 
 
-def _peers(kind: Kind, lives: Sequence[Ageing]) -> Peers:
+def _peers(kind: PeerGroup, lives: Sequence[Ageing]) -> Peers:
     channels = {name: _usual([life.courses[name] for life in lives if name in life.courses]) for name in ChannelName}
     known = {name: usual for name, usual in channels.items() if usual is not None}
     return Peers(kind=kind, life_count=len(lives), channels=known)

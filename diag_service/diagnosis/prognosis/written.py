@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from diag_service.diagnosis.prognosis.channels import ChannelName
 from diag_service.diagnosis.prognosis.common import Common
-from diag_service.diagnosis.prognosis.population import Kind, Peers, Population, Usual
+from diag_service.diagnosis.prognosis.population import PeerGroup, Peers, Population, Usual
 
 SCHEMA: Final = "clutchdiag/population/v1"
 _USUAL: Final = ("start", "start_std", "loss_per_m", "loss_log_std")
@@ -62,7 +62,7 @@ def population_from(record: object) -> Population:
 def _peers(record: Mapping[str, Any]) -> Peers:
     fluid = record["fluid"]
     return Peers(
-        kind=Kind(vehicle_type=str(record["vehicle_type"]), fluid=None if fluid is None else str(fluid)),
+        kind=PeerGroup(vehicle_type=str(record["vehicle_type"]), fluid=None if fluid is None else str(fluid)),
         life_count=int(record["life_count"]),
         channels={
             ChannelName(name): Usual(**{key: _number(usual[key]) for key in _USUAL})

@@ -147,22 +147,20 @@ class SlipTracker:
             shaft[is_locked] = engine.value[is_locked]
 
     def _changes(self, t_ns: Int64Array, engine_rad_s: FloatArray, held: FloatArray) -> list[GripChange]:
-        places, states = np.empty(len(t_ns), np.int64), np.empty((len(t_ns), _STATE_SIZE), np.int64)
+        rows, states = np.empty(len(t_ns), np.int64), np.empty((len(t_ns), _STATE_SIZE), np.int64)
         above, are_shared = self._signals.loaded_above, self._signals.are_shared
-        count = find_changes(engine_rad_s, held, above, are_shared, self._doing, places, states)
+        count = find_changes(engine_rad_s, held, above, are_shared, self._doing, rows, states)
         return [
             GripChange(
-                t_ns=int(t_ns[place]),
+                t_ns=int(t_ns[row]),
                 grip=Grip(grip),
                 gear_grip=Grip(gear_grip),
                 gear=gear,
                 is_asked=None if asked < 0 else bool(asked),
-                engine_rad_s=float(engine_rad_s[place]),
-                shaft_rad_s=float(held[_SHAFTS_ROW + clutch_of_gear(gear) - 1, place]),
+                engine_rad_s=float(engine_rad_s[row]),
+                shaft_rad_s=float(held[_SHAFTS_ROW + clutch_of_gear(gear) - 1, row]),
             )
-            for place, (grip, gear_grip, gear, asked) in zip(
-                places[:count].tolist(), states[:count].tolist(), strict=True
-            )
+            for row, (grip, gear_grip, gear, asked) in zip(rows[:count].tolist(), states[:count].tolist(), strict=True)
         ]
 
 
@@ -173,29 +171,29 @@ def find_changes(
     above: tuple[float, float],
     are_shared: bool,  # noqa: FBT001 - a compiled function
     doing: Int64Array,
-    places: Int64Array,
+    rows: Int64Array,
     states: Int64Array,
 ) -> int:
-    """Fill in at which places what the clutches do, or what the driver asks for, becomes something else, and what.
+    """Fill in in which rows what the clutches do, or what the driver asks for, becomes something else, and what.
 
     Return how often it does. ``doing`` is what it was before, and becomes what it is at the end. An unknown value tells
     neither of slip nor of load.
     """
     count = 0
-    for place in range(len(engine_rad_s)):
-        gear = 0 if np.isnan(held[_GEAR_ROW, place]) else int(held[_GEAR_ROW, place])
+    for row in range(len(engine_rad_s)):
+        gear = 0 if np.isnan(held[_GEAR_ROW, row]) else int(held[_GEAR_ROW, row])
         own = gear_clutch(gear) - 1
         any_grip, gear_grip = _OPEN, _OPEN
         for clutch in range(2):
-            if held[_LOADS_ROW + clutch, place] > above[clutch] and (clutch == own or not are_shared):
-                slips = abs(engine_rad_s[place] - held[_SHAFTS_ROW + clutch, place]) > SLIP_RAD_S
+            if held[_LOADS_ROW + clutch, row] > above[clutch] and (clutch == own or not are_shared):
+                slips = abs(engine_rad_s[row] - held[_SHAFTS_ROW + clutch, row]) > SLIP_RAD_S
                 grip = _SLIPPING if slips else _LOCKED
                 any_grip = max(any_grip, grip)
                 gear_grip = grip if clutch == own and gear >= 1 else gear_grip
-        asked = _asked(held[_PEDAL_ROW, place], held[_STATE_ROW, place])
+        asked = _asked(held[_PEDAL_ROW, row], held[_STATE_ROW, row])
         if any_grip != doing[0] or gear_grip != doing[1] or gear != doing[2] or asked != doing[3]:
             doing[0], doing[1], doing[2], doing[3] = any_grip, gear_grip, gear, asked
-            places[count] = place
+            rows[count] = row
             for part in range(len(doing)):
                 states[count, part] = doing[part]
             count += 1

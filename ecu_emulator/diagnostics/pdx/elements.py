@@ -53,7 +53,7 @@ from odxtools.unit import Unit
 from odxtools.unitspec import UnitSpec
 from odxtools.validtype import ValidType
 
-from ecu_emulator.diagnostics.descriptions import Field, Kind, Trouble
+from ecu_emulator.diagnostics.descriptions import Coding, Field, Trouble
 from ecu_emulator.diagnostics.values import not_available
 
 LONGEST_NUMBER_BYTES: Final = 4  # ODX has no longer whole numbers
@@ -218,16 +218,16 @@ def rest(least_bytes: int) -> DataObjectProperty:
 def described(entry: Field) -> DataObjectProperty:
     """Return the coding of a field of the table."""
     bits = 8 * entry.size_bytes
-    if entry.kind is Kind.TEXT:
+    if entry.kind is Coding.TEXT:
         return _coding(coded(DataType.A_ASCIISTRING, bits, Encoding.ISO_8859_1), TEXT)
-    if entry.kind is Kind.FLOAT:
+    if entry.kind is Coding.FLOAT:
         real = DataType(f"A_FLOAT{bits}")
         return replace(_coding(coded(real, bits), real), physical_constr=_between(entry, real))
-    if entry.kind is Kind.BYTES or entry.size_bytes > LONGEST_NUMBER_BYTES:
+    if entry.kind is Coding.BYTES or entry.size_bytes > LONGEST_NUMBER_BYTES:
         return raw(entry.size_bytes)
     if entry.meanings:
         return worded(entry.numbered_meanings, bits, has_others=True)
-    is_signed, is_plain = entry.kind is Kind.SIGNED, entry.resolution == 1.0 and entry.offset == 0.0
+    is_signed, is_plain = entry.kind is Coding.SIGNED, entry.resolution == 1.0 and entry.offset == 0.0
     number = SIGNED if is_signed else UNSIGNED
     physical = number if is_plain else REAL
     made = _coding(
@@ -243,9 +243,9 @@ def remark(entry: Field) -> str:
     """Return what ODX cannot say of a field in its own words."""
     if entry.pattern:
         return f"As a regular expression: {entry.pattern}"
-    if entry.kind is Kind.FLOAT:
+    if entry.kind is Coding.FLOAT:
         return "IEEE 754, high byte first; what is not a number is not available."
-    if entry.kind in {Kind.TEXT, Kind.BYTES} or entry.size_bytes <= LONGEST_NUMBER_BYTES:
+    if entry.kind in {Coding.TEXT, Coding.BYTES} or entry.size_bytes <= LONGEST_NUMBER_BYTES:
         return ""
     return (
         f"A number ({entry.kind}, high byte first): {entry.resolution!r} {entry.unit} a step, beginning at "
@@ -254,8 +254,8 @@ def remark(entry: Field) -> str:
 
 
 def _has_unit(entry: Field) -> bool:
-    is_number = entry.kind in {Kind.UNSIGNED, Kind.SIGNED} and entry.size_bytes <= LONGEST_NUMBER_BYTES
-    return bool(entry.unit) and (entry.kind is Kind.FLOAT or (is_number and not entry.meanings))
+    is_number = entry.kind in {Coding.UNSIGNED, Coding.SIGNED} and entry.size_bytes <= LONGEST_NUMBER_BYTES
+    return bool(entry.unit) and (entry.kind is Coding.FLOAT or (is_number and not entry.meanings))
 
 
 def _coding(coded_type: DiagCodedType, physical: DataType, method: CompuMethod | None = None) -> DataObjectProperty:

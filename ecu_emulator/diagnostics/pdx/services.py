@@ -11,9 +11,9 @@ from ecu_emulator.diagnostics.codes import Service as Number
 from ecu_emulator.diagnostics.descriptions import (
     BLOCK,
     Access,
+    Coding,
     Datum,
     Field,
-    Kind,
     Obd,
     Pid,
     Profile,
@@ -359,7 +359,7 @@ class UdsServices(_Services):
             name = "Read trouble codes with extended data"
             yield self._report(name, 0x1A, (record,), self._availability, record, codes)
         yield self._report("Read supported trouble codes", 0x0A, (), self._availability, codes)
-        coding = described(Field(name="counter", kind=Kind.SIGNED, size_bytes=1))
+        coding = described(Field(name="counter", kind=Coding.SIGNED, size_bytes=1))
         counter = value("counter", simple("fault detection counter", coding), 1)
         counted = dictionary.structure("trouble code with counter", (self._code, counter))
         counters = value("counters", dictionary.repeated("fault detection counters", counted))
@@ -437,8 +437,10 @@ class ObdServices(_Services):
         return value(pid.name, self.dictionary.fields(f"OBD {pid.name}", fields), size)
 
     def _info(self, info: VehicleInfo) -> Part:
-        is_text = bool(info.text) or (info.data is not None and self.table.data[info.data].fields[0].kind is Kind.TEXT)
-        content = Field(name=info.name, kind=Kind.TEXT if is_text else Kind.BYTES, size_bytes=info.size_bytes)
+        is_text = bool(info.text) or (
+            info.data is not None and self.table.data[info.data].fields[0].kind is Coding.TEXT
+        )
+        content = Field(name=info.name, kind=Coding.TEXT if is_text else Coding.BYTES, size_bytes=info.size_bytes)
         return value(info.name, self.dictionary.simple(f"OBD {info.name}", described(content)), info.size_bytes)
 
     def by_identifier(self) -> Iterator[Service]:
@@ -517,7 +519,7 @@ class ObdServices(_Services):
 
     def _monitors(self) -> Iterator[Service]:
         number = ObdService.TEST_RESULTS
-        coding = described(Field(name="result", kind=Kind.SIGNED, size_bytes=2))
+        coding = described(Field(name="result", kind=Coding.SIGNED, size_bytes=2))
         result = self.dictionary.simple("result of a test", coding)
         content = (
             constant("test", obd.COUNTER_TEST),

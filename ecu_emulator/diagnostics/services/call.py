@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from ecu_emulator.diagnostics.codes import POSITIVE, SUPPRESS, Nrc
 from ecu_emulator.diagnostics.descriptions import Access
-from ecu_emulator.diagnostics.state import Moment, Request, ServerState
+from ecu_emulator.diagnostics.state import Instant, Request, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import decoded, holds
 
@@ -16,8 +16,8 @@ class Call:
 
     table: DiagnosticTable
     state: ServerState
-    moment: Moment  # as the controller takes it to be
-    sensed: Moment  # as it is, whatever a client has put in its place
+    moment: Instant  # as the controller takes it to be
+    sensed: Instant  # as it is, whatever a client has put in its place
     request: Request
     is_guest: bool = False  # another client holds a session; this one is answered as in the default session
 
@@ -90,7 +90,7 @@ def locked(state: ServerState, table: DiagnosticTable) -> ServerState:
     return replace(state, unlocked=0, seed_level=0, seed=b"", controlled=controlled)
 
 
-def under_control(table: DiagnosticTable, state: ServerState, moment: Moment) -> Moment:
+def under_control(table: DiagnosticTable, state: ServerState, moment: Instant) -> Instant:
     """Return a moment as the controller takes it to be: with the values that a client has put in place of its own."""
     if not state.controlled:
         return moment

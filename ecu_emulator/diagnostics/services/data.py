@@ -16,7 +16,7 @@ from ecu_emulator.diagnostics.services.call import (
     unmet_by_service,
 )
 from ecu_emulator.diagnostics.services.obd_data import emission_data
-from ecu_emulator.diagnostics.state import Moment, PeriodicRun, Piece, ServerState
+from ecu_emulator.diagnostics.state import Instant, PeriodicRun, Piece, ServerState
 from ecu_emulator.diagnostics.table import PERIODIC_PAGE, DiagnosticTable
 from ecu_emulator.diagnostics.values import are_valid, encode
 
@@ -30,7 +30,7 @@ _NAME_BYTES: Final = 2
 _PIECE_BYTES: Final = 4
 
 
-def data_of(datum: Datum, state: ServerState, moment: Moment) -> bytes:
+def data_of(datum: Datum, state: ServerState, moment: Instant) -> bytes:
     """Return what a datum holds now: what was written, or what the vehicle says, as far as a client let it."""
     if datum.number in state.controlled:
         return state.controlled[datum.number]
@@ -84,7 +84,7 @@ def read_refusal(call: Call, pieces: Iterable[Piece]) -> Nrc | None:
     return None
 
 
-def data_in(table: DiagnosticTable, state: ServerState, moment: Moment, pieces: Iterable[Piece]) -> bytes:
+def data_in(table: DiagnosticTable, state: ServerState, moment: Instant, pieces: Iterable[Piece]) -> bytes:
     """Return what pieces of data hold now."""
     return b"".join(
         data_of(table.data[piece.source], state, moment)[piece.start : piece.start + piece.size_bytes]
@@ -264,7 +264,7 @@ def only_allowed(state: ServerState, table: DiagnosticTable) -> ServerState:
     return state if len(left) == len(state.periodic) else replace(state, periodic=left)
 
 
-def due(table: DiagnosticTable, state: ServerState, moment: Moment) -> tuple[tuple[bytes, ...], ServerState]:
+def due(table: DiagnosticTable, state: ServerState, moment: Instant) -> tuple[tuple[bytes, ...], ServerState]:
     """Return the messages that are due, and the state after them; what was missed is not made up for."""
     messages, runs = list[bytes](), dict[int, PeriodicRun]()
     for number, run in state.periodic.items():

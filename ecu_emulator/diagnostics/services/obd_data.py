@@ -6,7 +6,7 @@ from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.descriptions import BLOCK, Pid, Profile, VehicleInfo, supported
 from ecu_emulator.diagnostics.emissions import FrozenPids, emission_codes
 from ecu_emulator.diagnostics.memory import is_lamp_on
-from ecu_emulator.diagnostics.state import Moment, ServerState
+from ecu_emulator.diagnostics.state import Instant, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import Value, Values, encode
 
@@ -17,18 +17,18 @@ PID_DATA: Final = 0xF400  # data identifiers of SAE J1979-2
 INFO_DATA: Final = 0xF800
 
 
-def odometer_m(moment: Moment) -> float | None:
+def odometer_m(moment: Instant) -> float | None:
     """Return the distance that the vehicle has driven [m], None if it does not say."""
     distance_m = moment.values.get("odometer_m")
     return distance_m if isinstance(distance_m, int | float) else None
 
 
-def pid_data(pid: Pid, table: DiagnosticTable, state: ServerState, moment: Moment) -> bytes:
+def pid_data(pid: Pid, table: DiagnosticTable, state: ServerState, moment: Instant) -> bytes:
     """Return what a parameter holds now."""
     return pid.initial_bytes or _encoded(pid, _with_obd(table, state, moment))
 
 
-def frozen_pids(table: DiagnosticTable, state: ServerState, moment: Moment) -> FrozenPids:
+def frozen_pids(table: DiagnosticTable, state: ServerState, moment: Instant) -> FrozenPids:
     """Return the parameters that a freeze frame keeps."""
     if table.obd is None:
         return ()
@@ -47,7 +47,7 @@ def info_data(info: VehicleInfo, table: DiagnosticTable, state: ServerState) -> 
     return data[: info.size_bytes].ljust(info.size_bytes, b"\0")
 
 
-def emission_data(table: DiagnosticTable, state: ServerState, moment: Moment, number: int) -> bytes | None:
+def emission_data(table: DiagnosticTable, state: ServerState, moment: Instant, number: int) -> bytes | None:
     """Return what a data identifier of SAE J1979-2 holds; None if it is none, or OBD is not spoken in that way."""
     if table.obd is None or table.obd.profile is not Profile.UDS:
         return None
@@ -69,7 +69,7 @@ def _encoded(pid: Pid, values: Values) -> bytes:
     return encode(pid.fields, values, keeps_code=False)
 
 
-def _with_obd(table: DiagnosticTable, state: ServerState, moment: Moment) -> Values:
+def _with_obd(table: DiagnosticTable, state: ServerState, moment: Instant) -> Values:
     confirmed = emission_codes(table.troubles, state.memory, Status.CONFIRMED)
     lamp = _LAMP if is_lamp_on(state.memory) else 0
     more: dict[str, Value] = {

@@ -14,7 +14,7 @@ from ecu_emulator.diagnostics.services.call import (
     unmet,
     unmet_by_service,
 )
-from ecu_emulator.diagnostics.state import Moment, RoutineRun, ServerState
+from ecu_emulator.diagnostics.state import Instant, RoutineRun, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import are_valid, encode
 
@@ -77,7 +77,7 @@ def answered(call: Call, routine: Routine, run: RoutineRun, state: ServerState |
     return call.echoed(routine.number.to_bytes(2, "big") + bytes([how_far]) + run.results, state)
 
 
-def finished(state: ServerState, table: DiagnosticTable, number: int, moment: Moment) -> ServerState:
+def finished(state: ServerState, table: DiagnosticTable, number: int, moment: Instant) -> ServerState:
     """Return the state after the vehicle has done what a routine asked for; its results are what is known now."""
     run = state.routines.get(number)
     if run is None or not run.is_running:
@@ -94,7 +94,7 @@ def failed(state: ServerState, number: int, nrc: int = Nrc.PROGRAMMING_FAILURE) 
     return _with(state, number, replace(run, is_running=False, was_stopped=True, failed_nrc=nrc))
 
 
-def timed_out(state: ServerState, table: DiagnosticTable, moment: Moment) -> ServerState:
+def timed_out(state: ServerState, table: DiagnosticTable, moment: Instant) -> ServerState:
     """Return the state after time has passed: a routine ends by itself, or is stopped if the vehicle did not end it."""
     for number, run in state.routines.items():
         if not run.is_running or moment.t_s < run.ends_s:

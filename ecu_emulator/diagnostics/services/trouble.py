@@ -18,7 +18,7 @@ from ecu_emulator.diagnostics.memory import (
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet_by_service
 from ecu_emulator.diagnostics.services.data import data_of
 from ecu_emulator.diagnostics.services.obd_data import odometer_m
-from ecu_emulator.diagnostics.state import Moment, ServerState
+from ecu_emulator.diagnostics.state import Instant, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import encode
 
@@ -32,7 +32,7 @@ ALL_SEVERITIES: Final = 0xE0
 _CODE_BYTES: Final = 3
 
 
-def capture(table: DiagnosticTable, trouble: Trouble, state: ServerState, moment: Moment) -> Capture:
+def capture(table: DiagnosticTable, trouble: Trouble, state: ServerState, moment: Instant) -> Capture:
     """Return what is kept of the vehicle when this code fails now."""
     values = {**moment.values, "active_session": state.session}
     records = [table.extended[number] for number in table.extended_of(trouble)]

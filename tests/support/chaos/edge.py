@@ -38,7 +38,7 @@ async def drive(store: ResultStore, vehicle: str, port: int, count: int, rate_pe
     while (seq := store.next_seq()) <= count:
         result = fleet_result(seq, vehicle=vehicle, stream=store.stream, clutch=1 + seq % 2)
         await asyncio.to_thread(store.add, result, STATE)
-        outbox.nudge()
+        outbox.wake()
         await asyncio.sleep(1.0 / rate_per_s)
     sys.stderr.write(f"{ALL_MADE}\n")
     sys.stderr.flush()

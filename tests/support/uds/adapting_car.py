@@ -7,9 +7,9 @@ from pathlib import Path
 from clutch_model.calibration import clutch_of_gear
 from dbc.contract import load_contract
 from ecu_emulator.answering.monitoring import Monitoring
-from ecu_emulator.answering.on_board import FixedOpinion
+from ecu_emulator.answering.on_board import FixedEstimate
 from ecu_emulator.answering.requested_tasks import RequestedAdaptation, RequestedClearing
-from ecu_emulator.bus.sent_values import Moment, SentValues
+from ecu_emulator.bus.sent_values import LatestValues, SentValues
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory_file import MemoryFile
@@ -54,7 +54,7 @@ class AdaptingCar:
         )
         self.monitoring = Monitoring(self.controller, was_adapted=scenario.adapted)
         self.adaptation = RequestedAdaptation(self.drive, self.controller)
-        self.clearing = RequestedClearing(FixedOpinion(None), self.controller, self.monitoring, self.adaptation)
+        self.clearing = RequestedClearing(FixedEstimate(None), self.controller, self.monitoring, self.adaptation)
         self._stretches = self.drive.stretches(SHORT_STRETCH_S)
         while self.t_s < _READY_S:
             self.go_on()
@@ -65,7 +65,7 @@ class AdaptingCar:
         first, second = self.truth.clutches
         return first.touch_pressure_pa, second.touch_pressure_pa
 
-    def _values(self) -> Moment:
+    def _values(self) -> LatestValues:
         more = {
             "engine_run_time_s": self.t_s,
             "adaptation_possible": float(self.adaptation.is_possible),
@@ -89,7 +89,7 @@ class AdaptingCar:
         self.adaptation.step(self._values())
         self.clearing.step()
 
-    def _take(self, t_s: float, values: Moment) -> None:
+    def _take(self, t_s: float, values: LatestValues) -> None:
         if self.adaptation.is_listening:
             self.adaptation.hear(t_s, values)
         if self._is_driving and values.get("shift_phase") == tcu_data.PREFILL:

@@ -21,11 +21,11 @@ from dbc.contract import load_contract
 from ecu_emulator.answering.monitoring import Monitoring
 from ecu_emulator.answering.requested_tasks import RequestedClearing
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.bus.sent_values import Moment, SentValues
+from ecu_emulator.bus.sent_values import LatestValues, SentValues
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.monitors import SENSED
-from ecu_emulator.diagnostics.opinion import ClutchOpinion, Opinions, read_line, values_of
+from ecu_emulator.diagnostics.on_board_friction import OnBoardEstimates, OnBoardFriction, read_line, values_of
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.scenario import Fluid, FluidCondition, Routine, Scenario
@@ -92,21 +92,21 @@ class ToldBefore:
         self._plan = plan
         lines = Path(plan.lines).read_bytes().splitlines() if plan.lines else []
         self._told = [found for line in lines if (found := read_line(line)) is not None]
-        self.opinions: Opinions = {}
+        self.estimates: OnBoardEstimates = {}
 
     def hear(self, t_s: float) -> None:
         """Take what has been said by this time of the drive."""
         while self._told and self._due_s(self._told[0][1]) <= t_s:
-            clutch, opinion = self._told.pop(0)
-            self.opinions = {**self.opinions, clutch: opinion}
+            clutch, estimate = self._told.pop(0)
+            self.estimates = {**self.estimates, clutch: estimate}
 
-    def _due_s(self, opinion: ClutchOpinion) -> float:
-        return (opinion.end_ns - self._plan.start_ns) / _NS_PER_S + TOLD_AFTER_S
+    def _due_s(self, estimate: OnBoardFriction) -> float:
+        return (estimate.end_ns - self._plan.start_ns) / _NS_PER_S + TOLD_AFTER_S
 
     def begin_anew(self) -> bool:
         words = [sys.executable, "-m", "diag_service", "fluid-changed", str(self._plan.store)]
         noted = subprocess.run([*words, "--at", self._plan.new_fluid_at], check=False, capture_output=True)
-        self.opinions = {}
+        self.estimates = {}
         return noted.returncode == 0
 
     def __enter__(self) -> Self:
@@ -140,12 +140,12 @@ class Car:
         self._monitoring = Monitoring(self.controller)
         self._clearing = RequestedClearing(self._told, self.controller, self._monitoring)
 
-    def _values(self) -> Moment:
+    def _values(self) -> LatestValues:
         more = {
             "time_s": self._t_s,
             "shift_count": float(self._shift_count),
             "clearing_possible": float(self._clearing.is_possible),
-            **values_of(self._told.opinions),
+            **values_of(self._told.estimates),
         }
         return self._sent.now(more)
 
@@ -196,7 +196,7 @@ class Car:
     def _judge(self) -> None:
         self._monitoring.look(self._values(), self._t_s)
         self._told.hear(self._t_s)
-        self._monitoring.judge_clutches(self._told.opinions)
+        self._monitoring.judge_clutches(self._told.estimates)
         if self._statuses != self._said:
             self.say("tested")
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from dbc.contract import load_contract
 from ecu_emulator.answering.answering_tester import Answering
-from ecu_emulator.answering.on_board import OpinionSource
+from ecu_emulator.answering.on_board import EstimateSource
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.sensing.sensors import Readings
@@ -47,7 +47,7 @@ class TripCar:
         memory: Path | None = None,
         table: str = "",
         ignition: deque[float] | None = None,
-        on_board: OpinionSource | None = None,
+        on_board: EstimateSource | None = None,
     ) -> None:
         self.t_s = 0.0
         self.bus = Bus()

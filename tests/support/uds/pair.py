@@ -8,7 +8,7 @@ from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.server import advance, answer, broadcast, cycled, switched_on, tested, warmed_up
 from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.routines import finished
-from ecu_emulator.diagnostics.state import Moment, Request
+from ecu_emulator.diagnostics.state import Instant, Request
 from tests.support.uds.full_table import full_table
 from tests.support.uds.server_by_the_book import ServerByTheBook, table
 
@@ -50,7 +50,7 @@ class Pair:
         self.nrcs: dict[int, int] = {}
 
     def ask(self, payload: bytes, chance: bytes, *, is_functional: bool = False) -> bytes | None:
-        moment = Moment(t_s=self.t_s, values=self.values, chance=chance)
+        moment = Instant(t_s=self.t_s, values=self.values, chance=chance)
         reply = answer(self.table, self.state, Request(payload=payload, is_functional=is_functional), moment)
         expected = self.model.ask(payload, self.t_s, self.values, chance, is_functional=is_functional)
         self.state = reply.state
@@ -68,16 +68,16 @@ class Pair:
 
     def wait(self, duration_s: float) -> bytes | None:
         self.t_s += duration_s
-        reply = advance(self.table, self.state, Moment(t_s=self.t_s, values=self.values))
+        reply = advance(self.table, self.state, Instant(t_s=self.t_s, values=self.values))
         self.state = reply.state
         self._agree("time", reply.payload, self.model.tick(self.t_s, self.values))
-        sent, self.state = broadcast(self.table, self.state, Moment(t_s=self.t_s, values=self.values))
+        sent, self.state = broadcast(self.table, self.state, Instant(t_s=self.t_s, values=self.values))
         self.repeated += len(sent)
         self._agree("periodic", b"|".join(sent), b"|".join(self.model.repeat(self.t_s, self.values)))
         return reply.payload
 
     def sample(self, number: int, result: str) -> None:
-        moment = Moment(t_s=self.t_s, values=self.values)
+        moment = Instant(t_s=self.t_s, values=self.values)
         self.state = tested(self.table, self.state, number, TestResult(result), moment)
         self.sampled.add(number)
         self.model.sample(number, result, self.values)
@@ -97,7 +97,7 @@ class Pair:
             self.state,
             self.table,
             routine,
-            under_control(self.table, self.state, Moment(t_s=self.t_s, values=self.values)),
+            under_control(self.table, self.state, Instant(t_s=self.t_s, values=self.values)),
         )
         self.model.finish(routine, self.values)
 

@@ -22,7 +22,7 @@ from ecu_emulator.diagnostics.pdx.package import pdx_package
 from ecu_emulator.diagnostics.server import advance, answer, switched_on, tested
 from ecu_emulator.diagnostics.services.routines import finished
 from ecu_emulator.diagnostics.services.security import key_of
-from ecu_emulator.diagnostics.state import Moment, Request, ServerState
+from ecu_emulator.diagnostics.state import Instant, Request, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import Values
 from tests.support.uds.pair import MORE, PARKED
@@ -60,7 +60,7 @@ class PdxClient:
         self.table = table
         self.random = random
         self.layer = read_back(pdx_package(table), container)
-        self.moment = Moment(t_s=T_S, values={**PARKED, **MORE} if values is None else values, chance=SEED)
+        self.moment = Instant(t_s=T_S, values={**PARKED, **MORE} if values is None else values, chance=SEED)
         self.figures = Figures()
         self.codes: dict[tuple[str, bytes, bytes | None], str | None] = {}
 

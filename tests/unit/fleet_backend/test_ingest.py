@@ -11,7 +11,7 @@ from diag_service.diagnosis.records import shift_record
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
 from fleet_backend.ingest import FILTERS, Worker
-from fleet_backend.intake import Kind
+from fleet_backend.intake import MessageKind
 from fleet_backend.writer import Batch
 from fleet_contract import (
     JsonObject,
@@ -159,7 +159,7 @@ async def test_poison_is_kept_settled_and_counted() -> None:
     records = Records()
     worker = worker_of(records)
     await worker.settle(records, [Message(topic="x", payload=b"", packet_id=1), message_of(fleet_result(1), 2)])
-    assert worker.counts == {Kind.POISON: 1, Kind.SHIFT: 1}
+    assert worker.counts == {MessageKind.POISON: 1, MessageKind.SHIFT: 1}
     assert len(records.settled) == 2
     assert len(records.sent) == 1
 
@@ -224,4 +224,4 @@ async def test_the_fills_that_a_vehicle_knows_are_stored() -> None:
     await worker.settle(records, [delivered(fluid_message("car1", NOW_TEXT, [FILL, unnamed], is_to_vehicle=False))])
     (batch,) = records.stored
     assert [row["product"] for row in batch.fills] == ["DCTF-II", "not named"]
-    assert worker.counts == {Kind.FILLS: 1}
+    assert worker.counts == {MessageKind.FILLS: 1}

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from diag_service.diagnosis.records import clutch_record, shift_record
-from fleet_backend.intake import Kind, Taken, batch_of, receipts_of, refuse, take, take_all
+from fleet_backend.intake import MessageKind, Taken, batch_of, receipts_of, refuse, take, take_all
 from fleet_contract import (
     Outcome,
     clutch_message,
@@ -32,7 +32,7 @@ def changed(message: Message, **data: object) -> Message:
 
 def poison(message: Message, reason: str) -> Taken:
     taken = take(message, NOW)
-    assert (taken.kind, taken.row["reason"]) == (Kind.POISON, reason), taken.row["detail"]
+    assert (taken.kind, taken.row["reason"]) == (MessageKind.POISON, reason), taken.row["detail"]
     return taken
 
 
@@ -47,7 +47,7 @@ def test_each_result_of_a_bundle_is_judged_as_if_it_had_come_alone() -> None:
     alone = [GOOD, changed(GOOD, quality=2.0), stranger, replace(GOOD, payload=b"7"), message_of(fleet_result(8))]
     taken = take_all(bundle(*(message.payload for message in alone)), NOW)
     assert taken == [take(replace(message, packet_id=1), NOW) for message in alone]
-    reasons = [item.row["reason"] if item.kind is Kind.POISON else None for item in taken]
+    reasons = [item.row["reason"] if item.kind is MessageKind.POISON else None for item in taken]
     assert reasons == [None, "schema", "identity", "malformed", None]
     assert take_all(GOOD, NOW) == [take(GOOD, NOW)]
 
@@ -55,7 +55,7 @@ def test_each_result_of_a_bundle_is_judged_as_if_it_had_come_alone() -> None:
 def test_what_cannot_be_unpacked_is_one_message_kept_aside() -> None:
     for message in (replace(bundle(), payload=b"x"), bundle(), bundle(*[b"1"] * 51)):
         (taken,) = take_all(message, NOW)
-        assert (taken.kind, taken.row["reason"], taken.receipt) == (Kind.POISON, "malformed", None)
+        assert (taken.kind, taken.row["reason"], taken.receipt) == (MessageKind.POISON, "malformed", None)
         assert (taken.row["vehicle"], taken.message) == ("car1", message)
     (taken,) = take_all(replace(bundle(GOOD.payload), topic="clutchdiag/v1/car 1/bundle"), NOW)
     assert taken.row["reason"] == "topic"
@@ -63,7 +63,7 @@ def test_what_cannot_be_unpacked_is_one_message_kept_aside() -> None:
 
 def test_a_good_result_becomes_a_row_and_a_receipt() -> None:
     taken = take(GOOD, NOW)
-    assert taken.kind is Kind.SHIFT
+    assert taken.kind is MessageKind.SHIFT
     assert (taken.row["vehicle"], taken.row["seq"], taken.row["condition"]) == ("car1", 7, "good")
     assert taken.receipt is not None
     assert (taken.receipt.key.seq, taken.receipt.outcome) == (7, Outcome.ACCEPTED)
@@ -140,11 +140,11 @@ def test_status_and_metrics_become_rows_of_their_vehicle() -> None:
         "calibration_version": "c",
     }
     online = take(delivered(status_message(record)), NOW)
-    assert (online.kind, online.row["is_online"]) == (Kind.STATUS, True)
+    assert (online.kind, online.row["is_online"]) == (MessageKind.STATUS, True)
     metrics = take(delivered(metrics_message("car1", "2026-01-01T00:00:00.000000Z", {"outbox_count": 3})), NOW)
-    assert (metrics.kind, metrics.row["metrics"]) == (Kind.METRICS, '{"outbox_count": 3}')
+    assert (metrics.kind, metrics.row["metrics"]) == (MessageKind.METRICS, '{"outbox_count": 3}')
     codes = take(delivered(controller_message(CONTROLLER.record)), NOW)
-    assert (codes.kind, codes.receipt) == (Kind.CONTROLLER, None)
+    assert (codes.kind, codes.receipt) == (MessageKind.CONTROLLER, None)
     assert batch_of([codes]).controllers == [codes.row]
 
 
@@ -158,7 +158,7 @@ def test_rows_and_receipts_are_sorted_by_table_and_vehicle() -> None:
 
 def test_what_the_database_refuses_can_be_refused_later() -> None:
     taken = refuse(GOOD, "database", "too strange", NOW)
-    assert (taken.kind, taken.row["reason"]) == (Kind.POISON, "database")
+    assert (taken.kind, taken.row["reason"]) == (MessageKind.POISON, "database")
     assert taken.receipt is not None
     assert taken.receipt.outcome is Outcome.QUARANTINED
 

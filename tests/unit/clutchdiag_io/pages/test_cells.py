@@ -1,7 +1,7 @@
 """Cells of tables: what they hold is escaped, whatever it is."""
 
 from clutchdiag_io.pages.cells import rows_markup
-from clutchdiag_io.pages.content import NONE, Badge, Link, Moment, Number
+from clutchdiag_io.pages.content import NONE, Badge, Link, Number, TimeCell
 
 EVIL = "<img src=x onerror=alert(1)>\"'&"
 SAFE = "&lt;img src=x onerror=alert(1)&gt;&#34;&#39;&amp;"
@@ -12,7 +12,7 @@ def test_every_part_of_a_cell_is_escaped() -> None:
         EVIL,
         Link(text=EVIL, href=EVIL),
         Badge(style=EVIL, text=EVIL),
-        Moment(iso=EVIL, text=EVIL),
+        TimeCell(iso=EVIL, text=EVIL),
         Number(value=0.1 + 0.2, text=EVIL),
         NONE,
     )

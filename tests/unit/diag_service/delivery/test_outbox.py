@@ -64,7 +64,7 @@ async def test_what_waits_is_sent_in_order_then_what_comes(store: ResultStore) -
     sender = asyncio.create_task(outbox.run())
     await until(lambda: seqs(link) == [1, 2])
     put(store, 3)
-    outbox.nudge()
+    outbox.wake()
     await until(lambda: seqs(link) == [1, 2, 3])
     assert await outbox.close(sender) == 0
     assert store.unpublished_count("car1") == 0
@@ -87,7 +87,7 @@ async def test_a_broken_connection_loses_nothing(store: ResultStore) -> None:
     await until(lambda: store.unpublished_count("car1") == 0)
     first.cut.set()
     put(store, 2)
-    outbox.nudge()
+    outbox.wake()
     await until(lambda: seqs(second) == [2])
     assert [state["seq"] for state in second.states] == [2]  # a restarted broker hears the state again
     await outbox.close(sender)
@@ -105,7 +105,7 @@ async def test_what_was_acknowledged_just_before_the_connection_broke_is_sent_ag
     second.cut.set()
     await until(lambda: seqs(third) == [1, 2])
     put(store, 3)
-    outbox.nudge()
+    outbox.wake()
     await until(lambda: seqs(third) == [1, 2, 3])
     await outbox.close(sender)
 
@@ -277,7 +277,7 @@ async def test_a_silent_backend_gets_no_more_than_a_window_and_what_happens_now(
     sender = asyncio.create_task(outbox.run())
     await until(lambda: len(link.results) == 20)
     put(store, 101)
-    outbox.nudge()
+    outbox.wake()
     await until(lambda: seqs(link)[20:] == [101])
     assert await outbox.close(sender, timeout_s=0.05) == 101
 
@@ -312,7 +312,7 @@ async def test_what_a_dying_worker_took_with_it_is_sent_again_soon(store: Result
     await until(lambda: seqs(link) == [1])
     await asyncio.sleep(0.02)
     put(store, 2)
-    outbox.nudge()
+    outbox.wake()
     await until(lambda: seqs(link) == [1, 2] and link.on_receipts is not None)
     assert link.on_receipts is not None
     link.on_receipts(receipts(2))
@@ -361,7 +361,7 @@ async def test_fluid_fills_are_told_once_per_connection_and_those_of_the_fleet_a
     sender = asyncio.create_task(outbox.run())
     await until(lambda: len(told_fills(link)) >= 1)
     put(store, 1)
-    outbox.nudge()
+    outbox.wake()
     await until(lambda: seqs(link) == [1])
     assert await outbox.close(sender) == 0
     assert store.fills("car1") == [FILL, FLEET_FILL]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from diag_service.errors import ConfigError
-from diag_service.tester.description import UNKNOWN, Description, Field, Kind, read_fields
+from diag_service.tester.description import UNKNOWN, Coding, Description, Field, read_fields
 from diag_service.tester.description_file import find_description, shipped
 from ecu_emulator.diagnostics.pdx.package import pdx_package
 from ecu_emulator.diagnostics.table_file import shipped_table
@@ -39,7 +39,7 @@ def test_the_shipped_description_is_what_the_emulated_controller_has() -> None:
 def test_a_number_that_is_none_is_not_available() -> None:
     found = Description(name="a", readers={1: lambda _: {"x": float("nan"), "y": float("-inf"), "z": 1.5, "t": "inf"}})
     assert found.values(1, b"") == {"x": None, "y": None, "z": 1.5, "t": "inf"}
-    large = Field(name="x", kind=Kind.UNSIGNED, size_bytes=8, resolution=1e300)
+    large = Field(name="x", kind=Coding.UNSIGNED, size_bytes=8, resolution=1e300)
     assert read_fields((large,), b"\xff" * 8) == {"x": None}
 
 
@@ -108,18 +108,18 @@ def test_a_word_that_is_no_datum_is_refused_with_what_there_is() -> None:
 
 
 def test_what_is_left_of_bytes_is_shown() -> None:
-    entry = Field(name="a", kind=Kind.UNSIGNED, size_bytes=1)
+    entry = Field(name="a", kind=Coding.UNSIGNED, size_bytes=1)
     assert read_fields((entry,), b"\1\2") == {"a": 1, "more bytes": "02"}
     assert read_fields((entry, entry), b"") == {}
 
 
 def test_a_float_keeps_every_bit_and_what_is_none_is_not_available() -> None:
-    wide, narrow = (Field(name=name, kind=Kind.FLOAT, size_bytes=size) for name, size in (("a", 8), ("b", 4)))
+    wide, narrow = (Field(name=name, kind=Coding.FLOAT, size_bytes=size) for name, size in (("a", 8), ("b", 4)))
     data = struct.pack(">df", 0.1 + 0.2, 0.5)
     assert read_fields((wide, narrow), data) == {"a": 0.1 + 0.2, "b": 0.5}
     assert read_fields((wide, narrow), struct.pack(">df", math.nan, math.inf)) == {"a": None, "b": None}
     with pytest.raises(ConfigError, match="size_bytes 2 is not usable: a float has 4 or 8"):
-        Field(name="c", kind=Kind.FLOAT, size_bytes=2)
+        Field(name="c", kind=Coding.FLOAT, size_bytes=2)
 
 
 def test_a_pdx_says_the_same_as_the_table_it_was_made_of(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from canlog.errors import DefinitionError
 from diag_service.delivery import MemoryReporter
 from diag_service.errors import ResultError, SilentError, StoreError
 from diag_service.store import ResultStore
-from diag_service.tester.polling import Poller, message_of, pause_s, tell_controller
+from diag_service.tester.polling import Poller, message_of, pause_s, publish_controller
 from diag_service.tester.trouble import Snapshot, TroubleCode
 from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract import Channel, Outgoing, read_message
@@ -77,7 +77,7 @@ def test_what_is_new_is_stored_and_told_and_all_is_published() -> None:
     with closing(ResultStore.in_memory()) as store:
         for number, said in enumerate((report(), report(code(0x04)), report(code(0x04)), report(code(0x08)))):
             later = f"2026-01-01T00:00:0{number}.000000Z"
-            tell_controller(report(*said.codes, read_at=later), store, reporter, published.append)
+            publish_controller(report(*said.codes, read_at=later), store, reporter, published.append)
         kept = store.controller_reports("car1")
     assert [str(one) for one in reporter.controllers] == [
         "controller 7E1 (answers 7E9): no trouble codes",

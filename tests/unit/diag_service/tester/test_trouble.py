@@ -4,15 +4,15 @@ import pytest
 
 from diag_service.errors import MalformedError
 from diag_service.tester.answers import belongs, fault
-from diag_service.tester.description import Datum, Description, Field, Kind, Trouble
+from diag_service.tester.description import Coding, Datum, Description, Field, Trouble
 from diag_service.tester.trouble import read_codes, read_extended, read_snapshots
 
-SPEED = Field(name="speed", kind=Kind.UNSIGNED, size_bytes=2, unit="km/h", resolution=0.01, invalid=0xFFFF)
+SPEED = Field(name="speed", kind=Coding.UNSIGNED, size_bytes=2, unit="km/h", resolution=0.01, invalid=0xFFFF)
 KNOWN = Description(
     name="known",
     data={0x0102: Datum(number=0x0102, name="vehicle speed", fields=(SPEED,))},
     extended={
-        0x01: Datum(number=1, name="counter", fields=(Field(name="times", kind=Kind.UNSIGNED, size_bytes=1),)),
+        0x01: Datum(number=1, name="counter", fields=(Field(name="times", kind=Coding.UNSIGNED, size_bytes=1),)),
         0x10: Datum(number=16, name="at the failure", fields=(SPEED,)),
     },
     troubles=(

@@ -6,12 +6,12 @@ from contextlib import contextmanager
 import pytest
 
 from ecu_emulator.answering.monitoring import Monitoring
-from ecu_emulator.answering.on_board import FixedOpinion
+from ecu_emulator.answering.on_board import FixedEstimate
 from ecu_emulator.answering.requested_tasks import RequestedClearing
 from ecu_emulator.diagnostics.adaptation import Adaptation
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.opinion import ClutchOpinion
+from ecu_emulator.diagnostics.on_board_friction import OnBoardFriction
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.scenario.scenario import FluidVerdict
 from ecu_emulator.shift_control.touch_points import TouchPoint
@@ -19,11 +19,11 @@ from tests.support.patience import HANG_S
 from tests.unit.ecu_emulator.diagnostics.bench import PARKED
 
 NOT_LEARNED = 0x081054
-GOOD = ClutchOpinion(fluid=FluidVerdict.GOOD)
-UNKNOWN = ClutchOpinion()
+GOOD = OnBoardFriction(fluid=FluidVerdict.GOOD)
+UNKNOWN = OnBoardFriction()
 
 
-class Estimate(FixedOpinion):
+class Estimate(FixedEstimate):
     """One that can begin anew, or not."""
 
     is_live = True
@@ -39,7 +39,7 @@ class Estimate(FixedOpinion):
 
 
 class Workshop:
-    def __init__(self, estimate: FixedOpinion) -> None:
+    def __init__(self, estimate: FixedEstimate) -> None:
         self.controller = Controller(shipped_table(), values=lambda: PARKED, clock=lambda: 0.0, chance=bytes)
         self.monitoring = Monitoring(self.controller)
         self.clearing = RequestedClearing(estimate, self.controller, self.monitoring)
@@ -66,7 +66,7 @@ class Workshop:
 
 
 @contextmanager
-def workshop(estimate: FixedOpinion) -> Iterator[Workshop]:
+def workshop(estimate: FixedEstimate) -> Iterator[Workshop]:
     shop = Workshop(estimate)
     try:
         yield shop
@@ -81,8 +81,8 @@ def test_the_estimate_begins_anew_once_and_the_code_stays_until_both_clutches_ar
         assert shop.do_it() == ""
         assert estimate.begun == 1
         assert shop.status & Status.TEST_FAILED
-        for opinions in ({}, {1: GOOD}, {1: GOOD, 2: UNKNOWN}):
-            shop.monitoring.judge_clutches(opinions)
+        for estimates in ({}, {1: GOOD}, {1: GOOD, 2: UNKNOWN}):
+            shop.monitoring.judge_clutches(estimates)
             assert shop.status & Status.TEST_FAILED
         shop.monitoring.judge_clutches({1: GOOD, 2: GOOD})
         assert not shop.status & Status.TEST_FAILED
@@ -127,12 +127,12 @@ def test_touch_points_that_are_adapted_are_enough_unless_an_estimate_was_cleared
 
 
 def test_clutches_that_were_never_known_are_no_fault() -> None:
-    with workshop(FixedOpinion(None)) as shop:
+    with workshop(FixedEstimate(None)) as shop:
         shop.monitoring.judge_clutches({})
         assert shop.status & Status.NOT_TESTED_SINCE_CLEAR
 
 
-@pytest.mark.parametrize(("estimate", "is_possible"), [(FixedOpinion(GOOD), False), (Estimate(can_begin=True), True)])
-def test_an_opinion_that_nobody_learned_cannot_be_cleared(estimate: FixedOpinion, is_possible: bool) -> None:
+@pytest.mark.parametrize(("estimate", "is_possible"), [(FixedEstimate(GOOD), False), (Estimate(can_begin=True), True)])
+def test_an_estimate_that_nobody_learned_cannot_be_cleared(estimate: FixedEstimate, is_possible: bool) -> None:
     with workshop(estimate) as shop:
         assert shop.clearing.is_possible is is_possible

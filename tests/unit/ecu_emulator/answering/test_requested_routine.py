@@ -2,7 +2,7 @@
 
 from ecu_emulator.answering.requested_tasks import ESTIMATE_S, Driven, RequestedRoutine
 from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.opinion import ClutchOpinion
+from ecu_emulator.diagnostics.on_board_friction import OnBoardFriction
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.scenario.scenario import Routine
 from tests.unit.ecu_emulator.diagnostics.bench import PARKED
@@ -36,8 +36,8 @@ class Workshop:
         return self.controller.state.routines[REVS].is_running
 
     def step(self, driven: Driven, t_s: float, *, is_live: bool = True, end_ns: int = 0) -> None:
-        opinions = {1: ClutchOpinion(end_ns=end_ns)} if end_ns else {}
-        self.routine.step(driven, opinions, t_s, is_live=is_live)
+        estimates = {1: OnBoardFriction(end_ns=end_ns)} if end_ns else {}
+        self.routine.step(driven, estimates, t_s, is_live=is_live)
 
 
 def test_the_car_is_asked_once_for_as_many_revs_as_the_tester_wants() -> None:
@@ -70,7 +70,7 @@ def test_a_judgement_that_does_not_come_is_not_waited_for_without_end() -> None:
     assert not shop.is_running
 
 
-def test_nobody_waits_for_an_opinion_that_does_not_change() -> None:
+def test_nobody_waits_for_an_estimate_that_does_not_change() -> None:
     shop = Workshop()
     shop.step(Driven(shift_count=2), 0.0, is_live=False)
     shop.step(THROUGH, 50.0, is_live=False)

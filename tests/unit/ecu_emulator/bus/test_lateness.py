@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from ecu_emulator.bus.sender import BIN_S, Punctuality
+from ecu_emulator.bus.sender import BIN_S, SendLateness
 
 
 def test_statistics_match_numpy() -> None:
     rng = np.random.default_rng(3)
     due_s = np.sort(rng.uniform(0.0, 60.0, 5_000))
     late_s = rng.exponential(200e-6, 5_000) + 3e-6 * due_s
-    punctuality = Punctuality(overrun_s=1e-3)
+    punctuality = SendLateness(overrun_s=1e-3)
     for due, late in zip(due_s, late_s, strict=True):
         punctuality.add(float(due), float(late))
     assert punctuality.mean_s == pytest.approx(late_s.mean(), rel=1e-9)
@@ -23,7 +23,7 @@ def test_statistics_match_numpy() -> None:
 
 
 def test_early_and_very_late_frames_stay_inside_the_histogram() -> None:
-    punctuality = Punctuality(overrun_s=1.0)
+    punctuality = SendLateness(overrun_s=1.0)
     punctuality.add(0.0, -1e-6)
     punctuality.add(1.0, 20.0)
     assert punctuality.quantile_s(0.5) == BIN_S
@@ -32,5 +32,5 @@ def test_early_and_very_late_frames_stay_inside_the_histogram() -> None:
 
 
 def test_nothing_sent_is_all_zero() -> None:
-    punctuality = Punctuality(overrun_s=1.0)
+    punctuality = SendLateness(overrun_s=1.0)
     assert (punctuality.mean_s, punctuality.max_s, punctuality.quantile_s(0.99), punctuality.drift_ppm) == (0, 0, 0, 0)

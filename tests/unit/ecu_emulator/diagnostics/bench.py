@@ -4,7 +4,7 @@ from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.server import advance, answer, broadcast, left, switched_on, tested
 from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.routines import failed, finished
-from ecu_emulator.diagnostics.state import Moment, Request, ServerState
+from ecu_emulator.diagnostics.state import Instant, Request, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import Value
 from tests.support.uds.full_table import full_table
@@ -27,7 +27,7 @@ class Bench:
 
     def ask(self, request: str, *, to_all: bool = False, client: int = 0) -> str:
         """Return the response, empty if there is none."""
-        moment = Moment(t_s=self.t_s, values=self.values, chance=SEED)
+        moment = Instant(t_s=self.t_s, values=self.values, chance=SEED)
         asked = Request(payload=bytes.fromhex(request), is_functional=to_all, client=client)
         reply = answer(self.table, self.state, asked, moment)
         self.state = reply.state
@@ -35,7 +35,7 @@ class Bench:
 
     def wait(self, duration_s: float) -> str:
         self.t_s += duration_s
-        reply = advance(self.table, self.state, Moment(t_s=self.t_s, values=self.values))
+        reply = advance(self.table, self.state, Instant(t_s=self.t_s, values=self.values))
         self.state = reply.state
         return (reply.payload or b"").hex(" ")
 
@@ -47,13 +47,13 @@ class Bench:
         messages: list[str] = []
         for _ in range(round(duration_s * 100)):
             self.wait(0.01)
-            moment = Moment(t_s=self.t_s, values=self.values)
+            moment = Instant(t_s=self.t_s, values=self.values)
             found, self.state = broadcast(self.table, self.state, moment)
             messages += [message.hex(" ") for message in found]
         return messages
 
     def monitor(self, code: str, result: TestResult) -> None:
-        moment = Moment(t_s=self.t_s, values=self.values)
+        moment = Instant(t_s=self.t_s, values=self.values)
         self.state = tested(self.table, self.state, self.codes[code], result, moment)
 
     def finish(self, routine: int) -> None:
@@ -61,7 +61,7 @@ class Bench:
             self.state,
             self.table,
             routine,
-            under_control(self.table, self.state, Moment(t_s=self.t_s, values=self.values)),
+            under_control(self.table, self.state, Instant(t_s=self.t_s, values=self.values)),
         )
 
     def fail(self, routine: int) -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from ecu_emulator.diagnostics.descriptions import Access, Datum, Field, Kind
+from ecu_emulator.diagnostics.descriptions import Access, Coding, Datum, Field
 from ecu_emulator.diagnostics.table import Periodic
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.errors import ConfigError
@@ -133,7 +133,7 @@ def test_what_was_missed_is_not_made_up_for(bench: Bench) -> None:
 
 def test_a_table_whose_periodic_data_fit_no_frame_is_refused() -> None:
     table = shipped_table()
-    long = Field(name="x", kind=Kind.BYTES, size_bytes=8, source="x")
+    long = Field(name="x", kind=Coding.BYTES, size_bytes=8, source="x")
     datum = Datum(number=0xF2AA, name="long", fields=(long,), read=Access(sessions=(1,)))
     with pytest.raises(ConfigError, match="data long: what is sent periodically has at most 7 bytes"):
         replace(table, data={**table.data, datum.number: datum})

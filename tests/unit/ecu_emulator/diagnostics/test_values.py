@@ -5,11 +5,11 @@ import struct
 
 import pytest
 
-from ecu_emulator.diagnostics.descriptions import Field, Kind
+from ecu_emulator.diagnostics.descriptions import Coding, Field
 from ecu_emulator.diagnostics.values import are_valid, decoded, encode
 
-WIDE = Field(name="wide", kind=Kind.FLOAT, size_bytes=8, source="mu")
-NARROW = Field(name="narrow", kind=Kind.FLOAT, size_bytes=4, source="pressure_pa", unit="bar")
+WIDE = Field(name="wide", kind=Coding.FLOAT, size_bytes=8, source="mu")
+NARROW = Field(name="narrow", kind=Coding.FLOAT, size_bytes=4, source="pressure_pa", unit="bar")
 
 
 @pytest.mark.parametrize("value", [0.1 + 0.2, -1e-300, 0.0, 5e-324])
@@ -34,7 +34,7 @@ def test_what_is_too_large_for_four_bytes_is_infinite() -> None:
 
 
 def test_a_float_may_have_limits() -> None:
-    limited = Field(name="a", kind=Kind.FLOAT, size_bytes=8, minimum=0.0, maximum=1.0)
+    limited = Field(name="a", kind=Coding.FLOAT, size_bytes=8, minimum=0.0, maximum=1.0)
     written = {value: are_valid((limited,), struct.pack(">d", value)) for value in (0.0, 1.0, 1.5, -0.1)}
     assert written == {0.0: True, 1.0: True, 1.5: False, -0.1: False}
     assert not are_valid((limited,), struct.pack(">d", math.nan))

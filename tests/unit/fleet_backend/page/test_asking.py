@@ -4,11 +4,11 @@ from datetime import UTC, datetime
 
 import pytest
 
-from fleet_backend.page.asking import AFTER, LIMIT, VEHICLE, Ask, Kind, Parameter, read_words
+from fleet_backend.page.asking import AFTER, LIMIT, VEHICLE, Ask, Parameter, ParameterType, read_words
 from fleet_backend.page.errors import AskError
 from tests.support.fleet import NOW
 
-SINCE = Parameter(name="since", text="since when", kind=Kind.MOMENT, longest=40)
+SINCE = Parameter(name="since", text="since when", kind=ParameterType.MOMENT, longest=40)
 COLOUR = Parameter(name="colour", text="of it", choices=("red", "blue"))
 ALL = (VEHICLE, LIMIT, AFTER, SINCE, COLOUR)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fleet_backend.page.usual import LEAST_CLUTCHES, kind_of, usual_of
+from fleet_backend.page.usual import LEAST_CLUTCHES, group_of, usual_of
 from tests.support.fleet_page import clutch_now
 
 
@@ -12,8 +12,8 @@ def test_what_is_usual_is_that_of_the_same_kind() -> None:
     few = [clutch_now(f"w{number}", 2, mu_c=0.3) for number in range(LEAST_CLUTCHES - 1)]
     unknown = [clutch_now(f"x{number}", mu_c=None) for number in range(50)]
     found = usual_of([*usual, *other, *few, *unknown])
-    assert set(found) == {kind_of(usual[0]), kind_of(other[0])}
-    one = found[kind_of(usual[0])]
+    assert set(found) == {group_of(usual[0]), group_of(other[0])}
+    one = found[group_of(usual[0])]
     assert one.clutch_count == 101
     assert (one.low_mu_c, one.middle_mu_c, one.high_mu_c) == pytest.approx((0.121, 0.125, 0.129))
-    assert found[kind_of(other[0])].low_mu_c == found[kind_of(other[0])].high_mu_c == 0.2
+    assert found[group_of(other[0])].low_mu_c == found[group_of(other[0])].high_mu_c == 0.2

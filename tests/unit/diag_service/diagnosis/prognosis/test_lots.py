@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from diag_service.diagnosis.prognosis import Ageing, ChannelName, Kind, Lot, learn, lot_standings
+from diag_service.diagnosis.prognosis import Ageing, ChannelName, Lot, PeerGroup, learn, lot_standings
 from diag_service.diagnosis.prognosis.population import Course
 
-KIND = Kind(vehicle_type="dct", fluid="75W")
+KIND = PeerGroup(vehicle_type="dct", fluid="75W")
 BAD = Lot(name="fluid", value="07")
 
 

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diag_service.diagnosis.prognosis import ChannelName, Kind, ageings, hindsights, learn, prognose, with_bends
+from diag_service.diagnosis.prognosis import ChannelName, PeerGroup, ageings, hindsights, learn, prognose, with_bends
 from diag_service.diagnosis.prognosis.assumptions import FUTURE_BENDS
 from diag_service.diagnosis.prognosis.population import Ageing, Course, location_and_scatter
 from tests.support.pasts import REFERENCE, ageing, past
 
-KIND = Kind(vehicle_type="dct", fluid="75W")
+KIND = PeerGroup(vehicle_type="dct", fluid="75W")
 
 
-def life(number: int, loss_per_m: float, *, kind: Kind = KIND, doubt: float = 0.1) -> Ageing:
+def life(number: int, loss_per_m: float, *, kind: PeerGroup = KIND, doubt: float = 0.1) -> Ageing:
     course = Course(start=1.02, start_std=0.05, loss_per_m=loss_per_m, loss_std_per_m=doubt * loss_per_m)
     return Ageing(
         vehicle=f"car{number}",
@@ -25,7 +25,7 @@ def life(number: int, loss_per_m: float, *, kind: Kind = KIND, doubt: float = 0.
     )
 
 
-def fleet(count: int, *, log_std: float, kind: Kind = KIND, seed: int = 1) -> list[Ageing]:
+def fleet(count: int, *, log_std: float, kind: PeerGroup = KIND, seed: int = 1) -> list[Ageing]:
     rng = np.random.default_rng(seed)
     true = 1.25e-8 * np.exp(log_std * rng.standard_normal(count))
     seen = true * np.exp(0.1 * rng.standard_normal(count))
@@ -52,8 +52,8 @@ def test_values_that_scatter_less_than_they_are_doubted_are_all_alike() -> None:
 
 
 def test_kinds_are_learned_apart_and_a_rare_fluid_has_its_type() -> None:
-    other = Kind(vehicle_type="dct", fluid="long life")
-    rare = Kind(vehicle_type="dct", fluid="rare")
+    other = PeerGroup(vehicle_type="dct", fluid="long life")
+    rare = PeerGroup(vehicle_type="dct", fluid="rare")
     lives = [*fleet(40, log_std=0.2), *fleet(3, log_std=0.2, kind=rare, seed=2)]
     lives += [replace(one, courses=slow(one), kind=other) for one in fleet(40, log_std=0.2, seed=3)]
     population = learn(lives)

@@ -9,7 +9,7 @@ import pytest
 from diag_service.diagnosis.prognosis import (
     ChannelName,
     Common,
-    Kind,
+    PeerGroup,
     Peers,
     Population,
     Usual,
@@ -22,7 +22,7 @@ POPULATION = Population(
     version=3,
     peers=(
         Peers(
-            kind=Kind(vehicle_type="dct", fluid=None),
+            kind=PeerGroup(vehicle_type="dct", fluid=None),
             life_count=40,
             channels={ChannelName.MARGIN: Usual(start=1.0, start_std=0.1, loss_per_m=1.2e-8, loss_log_std=0.21)},
             bends={0.5: 0.02, 1.5: 0.1},

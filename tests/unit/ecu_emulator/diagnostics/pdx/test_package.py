@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from ecu_emulator.diagnostics.descriptions import Access, Datum, Field, Kind
+from ecu_emulator.diagnostics.descriptions import Access, Coding, Datum, Field
 from ecu_emulator.diagnostics.pdx.package import pdx_package
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import shipped_table
@@ -82,7 +82,7 @@ def test_every_number_of_the_table_is_scaled_as_the_table_says(layer: Layer) -> 
         values, place = list(list(response.values())[-1].values()), 0
         for entry, value in zip(datum.fields, values, strict=True):
             piece, place = raw[place : place + entry.size_bytes], place + entry.size_bytes
-            if entry.kind in {Kind.UNSIGNED, Kind.SIGNED}:
+            if entry.kind in {Coding.UNSIGNED, Coding.SIGNED}:
                 assert value == pytest.approx(decode_number(entry, piece)), entry.name
             else:
                 assert value in {piece, piece.decode("latin-1")}
@@ -154,9 +154,9 @@ def test_the_separation_time_is_in_microseconds(coded: int, microseconds: str) -
 
 def test_names_that_are_none_for_odx_or_come_twice_are_told_apart() -> None:
     fields = (
-        Field(name="Kühlung [%]", kind=Kind.UNSIGNED, size_bytes=1, source="a"),
-        Field(name="Kühlung <%>", kind=Kind.UNSIGNED, size_bytes=1, source="b"),
-        Field(name="…", kind=Kind.UNSIGNED, size_bytes=1, source="c"),
+        Field(name="Kühlung [%]", kind=Coding.UNSIGNED, size_bytes=1, source="a"),
+        Field(name="Kühlung <%>", kind=Coding.UNSIGNED, size_bytes=1, source="b"),
+        Field(name="…", kind=Coding.UNSIGNED, size_bytes=1, source="c"),
     )
     service = with_fields(*fields)
     found = service.decode_message(bytes.fromhex("62 09 99 01 02 03")).param_dict["new_one"]
@@ -166,7 +166,7 @@ def test_names_that_are_none_for_odx_or_come_twice_are_told_apart() -> None:
 
 
 def test_meanings_stand_for_numbers() -> None:
-    gear = Field(name="lever", kind=Kind.UNSIGNED, size_bytes=1, source="a", meanings={"0": "P", "0x10": "D"})
+    gear = Field(name="lever", kind=Coding.UNSIGNED, size_bytes=1, source="a", meanings={"0": "P", "0x10": "D"})
     service = with_fields(gear)
     texts = [
         service.decode_message(bytes.fromhex(f"62 09 99 {raw}")).param_dict["new_one"]["lever"]
@@ -178,11 +178,11 @@ def test_meanings_stand_for_numbers() -> None:
 @pytest.mark.parametrize("number", ["x", "256", "-1"])
 def test_a_meaning_of_no_number_of_the_field_is_refused(number: str) -> None:
     with pytest.raises(ConfigError, match="meanings are of"):
-        Field(name="lever", kind=Kind.UNSIGNED, size_bytes=1, source="a", meanings={number: "P"})
+        Field(name="lever", kind=Coding.UNSIGNED, size_bytes=1, source="a", meanings={number: "P"})
 
 
 def test_a_number_too_long_for_odx_is_bytes_with_an_explanation() -> None:
-    service = with_fields(Field(name="energy", kind=Kind.SIGNED, size_bytes=6, source="a", unit="J", resolution=0.5))
+    service = with_fields(Field(name="energy", kind=Coding.SIGNED, size_bytes=6, source="a", unit="J", resolution=0.5))
     assert service.decode_message(bytes.fromhex("62 09 99 01 02 03 04 05 06")).param_dict["new_one"] == {
         "energy": bytes(range(1, 7))
     }
@@ -191,4 +191,4 @@ def test_a_number_too_long_for_odx_is_bytes_with_an_explanation() -> None:
 
 
 def test_characters_that_xml_does_not_have_are_replaced() -> None:
-    with_fields(Field(name="a\x01b", kind=Kind.UNSIGNED, size_bytes=1, source="a", unit="\x02\ud800"))
+    with_fields(Field(name="a\x01b", kind=Coding.UNSIGNED, size_bytes=1, source="a", unit="\x02\ud800"))

@@ -23,7 +23,7 @@ _FLUID_NUMBERS: Final = {verdict: number for number, verdict in enumerate(FluidV
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClutchOpinion:
+class OnBoardFriction:
     """What is thought of one clutch; friction that is not known is NaN."""
 
     fluid: FluidVerdict = FluidVerdict.NO_VERDICT
@@ -34,31 +34,31 @@ class ClutchOpinion:
     end_ns: int = 0  # bus time of the end of the event that it comes from; 0: it comes from none
 
 
-Opinions = Mapping[int, ClutchOpinion]  # by clutch, 1 and 2
+OnBoardEstimates = Mapping[int, OnBoardFriction]  # by clutch, 1 and 2
 
 
-def own_opinion(told: OnBoard) -> ClutchOpinion:
-    """Return the opinion that a scenario gives the controller."""
+def scenario_friction(told: OnBoard) -> OnBoardFriction:
+    """Return the estimate that a scenario gives the controller."""
     known = {name: getattr(told, name) for name in _QUANTITIES}
-    return ClutchOpinion(fluid=told.fluid, **{name: value for name, value in known.items() if value is not None})
+    return OnBoardFriction(fluid=told.fluid, **{name: value for name, value in known.items() if value is not None})
 
 
-def values_of(opinions: Opinions) -> dict[str, float]:
+def values_of(estimates: OnBoardEstimates) -> dict[str, float]:
     """Return what is known, as values of the controller by source; a verdict is the number of its word."""
     found = {
-        f"clutch{clutch}_{source}": float(getattr(opinion, name))
-        for clutch, opinion in opinions.items()
+        f"clutch{clutch}_{source}": float(getattr(estimate, name))
+        for clutch, estimate in estimates.items()
         for name, source in _QUANTITIES.items()
     }
     verdicts = {
-        f"clutch{clutch}_fluid": float(_FLUID_NUMBERS[opinion.fluid])
-        for clutch, opinion in opinions.items()
-        if opinion.fluid is not FluidVerdict.NO_VERDICT
+        f"clutch{clutch}_fluid": float(_FLUID_NUMBERS[estimate.fluid])
+        for clutch, estimate in estimates.items()
+        if estimate.fluid is not FluidVerdict.NO_VERDICT
     }
     return verdicts | {source: value for source, value in found.items() if math.isfinite(value)}
 
 
-def fluid_test(opinions: Opinions, failed: Iterable[str]) -> TestResult | None:
+def fluid_test(estimates: OnBoardEstimates, failed: Iterable[str]) -> TestResult | None:
     """Return the result of the test of the fluid; None if nothing is known, or sensors cannot be believed.
 
     Parameters
@@ -66,7 +66,7 @@ def fluid_test(opinions: Opinions, failed: Iterable[str]) -> TestResult | None:
     failed
         The trouble codes whose test has failed.
     """
-    words = {opinion.fluid for opinion in opinions.values()} - {FluidVerdict.NO_VERDICT}
+    words = {estimate.fluid for estimate in estimates.values()} - {FluidVerdict.NO_VERDICT}
     if not words or not set(SUPPRESSING).isdisjoint(failed):
         return None
     return TestResult.FAILED if FluidVerdict.CHANGE_FLUID in words else TestResult.PASSED
@@ -80,14 +80,16 @@ def limit_test(adaptation: Adaptation | None) -> TestResult | None:
     return TestResult.FAILED if is_at_limit else TestResult.PASSED
 
 
-def adaptation_test(adaptation: Adaptation | None, opinions: Opinions, *, was_adapted: bool) -> TestResult | None:
+def adaptation_test(
+    adaptation: Adaptation | None, estimates: OnBoardEstimates, *, was_adapted: bool
+) -> TestResult | None:
     """Return the result of the test whether the clutches are known, None while that cannot be told.
 
     Parameters
     ----------
     adaptation
         What the controller has adapted or cleared itself; None: nothing, it works as at its start.
-    opinions
+    estimates
         What is thought of the clutches.
     was_adapted
         Whether it knew the touch points at its start.
@@ -95,7 +97,7 @@ def adaptation_test(adaptation: Adaptation | None, opinions: Opinions, *, was_ad
     is_adapted = was_adapted if adaptation is None else adaptation.is_done
     if not is_adapted:
         return TestResult.FAILED
-    known = (opinions.get(clutch, ClutchOpinion()).fluid for clutch in CLUTCHES)
+    known = (estimates.get(clutch, OnBoardFriction()).fluid for clutch in CLUTCHES)
     if FluidVerdict.NO_VERDICT not in known:
         return TestResult.PASSED
     return None if adaptation is None or adaptation.awaits_estimate else TestResult.PASSED
@@ -106,7 +108,7 @@ def failed_codes(records: Mapping[int, TroubleRecord], codes: Mapping[int, str])
     return {codes[number] for number, record in records.items() if record.status & Status.TEST_FAILED}
 
 
-def read_line(line: bytes) -> tuple[int, ClutchOpinion] | None:
+def read_line(line: bytes) -> tuple[int, OnBoardFriction] | None:
     """Return what a line of the service's JSON says of a clutch; None if it says nothing of one, or is none."""
     try:
         record = json.loads(line)
@@ -119,4 +121,4 @@ def read_line(line: bytes) -> tuple[int, ClutchOpinion] | None:
         known = {name: float(friction.get(name, math.nan)) for name in _QUANTITIES}
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
-    return (clutch, ClutchOpinion(fluid=fluid, end_ns=end_ns, **known)) if clutch in CLUTCHES else None
+    return (clutch, OnBoardFriction(fluid=fluid, end_ns=end_ns, **known)) if clutch in CLUTCHES else None
