@@ -15,7 +15,7 @@ from rich.table import Table
 from benchmarks.tolerance import share_within_tolerance
 from canlog.arrays import FloatArray
 from clutch_model.units import k_from_degc
-from ecu_emulator.driving.states import EventKind
+from ecu_emulator.driving.indices import EventKind
 from ecu_emulator.driving.trace import PUBLIC_TRACES, SpeedTrace, public_trace
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.plant import Col

@@ -21,7 +21,7 @@ from clutch_model.units import bar_from_pa, k_from_degc, rpm_from_rad_s
 from demo.picture import CLUTCH_COLOUR, INK
 from ecu_emulator.drive.build import build_vehicle
 from ecu_emulator.drive.drive_setup import WHOLE_STAY_S, journey
-from ecu_emulator.driving.states import EventKind
+from ecu_emulator.driving.indices import EventKind
 from ecu_emulator.plant import Col
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario import Ambient

@@ -1,7 +1,7 @@
 """What it costs to receive: CPU per frame from the socket to the shifts, beside python-can with cantools.
 
 Frames come in bursts of ten, each burst at once: one wake-up for whoever reads as they come. The service lets them
-gather while nothing waits for them (``canlog.live.read_schedule``), here as it does live: it knows of shifts. All
+gather while nothing waits for them (``canlog.live.sources``), here as it does live: it knows of shifts. All
 processor time of the receiving process counts, that in the kernel included.
 
 Where this kernel has no CAN, User-Mode Linux has. A system call takes many times longer there, and a guest takes the
@@ -29,8 +29,8 @@ import psutil
 from benchmarks.guest_meter import ask, meter_folder
 from canlog.live import Silence
 from canlog.live.raw_socket import RECEIVE_BUFFER_BYTES, SO_TIMESTAMPNS, grow_receive_buffer
-from canlog.live.read_schedule import ReadSchedule
 from canlog.live.socketcan import SocketCanSource
+from canlog.live.sources import ReadSchedule
 from dbc.contract import load_contract
 from diag_service.diagnosis.shifts.gear_tracking import tracker_for
 from diag_service.diagnosis.shifts.shifts import ShiftFinder

@@ -8,7 +8,7 @@ What is named here is imported when it is first used: ``import canlog`` itself t
 
 import typing
 
-from canlog.lazy_imports import on_demand as _on_demand
+from canlog.extras import on_demand as _on_demand
 
 if typing.TYPE_CHECKING:
     from canlog.database.loading import load_database

@@ -6,8 +6,7 @@ from typing import Any, Final, ParamSpec, TypeVar, cast
 import numba
 from numba.core import types as numba_types
 
-from canlog.kernel_cache import LateCache
-from canlog.kernel_digest import OPTIONS
+from canlog.kernel_cache import OPTIONS, LateCache
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -15,18 +15,24 @@ from cantools.database.can import Database
 from canlog.arrays import FloatArray, Int64Array
 from canlog.database.loading import database_of
 from canlog.extras import load_extra
-from canlog.frames import FrameBatch, join
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch, join
 from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_log
-from canlog.parquet_file import arrow_schema, load_pyarrow
+from canlog.parquet_file import TIME_TYPE, arrow_schema, load_pyarrow
 from canlog.tables.account import DecodeAccount, losses
 from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, groups, message_layout, stretches, values_in
-from canlog.tables.frame_table import frame_table
 from canlog.tables.inputs import log_paths
-from canlog.tables.layouts import ShapeName, TableShapeName, Values, ValuesName, WideLayout
+from canlog.tables.layouts import BARE_ID, ShapeName, TableShapeName, Values, ValuesName, WideLayout
 from canlog.tables.long_rows import FrameGroup
 from canlog.transport import LongMessage, LongMessages
 
 WARNED_CELLS: Final = 50_000_000  # of a wide table: 0.4 GB
+KINDS = {
+    "time": TIME_TYPE,
+    "channel": "uint8",
+    "id": "uint32",
+    **dict.fromkeys(("is_extended", "is_remote", "is_error", "is_fd"), "bool"),
+    "data": "binary",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -341,3 +347,23 @@ def read(
     """
     known = Database() if database is None else database_of(database, is_lenient=is_lenient)
     return Log(log_paths(path), known, is_strict=is_strict, columns=columns)
+
+
+def frame_table(frames: FrameBatch) -> Any:  # noqa: ANN401 - an untyped library
+    """Return a row per frame: time, channel, identifier, what kind of frame it is, and its bytes."""
+    arrow = load_pyarrow()
+    ends = np.concatenate(([0], np.cumsum(frames.length, dtype=np.int64)))
+    sent = frames.data[np.arange(frames.width) < frames.length[:, np.newaxis]]
+    data = arrow.LargeBinaryArray.from_buffers(
+        arrow.large_binary(), len(frames), [None, arrow.py_buffer(ends), arrow.py_buffer(sent)]
+    )
+    flags = [(frames.can_id & np.uint32(flag)) != 0 for flag in (EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)]
+    columns = [
+        arrow.array(frames.t_ns, arrow.timestamp("ns", "UTC")),
+        frames.channel,
+        frames.can_id & np.uint32(BARE_ID),
+        *flags,
+        (frames.flags & FD_FLAG) != 0,
+        data.cast(arrow.binary()),
+    ]
+    return arrow.table(columns, schema=arrow_schema(KINDS))

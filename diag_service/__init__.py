@@ -8,7 +8,7 @@ What is named here is imported when it is first used, and prints nothing (docs/p
 
 import typing
 
-from canlog.lazy_imports import on_demand as _on_demand
+from canlog.extras import on_demand as _on_demand
 
 if typing.TYPE_CHECKING:
     from canlog.errors import CanlogError, DefinitionError, ExtraMissingError, OutputError, SourceError

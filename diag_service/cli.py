@@ -11,8 +11,8 @@ from types import SimpleNamespace
 from typing import Final
 
 from canlog.errors import DefinitionError, ExtraMissingError, InputLeftError, OutputError, SourceError
+from canlog.extras import TESTER, wait_with
 from canlog.files import widen
-from canlog.lazy_imports import TESTER, wait_with
 from clutchdiag_io.annexes import is_attached, part
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.program import Kinds, complain, reckon_in_one_thread, standard_output

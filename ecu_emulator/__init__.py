@@ -8,13 +8,12 @@ need and no more: the command line answers before the plant's compiler is loaded
 
 import typing
 
-from canlog.lazy_imports import on_demand as _on_demand
+from canlog.extras import on_demand as _on_demand
 
 if typing.TYPE_CHECKING:
     from ecu_emulator.answering.answers import Answers
     from ecu_emulator.answering.pdx_command import write_pdx
-    from ecu_emulator.api.emulator import Emulator
-    from ecu_emulator.api.files import write_dbc
+    from ecu_emulator.api.emulator import Emulator, write_dbc
     from ecu_emulator.commands import Recording
     from ecu_emulator.errors import BusError, ConfigError, EmulatorError, ExtraMissingError, RecordError
     from ecu_emulator.scenario.faults import BusFault, SensorFault
@@ -47,8 +46,7 @@ __version__ = "0.9.0"
 
 _HOMES = {
     "ecu_emulator.answering.answers": ("Answers",),
-    "ecu_emulator.api.emulator": ("Emulator",),
-    "ecu_emulator.api.files": ("write_dbc",),
+    "ecu_emulator.api.emulator": ("Emulator", "write_dbc"),
     "ecu_emulator.commands": ("Recording",),
     "ecu_emulator.answering.pdx_command": ("write_pdx",),
     "ecu_emulator.errors": ("BusError", "ConfigError", "EmulatorError", "ExtraMissingError", "RecordError"),

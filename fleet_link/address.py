@@ -5,8 +5,7 @@ from pathlib import Path
 
 from fleet_contract import BrokerUrlError, exposure, parse_broker_url
 from fleet_link.errors import AddressError
-from fleet_link.secret_files import read_secret
-from fleet_link.tls import TlsFiles
+from fleet_link.tls import TlsFiles, read_secret
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

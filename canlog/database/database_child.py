@@ -11,7 +11,7 @@ import sys
 from contextlib import suppress
 from typing import Final
 
-from canlog.lazy_imports import TESTER, wait_with
+from canlog.extras import TESTER, wait_with
 
 UNREADABLE: Final = 3
 OUT_OF_MEMORY: Final = 4

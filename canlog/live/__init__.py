@@ -2,8 +2,7 @@
 
 from canlog.live.bus_state import BusState, BusStatus
 from canlog.live.factory import BusOpener, open_source
-from canlog.live.read_schedule import ReadSchedule
-from canlog.live.sources import FrameSource, LinkBreak, LiveSource, Silence, SourceCounts
+from canlog.live.sources import FrameSource, LinkBreak, LiveSource, ReadSchedule, Silence, SourceCounts
 from canlog.live.supervisor import SupervisedSource, supervise
 
 __all__ = [

@@ -8,8 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from canlog.error_frames import GOOD_NEWS, BusTrouble, count_errors, is_error, reports
-from canlog.frames import FrameBatch
+from canlog.frames import GOOD_NEWS, BusTrouble, FrameBatch, count_errors, is_error, reports
 
 TROUBLE_S = 5.0  # how long an error frame or a loss is remembered as trouble
 

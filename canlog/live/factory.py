@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 from canlog.errors import SourceError
 from canlog.live.interface import Seen, index_of, present_name, restart_controller
-from canlog.live.read_schedule import ReadSchedule
 from canlog.live.socketcan import SocketCanSource
-from canlog.live.sources import FrameSource
+from canlog.live.sources import FrameSource, ReadSchedule
 
 SOCKETCAN = "socketcan"
 

@@ -6,8 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from canlog.frames import FrameBatch
-from canlog.live.bus_clock import BusClock
-from canlog.live.clock_alarm import clock_alarm
+from canlog.live.bus_clock import BusClock, clock_alarm
 from canlog.live.frame_queue import FrameQueue
 from canlog.live.raw_socket import (
     RECEIVE_BUFFER_BYTES,
@@ -17,9 +16,8 @@ from canlog.live.raw_socket import (
     open_socket,
     reading_failed,
 )
-from canlog.live.read_schedule import RELAXED_S, URGENT_S, ReadSchedule
 from canlog.live.recvmmsg import SLOTS, FrameReceiver, Reception
-from canlog.live.sources import SILENCE_S, Silence, SourceCounts
+from canlog.live.sources import RELAXED_S, SILENCE_S, URGENT_S, ReadSchedule, Silence, SourceCounts
 
 if TYPE_CHECKING:
     import socket

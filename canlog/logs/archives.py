@@ -16,9 +16,8 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Final, Protocol, cast
 
 from canlog.errors import ExtraMissingError, SourceError
-from canlog.logs.compressed import InflatedStream, check_growth
+from canlog.logs.compressed import InflatedStream, check_growth, compression_of
 from canlog.logs.detection import PROBE_BYTES
-from canlog.logs.inflaters import compression_of
 from canlog.logs.log_counts import LogCounts, LogReject
 
 TAR_MAGIC, TAR_MAGIC_AT = b"ustar", 257

@@ -6,8 +6,7 @@ from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG
 from canlog.jit import array_kernel, inlined_kernel
 from canlog.logs.frame_buffer import FrameRows
-from canlog.logs.text_kernels import LENGTH_OF_CODE
-from canlog.logs.word_kernels import half, lower, word
+from canlog.logs.text_kernels import LENGTH_OF_CODE, half, lower, word
 
 # What has been done, and how it goes on.
 POSITION, ROWS, OBJECTS, IS_LOST, SKIPPED, DAMAGED, FIRST_DAMAGED, IS_TOO_WIDE, REPORT_FIELDS = range(9)

@@ -20,6 +20,7 @@ from canlog.logs.text_kernels import (
     MALFORMED,
     NEW_CHANNEL,
     NEWLINE,
+    NO_DIGITS,
     POSITION,
     RETURN,
     ROWS,
@@ -28,15 +29,18 @@ from canlog.logs.text_kernels import (
     TOO_LONG,
     count_line,
     decimal,
+    decimal_digits,
     decimal_parts,
     hex_bytes,
+    hex_digits,
     hexadecimal,
+    reversed_bytes,
     skip_blanks,
     skip_line,
     skip_word,
+    word,
 )
 from canlog.logs.text_log import MAX_LINE_BYTES, TextLog
-from canlog.logs.word_kernels import NO_DIGITS, decimal_digits, hex_digits, reversed_bytes, word
 
 STANDARD_DIGITS, EXTENDED_DIGITS = 3, 8
 HIGHEST_STANDARD_DIGIT = 7

@@ -7,7 +7,7 @@ from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG
 from canlog.jit import array_kernel, inlined_kernel
 from canlog.logs import text_kernels as outcomes
 from canlog.logs.frame_buffer import FrameRows
-from canlog.logs.word_kernels import lower, reversed_bytes
+from canlog.logs.text_kernels import lower, reversed_bytes
 
 # What has been done, and how it goes on.
 POSITION, ROWS, PACKETS, SKIPPED, MALFORMED, FIRST_MALFORMED, DAMAGED, FIRST_DAMAGED = range(8)

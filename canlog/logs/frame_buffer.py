@@ -8,7 +8,7 @@ import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array, UInt32Array
 from canlog.frames import FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
-from canlog.logs.word_kernels import WORD_BYTES, UInt64Array
+from canlog.logs.text_kernels import WORD_BYTES, UInt64Array
 
 MOST_CHANNELS = 256
 FNV_SEED = 0xCBF2_9CE4_8422_2325

@@ -15,12 +15,11 @@ from canlog.frames import FrameBatch
 from canlog.logs.archives import is_archive, split_member
 from canlog.logs.arrow_tables import arrow_columns, read_arrow_table
 from canlog.logs.blf import read_blf
-from canlog.logs.bounded_stream import BoundedStream
 from canlog.logs.captures import read_capture
 from canlog.logs.columns import ColumnsLog
+from canlog.logs.compressed import compression_of
 from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, detect_as_columns
-from canlog.logs.inflaters import compression_of
-from canlog.logs.log_counts import LogCounts, LogReject
+from canlog.logs.log_counts import BoundedStream, LogCounts, LogReject
 from canlog.logs.mf4 import read_mf4
 from canlog.logs.piped import STANDARD_INPUT, PipeStream, kept, never, open_standard_input, shown_name
 from canlog.logs.signal_tables import read_signal_table

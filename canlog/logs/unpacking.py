@@ -11,9 +11,8 @@ from typing import BinaryIO, cast
 
 from canlog.errors import SourceError
 from canlog.logs.archives import Member, MemberStream, find_member, has_members, is_archive, is_tar, members_of
-from canlog.logs.compressed import InflatedStream
+from canlog.logs.compressed import InflatedStream, compression_of
 from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, detect, detect_as_columns
-from canlog.logs.inflaters import compression_of
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.piped import KeptFile
 

@@ -17,7 +17,7 @@ from canlog.tables.table_folder import message_files, tables_there
 from canlog.written_tables import TableChoice, default_shape
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.files import replacement_refusal
-from diag_service.commands.pairs import pairs_of
+from diag_service.commands.talks import pairs_of
 from diag_service.console.terminal import PeopleConsole, ReadingLine
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.databases import asked_database

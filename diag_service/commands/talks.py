@@ -1,13 +1,18 @@
 """What ``inspect`` and ``monitor`` ask of the tester's annex: conversations in the frames of a log or a bus."""
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Protocol
+from typing import Final, Protocol
 
 from cantools.database.can import Message
 
-from canlog.frames import FrameBatch
+from canlog.frames import EXTENDED_FLAG, FrameBatch
 from clutchdiag_io.annexes import part
+from diag_service.errors import ConfigError
 from fleet_contract import JsonObject
+
+STANDARD_DIGITS: Final = 3
+HIGHEST_STANDARD: Final = 0x7FF
+HIGHEST_EXTENDED: Final = 0x1FFF_FFFF
 
 
 class Conversations(Protocol):
@@ -36,3 +41,23 @@ def conversations_of(messages: Sequence[Message], pairs: str) -> Conversations:
     """Return what puts conversations together; raises ConfigError if the pairs of identifiers are none."""
     talks: Conversations = part("diag_service.parts", "conversations")(messages, pairs)
     return talks
+
+
+def pairs_of(text: str) -> tuple[tuple[int, int], ...]:
+    """Return ``79B:7BB,18DA10F1:18DAF110`` as identifiers with flags; raises ConfigError."""
+    found = []
+    for pair in filter(None, (one.strip() for one in text.split(","))):
+        request, _, answer = pair.partition(":")
+        try:
+            found.append((_flagged(request), _flagged(answer)))
+        except ValueError:
+            raise ConfigError(f"--pairs {pair!r}: say REQUEST:ANSWER in hexadecimal, as in 79B:7BB") from None
+    return tuple(found)
+
+
+def _flagged(text: str) -> int:
+    """Return an identifier with its flags; more than three digits make it an extended one."""
+    value, is_extended = int(text, 16), len(text.strip().removeprefix("0x")) > STANDARD_DIGITS
+    if not 0 <= value <= (HIGHEST_EXTENDED if is_extended else HIGHEST_STANDARD):
+        raise ValueError(text)
+    return value | EXTENDED_FLAG if is_extended else value

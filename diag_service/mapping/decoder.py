@@ -12,8 +12,7 @@ from canlog.database.addressing import kernel_filters
 from canlog.decode.signals import NO_INVALID, InvalidCounts, PayloadWords
 from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
-from canlog.error_frames import BusTrouble, reports
-from canlog.frames import MAX_GAP_NS, FrameBatch
+from canlog.frames import MAX_GAP_NS, BusTrouble, FrameBatch, reports
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import ColumnBatch, Columns, GearRatios, Signal
 from diag_service.diagnosis.summary import FrameCounts

@@ -11,7 +11,7 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.quality.data_quality import QualityBasis, compile_data_quality, gate
-from diag_service.diagnosis.quality.meaning import MeaningCheck
+from diag_service.diagnosis.quality.plausibility import MeaningCheck
 from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.diagnosis.summary import Capability

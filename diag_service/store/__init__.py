@@ -2,9 +2,8 @@
 
 from diag_service.store.file import APPLICATION_ID, SCHEMA_VERSION, remove_store
 from diag_service.store.fills import note_fill, withdraw_fill
-from diag_service.store.no_store import NoStore, SessionStore
 from diag_service.store.reading import Row, StoreReader, is_store
-from diag_service.store.result_store import ResultStore, VehicleState, Versions
+from diag_service.store.result_store import NoStore, ResultStore, SessionStore, VehicleState, Versions
 
 __all__ = [
     "APPLICATION_ID",

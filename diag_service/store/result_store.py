@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Final, Self
+from typing import Final, Protocol, Self
 
 from clutchdiag_io.files import keep_private
 from diag_service.diagnosis.records import FluidFill, ShiftResult, StoredResult, dump, parse_shift, shift_record
@@ -458,3 +458,60 @@ def _read_reports(sql: sqlite3.Connection, vehicle: str) -> list[str]:
     """Return the reports of a vehicle as JSON, the oldest first."""
     rows = sql.execute("SELECT json FROM controller WHERE vehicle = ? ORDER BY position", (vehicle,)).fetchall()
     return [str(text) for (text,) in rows]
+
+
+class SessionStore(Protocol):
+    """Where the results of a run go, and what earlier runs left there; `ResultStore` says what each method does."""
+
+    stream: str
+    keeps_state: bool
+
+    def next_seq(self) -> int:
+        """Return the sequence number that the next result of the live stream gets."""
+
+    def add(self, result: ShiftResult, state: VehicleState | None) -> bool:
+        """Take a result and the state after it; False if the key is already there."""
+
+    def find(self, vehicle: str, stream: str, seq: int, versions: Versions) -> ShiftResult | None:
+        """Return the result stored under a key, if any."""
+
+    def state(self, vehicle: str) -> VehicleState | None:
+        """Return the running state of a vehicle, if one was stored."""
+
+    def latest(self, vehicle: str) -> Sequence[StoredResult]:
+        """Return the newest result of each clutch."""
+
+    def fluid_at(self, vehicle: str, moment: str) -> FluidFill | None:
+        """Return the fill of the fluid that a vehicle had at a moment (ISO 8601 UTC), if it is known."""
+
+
+class NoStore:
+    """Keeps nothing and knows nothing of earlier runs: nobody will ask."""
+
+    keeps_state = False
+
+    def __init__(self) -> None:
+        self.stream = str(uuid.uuid4())
+        self._last_seq = 0
+
+    def next_seq(self) -> int:
+        """Return the sequence number after the last one."""
+        return self._last_seq + 1
+
+    def add(self, result: ShiftResult, _: VehicleState | None) -> bool:
+        """Note that the sequence number of a result is used."""
+        self._last_seq = max(self._last_seq, result.seq)
+        return True
+
+    def find(self, *_: object) -> None:
+        """Return nothing."""
+
+    def state(self, _: str) -> None:
+        """Return nothing."""
+
+    def latest(self, _: str) -> Sequence[StoredResult]:
+        """Return nothing."""
+        return ()
+
+    def fluid_at(self, *_: object) -> None:
+        """Return nothing."""

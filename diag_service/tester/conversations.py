@@ -8,7 +8,7 @@ from cantools.database.can import Message
 
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from canlog.transport import Exchange, Exchanges, LongMessage, LongMessages, Protocol, Transfer
-from diag_service.commands.pairs import pairs_of
+from diag_service.commands.talks import pairs_of
 from diag_service.diagnosis.records import utc_from_bus_ns
 from diag_service.tester.answers import NEGATIVE, SERVICE_NAMES, refusal_text
 from fleet_contract import JsonObject

@@ -25,7 +25,7 @@ from ecu_emulator.arguments import (
     ns_of,
 )
 from ecu_emulator.bus.sender import open_bus
-from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, write_log
+from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, save_dbc, write_log
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live.live_drive import AnswersTesters, BusChoice, send
@@ -403,3 +403,11 @@ class Emulator:
     def _raise(self) -> None:
         if self._error is not None:
             raise self._error
+
+
+def write_dbc(output: AnyPath) -> int:
+    """Write the DBC file of the emulated vehicle, as ``ecu-emulator dbc`` does; one that is there is replaced.
+
+    Returns its size [bytes]. Raises RecordError if it cannot be written.
+    """
+    return save_dbc(Path(output), is_forced=True)

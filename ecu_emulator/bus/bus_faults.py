@@ -13,7 +13,7 @@ from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind
 from ecu_emulator.scenario.signals import generator
-from ecu_emulator.sensing.fault_onsets import MS_PER_S, Onsets
+from ecu_emulator.sensing.sensor_faults import MS_PER_S, Onsets
 
 LATE_CYCLES: Final = 1.5  # behind the successor, before the one after it
 SPOOF_CYCLES: Final = 0.5  # the second sender keeps clear of the first

@@ -42,7 +42,6 @@ from ecu_emulator.diagnostics.services.data import (
 from ecu_emulator.diagnostics.services.obd import OBD_HANDLERS
 from ecu_emulator.diagnostics.services.obd_data import frozen_pids, odometer_m
 from ecu_emulator.diagnostics.services.routines import RESULTS, START, STOP, answered, routine_control, timed_out
-from ecu_emulator.diagnostics.services.security import delay_over, security_access
 from ecu_emulator.diagnostics.services.sessions import (
     CODES_OFF,
     CODES_ON,
@@ -53,8 +52,10 @@ from ecu_emulator.diagnostics.services.sessions import (
     as_guest,
     communication_control,
     control_code_setting,
+    delay_over,
     ecu_reset,
     in_session,
+    security_access,
     session_control,
     started,
     tester_present,

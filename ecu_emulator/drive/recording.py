@@ -26,8 +26,8 @@ from ecu_emulator.drive.drive_setup import (
 )
 from ecu_emulator.driving.journey import Departure, Journey, PlannedTrip
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.powertrain import Powertrain
+from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import BusFault, SensorFault
 from ecu_emulator.scenario.scenario import Routine, Scenario
 from ecu_emulator.sensing.sensors import SensorSuite

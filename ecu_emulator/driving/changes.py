@@ -4,8 +4,8 @@ from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.gear_choice import low_rad_s
+from ecu_emulator.driving.indices import EventKind
 from ecu_emulator.driving.laws import DrivingLaw, gear_speed_rad_s, overrun_nm, shift_shaft
-from ecu_emulator.driving.states import EventKind
 from ecu_emulator.shift_control import tcu, tcu_data
 
 _KEEPS_RATIO = 0.85  # of the map's threshold: so far must the pedal have changed for the old gear to be right again

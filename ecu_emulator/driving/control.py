@@ -4,6 +4,7 @@ from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator.driving import changes, gear_choice, standing
 from ecu_emulator.driving import indices as at
+from ecu_emulator.driving.indices import DriveState, EventKind
 from ecu_emulator.driving.laws import (
     DrivingLaw,
     begin_event,
@@ -11,7 +12,6 @@ from ecu_emulator.driving.laws import (
     enter_state,
     idle_rad_s,
 )
-from ecu_emulator.driving.states import DriveState, EventKind
 from ecu_emulator.shift_control import tcu, tcu_data
 
 _PULLING_NM = 8.0  # torque from which the engine drives the car

@@ -3,8 +3,8 @@
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from ecu_emulator.driving import indices as at
+from ecu_emulator.driving.indices import DriveState
 from ecu_emulator.driving.laws import DrivingLaw, overrun_nm, pedal_for_force, pulls_on_wheels
-from ecu_emulator.driving.states import DriveState
 from ecu_emulator.plant.driveline import road_load_n
 from ecu_emulator.shift_control import tcu_data
 

@@ -12,7 +12,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from ecu_emulator.driving.trace import SpeedTrace, public_trace
 from ecu_emulator.driving.traffic import CITY, MIXED, MOTORWAY, Range, Traffic, traffic_trace
-from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.signals import generator
 

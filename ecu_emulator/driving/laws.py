@@ -7,8 +7,8 @@ import numpy as np
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, kernel
 from ecu_emulator.driving import indices as at
+from ecu_emulator.driving.indices import DriveState, EventKind
 from ecu_emulator.driving.parameters import DrivingParameters, PedalParameters
-from ecu_emulator.driving.states import DriveState, EventKind
 from ecu_emulator.plant.loop import DriveLaw
 from ecu_emulator.shift_control import tcu_data
 

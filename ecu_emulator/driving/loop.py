@@ -12,13 +12,13 @@ from ecu_emulator.driving import indices
 from ecu_emulator.driving.control import control, have_whim
 from ecu_emulator.driving.driver import drive, seen
 from ecu_emulator.driving.engine_control import control_engine
+from ecu_emulator.driving.indices import EngineState
 from ecu_emulator.driving.laws import DrivingLaw
-from ecu_emulator.driving.states import EngineState
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.driveline import ENGAGED
 from ecu_emulator.plant.integration import advance_millisecond, settle
 from ecu_emulator.plant.loop import Machine, hold_car, obey, record_bodies, record_clutches, sense_plant
+from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control import tcu, tcu_data
 
 

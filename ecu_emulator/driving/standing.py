@@ -6,6 +6,7 @@ from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, kernel
 from ecu_emulator.driving import gear_choice
 from ecu_emulator.driving import indices as at
+from ecu_emulator.driving.indices import DriveState, EngineState, EventKind
 from ecu_emulator.driving.laws import (
     DrivingLaw,
     begin_event,
@@ -16,7 +17,6 @@ from ecu_emulator.driving.laws import (
     shift_shaft,
 )
 from ecu_emulator.driving.parameters import LaunchParameters
-from ecu_emulator.driving.states import DriveState, EngineState, EventKind
 from ecu_emulator.plant.driveline import GRAVITY_M_S2
 from ecu_emulator.shift_control import tcu, tcu_data
 

@@ -1,6 +1,5 @@
 """The emulated vehicle: engine, hydraulics, wet dual clutch, driveline, road."""
 
-from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
 from ecu_emulator.plant.parameters import (
     PlantParameters,
@@ -9,6 +8,7 @@ from ecu_emulator.plant.parameters import (
     read_parameters,
 )
 from ecu_emulator.plant.powertrain import Powertrain
+from ecu_emulator.plant.state import Col
 
 __all__ = [
     "Col",

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from canlog.arrays import FloatArray
 from canlog.jit import kernel
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import SensorFault
 from ecu_emulator.scenario.signals import STATES, Sensor, Sensors, generator, split_unit
 from ecu_emulator.sensing.sensor_faults import SensorFaults

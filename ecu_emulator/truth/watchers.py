@@ -8,8 +8,8 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import clutch_of_gear
-from ecu_emulator.driving.states import EventKind
-from ecu_emulator.plant.columns import Col
+from ecu_emulator.driving.indices import EventKind
+from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control.tcu_data import CLOSED_REVS
 from ecu_emulator.truth.records import EventTruth, RevTruth, ShiftTruth
 

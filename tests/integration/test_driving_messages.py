@@ -10,7 +10,7 @@ import canlog
 from dbc.contract import DBC_PATH, load_contract
 from ecu_emulator.drive.drive_setup import ROAD_MESSAGES
 from ecu_emulator.drive.recording import Drive
-from ecu_emulator.driving.states import DriveState, EngineState
+from ecu_emulator.driving.indices import DriveState, EngineState
 from ecu_emulator.log_formats.record import open_log
 from tests.golden.analyses import RECORDINGS
 from tests.support.in_process import ended as run

@@ -10,8 +10,7 @@ import pytest
 from canlog.errors import SourceError
 from canlog.frames import join
 from canlog.logs import LogReader, LogReject, merged_by_time, read_log
-from canlog.logs.bounded_stream import FREE_BYTES
-from canlog.logs.log_counts import LogCounts
+from canlog.logs.log_counts import FREE_BYTES, LogCounts
 from diag_service.errors import ConfigError
 from diag_service.service.drive import open_drive
 from ecu_emulator.log_formats.record import open_log

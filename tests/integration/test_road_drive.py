@@ -13,12 +13,12 @@ from canlog.e2e.profile1 import counter_of
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.drive.recording import Drive, Stretch
+from ecu_emulator.driving.indices import EngineState
 from ecu_emulator.driving.journey import PlannedTrip, trips
-from ecu_emulator.driving.states import EngineState
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live.sent_truth import SentTruth
-from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario import Ambient, Fluid, FluidCondition, Truth
 from ecu_emulator.scenario.signals import generator

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from canlog.error_frames import BusTrouble
-from canlog.frames import ERROR_FLAG
+from canlog.frames import ERROR_FLAG, BusTrouble
 from canlog.live import BusOpener, BusState, LinkBreak, Silence, SupervisedSource, supervise
 from canlog.live.interface import Seen, index_of, present_name, restart_controller
 from diag_service.mapping.decoder import Decoder

@@ -7,7 +7,7 @@ not. Where no line of the beginning has four digits, it is a count of millisecon
 import re
 from dataclasses import replace
 
-from canlog.logs.asc_dates import date_us, local_midnight_us
+from canlog.logs.asc import date_us, local_midnight_us
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.roles import BLANKS, DAY_US, DECIMAL, HEXADECIMAL, Column, Layout, Meaning, Role
 

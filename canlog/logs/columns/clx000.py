@@ -10,7 +10,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
 
-from canlog.logs.asc_dates import date_us
+from canlog.logs.asc import date_us
 from canlog.logs.columns.header import names_in
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.roles import DAY_US, HEXADECIMAL, MINUTE_US, Column, Layout, Role

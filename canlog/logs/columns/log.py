@@ -9,7 +9,7 @@ import numpy as np
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.logs.asc_dates import date_us
+from canlog.logs.asc import date_us
 from canlog.logs.columns.header import (
     NO_BASE,
     Proposal,

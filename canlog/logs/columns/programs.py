@@ -20,7 +20,7 @@ CRTD of the Open Vehicles project, versions 1 to 3: seconds since the epoch, UTC
 import re
 from dataclasses import replace
 
-from canlog.logs.asc_dates import date_us
+from canlog.logs.asc import date_us
 from canlog.logs.columns.fields import REST
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.roles import (

@@ -6,7 +6,9 @@ balance are looked at in its slip window and moment by moment; what the samples 
 """
 
 import math
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -18,12 +20,16 @@ from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, Ali
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.quality.data_quality import LIMITS, SHAFT_GEARS, QualityLimits, median
-from diag_service.diagnosis.records import Reason
+from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 
 _LEAST: Final = 0.0  # what a sensor of pressure or speed cannot show less of: it repeats that with reason
 _STD_OF_SECOND_DIFFERENCE: Final = 1.4826 / math.sqrt(6.0)  # of white noise, over the median of their sizes
 _ROUNDING: Final = 1e-6  # of a variance: far above what doubles lose, far below what a measurement tells
 _WITHOUT_LOCK: Final = frozenset({EventKind.CREEP, EventKind.REGEAR})  # a car may stop first; both clutches are open
+LEAST_RATIO, MOST_RATIO = 0.7, 1.25  # of the friction that the type has new: no fluid leaves these
+SURE_STD: Final = 1.0
+MOST_MISFITS: Final = 3  # without one event that fits
+_MISFITS: Final = frozenset({Reason.MISFIT, Reason.SPEEDS_DISAGREE, Reason.IMPLAUSIBLE})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -315,3 +321,34 @@ def _largest_sum(values: FloatArray, count: int) -> float:
         if row >= count - 1:
             largest = max(largest, abs(until - before))
     return largest
+
+
+@dataclass(slots=True)
+class MeaningCheck:
+    """Looks at the estimates of a drive; ``doubt`` says what cannot be, empty as long as all of it can."""
+
+    new_mu_c: Sequence[float]  # of the type, of both clutches
+    doubt: str = ""
+    _found: Counter[bool] = field(default_factory=Counter)  # events that fit, and that do not
+
+    def is_believed(self, estimate: ShiftEstimate) -> bool:
+        """Take the estimate of an event; return whether it may be believed."""
+        if self.doubt or estimate.friction is None:
+            self._found[False] += bool(_MISFITS & set(estimate.reasons))
+            if not self.doubt and self._found[False] >= MOST_MISFITS and not self._found[True]:
+                self.doubt = (
+                    f"none of {self._found[False]} events fits: pressures, torque and speeds do not fit together "
+                    "as the profile says"
+                )
+            return not self.doubt or estimate.status is not Status.VALID
+        friction = estimate.friction
+        new = self.new_mu_c[estimate.clutch - 1]
+        ratio, spread = friction.mu_c / new, SURE_STD * friction.std_mu_c / new
+        if ratio + spread < LEAST_RATIO or ratio - spread > MOST_RATIO:
+            self.doubt = (
+                f"friction would be {ratio:.0%} of what this type has new: torque, pressure or their scales are not "
+                "what profile and calibration say"
+            )
+            return False
+        self._found[True] += 1
+        return True

@@ -13,8 +13,8 @@ from typing import Final
 import can
 
 from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
-from ecu_emulator.diagnostics.elm327.frames import line as frame_line
 from ecu_emulator.diagnostics.elm327.interpreter import Interpreter, Shown
+from ecu_emulator.diagnostics.elm327.interpreter import line as frame_line
 
 MOST_LINE_BYTES: Final = 512
 MOST_MONITORED: Final = 512  # frames that a client has not taken yet

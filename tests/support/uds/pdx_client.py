@@ -21,7 +21,7 @@ from ecu_emulator.diagnostics.pdx.elements import UNDEFINED
 from ecu_emulator.diagnostics.pdx.package import pdx_package
 from ecu_emulator.diagnostics.server import advance, answer, switched_on, tested
 from ecu_emulator.diagnostics.services.routines import finished
-from ecu_emulator.diagnostics.services.security import key_of
+from ecu_emulator.diagnostics.services.sessions import key_of
 from ecu_emulator.diagnostics.state import Instant, Request, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import Values

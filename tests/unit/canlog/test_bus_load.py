@@ -6,11 +6,10 @@ from typing import Final
 import numpy as np
 import pytest
 
-from canlog.bus_load import ERROR_BITS, frame_bits
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.live import SupervisedSource
 from canlog.logs import read_log
-from canlog.traffic import TrafficMeter
+from canlog.traffic import ERROR_BITS, TrafficMeter, frame_bits
 from tests.unit.canlog.live.test_supervisor import Script, ShortSource, numbered, parts_of
 
 RECORDINGS: Final = Path(__file__).parents[2] / "golden" / "recordings"

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from canlog.error_frames import BusTrouble, count_errors, is_error, reports
-from canlog.frames import ERROR_FLAG, FrameBatch, empty_batch
+from canlog.frames import ERROR_FLAG, BusTrouble, FrameBatch, count_errors, empty_batch, is_error, reports
 
 CASES = [
     (0x001, 0x00, {BusTrouble.TRANSMIT_TIMEOUT}),

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from canlog.arrays import FloatArray
-from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.state import Col
 
 
 def made_up_rows(count: int, *, seed: int = 7) -> FloatArray:

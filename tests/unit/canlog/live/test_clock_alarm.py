@@ -2,7 +2,7 @@
 
 import os
 
-from canlog.live.clock_alarm import ClockAlarm, clock_alarm
+from canlog.live.bus_clock import ClockAlarm, clock_alarm
 
 
 def test_an_alarm_is_silent_while_nobody_sets_the_clock() -> None:

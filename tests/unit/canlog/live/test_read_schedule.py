@@ -2,7 +2,7 @@
 
 import pytest
 
-from canlog.live.read_schedule import EXPECTING_S, LATE_S, NS_PER_S, RELAXED_S, URGENT_S, ReadSchedule
+from canlog.live.sources import EXPECTING_S, LATE_S, NS_PER_S, RELAXED_S, URGENT_S, ReadSchedule
 from diag_service.diagnosis.shifts.shifts import POST_NS
 
 NOW_NS = 1_700_000_000_000_000_000

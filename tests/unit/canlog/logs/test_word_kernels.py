@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canlog.logs.word_kernels import (
+from canlog.logs.text_kernels import (
     NO_DIGITS,
     WORD_BYTES,
     decimal_digits,

@@ -13,8 +13,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from rich.console import Console
 
 from canlog.e2e.e2e_state import E2eState
-from canlog.error_frames import BusTrouble
-from canlog.frames import FrameBatch
+from canlog.frames import BusTrouble, FrameBatch
 from canlog.live import BusState, BusStatus, SourceCounts
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.condition.verdict import Cause, advice

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from canlog.arrays import FloatArray
-from ecu_emulator.driving.states import EventKind
+from ecu_emulator.driving.indices import EventKind
 from ecu_emulator.driving.trace import SpeedTrace
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
-from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.state import Col
 
 WARM_K = 363.15
 COLD_K = 263.15

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 
 from canlog.arrays import FloatArray
 from clutch_model.errors import CalibrationError
+from ecu_emulator.driving.indices import DriveState, EngineState
 from ecu_emulator.driving.laws import asked_force_n, pedal_for_force
 from ecu_emulator.driving.parameters import DrivingParameters, driving_parameters, nominal_driving
-from ecu_emulator.driving.states import DriveState, EngineState
 from ecu_emulator.driving.trip import DriveConditions
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.state import Col
 from tests.unit.ecu_emulator.driving.drives import COLD_K, driven, trace
 
 DRIVING = nominal_driving()

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
+from ecu_emulator.driving.indices import DriveState, EventKind
 from ecu_emulator.driving.parameters import nominal_driving
-from ecu_emulator.driving.states import DriveState, EventKind
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
-from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.drive import FrictionFactors
+from ecu_emulator.plant.state import Col
 from tests.unit.ecu_emulator.driving.drives import Event, driven, events, of_kind, trace
 
 SEEDS_OF_WHIMS = (1, 3)

@@ -8,7 +8,7 @@ import pytest
 from canlog.arrays import FloatArray
 from ecu_emulator.driving.journey import Departure, Journey, PlannedTrip, Warmth
 from ecu_emulator.driving.trace import SpeedTrace
-from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.state import Col
 
 AIR_K = 263.15
 START = Warmth(oil_k=303.15, coolant_k=313.15)

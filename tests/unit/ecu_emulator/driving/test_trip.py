@@ -8,10 +8,10 @@ import pytest
 from benchmarks.tolerance import share_within_tolerance
 from canlog.arrays import FloatArray
 from clutch_model.errors import DomainError
-from ecu_emulator.driving.states import DriveState, EngineState
+from ecu_emulator.driving.indices import DriveState, EngineState
 from ecu_emulator.driving.trace import SpeedTrace
 from ecu_emulator.driving.trip import Car, Trip, drive
-from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.state import Col
 from tests.unit.ecu_emulator.driving.drives import COLD_K, conditions, driven, trace, trip
 
 STOP_AND_GO = trace((0, 0), (2, 0), (8, 9), (11, 9), (15, 0), (20, 0), (26, 8), (30, 8))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
-from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import Phase, PhaseCode, SensorFault, SensorFaultKind
 from ecu_emulator.sensing.sensor_faults import SensorFaults
 from tests.unit.ecu_emulator.rows import made_up_rows

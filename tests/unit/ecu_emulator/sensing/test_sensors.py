@@ -3,7 +3,7 @@ import pytest
 
 from canlog.arrays import FloatArray
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.signals import NOMINAL_SENSORS, STATES, Sensor, Sensors
 from ecu_emulator.sensing.sensors import (
     BRAKE_PA_PER_M_S2,

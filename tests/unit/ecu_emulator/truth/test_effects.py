@@ -15,10 +15,10 @@ from ecu_emulator.drive.build import BuiltVehicle, affected_calibration, affecte
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.clutch import friction_ratio, grooved
-from ecu_emulator.plant.columns import Col
 from ecu_emulator.plant.drive import DriveSettings
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
 from ecu_emulator.plant.powertrain import Powertrain
+from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.scenario import Effects, Scenario
 from ecu_emulator.scenario.scenario_file import parse_scenario
 from tests.support.builders import drive_scenario

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
-from ecu_emulator.driving.states import EventKind
-from ecu_emulator.plant.columns import Col
+from ecu_emulator.driving.indices import EventKind
+from ecu_emulator.plant.state import Col
 from ecu_emulator.truth.records import EventTruth
 from ecu_emulator.truth.watchers import EventWatcher
 from tests.unit.ecu_emulator.rows import made_up_rows

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ecu_emulator.errors import RecordError
-from ecu_emulator.plant.columns import Col
+from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control.tcu_data import CLOSED_REVS, OPEN_REVS
 from ecu_emulator.truth.records import (
     DriveTruth,
