@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canlog.arrays import Int64Array
-from canlog.e2e.own_cycle import SLOWER_RATIO, SLOWEST
+from canlog.e2e.alive_counter import SLOWER_RATIO, SLOWEST
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 from canlog.frames import BEFORE_ALL_NS
 from canlog.jit import array_kernel

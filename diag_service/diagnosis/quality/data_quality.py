@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array, Series
+from canlog.e2e.alive_counter import row_period_ns
 from canlog.e2e.e2e_state import E2eState
-from canlog.e2e.own_cycle import row_period_ns
 from canlog.jit import array_kernel, inlined_kernel, kernel
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.alignment import (

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from canlog.arrays import Series
+from canlog.e2e.alive_counter import compile_now, own_period_ns
 from canlog.e2e.e2e_state import E2eChange, E2eState
-from canlog.e2e.own_cycle import compile_now, own_period_ns
 from canlog.frames import BEFORE_ALL_NS
 from diag_service.diagnosis.columns import ColumnBatch, Columns, Signal
 from diag_service.diagnosis.shifts.sample_rings import SampleRings

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array, Series
-from canlog.e2e.own_cycle import share_rows
+from canlog.e2e.alive_counter import share_rows
 from canlog.jit import array_kernel, inlined_kernel
 from clutch_model.calibration import Calibration, clutch_of_gear
 from clutch_model.pack import gear_clutch

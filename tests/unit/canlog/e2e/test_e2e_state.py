@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from canlog.e2e.alive_counter import SLOWEST
 from canlog.e2e.e2e_state import (
     MAX_ERRORS,
     MIN_OK,
@@ -15,7 +16,6 @@ from canlog.e2e.e2e_state import (
     E2eState,
     E2eStates,
 )
-from canlog.e2e.own_cycle import SLOWEST
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 
 NAME = "message"

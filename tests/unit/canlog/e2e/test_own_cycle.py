@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from canlog.arrays import Int64Array, Series
-from canlog.e2e.own_cycle import LEAST_STEPS, SLOWEST, own_period_ns
+from canlog.e2e.alive_counter import LEAST_STEPS, SLOWEST, own_period_ns
 
 MS = 1_000_000
 NOMINAL_NS = 10 * MS

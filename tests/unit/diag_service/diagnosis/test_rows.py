@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray, Int64Array, Series
-from canlog.e2e.own_cycle import row_period_ns
+from canlog.e2e.alive_counter import row_period_ns
 from diag_service.diagnosis.alignment import FRAME_AGE_STD_S, held_s, row_doubt
 
 TIMES_S: FloatArray = np.arange(40, dtype=np.float64) * 0.04
