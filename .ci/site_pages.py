@@ -27,7 +27,7 @@ LINK: Final = re.compile(r"\[([^\]]*)\]\((?!\w+:|#)([^)#]+)(#[^)]*)?\)")
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages of the reference."""
-    pages = {"commands": _commands(), "schemas": _schemas(), "tools": _tools()}
+    pages = {"commands": _commands(), "parameters": _parameters(), "schemas": _schemas(), "tools": _tools()}
     pages |= {name: f"# {name}\n\n::: {name}\n" for name in PACKAGES}
     for name, text in pages.items():
         files.append(File.generated(config, f"reference/{name}.md", content=text))
@@ -48,6 +48,13 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
         return found[1] if path in found[1] else f"{found[1]} (`{path}`)"
 
     return LINK.sub(named, markdown)
+
+
+def _parameters() -> str:
+    parts = ["# Parameters", "", "Of the six-speed wet DCT, as the programs read them."]
+    for path in ("clutch_model/calibrations/nominal.toml", "ecu_emulator/plant/parameters.toml"):
+        parts += ["", f"## {path}", "", "```toml", (ROOT / path).read_text(encoding="utf-8").strip(), "```"]
+    return "\n".join(parts) + "\n"
 
 
 def _commands() -> str:

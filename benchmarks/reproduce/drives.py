@@ -36,7 +36,7 @@ class Case(StrEnum):
 
 
 FACTORS = {Case.IDEAL: (1.0, 1.0), Case.CASE_1: (0.95, 1.05), Case.CASE_2: (0.85, 1.15)}
-"""Factors on mu_C and mu_S; docs/model.md, table of parameters."""
+"""Factors on mu_C and mu_S; clutch_model/calibrations/nominal.toml."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -128,12 +128,18 @@ TRY: Final = Command(
     Option("--lenient", "leave out what is wrong in it"),
     Option("--active", "send requests"),
     Option("--listen S", "how long to listen before (default: 5)", FLOAT, default=5.0),
+    Option("--record FILE", "record a drive (.log, .asc, .blf), learn the vehicle from it, and diagnose it", FILE),
+    Option("--duration S", "how long that drive is (default: until Ctrl-C)", FLOAT),
     *(CONFIG, VERBOSE),
     variables=VARIABLES,
     description=(
         "Listen, ask for each signal of the profiles that ask, show the values and how many sets a second come, and "
-        "say what that suffices for. Only reading services are sent, and nothing without --active."
+        "say what that suffices for; with --record also after a drive. Only reading services are sent, and nothing "
+        "without --active."
     ),
-    examples=(f"{PROGRAM} try -i socketcan -c can0 --active", f"{PROGRAM} try --adapter elm327:/dev/rfcomm0 --active"),
+    examples=(
+        f"{PROGRAM} try -i socketcan -c can0 --active",
+        f"{PROGRAM} try --adapter elm327:/dev/rfcomm0 --active --record drive.log",
+    ),
 )
 COMMANDS: Final = (DTC, DID, ROUTINE, SCAN, TRY)

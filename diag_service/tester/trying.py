@@ -1,16 +1,25 @@
-"""``diag-service try``: what a car tells whoever asks, by the profiles that ask, and how to go on."""
+"""``diag-service try``: what a car tells whoever asks, by the profiles that ask, a first drive, and how to go on."""
 
+import shlex
 import time
 import uuid
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from heapq import heappop, heappush
+from importlib import import_module
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
 
+import can
 import numpy as np
 from cantools.database.can import Database
 
+from canlog.errors import OutputError, SourceError
+from clutchdiag_io.files import replacement_refusal
+from diag_service.commands.arguments import parse_arguments
+from diag_service.commands.program import PROGRAM
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError, ControllerError
@@ -23,11 +32,15 @@ from diag_service.service.stopping import Controls
 from diag_service.tester.adapters import Line, line_through, parse_adapter
 from diag_service.tester.addresses import CanAddress, id_text
 from diag_service.tester.answers import refusal_text
-from diag_service.tester.asking import BusName, check_time, heard
+from diag_service.tester.asking import BusName, check_time, heard, opened_bus
 from diag_service.tester.signal_asking import Plan, SignalAsker, line_on
 
 RATE_S: Final = 5.0
 LEAST_LISTEN_S: Final = 0.0
+PROGRESS_S: Final = 60.0  # from line to line while a drive is recorded
+LOOK_S: Final = 0.1
+HELD_S: Final = 0.5  # frames of several senders come out of order by less
+LOGS: Final = (".log", ".asc", ".blf")  # python-can writes them, and they are read again
 _ROUND: Final = 4  # significant digits of a value that is shown
 Show = Callable[[str], object]
 
@@ -36,12 +49,14 @@ def try_car(options: SimpleNamespace, controls: Controls) -> None:
     """Listen, try the profiles that ask, and say what was found; sends nothing without ``--active``."""
     show: Show = PeopleConsole().print
     check_time("--listen", options.listen, least_s=LEAST_LISTEN_S)
-    profiles = _profiles(options.profile)
-    adapter = options.adapter
+    _check_recording(options)
     _check_adapter(options)
+    profiles = _profiles(options.profile)
     bus = BusName(interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=options.fd)
-    if adapter is None:
+    if options.adapter is None:
         show(str(heard(bus, options.listen, lambda: not controls.stop.is_set)))
+    else:
+        bus = BusName(interface="virtual", channel=f"try-{uuid.uuid4()}", bitrate=None, is_fd=False)
     if not options.active:
         for profile in profiles:
             asked = ", ".join(dict.fromkeys(str(one.data_id) for one in profile.asked.values()))
@@ -50,8 +65,8 @@ def try_car(options: SimpleNamespace, controls: Controls) -> None:
         return
 
     def opened(profile: Profile) -> AbstractContextManager[Line]:
-        if adapter is not None:
-            return line_through(adapter, f"try {uuid.uuid4()}", lambda: not controls.stop.is_set)
+        if options.adapter is not None:
+            return line_through(options.adapter, str(bus.channel), lambda: not controls.stop.is_set)
         fields = profile.asked.values()
         addresses = [CanAddress(request_id=one.request_id, response_id=one.reply_id) for one in fields]
         return line_on(
@@ -59,20 +74,124 @@ def try_car(options: SimpleNamespace, controls: Controls) -> None:
         )
 
     database = None if options.dbc is None else open_database(options.dbc, is_lenient=options.lenient)
-    best: tuple[int, Profile] | None = None
+    profile = _best(profiles, opened, database, show)
+    with SignalAsker(profile.asked, profile.asking.together, lambda: opened(profile), options.bitrate) as asker:
+        _measure(asker, options.listen, controls, show)
+        if options.record is not None and not controls.stop.is_set:
+            _record(asker, bus, options, controls, show)
+    words = ["--profile", str(options.profile or profile.name), *_database_words(options)]
+    if options.record is not None:
+        words += _judged(options.record, words, controls, show)
+    show(f"go on with: {PROGRAM} run {shlex.join([*_place_words(options), *words])} --active")
+
+
+def _best(
+    profiles: list[Profile],
+    opened: Callable[[Profile], AbstractContextManager[Line]],
+    database: Database | None,
+    show: Show,
+) -> Profile:
+    """Return the profile of which most is told; raises ControllerError if nothing is."""
+    counts: dict[int, Profile] = {}
     for profile in profiles:
         show(f"profile {profile.name}:")
         with opened(profile) as line:
             told = _told(line, profile, show)
         show(f"  {len(told)} of {len(profile.asked)} signals are told; {_reached(profile, told, database)}")
-        if told and (best is None or len(told) > best[0]):
-            best = len(told), profile
-    if best is None:
+        counts.setdefault(len(told), profile)
+    if not (most := max(counts)):
         raise ControllerError("no controller tells what one of the profiles asks for: it may be asleep, or another one")
-    profile = best[1]
-    with SignalAsker(profile.asked, profile.asking.together, lambda: opened(profile), options.bitrate) as asker:
-        _measure(asker, options.listen, controls, show)
-    show(_way_on(options, profile))
+    return counts[most]
+
+
+def _check_recording(options: SimpleNamespace) -> None:
+    if options.record is None:
+        if options.duration is not None:
+            raise ConfigError("--duration is for --record")
+        return
+    if not options.active:
+        raise ConfigError("--record needs --active: what is not asked for is not told")
+    if options.record.suffix not in LOGS:
+        raise ConfigError(f"--record {options.record}: a log ends with {', '.join(LOGS)}")
+    for path in (options.record, description_path(options.record)):
+        if text := replacement_refusal(path, is_forced=False):
+            raise ConfigError(text)
+
+
+def description_path(log: Path) -> Path:
+    """Return where the description that a log teaches is written: beside it."""
+    return log.with_suffix(".vehicle.toml")
+
+
+class InOrder(can.Listener):
+    """Writes the frames of a bus into a log in the order of their times, which several senders do not keep."""
+
+    def __init__(self, log: can.Listener) -> None:
+        self._log = log
+        self._held: list[tuple[float, int, can.Message]] = []
+        self._count = count()
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Keep a frame for a while."""
+        heappush(self._held, (msg.timestamp, next(self._count), msg))
+        while self._held[0][0] < msg.timestamp - HELD_S:
+            self._log.on_message_received(heappop(self._held)[2])
+
+    def stop(self) -> None:
+        """Write what is left."""
+        while self._held:
+            self._log.on_message_received(heappop(self._held)[2])
+        self._log.stop()
+
+
+def _record(asker: SignalAsker, bus: BusName, options: SimpleNamespace, controls: Controls, show: Show) -> None:
+    """Write what is said on a bus into a log while a car is driven and asked; raises OutputError, SourceError."""
+    path, end_s = options.record, time.monotonic() + (options.duration or float("inf"))
+    until = "until Ctrl-C" if options.duration is None else f"for {options.duration:g} s"
+    show(f"drive now, with gear changes of all gears, pulled and coasted: recorded into {path} {until}")
+    try:
+        log = can.Logger(path)
+    except OSError as exc:
+        raise OutputError(f"cannot record into {path}: {exc.strerror or exc}") from exc
+    with opened_bus(bus) as heard_bus, can.Notifier(heard_bus, [InOrder(log)]) as reader:
+        begun_s = told_s = time.monotonic()
+        while not controls.stop.is_set and (now_s := time.monotonic()) < end_s:
+            if reader.exception is not None:
+                failure = OutputError if isinstance(reader.exception, OSError) else SourceError
+                raise failure(f"recording into {path} ended: {reader.exception}")
+            if now_s > told_s + PROGRESS_S:
+                told_s = now_s
+                show(f"{(now_s - begun_s) / 60.0:.0f} min, {asker.set_count} sets")
+            time.sleep(LOOK_S)
+
+
+def _judged(log: Path, words: list[str], controls: Controls, show: Show) -> list[str]:
+    """Learn the vehicle from its first drive and diagnose it; return the words that name what was learned.
+
+    Each is the command that a person could type. A Ctrl-C that ended the drive does not end this; the next one does.
+    """
+    after, description, named = Controls(), description_path(log), list[str]()
+    drive_is_over = False
+
+    def stop_again() -> None:
+        if drive_is_over:
+            after.stop.set()
+
+    controls.stop.subscribe(stop_again)
+    drive_is_over = True
+    try:
+        _typed(["learn", str(log), *words, "-o", str(description)], after, show)
+        named = ["--vehicle-file", str(description)]
+    except ConfigError as exc:
+        show(str(exc))
+    _typed(["analyze", str(log), *words, *named], after, show)
+    return named
+
+
+def _typed(words: list[str], controls: Controls, show: Show) -> None:
+    show(f"$ {PROGRAM} {shlex.join(words)}")
+    options = parse_arguments(words)
+    import_module(f"diag_service.commands.{words[0]}").execute(options, controls)
 
 
 def _check_adapter(options: SimpleNamespace) -> None:
@@ -83,12 +202,17 @@ def _check_adapter(options: SimpleNamespace) -> None:
         raise ConfigError("give either --adapter or --interface and --channel")
 
 
-def _way_on(options: SimpleNamespace, profile: Profile) -> str:
-    """Return the command that diagnoses what was tried."""
+def _place_words(options: SimpleNamespace) -> list[str]:
+    """Return the words that say where to ask."""
     words = ["--adapter", options.adapter] if options.adapter is not None else []
-    for option, value in (("-i", options.interface), ("-c", options.channel), ("--dbc", options.dbc)):
+    for option, value in (("-i", options.interface), ("-c", options.channel)):
         words += [] if value is None else [option, str(value)]
-    return f"go on with: diag-service run {' '.join(words)} --profile {options.profile or profile.name} --active"
+    return words
+
+
+def _database_words(options: SimpleNamespace) -> list[str]:
+    """Return the words that say what is broadcast."""
+    return [] if options.dbc is None else ["--dbc", str(options.dbc), *(["--lenient"] if options.lenient else [])]
 
 
 def _profiles(named: Path | None) -> list[Profile]:
@@ -118,6 +242,10 @@ def _told(line: Line, profile: Profile, show: Show) -> frozenset[Signal]:
             show(f"  {signal.value}: {question} is not told: {found if isinstance(found, str) else 'left out'}")
             continue
         raw = asked.value(dict(found)[asked.data_id])
+        if raw in profile.sources[signal].invalid:
+            show(f"  {signal.value} has no value now ({question})")
+            told.add(signal)
+            continue
         value = float(to_si(signal, profile.sources[signal], None)(np.array([float(raw)]))[0])
         show(f"  {signal.value} = {value:.{_ROUND}g} ({question})")
         told.add(signal)

@@ -72,7 +72,7 @@ FLUID_FACTORS: Final[Mapping[FluidCondition, tuple[float, float]]] = {
     FluidCondition.CASE_2: (0.85, 1.15),
     FluidCondition.AGEING: _FRESH,  # at the start
 }
-"""Factors on (mu_C, mu_S) of both clutches; docs/model.md, table of parameters."""
+"""Factors on (mu_C, mu_S) of both clutches; clutch_model/calibrations/nominal.toml."""
 
 
 def ageing_factors(cycles: int) -> tuple[tuple[float, float], ...]:

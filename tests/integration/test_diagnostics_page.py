@@ -1,4 +1,4 @@
-"""The Python and the files that docs/diagnostics.md, docs/tester.md and docs/usage.md show do what the pages say.
+"""The Python and the files that docs/diagnostics.md, docs/tester.md and docs/own-car.md show do what the pages say.
 
 Its blocks for odxtools and python-OBD are run where those libraries are: tests/integration/test_uds_pdx.py,
 tests/e2e/test_obd.py.
@@ -84,7 +84,7 @@ def test_a_description_of_ones_own(tmp_path: Path) -> None:
 
 def test_asked_signals_of_a_profile_are_read_as_shown(tmp_path: Path) -> None:
     path = tmp_path / "car.toml"
-    path.write_text(block("toml", "did = ", "docs/usage.md"), encoding="utf-8")
+    path.write_text(block("toml", "did = ", "docs/own-car.md"), encoding="utf-8")
     profile = load_profile(path)
     (asked,) = profile.asked.values()
     assert (asked.number, asked.request_id, asked.is_signed) == (0x38EB, 0x7E1, True)

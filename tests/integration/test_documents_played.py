@@ -139,7 +139,7 @@ BLOCKS = {
     ("docs/diagnostics.md", "python"): "tests/integration/test_diagnostics_page.py",
     ("docs/diagnostics.md", "toml"): "tests/integration/test_diagnostics_page.py",
     ("docs/tester.md", "toml"): "tests/integration/test_diagnostics_page.py",
-    ("docs/usage.md", "toml"): "tests/integration/test_diagnostics_page.py",
+    ("docs/own-car.md", "toml"): "tests/integration/test_diagnostics_page.py",
     ("docs/howto.md", "python"): "tests/integration/test_howto.py",
     ("docs/lake.md", "sql"): "tests/integration/test_lake.py",
     ("docs/page.md", "toml"): "tests/integration/test_fleet_access.py",

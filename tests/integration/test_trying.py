@@ -1,5 +1,8 @@
 """``diag-service try`` before the emulated controller: nothing unless allowed, then values, rate, and how to go on."""
 
+import signal
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -8,11 +11,15 @@ from ecu_emulator.diagnostics.elm327.server import ElmServer
 from tests.integration.test_signal_asking import controller, heard
 from tests.integration.test_tester import vehicle
 from tests.support.in_process import ended
+from tests.support.replay import free_bus
+from tests.support.service import service
+
+DRIVE_S = 25.0
 
 
 def test_without_leave_nothing_is_sent() -> None:
-    with heard("try 1") as ear:
-        run = ended("try", "-i", "virtual", "-c", "try 1", "--listen", "0.05", "--profile", "vw_dsg")
+    with heard("try-1") as ear:
+        run = ended("try", "-i", "virtual", "-c", "try-1", "--listen", "0.05", "--profile", "vw_dsg")
         assert not ear.frames
     assert run.status == 0, run.err
     assert "vw_dsg would ask for 100C at 7E1, 380C at 7E1" in " ".join(run.out.split())
@@ -20,14 +27,14 @@ def test_without_leave_nothing_is_sent() -> None:
 
 
 def test_values_rate_and_how_to_go_on_are_told() -> None:
-    with heard("try 2") as ear, vehicle("try 2", controller()):
-        run = ended("try", "-i", "virtual", "-c", "try 2", "--listen", "0.05", "--profile", "dct_asked", "--active")
+    with heard("try-2") as ear, vehicle("try-2", controller()):
+        run = ended("try", "-i", "virtual", "-c", "try-2", "--listen", "0.05", "--profile", "dct_asked", "--active")
     assert run.status == 0, run.err
     said = " ".join(run.out.split())
     assert "clutch1_pressure_pa = 4e+05 (38EB at 7E1)" in said
-    assert "6 of 6 signals are told; friction beside 6 that are broadcast" in said
+    assert "6 of 6 signals are told; friction beside 7 that are broadcast" in said
     assert "sets a second" in said
-    assert "diag-service run -i virtual -c try 2 --profile dct_asked --active" in said
+    assert "diag-service run -i virtual -c try-2 --profile dct_asked --active" in said
     assert ear.services() == {0x22}
 
 
@@ -40,8 +47,45 @@ def test_an_adapter_is_tried_with_every_profile_that_asks() -> None:
     assert "is refused, request out of range (31)" in " ".join(run.out.split())
 
 
+def test_a_first_drive_is_recorded_learned_from_and_diagnosed(tmp_path: Path) -> None:
+    log, bus = tmp_path / "drive.log", free_bus()
+    place = ("-i", "udp_multicast", "-c", bus.group)
+    words = ("try", *place, "--profile", "dct_asked", "--active", "--listen", "0.5", "--record", log)
+    emulator = (sys.executable, "-m", "ecu_emulator", "run", *place, "--scenario", "case2", "--cycles", "9")
+    with (
+        service(
+            tmp_path / "car", "--cycles", "9", "--answers-like", "vw_dsg", program=emulator, variables=bus.variables
+        ),
+        service(tmp_path / "try", *words, variables=bus.variables) as trial,
+    ):
+        trial.wait_for(lambda: "drive now" in trial.out)
+        time.sleep(DRIVE_S)
+        trial.send(signal.SIGINT)  # ends the drive, not the program
+        run = trial.wait()
+    assert run.status == 0, run.err
+    said = " ".join(run.out.split())
+    learned = log.with_suffix(".vehicle.toml")
+    assert f"$ diag-service learn {log} --profile dct_asked -o {learned} gear" in said
+    assert f"$ diag-service analyze {log} --profile dct_asked --vehicle-file {learned} shift gears" in said
+    assert "There is no verdict on the fluid yet" in said
+    assert said.endswith(f"--profile dct_asked --vehicle-file {learned} --active")
+    times_s = [float(line[1:].split(")")[0]) for line in log.read_text("utf-8").splitlines()]
+    assert times_s == sorted(times_s)
+    with heard("try-3") as ear:
+        refused = ended("try", "-i", "virtual", "-c", "try-3", "--active", "--record", log)
+        assert not ear.frames
+    assert refused.status == 2
+    assert "drive.log" in refused.err
+
+
 @pytest.mark.parametrize(
-    ("words", "text"), [(["--profile", "dct"], "asks for nothing"), (["--adapter", "x"], "--adapter")]
+    ("words", "text"),
+    [
+        (["--profile", "dct"], "asks for nothing"),
+        (["--adapter", "x"], "--adapter"),
+        (["--duration", "3"], "--duration is for --record"),
+        (["-i", "virtual", "-c", "none", "--record", "drive.nolog"], "a log ends with"),
+    ],
 )
 def test_what_cannot_be_tried_is_told(tmp_path: Path, words: list[str], text: str) -> None:
     run = ended("try", *words, "--active", "--listen", "0.05")
