@@ -29,7 +29,9 @@ from canlog.transport import Reassembler, Transfer
 from diag_service.errors import ConfigError
 
 READ_DATA, READ_PID, READ_LOCAL = 0x22, 0x01, 0x21  # UDS, OBD (SAE J1979), KWP2000
+DEFINE_DATA, BY_IDENTIFIER, FORGET = 0x2C, 0x01, 0x03  # UDS: a datum is made of others, and unmade
 POSITIVE, NEGATIVE, PENDING = 0x40, 0x7F, 0x78
+SUB_FUNCTION: Final = 0x7F  # without the bit that asks for no answer
 LATEST_NS: Final = 250_000_000  # of a whole answer after its request: nobody knows when a later one was read
 DISORDER_NS: Final = 1_000_000  # frames of one machine's own and of others are stamped in no exact order
 FUNCTIONAL_ID: Final = 0x7DF
@@ -174,6 +176,7 @@ class Overheard:
         self._pairs = {flagged(one.reply_id): flagged(one.request_id) for one in fields}
         self._ids = np.array(sorted({*self._pairs, *self._pairs.values(), FUNCTIONAL_ID}), np.uint32)
         self._begin()
+        self._defined: dict[DatumId, list[tuple[DatumId, int, int]]] = {}  # data that testers made of others
         self.frame_count = 0  # of requests and answers that gave samples
         self.answered: Counter[DatumId] = Counter()
         self.faults: Counter[str] = Counter()  # of dialogues that gave no sample, by why, for people
@@ -250,7 +253,7 @@ class Overheard:
         if not data:
             return
         if transfer.can_id not in self._pairs:
-            if data[0] in _LARGEST:
+            if data[0] in _LARGEST or data[0] == DEFINE_DATA:
                 self._open[transfer.channel, transfer.can_id] = _Asked(transfer, data[0])
             return
         keys = [(transfer.channel, can_id) for can_id in (self._pairs[transfer.can_id], FUNCTIONAL_ID)]
@@ -277,6 +280,9 @@ class Overheard:
             self.faults["no answer in time"] += 1
             return
         request_id = self._pairs[answer.can_id] & ~_EXTENDED
+        if request.data[0] == DEFINE_DATA:
+            self._define(request.data, request_id)
+            return
         found = data_in(request.data, answer.data, request_id, self._sizes)
         if isinstance(found, str):
             self.faults[found] += 1
@@ -284,10 +290,37 @@ class Overheard:
         middle_ns = (request.last_ns + max(answer.first_ns, request.last_ns)) // 2 // NS_PER_US * NS_PER_US
         t_ns = max(middle_ns, request.last_ns)
         self.frame_count += (request.frames + answer.frames) * bool(found)
-        for datum, data in found:
+        for datum, data in [part for one in found for part in self._parts(*one)]:
             self.answered[datum] += 1
             for column, one in self._fields.get(datum, {}).items():
                 self._samples.append(_Sample(t_ns, answer.channel, column, float(one.value(data))))
+
+    def _define(self, request: bytes, request_id: int) -> None:
+        """Keep what a datum is made of from now on; a definition is added to what there is of it."""
+        datum = DatumId(request_id, READ_DATA, int.from_bytes(request[2:4]))
+        if datum in self._fields:
+            return  # the profile knows better
+        if request[1] & SUB_FUNCTION == BY_IDENTIFIER and len(request) > 4:
+            self._defined.setdefault(datum, []).extend(
+                (DatumId(request_id, READ_DATA, int.from_bytes(piece[:2])), piece[2] - 1, piece[3])
+                for piece in (request[at : at + 4] for at in range(4, len(request) - 3, 4))
+            )
+            self._sizes[datum] = sum(size for _, _, size in self._defined[datum])
+        elif request[1] & SUB_FUNCTION == FORGET:
+            for one in [datum] if len(request) > 2 else list(self._defined):
+                if self._defined.pop(one, None) is not None:
+                    del self._sizes[one]
+
+    def _parts(self, datum: DatumId, data: bytes) -> Iterator[tuple[DatumId, bytes]]:
+        """Yield a datum, or the whole data that it is made of."""
+        if datum not in self._defined:
+            yield datum, data
+            return
+        at = 0
+        for source, start, size in self._defined[datum]:
+            if start == 0 and size == self._sizes.get(source):
+                yield source, data[at : at + size]
+            at += size
 
 
 def data_in(

@@ -226,6 +226,7 @@ class AskingRules:
     """What the controllers of a profile allow whoever asks them."""
 
     together: int = 1  # identifiers in one request of service 22
+    define: bool = False  # what is asked for in every round is made one datum first, by service 2C
 
     def __post_init__(self) -> None:
         if not 1 <= self.together <= MOST_TOGETHER:

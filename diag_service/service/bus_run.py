@@ -147,7 +147,7 @@ def polling(
         if bus.poll is not None:
             raise ConfigError("--poll: this profile asks all the time already, and two testers disturb each other")
         asks: AbstractAsyncContextManager[None] = part("diag_service.parts", "signals")(
-            bus, decoder.asked, decoder.asking.together
+            bus, decoder.asked, decoder.asking
         )
         return asks
     if decoder.asked:

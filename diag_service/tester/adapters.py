@@ -19,6 +19,7 @@ import can
 from canlog.transport.isotp import segments
 from diag_service.errors import ConfigError, ControllerError, RefusedError, SilentError, StoppedError
 from diag_service.mapping.asked_signals import NEGATIVE, PENDING
+from diag_service.mapping.profile import AskingRules
 from diag_service.tester.addresses import CanAddress, hexadecimal, is_extended
 from diag_service.tester.asking import LARGEST_LOGICAL, dialogue_over_ip, parse_doip
 from diag_service.tester.timing import Timing
@@ -217,6 +218,13 @@ def parse_adapter(text: str) -> tuple[str, str, int]:
     raise ConfigError(
         f"--adapter must be elm327://HOST[:PORT], elm327:/dev/NAME or doip://HOST[:PORT]/1011, got {text!r}"
     )
+
+
+def rules_through(adapter: str, rules: AskingRules) -> AskingRules:
+    """Return what can be asked through an adapter: an ELM327 sends single frames only."""
+    if parse_adapter(adapter)[0] != ELM327:
+        return rules
+    return AskingRules(together=min(rules.together, ELM_TOGETHER))
 
 
 @contextmanager

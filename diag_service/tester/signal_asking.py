@@ -1,6 +1,7 @@
 """What a profile has to be asked for, asked while the bus is diagnosed: who asks only asks, the dialogue is overheard.
 
-Sent are the services 22, 01 and 21 alone: nothing that changes a controller, no session. Another tester comes first.
+Sent are the services 22, 01 and 21 alone, and 2C where the profile allows it: nothing that changes what a controller
+does, no session. Another tester comes first.
 """
 
 import asyncio
@@ -20,6 +21,9 @@ from canlog.notice import NOTICE
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ControllerError, DiagServiceError, SilentError, StoppedError
 from diag_service.mapping.asked_signals import (
+    BY_IDENTIFIER,
+    DEFINE_DATA,
+    FORGET,
     LATEST_NS,
     NEGATIVE,
     PENDING,
@@ -30,8 +34,9 @@ from diag_service.mapping.asked_signals import (
     data_in,
     sizes_of,
 )
+from diag_service.mapping.profile import AskingRules
 from diag_service.settings.config import BusConfig
-from diag_service.tester.adapters import ELM327, ELM_TOGETHER, Line, line_through, parse_adapter
+from diag_service.tester.adapters import Line, line_through, rules_through
 from diag_service.tester.addresses import FUNCTIONAL_ID, STANDARD_REQUESTS, CanAddress, id_text, is_extended, is_request
 from diag_service.tester.answers import refusal_text
 from diag_service.tester.asking import LISTEN_S, AskingThread, BusName, opened_bus
@@ -40,11 +45,14 @@ from diag_service.tester.libraries import TimeoutException
 
 MOST_LOAD: Final = 0.05  # of the bus, by requests and answers together
 USUAL_BITRATE: Final = 500_000
+FIRST_DEFINED: Final = 0xF300  # of the numbers that testers may define (ISO 14229-1, annex C)
+MOST_DEFINITIONS: Final = 3  # attempts between two sets: a controller that was reset has forgotten them
 FRAME_BITS: Final = 125  # of eight bytes, with stuff bits, whoever sends it
 FIRST_SLOW: Final = 4  # times that they are asked for without delay: so often a message must come to be believed
 SLOW_S: Final = 1.0  # from question to question for what changes slowly
 ANSWER_S: Final = LATEST_NS / 1e9  # what comes later is no sample
 PENDING_S: Final = 5.0  # after the controller asked for patience
+MOST_PENDING_S: Final = 30.0  # in all: longer it may not answer at all
 BUSY: Final = 0x21
 BUSY_PAUSE_S: Final = 0.1
 MOST_SILENT: Final = 3  # questions in a row
@@ -82,13 +90,28 @@ class Question:
         return ", ".join(map(str, self.data))
 
 
+@dataclass(frozen=True, slots=True)
+class Definition:
+    """A datum that is made of others."""
+
+    address: CanAddress
+    parts: tuple[DatumId, ...]
+
+    def request(self, number: int, sizes: Mapping[DatumId, int]) -> bytes:
+        """Return the request that makes it: all bytes of each part."""
+        parts = (part.number.to_bytes(2) + bytes([1, sizes[part]]) for part in self.parts)
+        return bytes([DEFINE_DATA, BY_IDENTIFIER]) + number.to_bytes(2) + b"".join(parts)
+
+
 @dataclass(slots=True)
 class Plan:
     """What is asked when: fast quantities in every round, slow ones once in a while, so many at once as are taken."""
 
     fields: Mapping[Signal, AskedField]
-    together: int = 1
+    rules: AskingRules = field(default_factory=AskingRules)
+    defined: dict[DatumId, Definition] = field(default_factory=dict)
     refused: set[DatumId] = field(default_factory=set)
+    _fewer: int | None = None  # than the rules say, as a controller wants it
     _slow_s: float = 0.0
     _slow_count: int = 0
 
@@ -104,7 +127,27 @@ class Plan:
     @property
     def fast(self) -> list[Question]:
         """The questions of a round."""
-        return self._questions([one for signal, one in self.fields.items() if signal not in _SLOW])
+        parts = {part for one in self.defined.values() for part in one.parts}
+        return [
+            *(Question(one.address, (datum,)) for datum, one in self.defined.items()),
+            *self._questions([one for one in self._fast_fields() if one.data_id not in parts]),
+        ]
+
+    def definitions(self) -> dict[DatumId, Definition]:
+        """Return the data that are to be made of those of a round, one for each controller that tells several."""
+        by_address: dict[CanAddress, dict[DatumId, None]] = {}
+        for one in self._fast_fields():
+            if one.service == READ_DATA and one.data_id not in self.refused:
+                address = CanAddress(request_id=one.request_id, response_id=one.reply_id)
+                by_address.setdefault(address, {})[one.data_id] = None
+        return {
+            DatumId(address.request_id, READ_DATA, FIRST_DEFINED): Definition(address, tuple(parts))
+            for address, parts in by_address.items()
+            if len(parts) > 1
+        }
+
+    def _fast_fields(self) -> list[AskedField]:
+        return [one for signal, one in self.fields.items() if signal not in _SLOW]
 
     def due(self, now_s: float) -> list[Question]:
         """Return the questions of the next round."""
@@ -118,8 +161,7 @@ class Plan:
     def refuse(self, question: Question, why: str) -> str:
         """Ask for less at once, or for a single datum no more; return what is to be told of that."""
         if len(question.data) > 1:
-            fewer = max(1, len(question.data) // 2)
-            self.together = min(self.together, fewer)
+            self._fewer = max(1, len(question.data) // 2)
             return (
                 f"{id_text(question.address.request_id)} does not take {len(question.data)} identifiers at once: {why}"
             )
@@ -132,7 +174,7 @@ class Plan:
         found: list[Question] = []
         for _, group in groupby(data, key=lambda one: (one.request_id, one.service)):
             own = list(group)
-            width = self.together if own[0].service == READ_DATA else 1
+            width = (self._fewer or self.rules.together) if own[0].service == READ_DATA else 1
             found += [Question(addresses[own[at]], tuple(own[at : at + width])) for at in range(0, len(own), width)]
         return found
 
@@ -147,8 +189,8 @@ class SignalAsker(AskingThread):
 
     Parameters
     ----------
-    fields, together
-        What is asked for, and how many identifiers a controller takes at once.
+    fields, rules
+        What is asked for, and what the controllers allow.
     open_line
         Opens the way to the controllers once nobody else asks there; raises SourceError, ControllerError.
     bitrate
@@ -156,10 +198,11 @@ class SignalAsker(AskingThread):
     """
 
     def __init__(
-        self, fields: Mapping[Signal, AskedField], together: int, open_line: OpenLine, bitrate: int | None = None
+        self, fields: Mapping[Signal, AskedField], rules: AskingRules, open_line: OpenLine, bitrate: int | None = None
     ) -> None:
         super().__init__("signal asker")
-        self.plan = Plan(fields, together)
+        self.plan = Plan(fields, rules)
+        self._definitions_left = 0
         self.sent: Counter[int] = Counter()  # requests, by service
         self.set_count = 0
         self._sizes = sizes_of(fields.values())
@@ -192,7 +235,11 @@ class SignalAsker(AskingThread):
 
     def _rounds(self, line: Line) -> None:
         self._silent.clear()
+        self._forget_definitions()
+        self._definitions_left = MOST_DEFINITIONS if self.plan.rules.define else 0
         while self.goes_on:
+            if self._definitions_left and not self.plan.defined:
+                self._define(line)
             questions = self.plan.due(time.monotonic())
             if not questions:
                 raise ControllerError("everything that the profile asks for is refused")
@@ -203,20 +250,49 @@ class SignalAsker(AskingThread):
                     _LOG.log(NOTICE, "asking goes on")
                     self._trouble, self._pause_s = "", FIRST_PAUSE_S
                 self.set_count += 1
+                if self.plan.defined:
+                    self._definitions_left = MOST_DEFINITIONS
                 self._sets.append(time.monotonic())
                 self._log_rate()
 
-    def _ask(self, line: Line, question: Question) -> bool:
-        """Ask once; return whether it was answered."""
+    def _forget_definitions(self) -> None:
+        for datum in self.plan.defined:
+            del self._sizes[datum]
+        self.plan.defined.clear()
+
+    def _define(self, line: Line) -> None:
+        """Let controllers make one datum of those of a round; where one does not, they are asked for by themselves."""
+        self._definitions_left -= 1
+        for datum, one in self.plan.definitions().items():
+            # What was defined before would stay in front of it; a controller that has none refuses that.
+            self._send(line, bytes([DEFINE_DATA, FORGET]) + datum.number.to_bytes(2), one.address, 1)
+            answer = self._send(line, one.request(datum.number, self._sizes), one.address, 4)
+            if answer is not None and answer[0] == DEFINE_DATA + POSITIVE:
+                self.plan.defined[datum] = one
+                self._sizes[datum] = sum(self._sizes[part] for part in one.parts)
+            elif answer is not None and not self._definitions_left:
+                why = refusal_text(answer[2] if len(answer) > 2 else 0)
+                _LOG.log(NOTICE, "%s makes no datum of others: %s", id_text(one.address.request_id), why)
+
+    def _send(self, line: Line, request: bytes, address: CanAddress, expected_bytes: int) -> bytes | None:
+        """Return the answer to a request, sent when the bus is free for it; None: none came, or asking is over."""
         self._is_over.wait(max(0.0, self._free_s - time.monotonic()))
         if not self.goes_on:
-            return False
-        request, begun_s = question.request, time.monotonic()
+            return None
+        begun_s = time.monotonic()
         self.sent[request[0]] += 1
-        answer = line.ask(request, question.address)
-        expected = 1 + sum(self._sizes[one] + (len(request) - 1) // len(question.data) for one in question.data)
-        frames = frame_count(len(request)) + frame_count(expected if answer is None else len(answer))
+        answer = line.ask(request, address)
+        frames = frame_count(len(request)) + frame_count(expected_bytes if answer is None else len(answer))
         self._free_s = begun_s + frames * FRAME_BITS / self._bits_per_s
+        return answer
+
+    def _ask(self, line: Line, question: Question) -> bool:
+        """Ask once; return whether it was answered."""
+        request = question.request
+        expected = 1 + sum(self._sizes[one] + (len(request) - 1) // len(question.data) for one in question.data)
+        answer = self._send(line, request, question.address, expected)
+        if answer is None and not self.goes_on:
+            return False
         if answer is None:
             self._leave_alone(question.address)
             return False
@@ -228,6 +304,9 @@ class SignalAsker(AskingThread):
         code = answer[2] if answer[0] == NEGATIVE and len(answer) > 2 else 0
         if code == BUSY:
             self._free_s = time.monotonic() + BUSY_PAUSE_S
+        elif question.data[0] in self.plan.defined:
+            _LOG.log(NOTICE, "%s is not there any more (%s): it is defined anew", question, refusal_text(code))
+            self._forget_definitions()
         else:
             _LOG.log(NOTICE, "%s", self.plan.refuse(question, refusal_text(code)))
         return False
@@ -335,8 +414,8 @@ class CanLine:
             connection.specific_send(request)
         except SilentError:
             return None
-        wait_s = ANSWER_S
-        while True:
+        wait_s, until_s = ANSWER_S, time.monotonic() + MOST_PENDING_S
+        while time.monotonic() < until_s:
             try:
                 answer = connection.specific_wait_frame(wait_s)
             except TimeoutException:
@@ -346,6 +425,7 @@ class CanLine:
                 wait_s = PENDING_S
             elif is_refusal or answer[:1] == bytes([request[0] + POSITIVE]):
                 return answer
+        return None
 
 
 @contextmanager
@@ -365,18 +445,18 @@ def line_on(
 
 
 @asynccontextmanager
-async def asking(bus: BusConfig, fields: Mapping[Signal, AskedField], together: int) -> AsyncIterator[None]:
+async def asking(bus: BusConfig, fields: Mapping[Signal, AskedField], rules: AskingRules) -> AsyncIterator[None]:
     """Ask for signals until the block ends."""
     own = BusName(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, is_fd=bus.is_fd)
     addresses = [CanAddress(request_id=one.request_id, response_id=one.reply_id) for one in fields.values()]
     open_line: OpenLine
     if bus.adapter is not None:
         adapter, channel = bus.adapter, bus.channel or ""
-        together = min(together, ELM_TOGETHER) if parse_adapter(adapter)[0] == ELM327 else together
+        rules = rules_through(adapter, rules)
         open_line = lambda: line_through(adapter, channel, lambda: asker.goes_on)  # noqa: E731 - one of two
     else:
         open_line = lambda: line_on(own, addresses, is_fd=bus.is_fd, goes_on=lambda: asker.goes_on)  # noqa: E731
-    asker = SignalAsker(fields, together, open_line, bus.bitrate)
+    asker = SignalAsker(fields, rules, open_line, bus.bitrate)
     with asker:
         try:
             yield

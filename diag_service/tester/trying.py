@@ -26,10 +26,10 @@ from diag_service.errors import ConfigError, ControllerError
 from diag_service.mapping.asked_signals import NEGATIVE, data_in, sizes_of
 from diag_service.mapping.databases import open_database
 from diag_service.mapping.interpretation import fit_of
-from diag_service.mapping.profile import Profile, find_profile, load_shipped, shipped_profiles, to_si
+from diag_service.mapping.profile import AskingRules, Profile, find_profile, load_shipped, shipped_profiles, to_si
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.service.stopping import Controls
-from diag_service.tester.adapters import Line, line_through, parse_adapter
+from diag_service.tester.adapters import Line, line_through, parse_adapter, rules_through
 from diag_service.tester.addresses import CanAddress, id_text
 from diag_service.tester.answers import refusal_text
 from diag_service.tester.asking import BusName, check_time, heard, opened_bus
@@ -61,7 +61,9 @@ def try_car(options: SimpleNamespace, controls: Controls) -> None:
         for profile in profiles:
             asked = ", ".join(dict.fromkeys(str(one.data_id) for one in profile.asked.values()))
             show(f"{profile.name} would ask for {asked}")
-        show("nothing was sent; with --active these questions are asked, by services 22, 01 and 21 alone")
+        show(
+            "nothing was sent; with --active these are asked for by services 22, 01 and 21 (2C if the profile says so)"
+        )
         return
 
     def opened(profile: Profile) -> AbstractContextManager[Line]:
@@ -75,7 +77,7 @@ def try_car(options: SimpleNamespace, controls: Controls) -> None:
 
     database = None if options.dbc is None else open_database(options.dbc, is_lenient=options.lenient)
     profile = _best(profiles, opened, database, show)
-    with SignalAsker(profile.asked, profile.asking.together, lambda: opened(profile), options.bitrate) as asker:
+    with SignalAsker(profile.asked, _rules(options, profile), lambda: opened(profile), options.bitrate) as asker:
         _measure(asker, options.listen, controls, show)
         if options.record is not None and not controls.stop.is_set:
             _record(asker, bus, options, controls, show)
@@ -102,6 +104,10 @@ def _best(
     if not (most := max(counts)):
         raise ControllerError("no controller tells what one of the profiles asks for: it may be asleep, or another one")
     return counts[most]
+
+
+def _rules(options: SimpleNamespace, profile: Profile) -> AskingRules:
+    return profile.asking if options.adapter is None else rules_through(options.adapter, profile.asking)
 
 
 def _check_recording(options: SimpleNamespace) -> None:
@@ -226,7 +232,7 @@ def _told(line: Line, profile: Profile, show: Show) -> frozenset[Signal]:
     """Ask for each signal once, and show what is told."""
     sizes, silent, told = sizes_of(profile.asked.values()), set[CanAddress](), set[Signal]()
     for signal, asked in profile.asked.items():
-        (question,) = Plan({signal: asked}, 1).due(0.0)
+        (question,) = Plan({signal: asked}).due(0.0)
         if question.address in silent:
             continue
         answer = line.ask(question.request, question.address)

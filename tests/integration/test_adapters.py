@@ -7,32 +7,21 @@ import numpy as np
 import pytest
 
 from canlog.database.signal_columns import column_id
-from canlog.frames import EXTENDED_FLAG, FrameBatch, join
+from canlog.frames import EXTENDED_FLAG, join
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.asked_signals import Overheard
-from diag_service.mapping.profile import load_shipped
+from diag_service.mapping.profile import AskingRules, load_shipped
 from diag_service.tester.adapters import ELM_TOGETHER, line_through, messages_in, parse_adapter
 from diag_service.tester.signal_asking import SignalAsker
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.elm327.server import ElmServer
 from tests.integration.test_signal_asking import controller, wait_for
+from tests.support.asked import batch_of
 from tests.support.doip.tester import free_port
 
 ASKED = load_shipped("dct_asked").asked
-
-
-def batch_of(messages: list[can.Message]) -> FrameBatch:
-    data = np.zeros((len(messages), 8), np.uint8)
-    for row, one in enumerate(messages):
-        data[row, : len(one.data)] = list(one.data)
-    return FrameBatch(
-        t_ns=np.array([round(one.timestamp * 1e6) * 1000 for one in messages], np.int64),
-        can_id=np.array([one.arbitration_id for one in messages], np.uint32),
-        length=np.array([len(one.data) for one in messages], np.uint8),
-        data=data,
-    )
 
 
 def overheard(channel: str, asker: Callable[[], SignalAsker]) -> dict[Signal, float]:
@@ -49,7 +38,7 @@ def overheard(channel: str, asker: Callable[[], SignalAsker]) -> dict[Signal, fl
 
 
 def asking(adapter: str, channel: str, together: int) -> SignalAsker:
-    return SignalAsker(ASKED, together, lambda: line_through(adapter, channel))
+    return SignalAsker(ASKED, AskingRules(together=together), lambda: line_through(adapter, channel))
 
 
 def check(values: dict[Signal, float]) -> None:

@@ -49,13 +49,15 @@ def piecewise(log: Path, profile: Path) -> list[float]:
     return [one.estimate.friction.mu_c for one in found if one.estimate.friction is not None]
 
 
-@pytest.mark.parametrize("is_mixed", [False, True])
-def test_friction_is_found_from_answers_alone_and_beside_broadcast_frames(log: Path, *, is_mixed: bool) -> None:
+@pytest.mark.parametrize(("is_mixed", "is_defined"), [(False, False), (True, False), (False, True)])
+def test_friction_is_found_from_answers_alone_and_beside_broadcast_frames(
+    log: Path, *, is_mixed: bool, is_defined: bool
+) -> None:
     text = DSG
     if is_mixed:
         text = "\n".join(line for line in DSG.splitlines() if not line.startswith(ON_THE_BUS)) + BROADCAST
     profile = asked_profile(log.parent, text)
-    dialogue = dialogue_of(drive_of(log), profile, np.random.default_rng(1))
+    dialogue = dialogue_of(drive_of(log), profile, np.random.default_rng(1), is_defined=is_defined)
     asked = log.with_name("asked.log")
     write_candump(asked, merged(*read_log(log), dialogue) if is_mixed else dialogue)
     profile_path = log.with_name("asked.toml")

@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
@@ -13,13 +14,16 @@ import pytest
 
 from canlog.notice import NOTICE
 from diag_service.diagnosis.columns import Signal
-from diag_service.mapping.profile import Profile, load_profile, load_shipped
+from diag_service.mapping.asked_signals import Overheard
+from diag_service.mapping.profile import AskingRules, Profile, load_profile, load_shipped
+from diag_service.tester import signal_asking
 from diag_service.tester.addresses import CanAddress
 from diag_service.tester.signal_asking import Plan, SignalAsker, line_on
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.table_file import personalities, table_like
 from ecu_emulator.errors import ConfigError
 from tests.integration.test_tester import vehicle
+from tests.support.asked import batch_of
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 
@@ -35,8 +39,10 @@ ALLOWED = {0x22, 0x01, 0x21, 0x3E}
 NUMBERS = count()
 
 
-def controller(values: Mapping[str, float] = VALUES) -> Controller:
-    return Controller(table_like("vw_dsg"), values=lambda: values, clock=time.monotonic, chance=secrets.token_bytes)
+def controller(values: Mapping[str, float] = VALUES, without: int | None = None) -> Controller:
+    table = table_like("vw_dsg")
+    table = replace(table, services={number: one for number, one in table.services.items() if number != without})
+    return Controller(table, values=lambda: values, clock=time.monotonic, chance=secrets.token_bytes)
 
 
 class Ear:
@@ -56,12 +62,14 @@ class Ear:
 
 
 @contextmanager
-def asked(profile: Profile, channel: str, *, together: int = 8, listen_s: float = 0.05) -> Iterator[SignalAsker]:
+def asked(
+    profile: Profile, channel: str, *, together: int = 8, listen_s: float = 0.05, define: bool = False
+) -> Iterator[SignalAsker]:
     addresses = [CanAddress(request_id=one.request_id, response_id=one.reply_id) for one in profile.asked.values()]
     with can.Bus(channel, "virtual") as bus:
         asker = SignalAsker(
             profile.asked,
-            together,
+            AskingRules(together=together, define=define),
             lambda: line_on(bus, addresses, is_fd=False, listen_s=listen_s, goes_on=lambda: asker.goes_on),
         )
         with asker:
@@ -92,6 +100,34 @@ def test_only_reading_services_are_sent_whatever_happens(channel: str) -> None:
         wait_for(lambda: asker.set_count >= 5)
     assert ear.services() <= ALLOWED
     assert set(asker.sent) == {0x22}
+
+
+def test_where_the_profile_allows_it_a_round_is_one_datum_that_the_controller_was_told_to_make(channel: str) -> None:
+    profile, car = load_shipped("dct_asked"), controller()
+    with heard(channel) as ear, vehicle(channel, car), asked(profile, channel, define=True) as asker:
+        wait_for(lambda: asker.set_count >= 5)
+        assert [str(one) for one in asker.plan.fast] == ["F300 at 7E1"]
+        assert set(asker.sent) == {0x22, 0x2C}
+        car.ask(bytes.fromhex("2C03F300"))  # as a reset does
+        count = asker.set_count
+        wait_for(lambda: asker.sent[0x2C] == 4 and asker.set_count > count + 5)
+    assert ear.services() == {0x22, 0x2C}
+    reader = Overheard(list(profile.asked.values()))
+    for _ in [*reader.feed(batch_of(ear.frames)), *reader.drain()]:
+        pass
+    assert reader.answered.keys() == {one.data_id for one in profile.asked.values()}
+    assert reader.faults.keys() <= {"refused with 31"}  # to forget what was never defined
+
+
+def test_a_controller_that_makes_no_data_is_asked_for_each(channel: str, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(NOTICE)
+    with (
+        vehicle(channel, controller(without=0x2C)),
+        asked(load_shipped("dct_asked"), channel, define=True) as asker,
+    ):
+        wait_for(lambda: asker.set_count >= 3)
+        assert len(asker.plan.fast[0].data) == 5
+    assert "7E1 makes no datum of others: service not supported (11)" in caplog.text
 
 
 @pytest.mark.parametrize("together", [1, 8])
@@ -132,6 +168,46 @@ def test_another_tester_makes_it_silent_until_that_one_is_gone(channel: str, cap
         wait_for(lambda: asker.sent.total() > sent)
 
 
+class Pending:
+    """A controller that asks for patience, twice or for ever, before it tells a pressure."""
+
+    def __init__(self, bus: can.BusABC, count: int) -> None:
+        self._bus, self._left = bus, count
+
+    def __call__(self, message: can.Message) -> None:
+        if message.arbitration_id == 0x7E1 and message.data[1] == 0x22:
+            while self._left:
+                self._left -= 1
+                self._say("03 7F 22 78")
+                time.sleep(0.15)
+            self._say("05 62 38 EB 01 90")
+
+    def _say(self, text: str) -> None:
+        self._bus.send(can.Message(arbitration_id=0x7E9, is_extended_id=False, data=bytes.fromhex(text)))
+
+
+@pytest.mark.parametrize("most_s", [30.0, 0.2])
+def test_a_controller_that_asks_for_patience_is_waited_for_but_tells_no_sample_late(
+    channel: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most_s: float
+) -> None:
+    monkeypatch.setattr(signal_asking, "MOST_PENDING_S", most_s)
+    path = tmp_path / "one.toml"
+    path.write_text('[signals]\nclutch1_pressure_pa = { did = 0x38EB, at = "7E1", unit = "bar" }\n', encoding="utf-8")
+    profile = load_profile(path)
+    with (
+        heard(channel) as ear,
+        can.Bus(channel, "virtual") as near,
+        can.Notifier(near, [Pending(near, 3)], timeout=0.05),
+        asked(profile, channel) as asker,
+    ):
+        wait_for(lambda: asker.set_count >= 3)
+    reader = Overheard(list(profile.asked.values()))
+    for _ in [*reader.feed(batch_of(ear.frames)), *reader.drain()]:
+        pass
+    assert reader.faults["no answer in time"] >= (most_s > 1.0)  # who gives up asks anew, and that is answered
+    assert reader.answered.total() >= 2
+
+
 def test_a_controller_that_comes_back_is_asked_again(channel: str, caplog: pytest.LogCaptureFixture) -> None:
     with asked(load_shipped("dct_asked"), channel) as asker:
         wait_for(lambda: "asking is interrupted" in caplog.text)
@@ -155,7 +231,7 @@ def test_a_controller_that_is_silent_keeps_no_other_from_being_asked(
 
 def test_temperatures_are_asked_for_rarely() -> None:
     profile = load_shipped("dct_asked")
-    plan = Plan(profile.asked, together=3)
+    plan = Plan(profile.asked, AskingRules(together=3))
     assert [len(one.data) for one in plan.fast] == [3, 2]
     rounds = [len(plan.due(0.02 * number)) for number in range(100)]
     assert sum(number == 3 for number in rounds) == 4 + 2

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import can
 import numpy as np
 
 from canlog.arrays import Series
@@ -16,6 +17,7 @@ from diag_service.mapping.profile import Profile, SignalSource, load_profile, to
 FRAME_NS = 250_000  # on the bus, with what the controller needs between two
 FLOW_CONTROL = bytes([0x30, 0, 0])
 NS_PER_S = 1_000_000_000
+DEFINED = 0xF300
 
 DSG = """
 name = "asked"
@@ -83,10 +85,12 @@ def dialogue_of(
     answer_s: tuple[float, float] = (0.005, 0.04),
     most_per_s: float | None = None,
     together: int | None = None,
+    is_defined: bool = False,
 ) -> FrameBatch:
     """Return the frames by which a tester asks for what a profile names, with what a drive has at those times.
 
-    A value is read some time between its request and its answer. Temperatures are asked for once a second.
+    A value is read some time between its request and its answer. Temperatures are asked for once a second. With
+    ``is_defined`` the controller makes one datum of all others first, by service 2C.
     """
     sources = {one.asked.data_id: (signal, one) for signal, one in profile.sources.items() if one.is_asked}
     sizes = sizes_of(profile.asked.values())
@@ -97,6 +101,8 @@ def dialogue_of(
     first_ns = max(int(drive[signal].t_ns[0]) for signal, _ in sources.values()) + NS_PER_S // 5
     last_ns = min(int(drive[signal].t_ns[-1]) for signal, _ in sources.values())
     wire, slow_due_ns = Wire(t_ns=first_ns), first_ns
+    if is_defined:
+        _define(wire, fast, sources, sizes)
     while wire.t_ns < last_ns:
         wanted = list(sets)
         if wire.t_ns >= slow_due_ns and slow:
@@ -104,10 +110,23 @@ def dialogue_of(
             slow_due_ns += NS_PER_S
         for data in wanted:
             began_ns = wire.t_ns
-            _exchange(wire, data, sources, sizes, drive, rng, answer_s)
+            _exchange(wire, data, sources, sizes, drive, rng, answer_s, is_defined=is_defined and data is not slow)
             if most_per_s is not None:
                 wire.t_ns = max(wire.t_ns, began_ns + round(len(data) * NS_PER_S / most_per_s))
     return wire.batch
+
+
+def _define(
+    wire: Wire,
+    data: Sequence[DatumId],
+    sources: Mapping[DatumId, tuple[Signal, SignalSource]],
+    sizes: Mapping[DatumId, int],
+) -> None:
+    one = sources[data[0]][1].asked
+    parts = b"".join(datum.number.to_bytes(2) + bytes([1, sizes[datum]]) for datum in data)
+    wire.say(b"\x2c\x01" + DEFINED.to_bytes(2) + parts, one.request_id, one.reply_id)
+    wire.t_ns += 10_000_000
+    wire.say(b"\x6c\x01" + DEFINED.to_bytes(2), one.reply_id, one.request_id)
 
 
 def _exchange(
@@ -118,18 +137,21 @@ def _exchange(
     drive: Mapping[Signal, Series],
     rng: np.random.Generator,
     answer_s: tuple[float, float],
+    *,
+    is_defined: bool,
 ) -> None:
     one = sources[data[0]][1].asked
-    request = bytes([one.service]) + b"".join(datum.number.to_bytes(2) for datum in data)
+    numbers = b"" if is_defined else b"".join(datum.number.to_bytes(2) for datum in data)
+    request = bytes([one.service]) + (DEFINED.to_bytes(2) if is_defined else numbers)
     wire.say(request, one.request_id, one.reply_id)
     asked_ns = wire.t_ns
     wire.t_ns += round(rng.uniform(*answer_s) * NS_PER_S)
-    answer = bytes([one.service + 0x40])
+    answer = bytes([one.service + 0x40]) + (DEFINED.to_bytes(2) if is_defined else b"")
     read_ns = round(rng.uniform(asked_ns, wire.t_ns))
     for datum in data:
         signal, source = sources[datum]
         raw = raw_value(signal, source, held(drive[signal], read_ns))
-        answer += datum.number.to_bytes(2) + raw.to_bytes(sizes[datum], signed=source.signed)
+        answer += (b"" if is_defined else datum.number.to_bytes(2)) + raw.to_bytes(sizes[datum], signed=source.signed)
     wire.say(answer, one.reply_id, one.request_id)
 
 
@@ -150,6 +172,19 @@ def merged(*batches: FrameBatch) -> FrameBatch:
     """Return the frames of several batches in the order of time."""
     one = join(batches)
     return one[np.argsort(one.t_ns, kind="stable")]
+
+
+def batch_of(messages: list[can.Message]) -> FrameBatch:
+    """Return messages of python-can as columns."""
+    data = np.zeros((len(messages), 8), np.uint8)
+    for row, one in enumerate(messages):
+        data[row, : len(one.data)] = list(one.data)
+    return FrameBatch(
+        t_ns=np.array([round(one.timestamp * 1e6) * 1000 for one in messages], np.int64),
+        can_id=np.array([one.arbitration_id for one in messages], np.uint32),
+        length=np.array([len(one.data) for one in messages], np.uint8),
+        data=data,
+    )
 
 
 def write_candump(path: Path, batch: FrameBatch) -> None:
