@@ -10,6 +10,7 @@ from typing import Final
 from fleet_backend.rows import (
     Poison,
     Row,
+    calibration_rows,
     controller_row,
     fill_rows,
     metrics_row,
@@ -71,12 +72,12 @@ class Taken:
     kind: MessageKind
     row: Row  # of several: what is common to them
     fills: Sequence[Row] = ()
+    calibrations: Sequence[Row] = ()
     receipt: Receipt | None = None
 
 
 _STATES: Final[Mapping[Channel, tuple[MessageKind, Callable[[Mapping[str, object]], Row]]]] = MappingProxyType(
     {
-        Channel.STATUS: (MessageKind.STATUS, status_row),
         Channel.METRICS: (MessageKind.METRICS, metrics_row),
         Channel.CONTROLLER: (MessageKind.CONTROLLER, controller_row),
     }
@@ -113,6 +114,9 @@ def _take(message: Message, address: Address, received_at: datetime) -> Taken:
     channel, data = address.channel, incoming.data
     if channel is Channel.SHIFT and incoming.key is not None:
         return Taken(message=message, kind=MessageKind.SHIFT, row=shift_row(data), receipt=Receipt(key=incoming.key))
+    if channel is Channel.STATUS:
+        told = calibration_rows(data)
+        return Taken(message=message, kind=MessageKind.STATUS, row=status_row(data), calibrations=told)
     if channel in _STATES:
         kind, row_of = _STATES[channel]
         return Taken(message=message, kind=kind, row=row_of(data))
@@ -144,6 +148,7 @@ def batch_of(taken: Sequence[Taken]) -> Batch:
     return Batch(
         shifts=rows[MessageKind.SHIFT],
         statuses=rows[MessageKind.STATUS],
+        calibrations=[row for item in taken for row in item.calibrations],
         metrics=rows[MessageKind.METRICS],
         controllers=rows[MessageKind.CONTROLLER],
         fills=[row for item in taken for row in item.fills],

@@ -137,6 +137,14 @@ def status_row(data: Mapping[str, object]) -> Row:
     }
 
 
+def calibration_rows(data: Mapping[str, object]) -> list[Row]:
+    """Return the row of what the status of a service says of its calibration; none by older programs."""
+    if (told := data.get("calibration")) is None:
+        return []
+    names = ("vehicle", "calibration_version")
+    return [{**{name: data[name] for name in names}, "content": json.dumps(told)}]
+
+
 def fill_rows(data: Mapping[str, object]) -> list[Row]:
     """Return the rows of the fluid fills that a vehicle knows; of those that are taken back the key alone."""
     fills, withdrawn = data["fills"], data.get("withdrawn", [])

@@ -192,6 +192,14 @@ WITHDRAWN_FILL: Final = Table(  # noted by mistake; they are in the table of fil
     Column("filled_at", UtcDateTime, primary_key=True),
 )
 
+CALIBRATION: Final = Table(  # as the status of a service tells it: a vehicle speaks for itself alone
+    "calibration",
+    METADATA,
+    Column("vehicle", Text, primary_key=True),
+    Column("calibration_version", Text, primary_key=True),
+    Column("content", Text, nullable=False),  # JSON object: the type, and the friction of each clutch when new
+)
+
 VEHICLE_LOT: Final = Table(
     "vehicle_lot",
     METADATA,

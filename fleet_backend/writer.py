@@ -15,7 +15,16 @@ from fleet_backend.copying import copy_results
 from fleet_backend.database import transaction
 from fleet_backend.errors import RowRefusedError
 from fleet_backend.rows import Row, told_fill
-from fleet_backend.schema import CLUTCH, FLUID_FILL, KEY_COLUMNS, QUARANTINE, SHIFT_RESULT, VEHICLE, WITHDRAWN_FILL
+from fleet_backend.schema import (
+    CALIBRATION,
+    CLUTCH,
+    FLUID_FILL,
+    KEY_COLUMNS,
+    QUARANTINE,
+    SHIFT_RESULT,
+    VEHICLE,
+    WITHDRAWN_FILL,
+)
 from fleet_contract import JsonObject
 
 _MAX_KNOWN: Final = 100_000  # clutches that a worker remembers to have stored
@@ -27,6 +36,7 @@ class Batch:
 
     shifts: Sequence[Row] = ()
     statuses: Sequence[Row] = ()
+    calibrations: Sequence[Row] = ()
     metrics: Sequence[Row] = ()
     controllers: Sequence[Row] = ()
     fills: Sequence[Row] = ()
@@ -46,7 +56,7 @@ class Writer:
         self._controller = _later_wins(make(VEHICLE), "controller")
         self._first_comes = {
             table.name: make(table).on_conflict_do_nothing()
-            for table in (VEHICLE, CLUTCH, FLUID_FILL, WITHDRAWN_FILL, QUARANTINE)
+            for table in (VEHICLE, CALIBRATION, CLUTCH, FLUID_FILL, WITHDRAWN_FILL, QUARANTINE)
         }
 
     def store(self, batch: Batch) -> None:
@@ -90,6 +100,7 @@ class Writer:
             self._put(connection, VEHICLE, [{"vehicle": vehicle} for vehicle in sorted(map(str, vehicles))])
             self._put(connection, CLUTCH, [{"vehicle": v, "clutch": c} for v, c in sorted(clutches, key=str)])
             _execute(connection, self._status, _sorted(batch.statuses, "vehicle"))
+            self._put(connection, CALIBRATION, _sorted(batch.calibrations, "vehicle", "calibration_version"))
             _execute(connection, self._metrics, _sorted(batch.metrics, "vehicle"))
             _execute(connection, self._controller, _sorted(batch.controllers, "vehicle"))
             self._put_results(connection, batch.shifts)

@@ -376,6 +376,7 @@ _HISTORY: Final = Command(
     _VEHICLE,
     Option("--clutch", "only this clutch", Choice([1, 2])),
     Option("--rows N", "events per clutch in the table, evenly spread (default: 20)", INT, default=20),
+    Option("--calibration FILE", "that made the results (TOML; default: nominal)", FILE),
     Option("--peers FILE", "begin prognoses with what a fleet taught: fleet-backend peers --write", FILE),
     Option("--json", "JSON lines on standard output: every event, then the fluid fills"),
     VERBOSE,

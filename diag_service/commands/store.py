@@ -11,7 +11,7 @@ from typing import Final
 
 from canlog.logs import STANDARD_INPUT
 from canlog.logs.reading import Watch
-from clutch_model.calibration import nominal_calibration
+from clutch_model.calibration import nominal_calibration, read_calibration
 from clutchdiag_io.files import legible, replacement_refusal
 from diag_service.console.terminal import PeopleConsole, ReadingLine
 from diag_service.diagnosis.prognosis import Population, population_from
@@ -36,7 +36,8 @@ def history(options: SimpleNamespace, controls: Controls) -> None:
     if options.rows < 1:
         raise ConfigError(f"--rows must be 1 or more, got {options.rows}")
     population = None if options.peers is None else _population(options.peers)
-    found = findings_of_store(options.store, options.vehicle, nominal_calibration())
+    calibration = nominal_calibration() if options.calibration is None else read_calibration(options.calibration)
+    found = findings_of_store(options.store, options.vehicle, calibration)
     clutches = (1, 2) if options.clutch is None else (options.clutch,)
     if options.json:
         for record in history_records(found, clutches):

@@ -351,6 +351,7 @@ class ServiceStatus:
     service_version: str
     algorithm_version: str
     calibration_version: str
+    calibration: JsonObject | None = None  # its type, and the friction of its clutches with new fluid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -408,7 +409,7 @@ def status_record(status: ServiceStatus) -> JsonObject:
     """Return the public form of the service's status."""
     word = "online" if status.is_online else "offline"
     record = {**to_plain(status), "schema": Channel.STATUS.schema_name, "status": word}
-    return _in_published_order(record, Channel.STATUS)
+    return {key: value for key, value in _in_published_order(record, Channel.STATUS).items() if value is not None}
 
 
 def dump(record: Mapping[str, object]) -> str:

@@ -117,12 +117,13 @@ def history_lines(
 def _outlook(found: Findings, population: Population | None) -> Text:
     """Return how far the fluid will go by the clutches that have engaged; new fluid is that of the calibration."""
     if found.calibration is None:
-        return Text("No prognosis: the calibration of these results is not the shipped one.")
+        return Text("No prognosis: these results are of another calibration; --calibration names it.")
     outlooks, known = [], ""
     for clutch in sorted({result.estimate.clutch for result in found.results}):
         past, peers = history_of(found.results, found.fills, clutch), None
         if population is not None:
-            vehicle_type, fluid = found.versions.calibration, found.fills[-1].product if found.fills else None
+            vehicle_type = population.name_of(found.calibration.name, found.versions.calibration)
+            fluid = found.fills[-1].product if found.fills else None
             past, peers = without(past, population.common.get(vehicle_type)), population.of(vehicle_type, fluid)
         outlooks.append(prognose(clutch, past, found.calibration.clutches[clutch - 1].friction, peers=peers))
         known = "" if peers is None else f" Before its own results: as {peers.life_count} lives of its peers."

@@ -8,6 +8,7 @@ from collections.abc import Callable, Coroutine, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractAsyncContextManager, closing, contextmanager
 from contextvars import copy_context
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
@@ -83,6 +84,10 @@ def outbox_of(config: DiagnosisConfig, store: ResultStore, session: Session, *, 
         service_version=version("clutchdiag"),
         algorithm_version=versions.algorithm,
         calibration_version=versions.calibration,
+        calibration={
+            "vehicle_type": config.calibration.name,
+            "new_friction": [asdict(one.friction) for one in config.calibration.clutches],
+        },
     )
     connector = MqttConnector(
         config.broker,

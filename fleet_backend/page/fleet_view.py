@@ -8,7 +8,6 @@ from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
 from fleet_backend.page.cache import Same
 from fleet_backend.page.listing import Wanted, matching, part_of
-from fleet_backend.page.outlook import type_of
 from fleet_backend.page.records import ClutchNow, FleetAnswer, Severity
 from fleet_backend.page.view import Choice, Shown, Sources, View
 
@@ -101,7 +100,7 @@ def choices(ask: Ask, sources: Sources) -> tuple[Choice, ...]:
     lists = (
         ("condition", "Verdict", conditions),
         ("fluid", "Fluid", [(one, one) for one in snapshot.fluids]),
-        ("calibration", "Type", [(one, type_of(one)) for one in snapshot.calibrations]),
+        ("calibration", "Type", [(one, one) for one in snapshot.types]),
     )
     return (
         Choice(name="q", label="Vehicle", value=ask.text("q") or ""),

@@ -83,7 +83,7 @@ class Snapshot:
     usual: Mapping[ClutchGroup, Usual] = field(default_factory=lambda: MappingProxyType({}))
     usual_at: datetime = _NEVER
     fluids: tuple[str, ...] = ()
-    calibrations: tuple[str, ...] = ()
+    types: tuple[str, ...] = ()
 
 
 class Keeper:
@@ -132,7 +132,7 @@ class Keeper:
         }
         number = last.number + (1 if changed else 0)
         is_usual_old = now - last.usual_at >= USUAL_FOR
-        fluids, calibrations = choices_of(clutches)
+        fluids, types = choices_of(clutches)
         self._snapshot = Snapshot(
             clutches=clutches,
             read_at=now,
@@ -142,7 +142,7 @@ class Keeper:
             usual=usual_of(clutches) if is_usual_old else last.usual,
             usual_at=now if is_usual_old else last.usual_at,
             fluids=fluids,
-            calibrations=calibrations,
+            types=types,
         )
         return bool(changed)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final
 
+from fleet_backend.page.calibrations import type_of
 from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.records import ClutchNow, Severity
 
@@ -25,7 +26,7 @@ class Wanted:
     name_part: str | None = None
     condition: str | None = None
     fluid: str | None = None
-    calibration: str | None = None
+    calibration: str | None = None  # its version, or the type that it describes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +61,7 @@ def matching(clutches: Sequence[ClutchNow], wanted: Wanted) -> list[ClutchNow]:
     if wanted.fluid is not None:
         found = [now for now in found if now.fluid == wanted.fluid]
     if wanted.calibration is not None:
-        found = [now for now in found if now.calibration_version == wanted.calibration]
+        found = [now for now in found if wanted.calibration in {now.calibration_version, vehicle_type(now)}]
     return found
 
 
@@ -113,9 +114,14 @@ def _decoded(word: str) -> object:
 
 
 def choices_of(clutches: Collection[ClutchNow]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the fluids and the calibrations that there are."""
+    """Return the fluids and the vehicle types that there are."""
     fluids = {now.fluid for now in clutches} - {None}
-    return tuple(sorted(map(str, fluids))), tuple(sorted({now.calibration_version for now in clutches}))
+    return tuple(sorted(map(str, fluids))), tuple(sorted(set(map(vehicle_type, clutches))))
+
+
+def vehicle_type(now: ClutchNow) -> str:
+    """Return of what type a vehicle is."""
+    return type_of(now.vehicle, now.calibration_version)
 
 
 def read_moment(word: str, kinds: Sequence[type]) -> tuple[datetime, list[object]]:

@@ -1,11 +1,8 @@
 """Where the fleet meets the pure diagnosis: rows of the database become results again, and those a prognosis."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cache
 from typing import Any, Final
 
-from clutch_model.calibration import Calibration, FrictionCurve, nominal_calibration
-from clutch_model.fingerprint import fingerprint
 from diag_service.diagnosis.prognosis import Prognosis, history_of_estimates, prognose, without
 from diag_service.diagnosis.prognosis.sentence import outlook_line, soonest
 from diag_service.diagnosis.records import (
@@ -16,6 +13,7 @@ from diag_service.diagnosis.records import (
     Status,
     iso_utc,
 )
+from fleet_backend.page.calibrations import reference_of, type_of
 from fleet_backend.page.past import friction_in
 from fleet_backend.page.populations import Kept
 from fleet_backend.page.records import Fill, OutlookAnswer, ReachAnswer
@@ -23,31 +21,7 @@ from fleet_backend.schema import SCALE_FREE, SCALE_FREE_COLUMNS
 from fleet_contract.orders import Action
 
 Row = Mapping[str, Any]
-OTHER_CALIBRATION: Final = "No prognosis: the calibration of these results is not the shipped one."
-
-
-@cache
-def _shipped() -> Calibration:
-    return nominal_calibration()
-
-
-@cache
-def shipped_calibration() -> str:
-    """Return the version of results that were made with the shipped calibration."""
-    calibration = _shipped()
-    return f"{calibration.version}+{fingerprint(calibration)}"
-
-
-def type_of(calibration_version: str) -> str:
-    """Return the vehicle type that a calibration describes: its name, or the version where it is not at hand."""
-    return _shipped().name if calibration_version == shipped_calibration() else calibration_version
-
-
-def reference_of(calibration_version: str, clutch: int) -> FrictionCurve | None:
-    """Return the friction of a clutch with new fluid; None for a calibration that is not at hand."""
-    if calibration_version != shipped_calibration():
-        return None
-    return _shipped().clutches[clutch - 1].friction
+OTHER_CALIBRATION: Final = "No prognosis: its service has not told what calibration these results are of."
 
 
 def friction_of(values: Mapping[str, float] | None) -> FrictionEstimate | None:
@@ -82,20 +56,21 @@ def estimate_of(row: Row) -> ShiftEstimate:
 def outlook_of(
     clutch: int, rows: Sequence[Row], fills: Sequence[Fill], service_distance_m: float, kept: Kept | None
 ) -> Prognosis | None:
-    """Return how far the fluid of a clutch will go by its results, the oldest first; None: of another calibration.
+    """Return how far the fluid of a clutch will go by its results, the oldest first; None: of a calibration untold.
 
     It begins with the population that was kept last.
     """
-    calibration = rows[-1]["calibration_version"]
-    reference = reference_of(calibration, clutch)
+    vehicle, calibration = rows[-1]["vehicle"], rows[-1]["calibration_version"]
+    reference, vehicle_type = reference_of(vehicle, calibration, clutch), type_of(vehicle, calibration)
     if reference is None:
         return None
     same = [estimate_of(row) for row in rows if row["calibration_version"] == calibration]
-    past = history_of_estimates(same, [fluid_fill(rows[-1]["vehicle"], one) for one in fills], clutch)
+    past = history_of_estimates(same, [fluid_fill(vehicle, one) for one in fills], clutch)
     peers = None
     if kept is not None:
-        past = without(past, kept.population.common.get(calibration))
-        peers = kept.population.of(calibration, fills[-1].product if fills else None)
+        fluid = fills[-1].product if fills else None
+        name = kept.population.name_of(vehicle_type, calibration)
+        past, peers = without(past, kept.population.common.get(name)), kept.population.of(name, fluid)
     return prognose(clutch, past, reference, service_distance_m=service_distance_m, peers=peers)
 
 

@@ -12,8 +12,7 @@ from clutchdiag_io.pages.content import Cell, Link, Section, Table
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
 from fleet_backend.page.fleet_view import EMPTY, FILTERS, choices, next_of, subtitle, wanted
-from fleet_backend.page.listing import Wanted, cursor, matching, place_of, read_words
-from fleet_backend.page.outlook import type_of
+from fleet_backend.page.listing import Wanted, cursor, matching, place_of, read_words, vehicle_type
 from fleet_backend.page.records import ClutchNow, Severity, VehiclesAnswer
 from fleet_backend.page.view import Choice, Shown, Sources, View
 
@@ -22,7 +21,7 @@ ORDERS: Final[Mapping[str, Callable[[ClutchNow], Any]]] = MappingProxyType({
     "level": lambda one: 9.0 if one.level_ratio is None else one.level_ratio,
     "km": lambda one: -1.0 if one.odometer_m is None else one.odometer_m,  # who has no odometer is at the low end
     "fluid": lambda one: one.fluid or "",
-    "type": lambda one: one.calibration_version,
+    "type": vehicle_type,
     "last": lambda one: one.end_at.isoformat(),
 })  # fmt: skip
 SORTS: Final = (*ORDERS, *(f"-{name}" for name in ORDERS))
@@ -126,7 +125,7 @@ def _cells(one: ClutchNow) -> tuple[Cell, ...]:
         wording.share(one.level_ratio),
         wording.km(one.odometer_m),
         wording.plain(one.fluid),
-        type_of(one.calibration_version),
+        vehicle_type(one),
         wording.minute(one.end_at),
     )
 

@@ -13,6 +13,7 @@ from fleet_backend.database import transaction
 from fleet_backend.months.locations import BLOCK, CLUTCH_BLOCK, months_with
 from fleet_backend.months.partitions import has_partitions
 from fleet_backend.orders import without_old_fluid
+from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchAlarm, Quarantined, ShiftAnswer
 from fleet_backend.schema import (
     FRICTION_COLUMNS,
@@ -74,6 +75,7 @@ def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
         statement = current_results(vehicle, clutch, is_by_month=has_partitions(engine))
         found = connection.execute(statement)
         rows: list[Row] = [dict(zip(_TREND_COLUMNS, row, strict=True)) for row in found]
+        remember(connection, {(row["vehicle"], row["calibration_version"]) for row in rows})
     last: dict[str, datetime] = {}
     for row in rows:
         last[row["stream"]] = max(row["produced_at"], last.get(row["stream"], row["produced_at"]))
@@ -102,6 +104,7 @@ def shift_of(engine: Engine, vehicle: str, stream: str, seq: int) -> ShiftAnswer
             own = and_(own, table.c.produced_at >= span[0], table.c.produced_at < span[1])
         statement = select(table).where(own).order_by(table.c.version_rank.desc())
         rows: list[Row] = [dict(row) for row in connection.execute(statement).mappings()]
+        remember(connection, [(vehicle, row["calibration_version"]) for row in rows[:1]])
     if not rows:
         return None
     return _shift(rows[0], rows[1:])

@@ -31,7 +31,8 @@ from diag_service.diagnosis.prognosis import (
 )
 from fleet_backend.database import transaction
 from fleet_backend.lots import lots_of
-from fleet_backend.page.outlook import estimate_of, fluid_fill, reference_of
+from fleet_backend.page.calibrations import reference_of, type_of
+from fleet_backend.page.outlook import estimate_of, fluid_fill
 from fleet_backend.page.past import results_of
 from fleet_backend.page.vehicle_state import fills_of
 from fleet_backend.schema import CLUTCH
@@ -123,7 +124,7 @@ def _clutch(engine: Engine, common: Mapping[str, Common], key: Key) -> _Clutch |
     vehicle, clutch = key
     rows = results_of(engine, vehicle, clutch)
     calibration = str(rows[-1]["calibration_version"]) if rows else ""
-    reference = reference_of(calibration, clutch)
+    reference, vehicle_type = reference_of(vehicle, calibration, clutch), type_of(vehicle, calibration)
     if reference is None:
         return None
     fills = fills_of(engine, vehicle)
@@ -132,10 +133,10 @@ def _clutch(engine: Engine, common: Mapping[str, Common], key: Key) -> _Clutch |
     return _Clutch(
         vehicle=vehicle,
         clutch=clutch,
-        vehicle_type=calibration,
-        history=without(past, common.get(calibration)),
+        vehicle_type=vehicle_type,
+        history=without(past, common.get(vehicle_type)),
         reference=reference,
-        kinds=[PeerGroup(vehicle_type=calibration, fluid=name) for name in (None, *(one.product for one in fills))],
+        kinds=[PeerGroup(vehicle_type=vehicle_type, fluid=name) for name in (None, *(one.product for one in fills))],
     )
 
 

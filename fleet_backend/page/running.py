@@ -6,12 +6,13 @@ from datetime import datetime
 from types import MappingProxyType
 from typing import Any, Final
 
-from sqlalchemy import Engine, TextClause, TextualSelect, bindparam, func, select, text
+from sqlalchemy import Connection, Engine, TextClause, TextualSelect, bindparam, func, select, text
 
 from fleet_backend.database import transaction
 from fleet_backend.months.locations import CLUTCH_STREAM
 from fleet_backend.months.partitions import has_partitions
 from fleet_backend.orders import present_fluids, with_orders
+from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchNow
 from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, WITHDRAWN_FILL, UtcDateTime
 
@@ -95,7 +96,7 @@ def all_clutches(engine: Engine) -> list[ClutchNow]:
     """Return the running condition of every clutch of the fleet."""
     with transaction(engine) as connection:
         rows = connection.execute(_ALL_CLUTCHES[has_partitions(engine)]).mappings()
-        return list(map(_clutch, with_orders(rows, present_fluids(connection))))
+        return _told(connection, with_orders(rows, present_fluids(connection)))
 
 
 def clutches_of(engine: Engine, vehicles: Sequence[str]) -> list[ClutchNow]:
@@ -104,7 +105,7 @@ def clutches_of(engine: Engine, vehicles: Sequence[str]) -> list[ClutchNow]:
         for first in range(0, len(vehicles), _MOST_NAMES):
             names = list(vehicles[first : first + _MOST_NAMES])
             rows = connection.execute(statement, {"vehicles": names}).mappings()
-            found += map(_clutch, with_orders(rows, present_fluids(connection, names)))
+            found += _told(connection, with_orders(rows, present_fluids(connection, names)))
     return found
 
 
@@ -146,5 +147,7 @@ def fills_seen(engine: Engine) -> FillsSeen:
     return FillsSeen(count=count, latest=latest, withdrawn_count=withdrawn_count)
 
 
-def _clutch(row: Mapping[str, Any]) -> ClutchNow:
-    return ClutchNow(**{name: row[name] for name in _NAMES})
+def _told(connection: Connection, rows: Sequence[Mapping[str, Any]]) -> list[ClutchNow]:
+    """Return clutches, of whose calibrations is known what their vehicles told."""
+    remember(connection, ((row["vehicle"], row["calibration_version"]) for row in rows))
+    return [ClutchNow(**{name: row[name] for name in _NAMES}) for row in rows]

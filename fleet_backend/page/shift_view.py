@@ -8,8 +8,9 @@ from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Link, Sectio
 from diag_service.report.pictures import curve_figure
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
+from fleet_backend.page.calibrations import reference_of
 from fleet_backend.page.errors import NotFoundError
-from fleet_backend.page.outlook import friction_of, reference_of
+from fleet_backend.page.outlook import friction_of
 from fleet_backend.page.records import ShiftAnswer
 from fleet_backend.page.view import Shown, Sources, View
 
@@ -58,7 +59,7 @@ def show(answer: ShiftAnswer, _ask: Ask, _sources: Sources) -> Shown:
 
 
 def _friction_section(answer: ShiftAnswer) -> Section:
-    reference = reference_of(answer.calibration_version, answer.clutch)
+    reference = reference_of(answer.vehicle, answer.calibration_version, answer.clutch)
     figures: list[Figure] = []
     texts: list[str] = []
     for values, what in ((answer.friction, "this event alone"), (answer.running, "all events so far")):
@@ -69,7 +70,7 @@ def _friction_section(answer: ShiftAnswer) -> Section:
         texts.append(f"This event does not tell the friction: {wording.words(answer.reasons)}.")
     texts.append(_SIGNALS)
     if reference is None:
-        texts.append("Curves are not drawn: the calibration of this result is not the shipped one.")
+        texts.append("Curves are not drawn: its service has not told what calibration this result is of.")
     return Section(
         name="friction",
         title="Friction over slip",

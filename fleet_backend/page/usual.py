@@ -6,16 +6,17 @@ from typing import Final
 
 import numpy as np
 
+from fleet_backend.page.listing import vehicle_type
 from fleet_backend.page.records import ClutchNow, Usual
 
 LEAST_CLUTCHES: Final = 20  # fewer say little of what is usual
 _SHARES: Final = (0.1, 0.5, 0.9)
 
-ClutchGroup = tuple[str, int, str | None]  # calibration, which stands for the type; clutch; fluid
+ClutchGroup = tuple[str, int, str | None]  # type, clutch, fluid
 
 
 def group_of(now: ClutchNow) -> ClutchGroup:
-    return now.calibration_version, now.clutch, now.fluid
+    return vehicle_type(now), now.clutch, now.fluid
 
 
 def usual_of(clutches: Iterable[ClutchNow]) -> Mapping[ClutchGroup, Usual]:

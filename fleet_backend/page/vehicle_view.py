@@ -9,6 +9,7 @@ from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
 from fleet_backend.page.cache import Same
 from fleet_backend.page.clutch_past import Past, read_past
 from fleet_backend.page.errors import NotFoundError
+from fleet_backend.page.listing import vehicle_type
 from fleet_backend.page.outlook import outlook_text
 from fleet_backend.page.pictures import (
     STD_OF_50_PERCENT,
@@ -86,7 +87,7 @@ def show(answer: VehicleAnswer, ask: Ask, sources: Sources) -> Shown:
 
 def past_of(sources: Sources, now: ClutchNow, state: VehicleState, service_distance_m: float) -> Past:
     """Return the past of a clutch, as it is kept or from the database."""
-    made_of = (state.stored_of(now.clutch), state.fills, state.population_version)
+    made_of = (state.stored_of(now.clutch), state.fills, state.population_version, vehicle_type(now))
     key = (now.vehicle, now.clutch, service_distance_m)
     return sources.pasts.of(
         key, made_of, lambda: read_past(sources.engine, now.vehicle, now.clutch, state, service_distance_m)

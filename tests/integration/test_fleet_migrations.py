@@ -85,6 +85,7 @@ def test_there_is_an_earlier_schema_to_come_from() -> None:
         "r0009",
         "r0010",
         "r0011",
+        "r0012",
     ]
 
 
@@ -144,4 +145,4 @@ def test_a_database_that_does_not_answer_is_said_to_be_away() -> None:
     with pytest.raises(DatabaseAwayError) as caught:
         check_schema(engine)
     assert "secret" not in str(caught.value)
-    assert newest_revision() == "r0012"
+    assert newest_revision() == "r0013"

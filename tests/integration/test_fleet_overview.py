@@ -8,7 +8,7 @@ import pytest
 from sqlalchemy import update
 
 from fleet_backend.database import open_database, transaction
-from fleet_backend.page.outlook import shipped_calibration
+from fleet_backend.page.calibrations import shipped_calibration
 from fleet_backend.schema import SHIFT_RESULT
 from tests.support.browsing import chromium, new_page
 from tests.support.fleet_page import fill_database, served

@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -12,21 +13,25 @@ from sqlalchemy import Connection, Engine, event, text
 
 from diag_service.diagnosis.prognosis import history_of, prognose
 from diag_service.diagnosis.prognosis.sentence import outlook_line
-from diag_service.diagnosis.records import Condition
+from diag_service.diagnosis.records import Condition, ServiceStatus, status_record
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError
+from fleet_backend.intake import batch_of, take_all
 from fleet_backend.page import changes_view, fleet_view, maintenance_view, quarantine_view, shift_view, vehicle_view
 from fleet_backend.page.access import Access
 from fleet_backend.page.asking import Ask, read_words
 from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.news import News
+from fleet_backend.page.peers import fleet_ageing
 from fleet_backend.page.site import site
 from fleet_backend.page.usual import LEAST_CLUTCHES
 from fleet_backend.page.view import Sources, View
 from fleet_backend.rows import Poison, moment, quarantine_row
 from fleet_backend.writer import Batch, Writer
+from fleet_contract import status_message
 from fleet_contract.orders import Action
+from fleet_link import Message
 from tests.support.fleet import NOW, fleet_result, row_of
 from tests.support.fleet_page import sources_of
 from tests.support.histories import CALIBRATION, history
@@ -147,7 +152,48 @@ def test_the_prognosis_is_that_of_the_service(engine: Engine) -> None:
     Writer(engine).store(Batch(shifts=other))
     answer = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "car2"))
     assert {one.outlook for one in answer.clutches} == {None}
-    assert "is not the shipped one" in str(answer.clutches[0].why_no_outlook)
+    assert "has not told what calibration" in str(answer.clutches[0].why_no_outlook)
+
+
+def told_by(vehicle: str, calibration_version: str) -> Batch:
+    """Return what is stored of the status of a service whose vehicle was calibrated."""
+    status = ServiceStatus(
+        vehicle=vehicle,
+        is_online=True,
+        connected_at="2026-01-01T00:00:00.000000Z",
+        service_version="1",
+        algorithm_version="a",
+        calibration_version=calibration_version,
+        calibration={
+            "vehicle_type": CALIBRATION.name,
+            "new_friction": [asdict(one.friction) for one in CALIBRATION.clutches],
+        },
+    )
+    sent = status_message(status_record(status))
+    message = Message(topic=sent.topic, payload=sent.payload, packet_id=1)
+    return batch_of(take_all(message, datetime(2026, 1, 1, tzinfo=UTC)))
+
+
+def test_a_calibrated_vehicle_has_the_prognosis_of_its_type_once_its_service_has_told_it(engine: Engine) -> None:
+    version = f"1-calibrated-2026-01-01+{engine.dialect.name}"
+    for name, told in (("shipped", {}), ("calibrated", {"calibration_version": version})):
+        Writer(engine).store(Batch(shifts=[row_of(one) | told for one in history(200, vehicle=name)]))
+    sources = sources_of(engine)
+    shipped, calibrated = (
+        vehicle_view.find(sources, ask(vehicle_view.VIEW, name)) for name in ("shipped", "calibrated")
+    )
+    assert {one.outlook for one in calibrated.clutches} == {None}
+    Writer(engine).store(told_by("calibrated", version))
+    Writer(engine).store(told_by("hostile", version))  # speaks for itself alone
+    sources = sources_of(engine)
+    calibrated = vehicle_view.find(sources, ask(vehicle_view.VIEW, "calibrated"))
+    assert [one.outlook for one in calibrated.clutches] == [one.outlook for one in shipped.clutches]
+    assert sources.keeper.snapshot.types == (CALIBRATION.name,)
+    due = maintenance_view.find(sources, ask(maintenance_view.VIEW))
+    assert len({one.text for one in due.clutches}) == 1
+    ageing = fleet_ageing(engine)
+    assert (ageing.clutch_count, ageing.left_out_count) == (4, 0)
+    assert {one.kind.vehicle_type for one in ageing.population.peers} <= {CALIBRATION.name}
 
 
 def test_what_is_remembered_of_a_clutch_is_never_old(engine: Engine) -> None:

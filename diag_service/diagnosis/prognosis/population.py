@@ -28,7 +28,7 @@ _ROUNDS: Final = 50
 class PeerGroup:
     """Which clutches are peers."""
 
-    vehicle_type: str  # by the calibration that all of them have
+    vehicle_type: str  # by the name of its calibration
     fluid: str | None  # its product; None: whatever it is
 
 
@@ -98,6 +98,11 @@ class Population:
     peers: tuple[Peers, ...]
     common: Mapping[str, Common] = field(default_factory=dict)  # what clutches of each type share, by its name
     version: int | None = None  # as it is kept; None: it is not
+
+    def name_of(self, vehicle_type: str, calibration_version: str) -> str:
+        """Return by which name a type is known here: those of older programs have the version of its calibration."""
+        known = {one.kind.vehicle_type for one in self.peers} | self.common.keys()
+        return calibration_version if vehicle_type not in known and calibration_version in known else vehicle_type
 
     def of(self, vehicle_type: str, fluid: str | None) -> Peers | None:
         """Return the peers of a clutch: those with the same fluid, or else all of its type; None: too few are known."""

@@ -2,11 +2,12 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 from jsonschema import Draft202012Validator
 
+from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.records import (
     Condition,
@@ -25,6 +26,7 @@ from diag_service.errors import ResultError
 from fleet_contract import schema
 from tests.support.builders import START_NS, friction_estimate, rejected, shift_result
 
+CURVE = nominal_calibration().clutches[0].friction
 STATUS = ServiceStatus(
     vehicle="car1",
     is_online=True,
@@ -32,6 +34,7 @@ STATUS = ServiceStatus(
     service_version="0.1.0",
     algorithm_version="algorithm-1",
     calibration_version="1+0123456789ab",
+    calibration={"vehicle_type": "a car", "new_friction": [asdict(CURVE), asdict(CURVE)]},
 )
 RECORDS = [
     pytest.param("shift", shift_record(shift_result()), id="shift"),

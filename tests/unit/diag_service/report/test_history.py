@@ -123,7 +123,7 @@ def test_the_future_of_the_fluid_is_one_sentence() -> None:
     assert len(lines) == 5
     assert "km" in lines[4]
     other = [str(line) for line in history_lines(replace(findings(60), calibration=None), (1, 2), most_rows=5)]
-    assert "No prognosis: the calibration of these results is not the shipped one." in other
+    assert "No prognosis: these results are of another calibration; --calibration names it." in other
     few = [str(line) for line in history_lines(findings(8), (2,), most_rows=5)]
     assert (
         "No prognosis yet: it takes 8 usable results of a clutch with this fluid; clutch 1 has 3, clutch 2 has 4."
