@@ -17,7 +17,7 @@ _POINT_NAMES: Final = (
     *("vehicle", "clutch", "end_at", "odometer_m", "kind", "status", "mu_c", "std_mu_c", "random_std_mu_c", "mu_s"),
     *("std_mu_s", "level_ratio", "condition", "stream", "seq", "algorithm_version", "calibration_version"),
 )
-_RUNNING_NAMES: Final = ("mu_c", "std_mu_c", "mu_s", "std_mu_s")
+_RUNNING_NAMES: Final = ("mu_c", "std_mu_c", "mu_s", "std_mu_s", "correlation")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

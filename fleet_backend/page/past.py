@@ -33,7 +33,7 @@ _TREND_COLUMNS: Final = (
     *("from_gear", "to_gear", "status", "reasons", "sample_count", "window_s", "chi_square_ratio", "quality"),
     *("sump_temperature_k", "clutch_temperature_k", "slip_energy_j", "duration_s", "odometer_m", "level_ratio"),
     *("condition", "algorithm_version", "calibration_version", *FRICTION_COLUMNS),
-    *(RUNNING + name for name in ("mu_c", "std_mu_c", "mu_s", "std_mu_s")),
+    *(RUNNING + name for name in ("mu_c", "std_mu_c", "mu_s", "std_mu_s", "correlation")),
     *(SCALE_FREE + name for name in SCALE_FREE_COLUMNS),
 )
 _SHIFT_NAMES: Final = tuple(field.name for field in fields(ShiftAnswer))

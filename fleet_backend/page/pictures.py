@@ -3,81 +3,122 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
 from markupsafe import Markup
 
 from canlog.arrays import FloatArray
+from clutch_model.calibration import FrictionCurve
 from clutchdiag_io.pages.content import Key
 from clutchdiag_io.pages.plot import Axis, Plot, thinned
-from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
+from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from diag_service.report.pictures import MOST_MOMENTS, MOST_POINTS, THRESHOLD_KEYS
-from fleet_backend.page.records import ClutchAlarm, Fill, TrendPoint, Usual
+from fleet_backend.page.calibrations import reference_of
+from fleet_backend.page.records import ClutchNow, TrendPoint, Usual, VehicleAnswer
 from fleet_backend.page.wording import M_PER_KM
 
 STD_OF_50_PERCENT: Final = 0.6744897501960817  # of a normal distribution
 STD_OF_90_PERCENT: Final = 1.6448536269514722
-THRESHOLDS: Final = ((1.0, "new"), (WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change"))
+Level = tuple[float, str, str]  # where a line lies, its style, its name
+
+
+class Quantity(StrEnum):
+    """What is drawn of a clutch; the margin decides most verdicts."""
+
+    MARGIN = "margin mu_C - mu_S"
+    MU_C = "mu_C"
+    MU_S = "mu_S"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
-    """How the friction of one clutch went, an item per event; NaN where nothing is known."""
+    """How one quantity of one clutch went, an item per event; NaN where nothing is known."""
 
     clutch: int
+    quantity: Quantity
     along: FloatArray  # (n,) kilometres, or numbers of the events
     label: str  # of the horizontal axis
     single: FloatArray  # (n,) of the event alone
     running: FloatArray  # (n,) of all events so far
     std_running: FloatArray  # (n,)
-    new_mu_c: float | None
+    levels: tuple[Level, ...]  # of new fluid, and thresholds of the verdict
     moments: tuple[tuple[float, str, str], ...]  # place on the axis, style, text
     usual: Usual | None = None  # in the fleet now
 
     @classmethod
     def of(
         cls,
-        clutch: int,
+        now: ClutchNow,
+        quantity: Quantity,
         points: Sequence[TrendPoint],
-        fills: Sequence[Fill],
-        alarms: Sequence[ClutchAlarm],
+        answer: VehicleAnswer,
         usual: Usual | None,
     ) -> "Course":
         """Return the course of a clutch, over the odometer if most events know it."""
         odometer_km = _column([one.odometer_m for one in points]) / M_PER_KM
         has_odometer = 2 * np.count_nonzero(np.isfinite(odometer_km)) > len(points)
         along = _carried_on(odometer_km) if has_odometer else np.arange(1.0, len(points) + 1.0)
-        levels = [one for one in points if one.level_ratio and one.running_mu_c]
-        new_mu_c = (levels[-1].running_mu_c or 0.0) / (levels[-1].level_ratio or 1.0) if levels else None
-        ends = [one.end_at for one in points]
+        single, running, std_running = _values(quantity, points)
         return cls(
-            clutch=clutch,
+            clutch=now.clutch,
+            quantity=quantity,
             along=along,
-            label="odometer [km]" if has_odometer else f"event of clutch {clutch}",
-            single=_column([one.mu_c for one in points]),
-            running=_column([one.running_mu_c for one in points]),
-            std_running=_column([one.running_std_mu_c for one in points]),
-            new_mu_c=new_mu_c,
-            moments=tuple(_moments(clutch, along, ends, fills, alarms))[-MOST_MOMENTS:],
-            usual=usual,
+            label="odometer [km]" if has_odometer else f"event of clutch {now.clutch}",
+            single=single,
+            running=running,
+            std_running=std_running,
+            levels=_levels(quantity, points, reference_of(now.vehicle, now.calibration_version, now.clutch)),
+            moments=tuple(_moments(now.clutch, along, [one.end_at for one in points], answer))[-MOST_MOMENTS:],
+            usual=usual if quantity is Quantity.MU_C else None,
         )
 
 
+def _values(quantity: Quantity, points: Sequence[TrendPoint]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what each event said alone, what was known after it, and the deviation of that; shape (n,) each."""
+    mu_c, mu_s = _column([one.mu_c for one in points]), _column([one.mu_s for one in points])
+    running_c, std_c = (_column([getattr(one, f"running_{name}mu_c") for one in points]) for name in ("", "std_"))
+    running_s, std_s = (_column([getattr(one, f"running_{name}mu_s") for one in points]) for name in ("", "std_"))
+    if quantity is Quantity.MU_C:
+        return mu_c, running_c, std_c
+    if quantity is Quantity.MU_S:
+        return mu_s, running_s, std_s
+    common = _column([one.running_correlation for one in points]) * std_c * std_s
+    return mu_c - mu_s, running_c - running_s, np.sqrt(np.maximum(std_c**2 + std_s**2 - 2.0 * common, 0.0))
+
+
+def _levels(quantity: Quantity, points: Sequence[TrendPoint], new: FrictionCurve | None) -> tuple[Level, ...]:
+    """Return new fluid and the thresholds, as far as they are known; that of mu_C the results themselves tell."""
+    if quantity is Quantity.MU_C:
+        told = [one for one in points if one.level_ratio and one.running_mu_c]
+        if not told:
+            return ()
+        new_mu_c = (told[-1].running_mu_c or 0.0) / (told[-1].level_ratio or 1.0)
+        ratios = ((1.0, "new"), (WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change"))
+        return tuple((ratio * new_mu_c, style, f"{style}: {100.0 * ratio:.0f} %") for ratio, style in ratios)
+    if new is None:
+        return ()
+    if quantity is Quantity.MU_S:
+        return ((new.mu_s, "new", "new"),)
+    margin = new.mu_c - new.mu_s
+    watch = (WATCH_MARGIN_RATIO * margin, "watch", f"watch: {100.0 * WATCH_MARGIN_RATIO:.0f} %")
+    return (margin, "new", "new"), watch, (0.0, "change", "change: 0 %")
+
+
 def course_picture(course: Course) -> Markup:
-    """Return how the friction of a clutch went, thinned to what a screen can show."""
+    """Return how a quantity of a clutch went, thinned to what a screen can show."""
     half, wide = STD_OF_50_PERCENT * course.std_running, STD_OF_90_PERCENT * course.std_running
-    levels = [] if course.new_mu_c is None else [ratio * course.new_mu_c for ratio, _ in THRESHOLDS]
     usual = [] if course.usual is None else [course.usual.low_mu_c, course.usual.high_mu_c]
-    y = Axis.around("mu_C", course.single, course.running - wide, course.running + wide, np.array([*levels, *usual]))
+    marks = np.array([*(y for y, _, _ in course.levels), *usual])
+    y = Axis.around(course.quantity, course.single, course.running - wide, course.running + wide, marks)
     x = Axis.around(course.label, course.along, np.array([place for place, _, _ in course.moments]), margin_ratio=0.02)
-    label = f"Clutch {course.clutch}: trend of mu_C, single events, running estimate with bands of 50 and 90 percent"
-    plot = Plot(label, x, y)
+    what = f"trend of {course.quantity}, single events, running estimate with bands of 50 and 90 percent"
+    plot = Plot(f"Clutch {course.clutch}: {what}", x, y)
     if usual:
         plot.band(np.array([x.low, x.high]), np.full(2, usual[0]), np.full(2, usual[1]), "shade")
-    if course.new_mu_c is not None:
-        for ratio, style in THRESHOLDS:
-            plot.level(ratio * course.new_mu_c, style, f"{style}: {100.0 * ratio:.0f} %")
+    for level in course.levels:
+        plot.level(*level)
     single, running = thinned(course.single, MOST_POINTS), thinned(course.running, MOST_POINTS)
     for width in (wide, half):
         low, high = (course.running - width)[running], (course.running + width)[running]
@@ -93,12 +134,20 @@ def course_keys(course: Course) -> tuple[Key, ...]:
     """Return what the lines of a course stand for."""
     clutch = course.clutch
     usual = Key(style="shade", text="80 % of the clutches of this type and fluid are in this range now")
+    thresholds = {
+        Quantity.MU_C: THRESHOLD_KEYS,
+        Quantity.MU_S: (),
+        Quantity.MARGIN: (
+            Key(style="watch", text=f"watch below {100.0 * WATCH_MARGIN_RATIO:.0f} % of new"),
+            Key(style="change", text="change below 0: the clutch can shudder"),
+        ),
+    }
     return (
         Key(style=f"dots clutch{clutch}", text="single events"),
         Key(style=f"clutch{clutch}", text="estimate from all events so far"),
         Key(style=f"band clutch{clutch}", text="likely range: 50 % (dark) and 90 %"),
         *(() if course.usual is None else (usual,)),
-        *THRESHOLD_KEYS,
+        *(thresholds[course.quantity] if course.levels else ()),
     )
 
 
@@ -114,11 +163,11 @@ def _carried_on(odometer_km: FloatArray) -> FloatArray:
 
 
 def _moments(
-    clutch: int, along: FloatArray, ends: Sequence[datetime], fills: Sequence[Fill], alarms: Sequence[ClutchAlarm]
+    clutch: int, along: FloatArray, ends: Sequence[datetime], answer: VehicleAnswer
 ) -> Iterator[tuple[float, str, str]]:
     """Yield where fluid was filled, and where alarms of the clutch were raised and cleared, in their order."""
-    happened = [(fill.filled_at, "fill", f"new fluid: {fill.product}") for fill in fills]
-    for alarm in alarms:
+    happened = [(fill.filled_at, "fill", f"new fluid: {fill.product}") for fill in answer.fills]
+    for alarm in answer.alarms:
         if alarm.clutch == clutch:
             happened.append((alarm.raised_at, "change_fluid", "alarm"))
             if alarm.cleared_at is not None:

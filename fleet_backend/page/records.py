@@ -112,6 +112,7 @@ class TrendPoint:
     running_std_mu_c: float | None
     running_mu_s: float | None
     running_std_mu_s: float | None
+    running_correlation: float | None  # of the errors of mu_C and mu_S
     level_ratio: float | None
     condition: str
     stream: str

@@ -1,6 +1,7 @@
 """One vehicle: what to do, how far its fluid will go, and how each clutch went."""
 
 from collections.abc import Iterator
+from math import isfinite
 from typing import Any, Final
 
 from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, spread
@@ -15,6 +16,7 @@ from fleet_backend.page.pictures import (
     STD_OF_50_PERCENT,
     STD_OF_90_PERCENT,
     Course,
+    Quantity,
     course_keys,
     course_picture,
 )
@@ -153,17 +155,7 @@ def _clutch_section(answer: VehicleAnswer, clutch: ClutchHistory) -> Section:
         )
     if clutch.usual is not None:
         texts.append(_usual_text(clutch.usual, clutch.now.mu_c))
-    figures = []
-    if clutch.trend:
-        course = Course.of(number, clutch.trend, answer.fills, answer.alarms, clutch.usual)
-        places = spread(clutch.trend, _TREND_ROWS)
-        table = Table(
-            caption=f"Clutch {number}: {len(places)} of {len(clutch.trend)} events, evenly spread",
-            head=("end (UTC)", "km", "mu_C", "± 50 %", "± 90 %", "verdict"),
-            rows=tuple(_trend_cells(clutch.trend[place]) for place in places),
-        )
-        caption = f"Clutch {number}: trend of mu_C"
-        figures.append(Figure(picture=course_picture(course), caption=caption, keys=course_keys(course), table=table))
+    figures = [_course_figure(answer, clutch, quantity) for quantity in Quantity if clutch.trend]
     newest = clutch.trend[::-1][:_EVENT_ROWS]
     events = Table(
         caption=f"Clutch {number}: the newest {len(newest)} events",
@@ -185,14 +177,26 @@ def _usual_text(usual: Usual, mu_c: float | None) -> str:
     return f"{text} This one has {'less' if mu_c < usual.low_mu_c else 'more'} than is usual."
 
 
-def _trend_cells(point: TrendPoint) -> tuple[Cell, ...]:
-    std = point.running_std_mu_c
+def _course_figure(answer: VehicleAnswer, clutch: ClutchHistory, quantity: Quantity) -> Figure:
+    """Return how a quantity went, with its numbers."""
+    course = Course.of(clutch.now, quantity, clutch.trend, answer, clutch.usual)
+    rows = spread(range(len(clutch.trend)), _TREND_ROWS)
+    table = Table(
+        caption=f"Clutch {clutch.now.clutch}, {quantity}: {len(rows)} of {len(clutch.trend)} events, evenly spread",
+        head=("end (UTC)", "km", quantity, "± 50 %", "± 90 %", "verdict"),
+        rows=tuple(_trend_cells(clutch.trend[row], course, row) for row in rows),
+    )
+    caption = f"Clutch {clutch.now.clutch}: trend of {quantity}"
+    return Figure(picture=course_picture(course), caption=caption, keys=course_keys(course), table=table)
+
+
+def _trend_cells(point: TrendPoint, course: Course, row: int) -> tuple[Cell, ...]:
+    value, std = course.running[row], course.std_running[row]
+    numbers = (value, STD_OF_50_PERCENT * std, STD_OF_90_PERCENT * std)
     return (
         wording.shift_link(f"{point.end_at:%Y-%m-%d %H:%M}", point.vehicle, point.stream, point.seq, at=point.end_at),
         wording.km(point.odometer_m),
-        wording.friction(point.running_mu_c),
-        wording.friction(None if std is None else STD_OF_50_PERCENT * std),
-        wording.friction(None if std is None else STD_OF_90_PERCENT * std),
+        *(wording.friction(float(one) if isfinite(one) else None) for one in numbers),
         wording.badge(point.condition),
     )
 

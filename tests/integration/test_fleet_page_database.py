@@ -250,7 +250,8 @@ def test_a_vehicle_is_shown_before_what_is_usual_in_the_fleet(engine: Engine) ->
     assert "Of 21 clutches of this type and fluid eight in ten" in shown["v1"].texts[0]
     assert "than is usual" not in shown["v1"].texts[0]
     assert shown["worn"].texts[0].endswith("This one has less than is usual.")
-    assert 'class="shade"' in shown["worn"].figures[0].picture
+    assert 'class="shade"' in shown["worn"].figures[1].picture
+    assert "watch: 50 %" in shown["worn"].figures[0].picture  # the margin, which decides most verdicts
     queries.note_fill(engine, "v1", "DCTF", at=datetime(2020, 1, 1, tzinfo=UTC), odometer_m=None, note=None)
     sources.keeper.refresh()
     assert vehicle_view.find(sources, ask(vehicle_view.VIEW, "v1")).clutches[0].usual is None  # of that fluid one

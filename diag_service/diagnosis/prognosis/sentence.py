@@ -15,6 +15,12 @@ from diag_service.diagnosis.prognosis.words import M_PER_KM
 from fleet_contract.orders import Action
 
 _PERCENT: Final = 100.0
+LIKELY: Final = 0.5  # so likely the limit comes before the service: then an order that waits for it is not all
+_AGES: Final = "The fluid ages: left in"
+_SOONER: Final = {
+    Action.NOTHING: "But the fluid ages: plan its change before the next service. Left in",
+    Action.CHANGE_AT_SERVICE: "The fluid ages: better change it before the next service. Left in",
+}
 _UNKNOWN: Final = "How far the fluid will go cannot be said yet."
 
 
@@ -47,8 +53,10 @@ def _line(founds: Sequence[Prognosis], action: Action) -> str:
     ends = (0.0 if one is None else one for one in (first.p10_m, first.p50_m, first.p90_m))
     if first.p90_m == 0.0 or (first.p90_m is None and first.p10_m == 0.0) or any(map(isnan, ends)):
         return _UNKNOWN
+    chance = first.probability_before_service
+    begin = _SOONER.get(action, _AGES) if chance >= LIKELY else _AGES
     return (
-        f"The fluid ages: left in, it reaches its limit {_range(first)}; {_percent(first.probability_before_service)} "
+        f"{begin}, it reaches its limit {_range(first)}; {_percent(chance)} "
         f"that this is within the next {founds[0].service_distance_m / M_PER_KM:,.0f} km."
     )
 

@@ -92,7 +92,19 @@ def test_without_a_trend_there_is_a_least_distance() -> None:
 )
 def test_an_ageing_fluid_has_ranges(change: Reach, expected: str) -> None:
     text = f"The fluid ages: left in, it reaches its limit {expected} that this is within the next 15,000 km."
-    assert said(prognosis(Outlook.AGEING, change)) == text
+    assert said(prognosis(Outlook.AGEING, change), action=Action.MEASURE_AGAIN) == text
+
+
+def test_an_order_that_waits_for_the_service_is_not_all_where_the_limit_comes_before() -> None:
+    soon = prognosis(Outlook.AGEING, reach(0.0, 5.0e6, 0.98))
+    late = prognosis(Outlook.AGEING, reach(1.81e7, 4.44e7, 0.049))
+    left = "Left in, it reaches its limit within 5,000 km (90 % sure); 98 % that this is within the next 15,000 km."
+    assert said(soon) == f"But the fluid ages: plan its change before the next service. {left}"
+    assert said(soon, action=Action.CHANGE_AT_SERVICE) == (
+        f"The fluid ages: better change it before the next service. {left}"
+    )
+    for action in (Action.NOTHING, Action.CHANGE_AT_SERVICE):
+        assert said(late, action=action).startswith("The fluid ages: left in, it reaches its limit in 18,000 to")
 
 
 def test_a_prognosis_says_nothing_of_now_which_is_the_matter_of_the_order() -> None:
