@@ -24,6 +24,8 @@ from fleet_backend.schema import (
     SHIFT_RESULT,
 )
 
+DATED_NS: Final = 10**18  # since 1970: in 2001; what has no date lies before
+SAME_RATIO: Final = 0.5
 MOST_RESULTS: Final = 4000  # of one clutch, the newest; two years of a taxi
 _NEAR: Final = literal(timedelta(days=31), Interval())
 _NEWER: Final = SHIFT_RESULT.alias("newer")
@@ -70,7 +72,10 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_b
 
 
 def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
-    """Return the newest results of a clutch, the oldest first; inside a stream only ``seq`` tells the order."""
+    """Return the newest results of a clutch, the oldest first; inside a stream only ``seq`` tells the order.
+
+    What was seen live and in a log counts once.
+    """
     with transaction(engine) as connection:
         statement = current_results(vehicle, clutch, is_by_month=has_partitions(engine))
         found = connection.execute(statement)
@@ -79,7 +84,30 @@ def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
     last: dict[str, datetime] = {}
     for row in rows:
         last[row["stream"]] = max(row["produced_at"], last.get(row["stream"], row["produced_at"]))
-    return sorted(rows, key=lambda row: (last[row["stream"]], row["stream"], row["seq"]))
+    return sorted(_once(rows), key=lambda row: (last[row["stream"]], row["stream"], row["seq"]))
+
+
+def _once(rows: list[Row]) -> list[Row]:
+    """Return results of one clutch without those of events that another stream has told before, by the bus's time.
+
+    A clutch engages once at a time. Times of a log that has no date begin at zero in every drive and tell nothing.
+    """
+    found: list[Row] = []
+    for row in sorted(rows, key=lambda row: (row["start_bus_ns"], row["produced_at"])):
+        before = found[-1] if found else None
+        if before is not None and row["start_bus_ns"] > DATED_NS and _is_same(before, row):
+            if row["produced_at"] < before["produced_at"]:
+                found[-1] = row
+            continue
+        found.append(row)
+    return found
+
+
+def _is_same(one: Row, other: Row) -> bool:
+    """Return whether two results of different streams overlap for most of the longer event."""
+    shared_ns = min(one["end_bus_ns"], other["end_bus_ns"]) - max(one["start_bus_ns"], other["start_bus_ns"])
+    longer_ns = max(row["end_bus_ns"] - row["start_bus_ns"] for row in (one, other))
+    return bool(one["stream"] != other["stream"] and shared_ns > SAME_RATIO * longer_ns)
 
 
 def alarms_of(engine: Engine, vehicle: str) -> tuple[ClutchAlarm, ...]:

@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -123,6 +123,8 @@ def test_news_are_seen_and_a_reader_writes_nothing(database: str) -> None:
 
 def test_the_trend_is_in_the_order_of_the_view(engine: Engine) -> None:
     rows = [row_of(one) for one in (*history(30, stream="b"), *history(60, stream="a"))]
+    for row in rows[:30]:  # another drive
+        row.update({name: int(str(row[name])) - 10**13 for name in ("start_bus_ns", "end_bus_ns")})
     Writer(engine).store(Batch(shifts=rows))
     answer = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "car1"))
     with transaction(engine) as connection:
@@ -153,6 +155,19 @@ def test_the_prognosis_is_that_of_the_service(engine: Engine) -> None:
     answer = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "car2"))
     assert {one.outlook for one in answer.clutches} == {None}
     assert "has not told what calibration" in str(answer.clutches[0].why_no_outlook)
+
+
+def test_a_shift_that_was_seen_live_and_in_a_log_counts_once(engine: Engine) -> None:
+    live = history(120)
+    Writer(engine).store(Batch(shifts=[row_of(one) for one in live]))
+    question = ask(vehicle_view.VIEW, "car1")
+    once = vehicle_view.find(sources_of(engine), question)
+    later = [replace(one, stream="from a log", produced_at="2026-03-01T00:00:00.000000Z") for one in live[:60]]
+    Writer(engine).store(Batch(shifts=[row_of(one) for one in later]))
+    twice = vehicle_view.find(sources_of(engine), question)
+    assert [one.result_count for one in twice.clutches] == [90, 90]
+    assert [one.trend for one in twice.clutches] == [one.trend for one in once.clutches]
+    assert [one.outlook for one in twice.clutches] == [one.outlook for one in once.clutches]
 
 
 def told_by(vehicle: str, calibration_version: str) -> Batch:
