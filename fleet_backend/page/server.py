@@ -15,6 +15,7 @@ from typing import Final
 import uvicorn
 from sqlalchemy import Engine
 from starlette.applications import Starlette
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError
@@ -26,6 +27,7 @@ from fleet_backend.page.view import Sources
 
 _BACKLOG: Final = 128
 _NICE: Final = 5  # who stores results beside us goes first
+HEADERS_S: Final = 10.0  # from the first byte of a request, or the connection, to the end of its head
 _GRACE_S: Final = 3  # for readers who are being answered when the server is told to stop
 _LOG: Final = logging.getLogger(__name__)
 
@@ -101,10 +103,43 @@ async def serve(
         server_header=False,
         proxy_headers=False,
         timeout_graceful_shutdown=_GRACE_S,
+        http=HeadersInTime,
     )
     server = _Server(config, sources.news)
     on_start(server)
     await server.serve(sockets=[listener])
+
+
+class HeadersInTime(H11Protocol):
+    """A connection that is closed unless the head of each request comes whole in time."""
+
+    _too_late: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as the class has it
+        """Expect a request."""
+        super().connection_made(transport)
+        self._expect()
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes; those of an earlier request's body do not matter."""
+        super().data_received(data)
+        if self.cycle is not None and not self.cycle.response_complete:
+            self._expect_nothing()
+        elif self._too_late is None:
+            self._expect()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Expect nothing more."""
+        self._expect_nothing()
+        super().connection_lost(exc)
+
+    def _expect(self) -> None:
+        self._too_late = self.loop.call_later(HEADERS_S, self.transport.abort)
+
+    def _expect_nothing(self) -> None:
+        if self._too_late is not None:
+            self._too_late.cancel()
+            self._too_late = None
 
 
 class _Server(uvicorn.Server):

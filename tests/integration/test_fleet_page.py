@@ -4,7 +4,9 @@ import csv
 import io
 import json
 import re
+import socket
 from collections.abc import Iterator
+from contextlib import suppress
 from datetime import UTC, datetime
 from html import unescape
 from pathlib import Path
@@ -21,6 +23,7 @@ from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.intake import batch_of, take
+from fleet_backend.page import server
 from fleet_backend.page.site import OPENAPI_PATH, VIEWS
 from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
@@ -339,3 +342,14 @@ def test_the_table_of_the_command_line_has_the_same_clutches(reader: httpx.Clien
     engine.dispose()
     found = told(reader, "/api/v1/clutches")["clutches"]
     assert [(one["vehicle"], one["clutch"], one["mu_c"]) for one in found] == worst
+
+
+def test_half_a_request_does_not_keep_a_connection(database: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "HEADERS_S", 0.2)
+    with served(database) as address, socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2]))) as half:
+        half.sendall(b"GET / HTTP/1.1\r\nHost: fleet\r\n")
+        half.settimeout(HANG_S)
+        with suppress(ConnectionResetError):
+            assert half.recv(100) == b""
+        with httpx.Client() as client:  # whole ones, one after the other over one connection
+            assert {client.get(address).status_code for _ in range(3)} == {200}
