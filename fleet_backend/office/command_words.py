@@ -3,7 +3,7 @@
 from typing import Final
 
 from clutchdiag_io.command_line import FILE, FLOAT, Command, Option
-from fleet_backend.options import BROKER, CLUTCH, COMMON, MAIL_VARIABLE, PROGRAM, QUESTION, count
+from fleet_backend.options import BROKER, CLUTCH, COMMON, MAIL_VARIABLE, PROGRAM, QUESTION, VEHICLE, count
 
 DEFAULT_SERVICE_KM: Final = 15_000
 DEFAULT_SILENCE_DAYS: Final = 14
@@ -102,4 +102,11 @@ _RETAIN: Final = Command(
     Option("--months N", "whole months to keep besides this one", count, required=True),
     examples=(f"{PROGRAM} retain --months 24",),
 )
-COMMANDS: Final = (_ALARMS, _PEERS, _LOTS, _SERVE, _WATCH, _ROLLUP, _RETAIN)
+_FORGET: Final = Command(
+    "forget",
+    "delete all that is stored of a vehicle, and prove it by a second look",
+    *QUESTION,
+    VEHICLE,
+    examples=(f"{PROGRAM} forget car2", f"{PROGRAM} forget car2 --json"),
+)
+COMMANDS: Final = (_ALARMS, _PEERS, _LOTS, _SERVE, _WATCH, _ROLLUP, _RETAIN, _FORGET)

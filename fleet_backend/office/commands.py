@@ -17,6 +17,7 @@ from fleet_backend.config import parse_listen
 from fleet_backend.database import default_database, open_database
 from fleet_backend.errors import ExtraMissingError
 from fleet_backend.lots import lots_of, read_lots, store_lots
+from fleet_backend.office.forgetting import forget_vehicle
 from fleet_backend.office.retention import retain as retain_months
 from fleet_backend.office.retention import roll_up
 from fleet_backend.page.access import Access, read_access
@@ -121,3 +122,16 @@ def retain(options: SimpleNamespace, engine: Engine) -> None:
     done = retain_months(engine, options.months, now=datetime.now(UTC), by=user_name())
     kept = f"; {done.kept_count} earlier ones stay, as they are the last of their clutches" if done.kept_count else ""
     sys.stdout.write(f"{done.gone_count} results from before {done.before:%Y-%m} forgotten{kept}\n")
+
+
+def forget(options: SimpleNamespace, engine: Engine) -> None:
+    done = forget_vehicle(engine, options.vehicle, now=datetime.now(UTC), by=user_name())
+    if options.json:
+        record = {"schema": "clutchdiag/fleet-forgotten/v1", "vehicle_sha256": done.digest}
+        report.write_json([{**record, "gone": done.gone, "left": done.left}], sys.stdout)
+        return
+    sys.stdout.writelines(f"{name}: {count} rows\n" for name, count in done.gone.items() if count)
+    sys.stdout.write(
+        f"{options.vehicle} is forgotten: {sum(done.gone.values())} rows; a second look found none left. What it still "
+        "sends is stored anew; retained messages are the broker's\n"
+    )
