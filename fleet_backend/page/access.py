@@ -93,6 +93,16 @@ class Access:
     key: bytes = field(default_factory=lambda: secrets.token_bytes(32), repr=False)  # of tokens; dies with the process
 
     @property
+    def exposure(self) -> str | None:
+        """What an owner may not have meant; None: nothing."""
+        if self.login is None or ANYBODY not in self.roles:
+            return None
+        role = self.roles[ANYBODY].name.lower()
+        return (
+            f'{role} = ["{ANYBODY}"]: whoever has an account at the login provider is {role}, with a public one anybody'
+        )
+
+    @property
     def knows_people(self) -> bool:
         """Whether anybody logs in."""
         return self.proxy is not None or self.login is not None
@@ -200,7 +210,10 @@ def _access(table: Mapping[str, Any], folder: Path) -> Access:
 
 
 def _login(table: Mapping[str, Any], folder: Path, host_names: tuple[str, ...]) -> Login:
-    _refuse_others(table, (*_OIDC, "name_claim"))
+    _refuse_others(table, (*_OIDC, "name_claim", "has_verified_emails"))
+    has_verified_emails = table.get("has_verified_emails", False)
+    if not isinstance(has_verified_emails, bool):
+        raise ConfigError("oidc: has_verified_emails must be true or false")
     words = [table.get(name) for name in (*_OIDC, "name_claim")]
     if not all(isinstance(word, str) and word for word in words[:-1]) or not isinstance(words[-1], str | None):
         raise ConfigError(f"oidc needs {', '.join(_OIDC)}")
@@ -220,6 +233,7 @@ def _login(table: Mapping[str, Any], folder: Path, host_names: tuple[str, ...]) 
         secret=_secret(folder / file),
         return_address=f"{parts.scheme}://{parts.netloc}/login/return",
         name_claim=str(words[-1] or "email"),
+        has_verified_emails=has_verified_emails,
     )
     return Login(provider=oidc.OpenIdProvider(client), is_secure=parts.scheme == "https")
 

@@ -42,6 +42,7 @@ class Client:
     secret: str = field(repr=False)
     return_address: str
     name_claim: str
+    has_verified_emails: bool = False  # the provider verifies addresses, though its tokens do not say so
 
 
 class _NoRedirects(HTTPRedirectHandler):
@@ -109,7 +110,8 @@ class OpenIdProvider:
         name = claims.get(self._client.name_claim)
         if not isinstance(name, str) or not name:
             raise LoginError(f"the provider did not say the {self._client.name_claim} of the user")
-        if self._client.name_claim == "email" and claims.get("email_verified") is not True:
+        is_verified = claims.get("email_verified", self._client.has_verified_emails) is True
+        if self._client.name_claim == "email" and not is_verified:
             raise LoginError("the provider has not verified this e-mail address")
         return name
 

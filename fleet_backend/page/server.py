@@ -42,6 +42,8 @@ def run_server(engine: Engine, writer: Engine, host: str, port: int, access: Acc
     DatabaseError
         If the database cannot be read.
     """
+    if danger := access.exposure:
+        _LOG.warning("%s", danger)
     os.nice(_NICE)
     keeper = Keeper(DatabaseSource(engine))
     keeper.refresh()

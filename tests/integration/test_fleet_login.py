@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from html import unescape
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 from fleet_backend.database import open_database
 from fleet_backend.errors import ConfigError
 from fleet_backend.page.access import Access, Login, Role, read_access
-from fleet_backend.page.errors import ProviderAwayError
+from fleet_backend.page.errors import LoginError, ProviderAwayError
 from fleet_backend.page.login import local_path
 from fleet_backend.page.oidc import Client, OpenIdProvider
 from fleet_backend.page.server import closing_socket
@@ -195,9 +196,9 @@ def test_a_change_takes_the_token_of_the_session(browser: httpx.Client, provider
 
 def test_a_provider_that_is_away_keeps_nobody_waiting() -> None:
     with provided() as gone:
-        words = {"client_id": CLIENT_ID, "secret": CLIENT_SECRET, "return_address": "", "name_claim": "email"}
-        provider = OpenIdProvider(Client(issuer=gone.issuer, **words))
-        lying = OpenIdProvider(Client(issuer=f"{gone.issuer}/", **words))
+        provider, lying = (
+            OpenIdProvider(replace(CLIENT, issuer=issuer)) for issuer in (gone.issuer, f"{gone.issuer}/")
+        )
         with pytest.raises(ProviderAwayError, match="does not describe itself as it should"):
             lying.address(Attempt.begin("/", 0.0))
         asked = len(gone.asked)
@@ -272,6 +273,29 @@ def write(folder: Path, **others: str) -> Path:
     return path
 
 
+CLIENT = Client(issuer="", client_id="", secret="", return_address="", name_claim="email")
+
+
+@pytest.mark.parametrize(
+    ("is_trusted", "told", "is_in"),
+    [(False, None, False), (True, None, True), (False, True, True), (True, False, False)],
+)
+def test_a_provider_that_does_not_say_whether_addresses_are_verified_must_be_trusted(
+    *, is_trusted: bool, told: bool | None, is_in: bool
+) -> None:
+    provider = OpenIdProvider(replace(CLIENT, has_verified_emails=is_trusted))
+    claims = {"email": "ann@example.org"} | ({} if told is None else {"email_verified": told})
+    with nullcontext() if is_in else pytest.raises(LoginError, match="not verified"):
+        assert provider._name_in(claims) == "ann@example.org"
+
+
+def test_whoever_the_provider_knows_is_a_danger_that_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    assert read_access(path).exposure is None
+    path.write_text(path.read_text("utf-8") + '\nviewer = ["*"]\n', encoding="utf-8")
+    assert "whoever has an account at the login provider is viewer" in str(read_access(path).exposure)
+
+
 def test_the_file_makes_a_login(tmp_path: Path) -> None:
     access = read_access(write(tmp_path))
     assert access.knows_people
@@ -291,6 +315,7 @@ def test_the_file_makes_a_login(tmp_path: Path) -> None:
         ({"colour": '"red"'}, "'colour' is unknown"),
         ({"client_secret_file": '"missing"'}, "missing"),
         ({"name_claim": "7"}, "oidc needs"),
+        ({"has_verified_emails": '"yes"'}, "must be true or false"),
     ],
 )
 def test_a_file_that_makes_none_is_one_clear_line(tmp_path: Path, words: dict[str, str], complaint: str) -> None:
