@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from benchmarks.poison import PRESSURES_PA, TORQUES_NM, Step, bad, is_followed
+from benchmarks.poison import PRESSURES_PA, TORQUES_NM, Setting, Step, bad, is_followed
 from benchmarks.stick_slip import Launch, counts
 from diag_service.diagnosis.columns import Signal
+from ecu_emulator.scenario.scenario_file import load_scenario
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
 
 
@@ -31,6 +32,19 @@ def test_a_changeis_followed_if_most_of_it_is_made_within_four_events() -> None:
     assert is_followed(step(-0.06, -0.04, -0.02, -0.01))
     assert not is_followed(step(-0.06, -0.05, -0.04, -0.04))
     assert not is_followed(step(-0.01, -0.01))  # there were no four
+    assert is_followed(step(-0.06, -0.05, -0.04, -0.04, -0.01), 5)
+
+
+@pytest.mark.parametrize(("oil_degc", "count"), [(None, 4), (60.0, 4), (45.0, 8)])
+def test_oil_is_as_warm_as_said_and_a_change_has_more_events_where_it_is_cool(
+    oil_degc: float | None, count: int
+) -> None:
+    setting, base = Setting(oil_degc=oil_degc), load_scenario("noise_only")
+    assert setting.followed_events == count
+    expected_k = base.ambient.oil_temperature_k if oil_degc is None else 273.15 + oil_degc
+    driven = setting.scenario(base)
+    assert driven.ambient.oil_temperature_k == pytest.approx(expected_k)
+    assert oil_degc is None or driven.ambient.coolant_temperature_k == driven.ambient.oil_temperature_k
 
 
 def test_launches_are_counted_by_what_truly_happened() -> None:
