@@ -102,6 +102,11 @@ class Stages:
             indices=measure(event, self._calibration) if is_believed else None,
         )
         if self.tier is Tier.FRICTION:
+            for clutch in (1, 2):
+                if (
+                    state.folded_counts[clutch - 1] < self._state.folded_counts[clutch - 1]
+                ):  # they grow until it has changed
+                    self._memory = self._memory.with_changed_friction(clutch)
             memory = self._memory.with_fit(estimate).with_shift(estimate, self._state).with_launch(estimate)
             self._memory, verdict = judge(memory, state, estimate.clutch, self._calibration)
         else:

@@ -145,6 +145,10 @@ class ConditionMemory:
         launches = self.launches[estimate.clutch - 1].with_event(estimate)
         return replace(self, launches=with_clutch(self.launches, estimate.clutch, launches))
 
+    def with_changed_friction(self, clutch: int) -> Self:
+        """Return the memory after the friction of a clutch has changed: what it did before is no witness of it now."""
+        return replace(self, launches=with_clutch(self.launches, clutch, Launches()))
+
     @property
     def misfit_text(self) -> str:
         """Why no verdict rests on this calibration; empty if one may."""
