@@ -143,6 +143,9 @@ class InOrder(can.Listener):
         while self._held[0][0] < msg.timestamp - HELD_S:
             self._log.on_message_received(heappop(self._held)[2])
 
+    def on_error(self, exc: Exception) -> None:
+        """Say nothing: who records looks at what the notifier keeps."""
+
     def stop(self) -> None:
         """Write what is left."""
         while self._held:
@@ -157,18 +160,19 @@ def _record(asker: SignalAsker, bus: BusName, options: SimpleNamespace, controls
     show(f"drive now, with gear changes of all gears, pulled and coasted: recorded into {path} {until}")
     try:
         log = can.Logger(path)
+        with opened_bus(bus) as heard_bus, can.Notifier(heard_bus, [InOrder(log)]) as reader:
+            begun_s = told_s = time.monotonic()
+            while not controls.stop.is_set and (now_s := time.monotonic()) < end_s:
+                if reader.exception is not None:
+                    raise reader.exception
+                if now_s > told_s + PROGRESS_S:
+                    told_s = now_s
+                    show(f"{(now_s - begun_s) / 60.0:.0f} min, {asker.set_count} sets")
+                time.sleep(LOOK_S)
     except OSError as exc:
         raise OutputError(f"cannot record into {path}: {exc.strerror or exc}") from exc
-    with opened_bus(bus) as heard_bus, can.Notifier(heard_bus, [InOrder(log)]) as reader:
-        begun_s = told_s = time.monotonic()
-        while not controls.stop.is_set and (now_s := time.monotonic()) < end_s:
-            if reader.exception is not None:
-                failure = OutputError if isinstance(reader.exception, OSError) else SourceError
-                raise failure(f"recording into {path} ended: {reader.exception}")
-            if now_s > told_s + PROGRESS_S:
-                told_s = now_s
-                show(f"{(now_s - begun_s) / 60.0:.0f} min, {asker.set_count} sets")
-            time.sleep(LOOK_S)
+    except can.CanError as exc:
+        raise SourceError(f"recording into {path} ended: {exc}") from exc
 
 
 def _judged(log: Path, words: list[str], controls: Controls, show: Show) -> list[str]:

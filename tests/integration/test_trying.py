@@ -1,12 +1,15 @@
 """``diag-service try`` before the emulated controller: nothing unless allowed, then values, rate, and how to go on."""
 
+import errno
 import signal
 import sys
 import time
 from pathlib import Path
 
+import can
 import pytest
 
+from diag_service.tester import trying
 from ecu_emulator.diagnostics.elm327.server import ElmServer
 from tests.integration.test_signal_asking import controller, heard
 from tests.integration.test_tester import vehicle
@@ -76,6 +79,23 @@ def test_a_first_drive_is_recorded_learned_from_and_diagnosed(tmp_path: Path) ->
         assert not ear.frames
     assert refused.status == 2
     assert "drive.log" in refused.err
+
+
+def test_a_disk_that_is_full_ends_the_drive_with_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class FullDisk(can.Listener):
+        def __init__(self, _path: Path) -> None:
+            pass
+
+        def on_message_received(self, _msg: can.Message) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(can, "Logger", FullDisk)
+    monkeypatch.setattr(trying, "HELD_S", 0.0)
+    with vehicle("try-4", controller()):
+        words = ("-i", "virtual", "-c", "try-4", "--listen", "0.05", "--profile", "dct_asked", "--active")
+        run = ended("try", *words, "--record", tmp_path / "drive.log", "--duration", "60")
+    assert run.status == 4
+    assert "drive.log: No space left on device" in run.err
 
 
 @pytest.mark.parametrize(
