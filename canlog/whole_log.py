@@ -19,7 +19,7 @@ from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, Frame
 from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_log
 from canlog.parquet_file import TIME_TYPE, arrow_schema, load_pyarrow
 from canlog.tables.account import DecodeAccount, losses
-from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, groups, message_layout, stretches, values_in
+from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, groups, message_layout, stretches
 from canlog.tables.inputs import log_paths
 from canlog.tables.layouts import BARE_ID, ShapeName, TableShapeName, Values, ValuesName, WideLayout
 from canlog.tables.long_rows import FrameGroup
@@ -112,7 +112,7 @@ class Log:
         """What became of every frame and every signal when they were decoded."""
         account = self._new_account()
         for group in self._groups(account):
-            values_in(group, account)
+            account.values_of(group)
         return account
 
     @property
@@ -132,7 +132,7 @@ class Log:
         times: list[Int64Array] = []
         start, account = 0, self._new_account(plan)
         for group in self._groups(account):
-            for one in values_in(group, account):
+            for one in account.values_of(group):
                 for name, decoded in one.signals.items():
                     kept = slice(None) if decoded.is_present is None else decoded.is_present
                     rows.setdefault((one.slot, name), []).append(one.rows[kept] + start)
@@ -196,7 +196,7 @@ class Log:
         layouts: dict[int, WideLayout] = {}
         batches: dict[int, list[Any]] = {}
         for group in groups(stretches(self._streamed(), account), plan.codec, plan.size()):
-            found = sorted(values_in(group, account), key=lambda one: one.slot)
+            found = sorted(account.values_of(group), key=lambda one: one.slot)
             for slot, parts in groupby(found, key=lambda one: one.slot):
                 if slot not in layouts:
                     layouts[slot] = message_layout(account, slot, values, None, is_measured=plan.is_measured)

@@ -14,7 +14,7 @@ from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import LogCounts
 from canlog.logs.log_counts import assumed_texts, lost_texts, odd_texts
 from canlog.tables.layouts import BARE_ID, Place, TableNames, flagged_id, identifier_text
-from canlog.tables.long_rows import Stretch
+from canlog.tables.long_rows import FrameGroup, Stretch
 from canlog.transport import TransferCounts
 
 MAX_IDS: Final = 65_536  # that are counted one by one: no bus has as many, a log of noise has
@@ -72,6 +72,15 @@ class DecodeAccount:
                 self.frames_of_id[can_id] += count
             else:
                 self.unlisted_count += count
+
+    def values_of(self, group: FrameGroup) -> list[MessageValues]:
+        """Return what the signals of a group say, message by message; it enters the account."""
+        found = list(self.codec.decode_slots(group.frames, group.slot_in_frames, group.has_short))
+        if group.long is not None:
+            found += group.long.values(self.codec)
+        for one in found:
+            self.add_values(one)
+        return found
 
     def add_values(self, found: MessageValues) -> None:
         """Count the values of some frames of one message."""

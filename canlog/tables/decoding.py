@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, Final, Protocol
 import numpy as np
 from cantools.database.can import Message
 
-from canlog.decode.codec import HAS_VALUES, Codec, MessageValues
+from canlog.decode.codec import HAS_VALUES, Codec
 from canlog.errors import DefinitionError, OutputError, SourceError
 from canlog.files import replacing
 from canlog.frames import FrameBatch
@@ -160,19 +160,9 @@ def groups(
     yield from stock.rest()
 
 
-def values_in(group: FrameGroup, account: DecodeAccount) -> list[MessageValues]:
-    """Return what the signals of a group say, message by message; it enters the account."""
-    found = list(account.codec.decode_slots(group.frames, group.slot_in_frames, group.has_short))
-    if group.long is not None:
-        found += group.long.values(account.codec)
-    for one in found:
-        account.add_values(one)
-    return found
-
-
 def columns_of(group: FrameGroup, account: DecodeAccount, layout: WideLayout | LongLayout) -> Mapping[str, Any]:
     """Return the columns of a group, empty if it has no rows; values and rows enter the account."""
-    found = values_in(group, account)
+    found = account.values_of(group)
     count, columns = layout.columns(group, found) if found else (0, {})
     account.row_count += count
     return columns if count else {}
@@ -234,7 +224,7 @@ class MessageRows:
 
     def write_group(self, group: FrameGroup) -> None:
         """Write some frames, message by message."""
-        found = sorted(values_in(group, self._account), key=lambda one: one.slot)
+        found = sorted(self._account.values_of(group), key=lambda one: one.slot)
         for slot, parts in groupby(found, key=lambda one: one.slot):
             layout, sink = self._table(slot)
             count, columns = layout.columns(group, list(parts))

@@ -11,7 +11,6 @@ from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.decode.codec import MessageValues
 from canlog.extras import load_extra
 from canlog.tables.account import DecodeAccount
-from canlog.tables.decoding import values_in
 from canlog.tables.inputs import Origins
 from canlog.tables.long_rows import FrameGroup
 
@@ -51,7 +50,7 @@ class Mf4Table:
             self._start_ns = start_s * NS_PER_S
             self._file.header.start_time = datetime.fromtimestamp(start_s, UTC)
         by_slot: dict[int, list[MessageValues]] = {}
-        for one in values_in(group, self._account):
+        for one in self._account.values_of(group):
             self._account.row_count += len(one.rows)
             by_slot.setdefault(one.slot, []).append(one)
         for slot, parts in by_slot.items():

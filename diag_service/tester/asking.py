@@ -29,9 +29,6 @@ from diag_service.tester.timing import Timing
 if TYPE_CHECKING:
     from diag_service.tester.dialogue import Dialogue
 
-CLASSIC_BYTES: Final = 8
-PADDING: Final = 0xCC  # ISO 15765-2: the bits stuffed least
-
 
 LISTEN_S: Final = 5.0  # S3 of a controller (ISO 14229-2): a tester that keeps a session speaks at least so often
 _PATIENCE_S: Final = 0.1
@@ -45,20 +42,6 @@ _LARGEST_PORT: Final = 0xFFFF
 LONGEST_S: Final = 3600.0
 JOIN_S: Final = 3.0  # how long an ending service waits for a question that is under way
 SHORTEST_ANSWER_S: Final = 0.001
-
-
-def send(bus: can.BusABC, message: can.Message) -> None:
-    """Put a frame on a bus.
-
-    Raises
-    ------
-    ControllerError
-        If the bus does not take it.
-    """
-    try:
-        bus.send(message, timeout=1.0)
-    except (can.CanError, OSError, ValueError) as exc:
-        raise ControllerError(f"the bus does not take a request: {one_line(exc)}") from exc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

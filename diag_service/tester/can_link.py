@@ -11,7 +11,7 @@ from canlog.live.pythoncan import one_line
 from diag_service.errors import ControllerError, SilentError, StoppedError
 from diag_service.tester.addresses import CanAddress, is_extended
 from diag_service.tester.answers import request_text
-from diag_service.tester.asking import CLASSIC_BYTES, PADDING, send
+from diag_service.tester.frames import CLASSIC_BYTES, PADDING, send
 from diag_service.tester.libraries import BaseConnection, TimeoutException, isotp
 from diag_service.tester.timing import STOPPED
 

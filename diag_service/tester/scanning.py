@@ -44,9 +44,7 @@ from diag_service.tester.answers import (
     request_text,
 )
 from diag_service.tester.asking import (
-    CLASSIC_BYTES,
     LISTEN_S,
-    PADDING,
     BusName,
     DoipPlace,
     Traffic,
@@ -55,10 +53,10 @@ from diag_service.tester.asking import (
     dialogue_over_ip,
     listen,
     opened_bus,
-    send,
 )
 from diag_service.tester.description import STANDARD_DATA, UNKNOWN, Description
 from diag_service.tester.description_file import recognised
+from diag_service.tester.frames import CLASSIC_BYTES, PADDING, send
 from diag_service.tester.reading import FAILED_MASK, DataAnswer, read_data
 from diag_service.tester.timing import Timing
 
