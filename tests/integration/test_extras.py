@@ -61,7 +61,7 @@ def test_every_program_starts_as_a_module(plain: PlainInstall) -> None:
 def test_every_command_of_the_backend_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
     (text,) = plain.run_all("fleet_backend.cli", [["--help"]])
     more = {"trend": ["car1", "2"], "fill": ["car1", "oil"], "ingest": ["--broker", "mqtt://127.0.0.1"]}
-    more["retain"] = ["--months", "12"]
+    more |= {"retain": ["--months", "12"], "forget": ["car1"]}
     commands = [one for one in COMMAND.findall(text.out) if one != "follow"]
     database = ["--database", f"sqlite:///{tmp_path}/fleet.sqlite"]
     told = plain.run_all("fleet_backend.cli", [[one, *database, *more.get(one, [])] for one in commands])
