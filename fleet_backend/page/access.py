@@ -98,9 +98,7 @@ class Access:
         if self.login is None or ANYBODY not in self.roles:
             return None
         role = self.roles[ANYBODY].name.lower()
-        return (
-            f'{role} = ["{ANYBODY}"]: whoever has an account at the login provider is {role}, with a public one anybody'
-        )
+        return f'{role} = ["{ANYBODY}"]: everybody with an account at the login provider is {role}'
 
     @property
     def knows_people(self) -> bool:

@@ -293,7 +293,7 @@ def test_whoever_the_provider_knows_is_a_danger_that_is_named(tmp_path: Path) ->
     path = write(tmp_path)
     assert read_access(path).exposure is None
     path.write_text(path.read_text("utf-8") + '\nviewer = ["*"]\n', encoding="utf-8")
-    assert "whoever has an account at the login provider is viewer" in str(read_access(path).exposure)
+    assert "everybody with an account at the login provider is viewer" in str(read_access(path).exposure)
 
 
 def test_the_file_makes_a_login(tmp_path: Path) -> None:
