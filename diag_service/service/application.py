@@ -11,7 +11,7 @@ from contextvars import copy_context
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from rich.console import Console
 
@@ -37,6 +37,7 @@ from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore, remove_store
 from fleet_contract import Outgoing, config_message, metrics_message
 
+MOST_TYPE_NAME: Final = 128  # characters, as the contract has it
 _LOG = logging.getLogger(__name__)
 
 
@@ -85,7 +86,7 @@ def outbox_of(config: DiagnosisConfig, store: ResultStore, session: Session, *, 
         algorithm_version=versions.algorithm,
         calibration_version=versions.calibration,
         calibration={
-            "vehicle_type": config.calibration.name,
+            "vehicle_type": " ".join(legible(config.calibration.name).split())[:MOST_TYPE_NAME] or "unnamed",
             "new_friction": [asdict(one.friction) for one in config.calibration.clutches],
         },
     )

@@ -5,7 +5,7 @@ A version holds a digest of its numbers, so what was read once of a vehicle and 
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any, Final
 
@@ -81,8 +81,9 @@ def _shipped_as_known() -> KnownCalibration:
 
 def _calibration(told: Mapping[str, Any]) -> KnownCalibration | None:
     """Return what a vehicle told; None where no clutch can be like that."""
+    names = [field.name for field in fields(FrictionCurve)]  # a vehicle may tell more than we know
     try:
-        curves = tuple(FrictionCurve(**one) for one in told["new_friction"])
-    except CalibrationError:
+        curves = tuple(FrictionCurve(**{name: float(one[name]) for name in names}) for one in told["new_friction"])
+    except (CalibrationError, KeyError):
         return None
     return KnownCalibration(vehicle_type=told["vehicle_type"], new_friction=curves)
