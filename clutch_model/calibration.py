@@ -10,9 +10,10 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import date
+from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, ClassVar, Final, Self, TypeVar
+from typing import Any, ClassVar, Final, NamedTuple, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -197,25 +198,30 @@ class ClutchGeometry(Ranged):
             raise CalibrationError("interface_count must be >= 1")
 
     @property
-    def lining_area_m2(self) -> float:
-        """Area of one friction face [m^2], A_lining."""
-        return math.pi * (self.outer_radius_m**2 - self.inner_radius_m**2)
+    def faces(self) -> "Faces":
+        """What the rings of its friction faces amount to."""
+        return faces(self.outer_radius_m, self.inner_radius_m, self.interface_count)
 
-    @property
-    def contact_factor_m3(self) -> float:
-        """Torque per friction coefficient and contact pressure [m^3], C of eq. (6)."""
-        return self.interface_count * 2.0 * math.pi / 3.0 * (self.outer_radius_m**3 - self.inner_radius_m**3)
 
-    @property
-    def viscous_factor_m4(self) -> float:
-        """Torque per shear rate and viscosity [m^4], Vg of eq. (5)."""
-        return self.interface_count * math.pi / 2.0 * (self.outer_radius_m**4 - self.inner_radius_m**4)
+class Faces(NamedTuple):
+    """Factors of the friction faces of one pack."""
 
-    @property
-    def squeeze_factor_m2(self) -> float:
-        """Geometric factor of the annular squeeze film [m^2], Q of eq. (7)."""
-        outer2, inner2 = self.outer_radius_m**2, self.inner_radius_m**2
-        return 1.5 * ((outer2 + inner2) - (outer2 - inner2) / math.log(self.outer_radius_m / self.inner_radius_m))
+    lining_area_m2: float  # A_lining, of one face
+    contact_factor_m3: float  # C of eq. (6): torque per friction coefficient and contact pressure
+    viscous_factor_m4: float  # Vg of eq. (5): torque per shear rate and viscosity
+    squeeze_factor_m2: float  # Q of eq. (7), of the annular squeeze film
+
+
+@lru_cache(maxsize=64)
+def faces(outer_radius_m: float, inner_radius_m: float, interface_count: int) -> Faces:
+    """Return the factors of rings, which a vehicle has the same for ever."""
+    outer2, inner2 = outer_radius_m**2, inner_radius_m**2
+    return Faces(
+        lining_area_m2=math.pi * (outer_radius_m**2 - inner_radius_m**2),
+        contact_factor_m3=interface_count * 2.0 * math.pi / 3.0 * (outer_radius_m**3 - inner_radius_m**3),
+        viscous_factor_m4=interface_count * math.pi / 2.0 * (outer_radius_m**4 - inner_radius_m**4),
+        squeeze_factor_m2=1.5 * ((outer2 + inner2) - (outer2 - inner2) / math.log(outer_radius_m / inner_radius_m)),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

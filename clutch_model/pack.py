@@ -15,7 +15,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, kernel, unchecked_kernel
-from clutch_model.calibration import ClutchCalibration, FrictionCurve, clutch_of_gear
+from clutch_model.calibration import ClutchCalibration, FrictionCurve, clutch_of_gear, faces
 from clutch_model.row_functions import row_exponential, row_logarithm
 from clutch_model.units import Quantity
 
@@ -149,6 +149,7 @@ class FilmLaw(NamedTuple):
 def film_law(clutch: ClutchCalibration) -> FilmLaw:
     """Return the kernel form of one clutch's film and geometry."""
     film, geometry = clutch.film, clutch.geometry
+    ring = faces(geometry.outer_radius_m, geometry.inner_radius_m, geometry.interface_count)
     return FilmLaw(
         roughness_m=float(film.roughness_m),
         contact_stiffness_pa=float(film.contact_stiffness_pa),
@@ -159,11 +160,11 @@ def film_law(clutch: ClutchCalibration) -> FilmLaw:
         separation_time_s=float(film.separation_time_s),
         separation_pressure_pa=float(film.separation_pressure_pa),
         min_film_m=float(film.min_film_m),
-        squeeze_factor_m2=float(geometry.squeeze_factor_m2 / film.mobility_ratio),
-        contact_factor_m3=float(geometry.contact_factor_m3),
-        viscous_factor_m4=float(geometry.viscous_factor_m4),
+        squeeze_factor_m2=float(ring.squeeze_factor_m2 / film.mobility_ratio),
+        contact_factor_m3=float(ring.contact_factor_m3),
+        viscous_factor_m4=float(ring.viscous_factor_m4),
         piston_area_m2=float(geometry.piston_area_m2),
-        lining_area_m2=float(geometry.lining_area_m2),
+        lining_area_m2=float(ring.lining_area_m2),
         closed_spring_force_n=float(clutch.piston.closed_spring_force_n),
     )
 

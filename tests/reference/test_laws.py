@@ -44,4 +44,4 @@ def test_squeeze_factor_is_that_of_an_annular_film() -> None:
 
     load = sum(pressure(inner + (index + 0.5) * step) * (inner + (index + 0.5) * step) for index in range(count)) * step
     mean = 2.0 * load / (outer**2 - inner**2)
-    assert mean == pytest.approx(law_clutch.squeeze_factor_m2, rel=1e-7)
+    assert mean == pytest.approx(law_clutch.faces.squeeze_factor_m2, rel=1e-7)

@@ -65,7 +65,7 @@ def test_a_slipping_pack_heats_by_its_friction_power() -> None:
     )
     believed = CALIBRATION.clutches[0]
     track = integrate_films((drive, drive), pack_laws(CALIBRATION))[0]
-    torque_nm = believed.geometry.contact_factor_m3 * believed.friction.mu_c * track.contact_pa[250]
+    torque_nm = believed.geometry.faces.contact_factor_m3 * believed.friction.mu_c * track.contact_pa[250]
     heated_k = torque_nm * 50.0 / believed.thermal.heat_capacity_j_k
     assert track.final_clutch_k - OIL_K == pytest.approx(heated_k, rel=0.2)
     assert track.viscous_nm[250] > 0.0
