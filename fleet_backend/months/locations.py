@@ -52,7 +52,8 @@ def _streams(source: str, count: str = "count(*) OVER w") -> str:
     """Return the statement for the rows of ``clutch_stream`` that results make."""
     return (
         f"SELECT DISTINCT ON (n.vehicle, n.clutch, n.stream) n.vehicle, n.clutch, n.stream, {count},"  # noqa: S608
-        " max(n.produced_at) OVER w, max(n.stored_at) OVER w, n.seq, n.version_rank, n.produced_at, n.content_digest"
+        " max(least(n.produced_at, n.stored_at)) OVER w,"  # a clock that is ahead orders nothing
+        " max(n.stored_at) OVER w, n.seq, n.version_rank, n.produced_at, n.content_digest"
         f" FROM {source} AS n WINDOW w AS (PARTITION BY n.vehicle, n.clutch, n.stream)"
         " ORDER BY n.vehicle, n.clutch, n.stream, n.seq DESC, n.version_rank DESC, n.content_digest"
     )
@@ -82,7 +83,7 @@ _INTO_BLOCKS: Final = "INSERT INTO clutch_block "
 FILL: Final = (_INTO_STREAMS + _streams(TABLE), _INTO_BLOCKS + _blocks(TABLE))
 _LEFT: Final = f"(SELECT s.* FROM {TABLE} AS s WHERE s.vehicle IN (SELECT vehicle FROM gone))"  # noqa: S608
 _CAME: Final = f"""
-CREATE FUNCTION shift_result_came() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN
+CREATE OR REPLACE FUNCTION shift_result_came() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN
   {_INTO_STREAMS} {_streams("fresh", "CASE TG_OP WHEN 'INSERT' THEN count(*) OVER w ELSE 0 END")} {_JOIN};
   {_INTO_BLOCKS} {_blocks("fresh")} ON CONFLICT DO NOTHING;
   IF TG_OP = 'UPDATE' THEN
@@ -92,7 +93,7 @@ CREATE FUNCTION shift_result_came() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN
 END $$
 """
 _WENT: Final = f"""
-CREATE FUNCTION shift_result_went() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN
+CREATE OR REPLACE FUNCTION shift_result_went() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN
   DELETE FROM clutch_stream WHERE vehicle IN (SELECT vehicle FROM gone);
   DELETE FROM clutch_block WHERE vehicle IN (SELECT vehicle FROM gone);
   {_INTO_STREAMS} {_streams(_LEFT)};
@@ -110,7 +111,8 @@ _TRIGGERS: Final = tuple(
         ("went", "DELETE", "OLD TABLE AS gone", "went"),
     )
 )
-FOLLOW: Final = (_CAME, _WENT, *_TRIGGERS)
+FUNCTIONS: Final = (_CAME, _WENT)
+FOLLOW: Final = (*FUNCTIONS, *_TRIGGERS)
 _GONE: Final = f"""
 CREATE TEMPORARY TABLE gone ON COMMIT DROP AS
 SELECT {_STREAM}, sum(part) AS gone_count FROM (

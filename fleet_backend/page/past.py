@@ -31,7 +31,8 @@ _NEAR: Final = literal(timedelta(days=31), Interval())
 _NEWER: Final = SHIFT_RESULT.alias("newer")
 # What pictures, tables and prognoses are made of; a row has twice as many columns.
 _TREND_COLUMNS: Final = (
-    *("vehicle", "stream", "seq", "clutch", "number", "kind", "produced_at", "end_at", "start_bus_ns", "end_bus_ns"),
+    *("vehicle", "stream", "seq", "clutch", "number", "kind", "produced_at", "stored_at"),
+    *("end_at", "start_bus_ns", "end_bus_ns"),
     *("from_gear", "to_gear", "status", "reasons", "sample_count", "window_s", "chi_square_ratio", "quality"),
     *("sump_temperature_k", "clutch_temperature_k", "slip_energy_j", "duration_s", "odometer_m", "level_ratio"),
     *("condition", "algorithm_version", "calibration_version", *FRICTION_COLUMNS),
@@ -83,7 +84,8 @@ def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
         remember(connection, {(row["vehicle"], row["calibration_version"]) for row in rows})
     last: dict[str, datetime] = {}
     for row in rows:
-        last[row["stream"]] = max(row["produced_at"], last.get(row["stream"], row["produced_at"]))
+        at = min(row["produced_at"], row["stored_at"])  # a clock that is ahead orders nothing
+        last[row["stream"]] = max(at, last.get(row["stream"], at))
     return sorted(_once(rows), key=lambda row: (last[row["stream"]], row["stream"], row["seq"]))
 
 

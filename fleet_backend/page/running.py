@@ -43,7 +43,7 @@ _IN_ONE_TABLE: Final = """(
     SELECT k.vehicle, k.clutch, (
       SELECT l.stream FROM shift_result AS l
       WHERE l.vehicle = k.vehicle AND l.clutch = k.clutch
-      ORDER BY l.vehicle DESC, l.clutch DESC, l.produced_at DESC, l.stream DESC LIMIT 1
+      ORDER BY l.vehicle DESC, l.clutch DESC, min(l.produced_at, l.stored_at) DESC, l.stream DESC LIMIT 1
     ) AS stream
     FROM clutch AS k {where}
   ) AS q

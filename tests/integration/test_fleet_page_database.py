@@ -15,6 +15,7 @@ from diag_service.diagnosis.prognosis import history_of, prognose
 from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.records import Condition, ServiceStatus, status_record
 from fleet_backend import queries
+from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError
 from fleet_backend.intake import batch_of, take_all
@@ -23,7 +24,9 @@ from fleet_backend.page.access import Access
 from fleet_backend.page.asking import Ask, read_words
 from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.news import News
+from fleet_backend.page.past import results_of
 from fleet_backend.page.peers import fleet_ageing
+from fleet_backend.page.running import all_clutches, clutches_of
 from fleet_backend.page.site import site
 from fleet_backend.page.usual import LEAST_CLUTCHES
 from fleet_backend.page.view import Sources, View
@@ -168,6 +171,21 @@ def test_a_shift_that_was_seen_live_and_in_a_log_counts_once(engine: Engine) -> 
     assert [one.result_count for one in twice.clutches] == [90, 90]
     assert [one.trend for one in twice.clutches] == [one.trend for one in once.clutches]
     assert [one.outlook for one in twice.clutches] == [one.outlook for one in once.clutches]
+
+
+def test_a_clock_that_was_ahead_hides_no_newer_results(engine: Engine) -> None:
+    ahead = fleet_result(7, stream="a", condition=Condition.CHANGE_FLUID, produced_at="2038-01-19T03:14:07.000000Z")
+    Writer(engine).store(Batch(shifts=[row_of(ahead)]))
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    newer = [fleet_result(seq, stream="b", produced_at=now) for seq in range(1, 40)]
+    Writer(engine).store(Batch(shifts=[row_of(one) for one in newer]))
+    assert [(one["stream"], one["seq"], one["condition"]) for one in queries.worst_first(engine)] == [("b", 39, "good")]
+    assert [(one.stream, one.condition) for one in all_clutches(engine)] == [("b", "good")]
+    assert [(one.stream, one.condition) for one in clutches_of(engine, ["car1"])] == [("b", "good")]
+    assert results_of(engine, "car1", 2)[-1]["stream"] == "b"
+    assert [row["stream"] for row in queries.trend(engine, "car1", 2, Axis.SHIFT)][-1] == "b"
+    (seen,) = queries.last_seen(engine)
+    assert str(seen["last_result_at"]) < "2038"
 
 
 def told_by(vehicle: str, calibration_version: str) -> Batch:
