@@ -1,13 +1,14 @@
 """How good prognoses are on simulated lives of clutches, beside four simpler ways to foretell.
 
     python -m benchmarks.prognosis --lives 200 --jobs 2
+    python -m benchmarks.prognosis --simulators --lives 400     # lives by other laws, beside a line and a constant life
     python -m benchmarks.prognosis --decompose                  # what limits the median, trouble by trouble
     python -m benchmarks.prognosis --population                 # what a fleet teaches
     python -m benchmarks.prognosis --lots --lives 480           # whether a bad lot of vehicles is found in time
     python -m benchmarks.prognosis --fills --lives 1000         # how soon forgotten fills are found, beside an oracle
     python -m benchmarks.prognosis --error-model --lives 8      # the errors of the lives beside whole simulated drives
 
-Numbers of the prognosis were chosen on seeds below 1000 and from 70000; docs/prognosis.md has what later ones say.
+Numbers of the prognosis were chosen on seeds below 2000; docs/prognosis.md has what later ones say.
 """
 
 import argparse
@@ -30,6 +31,7 @@ from benchmarks.prognosis.fleets import TYPES, population_tables
 from benchmarks.prognosis.lives import life_km_of, life_of
 from benchmarks.prognosis.lots import lots_table, stock_of
 from benchmarks.prognosis.scores import crps, is_covered, is_near
+from benchmarks.prognosis.simulators import simulators_tables
 from benchmarks.prognosis.truth import Stratum
 from canlog.arrays import FloatArray
 
@@ -187,6 +189,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first life")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     other = parser.add_mutually_exclusive_group()
+    other.add_argument("--simulators", action="store_true", help="lives by three sets of laws")
     other.add_argument("--decompose", action="store_true", help="what limits the median, trouble by trouble")
     other.add_argument(
         "--error-model", action="store_true", help="errors of the lives beside those of whole simulated drives"
@@ -203,7 +206,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     began_s = processor_s()
     console = Console(markup=False, width=WIDTH)
     seeds = range(arguments.seed, arguments.seed + arguments.lives)
-    if arguments.decompose:
+    if arguments.simulators:
+        for table in simulators_tables(seeds, partial(each, jobs=arguments.jobs)):
+            console.print(table)
+    elif arguments.decompose:
         console.print(decomposition_table(seeds, partial(each, jobs=arguments.jobs)))
     elif arguments.error_model:
         vehicles = each(rows_of, seeds, arguments.jobs)

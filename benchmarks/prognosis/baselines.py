@@ -1,4 +1,4 @@
-"""What a prognosis must beat: a fixed interval, the last slope, a logistic index, the lives of a fleet."""
+"""What a prognosis must beat: a fixed interval, a line through all results, a logistic index, the lives of a fleet."""
 
 from typing import Final
 
@@ -11,7 +11,6 @@ from diag_service.diagnosis.prognosis import History
 
 INTERVAL_KM: Final = 60_000.0  # what makers of wet dual-clutch transmissions commonly ask for
 FARTHEST_KM: Final = 300_000.0
-LAST_KM: Final = 15_000.0
 INDEX_KM: Final = 5_000.0
 INDEX_MIDDLE: Final = 0.5  # of the margin
 INDEX_WIDTH: Final = 0.25
@@ -30,13 +29,16 @@ def fleet(age_km: float, lives_km: FloatArray) -> FloatArray:
     return np.asarray(np.quantile(left_km, PROBABILITIES), np.float64)
 
 
-def last_slope(history: History) -> FloatArray:
-    """Return where the slope of the last results of the noted fluid leads, a number without doubt [km]."""
+def whole_line(history: History) -> FloatArray:
+    """Return where a straight line through all results of the noted fluid leads, weighted by what they state [km]."""
     distance_km, margin = _margins(history)
-    is_late = distance_km > -LAST_KM
-    distance_km, margin = distance_km[is_late], margin[is_late]
-    now, rate_per_km = _line(distance_km, margin)
-    return _left(now, rate_per_km)
+    if len(margin) < 3:
+        return _left(1.0, 0.0)
+    own = history.fluid_number == history.fluid_number[-1]
+    slope, now = np.polyfit(
+        distance_km, margin, 1, w=1.0 / np.hypot(history.random_std_mu_c, history.random_std_mu_s)[own]
+    )
+    return _left(float(now), float(slope))
 
 
 def logistic_index(history: History) -> FloatArray:
@@ -62,14 +64,6 @@ def _margins(history: History) -> tuple[FloatArray, FloatArray]:
     own = history.fluid_number == history.fluid_number[-1]
     distance_km = (history.odometer_m[own] - history.odometer_m[-1]) / 1000.0
     return distance_km, (history.mu_c[own] - history.mu_s[own]) / (REFERENCE.mu_c - REFERENCE.mu_s)
-
-
-def _line(distance_km: FloatArray, margin: FloatArray) -> tuple[float, float]:
-    """Return value today and slope per kilometre by least squares."""
-    if len(margin) < 3:
-        return 1.0, 0.0
-    slope, now = np.polyfit(distance_km, margin, 1)
-    return float(now), float(slope)
 
 
 def _logistic(margin: FloatArray) -> FloatArray:

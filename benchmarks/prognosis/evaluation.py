@@ -1,15 +1,16 @@
 """One life after another: what was foretold at some ages, what was said too early, which fills were found."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
 
-from benchmarks.prognosis.baselines import FARTHEST_KM, fixed_interval, fleet, last_slope, logistic_index
+from benchmarks.prognosis.baselines import FARTHEST_KM, fixed_interval, fleet, logistic_index, whole_line
 from benchmarks.prognosis.lives import DRIVEN_KM, Life
 from benchmarks.prognosis.oracle import oracle, without_bends_km
 from benchmarks.prognosis.scores import PROBABILITIES
-from benchmarks.prognosis.truth import KM_PER_YEAR, REFERENCE, Stratum
+from benchmarks.prognosis.truth import KM_PER_YEAR, REFERENCE
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.condition.verdict import CHANGE_PROBABILITY
 from diag_service.diagnosis.prognosis import Passage, prognose
@@ -27,7 +28,7 @@ M_PER_KM: Final = 1000.0
 class Forecast:
     """What was said at one age of one fluid, and what was true: distances until the change is due [km]."""
 
-    stratum: Stratum
+    stratum: StrEnum
     mark: float
     life_km: float
     left_km: float
@@ -42,7 +43,7 @@ class Forecast:
         return float(np.median(self.methods[0]))
 
 
-METHODS: Final = ("prognosis", "fixed interval", "last slope", "logistic index", "fleet")
+METHODS: Final = ("prognosis", "fixed interval", "whole line", "logistic index", "fleet")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,14 +63,12 @@ class Account:
 def account_of(life: Life, lives_km: FloatArray) -> Account:
     """Return the account of a life; the fleet baseline knows the lives of others."""
     forecasts = tuple(_forecasts(life, lives_km))
-    looks = [km for km in np.arange(LOOK_KM, DRIVEN_KM, LOOK_KM).tolist() if km < life.change_km]
-    said = [_is_due(life, km) for km in looks]
     overdue_km = life.change_km + LATEST_KM
     found_rows, false_count = found_fills(life)
     return Account(
         forecasts=forecasts,
         years=min(life.change_km, DRIVEN_KM) / KM_PER_YEAR,
-        early_count=sum(now and not before for before, now in zip([False, *said], said, strict=False)),
+        early_count=early_looks(life),
         is_told=_is_due(life, overdue_km) if overdue_km < DRIVEN_KM else None,
         found_rows=found_rows,
         is_lost=life.forgotten_km is not None and found_rows is None,
@@ -78,7 +77,14 @@ def account_of(life: Life, lives_km: FloatArray) -> Account:
     )
 
 
-def _passage(life: Life, odometer_km: float) -> Passage | None:
+def early_looks(life: Life) -> int:
+    """Return how often "change now" was said anew before it was due."""
+    looks = [km for km in np.arange(LOOK_KM, DRIVEN_KM, LOOK_KM).tolist() if km < life.change_km]
+    said = [_is_due(life, km) for km in looks]
+    return sum(now and not before for before, now in zip([False, *said], said, strict=False))
+
+
+def passage_at(life: Life, odometer_km: float) -> Passage | None:
     """Return what is said of the change of the fluid at an odometer."""
     history = life.history.first(life.rows_until(odometer_km))
     found = prognose(1, history, REFERENCE)
@@ -86,7 +92,7 @@ def _passage(life: Life, odometer_km: float) -> Passage | None:
 
 
 def _is_due(life: Life, odometer_km: float) -> bool:
-    when = _passage(life, odometer_km)
+    when = passage_at(life, odometer_km)
     return when is not None and when.within(0.0) >= CHANGE_PROBABILITY
 
 
@@ -95,7 +101,7 @@ def _forecasts(life: Life, lives_km: FloatArray) -> list[Forecast]:
     nobody = np.full_like(PROBABILITIES, np.nan)
     for mark in (*MARKS, *LATE_MARKS):
         odometer_km = life.begin_km + mark * life.life_km
-        when = _passage(life, odometer_km) if odometer_km < DRIVEN_KM else None
+        when = passage_at(life, odometer_km) if odometer_km < DRIVEN_KM else None
         if when is None:
             continue
         history = life.history.first(life.rows_until(odometer_km))
@@ -111,7 +117,7 @@ def _forecasts(life: Life, lives_km: FloatArray) -> list[Forecast]:
                 methods=(
                     when.quantiles_m(PROBABILITIES) / M_PER_KM,
                     fixed_interval(age_km),
-                    last_slope(history),
+                    whole_line(history),
                     logistic_index(history),
                     fleet(age_km, lives_km),
                 ),

@@ -5,6 +5,7 @@ find. Of some thirty results one is drawn.
 """
 
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -42,7 +43,7 @@ class Life:
     """One simulated clutch: what was measured, and what was true."""
 
     seed: int
-    stratum: Stratum
+    stratum: StrEnum
     history: History
     begin_km: float  # odometer at the last fill, where the fluid's life begins
     watch_km: float  # odometer at which its truth passes the limits
@@ -62,7 +63,11 @@ class Life:
 
 def life_of(seed: int, errors: Errors = ERRORS, fleet: Fleet = ALL_TYPES) -> Life:
     """Return the life of a seed; strata come in turn."""
-    lived = lived_of(seed, fleet)
+    return life_from(seed, lived_of(seed, fleet), errors)
+
+
+def life_from(seed: int, lived: Lived, errors: Errors) -> Life:
+    """Return what was measured of what became of a clutch."""
     is_noted = lived.stratum is not Stratum.FORGOTTEN_FILL
     history, noise_ratio = _measured(lived, errors)
     return Life(
@@ -149,7 +154,7 @@ def _oil(rng: np.random.Generator, plan: Plan, odometer_km: FloatArray) -> tuple
     return np.where(is_cold, rng.uniform(*COLD_DEGC, len(odometer_km)), warm), is_cold
 
 
-def _drift(rng: np.random.Generator, stratum: Stratum, odometer_km: FloatArray) -> FloatArray:
+def _drift(rng: np.random.Generator, stratum: StrEnum, odometer_km: FloatArray) -> FloatArray:
     """Return by which growing share mu_C and mu_S are read too high: a torque that drifts, a pressure beside it."""
     if stratum is not Stratum.DRIFT:
         return np.zeros((2, len(odometer_km)))

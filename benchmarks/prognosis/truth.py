@@ -88,7 +88,7 @@ class Lived:
     """What truly became of a clutch."""
 
     rng: np.random.Generator  # as the truth left it
-    stratum: Stratum
+    stratum: StrEnum
     plan: Plan
     load: FloatArray
     truth: Truth

@@ -13,8 +13,16 @@ HORIZON_M: Final = 3.0e8  # 300,000 km: no prognosis looks farther
 NEW_WITHIN_M: Final = 5.0e6  # a fluid first seen within 5,000 km of its fill counts as new
 SERVICE_DISTANCE_M: Final = 1.5e7  # to the next service, where nobody says another
 
+# How the work of a fluid may count; each with its probability before any result.
+HEATS_PER_K: Final = {0.0: 0.35, 0.017: 0.25, 0.04: 0.2, 0.07: 0.2}  # ageing grows by exp(this * kelvins of the oil)
+SHAPES: Final = {0.5: 0.07, 0.7: 0.10, 1.0: 0.55, 1.3: 0.14, 1.7: 0.14}  # wear is a power of the work: below 1 it slows
+ENERGY_PROBABILITY: Final = 0.4  # that the work counts by the energy of slip, not by distance alone
+RANDOMNESS: Final = {0.0: 0.35, 0.05: 0.4, 0.12: 0.25}  # random wear after a usual life, as a share of the usual wear
+USUAL_LIFE_M: Final = 9.5e7  # at which all shapes have the same wear
+
 KNEE_PROBABILITY: Final = 0.35  # that the rate has changed once while this fluid was in
-FUTURE_BENDS: Final = {0.5: 0.01, 1.5: 0.24, 4.5: 0.27}  # factor of the rate: chance that it comes before the end
+# Factor of the rate: chance that it comes before the end.
+FUTURE_BENDS: Final = {0.6: 0.03, 1.5: 0.16, 2.5: 0.08, 4.5: 0.16}
 LOAD_LOG_STD: Final = 0.05  # future against recent load, natural logarithm
 NEXT_FLUID_LOG_STD: Final = 0.35  # ageing rate of one vehicle from fluid to fluid
 
@@ -28,6 +36,7 @@ class ChannelPrior:
     rate_std_per_m: float  # a weak belief that knows no sign: it alone says whether there is a trend
     typical_rate_per_m: float  # median loss; prognoses know that fluid ages
     typical_log_std: float  # of the natural logarithm of the loss
+    usual_wear: float  # after a usual life, what random wear is a share of
     knee_std_per_m: float  # change of the rate where it changes
     wander: float  # rate^2 per metre: how the rate wanders all the time [1/m^3]
     temperature_std_per_k: float
@@ -39,7 +48,8 @@ MARGIN_OF_NEW: Final = ChannelPrior(
     start_std=0.10,
     rate_std_per_m=2.5e-8,
     typical_rate_per_m=1.05e-8,  # 95,000 km for the whole margin
-    typical_log_std=0.6,
+    typical_log_std=0.5,
+    usual_wear=1.0,
     knee_std_per_m=1.5e-8,
     wander=(0.05e-8) ** 2 / 5.0e7,  # 0.05 of the margin per 100,000 km, gathered over 50,000 km
     temperature_std_per_k=2.0e-3,
@@ -51,6 +61,7 @@ LEVEL_OF_NEW: Final = ChannelPrior(
     rate_std_per_m=2.0e-9,
     typical_rate_per_m=1.0e-9,  # 10 % in 100,000 km
     typical_log_std=0.8,
+    usual_wear=0.1,
     knee_std_per_m=2.5e-9,
     wander=(0.2e-9) ** 2 / 5.0e7,
     temperature_std_per_k=5.0e-4,  # the same as in the calibration

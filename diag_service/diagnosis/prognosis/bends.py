@@ -14,7 +14,7 @@ from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis.assumptions import FUTURE_BENDS
 from diag_service.diagnosis.prognosis.passage import Passage
 
-FACTORS: Final = (1.0, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0, 4.5)  # of the rate, the first of them no bend
+FACTORS: Final = (1.0, 0.6, 0.85, 1.2, 1.5, 2.0, 2.5, 3.3, 4.5)  # of the rate, the first of them no bend
 ASSUMED_LIVES: Final = 4.0  # that the assumed bends count as
 SHARED_LIVES: Final = 30.0  # that the bends of all types count as, for one type
 _BLUR: Final = 0.08  # of what was left: how exactly the end of a past life is known

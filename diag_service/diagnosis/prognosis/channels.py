@@ -1,4 +1,4 @@
-"""Margin and level of one fluid over the distance, gathered into a few dozen means, and the two clocks of ageing."""
+"""Margin and level of one fluid over the distance, gathered into a few dozen means."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,14 +10,13 @@ import numpy as np
 from canlog.arrays import FloatArray, Int64Array
 from clutch_model.calibration import FrictionCurve
 from diag_service.diagnosis.prognosis.assumptions import REFERENCE_K
+from diag_service.diagnosis.prognosis.clocks import Clock
 from diag_service.diagnosis.prognosis.history import History
 from diag_service.diagnosis.prognosis.normal import robust_noise_ratio
 
 MOST_BINS: Final = 48
 OUTLIER_STD: Final = 3.0
 LEAST_SPREAD: Final = 1e-6  # squared kelvins over squared noise: less says nothing of a temperature coefficient
-LOAD_ROWS: Final = 60  # over which the energy of events is averaged for the clock
-RECENT_ROWS: Final = 120  # that say how hard the clutch has to work now
 
 
 class ChannelName(StrEnum):
@@ -25,14 +24,6 @@ class ChannelName(StrEnum):
 
     MARGIN = "margin"
     LEVEL = "level"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Clock:
-    """A way to count the ageing of a fluid: by distance, or by distance weighted with the energy of slip."""
-
-    age_m: FloatArray  # (n,) since the first row with this fluid
-    recent_ratio: float  # how much faster it runs now than the odometer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,19 +45,6 @@ class Channel:
     name: ChannelName
     bins: Bins
     common_std: float  # what all results have in common
-
-
-def clocks_of(history: History, first: int, stop: int) -> tuple[Clock, ...]:
-    """Return the clocks of the fluid in some rows: distance, and distance weighted by energy where that is known."""
-    distance_m = history.odometer_m[first:stop] - history.odometer_m[first]
-    clocks = [Clock(age_m=distance_m, recent_ratio=1.0)]
-    energy_j = None if history.slip_energy_j is None else history.slip_energy_j[first:stop]
-    if energy_j is not None and stop - first > LOAD_ROWS:
-        load = _smooth(energy_j, LOAD_ROWS)
-        load /= np.mean(load)
-        age_m = np.concatenate(([0.0], np.cumsum(np.diff(distance_m) * load[1:])))
-        clocks.append(Clock(age_m=age_m, recent_ratio=float(np.mean(load[-RECENT_ROWS:]))))
-    return tuple(clocks)
 
 
 def channels_of(
@@ -101,12 +79,6 @@ def _column(history: History, name: ChannelName, reference: FrictionCurve) -> tu
 
 def _std_of_difference(one: FloatArray, other: FloatArray, correlation: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(one**2 + other**2 - 2.0 * correlation * one * other, 0.0)))
-
-
-def _smooth(value: FloatArray, width: int) -> FloatArray:
-    """Return the means of the rows around each; at the ends of those that there are."""
-    kernel = np.ones(width)
-    return np.asarray(np.convolve(value, kernel, "same") / np.convolve(np.ones_like(value), kernel, "same"))
 
 
 def _places(distance_m: FloatArray) -> Int64Array:

@@ -11,18 +11,23 @@ from diag_service.diagnosis.prognosis.assumptions import (
     MARGIN_OF_NEW,
     NEW_WITHIN_M,
     NEXT_FLUID_LOG_STD,
+    RANDOMNESS,
     START_SCATTER,
     UNKNOWN_LEVEL,
     UNKNOWN_MARGIN,
+    USUAL_LIFE_M,
     ChannelPrior,
 )
 from diag_service.diagnosis.prognosis.changes import FluidStart
-from diag_service.diagnosis.prognosis.channels import Channel, ChannelName, Clock, channels_of, clocks_of
+from diag_service.diagnosis.prognosis.channels import Channel, ChannelName, channels_of
+from diag_service.diagnosis.prognosis.clocks import Clock, clocks_of
 from diag_service.diagnosis.prognosis.history import History
 from diag_service.diagnosis.prognosis.passage import Passage, passage
 from diag_service.diagnosis.prognosis.population import Peers
-from diag_service.diagnosis.prognosis.trend import Fit, Mixture, Part, aged, fit, summary
+from diag_service.diagnosis.prognosis.trend import Fit, Mixture, Part, aged, fit, log_evidence, summary
 
+MOST_CLOCKS = 6  # that are looked at for bends
+LEAST_LOG_EVIDENCE = -4.6  # of a clock against the best: one in a hundred
 CHANGE_MARGIN_RATIO = 0.0  # the slope turns: what the verdict calls a negative slope
 _OF_NEW = {ChannelName.MARGIN: MARGIN_OF_NEW, ChannelName.LEVEL: LEVEL_OF_NEW}
 _UNKNOWN = {ChannelName.MARGIN: UNKNOWN_MARGIN, ChannelName.LEVEL: UNKNOWN_LEVEL}
@@ -41,14 +46,14 @@ class AgedChannel:
     """One channel with one fluid: what each clock makes of it."""
 
     prior: ChannelPrior
-    fits: tuple[Fit, ...]  # by each clock
-    mixtures: tuple[Mixture, ...]  # likewise; all weights together sum to one
+    by_distance: Fit  # where the fluid ages by distance alone
+    mixtures: tuple[Mixture, ...]  # of the likely clocks; all weights together sum to one
 
     @property
     def rate_per_m(self) -> Value:
         """How fast it falls, as fluids do."""
         weight = np.concatenate([one.weight for one in self.mixtures])
-        rate = np.concatenate([one.rate_per_m for one in self.mixtures])
+        rate = np.concatenate([one.rate_per_m * one.clock.pace for one in self.mixtures])
         mean = float(weight @ rate)
         return Value(mean=mean, std=float(np.sqrt(weight @ (rate - mean) ** 2)))
 
@@ -74,8 +79,8 @@ def fluid_lives(
     for start, stop in zip(starts, stops, strict=True):
         if stop - start.row < LEAST_ROWS:
             continue
-        clocks = clocks_of(history, start.row, stop)
         is_new = _is_new(history, start)
+        clocks = clocks_of(history, start.row, stop, is_new=is_new)
         before = next((life for life in reversed(lives) if life.is_new), None)
         channels = {
             one.name: _aged_channel(one, clocks, _prior(one.name, before, peers, is_new=is_new))
@@ -106,7 +111,7 @@ def _prior(name: ChannelName, before: FluidLife | None, peers: Peers | None, *, 
     prior = _OF_NEW[name] if peers is None else peers.prior(name, _OF_NEW[name])
     if before is not None:
         last = before.channels[name]
-        start, std = summary(last.fits[0], Part.START)
+        start, std = summary(last.by_distance, Part.START)
         rate = -last.rate_per_m.mean
         prior = replace(
             prior,
@@ -122,17 +127,31 @@ def _prior(name: ChannelName, before: FluidLife | None, peers: Peers | None, *, 
 
 
 def _aged_channel(channel: Channel, clocks: tuple[Clock, ...], prior: ChannelPrior) -> AgedChannel:
-    fits, mixtures, evidence = [], [], []
-    for number, clock in enumerate(clocks):
-        one = fit(channel.bins, number, prior, channel.common_std, float(clock.age_m[-1]))
-        mixture, log_evidence = aged(one, prior, clock.recent_ratio)
-        fits.append(one)
+    """Return what the likely clocks make of a channel, each with the amounts of random wear that are likely."""
+    random_per_m = (prior.usual_wear * np.array(list(RANDOMNESS))) ** 2 / USUAL_LIFE_M
+    log_prior = np.add.outer([one.log_prior for one in clocks], np.log(list(RANDOMNESS.values())))
+    likely = log_prior + log_evidence(channel, prior, random_per_m)
+
+    def fitted(clock: int, amount: int) -> Fit:
+        return fit(channel, clock, float(clocks[clock].age_m[-1]), prior, float(random_per_m[amount]))
+
+    mixtures, evidence = [], []
+    for place in np.argsort(-likely, axis=None)[:MOST_CLOCKS]:
+        clock, amount = divmod(int(place), len(random_per_m))
+        if likely[clock, amount] < likely.max() + LEAST_LOG_EVIDENCE:
+            break
+        mixture, of_ageing = aged(fitted(clock, amount), prior, clocks[clock], float(random_per_m[amount]))
         mixtures.append(mixture)
-        evidence.append(log_evidence)
+        evidence.append(of_ageing + log_prior[clock, amount])
     share = np.exp(np.array(evidence) - max(evidence))
     share /= share.sum()
-    weighted = tuple(one.of(float(part)) for one, part in zip(mixtures, share, strict=True))
-    return AgedChannel(prior=prior, fits=tuple(fits), mixtures=weighted)
+    return AgedChannel(
+        prior=prior,
+        by_distance=fitted(0, int(np.argmax(likely[0]))),
+        mixtures=tuple(
+            replace(one, weight=one.weight * part) for one, part in zip(mixtures, share.tolist(), strict=True)
+        ),
+    )
 
 
 def either(life: FluidLife, margin_limit: float, level_limit: float) -> Passage:

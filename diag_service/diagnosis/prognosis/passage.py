@@ -8,11 +8,10 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis.assumptions import HORIZON_M, LOAD_LOG_STD
+from diag_service.diagnosis.prognosis.clocks import DISTANCE_M
 from diag_service.diagnosis.prognosis.normal import normal_cdf
 from diag_service.diagnosis.prognosis.trend import Mixture
 
-# Denser near today, where it matters: 0, 12, 47, 105 km, ..., at last 3,700 km apart.
-DISTANCE_M: Final = HORIZON_M * np.linspace(0.0, 1.0, 161) ** 2
 _BEND_EDGES: Final = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])  # parts of what is left
 _LOADS: Final = (-1.5, -0.5, 0.5, 1.5)  # standard deviations of the load
 _LOAD_WEIGHTS: Final = (0.159, 0.341, 0.341, 0.159)  # of the normal distribution beyond one, and below
@@ -90,8 +89,9 @@ def _steady(mixture: Mixture, limit: float, start_share: float) -> FloatArray:
         - 2.0 * start_share * mixture.now_start_covariance
         + start_share**2 * mixture.start_variance
     )
-    mean = now[:, None] + mixture.rate_per_m[:, None] * DISTANCE_M
-    spread = np.maximum(variance, 1e-12)[:, None] + mixture.wander * DISTANCE_M**3 / 3.0
+    ahead_m = mixture.clock.ahead_m
+    mean = now[:, None] + mixture.rate_per_m[:, None] * ahead_m
+    spread = np.maximum(variance, 1e-12)[:, None] + mixture.wander * ahead_m**3 / 3.0 + mixture.random_per_m * ahead_m
     return np.asarray(mixture.weight @ normal_cdf((limit - mean) / np.sqrt(spread)))
 
 

@@ -127,8 +127,8 @@ def _has_ended(life: FluidLife) -> bool:
 
 def _course(channel: AgedChannel, distance_m: float) -> Course:
     """Return start and mean loss of a channel; by distance, whatever clock explains it better."""
-    start, start_std = summary(channel.fits[0], Part.SEEN_START)
-    fall, fall_std = fallen(channel.fits[0])
+    start, start_std = summary(channel.by_distance, Part.SEEN_START)
+    fall, fall_std = fallen(channel.by_distance)
     return Course(
         start=start,
         start_std=start_std,

@@ -119,7 +119,7 @@ def prognose(
         return blank
     lives = fluid_lives(history, starts, reference, peers)
     today = lives[-1]
-    sure = max(probability_falling(one.fits[0]) for one in today.channels.values())
+    sure = max(probability_falling(one.by_distance) for one in today.channels.values())
     events_per_m = _events_per_m(history)
     energy_per_m = None if history.slip_energy_j is None else _recent_energy_j(history) * events_per_m
     bends = FUTURE_BENDS if peers is None else peers.bends
@@ -151,7 +151,7 @@ def _reach(when: Passage, events_per_m: float, service_distance_m: float) -> Rea
 
 
 def _state(channel: AgedChannel, energy_j_per_m: float | None) -> ChannelState:
-    rate, one = channel.rate_per_m, channel.fits[0]
+    rate, one = channel.rate_per_m, channel.by_distance
     per_j = None
     if energy_j_per_m is not None:
         per_j = Value(mean=rate.mean / energy_j_per_m, std=rate.std / energy_j_per_m)
@@ -171,7 +171,7 @@ def _value(one: Fit, part: Part) -> Value:
 
 def _lining(lives: list[FluidLife]) -> Value | None:
     """Return how much of the first new fluid's level the newest did not bring back; what they share is not in it."""
-    new = [life.channels[ChannelName.LEVEL].fits[0] for life in lives if life.is_new]
+    new = [life.channels[ChannelName.LEVEL].by_distance for life in lives if life.is_new]
     if len(new) < 2 or not lives[-1].is_new:
         return None
     first, last = _value(new[0], Part.SEEN_START), _value(new[-1], Part.SEEN_START)

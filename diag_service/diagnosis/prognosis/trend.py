@@ -12,13 +12,14 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis.assumptions import KNEE_PROBABILITY, ChannelPrior
-from diag_service.diagnosis.prognosis.channels import Bins
+from diag_service.diagnosis.prognosis.channels import Bins, Channel
+from diag_service.diagnosis.prognosis.clocks import Clock
 from diag_service.diagnosis.prognosis.normal import normal_cdf
 
 KNEE_SHARES: Final = (0.1, 0.3, 0.5, 0.65, 0.75, 0.85, 0.9, 0.95)  # of the age, where a bend is looked for
 LEAST_KNEE_BINS: Final = 8
-RATE_STEPS: Final = np.linspace(-4.0, 4.0, 65)  # standard deviations about each bend's rate
-LEAST_WEIGHT: Final = 2e-3  # of the largest: what is left out of a mixture
+RATE_STEPS: Final = np.linspace(-4.0, 4.0, 33)  # standard deviations about each bend's rate
+LEAST_WEIGHT: Final = 5e-3  # of the largest: what is left out of a mixture
 
 
 class Part(IntEnum):
@@ -46,42 +47,33 @@ class Mixture:
     """A channel today as a mixture of normal distributions, each at a fixed rate of ageing; shape (k,)."""
 
     weight: FloatArray  # sums to one
-    rate_per_m: FloatArray  # of the odometer, negative
+    rate_per_m: FloatArray  # of the clock, negative
     now: FloatArray
     now_variance: FloatArray
     start: FloatArray
     start_variance: FloatArray
     now_start_covariance: FloatArray
-    wander: float  # of the rate, per metre of the odometer
-
-    def of(self, share: float) -> "Mixture":
-        """Return the same with a weight that sums to a share of one."""
-        return Mixture(
-            weight=self.weight * share,
-            rate_per_m=self.rate_per_m,
-            now=self.now,
-            now_variance=self.now_variance,
-            start=self.start,
-            start_variance=self.start_variance,
-            now_start_covariance=self.now_start_covariance,
-            wander=self.wander,
-        )
+    wander: float  # of the rate, per metre of the clock
+    random_per_m: float  # variance of random wear, likewise
+    clock: Clock
 
 
-def fit(bins: Bins, clock: int, prior: ChannelPrior, common_std: float, now_m: float) -> Fit:
-    """Return what a channel's bins say by one clock, which stands at ``now_m``."""
-    age_m = bins.ages_m[clock]
+def fit(channel: Channel, clock: int, now_m: float, prior: ChannelPrior, random_per_m: float) -> Fit:
+    """Return what a channel says by the clock of this number, which stands at ``now_m``, if wear is that random."""
+    bins, common_std, age_m = channel.bins, channel.common_std, channel.bins.ages_m[clock]
     knees_m = _knees(age_m, now_m)
     reach_m = np.maximum(age_m - knees_m[:, None], 0.0)
     now_reach_m = np.maximum(now_m - knees_m, 0.0)
     knee = prior.knee_std_per_m**2
     warmth, warmth_variance = _warmth(bins, prior)
-    seen = _shared(bins, age_m, prior, common_std, warmth_variance) + knee * reach_m[:, :, None] * reach_m[:, None, :]
+    seen = _shared(bins, age_m, prior, common_std, random_per_m, warmth_variance)
+    seen = seen + knee * reach_m[:, :, None] * reach_m[:, None, :]
     cross = _cross(bins, age_m, prior, common_std, now_m, warmth_variance)[None, :, :].repeat(len(knees_m), axis=0)
+    cross[:, Part.NOW] += random_per_m * age_m
     cross[:, Part.NOW] += knee * now_reach_m[:, None] * reach_m
     cross[:, Part.RATE] += knee * reach_m
     before = _before(prior, common_std, now_m, warmth_variance)[None, :, :].repeat(len(knees_m), axis=0)
-    before[:, Part.NOW, Part.NOW] += knee * now_reach_m**2
+    before[:, Part.NOW, Part.NOW] += knee * now_reach_m**2 + random_per_m * now_m
     before[:, Part.NOW, Part.RATE] += knee * now_reach_m
     before[:, Part.RATE, Part.NOW] += knee * now_reach_m
     before[:, Part.RATE, Part.RATE] += knee * (now_reach_m > 0.0)
@@ -121,15 +113,35 @@ def _warmth(bins: Bins, prior: ChannelPrior) -> tuple[float, float]:
 
 
 def _shared(
-    bins: Bins, age_m: FloatArray, prior: ChannelPrior, common_std: float, warmth_variance: float
+    bins: Bins,
+    age_m: FloatArray,
+    prior: ChannelPrior,
+    common_std: float,
+    random_per_m: float | FloatArray,
+    warmth_variance: float,
 ) -> FloatArray:
-    """Return the covariance of the bins, bends apart, shape (b, b)."""
+    """Return the covariance of the bins, bends apart, shape (..., b, b); ages may have several clocks, (..., b)."""
     constant = prior.start_std**2 + common_std**2
-    line = prior.rate_std_per_m**2 * np.outer(age_m, age_m)
+    one, other = age_m[..., :, None], age_m[..., None, :]
     warmth = warmth_variance * np.outer(bins.warmth_k, bins.warmth_k)
-    later, earlier = np.maximum.outer(age_m, age_m), np.minimum.outer(age_m, age_m)
-    wander = prior.wander * earlier**2 * (3.0 * later - earlier) / 6.0
+    later, earlier = np.maximum(one, other), np.minimum(one, other)
+    line = prior.rate_std_per_m**2 * one * other
+    wander = prior.wander * earlier**2 * (3.0 * later - earlier) / 6.0 + random_per_m * earlier
     return np.asarray(constant + line + warmth + wander + np.diag(bins.variance + prior.floor_std**2))
+
+
+def log_evidence(channel: Channel, prior: ChannelPrior, random_per_m: FloatArray) -> FloatArray:
+    """Return the logarithm of the evidence for each clock and variance of random wear without bends, shape (c, v)."""
+    bins = channel.bins
+    warmth, warmth_variance = _warmth(bins, prior)
+    seen = _shared(
+        bins, bins.ages_m[:, None, :], prior, channel.common_std, random_per_m[:, None, None], warmth_variance
+    )
+    surprise = bins.value - prior.start - warmth * bins.warmth_k
+    root = np.linalg.cholesky(seen)
+    scaled = np.linalg.solve(root, np.broadcast_to(surprise[:, None], (*seen.shape[:-1], 1)))[..., 0]
+    log_determinant = 2.0 * np.sum(np.log(np.diagonal(root, axis1=-2, axis2=-1)), axis=-1)
+    return np.asarray(-0.5 * (np.sum(scaled**2, axis=-1) + log_determinant), np.float64)
 
 
 def _cross(
@@ -190,7 +202,7 @@ def fallen(one: Fit) -> tuple[float, float]:
     return centre, float(np.sqrt(weight @ (np.maximum(variance, 0.0) + (mean - centre) ** 2)))
 
 
-def aged(one: Fit, prior: ChannelPrior, recent_ratio: float) -> tuple[Mixture, float]:
+def aged(one: Fit, prior: ChannelPrior, clock: Clock, random_per_m: float) -> tuple[Mixture, float]:
     """Return the channel at all rates at which a fluid may age, and the logarithm of the evidence for this clock.
 
     The belief without sign is taken out of each rate's probability and the one on ageing fluids put in.
@@ -202,7 +214,9 @@ def aged(one: Fit, prior: ChannelPrior, recent_ratio: float) -> tuple[Mixture, f
     log_weight = log_weight + _log_ageing(rate, prior) - _log_normal_density(rate, one.prior_rate_variance[:, None])
     top = float(log_weight.max())
     if not np.isfinite(top):
-        return _barely_ageing(one, prior, recent_ratio), float(one.log_evidence.max()) - 0.5 * RATE_STEPS[-1] ** 2
+        return _barely_ageing(one, prior, clock, random_per_m), float(one.log_evidence.max()) - 0.5 * RATE_STEPS[
+            -1
+        ] ** 2
     weight = np.exp(log_weight - top)
     log_evidence = top + float(np.log(weight.sum()))
     bend, step = np.nonzero(weight > LEAST_WEIGHT * weight.max())
@@ -210,14 +224,15 @@ def aged(one: Fit, prior: ChannelPrior, recent_ratio: float) -> tuple[Mixture, f
     gain = covariance[:, :, Part.RATE] / covariance[:, Part.RATE, Part.RATE, None]
     left = covariance - gain[:, :, None] * covariance[:, None, Part.RATE, :]
     moved = mean[bend] + gain[bend] * (rate[bend, step] - mean[bend, Part.RATE])[:, None]
-    return _mixture(chosen / chosen.sum(), rate[bend, step], moved, left[bend], prior, recent_ratio), log_evidence
+    share = chosen / chosen.sum()
+    return _mixture(share, rate[bend, step], moved, left[bend], prior, clock, random_per_m), log_evidence
 
 
-def _barely_ageing(one: Fit, prior: ChannelPrior, recent_ratio: float) -> Mixture:
+def _barely_ageing(one: Fit, prior: ChannelPrior, clock: Clock, random_per_m: float) -> Mixture:
     """Return the mixture where results say that friction rises: as slow an ageing as is known."""
     slowest = -prior.typical_rate_per_m * np.exp(-2.5 * prior.typical_log_std)
     rate = np.full(len(one.mean), slowest)
-    return _mixture(weights(one), rate, one.mean, one.covariance, prior, recent_ratio)
+    return _mixture(weights(one), rate, one.mean, one.covariance, prior, clock, random_per_m)
 
 
 def _mixture(
@@ -226,17 +241,20 @@ def _mixture(
     mean: FloatArray,
     covariance: FloatArray,
     prior: ChannelPrior,
-    recent_ratio: float,
+    clock: Clock,
+    random_per_m: float,
 ) -> Mixture:
     return Mixture(
         weight=weight,
-        rate_per_m=rate * recent_ratio,
+        rate_per_m=rate,
         now=mean[:, Part.NOW],
         now_variance=np.maximum(covariance[:, Part.NOW, Part.NOW], 0.0),
         start=mean[:, Part.START],
         start_variance=np.maximum(covariance[:, Part.START, Part.START], 0.0),
         now_start_covariance=covariance[:, Part.NOW, Part.START],
-        wander=prior.wander * recent_ratio**3,
+        wander=prior.wander,
+        random_per_m=random_per_m,
+        clock=clock,
     )
 
 

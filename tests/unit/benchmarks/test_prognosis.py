@@ -1,21 +1,23 @@
 """The study of prognoses: scores against known values, simulated lives, and the command."""
 
+from enum import StrEnum
 from statistics import NormalDist
 
 import numpy as np
 import pytest
 
 from benchmarks.prognosis.__main__ import main
-from benchmarks.prognosis.baselines import fixed_interval, fleet, last_slope, logistic_index
+from benchmarks.prognosis.baselines import fixed_interval, fleet, logistic_index, whole_line
 from benchmarks.prognosis.lives import DRIVEN_KM, Life, life_of
 from benchmarks.prognosis.scores import PROBABILITIES, crps, is_covered, is_near
 from benchmarks.prognosis.truth import Stratum
+from benchmarks.prognosis.wear import Course, mixed_life_of, wear_life_of
 
 SEEDS = range(900, 900 + len(Stratum))
 
 
 @pytest.fixture(scope="module")
-def lives() -> dict[Stratum, Life]:
+def lives() -> dict[StrEnum, Life]:
     return {life.stratum: life for life in map(life_of, SEEDS)}
 
 
@@ -36,7 +38,7 @@ def test_inside_and_near() -> None:
     assert is_near(np.array([79.0, 81.0, 119.0, 121.0]), np.full(4, 100.0)).tolist() == [0.0, 1.0, 1.0, 0.0]
 
 
-def test_a_seed_is_a_life(lives: dict[Stratum, Life]) -> None:
+def test_a_seed_is_a_life(lives: dict[StrEnum, Life]) -> None:
     again = life_of(SEEDS[0])
     first = lives[again.stratum]
     np.testing.assert_array_equal(again.history.mu_c, first.history.mu_c)
@@ -44,14 +46,14 @@ def test_a_seed_is_a_life(lives: dict[Stratum, Life]) -> None:
     assert life_of(SEEDS[0] + len(Stratum)).change_km != again.change_km
 
 
-def test_every_kind_of_life_is_there_and_fluid_is_watched_before_it_is_changed(lives: dict[Stratum, Life]) -> None:
+def test_every_kind_of_life_is_there_and_fluid_is_watched_before_it_is_changed(lives: dict[StrEnum, Life]) -> None:
     assert set(lives) == set(Stratum)
     for life in lives.values():
         assert life.begin_km < life.watch_km < life.change_km
         assert life.history.odometer_m[-1] < DRIVEN_KM * 1000.0
 
 
-def test_only_a_noted_fill_is_in_the_history(lives: dict[Stratum, Life]) -> None:
+def test_only_a_noted_fill_is_in_the_history(lives: dict[StrEnum, Life]) -> None:
     noted, forgotten = lives[Stratum.KNOWN_FILL], lives[Stratum.FORGOTTEN_FILL]
     assert np.unique(noted.history.fluid_number).tolist() == [0, 1]
     assert np.unique(forgotten.history.fluid_number).tolist() == [0]
@@ -59,12 +61,12 @@ def test_only_a_noted_fill_is_in_the_history(lives: dict[Stratum, Life]) -> None
     assert noted.forgotten_km is None
 
 
-def test_missing_data_are_missing(lives: dict[Stratum, Life]) -> None:
+def test_missing_data_are_missing(lives: dict[StrEnum, Life]) -> None:
     assert len(lives[Stratum.GAPS].history) < 0.8 * len(lives[Stratum.STEADY].history)
     assert np.diff(lives[Stratum.GAPS].history.odometer_m).max() > 5.0e6
 
 
-def test_baselines_say_what_their_names_say(lives: dict[Stratum, Life]) -> None:
+def test_baselines_say_what_their_names_say(lives: dict[StrEnum, Life]) -> None:
     assert fixed_interval(20_000.0).tolist() == [40_000.0] * len(PROBABILITIES)
     assert fixed_interval(70_000.0).max() == 0.0
     left_km = fleet(50_000.0, np.array([40_000.0, 60_000.0, 100_000.0]))
@@ -73,9 +75,25 @@ def test_baselines_say_what_their_names_say(lives: dict[Stratum, Life]) -> None:
     life = lives[Stratum.STEADY]
     half_km = 0.5 * life.life_km
     past = life.history.first(life.rows_until(half_km))
-    for quantiles in (last_slope(past), logistic_index(past)):
+    for quantiles in (whole_line(past), logistic_index(past)):
         assert np.ptp(quantiles) == 0.0
         assert 0.2 * half_km < quantiles[0] < 5.0 * half_km
+
+
+def test_lives_by_other_laws_end_and_repeat() -> None:
+    lives = [wear_life_of(seed) for seed in range(900, 900 + len(Course))]
+    assert [life.stratum for life in lives] == list(Course)
+    for life in lives:
+        assert life.begin_km < life.watch_km < life.change_km
+    np.testing.assert_array_equal(wear_life_of(900).history.mu_c, lives[0].history.mu_c)
+    assert {isinstance(mixed_life_of(seed).stratum, Course) for seed in range(900, 910)} == {False, True}
+
+
+def test_the_command_compares_lives_of_three_simulators(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--simulators", "--lives", "1", "--seed", "905"]) == 0
+    text = capsys.readouterr().out
+    for expected in ("power law", "random wear", "either", "slowing wear"):
+        assert expected in text
 
 
 def test_the_command_prints_its_three_tables(capsys: pytest.CaptureFixture[str]) -> None:

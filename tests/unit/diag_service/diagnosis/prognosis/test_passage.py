@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diag_service.diagnosis.prognosis.assumptions import FUTURE_BENDS, HORIZON_M
-from diag_service.diagnosis.prognosis.passage import DISTANCE_M, Passage, passage
+from diag_service.diagnosis.prognosis.clocks import DISTANCE_M, Clock
+from diag_service.diagnosis.prognosis.passage import Passage, passage
 from diag_service.diagnosis.prognosis.trend import Mixture
 
 
@@ -21,6 +22,8 @@ def sure(now: float, rate_per_m: float, *, std: float = 0.001, start: float = 1.
         start_variance=np.array([std**2]),
         now_start_covariance=np.zeros(1),
         wander=0.0,
+        random_per_m=0.0,
+        clock=Clock(age_m=np.zeros(1), ahead_m=DISTANCE_M, log_prior=0.0),
     )
 
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from diag_service.diagnosis.prognosis.assumptions import MARGIN_OF_NEW
-from diag_service.diagnosis.prognosis.channels import ChannelName, channels_of, clocks_of
+from diag_service.diagnosis.prognosis.channels import ChannelName, channels_of
+from diag_service.diagnosis.prognosis.clocks import DISTANCE_M, clocks_of
 from diag_service.diagnosis.prognosis.history import History
-from diag_service.diagnosis.prognosis.trend import Fit, Part, aged, fit, probability_falling, summary
+from diag_service.diagnosis.prognosis.passage import passage
+from diag_service.diagnosis.prognosis.trend import Fit, Part, aged, fit, log_evidence, probability_falling, summary
 from tests.support.pasts import REFERENCE, ageing, past
 
 COUNT = 400
@@ -17,11 +19,11 @@ PER_KM = 1000.0
 
 
 def margin_fit(history: History, clock: int = 0) -> Fit:
-    clocks = clocks_of(history, 0, len(history))
+    clocks = clocks_of(history, 0, len(history), is_new=False)
     margin = next(
         one for one in channels_of(history, 0, len(history), REFERENCE, clocks) if one.name is ChannelName.MARGIN
     )
-    return fit(margin.bins, clock, MARGIN_OF_NEW, margin.common_std, float(clocks[clock].age_m[-1]))
+    return fit(margin, clock, float(clocks[clock].age_m[-1]), MARGIN_OF_NEW, 0.0)
 
 
 @pytest.mark.parametrize("until", [0.8, 0.5, 0.1])
@@ -74,10 +76,53 @@ def test_a_load_that_changes_speaks_for_the_clock_of_energy() -> None:
     load = np.where(np.arange(COUNT) < 200, 0.4, 1.6)
     worked = past(1.0 - 0.8 * np.cumsum(load) / load.sum(), step_m=STEP_M, noise_ratio=0.005)
     worked = replace(worked, slip_energy_j=8.0e3 * load)
-    clocks = clocks_of(worked, 0, COUNT)
-    assert clocks[1].recent_ratio == pytest.approx(1.6, rel=0.05)
-    by_km, by_energy = margin_fit(worked), margin_fit(worked, 1)
-    assert aged(by_energy, MARGIN_OF_NEW, 1.6)[1] > aged(by_km, MARGIN_OF_NEW, 1.0)[1]
+    by_km, by_energy = clocks_of(worked, 0, COUNT, is_new=False)[:2]
+    assert by_energy.pace == pytest.approx(1.6, rel=0.05)
+    evidence = [aged(margin_fit(worked, row), MARGIN_OF_NEW, one, 0.0)[1] for row, one in enumerate((by_km, by_energy))]
+    assert evidence[1] > evidence[0]
+
+
+def test_wear_that_slows_speaks_for_a_clock_that_does() -> None:
+    slowed = past(1.0 - 0.6 * np.linspace(0.0, 1.0, COUNT) ** 0.5, step_m=2.0e5, noise_ratio=0.005)
+    clocks = clocks_of(slowed, 0, COUNT, is_new=True)
+    margin = next(iter(channels_of(slowed, 0, COUNT, REFERENCE, clocks)))
+    evidence = log_evidence(margin, MARGIN_OF_NEW, np.zeros(1))[:, 0]
+    best = clocks[int(np.argmax(evidence))]
+    assert best.pace < 0.8
+    assert evidence.max() > evidence[0] + 3.0
+
+
+def test_a_year_ahead_is_as_warm_as_the_year_before() -> None:
+    days = np.arange(2 * 365.0)
+    season_k = 15.0 * np.sin(2.0 * np.pi * days / 365.25)
+    driven = replace(
+        past(np.ones(len(days)), step_m=4.0e4, warmth_k=season_k), end_s=days * 86_400.0, slip_energy_j=None
+    )
+    warm_half, cold_half = (
+        clocks_of(driven.first(count), 0, count, is_new=False)[-1] for count in (len(days), len(days) - 183)
+    )
+    assert warm_half.pace > 1.2  # summer is to come
+    assert cold_half.pace < 0.8
+    year_m = 365.0 * 4.0e4
+    assert np.interp(year_m, DISTANCE_M, warm_half.ahead_m) == pytest.approx(year_m, rel=0.05)
+
+
+def test_a_fluid_of_unknown_age_is_not_asked_whether_its_wear_slows() -> None:
+    history = past(np.ones(COUNT))
+    new, unknown = (clocks_of(history, 0, COUNT, is_new=one) for one in (True, False))
+    assert len(new) > len(unknown)
+    assert np.exp([one.log_prior for one in unknown]).sum() == pytest.approx(1.0)
+
+
+def test_random_wear_widens_what_is_to_come() -> None:
+    history = past(ageing(COUNT), step_m=STEP_M)
+    clock = clocks_of(history, 0, COUNT, is_new=False)[0]
+    near, far = (
+        passage([aged(margin_fit(history), MARGIN_OF_NEW, clock, random_per_m)[0]], [(0.0, 0.0)])
+        for random_per_m in (0.0, 0.1**2 / 1.0e8)
+    )
+    widths = [np.diff(one.quantiles_m(np.array([0.05, 0.95])))[0] for one in (near, far)]
+    assert widths[1] > 1.2 * widths[0]
 
 
 def test_a_scale_that_all_results_share_is_not_averaged_away() -> None:
@@ -89,9 +134,11 @@ def test_a_scale_that_all_results_share_is_not_averaged_away() -> None:
 
 
 def test_rates_of_ageing_are_falls() -> None:
-    mixture, _ = aged(margin_fit(past(ageing(COUNT))), MARGIN_OF_NEW, 1.0)
+    history = past(ageing(COUNT))
+    clock = clocks_of(history, 0, COUNT, is_new=False)[0]
+    mixture, _ = aged(margin_fit(history), MARGIN_OF_NEW, clock, 0.0)
     assert mixture.weight.sum() == pytest.approx(1.0)
     assert np.all(mixture.rate_per_m < 0.0)
-    rising, _ = aged(margin_fit(past(np.linspace(1.0, 3.0, COUNT), noise_ratio=0.002)), MARGIN_OF_NEW, 1.0)
+    rising, _ = aged(margin_fit(past(np.linspace(1.0, 3.0, COUNT), noise_ratio=0.002)), MARGIN_OF_NEW, clock, 0.0)
     assert np.all(rising.rate_per_m < 0.0)
     assert np.all(np.isfinite(rising.now))
