@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -76,7 +75,7 @@ def simulators_tables(
     seeds: Sequence[int], each: Callable[[Callable[[tuple[str, int]], Told], Iterable[tuple[str, int]]], list[Told]]
 ) -> list[Table]:
     """Return the tables of all simulators, the seeds' lives of each."""
-    told = {name: each(partial(told_of), [(name, seed) for seed in seeds]) for name in SIMULATORS}
+    told = {name: each(told_of, [(name, seed) for seed in seeds]) for name in SIMULATORS}
     return [_ages(told), _strata([look for own in told.values() for one in own for look in one.looks])]
 
 

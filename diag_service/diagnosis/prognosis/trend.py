@@ -214,9 +214,8 @@ def aged(one: Fit, prior: ChannelPrior, clock: Clock, random_per_m: float) -> tu
     log_weight = log_weight + _log_ageing(rate, prior) - _log_normal_density(rate, one.prior_rate_variance[:, None])
     top = float(log_weight.max())
     if not np.isfinite(top):
-        return _barely_ageing(one, prior, clock, random_per_m), float(one.log_evidence.max()) - 0.5 * RATE_STEPS[
-            -1
-        ] ** 2
+        farthest = -0.5 * float(RATE_STEPS[-1]) ** 2
+        return _barely_ageing(one, prior, clock, random_per_m), float(one.log_evidence.max()) + farthest
     weight = np.exp(log_weight - top)
     log_evidence = top + float(np.log(weight.sum()))
     bend, step = np.nonzero(weight > LEAST_WEIGHT * weight.max())

@@ -64,8 +64,8 @@ def _assumptions(history: History, starts: tuple[FluidStart, ...], service_dista
     for start in starts:
         if not start.is_noted:
             yield f"new fluid at about {start.odometer_m / M_PER_KM:,.0f} km, inferred from friction, not noted"
-    if history.slip_energy_j is None:
-        yield "ageing is counted by distance, as slip energy is not known"
+    counted = "distance" if history.slip_energy_j is None else "distance, slip energy"
+    yield f"fluid ages by {counted} or heat of the oil, and may do so ever slower or faster: the results decide"
     if history.left_out_count:
         why = "no odometer or oil temperature, or odometer went back or leapt"
         yield f"{history.left_out_count} results are left out: {why}"
