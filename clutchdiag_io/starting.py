@@ -1,19 +1,31 @@
-"""The first moments of a program: Ctrl-C while it is loading ends it without a word, a lost library with one."""
+"""The first and last moments of a program: a signal ends it without a word, a lost library with one."""
 
 import os
 import signal
 import sys
+from collections.abc import Collection
 from importlib import import_module
 from typing import Final
 
+STATUS_STOPPED: Final = 0
 STATUS_INTERRUPTED: Final = 130
 STATUS_ERROR: Final = 1
 PUT_BACK: Final = "pip install --force-reinstall --no-deps clutchdiag"
 
 
-def run_program(module: str) -> int:
-    """Load the command line of a program, run its ``main`` and return the exit status."""
-    before = signal.signal(signal.SIGINT, lambda *_: os._exit(STATUS_INTERRUPTED))
+def run_program(module: str, services: Collection[str] = ()) -> int:
+    """Load the command line of a program, run its ``main`` and return the exit status.
+
+    Parameters
+    ----------
+    services :
+        First words of commands whose usual end is a signal: SIGINT and SIGTERM end them with 0, at once before and
+        after they heed signals themselves.
+    """
+    is_service = not {*sys.argv[1:2]}.isdisjoint(services)
+    status = STATUS_STOPPED if is_service else STATUS_INTERRUPTED
+    numbers = (signal.SIGINT, signal.SIGTERM) if is_service else (signal.SIGINT,)
+    before, *_ = [signal.signal(number, lambda *_: os._exit(status)) for number in numbers]
     try:
         program = import_module(module)
     except ModuleNotFoundError as exc:
@@ -22,7 +34,8 @@ def run_program(module: str) -> int:
         # A wheel of canlog alone, once installed beside this program, took the files of both when it was removed.
         sys.stderr.write(f"error: the library canlog is gone; put it back: {PUT_BACK}\n")
         return STATUS_ERROR
-    signal.signal(signal.SIGINT, before)
+    if not is_service:
+        signal.signal(signal.SIGINT, before)
     from click import Abort  # noqa: PLC0415 - loading it takes a while, in which Ctrl-C must already be heeded
 
     try:
@@ -30,4 +43,5 @@ def run_program(module: str) -> int:
     except (KeyboardInterrupt, Abort):
         return STATUS_INTERRUPTED
     finally:  # one that comes while the interpreter winds down must not change the status
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for number in numbers:
+            signal.signal(number, signal.SIG_IGN)

@@ -5,7 +5,7 @@ from functools import partial
 
 from clutchdiag_io.starting import run_program
 
-main = partial(run_program, "diag_service.cli")
+main = partial(run_program, "diag_service.cli", ("run", "monitor"))
 
 if __name__ == "__main__":
     sys.exit(main())

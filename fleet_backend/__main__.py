@@ -5,7 +5,7 @@ from functools import partial
 
 from clutchdiag_io.starting import run_program
 
-main = partial(run_program, "fleet_backend.cli")
+main = partial(run_program, "fleet_backend.cli", ("ingest", "serve", "watch", "follow"))
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import logging
-import signal
 import socket
 import uuid
 from contextlib import AbstractAsyncContextManager
@@ -20,6 +19,7 @@ from fleet_backend.ingest import Pauses, Worker, filters_of
 from fleet_backend.intake import MessageKind
 from fleet_backend.migrate import make_ready
 from fleet_backend.sign_of_life import give_signs, prepare
+from fleet_backend.stopping import stopping
 from fleet_backend.writer import Writer
 from fleet_link import BrokerAddress
 
@@ -57,10 +57,7 @@ async def _ingest(
         _LOG.warning("%s", address.exposure)
     worker = Worker(connect, Writer(engine), name=name, now=_utc_now, pace=pace)
     task = asyncio.ensure_future(_work(engine, worker, f"{name}: {address} into {place_of(engine)}", alive))
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, task.cancel)
-    with contextlib.suppress(asyncio.CancelledError):
+    with stopping(task.cancel), contextlib.suppress(asyncio.CancelledError):
         await task
     _LOG.info("%s", _counts_line(worker))
 

@@ -3,7 +3,6 @@
 import asyncio
 import logging
 import os
-import signal
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -17,6 +16,7 @@ import aiomqtt
 from fleet_backend.config import parse_broker
 from fleet_backend.errors import BrokerError, ConfigError
 from fleet_backend.options import BROKER_VARIABLE
+from fleet_backend.stopping import stopping
 from fleet_contract import (
     TOPIC_ROOT,
     Channel,
@@ -66,9 +66,7 @@ class Follower:
     async def run_until_stopped(self) -> None:
         """Follow until a signal comes."""
         task = asyncio.ensure_future(self.run())
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, task.cancel)
-        with suppress(asyncio.CancelledError):
+        with stopping(task.cancel), suppress(asyncio.CancelledError):
             await task
 
     async def run(self) -> None:

@@ -1,5 +1,7 @@
 """The file of a store: its tables, whose it is, who uses it, and that a commit is on the disk."""
 
+import errno
+import logging
 import os
 import sqlite3
 from collections.abc import Iterator
@@ -87,7 +89,10 @@ def migrate(connection: sqlite3.Connection, version: int) -> None:
 
 
 _BUSY_TIMEOUT_S: Final = 5.0  # for a person who reads the store with another program
-_NO_ROOM: Final = frozenset({sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE, sqlite3.SQLITE_IOERR_FSYNC})
+_NO_ROOM: Final = frozenset({
+    *(sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE, sqlite3.SQLITE_IOERR_FSYNC, sqlite3.SQLITE_IOERR_SHMSIZE)
+})  # fmt: skip
+_LOG = logging.getLogger(__name__)
 
 
 def own(path: Path) -> int:
@@ -100,8 +105,7 @@ def own(path: Path) -> int:
         raise StoreError(f"cannot use store {path}: {exc.strerror} ({exc.filename})") from exc
     try:
         lock(descriptor)
-        os.ftruncate(descriptor, 0)
-        os.write(descriptor, f"{os.getpid()}\n".encode())
+        _sign(descriptor)
     except BlockingIOError as exc:
         os.lseek(descriptor, 0, os.SEEK_SET)
         owner = os.read(descriptor, 32).decode("ascii", "replace").strip()
@@ -113,16 +117,41 @@ def own(path: Path) -> int:
     return descriptor
 
 
+def _sign(descriptor: int) -> None:
+    """Write into a lock whose it is; a full disk does without."""
+    try:
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, f"{os.getpid()}\n".encode())
+    except OSError as exc:
+        if exc.errno != errno.ENOSPC:
+            raise
+
+
 def connect(path: Path) -> sqlite3.Connection:
-    """Open or create the database of a store, in its present form."""
+    """Open or create the database of a store, in its present form, on a full disk as well if it is there already."""
+    is_new = not path.exists()
     try:
         create_private(path)
     except OSError as exc:
         raise StoreError(f"cannot use store {path}: {exc.strerror}") from exc
+    try:
+        return _opened(path)
+    except StoreFullError:
+        if is_new:
+            raise
+        # Without others SQLite keeps in memory what they would share, so that it needs no room to begin.
+        connection = _opened(path, "PRAGMA locking_mode = EXCLUSIVE")
+        _LOG.warning("the disk of store %s is full; until the next start no other program can read it", path)
+        return connection
+
+
+def _opened(path: Path, *pragmas: str) -> sqlite3.Connection:
     with translated(str(path)):
         connection = sqlite3.connect(path, timeout=_BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False)
     try:
         with translated(str(path)):
+            for pragma in pragmas:
+                connection.execute(pragma)
             _prepare(connection, path)
     except BaseException:
         connection.close()

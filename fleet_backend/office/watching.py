@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -38,6 +37,7 @@ from fleet_backend.page.populations import latest
 from fleet_backend.page.records import ClutchNow, Severity
 from fleet_backend.page.running import last_arrivals
 from fleet_backend.page.vehicle_state import fills_of
+from fleet_backend.stopping import stopping
 
 ROUND_S: Final = 10.0
 JUDGING_S: Final = 5.0  # of a round, for prognoses; what is left over is judged in the next, the worst first
@@ -156,17 +156,10 @@ def run_watch(engine: Engine, orders: Orders, *, is_once: bool = False) -> None:
 
 
 async def _watch_until_told(watch: Watch) -> None:
-    async with asyncio.TaskGroup() as tasks:
-        work = [
-            tasks.create_task(_repeat(watch.round, ROUND_S), name="rules"),
-            tasks.create_task(_repeat(watch.deliver, DELIVERY_S), name="delivery"),
-        ]
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, lambda: [one.cancel() for one in work])
+    work = asyncio.gather(_repeat(watch.round, ROUND_S), _repeat(watch.deliver, DELIVERY_S))
+    with stopping(work.cancel), suppress(asyncio.CancelledError):
         _LOG.info("watching")
-        for one in work:
-            with suppress(asyncio.CancelledError):
-                await one
+        await work
 
 
 async def _repeat(step: Callable[[], object], pause_s: float) -> None:

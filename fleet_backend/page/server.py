@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import logging
 import os
-import signal
 import socket
 import sys
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -24,6 +23,7 @@ from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.news import News
 from fleet_backend.page.site import site
 from fleet_backend.page.view import Sources
+from fleet_backend.stopping import stopping
 
 _BACKLOG: Final = 128
 _NICE: Final = 5  # who stores results beside us goes first
@@ -162,12 +162,12 @@ class _Server(uvicorn.Server):
 
 
 async def _serve_until_told(sources: Sources, listener: socket.socket, access: Access) -> None:
-    def on_start(server: uvicorn.Server) -> None:
-        def stop() -> None:
+    servers: list[uvicorn.Server] = []
+
+    def stop() -> None:
+        for server in servers:
             server.should_exit = True
 
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, stop)
-
-    await serve(sources, listener, access=access, on_start=on_start)
+    with stopping(stop):
+        await serve(sources, listener, access=access, on_start=servers.append)
     _LOG.info("ended")

@@ -1,4 +1,4 @@
-"""The first moments of a program: Ctrl-C while it is loading."""
+"""The first moments of a program: a signal while it is loading."""
 
 import signal
 import subprocess
@@ -35,6 +35,23 @@ def test_ctrl_c_ends_a_program_that_heeds_nothing_yet_without_a_word(tmp_path: P
         program.send_signal(signal.SIGINT)
         out, err = program.communicate(timeout=HANG_S)
     assert (program.returncode, out, err) == (130, "", "")
+
+
+@pytest.mark.parametrize(("word", "status"), [("serve", 0), ("table", -signal.SIGTERM)])
+def test_a_service_that_is_stopped_while_it_loads_ends_well(tmp_path: Path, word: str, status: int) -> None:
+    (tmp_path / "slow_program.py").write_text(LOADING, encoding="utf-8")
+    start = START.replace("'slow_program'", "'slow_program', ('serve',)")
+    with subprocess.Popen(
+        [sys.executable, "-c", start, word],
+        env={"PYTHONPATH": f"{tmp_path}:{REPOSITORY}"},
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline() == "here\n"
+        program.send_signal(signal.SIGTERM)
+        program.communicate(timeout=HANG_S)
+    assert program.returncode == status
 
 
 def test_a_library_that_another_wheel_took_away_is_named(tmp_path: Path) -> None:
