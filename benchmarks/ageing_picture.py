@@ -13,10 +13,9 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.drawing import as_svg, drawing_style
+from benchmarks.drawing import CONDITION_COLOUR, INK, as_svg, drawing_style
 from benchmarks.study import diagnose
 from clutch_model.calibration import nominal_calibration
-from demo.picture import CONDITION_COLOUR, INK
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.records import Condition, FrictionEstimate
 from ecu_emulator.scenario.scenario_file import load_scenario

@@ -1,16 +1,23 @@
 """Pictures for the documents: the same bytes for the same numbers."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from io import StringIO
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
 
 import matplotlib as mpl
 from matplotlib import style
 from matplotlib.figure import Figure
 
-from demo.picture import STYLE
-
 HASH_SALT = "clutchdiag"
+STYLE: Final = Path(__file__).with_name("picture.mplstyle")
+INK, MUTED, GRID = "#22303c", "#6b7a88", "#e3e8ec"
+CLUTCH_COLOUR: Final[Mapping[int, str]] = MappingProxyType({1: "#c2410c", 2: "#0f6cbd"})
+CONDITION_COLOUR: Final[Mapping[str, str]] = MappingProxyType(
+    {"good": "#15803d", "watch": "#b45309", "change fluid": "#b91c1c"}
+)
 
 
 @contextmanager

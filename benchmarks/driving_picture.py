@@ -14,11 +14,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.drawing import as_svg, drawing_style
+from benchmarks.drawing import CLUTCH_COLOUR, INK, as_svg, drawing_style
 from benchmarks.drive_events import planned
 from canlog.arrays import FloatArray
 from clutch_model.units import bar_from_pa, k_from_degc, rpm_from_rad_s
-from demo.picture import CLUTCH_COLOUR, INK
 from ecu_emulator.drive.build import build_vehicle
 from ecu_emulator.drive.drive_setup import WHOLE_STAY_S, journey
 from ecu_emulator.driving.indices import EventKind

@@ -27,7 +27,7 @@ from typing import Any, TypeVar
 from sqlalchemy import Engine, Select, select
 
 from benchmarks.acknowledging import Workshop, broken_promises, write_access
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer
 from diag_service.diagnosis.records import Condition
 from fleet_backend.alarm_tables import ALARM, ALARM_MESSAGE
 from fleet_backend.database import open_database, transaction

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer
 from tests.support.chaos.storm import Account, BrokerDisk, Plan, Storm
 
 

@@ -17,8 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.fleet_ingest import BROKER_LINES
-from demo.fleet.mosquitto import mosquitto
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer, mosquitto
 from diag_service.diagnosis.records import shift_record
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate

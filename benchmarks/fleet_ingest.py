@@ -18,8 +18,7 @@ from tempfile import TemporaryDirectory
 import psutil
 
 from benchmarks.fleet_load import Load, Wire, wire
-from demo.fleet.mosquitto import mosquitto
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer, mosquitto
 from diag_service.diagnosis.records import shift_record
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate

@@ -14,7 +14,7 @@ from datetime import UTC, datetime, timedelta
 from sqlalchemy import Engine, text
 
 from benchmarks.fleet_history import PER_DAY, make_fleet, make_results
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer
 from fleet_backend import queries
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction

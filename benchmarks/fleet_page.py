@@ -19,7 +19,7 @@ import httpx
 import psutil
 from sqlalchemy import Engine, text
 
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
 from fleet_backend.writer import Batch, Writer

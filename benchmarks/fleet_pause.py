@@ -15,8 +15,7 @@ from tempfile import TemporaryDirectory
 import psutil
 
 from benchmarks.fleet_ingest import BROKER_LINES, wait_until_listening
-from demo.fleet.mosquitto import mosquitto
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer, mosquitto
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 from fleet_backend.queries import result_count

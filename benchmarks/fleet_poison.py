@@ -16,8 +16,7 @@ from sqlalchemy import Engine, func, select
 
 from benchmarks.fleet_ingest import BROKER_LINES, wait_until_listening
 from benchmarks.fleet_load import Load, wire
-from demo.fleet.mosquitto import mosquitto
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer, mosquitto
 from diag_service.diagnosis.records import shift_record
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate

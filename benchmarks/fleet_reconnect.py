@@ -29,7 +29,7 @@ from benchmarks.fleet_load import Load, Wire, connect_packet, packets_in, subscr
 from benchmarks.fleet_results import alone, bundled, outgoing
 from benchmarks.fleet_scale import broker
 from benchmarks.storm_model import Storm, play, told
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
 from fleet_contract import MAX_BUNDLED, Channel, Outgoing, bundle_messages, filter_of, topic_of

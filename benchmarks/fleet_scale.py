@@ -26,9 +26,7 @@ from benchmarks.fleet_history import PER_DAY, make_fleet, make_results, settle
 from benchmarks.fleet_ingest import BROKER_LINES, processor_s, spent_s, told_cost, workers
 from benchmarks.fleet_load import Load, Wire, result_count, rush_s, steady_s
 from benchmarks.fleet_results import alone, bundled
-from demo.fleet.mosquitto import mosquitto
-from demo.fleet.nats import NatsServer
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer, mosquitto
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
@@ -36,6 +34,7 @@ from fleet_backend.months.partitions import keep_months, partitions
 from fleet_backend.page import past, running
 from fleet_backend.page.vehicle_state import state_of
 from fleet_contract import Channel, filter_of
+from tests.support.nats import NatsServer
 
 AIM_PER_S = 15_000
 LATENCY_AIM_S = 2.0

@@ -19,10 +19,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.drawing import as_svg, drawing_style
+from benchmarks.drawing import CONDITION_COLOUR, GRID, as_svg, drawing_style
 from benchmarks.study import diagnose, over_drives, percent
 from clutch_model.calibration import nominal_calibration
-from demo.picture import CONDITION_COLOUR, GRID
 from diag_service.diagnosis.records import Condition
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.scenario.scenario import Scenario, Truth

@@ -1,26 +1,17 @@
 """Command line of the demonstration: ``python -m demo``."""
 
 import argparse
-import asyncio
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from demo.errors import DemoError, ExtraMissingError, check_extra
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-    from demo.runner import DemoOptions
+from demo.programs import USAGE, ExtraMissingError, check_extra, to_its_end
 
 PROGRAM: Final = "demo"
-DONE, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 BROKER_VARIABLE: Final = "CLUTCHDIAG_BROKER"
 NARROWEST: Final = 110  # columns; a pipe has none of its own
-STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,19 +19,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         check_extra("demo")
-        return _run(options)
     except ExtraMissingError as exc:
         sys.stderr.write(f"{PROGRAM}: error: {exc}\n")
         return USAGE
-    except KeyboardInterrupt:
-        sys.stderr.write(f"{PROGRAM}: interrupted\n")
-        return INTERRUPTED
+    from rich.console import Console  # noqa: PLC0415 - what an extra brings is there
 
-
-def _run(options: argparse.Namespace) -> int:
-    from rich.console import Console  # noqa: PLC0415 - heavy libraries load inside the reach of the handler above
-
-    from demo.runner import DemoOptions  # noqa: PLC0415 - see above
+    from demo.runner import DemoOptions, run_demo  # noqa: PLC0415 - see above
     from diag_service.errors import ConfigError  # noqa: PLC0415 - see above
     from diag_service.settings.config import check_vehicle  # noqa: PLC0415 - see above
     from fleet_link import AddressError, parse_broker  # noqa: PLC0415 - see above
@@ -58,28 +42,10 @@ def _run(options: argparse.Namespace) -> int:
             vehicle=check_vehicle(options.vehicle),
             folder=options.output,
         )
-        return asyncio.run(_interruptible(demo, console))
     except (ConfigError, AddressError) as exc:
         sys.stderr.write(f"{PROGRAM}: error: {exc}\n")
         return USAGE
-    except DemoError as exc:
-        sys.stderr.write(f"{PROGRAM}: error: {exc}\n")
-        return FAILED
-
-
-async def _interruptible(options: "DemoOptions", console: "Console") -> int:
-    """Run the demonstration so that a signal ends it in order, its children included."""
-    from demo.runner import run_demo  # noqa: PLC0415 - see above
-
-    loop = asyncio.get_running_loop()
-    work = asyncio.create_task(run_demo(options, console))
-    for number in STOP_SIGNALS:
-        loop.add_signal_handler(number, work.cancel)
-    try:
-        return await work
-    except asyncio.CancelledError:
-        console.print()
-        raise KeyboardInterrupt from None
+    return to_its_end(PROGRAM, run_demo(demo, console))
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,30 +1,25 @@
-"""The outcome of a demonstration: estimates beside the truth, frames of both ends, and what is wrong with them."""
+"""The outcome of a demonstration: estimates beside the truth, frames of both ends, what is wrong; and how it looks."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any, Final
 
-from demo.listener import ClutchState
-from diag_service.diagnosis.records import FrictionEstimate, ShiftResult
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from diag_service.delivery.console import condition_words
+from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult
 from ecu_emulator.truth.records import ShiftTruth, TruthLog
 from fleet_contract import CLUTCHES
 
-MAX_ERROR_STD = 4.0  # beyond it an estimate is wrong, not unlucky: 6e-5 by chance
-SHIFTS_PER_CYCLE = 10  # 1-2-3-4-5-6-5-4-3-2-1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
-    """One estimated friction coefficient beside its true value."""
-
-    name: str
-    estimate: float
-    std: float
-    truth: float
-
-    @property
-    def error_std(self) -> float:
-        """The error in units of the standard deviation that the service stated."""
-        return (self.estimate - self.truth) / self.std
+MAX_ERROR_STD: Final = 4.0  # beyond it an estimate is wrong, not unlucky: 6e-5 by chance
+UNUSUAL_STD: Final = 2.0
+SHIFTS_PER_CYCLE: Final = 10  # 1-2-3-4-5-6-5-4-3-2-1
+_CONDITION_STYLE: Final = {"no verdict": "dim", "good": "green", "watch": "yellow", "change fluid": "bold red"}
+_COEFFICIENTS: Final = {"mu_C": "mu_c", "mu_S": "mu_s"}
+_NO_FRICTION: Final = ("-",) * 3 * len(_COEFFICIENTS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +53,8 @@ class Outcome:
 
     cycles: int
     shifts: tuple[ShiftResult, ...]  # as received from the broker
-    clutches: Mapping[int, ClutchState]  # as kept by the broker
+    clutches: Mapping[int, ClutchVerdict]  # as the service leaves them
+    order: str
     truth: TruthLog
     frames: FrameAccount
 
@@ -78,37 +74,31 @@ class Outcome:
         return self.truth.drive.mu_c[clutch - 1], self.truth.drive.mu_s[clutch - 1]
 
 
-def frame_account(transmitted: Mapping[str, object], received: Mapping[str, object]) -> FrameAccount:
+def frame_account(transmitted: Mapping[str, Any], received: Mapping[str, Any]) -> FrameAccount:
     """Return the account from the emulator's transmit report and the ``frames`` of the service's summary."""
-    rejected = received["rejected"]
     return FrameAccount(
-        sent=_count(transmitted, "frames_sent"),
-        given_up=_count(transmitted, "frames_given_up"),
-        lateness_max_s=_number(transmitted, "lateness_max_s"),
-        on_bus=_count(received, "on_bus"),
-        decoded=_count(received, "decoded"),
-        ignored=_count(received, "ignored"),
-        rejected={str(name): int(count) for name, count in rejected.items()} if isinstance(rejected, dict) else {},
-        dropped=_count(received, "kernel_dropped") + _count(received, "queue_dropped"),
-        missing=_count(received, "missing"),
+        sent=transmitted["frames_sent"],
+        given_up=transmitted["frames_given_up"],
+        lateness_max_s=transmitted["lateness_max_s"],
+        on_bus=received["on_bus"],
+        decoded=received["decoded"],
+        ignored=received["ignored"],
+        rejected=received["rejected"],
+        dropped=received["kernel_dropped"] + received["queue_dropped"],
+        missing=received["missing"],
     )
 
 
-def compare(friction: FrictionEstimate, mu_c: float, mu_s: float) -> tuple[Comparison, Comparison]:
-    """Return both coefficients beside the truth."""
-    return (
-        Comparison(name="mu_C", estimate=friction.mu_c, std=friction.std_mu_c, truth=mu_c),
-        Comparison(name="mu_S", estimate=friction.mu_s, std=friction.std_mu_s, truth=mu_s),
-    )
+def compared(friction: FrictionEstimate, mu_c: float, mu_s: float) -> Iterator[tuple[str, float, float, float, float]]:
+    """Yield for both coefficients name, estimate, its deviation, truth, and the error in units of the deviation."""
+    for (name, attribute), truth in zip(_COEFFICIENTS.items(), (mu_c, mu_s), strict=True):
+        estimate, std = getattr(friction, attribute), getattr(friction, f"std_{attribute}")
+        yield name, estimate, std, truth, (estimate - truth) / std
 
 
 def complaints(outcome: Outcome) -> list[str]:
     """Return everything that is not as it must be; nothing if the demonstration succeeded."""
-    return [
-        *_shift_complaints(outcome),
-        *_clutch_complaints(outcome),
-        *_frame_complaints(outcome.frames),
-    ]
+    return [*_shift_complaints(outcome), *_clutch_complaints(outcome), *_frame_complaints(outcome.frames)]
 
 
 def _shift_complaints(outcome: Outcome) -> Iterator[str]:
@@ -125,22 +115,21 @@ def _shift_complaints(outcome: Outcome) -> Iterator[str]:
         if true is None:
             yield f"{name} was not driven"
         elif estimate.friction is None:
-            reasons = ", ".join(reason.value.replace("_", " ") for reason in estimate.reasons)
-            yield f"{name} gave no estimate: {estimate.status.value}, {reasons}"
+            yield f"{name} gave no estimate: {estimate.status.value}, {_reasons(result)}"
         else:
-            yield from _errors(name, compare(estimate.friction, true.mu_c, true.mu_s))
+            yield from _errors(name, estimate.friction, true.mu_c, true.mu_s)
 
 
 def _clutch_complaints(outcome: Outcome) -> Iterator[str]:
     for clutch in CLUTCHES:
-        state = outcome.clutches.get(clutch)
-        if state is None:
-            yield f"the broker keeps no state of clutch {clutch}"
-        elif state.friction is None:
+        verdict = outcome.clutches.get(clutch)
+        if verdict is None:
+            yield f"the service says nothing of clutch {clutch}"
+        elif verdict.friction is None:
             yield f"clutch {clutch} has no running estimate"
         else:
             name = f"the running estimate of clutch {clutch}"
-            yield from _errors(name, compare(state.friction, *outcome.true_friction(clutch)))
+            yield from _errors(name, verdict.friction, *outcome.true_friction(clutch))
 
 
 def _frame_complaints(frames: FrameAccount) -> Iterator[str]:
@@ -154,21 +143,92 @@ def _frame_complaints(frames: FrameAccount) -> Iterator[str]:
         yield f"{-frames.unexplained} frames on the bus were not the emulator's"
 
 
-def _errors(name: str, pairs: Sequence[Comparison]) -> Iterator[str]:
-    for pair in pairs:
-        if not abs(pair.error_std) <= MAX_ERROR_STD:
-            yield f"{name}: {pair.name} is off by {pair.error_std:+.1f} std"
+def _errors(where: str, friction: FrictionEstimate, mu_c: float, mu_s: float) -> Iterator[str]:
+    for name, *_, error_std in compared(friction, mu_c, mu_s):
+        if not abs(error_std) <= MAX_ERROR_STD:
+            yield f"{where}: {name} is off by {error_std:+.1f} std"
 
 
-def _count(table: Mapping[str, object], key: str) -> int:
-    value = table[key]
-    if not isinstance(value, int):
-        raise TypeError(f"{key} must be a count, got {value!r}")
-    return value
+def _reasons(result: ShiftResult) -> str:
+    return ", ".join(reason.value.replace("_", " ") for reason in result.estimate.reasons)
 
 
-def _number(table: Mapping[str, object], key: str) -> float:
-    value = table[key]
-    if not isinstance(value, float):
-        raise TypeError(f"{key} must be a number, got {value!r}")
-    return value
+def live_line(result: ShiftResult) -> Text:
+    """Return a shift as one line, at the moment at which it arrives."""
+    estimate, friction = result.estimate, result.estimate.friction
+    condition = condition_words(result.verdict.condition)
+    found = "no estimate"
+    if friction is not None:
+        found = (
+            f"mu_C {friction.mu_c:.4f} ± {friction.std_mu_c:.4f}  mu_S {friction.mu_s:.4f} ± {friction.std_mu_s:.4f}"
+        )
+    line = Text(f"{estimate.number:>5}  {estimate.from_gear}-{estimate.to_gear}  clutch {estimate.clutch}  {found:<44}")
+    line.append(f"  {condition:<12}", _CONDITION_STYLE[condition])
+    if estimate.reasons:
+        line.append(f"  [{_reasons(result)}]")
+    line.append(f"  {time.time() - estimate.end_ns / 1e9:.1f} s after its end", "dim")
+    return line
+
+
+def tables(outcome: Outcome) -> tuple[Table, Table]:
+    """Return the single shifts, and the running estimates, which combine all shifts of a clutch, beside the truth."""
+    shifts = _table(
+        "Single shifts, as an MQTT subscriber received them, beside the truth", ("shift", "gears", "clutch")
+    )
+    for result in outcome.shifts:
+        estimate, true = result.estimate, outcome.true_shift(result)
+        gears = f"{estimate.from_gear}-{estimate.to_gear}"
+        truth = None if true is None else (true.mu_c, true.mu_s)
+        shifts.add_row(str(estimate.number), gears, str(estimate.clutch), *_cells(estimate.friction, truth))
+    clutches = _table("Running estimates, as the service leaves them", ("clutch", "shifts"), ("P(slope<0)",))
+    for clutch, verdict in sorted(outcome.clutches.items()):
+        friction = verdict.friction
+        probability = "-" if friction is None else f"{friction.probability_negative_slope:.3f}"
+        cells = _cells(friction, outcome.true_friction(clutch))
+        clutches.add_row(str(clutch), str(verdict.shift_count), *cells, probability)
+    return shifts, clutches
+
+
+def _table(title: str, first: tuple[str, ...], last: tuple[str, ...] = ()) -> Table:
+    table = Table(
+        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
+    )
+    beside = [f"{symbol} ± std,truth,error/std".split(",") for symbol in _COEFFICIENTS]
+    for name in (*first, *(name for names in beside for name in names), *last):
+        table.add_column(name, justify="right", no_wrap=True)
+    return table
+
+
+def _cells(friction: FrictionEstimate | None, truth: tuple[float, float] | None) -> tuple[str | Text, ...]:
+    if friction is None or truth is None:
+        return _NO_FRICTION
+    cells: list[str | Text] = []
+    for _, estimate, std, true, error_std in compared(friction, *truth):
+        size = abs(error_std)
+        style = "" if size <= UNUSUAL_STD else "yellow" if size <= MAX_ERROR_STD else "bold red"
+        cells += [f"{estimate:.4f} ± {std:.4f}", f"{true:.4f}", Text(f"{error_std:+.1f}", style)]
+    return tuple(cells)
+
+
+def frame_lines(frames: FrameAccount) -> Iterator[str]:
+    """Yield the frame accounts of both programs."""
+    rejected = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in frames.rejected.items() if count)
+    yield (
+        f"emulator: {frames.sent} frames sent, {frames.given_up} not taken by the bus; "
+        f"at most {1e3 * frames.lateness_max_s:.0f} ms late"
+    )
+    yield (
+        f"service:  {frames.decoded} decoded, {frames.ignored} ignored, "
+        f"{sum(frames.rejected.values())} rejected{f' ({rejected})' if rejected else ''}, {frames.dropped} dropped, "
+        f"{frames.missing} missing by alive counters; unexplained: {frames.unexplained}"
+    )
+
+
+def verdict_lines(outcome: Outcome) -> Iterator[Text]:
+    """Yield the verdict on each clutch as a line that a script can find, and below it the sentence for people."""
+    for clutch, verdict in sorted(outcome.clutches.items()):
+        condition = condition_words(verdict.condition)
+        line = Text(f"verdict: clutch {clutch} ")
+        yield line.append(condition, _CONDITION_STYLE[condition])
+        if verdict.advice is not None:
+            yield Text(f"         {verdict.advice}")

@@ -1,18 +1,62 @@
-"""The two programs as child processes: their output in files, their end in order."""
+"""The programs as child processes: their output in files, their end in order; and what stops a demonstration."""
 
 import asyncio
 import os
 import signal
+import socket
 import sys
-from collections.abc import AsyncIterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Coroutine, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Final
 
-from demo.errors import DemoError
+EMULATOR, SERVICE, BACKEND = "ecu_emulator", "diag_service", "fleet_backend"
+DONE, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
+HOST: Final = "127.0.0.1"
+LOOK_S: Final = 0.05
+STOP_S: Final = 15.0  # the service gives its broker five seconds at the end
+STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+EXTRA_OF: Final = {
+    **dict.fromkeys(("amqtt", "matplotlib", "doipclient", "isotp", "udsoncan"), "demo"),
+    **dict.fromkeys(("alembic", "psycopg", "sqlalchemy"), "fleet"),
+    **dict.fromkeys(("starlette", "uvicorn"), "page"),
+}
+_OWN_VARIABLES: Final = ("CAN_", "CLUTCHDIAG_")  # the user's bus and broker are not the demonstration's
 
-EMULATOR, SERVICE = "ecu_emulator", "diag_service"
-STOP_S = 15.0  # the service gives its broker five seconds at the end
-_OWN_VARIABLES = ("CAN_", "CLUTCHDIAG_")  # the user's bus and broker are not the demonstration's
+
+class DemoError(Exception):
+    """The demonstration cannot go on; the text says why."""
+
+
+class ExtraMissingError(DemoError):
+    """A library that only an extra brings is not installed."""
+
+
+def check_extra(extra: str) -> None:
+    """Raise ExtraMissingError unless the libraries of an extra can be found."""
+    for module, name in EXTRA_OF.items():
+        if name == extra and find_spec(module) is None:
+            raise ExtraMissingError(f"the module {module} is not installed: pip install 'clutchdiag[{extra}]'")
+
+
+def to_its_end(name: str, work: Coroutine[None, None, int]) -> int:
+    """Return the exit status of a demonstration; a signal ends it in order, servers and children included."""
+
+    async def interruptible() -> int:
+        task = asyncio.ensure_future(work)
+        for number in STOP_SIGNALS:
+            asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+        return await task
+
+    try:
+        return asyncio.run(interruptible())
+    except asyncio.CancelledError:
+        sys.stderr.write(f"\n{name}: interrupted\n")
+        return INTERRUPTED
+    except DemoError as exc:
+        sys.stderr.write(f"{name}: error: {exc}\n")
+        return FAILED
 
 
 class Program:
@@ -29,61 +73,55 @@ class Program:
         return self._out.read_text(encoding="utf-8")
 
     @property
-    def has_ended(self) -> bool:
-        """Whether it runs no more."""
-        return self._process.returncode is not None
-
-    @property
     def last_words(self) -> str:
         """The last line of standard error."""
         words = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         return words[-1] if words else "it said nothing"
 
-    async def wait(self) -> None:
-        """Return when the program has ended well.
+    async def lines(self) -> AsyncIterator[str]:
+        """Yield the lines of standard output as they come; raises DemoError when the program has ended."""
+        count = 0
+        while self._process.returncode is None:
+            told = self.output.split("\n")[:-1]
+            for line in told[count:]:
+                yield line
+            count = len(told)
+            await asyncio.sleep(LOOK_S)
+        raise DemoError(f"{self.name} ended before its time: {self.last_words}")
 
-        Raises
-        ------
-        DemoError
-            If it ended badly, with its last words.
-        """
+    async def wait(self) -> None:
+        """Return when the program has ended well; raises DemoError with its last words if it ended badly."""
         status = await self._process.wait()
         if status != 0:
             raise DemoError(f"{self.name} ended with status {status}: {self.last_words}")
 
     async def stop(self) -> None:
         """Ask the program to end, and make it if it does not or if we cannot wait."""
-        self._send(signal.SIGINT)
+        with suppress(ProcessLookupError):
+            self._process.send_signal(signal.SIGINT)
         try:
             async with asyncio.timeout(STOP_S):
                 await self._process.wait()
-        except TimeoutError:
-            self._send(signal.SIGKILL)
+        except (TimeoutError, asyncio.CancelledError) as exc:
+            with suppress(ProcessLookupError):
+                self._process.kill()
             await self._process.wait()
-        except asyncio.CancelledError:
-            self._send(signal.SIGKILL)
-            raise
-
-    def _send(self, number: signal.Signals) -> None:
-        with suppress(ProcessLookupError):
-            self._process.send_signal(number)
+            if isinstance(exc, asyncio.CancelledError):
+                raise
 
 
 @asynccontextmanager
 async def program(
-    module: str, *arguments: str | Path, folder: Path, environment: Mapping[str, str]
+    module: str, *arguments: str | Path, folder: Path, environment: Mapping[str, str] | None = None
 ) -> AsyncIterator[Program]:
     """Start a module as a program; it does not outlive the block."""
-    command = [sys.executable, "-m", module, *(str(argument) for argument in arguments)]
+    inherited = {name: value for name, value in os.environ.items() if not name.startswith(_OWN_VARIABLES)}
     out_file, log_file = output_files(module, folder)
     with out_file.open("wb") as out, log_file.open("wb") as log:
         process = await asyncio.create_subprocess_exec(
-            *command,
-            stdin=asyncio.subprocess.DEVNULL,
-            stdout=out,
-            stderr=log,
-            env=_child_environment(environment),
-        )
+            sys.executable, "-m", module, *map(str, arguments),
+            stdin=asyncio.subprocess.DEVNULL, stdout=out, stderr=log, env={**inherited, **(environment or {})},
+        )  # fmt: skip
     child = Program(module, folder, process)
     try:
         yield child
@@ -92,10 +130,11 @@ async def program(
             await child.stop()
 
 
-async def run(module: str, *arguments: str | Path, folder: Path, environment: Mapping[str, str]) -> None:
-    """Run a module as a program to its end; raises DemoError if it fails."""
-    async with program(module, *arguments, folder=folder, environment=environment) as child:
+async def run(module: str, *arguments: str | Path, folder: Path) -> str:
+    """Run a module as a program to its end and return what it printed; raises DemoError if it fails."""
+    async with program(module, *arguments, folder=folder) as child:
         await child.wait()
+        return child.output
 
 
 def output_files(module: str, folder: Path) -> Sequence[Path]:
@@ -104,6 +143,7 @@ def output_files(module: str, folder: Path) -> Sequence[Path]:
     return folder / f"{name}.out", folder / f"{name}.log"
 
 
-def _child_environment(more: Mapping[str, str]) -> dict[str, str]:
-    inherited = {name: value for name, value in os.environ.items() if not name.startswith(_OWN_VARIABLES)}
-    return {**inherited, **more}
+def free_port() -> int:
+    """Return a port of the loopback interface that nobody uses now."""
+    with socket.create_server((HOST, 0)) as probe:
+        return int(probe.getsockname()[1])

@@ -3,35 +3,47 @@
 import asyncio
 import fcntl
 import json
+import logging
 import os
 import time
-from collections.abc import AsyncIterator, Awaitable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Final
 
+from amqtt.broker import Broker
+from amqtt.contexts import BrokerConfig
+from amqtt.errors import AMQTTError
 from rich.console import Console
+from rich.text import Text
 
+import diag_service
 from canlog.live.medium import Medium, open_medium
-from demo.broker import embedded_broker
-from demo.errors import DemoError
-from demo.listener import Listener, listening, read_clutch_states
-from demo.outcome import SHIFTS_PER_CYCLE, Outcome, complaints, frame_account
-from demo.picture import draw
-from demo.programs import EMULATOR, SERVICE, Program, output_files, program, run
+from demo.outcome import (
+    SHIFTS_PER_CYCLE,
+    Outcome,
+    complaints,
+    frame_account,
+    frame_lines,
+    live_line,
+    tables,
+    verdict_lines,
+)
+from demo.programs import BACKEND, EMULATOR, HOST, LOOK_S, SERVICE, DemoError, Program, free_port, program, run
 from demo.scan_tool import ScanTool
-from demo.table import live_line, order_lines, print_outcome, verdict_lines
-from demo.traces import recorded_shift
-from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.records import SHIFT_SCHEMA, ShiftResult, shift_from, verdict_from
+from diag_service.errors import ResultError
 from ecu_emulator.truth.records import read_truth
-from fleet_contract import CLUTCHES
+from fleet_contract import Channel
 from fleet_link import BrokerAddress
 
-CYCLE_S = 40.6  # what one cycle takes on the road
-READY_S = 30.0  # for a program to load and announce itself
-LAST_RESULT_S = 10.0  # from the last frame to the last result
-SHOWN_SHIFT = 4  # 4-5: a long upshift under load, which shows every phase
-PICTURE = "demo.png"
+CYCLE_S: Final = 40.6  # what one cycle takes on the road
+READY_S: Final = 30.0  # for a program to load and announce itself
+LAST_RESULT_S: Final = 10.0  # from the last frame to the last result
+RECORDING, TRUTH, TRANSMITTED = "drive.log", "truth.jsonl", "transmitted.json"
+STORE, PICTURE = "results.sqlite", "demo.png"
+LEFT: Final = (RECORDING, TRUTH, TRANSMITTED, PICTURE, *(f"{STORE}{suffix}" for suffix in ("", "-wal", "-shm")))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,39 +58,11 @@ class DemoOptions:
     vehicle: str
     folder: Path
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Files:
-    """The files of a demonstration."""
-
-    folder: Path
-
     @property
-    def recording(self) -> Path:
-        return self.folder / "drive.log"
-
-    @property
-    def truth(self) -> Path:
-        return self.folder / "truth.jsonl"
-
-    @property
-    def transmitted(self) -> Path:
-        return self.folder / "transmitted.json"
-
-    @property
-    def store(self) -> Path:
-        return self.folder / "results.sqlite"
-
-    @property
-    def picture(self) -> Path:
-        return self.folder / PICTURE
-
-    def clear(self) -> None:
-        """Remove what an earlier demonstration left: its running state must not be taken up."""
-        stores = [self.store.with_name(f"{self.store.name}{suffix}") for suffix in ("", "-wal", "-shm")]
-        outputs = [path for module in (EMULATOR, SERVICE) for path in output_files(module, self.folder)]
-        for path in (self.recording, self.truth, self.transmitted, self.picture, *stores, *outputs):
-            path.unlink(missing_ok=True)
+    def drive(self) -> tuple[str, ...]:
+        """The options with which the emulator drives it."""
+        seed = () if self.seed is None else ("--seed", str(self.seed))
+        return ("--scenario", self.scenario, "--cycles", str(self.cycles), *seed)
 
 
 async def run_demo(options: DemoOptions, console: Console) -> int:
@@ -89,86 +73,118 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
     DemoError
         If it cannot be run to its end.
     """
-    with _own_folder(options.folder), open_medium() as medium:
-        files = _Files(folder=options.folder)
-        files.clear()
+    folder = options.folder
+    with _own_folder(folder), open_medium() as medium:
+        for name in LEFT:  # of an earlier demonstration: its running state must not be taken up
+            (folder / name).unlink(missing_ok=True)
         console.print(f"bus:    {medium.explanation}", soft_wrap=True)
-        await _warm_up(options, files, console)
+        await _warm_up(options, console)
         scan_tool = ScanTool()
-        outcome = await _drive(options, medium, files, console, scan_tool)
-        print_outcome(console, outcome)
-        event = await asyncio.to_thread(recorded_shift, files.recording, SHOWN_SHIFT)
-        await asyncio.to_thread(draw, files.picture, event, outcome)
-    console.print(f"picture: {files.picture}", soft_wrap=True)
+        outcome = await _drive(options, medium, console, scan_tool)
+        for table in tables(outcome):
+            console.print(table)
+        analysis = await asyncio.to_thread(diag_service.analyze, folder / RECORDING)
+        await asyncio.to_thread(analysis.plot, folder / PICTURE)
     found = complaints(outcome)
-    for complaint in found:
-        console.print(f"failed: {complaint}", style="bold red", soft_wrap=True)
-    for clutch in CLUTCHES:
-        if clutch in outcome.clutches:
-            for line in verdict_lines(outcome.clutches[clutch]):
-                console.print(line, soft_wrap=True)
-    for line in order_lines(outcome.clutches.values()):
+    lines: list[str | Text] = [*frame_lines(outcome.frames), f"picture: {folder / PICTURE}"]
+    lines += [Text(f"failed: {complaint}", style="bold red") for complaint in found]
+    lines += [*verdict_lines(outcome), f"order:   {outcome.order}", scan_tool.line]
+    for line in lines:
         console.print(line, soft_wrap=True)
-    console.print(scan_tool.line, soft_wrap=True)
     return 1 if found else 0
 
 
-async def _warm_up(options: DemoOptions, files: _Files, console: Console) -> None:
+async def _warm_up(options: DemoOptions, console: Console) -> None:
     """Record and analyse the same drive once: compiles the kernels of both programs, and the picture needs it."""
     console.print("compiling the kernels of both programs, unless cached ... ", end="")
-    began_s = time.monotonic()
-    await run(EMULATOR, "record", files.recording, "--force", *_scenario(options), folder=files.folder, environment={})
-    await run(SERVICE, "analyze", files.recording, "--json", folder=files.folder, environment={})
+    began_s, recording = time.monotonic(), options.folder / RECORDING
+    await run(EMULATOR, "record", recording, "--force", *options.drive, folder=options.folder)
+    await run(SERVICE, "analyze", recording, "--json", folder=options.folder)
     console.print(f"{time.monotonic() - began_s:.0f} s")
 
 
-async def _drive(options: DemoOptions, medium: Medium, files: _Files, console: Console, scan_tool: ScanTool) -> Outcome:
+async def _drive(options: DemoOptions, medium: Medium, console: Console, scan_tool: ScanTool) -> Outcome:
     """Let both programs run on one bus in real time, and gather what is left of it."""
-
-    def show(result: ShiftResult) -> None:
-        console.print(live_line(result), soft_wrap=True)
-
+    folder, vehicle = options.folder, options.vehicle
+    heard = Heard(lambda result: console.print(live_line(result), soft_wrap=True))
     async with AsyncExitStack() as stack:
         if options.broker is None:
-            address = await stack.enter_async_context(embedded_broker())
+            address = await stack.enter_async_context(_embedded_broker())
             url, whose = f"mqtt://{address}", "our own, embedded"
         else:
             address, url, whose = options.broker, options.broker_url or "", "yours"
-        console.print(f"broker: {address}, {whose}; topics clutchdiag/v1/{options.vehicle}/#", soft_wrap=True)
-        listener = await stack.enter_async_context(listening(address, options.vehicle, show))
-        environment = {**medium.environment, "CLUTCHDIAG_BROKER": url}  # not an argument: it may hold a password
-        service = await stack.enter_async_context(
-            program(SERVICE, *_service_arguments(options, medium, files), folder=files.folder, environment=environment)
-        )
-        emulator = program(
-            EMULATOR,
-            *_emulator_arguments(options, medium, files),
-            *scan_tool.emulator_arguments,
-            folder=files.folder,
-            environment=medium.environment,
-        )
-        async with _watched(listener, service):
-            await _within(READY_S, listener.service_online(), "the service did not announce itself")
+        console.print(f"broker: {address}, {whose}; topics clutchdiag/v1/{vehicle}/#", soft_wrap=True)
+        broker = {"CLUTCHDIAG_BROKER": url}  # not an argument: it may hold a password
+        subscriber = program(BACKEND, "follow", "-", vehicle, "--json", folder=folder, environment=broker)
+        results = await stack.enter_async_context(subscriber)
+        listening = program(
+            SERVICE, "run", *medium.arguments, "--vehicle", vehicle, "--store", folder / STORE, "--json",
+            folder=folder, environment={**medium.environment, **broker},
+        )  # fmt: skip
+        service = await stack.enter_async_context(listening)
+        driving = program(
+            EMULATOR, "run", *medium.arguments, *options.drive, *scan_tool.emulator_arguments,
+            "--truth", folder / TRUTH, "--summary", folder / TRANSMITTED, "--force",
+            folder=folder, environment=medium.environment,
+        )  # fmt: skip
+        async with _watched(heard.listen(results), service):
+            if not await heard.within(READY_S, lambda: heard.is_online):
+                raise DemoError(f"the service did not announce itself within {READY_S:.0f} s")
             console.print(f"driving {options.cycles * CYCLE_S:.0f} s in real time; each line as MQTT delivers it")
-            async with emulator as driver:
+            async with driving as driver:
                 with scan_tool:
                     await driver.wait()
-            await _last_shift(listener, SHIFTS_PER_CYCLE * options.cycles)
+            # If the last result never comes, the outcome will say so.
+            await heard.within(LAST_RESULT_S, lambda: len(heard.shifts) >= SHIFTS_PER_CYCLE * options.cycles)
         await service.stop()
         await service.wait()
-        clutches = await read_clutch_states(address, options.vehicle)
     summary = json.loads(service.output.splitlines()[-1])
     return Outcome(
         cycles=options.cycles,
-        shifts=listener.shifts,
-        clutches=clutches,
-        truth=read_truth(files.truth),
-        frames=frame_account(json.loads(files.transmitted.read_text(encoding="utf-8")), summary["frames"]),
+        shifts=tuple(heard.shifts[seq] for seq in sorted(heard.shifts)),
+        clutches={int(record["clutch"]): verdict_from(record) for record in summary["clutches"]},
+        order=summary["order"],
+        truth=read_truth(folder / TRUTH),
+        frames=frame_account(json.loads((folder / TRANSMITTED).read_text(encoding="utf-8")), summary["frames"]),
     )
 
 
+class Heard:
+    """What a subscriber of MQTT has been told of a vehicle; a result that is delivered twice counts once."""
+
+    def __init__(self, on_shift: Callable[[ShiftResult], None]) -> None:
+        self._on_shift = on_shift
+        self.is_online = False
+        self.shifts: dict[int, ShiftResult] = {}
+
+    async def listen(self, subscriber: Program) -> None:
+        """Take up what the subscriber prints until cancelled; raises DemoError if it ends, or that is of no service."""
+        async for line in subscriber.lines():
+            try:
+                self.take(json.loads(line))
+            except ResultError as exc:
+                raise DemoError(f"the broker delivered what is not of this service: {exc}") from exc
+
+    def take(self, record: dict[str, Any]) -> None:
+        """Take up one message."""
+        if record["schema"] == Channel.STATUS.schema_name:
+            self.is_online = record["status"] == "online"
+        elif record["schema"] == SHIFT_SCHEMA and record["seq"] not in self.shifts:
+            result = self.shifts[record["seq"]] = shift_from(record)
+            self._on_shift(result)
+
+    async def within(self, limit_s: float, is_so: Callable[[], bool]) -> bool:
+        """Return whether something has become so within a time."""
+        deadline_s = time.monotonic() + limit_s
+        while not is_so():
+            if time.monotonic() > deadline_s:
+                return False
+            await asyncio.sleep(LOOK_S)
+        return True
+
+
 @asynccontextmanager
-async def _watched(listener: Listener, service: Program) -> AsyncIterator[None]:
+async def _watched(listening: Any, service: Program) -> AsyncIterator[None]:  # noqa: ANN401 - a coroutine
     """Hear the broker and watch the service while the block lasts; what goes wrong with either ends the block."""
 
     async def no_end() -> None:
@@ -177,7 +193,7 @@ async def _watched(listener: Listener, service: Program) -> AsyncIterator[None]:
 
     try:
         async with asyncio.TaskGroup() as tasks:
-            watchers = (tasks.create_task(listener.listen()), tasks.create_task(no_end()))
+            watchers = (tasks.create_task(listening), tasks.create_task(no_end()))
             yield
             for watcher in watchers:
                 watcher.cancel()
@@ -185,42 +201,34 @@ async def _watched(listener: Listener, service: Program) -> AsyncIterator[None]:
         raise _first(group) from group
 
 
-async def _last_shift(listener: Listener, count: int) -> None:
-    """Wait for the last result; if it never comes, the outcome will say so."""
-    try:
-        async with asyncio.timeout(LAST_RESULT_S):
-            await listener.shift_count(count)
-    except TimeoutError:
-        return
-
-
-async def _within(limit_s: float, event: Awaitable[None], complaint: str) -> None:
-    try:
-        async with asyncio.timeout(limit_s):
-            await event
-    except TimeoutError as exc:
-        raise DemoError(f"{complaint} within {limit_s:.0f} s") from exc
-
-
-def _service_arguments(options: DemoOptions, medium: Medium, files: _Files) -> tuple[str | Path, ...]:
-    outputs = ("--store", files.store, "--json")
-    return ("run", *medium.arguments, "--vehicle", options.vehicle, *outputs)
-
-
-def _emulator_arguments(options: DemoOptions, medium: Medium, files: _Files) -> tuple[str | Path, ...]:
-    outputs = ("--truth", files.truth, "--summary", files.transmitted, "--force")
-    return ("run", *medium.arguments, *_scenario(options), *outputs)
-
-
-def _scenario(options: DemoOptions) -> tuple[str, ...]:
-    seed = () if options.seed is None else ("--seed", str(options.seed))
-    return ("--scenario", options.scenario, "--cycles", str(options.cycles), *seed)
-
-
 def _first(group: BaseExceptionGroup[BaseException]) -> BaseException:
     """Return the first error inside nested groups."""
     error = group.exceptions[0]
     return _first(error) if isinstance(error, BaseExceptionGroup) else error
+
+
+@asynccontextmanager
+async def _embedded_broker() -> AsyncIterator[BrokerAddress]:
+    """Run a broker inside this process for as long as the block lasts; raises DemoError if it cannot listen."""
+    for name in ("amqtt", "transitions"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # it warns of every client that asks for MQTT 5 first
+    address = BrokerAddress(host=HOST, port=free_port())
+    broker = Broker(
+        BrokerConfig.from_dict(
+            {
+                "listeners": {"default": {"type": "tcp", "bind": str(address)}},
+                "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}},
+            }
+        )
+    )
+    try:
+        await broker.start()
+    except (AMQTTError, OSError) as exc:
+        raise DemoError(f"the embedded broker cannot listen on {address}: {exc}") from exc
+    try:
+        yield address
+    finally:
+        await broker.shutdown()
 
 
 @contextmanager

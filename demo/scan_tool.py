@@ -1,10 +1,10 @@
 """A scan tool at the emulated controller: it asks over IP, so that the bus carries the drive alone, until its end."""
 
-import socket
 import threading
 from types import TracebackType
 from typing import Final, Self
 
+from demo.programs import HOST, free_port
 from diag_service.errors import ControllerError
 from diag_service.tester.asking import DoipPlace, dialogue_over_ip
 from diag_service.tester.description_file import recognised
@@ -14,14 +14,13 @@ from diag_service.tester.trouble_report import code_words
 
 LOGICAL_ADDRESS: Final = 0x1011  # of the emulated controller
 PERIOD_S: Final = 1.0
-HOST: Final = "127.0.0.1"
 
 
 class ScanTool:
     """Reads the trouble codes every second while entered, once somebody answers; keeps the last answer."""
 
     def __init__(self) -> None:
-        self._place = DoipPlace(host=HOST, port=_free_port(), logical_address=LOGICAL_ADDRESS)
+        self._place = DoipPlace(host=HOST, port=free_port(), logical_address=LOGICAL_ADDRESS)
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._run, name="scan tool", daemon=True)
         self._told = "no answer"
@@ -59,9 +58,3 @@ class ScanTool:
             while not self._is_over.wait(PERIOD_S):
                 codes = read_troubles(dialogue, description, has_details=False)
                 self._told = ", ".join(map(code_words, codes)) or "no trouble codes"
-
-
-def _free_port() -> int:
-    with socket.create_server((HOST, 0)) as probe:
-        port: int = probe.getsockname()[1]
-    return port

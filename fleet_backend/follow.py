@@ -96,7 +96,7 @@ class Follower:
             address.port,
             username=address.username,
             password=address.password,
-            protocol=aiomqtt.ProtocolVersion.V5,
+            protocol=aiomqtt.ProtocolVersion.V311,  # which every broker speaks; nothing of a later one is used
             tls_context=None if tls is None else tls.context(is_key_private=False),
             logger=logging.getLogger("mqtt"),
         )

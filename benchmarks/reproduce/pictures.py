@@ -10,13 +10,13 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from benchmarks.drawing import CLUTCH_COLOUR, INK, MUTED, STYLE
 from benchmarks.reproduce.differences import central_difference
 from benchmarks.reproduce.drives import PERIOD_S, BoolArray, PaperDrive
 from benchmarks.reproduce.study import CALIBRATION, CLUTCHES, Setup, analysed, fitted
 from canlog.arrays import FloatArray
 from clutch_model.pack import friction_law, kinetic_friction
 from clutch_model.units import bar_from_pa, rpm_from_rad_s
-from demo.picture import CLUTCH_COLOUR, INK, MUTED, STYLE
 from diag_service.diagnosis.friction.paper.differentiate import SteadyKalman
 from diag_service.diagnosis.friction.paper.fit import coulomb_gate, static_gate
 from diag_service.diagnosis.friction.paper.method import Analysis, PaperSignals

@@ -1,21 +1,45 @@
-"""Command line of the fleet demonstration: ``python -m demo.fleet``."""
+"""The fleet demonstration, ``python -m demo.fleet``: servers, workers, vehicles, the fleet's table and its page."""
 
 import argparse
 import asyncio
-import signal
+import json
+import socket
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AsyncExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
 from rich.console import Console
 
-from demo.errors import DemoError, ExtraMissingError, check_extra
-from demo.fleet.runner import run_fleet
+from demo.fleet.servers import PostgresServer, mosquitto, program_folder
+from demo.programs import (
+    BACKEND,
+    DONE,
+    EMULATOR,
+    HOST,
+    LOOK_S,
+    SERVICE,
+    USAGE,
+    DemoError,
+    ExtraMissingError,
+    check_extra,
+    output_files,
+    program,
+    run,
+    to_its_end,
+)
 
 PROGRAM: Final = "fleet"
-DONE, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 CYCLES: Final = 2
+WORKERS: Final = 2
+OLD_DRIVES_DAYS: Final = 3650  # the emulated drives have dates of their own
+ARRIVAL_S: Final = 60.0  # from the last shift to the last row
+BROKER_LINES: Final = ("max_inflight_messages 0", "max_queued_messages 0")  # docs/fleet.md, limits
+USUAL_PORT: Final = 8090  # of the page
+FLUIDS: Final = {"taxi-1": ("ideal", "fresh"), "taxi-2": ("case1", "worn"), "taxi-3": ("case2", "aged")}
+"""Scenario and fluid of each vehicle, the worst last."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -24,23 +48,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         check_extra("fleet")
         check_extra("page")
-        options.output.mkdir(parents=True, exist_ok=True)
-        asyncio.run(_interruptible(options.output, options.cycles, Console(highlight=False), stays=sys.stdin.isatty()))
-    except asyncio.CancelledError:
-        sys.stderr.write(f"{PROGRAM}: interrupted\n")
-        return INTERRUPTED
-    except DemoError as exc:
+    except ExtraMissingError as exc:
         sys.stderr.write(f"{PROGRAM}: error: {exc}\n")
-        return USAGE if isinstance(exc, ExtraMissingError) else FAILED
-    return DONE
-
-
-async def _interruptible(folder: Path, cycles: int, console: Console, *, stays: bool) -> None:
-    """Run the demonstration so that a signal ends it in order, servers and children included."""
-    work = asyncio.ensure_future(run_fleet(folder, cycles, console, stays=stays))
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        asyncio.get_running_loop().add_signal_handler(number, work.cancel)
-    await work
+        return USAGE
+    options.output.mkdir(parents=True, exist_ok=True)
+    console, stays = Console(highlight=False), sys.stdin.isatty()
+    return to_its_end(PROGRAM, run_fleet(options.output, options.cycles, console, stays=stays))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -56,6 +69,134 @@ def _parser() -> argparse.ArgumentParser:
         "--output", type=Path, default=Path("fleet-output"), metavar="DIR", help="default: fleet-output"
     )
     return parser
+
+
+async def run_fleet(folder: Path, cycles: int, console: Console, *, stays: bool) -> int:
+    """Drive the vehicles, bring their results into the database, and show the fleet; all files go to ``folder``.
+
+    At the end its page is there, and ``stays`` until somebody presses Ctrl-C.
+
+    Raises
+    ------
+    DemoError
+        If a program or server fails, or results do not arrive.
+    """
+    began_s = time.monotonic()
+    async with AsyncExitStack() as stack:
+        database = stack.enter_context(_database(folder, console))
+        port = stack.enter_context(mosquitto(folder, BROKER_LINES))
+        broker = f"mqtt://{HOST}:{port}"
+        console.print(f"broker    Mosquitto at {broker}")
+        await _backend(folder, "migrate", database)
+        places = [_subfolder(folder, f"worker-{number}") for number in range(1, WORKERS + 1)]
+        for place in places:
+            worker = ("ingest", "--broker", broker, "--database", database, "--worker", place.name)
+            await stack.enter_async_context(program(BACKEND, *worker, folder=place))
+        console.print(f"ingest    {WORKERS} workers")
+        # What is published before they listen reaches nobody.
+        logs = [output_files(BACKEND, place)[1] for place in places]
+        await _until(lambda: all("listening" in log.read_text(encoding="utf-8") for log in logs), "the workers listen")
+        first, *others = FLUIDS  # the first alone: it may have to compile the numerical kernels for all
+        counts = [await _drive(first, folder, cycles, broker, console)]
+        counts += await asyncio.gather(*(_drive(name, folder, cycles, broker, console) for name in others))
+        await _arrival(folder, database, sum(counts))
+        for name, (_, fluid) in FLUIDS.items():
+            await _backend(folder, "fill", database, name, fluid, "--at", "2025-12-01")
+        took_s = time.monotonic() - began_s
+        console.print(f"database  {sum(counts)} results of {len(counts)} vehicles, {took_s:.0f} s\n")
+        for question in ("table", "alarms"):
+            answer = await _backend(folder, question, database, "--width", str(console.width))
+            console.print(answer, markup=False, soft_wrap=True)
+        await _backend(folder, "watch", database, "--once", "--silence-days", str(OLD_DRIVES_DAYS))
+        await _show_page(_subfolder(folder, "page"), database, console, stays=stays)
+    return DONE
+
+
+@contextmanager
+def _database(folder: Path, console: Console) -> Iterator[str]:
+    """Yield the address of an empty database: PostgreSQL where it is installed."""
+    if program_folder() is None:
+        console.print("database  SQLite, since PostgreSQL is not installed (Debian package postgresql)")
+        path = folder / "fleet.sqlite"
+        for old in folder.glob("fleet.sqlite*"):
+            old.unlink()
+        yield f"sqlite:///{path.absolute()}"
+        return
+    server = PostgresServer()
+    with closing(server):
+        server.start()
+        console.print(f"database  PostgreSQL on port {server.port}, data in {server.folder}")
+        yield server.create("fleet")
+
+
+async def _drive(name: str, folder: Path, cycles: int, broker: str, console: Console) -> int:
+    """Record a drive, analyse it and publish its results; return how many there are."""
+    place, (scenario, fluid) = _subfolder(folder, name), FLUIDS[name]
+    log = place / "drive.log"
+    began_s = time.monotonic()
+    await run(EMULATOR, "record", log, "--scenario", scenario, "--cycles", str(cycles), folder=place)
+    analysis = ("analyze", log, "--json", "--vehicle", name, "--broker", broker, "--acknowledge", "backend")
+    lines = (await run(SERVICE, *analysis, folder=place)).splitlines()
+    count = len([line for line in lines if json.loads(line)["schema"] == "clutchdiag/shift/v1"])
+    took_s = time.monotonic() - began_s
+    console.print(f"vehicle   {name}: {fluid} fluid, {count} shifts recorded and analysed in {took_s:.0f} s")
+    return count
+
+
+async def _arrival(folder: Path, database: str, count: int) -> None:
+    deadline_s = time.monotonic() + ARRIVAL_S
+    while not (await _backend(folder, "hash", database)).endswith(f"  {count} results\n"):
+        if time.monotonic() > deadline_s:
+            raise DemoError(f"not all of the {count} results arrived within {ARRIVAL_S:g} s")
+        await asyncio.sleep(0.5)
+
+
+async def _until(is_so: Callable[[], bool], what: str) -> None:
+    deadline_s = time.monotonic() + ARRIVAL_S
+    while not is_so():
+        if time.monotonic() > deadline_s:
+            raise DemoError(f"it took more than {ARRIVAL_S:g} s until {what}")
+        await asyncio.sleep(LOOK_S)
+
+
+async def _backend(folder: Path, command: str, database: str, *more: str) -> str:
+    """Run a command of the backend and return what it said."""
+    return await run(BACKEND, command, "--database", database, *more, folder=_subfolder(folder, "questions"))
+
+
+def _subfolder(folder: Path, name: str) -> Path:
+    path = folder / name
+    path.mkdir(exist_ok=True)
+    return path
+
+
+async def _show_page(folder: Path, database: str, console: Console, *, stays: bool) -> None:
+    """Serve the page of a database and say what is to be seen there; it ``stays`` until somebody presses Ctrl-C."""
+    command = ("serve", "--database", database, "--listen", f"{HOST}:{_page_port()}")
+    async with program(BACKEND, *command, folder=folder) as server:
+        address = (await anext(server.lines())).split()[0]
+        console.print(f"page      {address}", highlight=False)
+        console.print(
+            f"look at   the worst first; {list(FLUIDS)[-1]}: its trend with bands and limits, and how far its "
+            "fluid will go; an event of it: friction over slip; Alarms; Changes"
+        )
+        if stays:
+            console.print("          Ctrl-C ends the page, the database and the broker")
+            with suppress(asyncio.CancelledError):  # Ctrl-C is how this is meant to end
+                await server.wait()
+        else:
+            console.print("          nobody sits at a terminal, so all of it ends now")
+
+
+def _page_port() -> int:
+    """Return the usual port, or 0 for any other if it is taken."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((HOST, USUAL_PORT))
+        except OSError:
+            return 0
+    return USUAL_PORT
 
 
 if __name__ == "__main__":

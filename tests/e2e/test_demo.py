@@ -88,7 +88,7 @@ def test_an_interrupt_ends_all_children(tmp_path: Path) -> None:
             if "clutch 2" in line:  # the first shift: everything runs
                 break
         children = psutil.Process(process.pid).children(recursive=True)
-        assert len(children) == 3  # the emulator, the service, and the service that the controller has on board
+        assert len(children) == 4  # emulator, service, subscriber, and the service that the controller has on board
         process.send_signal(signal.SIGINT)
         assert process.wait(HANG_S) == INTERRUPTED
         _, alive = psutil.wait_procs(children, timeout=HANG_S)

@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy import Connection, Engine, create_engine
 from sqlalchemy.exc import DBAPIError
 
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.rows import shift_row, status_row

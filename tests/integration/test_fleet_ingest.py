@@ -15,7 +15,7 @@ import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 from sqlalchemy import Engine
 
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer
 from diag_service.diagnosis.records import shift_record
 from fleet_backend import queries
 from fleet_backend.database import open_database

@@ -6,7 +6,7 @@ from datetime import UTC, date, datetime
 import pytest
 from sqlalchemy import Engine, insert, select, text
 
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer
 from fleet_backend import queries
 from fleet_backend.alarm_tables import AUDIT
 from fleet_backend.choices import Axis

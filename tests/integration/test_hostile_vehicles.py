@@ -14,7 +14,6 @@ import paho.mqtt.client as mqtt
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
-from demo.fleet.nats import NatsServer
 from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Outbox
 from diag_service.store import ResultStore
 from fleet_backend import queries
@@ -24,6 +23,7 @@ from fleet_backend.database import open_database
 from fleet_link import BrokerAddress, TlsFiles
 from tests.support.fleet_broker import DEPLOY, fleet_broker
 from tests.support.fleet_worker import worker
+from tests.support.nats import NatsServer
 from tests.support.outboxes import NOW, put, sending, until
 from tests.support.patience import HANG_S
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from demo.fleet.nats import NatsServer
 from diag_service.diagnosis.records import shift_record
 from fleet_backend.broker import connected
 from fleet_backend.certificates.authority import Authority, Lifetime
@@ -16,6 +15,7 @@ from fleet_backend.ingest import FILTERS
 from fleet_contract import Receipt, ack_messages, key_of, shift_message
 from fleet_link import Connection, LinkDownError, Terms, TlsFiles, parse_broker
 from tests.support.fleet import fleet_result
+from tests.support.nats import NatsServer
 from tests.support.patience import HANG_S
 
 pytestmark = pytest.mark.broker

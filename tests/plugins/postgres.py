@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine
 
-from demo.fleet.postgres import PostgresServer
+from demo.fleet.servers import PostgresServer
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 

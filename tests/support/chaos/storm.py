@@ -12,7 +12,6 @@ from typing import Final
 
 from sqlalchemy import Engine, select
 
-from demo.fleet.nats import NatsServer
 from diag_service.diagnosis.records import shift_record
 from diag_service.store import ResultStore
 from fleet_backend.database import open_database, transaction
@@ -23,6 +22,7 @@ from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
 from tests.plugins.broker import Mosquitto
 from tests.support.chaos.edge import ALL_MADE, AT_WORK
+from tests.support.nats import NatsServer
 
 WORKERS: Final = 2
 START_S: Final = 180.0  # until all are at work; a busy machine takes long

@@ -3,9 +3,8 @@
 from dataclasses import replace
 
 from clutch_model.calibration import clutch_of_gear
-from demo.listener import ClutchState
 from demo.outcome import SHIFTS_PER_CYCLE, FrameAccount, Outcome
-from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.records import ClutchVerdict, Condition, ShiftResult
 from ecu_emulator.truth.records import DriveTruth, ShiftTruth, Totals, TruthLog
 from tests.support.builders import friction_estimate, shift_result
 
@@ -54,9 +53,18 @@ def good_outcome() -> Outcome:
         cycles=1,
         shifts=tuple(shift(number) for number in numbers),
         clutches={
-            clutch: ClutchState(clutch=clutch, condition="good", reason="sound", friction=FRICTION, shift_count=5)
+            clutch: ClutchVerdict(
+                clutch=clutch,
+                condition=Condition.GOOD,
+                reason="sound",
+                level_ratio=1.0,
+                friction=FRICTION,
+                shift_count=5,
+                advice=f"Clutch {clutch}: nothing to do.",
+            )
             for clutch in (1, 2)
         },
+        order="Nothing to do.",
         truth=TruthLog(
             drive=DriveTruth(
                 scenario="ideal",

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Final
 
-from demo.errors import DemoError
+from demo.programs import DemoError
 
 _START_S: Final = 60.0
 _ALWAYS_SYNCS: Final = (2, 10)  # the first version whose JetStream can sync at every message

@@ -1,4 +1,4 @@
-"""A PostgreSQL of our own: its data in a temporary folder or one that is kept, its port free until then."""
+"""Servers of our own, each on a port that was free: Mosquitto for a while, and PostgreSQL."""
 
 import os
 import pwd
@@ -8,17 +8,57 @@ import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from demo.errors import DemoError
+from demo.programs import HOST, DemoError, free_port
 
+_PROGRAM_FOLDERS: Final = ("/usr/local/sbin", "/usr/sbin", "/sbin")
 ROLE: Final = "clutchdiag"
 _DEBIAN_FOLDER: Final = Path("/usr/lib/postgresql")
 _START_S: Final = 120.0
 _STOP_S: Final = 120.0
 _UNPRIVILEGED: Final = ("postgres", "nobody")
+
+
+@contextmanager
+def mosquitto(folder: Path, lines: Sequence[str] = ()) -> Iterator[int]:
+    """Run a broker for as long as the block lasts and yield its port; ``lines`` add to its configuration.
+
+    Raises
+    ------
+    DemoError
+        If it is not installed or does not listen.
+    """
+    path = os.pathsep.join((os.environ.get("PATH", os.defpath), *_PROGRAM_FOLDERS))
+    program = shutil.which("mosquitto", path=path)
+    if program is None:
+        raise DemoError("mosquitto is not installed (Debian package mosquitto)")
+    port = free_port()
+    config = folder / "mosquitto.conf"
+    own = [f"listener {port} {HOST}", "allow_anonymous true", *(["user root"] if os.getuid() == 0 else [])]
+    config.write_text("\n".join([*own, *lines]) + "\n", encoding="utf-8")
+    with (folder / "mosquitto.log").open("wb") as log:
+        process = subprocess.Popen([program, "-c", str(config)], stdout=log, stderr=subprocess.STDOUT)
+    try:
+        _wait_until_it_listens(process, port)
+        yield port
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _wait_until_it_listens(process: subprocess.Popen[bytes], port: int) -> None:
+    deadline_s = time.monotonic() + _START_S
+    while True:
+        with socket.socket() as probe:
+            if probe.connect_ex((HOST, port)) == 0:
+                return
+        if process.poll() is not None or time.monotonic() > deadline_s:
+            raise DemoError("mosquitto does not listen")
+        time.sleep(0.02)
 
 
 class PostgresServer:
@@ -33,7 +73,7 @@ class PostgresServer:
     """
 
     def __init__(self, settings: Sequence[str] = (), kept: Path | None = None) -> None:
-        self.port = _free_port()
+        self.port = free_port()
         self._programs = program_folder()
         if self._programs is None:
             raise DemoError("PostgreSQL is not installed (Debian package postgresql)")
@@ -59,11 +99,11 @@ class PostgresServer:
 
     def url(self, database: str = "postgres") -> str:
         """Return the address of a database."""
-        return f"postgresql+psycopg://{ROLE}@127.0.0.1:{self.port}/{database}"
+        return f"postgresql+psycopg://{ROLE}@{HOST}:{self.port}/{database}"
 
     def start(self) -> None:
         """Start the server and wait until it answers."""
-        settings = (f"port={self.port}", "listen_addresses=127.0.0.1", "unix_socket_directories=", *self._settings)
+        settings = (f"port={self.port}", f"listen_addresses={HOST}", "unix_socket_directories=", *self._settings)
         options = [part for setting in settings for part in ("-c", setting)]
         with self._log.open("ab") as log:
             self._process = subprocess.Popen(
@@ -74,20 +114,20 @@ class PostgresServer:
                 user=self._owner,
             )
         deadline_s = time.monotonic() + _START_S
-        while self._answer("pg_isready", "-q", "-h", "127.0.0.1", "-p", str(self.port)) != 0:
+        while self._answer("pg_isready", "-q", "-h", HOST, "-p", str(self.port)) != 0:
             if self._process.poll() is not None or time.monotonic() > deadline_s:
                 raise DemoError(f"PostgreSQL does not start: {self._last_words()}")
             time.sleep(0.05)
 
     def create(self, database: str, template: str = "template1") -> str:
         """Create a database as a copy of a template, by default an empty one, and return its address."""
-        where = ("-h", "127.0.0.1", "-p", str(self.port), "-U", ROLE)
+        where = ("-h", HOST, "-p", str(self.port), "-U", ROLE)
         self._run("createdb", *where, "--template", template, database)
         return self.url(database)
 
     def create_on(self, folder: Path, database: str) -> str:
         """Create an empty database whose tables are in a folder of the server's owner, and return its address."""
-        where = ("-h", "127.0.0.1", "-p", str(self.port), "-U", ROLE)
+        where = ("-h", HOST, "-p", str(self.port), "-U", ROLE)
         self._run("psql", *where, "-d", "postgres", "-c", f"CREATE TABLESPACE {database} LOCATION '{folder}'")
         self._run("createdb", *where, "--tablespace", database, database)
         return self.url(database)
@@ -152,9 +192,3 @@ def _owner() -> int | None:
         except KeyError:
             continue
     raise DemoError("PostgreSQL refuses to run as root, and there is no user 'postgres' or 'nobody'")
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
