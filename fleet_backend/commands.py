@@ -69,12 +69,8 @@ def broker_of(options: SimpleNamespace, *, may_be_nats: bool = False) -> BrokerA
 
 
 def _migrate(_options: SimpleNamespace, engine: Engine) -> None:
-    migrate(engine, tell=_show_moved)
+    migrate(engine)
     sys.stdout.write(f"{place_of(engine)}: schema {newest_revision()}\n")
-
-
-def _show_moved(moved_count: int) -> None:
-    sys.stderr.write(f"{moved_count} results moved into months\n")
 
 
 def _partitions(options: SimpleNamespace, engine: Engine) -> None:

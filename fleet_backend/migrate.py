@@ -1,7 +1,6 @@
-"""Brings a database to the schema of this program, from an empty one or any earlier schema, data included."""
+"""Brings a database to the schema of this program, from an empty one or any schema since release 0.8, data included."""
 
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -14,41 +13,28 @@ from sqlalchemy import Connection, Engine, inspect, text
 
 from fleet_backend.database import close_to_others, place_of, transaction
 from fleet_backend.errors import DatabaseAwayError, DatabaseError
-from fleet_backend.months.moving import move_all
 
 _FOLDER: Final = Path(__file__).with_name("migrations")
-_LAST_WITHOUT_MONTHS: Final = "r0007"
-_MONTHS: Final = "r0008"
-_WHEREABOUTS: Final = "r0009"  # reads all results; who reads them meanwhile is not kept waiting
 _MOST_ATTEMPTS: Final = 100
 _PAUSE_S: Final = 0.3
 _LOCK: Final = 0x434C4449  # PostgreSQL's advisory lock of whoever migrates: "CLDI"
 
 
-def migrate(engine: Engine, revision: str = "head", tell: Callable[[int], None] = lambda _count: None) -> None:
+def migrate(engine: Engine, revision: str = "head") -> None:
     """Upgrade a database in one transaction; who comes second waits and finds nothing left to do.
 
-    Results of a PostgreSQL that are not yet kept by months move there before, in batches: they stay readable, ``tell``
-    hears how many have moved, and a migration that was interrupted goes on where it was. What reads all results or
-    waits for readers is a transaction of its own there.
+    A PostgreSQL that is in use is upgraded as soon as nobody reads for a moment.
 
     Raises
     ------
     DatabaseAwayError
         If the database does not answer.
     DatabaseError
-        If it was made by a newer program, or forbids the change.
+        If it was made by a newer program or one before release 0.8, or forbids the change.
     """
-    found = _found(engine)
-    if revision == "head" and engine.dialect.name == "postgresql" and found is not None:
-        if _is_until(found, _LAST_WITHOUT_MONTHS):
-            _upgrade(engine, _LAST_WITHOUT_MONTHS)
-            move_all(engine, tell)
-            _upgrade_between_readers(engine, _MONTHS)
-            with transaction(engine) as connection:
-                connection.execute(text("ANALYZE shift_result"))  # of a table as a whole, which no autovacuum looks at
-        if _is_until(found, _MONTHS):
-            _upgrade(engine, _WHEREABOUTS)
+    with transaction(engine) as connection:
+        is_in_use = engine.dialect.name == "postgresql" and _revision(connection) is not None
+    if is_in_use:
         _upgrade_between_readers(engine, revision)
     else:
         _upgrade(engine, revision)
@@ -113,23 +99,13 @@ def newest_revision() -> str:
 
 def _refuse_unknown(engine: Engine, connection: Connection) -> None:
     found = _revision(connection)
-    if found is not None and found not in revisions():
+    if found is not None and found not in (known := revisions()):
+        if found < known[0]:
+            reason = f"has the schema {found} of a release before 0.8: migrate it by release 0.8 first"
+            raise DatabaseError(f"database {place_of(engine)} {reason}")
         raise DatabaseError(f"database {place_of(engine)} was made by a newer program (schema {found})")
     if found is None and engine.dialect.name == "sqlite" and inspect(connection).get_table_names():
         raise DatabaseError(f"database {place_of(engine)} is another program's, not a fleet's")
-
-
-def _found(engine: Engine) -> str | None:
-    """Return the revision of a database; None of an empty one."""
-    with transaction(engine) as connection:
-        _refuse_unknown(engine, connection)
-        return _revision(connection)
-
-
-def _is_until(found: str, revision: str) -> bool:
-    """Return whether a revision is this one or an earlier one."""
-    known = revisions()
-    return known.index(found) <= known.index(revision)
 
 
 def _has_schema(engine: Engine) -> bool:

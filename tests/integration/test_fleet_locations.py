@@ -10,7 +10,6 @@ from sqlalchemy import Connection, Engine, delete, insert
 from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
-from fleet_backend.migrations.versions.r0010_near_views import CLUTCH_ALARM as ALARMS_BY_BLOCKS
 from fleet_backend.months.locations import BLOCK, FILL
 from fleet_backend.months.partitions import keep_months
 from fleet_backend.office.retention import retain
@@ -91,23 +90,22 @@ def alarming_past(vehicle: str, rng: np.random.Generator) -> list[Row]:
     return rows
 
 
-def test_runs_of_verdicts_are_found_from_the_alarming_ones_on(by_month: Engine) -> None:
+def test_runs_of_verdicts_are_found_from_the_alarming_ones_on(by_month: Engine, sqlite_url: str) -> None:
+    one_table = open_database(sqlite_url)
     rng = np.random.default_rng(5)
     rows = [row for car in range(40) for row in alarming_past(f"car{car}", rng)]
-    Writer(by_month).store(Batch(shifts=[rows[place] for place in rng.permutation(len(rows))]))
     worn = {(row["vehicle"], row["stream"], row["seq"]) for row in rows if row["condition"] == "change_fluid"}
     noted = [dict(zip(("vehicle", "stream", "seq"), key, strict=True)) for key in sorted(worn)[::3]]
-    view = ALARMS_BY_BLOCKS.replace("VIEW clutch_alarm", "VIEW alarms_by_blocks")
-    with transaction(by_month) as connection:
-        connection.execute(insert(ALARM_ACKNOWLEDGEMENT).values(acknowledged_at=NOW, acknowledged_by="ann"), noted)
-        connection.exec_driver_sql(view)
-        before, now = (
-            set(connection.exec_driver_sql(f"TABLE {name}")) for name in ("alarms_by_blocks", "clutch_alarm")
-        )
-    assert len(now) > 60
-    assert now == before
+    for engine in (by_month, one_table):
+        Writer(engine).store(Batch(shifts=[rows[place] for place in rng.permutation(len(rows))]))
+        with transaction(engine) as connection:
+            connection.execute(insert(ALARM_ACKNOWLEDGEMENT).values(acknowledged_at=NOW, acknowledged_by="ann"), noted)
+    found, expected = (queries.clutch_alarms(engine, is_open_only=False) for engine in (by_month, one_table))
+    assert len(found) > 60
+    assert found == expected
     one_by_one = [alarm.raised_at for car in range(40) for alarm in past.alarms_of(by_month, f"car{car}")]
-    assert sorted(one_by_one) == sorted(row.raised_at for row in now)
+    assert set(one_by_one) == {alarm["raised_at"] for alarm in found}
+    one_table.dispose()
 
 
 def test_an_alarm_at_the_last_position_there_can_be_is_one(by_month: Engine) -> None:

@@ -1,4 +1,4 @@
-"""The schema of the fleet database: made from nothing or from any earlier schema with its data, on both databases."""
+"""The schema of a fleet database: made from nothing, or from any since release 0.8 with its data; on both databases."""
 
 import json
 from collections.abc import Iterator
@@ -35,12 +35,11 @@ def _empty(empty_database: str) -> Iterator[Engine]:
     engine.dispose()
 
 
-def insert_golden(connection: Connection, revision: str) -> None:
-    """Store what the program of an earlier schema had stored, in the columns that it knew; no more from r0002 on."""
-    tables = json.loads((GOLDEN / "fleet-r0001.json").read_text(encoding="utf-8"))
-    if revision != "r0001":
-        for row in tables["vehicle"]:
-            row |= {"metrics": "{}", "metrics_at": "2026-01-01T00:00:00.000000Z"}
+def insert_golden(connection: Connection) -> None:
+    """Store what the program of an earlier schema had stored, in the columns that it knew."""
+    tables = json.loads((GOLDEN / "fleet-results.json").read_text(encoding="utf-8"))
+    for row in tables["vehicle"]:
+        row |= {"metrics": "{}", "metrics_at": "2026-01-01T00:00:00.000000Z"}
     for name in ("vehicle", "clutch", "shift_result", "quarantine"):
         for row in tables[name]:
             columns = [column(key, UtcDateTime if key.endswith("_at") else None) for key in row]
@@ -52,7 +51,7 @@ def insert_golden(connection: Connection, revision: str) -> None:
 def test_data_survive_the_upgrade_from_every_earlier_schema_and_results_go_on(empty: Engine, revision: str) -> None:
     migrate(empty, revision)
     with transaction(empty) as connection:
-        insert_golden(connection, revision)
+        insert_golden(connection)
     with pytest.raises(DatabaseError, match=f"older schema {revision}; run: fleet-backend migrate"):
         check_schema(empty)
     migrate(empty)
@@ -73,21 +72,7 @@ def test_data_survive_the_upgrade_from_every_earlier_schema_and_results_go_on(em
 
 
 def test_there_is_an_earlier_schema_to_come_from() -> None:
-    assert EARLIER == [
-        "r0001",
-        "r0002",
-        "r0003",
-        "r0004",
-        "r0005",
-        "r0006",
-        "r0007",
-        "r0008",
-        "r0009",
-        "r0010",
-        "r0011",
-        "r0012",
-        "r0013",
-    ]
+    assert EARLIER == ["r0011", "r0012", "r0013"]
 
 
 def is_of_both(item: Any, name: str | None, kind: str, *_told: object) -> bool:  # noqa: ANN401 - any part of a schema
@@ -129,15 +114,24 @@ def test_the_database_of_a_newer_program_is_left_alone(empty: Engine) -> None:
             use(empty)
 
 
-def test_an_interrupted_migration_leaves_the_schema_before_it(empty: Engine) -> None:
-    migrate(empty, "r0001")
+def test_the_database_of_a_release_before_0_8_is_left_to_that_release(empty: Engine) -> None:
+    migrate(empty)
     with transaction(empty) as connection:
-        connection.exec_driver_sql("CREATE TABLE last_seen (vehicle TEXT)")  # in the way of the new view
+        connection.exec_driver_sql("UPDATE alembic_version SET version_num = 'r0007'")
+    for use in (check_schema, migrate):
+        with pytest.raises(DatabaseError, match=r"schema r0007 of a release before 0\.8: migrate it by release 0\.8"):
+            use(empty)
+
+
+def test_an_interrupted_migration_leaves_the_schema_before_it(empty: Engine) -> None:
+    migrate(empty, EARLIER[0])
+    with transaction(empty) as connection:
+        connection.exec_driver_sql("CREATE TABLE calibration (vehicle TEXT)")  # in the way of the new one
     with pytest.raises(DatabaseError):
         migrate(empty)
     with transaction(empty) as connection:
-        assert "fluid_fill" not in inspect(connection).get_table_names()
-        connection.exec_driver_sql("DROP TABLE last_seen")
+        assert "withdrawn_fill" not in inspect(connection).get_table_names()
+        connection.exec_driver_sql("DROP TABLE calibration")
     migrate(empty)
     check_schema(empty)
 

@@ -1,12 +1,11 @@
-"""Results by months: they move there while they are read, gain months ahead, and go when they are old."""
+"""Results by months: they gain months ahead, and go when they are old."""
 
 from collections.abc import Iterator
 from datetime import UTC, date, datetime
 
 import pytest
-from sqlalchemy import Engine, insert, select, text
+from sqlalchemy import Engine, select, text
 
-from demo.fleet.servers import PostgresServer
 from fleet_backend import queries
 from fleet_backend.alarm_tables import AUDIT
 from fleet_backend.choices import Axis
@@ -14,11 +13,10 @@ from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import ConfigError
 from fleet_backend.migrate import migrate
-from fleet_backend.months.moving import move_some, prepare
 from fleet_backend.months.partitions import keep_months, partitions
 from fleet_backend.office.retention import retain, roll_up
 from fleet_backend.rows import Row
-from fleet_backend.schema import CLUTCH, CLUTCH_MONTH, SHIFT_RESULT, VEHICLE
+from fleet_backend.schema import CLUTCH_MONTH
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 
@@ -40,37 +38,6 @@ def place_of_rows(engine: Engine) -> dict[str, int]:
     with transaction(engine) as connection:
         found = connection.execute(text("SELECT tableoid::regclass::text, count(*) FROM shift_result GROUP BY 1"))
         return {str(name): int(count) for name, count in found}
-
-
-def test_a_move_goes_on_where_it_was_killed_and_misses_nothing_written_meanwhile(
-    postgres_server: PostgresServer,
-) -> None:
-    engine = open_database(postgres_server.create("test_move"))
-    migrate(engine, "r0007")
-    rows = [made_at(f"2026-0{1 + seq % 4}-07", seq) for seq in range(1, 31)]
-    early, late = rows[:20], rows[20:]
-    with transaction(engine) as connection:
-        connection.execute(insert(VEHICLE).values(vehicle="car1"))
-        connection.execute(insert(CLUTCH).values(vehicle="car1", clutch=2))
-        connection.execute(insert(SHIFT_RESULT), early)
-    with transaction(engine) as connection:
-        prepare(connection)
-        assert move_some(connection, 7) == (7, 7)
-    with transaction(engine) as connection:  # of rows that have moved, that have not, and new ones
-        connection.execute(insert(SHIFT_RESULT), late)
-        connection.execute(text("UPDATE shift_result SET content_digest = 5 WHERE seq IN (2, 19, 25)"))
-        connection.execute(text("DELETE FROM shift_result WHERE seq IN (3, 18)"))
-    before = queries.table_hash(engine)
-    told: list[int] = []
-    migrate(engine, tell=told.append)
-    assert told[-1] == 29  # the seven of the first attempt are not moved again; one of them went since then
-    assert queries.table_hash(engine) == before
-    assert before.row_count == 28
-    with transaction(engine) as connection:
-        digests = select(SHIFT_RESULT.c.seq).where(SHIFT_RESULT.c.content_digest == 5).order_by(SHIFT_RESULT.c.seq)
-        assert list(connection.execute(digests).scalars()) == [2, 19, 25]
-    assert set(place_of_rows(engine)) == {f"shift_result_2026_0{month}" for month in (1, 2, 3, 4)}
-    engine.dispose()
 
 
 def test_two_contents_of_one_result_in_two_months_are_one_result(months: Engine) -> None:
