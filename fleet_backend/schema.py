@@ -200,6 +200,21 @@ CALIBRATION: Final = Table(  # as the status of a service tells it: a vehicle sp
     Column("content", Text, nullable=False),  # JSON object: the type, and the friction of each clutch when new
 )
 
+FLUID_DUE: Final = Table(  # what the watch foretold last; of another action or fluid it holds no more
+    "fluid_due",
+    METADATA,
+    Column("vehicle", Text, primary_key=True),
+    Column("clutch", SmallInteger, primary_key=True, autoincrement=False),
+    Column("judged_at", UtcDateTime, nullable=False),
+    Column("action", Text, nullable=False),
+    Column("fluid_since", UtcDateTime),
+    Column("due_from", Date),
+    Column("half_by", Date),
+    Column("most_by", Date),
+    Column("distance_a_day_m", Double),
+    Column("outlook", Text, nullable=False),
+)
+
 VEHICLE_LOT: Final = Table(
     "vehicle_lot",
     METADATA,

@@ -32,6 +32,7 @@ from fleet_backend.errors import DatabaseError
 from fleet_backend.orders import is_alarming_since
 from fleet_backend.page import past
 from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.maintenance_view import due_of, keep_due
 from fleet_backend.page.outlook import chance_of, outlook_of, outlook_text
 from fleet_backend.page.populations import latest
 from fleet_backend.page.records import ClutchNow, Severity
@@ -129,7 +130,7 @@ class Watch:
     def _judge(self, vehicle: str, clutches: Sequence[ClutchNow]) -> Iterator[Finding]:
         """Yield what the past of the clutches of a vehicle says."""
         limits, kept = self._orders.limits, latest(self._engine)
-        fills, founds = fills_of(self._engine, vehicle), []
+        fills, founds, readings = fills_of(self._engine, vehicle), [], []
         for one in clutches:
             rows = past.results_of(self._engine, vehicle, one.clutch)
             last = rows[-limits.unused_events :]
@@ -137,8 +138,11 @@ class Watch:
             yield quality_finding(vehicle, one.clutch, unused, len(last), limits)
             readings_m = [row["odometer_m"] for row in last if row["odometer_m"] is not None]
             yield odometer_finding(vehicle, one.clutch, readings_m, limits)
-            if rows:
-                founds.append(outlook_of(one.clutch, rows, fills, self._orders.service_distance_m, kept))
+            readings.append([(row["end_at"], row["odometer_m"]) for row in rows])
+            founds.append(outlook_of(one.clutch, rows, fills, self._orders.service_distance_m, kept) if rows else None)
+        now = self._now()
+        due = [due_of(one, founds, own, now.date()) for one, own in zip(clutches, readings, strict=True)]
+        keep_due(self._engine, clutches, due, now)
         text = f"{clutches[0].order} {outlook_text(founds, clutches[0].action)}"
         for found in founds:
             if found is not None:

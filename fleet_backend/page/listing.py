@@ -14,7 +14,7 @@ from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.records import ClutchNow, Severity
 
 Place = tuple[int, float, float, str, int]  # sorts as the view fleet_worst_first does
-_SEVERITY: Final = {Severity.CHANGE_FLUID: 0, Severity.WATCH: 1, Severity.GOOD: 2, Severity.NO_VERDICT: 3}
+SEVERITY: Final = {Severity.CHANGE_FLUID: 0, Severity.WATCH: 1, Severity.GOOD: 2, Severity.NO_VERDICT: 3}
 _NO_LEVEL: Final = 9.0  # of the view
 _MOST: Final = 2**53  # beyond it a float is not exact
 
@@ -40,7 +40,7 @@ class Part:
 
 def place_of(now: ClutchNow) -> Place:
     """Return where a clutch stands in the fleet: the smaller the worse."""
-    severity = _SEVERITY.get(Severity(now.condition), len(_SEVERITY))
+    severity = SEVERITY.get(Severity(now.condition), len(SEVERITY))
     falling = now.probability_negative_slope or 0.0
     return severity, -falling, now.level_ratio or _NO_LEVEL, now.vehicle, now.clutch
 

@@ -1,22 +1,32 @@
-"""Which fluids are due when: the prognosis in days, as far as is known how much each vehicle is driven."""
+"""Which fluids are due when: the prognosis in days, as far as is known how much each vehicle is driven.
 
+The watch keeps the days that it foretold, so that a fleet of any size is shown in their order; what it has not come to
+is foretold here, the worst first.
+"""
+
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta
 from typing import Final
 
+from sqlalchemy import Engine, delete, func, insert, select
+
 from clutchdiag_io.pages.content import NONE, Badge, Cell, Section, Table, TimeCell
+from diag_service.diagnosis.prognosis import Prognosis
 from diag_service.diagnosis.prognosis.sentence import soonest
+from fleet_backend.database import transaction
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, Ask, Parameter, ParameterType
 from fleet_backend.page.clutch_past import Past
 from fleet_backend.page.fleet_view import next_of
-from fleet_backend.page.listing import part_of
+from fleet_backend.page.listing import SEVERITY, cursor, read_words
 from fleet_backend.page.outlook import outlook_text
-from fleet_backend.page.records import ClutchNow, Due, MaintenanceAnswer, TrendPoint
+from fleet_backend.page.records import ClutchNow, Due, MaintenanceAnswer, Severity
 from fleet_backend.page.vehicle_state import state_of
 from fleet_backend.page.vehicle_view import SERVICE_KM, past_of
 from fleet_backend.page.view import Shown, Sources, View
+from fleet_backend.schema import FLUID_DUE
 from fleet_contract.orders import Action
 
 _LONGEST: Final = 75  # bytes of a line, its end not counted
@@ -64,7 +74,8 @@ def _folded(line: str) -> str:
     return "\r\n".join(pieces) + "\r\n"
 
 
-MOST: Final = 200  # each takes a prognosis
+MOST: Final = 200
+FORETOLD_HERE: Final = 200  # clutches: each takes a prognosis
 LOOKED_BACK: Final = timedelta(days=90)  # over which it is counted how much a vehicle is driven
 LEAST: Final = timedelta(days=1)
 _HORIZON: Final = timedelta(days=3653)
@@ -72,17 +83,23 @@ _WORDS: Final = (
     "Due from: it is 90 % likely that the fluid lasts until this day. 50 % and 90 % due by: it is so likely that the "
     "fluid has to be changed by this day. Days are counted by the distance of the last 90 days."
 )
+NOT_YET: Final = "Not foretold yet: fleet-backend watch does so."
+_PLACE: Final = (bool, str, int, str, int)  # sorts what is due
 _LIMIT: Final = Parameter(name="limit", text="how many at most", kind=ParameterType.COUNT, most=MOST, default=50)
 
 
 def find(sources: Sources, ask: Ask) -> MaintenanceAnswer:
-    """Return when the fluids of a part of the fleet are due, the worst first."""
-    clutches = sources.keeper.snapshot.clutches
-    part = part_of(clutches, ask.text("after"), ask.count("limit"))
+    """Return when the fluids of a part of the fleet are due, by day."""
+    snapshot, today, after, limit = sources.keeper.snapshot, ask.now.date(), ask.text("after"), ask.count("limit")
+    with transaction(sources.engine) as connection:
+        kept = connection.execute(select(func.count(), func.max(FLUID_DUE.c.judged_at))).one()
+    due = sources.dues.of("", (snapshot.number, *kept, today), lambda: by_day(_all_due(sources, today)))
+    first = 0 if after is None else bisect_right(due, tuple(read_words(after, _PLACE)), key=_place)
+    is_last = first + limit >= len(due)
     return MaintenanceAnswer(
-        clutches=by_day(_due(sources, now, ask.now.date()) for now in part.clutches),
-        clutch_count=len(clutches),
-        next=part.next,
+        clutches=due[first : first + limit],
+        clutch_count=len(due),
+        next=None if is_last else cursor(_place(due[first + limit - 1])),
     )
 
 
@@ -114,13 +131,18 @@ def calendar(answer: MaintenanceAnswer, ask: Ask) -> bytes:
 
 
 def by_day(due: Iterable[Due]) -> tuple[Due, ...]:
-    """Return what is due in the order of its days, what is overdue first, what has no day last."""
-    return tuple(sorted(due, key=lambda one: (not one.is_overdue, one.due_from or date.max)))
+    """Return what is due in the order of its days, what is overdue first, what has no day last, the worst first."""
+    return tuple(sorted(due, key=_place))
 
 
-def driven_a_day_m(points: Sequence[TrendPoint]) -> float | None:
-    """Return the distance that a vehicle is driven a day, None if it is not known; points come in their order."""
-    known = [(one.end_at, one.odometer_m) for one in points if one.odometer_m is not None]
+def _place(one: Due) -> tuple[bool, str, int, str, int]:
+    day = (one.due_from or date.max).isoformat()
+    return not one.is_overdue, day, SEVERITY[Severity(one.condition)], one.vehicle, one.clutch
+
+
+def driven_a_day_m(readings: Iterable[tuple[datetime, float | None]]) -> float | None:
+    """Return the distance that a vehicle is driven a day, None if it is not known; readings come in their order."""
+    known = [(at, odometer_m) for at, odometer_m in readings if odometer_m is not None]
     if not known:
         return None
     last_at, last_m = known[-1]
@@ -137,24 +159,66 @@ def _past(sources: Sources, now: ClutchNow) -> Past:
     return past_of(sources, now, state, SERVICE_KM * wording.M_PER_KM)
 
 
-def _due(sources: Sources, now: ClutchNow, today: date) -> Due:
-    found = _past(sources, now)
-    a_day_m = driven_a_day_m(found.trend)
-    both = [_past(sources, one) for one in sources.keeper.snapshot.vehicles.get(now.vehicle, (now,))]
-    reach = soonest(one.prognosis for one in both if one.prognosis is not None)  # both clutches slip in one oil
+def _all_due(sources: Sources, today: date) -> Iterator[Due]:
+    """Yield when each fluid of the fleet is due: as it was kept, or foretold now, or not yet."""
+    statement = select(FLUID_DUE)
+    with transaction(sources.engine) as connection:
+        kept = {(row.vehicle, row.clutch): row for row in connection.execute(statement)}
+    foretold_count = 0
+    for now in sources.keeper.snapshot.clutches:
+        row = kept.get((now.vehicle, now.clutch))
+        if row is not None and (row.action, row.fluid_since) == (now.action, now.fluid_since):
+            days = (row.due_from, row.half_by, row.most_by)
+            yield _told(now, days, row.distance_a_day_m, row.outlook, today)
+        elif foretold_count < FORETOLD_HERE:
+            foretold_count += 1
+            both = [_past(sources, one) for one in sources.keeper.snapshot.vehicles.get(now.vehicle, (now,))]
+            readings = [(one.end_at, one.odometer_m) for one in _past(sources, now).trend]
+            yield due_of(now, [one.prognosis for one in both], readings, today)
+        else:
+            yield _told(now, (None, None, None), None, NOT_YET, today)
+
+
+def due_of(
+    now: ClutchNow,
+    founds: Sequence[Prognosis | None],
+    readings: Iterable[tuple[datetime, float | None]],
+    today: date,
+) -> Due:
+    """Return when a fluid is due by the prognoses of all clutches of its vehicle: they slip in one oil."""
+    a_day_m = driven_a_day_m(readings)
+    reach = soonest(one for one in founds if one is not None)
     quantiles = (None, None, None) if reach is None else (reach.p10_m, reach.p50_m, reach.p90_m)
-    days = [_day(now, distance_m, a_day_m) for distance_m in quantiles]
-    if now.action == Action.CHANGE_NOW:
-        days = [today] * 3
-    outlook = outlook_text((one.prognosis for one in both), now.action)
+    first, half, most = (_day(now, distance_m, a_day_m) for distance_m in quantiles)
+    return _told(now, (first, half, most), a_day_m, outlook_text(founds, now.action), today)
+
+
+def keep_due(engine: Engine, clutches: Sequence[ClutchNow], due: Sequence[Due], at: datetime) -> None:
+    """Keep when the fluids of one vehicle are due, in the place of what was kept before."""
+    names = ("vehicle", "clutch", "due_from", "half_by", "most_by", "distance_a_day_m")
+    rows = [
+        {name: getattr(one, name) for name in names}
+        | {"judged_at": at, "action": now.action, "fluid_since": now.fluid_since}
+        | {"outlook": one.text.removeprefix(now.order).lstrip()}
+        for now, one in zip(clutches, due, strict=True)
+    ]
+    with transaction(engine) as connection:
+        connection.execute(delete(FLUID_DUE).where(FLUID_DUE.c.vehicle == clutches[0].vehicle))
+        connection.execute(insert(FLUID_DUE), rows)
+
+
+def _told(
+    now: ClutchNow, days: tuple[date | None, date | None, date | None], a_day_m: float | None, outlook: str, today: date
+) -> Due:
+    first, half, most = (today, today, today) if now.action == Action.CHANGE_NOW else days
     return Due(
         vehicle=now.vehicle,
         clutch=now.clutch,
         condition=now.condition,
-        is_overdue=now.action == Action.CHANGE_NOW or (days[1] is not None and days[1] < today),
-        due_from=days[0],
-        half_by=days[1],
-        most_by=days[2],
+        is_overdue=now.action == Action.CHANGE_NOW or (half is not None and half < today),
+        due_from=first,
+        half_by=half,
+        most_by=most,
         distance_a_day_m=a_day_m,
         text=f"{now.order} {outlook}",
     )
@@ -186,7 +250,7 @@ VIEW: Final = View(
     name="maintenance",
     page_path="/maintenance",
     api_path="/api/v1/maintenance",
-    text="When the fluids of the fleet are due: a part has the worst clutches, in the order of their days.",
+    text="When the fluids of the fleet are due, in the order of their days.",
     parameters=(AFTER, _LIMIT),
     answer=MaintenanceAnswer,
     row=Due,

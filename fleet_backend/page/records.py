@@ -316,7 +316,7 @@ class Due:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaintenanceAnswer:
-    """When the fluids of a part of the fleet are due, the worst first; ``next`` continues it."""
+    """When the fluids of a part of the fleet are due, by day; ``next`` continues it."""
 
     clutches: tuple[Due, ...]
     clutch_count: int

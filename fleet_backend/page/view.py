@@ -15,7 +15,7 @@ from fleet_backend.page.clutch_past import Past
 from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.listing import Part
 from fleet_backend.page.news import News
-from fleet_backend.page.records import ClutchNow, VehicleAnswer
+from fleet_backend.page.records import ClutchNow, Due, VehicleAnswer
 
 MOST_POINTS: Final = 60_000  # of trends that are kept, a kilobyte each
 MOST_PARTS: Final = 200_000  # clutches in lists that are kept, eight bytes each
@@ -34,6 +34,7 @@ class Sources:
     vehicles: Cache[VehicleAnswer] = field(default_factory=lambda: Cache(MOST_POINTS, _points))
     parts: Cache[Part] = field(default_factory=lambda: Cache(MOST_PARTS, lambda one: len(one.clutches)))
     fleets: Cache[tuple[ClutchNow, ...]] = field(default_factory=lambda: Cache(0, len))  # one
+    dues: Cache[tuple[Due, ...]] = field(default_factory=lambda: Cache(0, len))  # one
     pages: "Cache[Drawn]" = field(default_factory=lambda: Cache(MOST_LETTERS, lambda one: len(one.body)))
 
 

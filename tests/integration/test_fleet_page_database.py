@@ -19,6 +19,8 @@ from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError
 from fleet_backend.intake import batch_of, take_all
+from fleet_backend.office.watching import Orders
+from fleet_backend.office.watching import Watch as WatchOfOffice
 from fleet_backend.page import changes_view, fleet_view, maintenance_view, quarantine_view, shift_view, vehicle_view
 from fleet_backend.page.access import Access
 from fleet_backend.page.asking import Ask, read_words
@@ -26,6 +28,7 @@ from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.news import News
 from fleet_backend.page.past import results_of
 from fleet_backend.page.peers import fleet_ageing
+from fleet_backend.page.records import Due
 from fleet_backend.page.running import all_clutches, clutches_of
 from fleet_backend.page.site import site
 from fleet_backend.page.usual import LEAST_CLUTCHES
@@ -288,6 +291,36 @@ def test_a_vehicle_is_shown_before_what_is_usual_in_the_fleet(engine: Engine) ->
     queries.note_fill(engine, "v1", "DCTF", at=datetime(2020, 1, 1, tzinfo=UTC), odometer_m=None, note=None)
     sources.keeper.refresh()
     assert vehicle_view.find(sources, ask(vehicle_view.VIEW, "v1")).clutches[0].usual is None  # of that fluid one
+
+
+def test_maintenance_is_by_day_over_all_parts_and_the_watch_keeps_it(engine: Engine) -> None:
+    """What comes first by verdict and name is due last: it is driven least."""
+    results = history(200)[:100]
+    for number in range(5):
+        ends = [NOW - timedelta(days=80.0 * (5.0 - number) * (1.0 - one.seq / len(results))) for one in results]
+        seen = [{"end_at": at, "odometer_m": 1.0e6 * one.seq} for one, at in zip(results, ends, strict=True)]
+        rows = [row_of(one) | {"vehicle": f"car{number}"} | told for one, told in zip(results, seen, strict=True)]
+        Writer(engine).store(Batch(shifts=rows))
+
+    def parts(sources: Sources) -> list[Due]:
+        found = [maintenance_view.find(sources, ask(maintenance_view.VIEW, limit="3"))]
+        while after := found[-1].next:
+            found.append(maintenance_view.find(sources, ask(maintenance_view.VIEW, limit="3", after=after)))
+        return [one for answer in found for one in answer.clutches]
+
+    foretold = parts(sources_of(engine))
+    days = [one.due_from or NOW.date() for one in foretold]
+    assert days == sorted(days)
+    assert [one.vehicle for one in foretold if one.clutch == 1] == ["car4", "car3", "car2", "car1", "car0"]
+    WatchOfOffice(engine, Orders(), lambda: NOW).round(judging_s=float("inf"))
+    sources, asked = sources_of(engine), Watch(engine)
+    assert parts(sources) == foretold
+    assert not [one for one, _ in asked.asked if "version_rank" in one]  # no result was read
+    queries.note_fill(engine, "car2", "DCTF", at=NOW - timedelta(days=1), odometer_m=None, note=None)
+    sources.keeper.refresh()
+    again = parts(sources)
+    assert {one.due_from for one in again if one.vehicle == "car2"} == {None}
+    assert [one for one in again if one.vehicle != "car2"] == [one for one in foretold if one.vehicle != "car2"]
 
 
 def test_what_is_due_is_told_in_days_of_driving(engine: Engine) -> None:

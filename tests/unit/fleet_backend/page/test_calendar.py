@@ -7,10 +7,8 @@ from typing import Any
 import pytest
 from icalendar import Calendar
 
-from fleet_backend.page.clutch_past import point_of
 from fleet_backend.page.maintenance_view import Entry, calendar_of, driven_a_day_m
-from tests.support.fleet import NOW, row_of
-from tests.support.histories import history
+from tests.support.fleet import NOW
 
 TEXTS = ["plain", "a, b; c\\d", "line\nbreak", "ä" * 200, "🛢" * 60, "", "BEGIN:VEVENT", "x" * 74 + "é"]
 
@@ -36,12 +34,8 @@ def test_an_empty_calendar_is_one() -> None:
 
 
 def test_how_much_a_vehicle_is_driven_is_counted_over_the_last_months() -> None:
-    point, start = point_of(row_of(history(1)[0])), datetime(2026, 1, 1, tzinfo=UTC)
-
-    def points(*seen: tuple[float, float | None]) -> list[object]:
-        return [replace(point, end_at=start + timedelta(days=days), odometer_m=m) for days, m in seen]
-
-    cases = (
+    start = datetime(2026, 1, 1, tzinfo=UTC)
+    cases: tuple[tuple[tuple[tuple[float, float | None], ...], float | None], ...] = (
         (((0.0, 0.0), (10.0, 5.0e5)), 5.0e4),
         (((-900.0, 0.0), (0.0, 9.0e7), (10.0, 9.02e7)), 2.0e4),
         (((0.0, 0.0), (5.0, None), (10.0, 5.0e5), (11.0, None)), 5.0e4),
@@ -51,4 +45,4 @@ def test_how_much_a_vehicle_is_driven_is_counted_over_the_last_months() -> None:
         ((), None),
     )
     for seen, wanted in cases:
-        assert driven_a_day_m(points(*seen)) == wanted  # type: ignore[arg-type]  # points of a trend
+        assert driven_a_day_m((start + timedelta(days=days), m) for days, m in seen) == wanted
