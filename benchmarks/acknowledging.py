@@ -11,8 +11,8 @@ from pathlib import Path
 import httpx
 from sqlalchemy import Engine, select
 
-from fleet_backend.alarm_tables import ALARM, AUDIT
 from fleet_backend.database import transaction
+from fleet_backend.office_tables import ALARM, AUDIT
 
 PAUSE_S = 0.3
 PATIENCE_S = 20.0

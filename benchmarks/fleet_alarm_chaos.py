@@ -29,10 +29,10 @@ from sqlalchemy import Engine, Select, select
 from benchmarks.acknowledging import Workshop, broken_promises, write_access
 from demo.fleet.servers import PostgresServer
 from diag_service.diagnosis.records import Condition
-from fleet_backend.alarm_tables import ALARM, ALARM_MESSAGE
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseAwayError
 from fleet_backend.migrate import migrate
+from fleet_backend.office_tables import ALARM, ALARM_MESSAGE
 from fleet_backend.writer import Batch, Writer
 from tests.plugins.broker import free_port
 from tests.support.fleet import fleet_result, row_of

@@ -6,7 +6,7 @@ from typing import Final
 
 from sqlalchemy import Connection, insert
 
-from fleet_backend.alarm_tables import AUDIT
+from fleet_backend.office_tables import AUDIT
 
 COMMAND_LINE: Final = "command line"  # the role of who has a shell where the database is open to him
 

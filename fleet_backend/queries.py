@@ -15,9 +15,9 @@ from fleet_backend.audit_trail import COMMAND_LINE, note_change
 from fleet_backend.choices import Axis
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, UnknownVehicleError
+from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT
 from fleet_backend.orders import present_fluids, with_orders, without_old_fluid
 from fleet_backend.schema import (
-    ALARM_ACKNOWLEDGEMENT,
     FLUID_FILL,
     KEY_COLUMNS,
     QUARANTINE,

@@ -11,7 +11,6 @@ from sqlalchemy import (
     BigInteger,
     Boolean,
     Column,
-    Date,
     DateTime,
     Dialect,
     Double,
@@ -42,7 +41,7 @@ RUNNING: Final = "running_"  # prefix of what is said of the running estimate af
 SCALE_FREE_COLUMNS: Final = ("mu_c", "mu_s", "std_mu_c", "std_mu_s", "correlation")
 SCALE_FREE: Final = "scale_free_"  # prefix of what driving alone tells, gain and area left out
 
-_SORTED_BY_BYTES: Final = Text().with_variant(Text(collation="C"), "postgresql")  # as SQLite sorts everywhere
+SORTED_BY_BYTES: Final = Text().with_variant(Text(collation="C"), "postgresql")  # as SQLite sorts everywhere
 
 
 class UtcDateTime(TypeDecorator[datetime]):
@@ -92,9 +91,9 @@ SHIFT_RESULT: Final = Table(
     "shift_result",
     METADATA,
     Column("vehicle", Text, primary_key=True),
-    Column("stream", _SORTED_BY_BYTES, primary_key=True),
+    Column("stream", SORTED_BY_BYTES, primary_key=True),
     Column("seq", BigInteger, primary_key=True, autoincrement=False),
-    Column("version_rank", _SORTED_BY_BYTES, primary_key=True),  # of both versions; greater is newer
+    Column("version_rank", SORTED_BY_BYTES, primary_key=True),  # of both versions; greater is newer
     Column("algorithm_version", Text, nullable=False),
     Column("calibration_version", Text, nullable=False),
     Column("clutch", SmallInteger, nullable=False),
@@ -143,22 +142,6 @@ SHIFT_RESULT: Final = Table(
     ),
 )
 
-# What is left of a month when its results go: of each event the newest version.
-CLUTCH_MONTH: Final = Table(
-    "clutch_month",
-    METADATA,
-    Column("vehicle", Text, primary_key=True),
-    Column("clutch", SmallInteger, primary_key=True, autoincrement=False),
-    Column("month", Date, primary_key=True),  # its first day, UTC
-    Column("result_count", BigInteger, nullable=False),
-    Column("valid_count", BigInteger, nullable=False),
-    Column("change_fluid_count", BigInteger, nullable=False),
-    Column("mean_mu_c", Double),  # of the valid ones
-    Column("mean_mu_s", Double),
-    Column("least_level_ratio", Double),
-    Column("last_odometer_m", Double),
-)
-
 QUARANTINE: Final = Table(
     "quarantine",
     METADATA,
@@ -198,49 +181,6 @@ CALIBRATION: Final = Table(  # as the status of a service tells it: a vehicle sp
     Column("vehicle", Text, primary_key=True),
     Column("calibration_version", Text, primary_key=True),
     Column("content", Text, nullable=False),  # JSON object: the type, and the friction of each clutch when new
-)
-
-FLUID_DUE: Final = Table(  # what the watch foretold last; of another action or fluid it holds no more
-    "fluid_due",
-    METADATA,
-    Column("vehicle", Text, primary_key=True),
-    Column("clutch", SmallInteger, primary_key=True, autoincrement=False),
-    Column("judged_at", UtcDateTime, nullable=False),
-    Column("action", Text, nullable=False),
-    Column("fluid_since", UtcDateTime),
-    Column("due_from", Date),
-    Column("half_by", Date),
-    Column("most_by", Date),
-    Column("distance_a_day_m", Double),
-    Column("outlook", Text, nullable=False),
-)
-
-VEHICLE_LOT: Final = Table(
-    "vehicle_lot",
-    METADATA,
-    Column("vehicle", Text, primary_key=True),  # may be known before it was heard of
-    Column("name", Text, primary_key=True),  # of the property, as the lot of the fluid or the month of building
-    Column("value", Text, nullable=False),
-)
-
-POPULATION: Final = Table(
-    "population",
-    METADATA,
-    Column("version", BigInteger, primary_key=True, autoincrement=False),
-    Column("learned_at", UtcDateTime, nullable=False),
-    Column("clutch_count", BigInteger, nullable=False),  # learned from
-    Column("content", Text, nullable=False),  # JSON object
-)
-
-ALARM_ACKNOWLEDGEMENT: Final = Table(
-    "alarm_acknowledgement",
-    METADATA,
-    Column("vehicle", Text, primary_key=True),
-    Column("stream", _SORTED_BY_BYTES, primary_key=True),
-    Column("seq", BigInteger, primary_key=True, autoincrement=False),  # a shift of the alarm
-    Column("acknowledged_at", UtcDateTime, nullable=False),
-    Column("acknowledged_by", Text, nullable=False),
-    Column("note", Text),
 )
 
 # What makes a result that result. In PostgreSQL the time of its making is in the primary key as well: no unique index

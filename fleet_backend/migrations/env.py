@@ -3,7 +3,7 @@
 from alembic import context
 from sqlalchemy import Connection
 
-from fleet_backend.alarm_tables import METADATA
+from fleet_backend.office_tables import METADATA
 
 connection: Connection = context.config.attributes["connection"]
 context.configure(

@@ -21,11 +21,11 @@ from sqlalchemy import (
     update,
 )
 
-from fleet_backend.alarm_tables import ALARM_MESSAGE, AUDIT, METADATA
 from fleet_backend.audit_trail import COMMAND_LINE, note_change
 from fleet_backend.database import transaction
 from fleet_backend.errors import DatabaseError
 from fleet_backend.months.locations import CLUTCH_BLOCK, CLUTCH_STREAM
+from fleet_backend.office_tables import ALARM_MESSAGE, AUDIT, METADATA
 from fleet_backend.queries import check_vehicle
 from fleet_backend.schema import QUARANTINE
 

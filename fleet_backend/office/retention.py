@@ -21,7 +21,8 @@ from fleet_backend.months.partitions import (
     months_on,
     name_of,
 )
-from fleet_backend.schema import CLUTCH_MONTH, SHIFT_RESULT, UtcDateTime
+from fleet_backend.office_tables import CLUTCH_MONTH
+from fleet_backend.schema import SHIFT_RESULT, UtcDateTime
 
 MOST_KEPT: Final = 1200
 _MONTH: Final = {

@@ -6,11 +6,11 @@ from typing import Final
 from sqlalchemy import Engine, select
 
 from clutchdiag_io.pages.content import Cell, Link, Section, Table
-from fleet_backend.alarm_tables import ALARM
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Note
 from fleet_backend.alarms.rules import Rule, Subject
 from fleet_backend.database import transaction
+from fleet_backend.office_tables import ALARM
 from fleet_backend.page import wording
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType

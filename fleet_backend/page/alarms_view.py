@@ -6,9 +6,9 @@ from typing import Any, Final
 from sqlalchemy import Engine, RowMapping, and_, or_, select
 
 from clutchdiag_io.pages.content import Cell, Link, Section, Table
-from fleet_backend.alarm_tables import ALARM
 from fleet_backend.alarms.rules import Rule
 from fleet_backend.database import transaction
+from fleet_backend.office_tables import ALARM
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
 from fleet_backend.page.fleet_view import next_of

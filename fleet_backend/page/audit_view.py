@@ -5,8 +5,8 @@ from typing import Final
 from sqlalchemy import or_, select
 
 from clutchdiag_io.pages.content import Section, Table
-from fleet_backend.alarm_tables import AUDIT
 from fleet_backend.database import transaction
+from fleet_backend.office_tables import AUDIT
 from fleet_backend.page import wording
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import AFTER, LIMIT, Ask

@@ -16,6 +16,7 @@ from clutchdiag_io.pages.content import NONE, Badge, Cell, Section, Table, TimeC
 from diag_service.diagnosis.prognosis import Prognosis
 from diag_service.diagnosis.prognosis.sentence import soonest
 from fleet_backend.database import transaction
+from fleet_backend.office_tables import FLUID_DUE
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, Ask, Parameter, ParameterType
 from fleet_backend.page.clutch_past import Past
@@ -26,7 +27,6 @@ from fleet_backend.page.records import ClutchNow, Due, MaintenanceAnswer, Severi
 from fleet_backend.page.vehicle_state import state_of
 from fleet_backend.page.vehicle_view import SERVICE_KM, past_of
 from fleet_backend.page.view import Shown, Sources, View
-from fleet_backend.schema import FLUID_DUE
 from fleet_contract.orders import Action
 
 _LONGEST: Final = 75  # bytes of a line, its end not counted

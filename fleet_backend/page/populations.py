@@ -13,7 +13,7 @@ from diag_service.diagnosis.prognosis import Population, population_from, popula
 from fleet_backend.audit_trail import COMMAND_LINE, note_change
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, DatabaseError
-from fleet_backend.schema import POPULATION
+from fleet_backend.office_tables import POPULATION
 
 _KEPT_IN_MEMORY: Final = 4
 

@@ -9,8 +9,9 @@ from sqlalchemy import BigInteger, Connection, Engine, Select, bindparam, cast, 
 from fleet_backend.database import transaction
 from fleet_backend.months.locations import CLUTCH_STREAM
 from fleet_backend.months.partitions import has_partitions
+from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT, POPULATION
 from fleet_backend.page.records import Fill
-from fleet_backend.schema import ALARM_ACKNOWLEDGEMENT, FLUID_FILL, POPULATION, SHIFT_RESULT, VEHICLE
+from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, VEHICLE
 from fleet_contract.fills import distinct
 
 _OWN: Final[Any] = bindparam("vehicle")

@@ -8,10 +8,10 @@ import httpx
 import pytest
 from sqlalchemy import select
 
-from fleet_backend.alarm_tables import ALARM, AUDIT
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import ConfigError
+from fleet_backend.office_tables import ALARM, AUDIT
 from fleet_backend.page.access import Role, read_access
 from fleet_backend.page.routes import EVENTS_PATH
 from fleet_backend.page.site import ACTIONS, OPENAPI_PATH, VIEWS

@@ -20,7 +20,6 @@ import pytest
 from sqlalchemy import Engine, select
 
 from diag_service.diagnosis.records import Condition
-from fleet_backend.alarm_tables import ALARM, ALARM_MESSAGE, AUDIT
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter, Note
 from fleet_backend.alarms.carriers import Mail, Webhook
@@ -30,6 +29,7 @@ from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import CarrierError
 from fleet_backend.office.watching import Orders, Watch
+from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, AUDIT
 from fleet_backend.page import alarms_view
 from fleet_backend.page.asking import read_words
 from fleet_backend.writer import Batch, Writer

@@ -13,9 +13,9 @@ import pytest
 from sqlalchemy import Engine, select
 
 from diag_service.diagnosis.records import Condition
-from fleet_backend.alarm_tables import AUDIT
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
+from fleet_backend.office_tables import AUDIT
 from fleet_backend.rows import Poison, controller_row, quarantine_row
 from fleet_backend.writer import Batch, Writer
 from tests.golden import CONTROLLER

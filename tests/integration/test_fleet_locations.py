@@ -13,10 +13,11 @@ from fleet_backend.database import open_database, transaction
 from fleet_backend.months.locations import BLOCK, FILL
 from fleet_backend.months.partitions import keep_months
 from fleet_backend.office.retention import retain
+from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT
 from fleet_backend.page import past, running
 from fleet_backend.page.vehicle_state import Stored, state_of
 from fleet_backend.rows import Row
-from fleet_backend.schema import ALARM_ACKNOWLEDGEMENT, KEY_COLUMNS, SHIFT_RESULT
+from fleet_backend.schema import KEY_COLUMNS, SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 

@@ -11,11 +11,11 @@ from alembic.runtime.migration import MigrationContext
 from sqlalchemy import Connection, Engine, column, inspect, table
 
 from fleet_backend import queries
-from fleet_backend.alarm_tables import METADATA
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseAwayError, DatabaseError
 from fleet_backend.migrate import check_schema, migrate, newest_revision, revisions
+from fleet_backend.office_tables import METADATA
 from fleet_backend.rows import moment
 from fleet_backend.schema import UtcDateTime
 from fleet_backend.views import CLUTCH_ALARM, CURRENT_SHIFT, FLEET, IDENTITY_ALARM, LAST_SEEN, TREND

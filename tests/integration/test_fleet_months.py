@@ -7,7 +7,6 @@ import pytest
 from sqlalchemy import Engine, select, text
 
 from fleet_backend import queries
-from fleet_backend.alarm_tables import AUDIT
 from fleet_backend.choices import Axis
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
@@ -15,8 +14,8 @@ from fleet_backend.errors import ConfigError
 from fleet_backend.migrate import migrate
 from fleet_backend.months.partitions import keep_months, partitions
 from fleet_backend.office.retention import retain, roll_up
+from fleet_backend.office_tables import AUDIT, CLUTCH_MONTH
 from fleet_backend.rows import Row
-from fleet_backend.schema import CLUTCH_MONTH
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 

@@ -13,12 +13,12 @@ from sqlalchemy import Engine, select
 
 from diag_service.diagnosis.prognosis import Population, population_from
 from diag_service.diagnosis.records import ShiftResult
-from fleet_backend.alarm_tables import AUDIT
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError
 from fleet_backend.lots import LotRow, lots_of, store_lots
 from fleet_backend.migrate import migrate
+from fleet_backend.office_tables import AUDIT
 from fleet_backend.page.outlook import outlook_of
 from fleet_backend.page.past import results_of
 from fleet_backend.page.populations import keep, latest

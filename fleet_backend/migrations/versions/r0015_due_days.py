@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from alembic import op
 
-from fleet_backend.schema import FLUID_DUE
+from fleet_backend.office_tables import FLUID_DUE
 
 revision: str = "r0015"
 down_revision: str | None = "r0014"

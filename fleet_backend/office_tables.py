@@ -1,0 +1,125 @@
+"""The tables that the fleet office alone writes: alarms and their messages, who changed what, what it works out."""
+
+from typing import Final
+
+from sqlalchemy import BigInteger, Column, Date, Double, ForeignKey, Index, SmallInteger, Table, Text, text
+
+from fleet_backend.schema import METADATA, SORTED_BY_BYTES, UtcDateTime
+
+__all__ = [
+    "ALARM",
+    "ALARM_ACKNOWLEDGEMENT",
+    "ALARM_MESSAGE",
+    "AUDIT",
+    "CLUTCH_MONTH",
+    "FLUID_DUE",
+    "METADATA",
+    "POPULATION",
+    "VEHICLE_LOT",
+]
+
+_OPEN: Final = text("cleared_at IS NULL")
+_WAITING: Final = text("delivered_at IS NULL")
+
+ALARM: Final = Table(
+    "alarm",
+    METADATA,
+    Column("vehicle", Text, ForeignKey("vehicle.vehicle"), primary_key=True),
+    Column("clutch", SmallInteger, primary_key=True, autoincrement=False),  # 0: of the vehicle as a whole
+    Column("rule", Text, primary_key=True),
+    Column("number", BigInteger, primary_key=True, autoincrement=False),  # from 1 on, of each subject
+    Column("raised_at", UtcDateTime, nullable=False),
+    Column("cleared_at", UtcDateTime),
+    Column("reason", Text, nullable=False),
+    Column("acknowledged_at", UtcDateTime),
+    Column("acknowledged_by", Text),
+    Column("note", Text),
+    Index("alarm_open", "vehicle", "clutch", "rule", unique=True, postgresql_where=_OPEN, sqlite_where=_OPEN),
+    Index("alarm_by_time", "raised_at"),
+)
+
+ALARM_MESSAGE: Final = Table(
+    "alarm_message",
+    METADATA,
+    Column("key", Text, primary_key=True),  # of the alarm and what happened to it
+    Column("carrier", Text, primary_key=True),
+    Column("payload", Text, nullable=False),  # JSON object
+    Column("made_at", UtcDateTime, nullable=False),
+    Column("attempt_count", BigInteger, nullable=False),
+    Column("next_try_at", UtcDateTime, nullable=False),
+    Column("claimed_until", UtcDateTime),  # one process at a time delivers it
+    Column("delivered_at", UtcDateTime),
+    Column("complaint", Text),  # why the last attempt failed
+    Index("alarm_message_waiting", "carrier", "next_try_at", postgresql_where=_WAITING, sqlite_where=_WAITING),
+)
+
+# What is left of a month when its results go: of each event the newest version.
+CLUTCH_MONTH: Final = Table(
+    "clutch_month",
+    METADATA,
+    Column("vehicle", Text, primary_key=True),
+    Column("clutch", SmallInteger, primary_key=True, autoincrement=False),
+    Column("month", Date, primary_key=True),  # its first day, UTC
+    Column("result_count", BigInteger, nullable=False),
+    Column("valid_count", BigInteger, nullable=False),
+    Column("change_fluid_count", BigInteger, nullable=False),
+    Column("mean_mu_c", Double),  # of the valid ones
+    Column("mean_mu_s", Double),
+    Column("least_level_ratio", Double),
+    Column("last_odometer_m", Double),
+)
+
+FLUID_DUE: Final = Table(  # what the watch foretold last; of another action or fluid it holds no more
+    "fluid_due",
+    METADATA,
+    Column("vehicle", Text, primary_key=True),
+    Column("clutch", SmallInteger, primary_key=True, autoincrement=False),
+    Column("judged_at", UtcDateTime, nullable=False),
+    Column("action", Text, nullable=False),
+    Column("fluid_since", UtcDateTime),
+    Column("due_from", Date),
+    Column("half_by", Date),
+    Column("most_by", Date),
+    Column("distance_a_day_m", Double),
+    Column("outlook", Text, nullable=False),
+)
+
+VEHICLE_LOT: Final = Table(
+    "vehicle_lot",
+    METADATA,
+    Column("vehicle", Text, primary_key=True),  # may be known before it was heard of
+    Column("name", Text, primary_key=True),  # of the property, as the lot of the fluid or the month of building
+    Column("value", Text, nullable=False),
+)
+
+POPULATION: Final = Table(
+    "population",
+    METADATA,
+    Column("version", BigInteger, primary_key=True, autoincrement=False),
+    Column("learned_at", UtcDateTime, nullable=False),
+    Column("clutch_count", BigInteger, nullable=False),  # learned from
+    Column("content", Text, nullable=False),  # JSON object
+)
+
+ALARM_ACKNOWLEDGEMENT: Final = Table(
+    "alarm_acknowledgement",
+    METADATA,
+    Column("vehicle", Text, primary_key=True),
+    Column("stream", SORTED_BY_BYTES, primary_key=True),
+    Column("seq", BigInteger, primary_key=True, autoincrement=False),  # a shift of the alarm
+    Column("acknowledged_at", UtcDateTime, nullable=False),
+    Column("acknowledged_by", Text, nullable=False),
+    Column("note", Text),
+)
+
+AUDIT: Final = Table(
+    "audit",
+    METADATA,
+    Column("audit_id", Text, primary_key=True),
+    Column("at", UtcDateTime, nullable=False),
+    Column("who", Text, nullable=False),
+    Column("role", Text, nullable=False),
+    Column("action", Text, nullable=False),
+    Column("subject", Text, nullable=False),
+    Index("audit_by_time", "at"),
+)
