@@ -34,6 +34,7 @@ class Signal(StrEnum):
     CLUTCH1_TORQUE_COMMAND = "clutch1_torque_command_nm"
     CLUTCH2_TORQUE_COMMAND = "clutch2_torque_command_nm"
     CLUTCH_TORQUE = "clutch_torque_nm"  # of both clutches together, as the transmission controller states it
+    CLUTCH_SLIP = "clutch_slip_ratio"  # of engine speed, as the transmission controller states it
     CURRENT_GEAR = "current_gear"
     TARGET_GEAR = "target_gear"
     PRESELECTED_GEAR = "preselected_gear"

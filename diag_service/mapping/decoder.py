@@ -72,6 +72,7 @@ class Decoder:
         self._seen: set[Signal] = set()
         self.asked = {signal: one for signal, one in profile.asked.items() if signal in self._slot_of}
         self.asking = profile.asking
+        self.groups = tuple({pgn: None for signal, pgn in profile.groups.items() if signal in self._slot_of})
         self.overheard = Overheard(list(self.asked.values())) if self.asked else None
         self.last_ns: int | None = None  # bus time of the last frame
         self._is_interrupted = False

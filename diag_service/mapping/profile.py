@@ -114,6 +114,7 @@ class SignalSource:
     times: str | None = None  # signal of the same message that multiplies, such as a reference torque
     optional: bool = False  # a database without it serves as well
     source_address: int | None = None  # of a J1939 message; None: the first sender that is heard
+    request: bool = False  # a J1939 group that is asked for (PGN 59904), whether it comes by itself or not
     did: int | None = None  # of a datum that the controller tells who asks by service 22
     pid: int | None = None  # likewise by service 01 of OBD
     local: int | None = None  # likewise by service 21 of KWP2000
@@ -134,8 +135,8 @@ class SignalSource:
         if self.is_asked:
             self._check_asked()
             return
-        if self.at or self.reply:
-            raise ConfigError("at and reply need did, pid or local")
+        if self.at or self.reply or (self.request and self.pgn is None):
+            raise ConfigError("at and reply need did, pid or local; request needs pgn")
         if bool(self.message_name) is (self.pgn is not None):
             raise ConfigError("lacks message, or has it beside pgn" if self.message else "lacks message")
         if bool(self.signal_name) is (self.spn is not None):
@@ -148,7 +149,7 @@ class SignalSource:
             raise ConfigError(f"source_address {self.source_address} is not one of J1939")
 
     def _check_asked(self) -> None:
-        if self.column or self.message or self.signal or self.pgn is not None or self.spn is not None:
+        if self.column or self.message or self.signal or self.pgn is not None or self.spn is not None or self.request:
             raise ConfigError("is asked for, and has a message, signal or column beside")
         if sum(one is not None for one in (self.did, self.pid, self.local)) > 1:
             raise ConfigError("has more than one of did, pid, local")
@@ -256,6 +257,11 @@ class Profile:
     def asked(self) -> Mapping[Signal, AskedField]:
         """What a controller tells whoever asks."""
         return {signal: one.asked for signal, one in self.sources.items() if one.is_asked}
+
+    @property
+    def groups(self) -> Mapping[Signal, int]:
+        """The J1939 groups that are asked for: their answers are read as whatever is broadcast."""
+        return {signal: one.pgn for signal, one in self.sources.items() if one.request and one.pgn is not None}
 
     @property
     def is_of_columns(self) -> bool:

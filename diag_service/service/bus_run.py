@@ -143,11 +143,11 @@ def polling(
 ) -> AbstractAsyncContextManager[None]:
     """Return what asks controllers while it is entered, if that is wanted: for signals, or now and then for codes."""
     decoder = session.stages.decoder
-    if decoder.asked and bus.asks:
+    if (decoder.asked or decoder.groups) and bus.asks:
         if bus.poll is not None:
             raise ConfigError("--poll: this profile asks all the time already, and two testers disturb each other")
         asks: AbstractAsyncContextManager[None] = part("diag_service.parts", "signals")(
-            bus, decoder.asked, decoder.asking
+            bus, decoder.asked, decoder.asking, decoder.groups
         )
         return asks
     if decoder.asked:

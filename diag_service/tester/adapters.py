@@ -100,7 +100,8 @@ class ElmLine:
     def _command(self, text: str, wait_s: float = ANSWER_S) -> str:
         try:
             os.write(self._descriptor, text.encode() + b"\r")
-            return self._read(wait_s).decode("ascii", "replace").strip("\r\n >")
+            shown = self._read(wait_s).decode("ascii", "replace").strip("\r\n >")
+            return shown.removeprefix(text)  # some adapters go on echoing what they were told not to
         except OSError as exc:
             raise ControllerError(f"adapter {self._place}: {exc.strerror or exc}") from exc
 

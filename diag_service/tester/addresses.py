@@ -15,6 +15,9 @@ FIXED_PHYSICAL: Final = 0x18DA_0000  # ISO 15765-2, normal fixed addressing: tar
 FIXED_FUNCTIONAL: Final = 0x18DB_33F1
 TESTER_ADDRESS: Final = 0xF1
 TRANSMISSION: Final = 0x7E1  # ISO 15765-4: the second controller
+GROUP_REQUEST: Final = 0xEA  # SAE J1939-21: PDU format of a request for a parameter group (PGN 59904)
+TOOLS: Final = (0xF9, 0xFA)  # SAE J1939-81: addresses of off-board diagnostic tools; ours is the first
+TO_ALL: Final = 0xFF
 _HEXADECIMAL: Final = re.compile(r"(?:0x)?[0-9a-f]{1,8}", re.IGNORECASE)
 
 
@@ -111,4 +114,6 @@ def is_request(can_id: int) -> bool:
     """Return whether an identifier is one that testers use by the standard."""
     if not is_extended(can_id):
         return can_id == FUNCTIONAL_ID or can_id in STANDARD_REQUESTS
+    if can_id >> 16 & 0xFF == GROUP_REQUEST:
+        return can_id & 0xFF in TOOLS  # other controllers ask each other, too
     return can_id >> 16 in {FIXED_PHYSICAL >> 16, FIXED_FUNCTIONAL >> 16} and can_id & 0xFF == TESTER_ADDRESS

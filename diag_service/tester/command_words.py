@@ -127,6 +127,7 @@ TRY: Final = Command(
     Option("--dbc FILE", "database of what is broadcast", FILE),
     Option("--lenient", "leave out what is wrong in it"),
     Option("--active", "send requests"),
+    Option("--dry-run", "show the requests byte by byte and send nothing, whatever else is said"),
     Option("--listen S", "how long to listen before (default: 5)", FLOAT, default=5.0),
     Option("--record FILE", "record a drive (.log, .asc, .blf), learn the vehicle from it, and diagnose it", FILE),
     Option("--duration S", "how long that drive is (default: until Ctrl-C)", FLOAT),

@@ -1,7 +1,7 @@
 """What a profile has to be asked for, asked while the bus is diagnosed: who asks only asks, the dialogue is overheard.
 
-Sent are the services 22, 01 and 21 alone, and 2C where the profile allows it: nothing that changes what a controller
-does, no session. Another tester comes first.
+Sent are the services 22, 01 and 21 alone, 2C where the profile allows it, and requests for parameter groups of J1939:
+nothing that changes what a controller does, no session. Another tester comes first.
 """
 
 import asyncio
@@ -16,10 +16,11 @@ from typing import Final, cast
 
 import can
 
+from canlog.database.addressing import parameter_group
 from canlog.errors import CanlogError
 from canlog.notice import NOTICE
 from diag_service.diagnosis.columns import Signal
-from diag_service.errors import ControllerError, DiagServiceError, SilentError, StoppedError
+from diag_service.errors import ConfigError, ControllerError, DiagServiceError, SilentError, StoppedError
 from diag_service.mapping.asked_signals import (
     BY_IDENTIFIER,
     DEFINE_DATA,
@@ -37,19 +38,38 @@ from diag_service.mapping.asked_signals import (
 from diag_service.mapping.profile import AskingRules
 from diag_service.settings.config import BusConfig
 from diag_service.tester.adapters import Line, line_through, rules_through
-from diag_service.tester.addresses import FUNCTIONAL_ID, STANDARD_REQUESTS, CanAddress, id_text, is_extended, is_request
+from diag_service.tester.addresses import (
+    FIXED_FUNCTIONAL,
+    FIXED_PHYSICAL,
+    FUNCTIONAL_ID,
+    GROUP_REQUEST,
+    LARGEST_ID,
+    STANDARD_REQUESTS,
+    TESTER_ADDRESS,
+    TO_ALL,
+    TOOLS,
+    CanAddress,
+    id_text,
+    is_extended,
+    is_request,
+)
 from diag_service.tester.answers import refusal_text
 from diag_service.tester.asking import LISTEN_S, AskingThread, BusName, opened_bus
 from diag_service.tester.can_link import CanConnection
+from diag_service.tester.frames import send
 from diag_service.tester.libraries import TimeoutException
 
 MOST_LOAD: Final = 0.05  # of the bus, by requests and answers together
 USUAL_BITRATE: Final = 500_000
 FIRST_DEFINED: Final = 0xF300  # of the numbers that testers may define (ISO 14229-1, annex C)
 MOST_DEFINITIONS: Final = 3  # attempts between two sets: a controller that was reset has forgotten them
-FRAME_BITS: Final = 125  # of eight bytes, with stuff bits, whoever sends it
+FRAME_BITS, LONG_FRAME_BITS = 125, 150  # of eight bytes, with stuff bits, whoever sends it; of 29 bits
 FIRST_SLOW: Final = 4  # times that they are asked for without delay: so often a message must come to be believed
 SLOW_S: Final = 1.0  # from question to question for what changes slowly
+GROUP_S: Final = 0.5  # SAE J1939-21 wants a group to be asked for no more than two or three times a second
+GROUP_ANSWER_S: Final = 0.25  # SAE J1939-21: 0.2 s
+REQUEST_PRIORITY: Final = 6
+REST_S: Final = 0.05  # where there is nothing to ask for just now
 ANSWER_S: Final = LATEST_NS / 1e9  # what comes later is no sample
 PENDING_S: Final = 5.0  # after the controller asked for patience
 MOST_PENDING_S: Final = 30.0  # in all: longer it may not answer at all
@@ -61,6 +81,7 @@ LONGEST_PAUSE_S: Final = 16.0  # between attempts at a controller that does not 
 LEAST_ROWS: Final = 5  # of a slip: fewer tell no friction
 RATE_S: Final = 10.0  # over which the rate is told
 TOLD_RATIO: Final = 0.3  # by which it must change to be told again
+NO_GROUPS: Final = "parameter groups of J1939 are asked for on a bus, not through an adapter"
 _SLOW: Final = frozenset({Signal.SUMP_TEMPERATURE, Signal.AMBIENT_TEMPERATURE, Signal.ODOMETER})
 _LOG: Final = logging.getLogger(__name__)
 
@@ -72,12 +93,22 @@ class OtherTesterError(ControllerError):
 OpenLine = Callable[[], AbstractContextManager[Line]]
 
 
+def address_of(asked: AskedField) -> CanAddress:
+    """Return where a datum is asked for."""
+    return CanAddress(request_id=asked.request_id, response_id=asked.reply_id)
+
+
 @dataclass(frozen=True, slots=True)
 class Question:
     """Data that are asked for in one request."""
 
     address: CanAddress
     data: tuple[DatumId, ...]
+
+    @property
+    def can_id(self) -> int:
+        """The identifier of its request."""
+        return self.address.request_id
 
     @property
     def request(self) -> bytes:
@@ -103,25 +134,51 @@ class Definition:
         return bytes([DEFINE_DATA, BY_IDENTIFIER]) + number.to_bytes(2) + b"".join(parts)
 
 
+@dataclass(frozen=True, slots=True)
+class GroupQuestion:
+    """A parameter group of J1939 that is asked of all: whoever has it sends it."""
+
+    pgn: int
+
+    @property
+    def address(self) -> "GroupQuestion":
+        """Who is asked: whoever has it."""
+        return self
+
+    @property
+    def can_id(self) -> int:
+        """The identifier of its request."""
+        return REQUEST_PRIORITY << 26 | GROUP_REQUEST << 16 | TO_ALL << 8 | TOOLS[0]
+
+    @property
+    def request(self) -> bytes:
+        """What is sent."""
+        return self.pgn.to_bytes(3, "little")
+
+    def __str__(self) -> str:
+        """Return it for people."""
+        return f"PGN {self.pgn}"
+
+
 @dataclass(slots=True)
 class Plan:
     """What is asked when: fast quantities in every round, slow ones once in a while, so many at once as are taken."""
 
     fields: Mapping[Signal, AskedField]
     rules: AskingRules = field(default_factory=AskingRules)
+    groups: Sequence[int] = ()
     defined: dict[DatumId, Definition] = field(default_factory=dict)
     refused: set[DatumId] = field(default_factory=set)
     _fewer: int | None = None  # than the rules say, as a controller wants it
     _slow_s: float = 0.0
     _slow_count: int = 0
+    _group_s: float = 0.0
 
     @property
-    def addresses(self) -> set[CanAddress]:
+    def addresses(self) -> set[CanAddress | GroupQuestion]:
         """Who is asked."""
-        return {
-            CanAddress(request_id=one.request_id, response_id=one.reply_id)
-            for one in self.fields.values()
-            if one.data_id not in self.refused
+        return {GroupQuestion(one) for one in self.groups} | {
+            address_of(one) for one in self.fields.values() if one.data_id not in self.refused
         }
 
     @property
@@ -138,8 +195,7 @@ class Plan:
         by_address: dict[CanAddress, dict[DatumId, None]] = {}
         for one in self._fast_fields():
             if one.service == READ_DATA and one.data_id not in self.refused:
-                address = CanAddress(request_id=one.request_id, response_id=one.reply_id)
-                by_address.setdefault(address, {})[one.data_id] = None
+                by_address.setdefault(address_of(one), {})[one.data_id] = None
         return {
             DatumId(address.request_id, READ_DATA, FIRST_DEFINED): Definition(address, tuple(parts))
             for address, parts in by_address.items()
@@ -149,9 +205,12 @@ class Plan:
     def _fast_fields(self) -> list[AskedField]:
         return [one for signal, one in self.fields.items() if signal not in _SLOW]
 
-    def due(self, now_s: float) -> list[Question]:
+    def due(self, now_s: float) -> list[Question | GroupQuestion]:
         """Return the questions of the next round."""
-        questions = self.fast
+        questions: list[Question | GroupQuestion] = [*self.fast]
+        if self.groups and now_s >= self._group_s:
+            self._group_s = now_s + GROUP_S
+            questions += map(GroupQuestion, self.groups)
         if now_s >= self._slow_s:
             self._slow_count += 1
             self._slow_s = now_s + (SLOW_S if self._slow_count > FIRST_SLOW else 0.0)
@@ -169,7 +228,7 @@ class Plan:
         return f"{question} is not told ({why}), and not asked for again"
 
     def _questions(self, fields: Sequence[AskedField]) -> list[Question]:
-        addresses = {one.data_id: CanAddress(request_id=one.request_id, response_id=one.reply_id) for one in fields}
+        addresses = {one.data_id: address_of(one) for one in fields}
         data = [one for one in addresses if one not in self.refused]
         found: list[Question] = []
         for _, group in groupby(data, key=lambda one: (one.request_id, one.service)):
@@ -189,8 +248,8 @@ class SignalAsker(AskingThread):
 
     Parameters
     ----------
-    fields, rules
-        What is asked for, and what the controllers allow.
+    fields, rules, groups
+        What is asked for, what the controllers allow, and which parameter groups of J1939 are asked for.
     open_line
         Opens the way to the controllers once nobody else asks there; raises SourceError, ControllerError.
     bitrate
@@ -198,19 +257,24 @@ class SignalAsker(AskingThread):
     """
 
     def __init__(
-        self, fields: Mapping[Signal, AskedField], rules: AskingRules, open_line: OpenLine, bitrate: int | None = None
+        self,
+        fields: Mapping[Signal, AskedField],
+        rules: AskingRules,
+        open_line: OpenLine,
+        bitrate: int | None = None,
+        groups: Sequence[int] = (),
     ) -> None:
         super().__init__("signal asker")
-        self.plan = Plan(fields, rules)
+        self.plan = Plan(fields, rules, groups)
         self._definitions_left = 0
-        self.sent: Counter[int] = Counter()  # requests, by service
+        self.sent: Counter[int] = Counter()  # requests, by service; those for groups by `GROUP_REQUEST`
         self.set_count = 0
         self._sizes = sizes_of(fields.values())
         self._open_line = open_line
         self._bits_per_s = MOST_LOAD * (bitrate or USUAL_BITRATE)
         self._free_s = 0.0  # until when the bus is left alone
-        self._silent: Counter[CanAddress] = Counter()  # questions in a row without answer
-        self._silent_until_s: dict[CanAddress, float] = {}
+        self._silent: Counter[CanAddress | GroupQuestion] = Counter()  # questions in a row without answer
+        self._silent_until_s: dict[CanAddress | GroupQuestion, float] = {}
         self._trouble, self._pause_s = "", FIRST_PAUSE_S
         self._sets: deque[float] = deque(maxlen=10_000)
         self._told_hz: float | None = None
@@ -241,9 +305,11 @@ class SignalAsker(AskingThread):
             if self._definitions_left and not self.plan.defined:
                 self._define(line)
             questions = self.plan.due(time.monotonic())
-            if not questions:
+            if not self.plan.addresses:
                 raise ControllerError("everything that the profile asks for is refused")
             heard = [one for one in questions if self._silent_until_s.get(one.address, 0.0) <= time.monotonic()]
+            if not heard:
+                self._is_over.wait(REST_S)
             answered = [self._ask(line, one) for one in heard]
             if answered and all(answered):
                 if self._trouble:
@@ -274,22 +340,31 @@ class SignalAsker(AskingThread):
                 why = refusal_text(answer[2] if len(answer) > 2 else 0)
                 _LOG.log(NOTICE, "%s makes no datum of others: %s", id_text(one.address.request_id), why)
 
-    def _send(self, line: Line, request: bytes, address: CanAddress, expected_bytes: int) -> bytes | None:
+    def _send(
+        self, line: Line, request: bytes, address: CanAddress | GroupQuestion, expected_bytes: int
+    ) -> bytes | None:
         """Return the answer to a request, sent when the bus is free for it; None: none came, or asking is over."""
         self._is_over.wait(max(0.0, self._free_s - time.monotonic()))
         if not self.goes_on:
             return None
         begun_s = time.monotonic()
-        self.sent[request[0]] += 1
-        answer = line.ask(request, address)
-        frames = frame_count(len(request)) + frame_count(expected_bytes if answer is None else len(answer))
-        self._free_s = begun_s + frames * FRAME_BITS / self._bits_per_s
+        if isinstance(address, GroupQuestion):
+            self.sent[GROUP_REQUEST] += 1
+            answer = line.ask_group(address) if isinstance(line, CanLine) else None
+            bits = 2 * LONG_FRAME_BITS
+        else:
+            self.sent[request[0]] += 1
+            answer = line.ask(request, address)
+            frames = frame_count(len(request)) + frame_count(expected_bytes if answer is None else len(answer))
+            bits = frames * (LONG_FRAME_BITS if is_extended(address.request_id) else FRAME_BITS)
+        self._free_s = begun_s + bits / self._bits_per_s
         return answer
 
-    def _ask(self, line: Line, question: Question) -> bool:
+    def _ask(self, line: Line, question: Question | GroupQuestion) -> bool:
         """Ask once; return whether it was answered."""
-        request = question.request
-        expected = 1 + sum(self._sizes[one] + (len(request) - 1) // len(question.data) for one in question.data)
+        request, expected = question.request, 0
+        if isinstance(question, Question):
+            expected = 1 + sum(self._sizes[one] + (len(request) - 1) // len(question.data) for one in question.data)
         answer = self._send(line, request, question.address, expected)
         if answer is None and not self.goes_on:
             return False
@@ -299,6 +374,8 @@ class SignalAsker(AskingThread):
         self._silent[question.address] = 0
         if self._silent_until_s.pop(question.address, None) is not None:
             _LOG.log(NOTICE, "%s answers", question.address)
+        if isinstance(question, GroupQuestion):
+            return True
         if answer[0] == request[0] + POSITIVE:
             return self._is_told(question, answer)
         code = answer[2] if answer[0] == NEGATIVE and len(answer) > 2 else 0
@@ -311,7 +388,7 @@ class SignalAsker(AskingThread):
             _LOG.log(NOTICE, "%s", self.plan.refuse(question, refusal_text(code)))
         return False
 
-    def _leave_alone(self, address: CanAddress) -> None:
+    def _leave_alone(self, address: CanAddress | GroupQuestion) -> None:
         """Ask a controller that does not answer now and then only; raises ControllerError if none does."""
         self._silent[address] += 1
         if self._silent[address] < MOST_SILENT:
@@ -354,15 +431,17 @@ class WatchedBus:
     It gives no frame but answers; raises OtherTesterError where another tester's request comes.
     """
 
-    def __init__(self, bus: can.BusABC, addresses: Sequence[CanAddress]) -> None:
+    def __init__(self, bus: can.BusABC, addresses: Sequence[CanAddress], groups: Sequence[int] = ()) -> None:
         self._bus = bus
+        self._groups = frozenset(groups)
         self._answers = {one.response_id for one in addresses}
         self._requests = {one.request_id for one in addresses}
         wanted = {*self._answers, *self._requests, FUNCTIONAL_ID, *STANDARD_REQUESTS}
-        filters = [
-            {"can_id": one, "can_mask": 0x1FFF_FFFF if is_extended(one) else 0x7FF, "extended": is_extended(one)}
-            for one in sorted(wanted)
-        ]
+        masks = [(one, LARGEST_ID if is_extended(one) else 0x7FF, is_extended(one)) for one in sorted(wanted)]
+        masks += [(fixed | TESTER_ADDRESS, 0x1FFF_00FF, True) for fixed in (FIXED_PHYSICAL, FIXED_FUNCTIONAL & ~0xFFFF)]
+        masks += [(GROUP_REQUEST << 16 | tool, 0x00FF_00FF, True) for tool in TOOLS]
+        masks += [(pgn << 8, 0x03FF_FF00, True) for pgn in groups]
+        filters = [{"can_id": one, "can_mask": mask, "extended": is_long} for one, mask, is_long in masks]
         bus.set_filters(filters)  # type: ignore[arg-type]  # as the library documents it
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
@@ -373,7 +452,7 @@ class WatchedBus:
             if message is None or message.is_error_frame:
                 return None
             can_id = message.arbitration_id
-            if can_id in self._answers:
+            if can_id in self._answers or (self._groups and parameter_group(can_id) in self._groups):
                 return message
             if can_id in self._requests or is_request(can_id):
                 raise OtherTesterError(f"another tester asks (requests on {id_text(can_id)})")
@@ -398,7 +477,7 @@ class CanLine:
     """Controllers on a bus, one request at a time."""
 
     def __init__(self, bus: WatchedBus, *, is_fd: bool, goes_on: Callable[[], bool]) -> None:
-        self._bus = bus
+        self._bus = cast("can.BusABC", bus)  # of which a connection uses these two
         self._is_fd = is_fd
         self._goes_on = goes_on
         self._connections: dict[CanAddress, CanConnection] = {}
@@ -406,8 +485,7 @@ class CanLine:
     def ask(self, request: bytes, address: CanAddress) -> bytes | None:
         """Return the answer to a request, None if none comes in time; raises ControllerError, OtherTesterError."""
         if address not in self._connections:
-            bus = cast("can.BusABC", self._bus)  # of which a connection uses these two
-            self._connections[address] = CanConnection(bus, address, is_fd=self._is_fd, goes_on=self._goes_on)
+            self._connections[address] = CanConnection(self._bus, address, is_fd=self._is_fd, goes_on=self._goes_on)
         connection = self._connections[address]
         connection.empty_rxqueue()
         try:
@@ -427,11 +505,24 @@ class CanLine:
                 return answer
         return None
 
+    def ask_group(self, group: GroupQuestion) -> bytes | None:
+        """Ask all for a parameter group; return it once it comes; raises ControllerError, OtherTesterError."""
+        while self._bus.recv(0.0) is not None:
+            pass  # what came by itself before answers nothing
+        send(self._bus, can.Message(arbitration_id=group.can_id, is_extended_id=True, data=group.request))
+        until_s = time.monotonic() + GROUP_ANSWER_S
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            message = self._bus.recv(left_s)
+            if message is not None and message.is_extended_id and parameter_group(message.arbitration_id) == group.pgn:
+                return bytes(message.data)
+        return None
+
 
 @contextmanager
 def line_on(
     name: BusName | can.BusABC,
     addresses: Sequence[CanAddress],
+    groups: Sequence[int] = (),
     *,
     is_fd: bool,
     listen_s: float = LISTEN_S,
@@ -439,24 +530,28 @@ def line_on(
 ) -> Iterator[CanLine]:
     """Open a bus and wait until nobody else asks on it; raises SourceError, ControllerError, StoppedError."""
     with opened_bus(name) as bus:
-        watched = WatchedBus(bus, addresses)
+        watched = WatchedBus(bus, addresses, groups)
         watched.listen(listen_s, goes_on)
         yield CanLine(watched, is_fd=is_fd, goes_on=goes_on)
 
 
 @asynccontextmanager
-async def asking(bus: BusConfig, fields: Mapping[Signal, AskedField], rules: AskingRules) -> AsyncIterator[None]:
-    """Ask for signals until the block ends."""
+async def asking(
+    bus: BusConfig, fields: Mapping[Signal, AskedField], rules: AskingRules, groups: Sequence[int] = ()
+) -> AsyncIterator[None]:
+    """Ask for signals until the block ends; raises ConfigError."""
     own = BusName(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, is_fd=bus.is_fd)
-    addresses = [CanAddress(request_id=one.request_id, response_id=one.reply_id) for one in fields.values()]
+    addresses = [address_of(one) for one in fields.values()]
     open_line: OpenLine
     if bus.adapter is not None:
         adapter, channel = bus.adapter, bus.channel or ""
+        if groups:
+            raise ConfigError(NO_GROUPS)
         rules = rules_through(adapter, rules)
         open_line = lambda: line_through(adapter, channel, lambda: asker.goes_on)  # noqa: E731 - one of two
     else:
-        open_line = lambda: line_on(own, addresses, is_fd=bus.is_fd, goes_on=lambda: asker.goes_on)  # noqa: E731
-    asker = SignalAsker(fields, rules, open_line, bus.bitrate)
+        open_line = lambda: line_on(own, addresses, groups, is_fd=bus.is_fd, goes_on=lambda: asker.goes_on)  # noqa: E731
+    asker = SignalAsker(fields, rules, open_line, bus.bitrate, groups)
     with asker:
         try:
             yield

@@ -30,10 +30,19 @@ from diag_service.mapping.profile import AskingRules, Profile, find_profile, loa
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.service.stopping import Controls
 from diag_service.tester.adapters import Line, line_through, parse_adapter, rules_through
-from diag_service.tester.addresses import CanAddress, id_text
+from diag_service.tester.addresses import CanAddress, id_text, is_extended
 from diag_service.tester.answers import refusal_text
 from diag_service.tester.asking import BusName, check_time, heard, opened_bus
-from diag_service.tester.signal_asking import Plan, SignalAsker, line_on
+from diag_service.tester.signal_asking import (
+    NO_GROUPS,
+    CanLine,
+    GroupQuestion,
+    Plan,
+    Question,
+    SignalAsker,
+    address_of,
+    line_on,
+)
 
 RATE_S: Final = 5.0
 LEAST_LISTEN_S: Final = 0.0
@@ -46,7 +55,7 @@ Show = Callable[[str], object]
 
 
 def try_car(options: SimpleNamespace, controls: Controls) -> None:
-    """Listen, try the profiles that ask, and say what was found; sends nothing without ``--active``."""
+    """Listen, try the profiles that ask, and say what was found; sends nothing without ``--active``, or dry."""
     show: Show = PeopleConsole().print
     check_time("--listen", options.listen, least_s=LEAST_LISTEN_S)
     _check_recording(options)
@@ -54,30 +63,37 @@ def try_car(options: SimpleNamespace, controls: Controls) -> None:
     profiles = _profiles(options.profile)
     bus = BusName(interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=options.fd)
     if options.adapter is None:
-        show(str(heard(bus, options.listen, lambda: not controls.stop.is_set)))
+        show(str(traffic := heard(bus, options.listen, lambda: not controls.stop.is_set)))
+        if traffic is not None and not any(map(is_extended, traffic.can_ids)) and options.profile is None:
+            profiles = [one for one in profiles if not one.groups]  # no J1939 on a bus without any such frame
     else:
         bus = BusName(interface="virtual", channel=f"try-{uuid.uuid4()}", bitrate=None, is_fd=False)
-    if not options.active:
+        if not (profiles := [one for one in profiles if not one.groups]):
+            raise ConfigError(NO_GROUPS)
+    if options.dry_run or not options.active:
         for profile in profiles:
-            asked = ", ".join(dict.fromkeys(str(one.data_id) for one in profile.asked.values()))
-            show(f"{profile.name} would ask for {asked}")
-        show(
-            "nothing was sent; with --active these are asked for by services 22, 01 and 21 (2C if the profile says so)"
-        )
+            _show_requests(profile, _rules(options, profile), show)
+        show("nothing was sent; --active sends these: reading services alone")
         return
 
     def opened(profile: Profile) -> AbstractContextManager[Line]:
         if options.adapter is not None:
             return line_through(options.adapter, str(bus.channel), lambda: not controls.stop.is_set)
         fields = profile.asked.values()
-        addresses = [CanAddress(request_id=one.request_id, response_id=one.reply_id) for one in fields]
+        addresses = [address_of(one) for one in fields]
         return line_on(
-            bus, addresses, is_fd=bus.is_fd, listen_s=options.listen, goes_on=lambda: not controls.stop.is_set
+            bus,
+            addresses,
+            tuple(profile.groups.values()),
+            is_fd=bus.is_fd,
+            listen_s=options.listen,
+            goes_on=lambda: not controls.stop.is_set,
         )
 
     database = None if options.dbc is None else open_database(options.dbc, is_lenient=options.lenient)
     profile = _best(profiles, opened, database, show)
-    with SignalAsker(profile.asked, _rules(options, profile), lambda: opened(profile), options.bitrate) as asker:
+    rules, groups = _rules(options, profile), tuple(profile.groups.values())
+    with SignalAsker(profile.asked, rules, lambda: opened(profile), options.bitrate, groups) as asker:
         _measure(asker, options.listen, controls, show)
         if options.record is not None and not controls.stop.is_set:
             _record(asker, bus, options, controls, show)
@@ -99,11 +115,24 @@ def _best(
         show(f"profile {profile.name}:")
         with opened(profile) as line:
             told = _told(line, profile, show)
-        show(f"  {len(told)} of {len(profile.asked)} signals are told; {_reached(profile, told, database)}")
+        count = len(profile.asked) + len(profile.groups)
+        show(f"  {len(told)} of {count} signals are told; {_reached(profile, told, database)}")
         counts.setdefault(len(told), profile)
     if not (most := max(counts)):
         raise ControllerError("no controller tells what one of the profiles asks for: it may be asleep, or another one")
     return counts[most]
+
+
+def _show_requests(profile: Profile, rules: AskingRules, show: Show) -> None:
+    """Show the requests of a first round, byte by byte."""
+    plan, sizes = Plan(profile.asked, rules, tuple(profile.groups.values())), sizes_of(profile.asked.values())
+    show(f"{profile.name} would ask for {', '.join(map(str, plan.due(0.0)))}:")
+    plan = Plan(profile.asked, rules, plan.groups)
+    plan.defined |= plan.definitions() if rules.define else {}
+    requests = [(one.address.request_id, one.request(datum.number, sizes)) for datum, one in plan.defined.items()]
+    requests += [(one.can_id, one.request) for one in plan.due(0.0)]
+    for can_id, request in requests:
+        show(f"  {id_text(can_id)}: {request.hex(' ').upper()}")
 
 
 def _rules(options: SimpleNamespace, profile: Profile) -> AskingRules:
@@ -115,7 +144,7 @@ def _check_recording(options: SimpleNamespace) -> None:
         if options.duration is not None:
             raise ConfigError("--duration is for --record")
         return
-    if not options.active:
+    if not options.active and not options.dry_run:
         raise ConfigError("--record needs --active: what is not asked for is not told")
     if options.record.suffix not in LOGS:
         raise ConfigError(f"--record {options.record}: a log ends with {', '.join(LOGS)}")
@@ -227,7 +256,7 @@ def _database_words(options: SimpleNamespace) -> list[str]:
 
 def _profiles(named: Path | None) -> list[Profile]:
     profiles = [find_profile(named)] if named is not None else [load_shipped(name) for name in shipped_profiles()]
-    if not (asking := [one for one in profiles if one.asked]):
+    if not (asking := [one for one in profiles if one.asked or one.groups]):
         raise ConfigError(f"profile {named} asks for nothing: try is for profiles that do")
     return asking
 
@@ -236,7 +265,7 @@ def _told(line: Line, profile: Profile, show: Show) -> frozenset[Signal]:
     """Ask for each signal once, and show what is told."""
     sizes, silent, told = sizes_of(profile.asked.values()), set[CanAddress](), set[Signal]()
     for signal, asked in profile.asked.items():
-        (question,) = Plan({signal: asked}).due(0.0)
+        question = Question(address_of(asked), (asked.data_id,))
         if question.address in silent:
             continue
         answer = line.ask(question.request, question.address)
@@ -259,12 +288,17 @@ def _told(line: Line, profile: Profile, show: Show) -> frozenset[Signal]:
         value = float(to_si(signal, profile.sources[signal], None)(np.array([float(raw)]))[0])
         show(f"  {signal.value} = {value:.{_ROUND}g} ({question})")
         told.add(signal)
+    for signal, pgn in profile.groups.items():
+        group = GroupQuestion(pgn)
+        if isinstance(line, CanLine) and line.ask_group(group) is not None:
+            told.add(signal)
+        show(f"  {signal.value}: {group} is {'' if signal in told else 'not '}told")
     return frozenset(told)
 
 
 def _reached(profile: Profile, told: frozenset[Signal], database: Database | None) -> str:
     """Return what the signals that are told suffice for, with those that a database says are broadcast."""
-    broadcast = frozenset(signal for signal in profile.sources if signal not in profile.asked)
+    broadcast = frozenset(profile.sources) - profile.asked.keys() - profile.groups.keys()
     if database is not None:
         broadcast &= fit_of(database, profile).signals
     has_gears = profile.gears is not None

@@ -21,6 +21,8 @@ from tests.integration.test_signal_asking import controller, wait_for
 from tests.support.asked import batch_of
 from tests.support.doip.tester import free_port
 
+pytestmark = pytest.mark.asks
+
 ASKED = load_shipped("dct_asked").asked
 
 

@@ -27,6 +27,8 @@ from tests.support.asked import batch_of
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 
+pytestmark = pytest.mark.asks
+
 VALUES = {
     "engine_torque_nm": 120.0,
     "input1_speed_rad_s": 200.0,
@@ -102,6 +104,7 @@ def test_only_reading_services_are_sent_whatever_happens(channel: str) -> None:
     assert set(asker.sent) == {0x22}
 
 
+@pytest.mark.asks(may_define=True)
 def test_where_the_profile_allows_it_a_round_is_one_datum_that_the_controller_was_told_to_make(channel: str) -> None:
     profile, car = load_shipped("dct_asked"), controller()
     with heard(channel) as ear, vehicle(channel, car), asked(profile, channel, define=True) as asker:
@@ -119,6 +122,7 @@ def test_where_the_profile_allows_it_a_round_is_one_datum_that_the_controller_wa
     assert reader.faults.keys() <= {"refused with 31"}  # to forget what was never defined
 
 
+@pytest.mark.asks(may_define=True)
 def test_a_controller_that_makes_no_data_is_asked_for_each(channel: str, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(NOTICE)
     with (

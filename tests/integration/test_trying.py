@@ -17,6 +17,8 @@ from tests.support.in_process import ended
 from tests.support.replay import free_bus
 from tests.support.service import service
 
+pytestmark = pytest.mark.asks
+
 DRIVE_S = 25.0
 
 

@@ -146,7 +146,10 @@ def _slip(grid: _Grid) -> FloatArray | None:
     is_first = grid.clutch == 1
     shaft = grid.value(Signal.INPUT1_SPEED if is_first else Signal.INPUT2_SPEED)
     shaft = shaft if shaft is not None else grid.value(Signal.INPUT_SPEED)
-    return None if engine is None or shaft is None else engine - shaft
+    if engine is None:
+        return None
+    stated = None if shaft is not None else grid.value(Signal.CLUTCH_SLIP)
+    return engine * stated if stated is not None else None if shaft is None else engine - shaft
 
 
 def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibration) -> tuple[float, float] | None:
