@@ -181,7 +181,7 @@ def batch_of(messages: list[can.Message]) -> FrameBatch:
         data[row, : len(one.data)] = list(one.data)
     return FrameBatch(
         t_ns=np.array([round(one.timestamp * 1e6) * 1000 for one in messages], np.int64),
-        can_id=np.array([one.arbitration_id for one in messages], np.uint32),
+        can_id=np.array([one.arbitration_id | int(EXTENDED_FLAG) * one.is_extended_id for one in messages], np.uint32),
         length=np.array([len(one.data) for one in messages], np.uint8),
         data=data,
     )

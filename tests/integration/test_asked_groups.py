@@ -1,0 +1,162 @@
+"""Parameter groups of J1939 that are asked for: before a transmission that is not ours, that of can-j1939."""
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import count, pairwise
+from pathlib import Path
+
+import can
+import j1939
+import pytest
+
+import diag_service
+from canlog.notice import NOTICE
+from diag_service.diagnosis.columns import Signal
+from diag_service.errors import ConfigError
+from diag_service.mapping.interpretation import interpret
+from diag_service.mapping.profile import load_profile
+from diag_service.tester.addresses import GROUP_REQUEST
+from diag_service.tester.signal_asking import GROUP_S, SignalAsker, line_on
+from tests.integration.test_signal_asking import Ear, heard, wait_for
+from tests.plugins.asked_services import SentByUs
+from tests.support.asked import batch_of
+from tests.support.in_process import ended
+
+pytestmark = pytest.mark.asks
+
+TRF1 = 65272
+TOLD = [25, 0xFF, 0xFF, 0xFF, 0x20, 0x2C, 0xFF, 0xFF]  # 400 kPa, 80 degC
+REQUEST_ID = 0x18EAFFF9
+NUMBERS = count()
+
+
+@contextmanager
+def transmission(channel: str) -> Iterator[None]:
+    """Put a transmission on a bus that tells pressure and temperature to whoever asks."""
+    with can.Bus(channel, "virtual") as bus:
+        unit = j1939.ElectronicControlUnit(
+            send_message=lambda can_id, _long, data, _fd=None: bus.send(
+                can.Message(arbitration_id=can_id, is_extended_id=True, data=bytes(data))
+            )
+        )
+        name = j1939.Name(
+            arbitrary_address_capable=0, industry_group=0, vehicle_system_instance=0, vehicle_system=0, function=3,
+            function_instance=0, ecu_instance=0, manufacturer_code=666, identity_number=1,
+        )  # fmt: skip
+        application = j1939.ControllerApplication(name, 3, bypass_address_claim=True)
+        unit.add_ca(controller_application=application)
+        application.subscribe_request(
+            lambda _source, _to, pgn: application.send_pgn(0, 0xFE, 0xF8, 6, TOLD) if pgn == TRF1 else None
+        )
+        application.start()
+        listener = lambda message: unit.notify(message.arbitration_id, message.data, message.timestamp)  # noqa: E731
+        try:
+            with can.Notifier(bus, [listener], timeout=0.05):
+                yield
+        finally:
+            unit.stop()
+
+
+@contextmanager
+def asked(channel: str) -> Iterator[SignalAsker]:
+    with can.Bus(channel, "virtual") as bus:
+        asker = SignalAsker(
+            {},
+            load_profile().asking,
+            lambda: line_on(bus, [], [TRF1], is_fd=False, listen_s=0.05, goes_on=lambda: asker.goes_on),
+            groups=[TRF1],
+        )
+        with asker:
+            yield asker
+
+
+def requests(ear: Ear) -> list[float]:
+    return [one.timestamp for one in list(ear.frames) if one.arbitration_id == REQUEST_ID]
+
+
+@pytest.fixture(name="channel")
+def _channel() -> str:
+    return f"groups {next(NUMBERS)}"
+
+
+def test_a_group_is_asked_for_twice_a_second_and_its_answers_are_signals(channel: str, sent_by_us: SentByUs) -> None:
+    with transmission(channel), heard(channel) as ear, asked(channel) as asker:
+        wait_for(lambda: asker.set_count >= 3)
+        assert set(asker.sent) == {GROUP_REQUEST}
+    times_s = requests(ear)
+    assert len(times_s) >= 3
+    assert all(after - before > 0.9 * GROUP_S for before, after in pairwise(times_s))
+    assert set(sent_by_us.services) == {GROUP_REQUEST}
+    decoder = interpret(None, Path("j1939")).decoder()
+    told = [batch.columns for batch in decoder.feed(batch_of(ear.frames))]
+    assert decoder.groups == (TRF1,)
+    assert {float(one[Signal.CLUTCH1_PRESSURE].value[0]) for one in told} == {4e5}
+    assert {float(one[Signal.SUMP_TEMPERATURE].value[0]) for one in told} == {353.15}
+
+
+def test_a_group_that_nobody_has_is_told_and_asked_for_again(channel: str, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(NOTICE)
+    with asked(channel) as asker:
+        wait_for(lambda: "asking is interrupted: PGN 65272 does not answer" in caplog.text)
+        with transmission(channel):
+            wait_for(lambda: asker.set_count >= 1)
+
+
+@pytest.mark.parametrize(("can_id", "is_tester"), [(0x18EA03FA, True), (0x18DA10F1, True), (0x18EAFF00, False)])
+def test_tools_of_others_come_first_while_controllers_may_ask_each_other(
+    channel: str, caplog: pytest.LogCaptureFixture, can_id: int, *, is_tester: bool
+) -> None:
+    caplog.set_level(NOTICE)
+    over = threading.Event()
+    with transmission(channel), heard(channel) as ear, can.Bus(channel, "virtual") as other, asked(channel) as asker:
+        wait_for(lambda: asker.set_count >= 1)
+
+        def ask() -> None:
+            while not over.wait(0.02):
+                other.send(can.Message(arbitration_id=can_id, is_extended_id=True, data=b"\x02\x3e\x00"))
+
+        thread = threading.Thread(target=ask)
+        thread.start()
+        try:
+            count = asker.sent.total()
+            wait_for(lambda: "another tester asks" in caplog.text if is_tester else asker.sent.total() > count + 2)
+            time.sleep(2.0 * GROUP_S)
+            if is_tester:
+                first_s = next(one.timestamp for one in list(ear.frames) if one.arbitration_id == can_id)
+                assert sum(one > first_s for one in requests(ear)) <= 1
+        finally:
+            over.set()
+            thread.join()
+
+
+def test_a_truck_is_tried(channel: str, sent_by_us: SentByUs) -> None:
+    with transmission(channel):
+        words = ("try", "-i", "virtual", "-c", channel, "--profile", "j1939", "--listen", "0.05")
+        dry = ended(*words, "--active", "--dry-run")
+        assert not sent_by_us.services
+        run = ended(*words, "--active")
+    assert dry.status == run.status == 0, run.err
+    assert "18EAFFF9: F8 FE 00" in dry.out
+    said = " ".join(run.out.split())
+    assert "clutch1_pressure_pa: PGN 65272 is told" in said
+    assert "2 of 2 signals are told" in said
+
+
+async def test_a_run_asks_for_groups_where_it_may(channel: str, sent_by_us: SentByUs) -> None:
+    with transmission(channel):
+        async with diag_service.diagnose(
+            interface="virtual", channel=channel, profile=Path("j1939"), asks=True
+        ) as live:
+            wait_for(lambda: sent_by_us.services[GROUP_REQUEST] >= 1)
+            assert live is not None
+
+
+async def test_through_an_adapter_no_group_is_asked_for() -> None:
+    with pytest.raises(ConfigError, match="not through an adapter"):
+        async with diag_service.diagnose(adapter="elm327://127.0.0.1:9", profile=Path("j1939"), asks=True):
+            pass
+    run = ended("try", "--adapter", "elm327://127.0.0.1:9", "--profile", "j1939", "--active")
+    assert run.status == 2
+    assert "not through an adapter" in run.err
