@@ -1,6 +1,6 @@
 """The order for each vehicle by what the database holds: the last result of each clutch, and the fluid that is in."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from operator import itemgetter
 from typing import Any, Final
@@ -32,21 +32,21 @@ def present_fluids(connection: Connection, vehicles: Sequence[str] | None = None
     return {vehicle: distinct(own, itemgetter(0))[-1] for vehicle, own in known.items()}
 
 
-def with_orders(rows: Iterable[Row], fluids: Mapping[str, PresentFluid]) -> list[dict[str, Any]]:
-    """Return the last results of clutches with the order for their vehicle; those of an earlier fluid say nothing."""
-    by_vehicle: dict[str, list[dict[str, Any]]] = {}
+def with_orders(rows: Iterable[Row], fluids: Mapping[str, PresentFluid]) -> Iterator[dict[str, Any]]:
+    """Yield the last results of clutches with the order for their vehicle; those of an earlier fluid say nothing."""
+    by_vehicle: dict[str, list[Row]] = {}
     for row in rows:
-        by_vehicle.setdefault(row["vehicle"], []).append(dict(row))
+        by_vehicle.setdefault(row["vehicle"], []).append(row)
     for vehicle, own in by_vehicle.items():
         filled_at, product = fluids.get(vehicle, (None, own[0]["fluid"]))
         order = order_of(map(_finding, own), filled_at)
         news = {"action": order.action.value, "order": order.text, "fluid_since": filled_at, "fluid": product}
         for row in own:
-            if is_of_earlier_fluid(row["end_at"], filled_at):
-                row.update(dict.fromkeys(row.keys() - _KEPT), condition=NO_VERDICT, shift_count=0)
-                row.update(condition_reason=UNKNOWN_FLUID, advice=unseen_since_new(row["clutch"]))
-            row.update(news)
-    return [row for own in by_vehicle.values() for row in own]
+            told = dict(row)
+            if is_of_earlier_fluid(told["end_at"], filled_at):
+                told.update(dict.fromkeys(told.keys() - _KEPT), condition=NO_VERDICT, shift_count=0)
+                told.update(condition_reason=UNKNOWN_FLUID, advice=unseen_since_new(told["clutch"]))
+            yield told | news
 
 
 def is_alarming_since(connection: Connection, vehicle: str, clutch: int, filled_at: datetime) -> bool:

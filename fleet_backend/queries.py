@@ -46,8 +46,10 @@ def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
     """Return the running condition of every clutch, the worst first, with the order for its vehicle."""
     with transaction(engine) as connection:
         rows = connection.execute(select(views.FLEET).order_by(views.FLEET.c.place)).mappings()
-        told = with_orders(rows, present_fluids(connection))
-    told.sort(key=lambda row: (-SEVERITIES.index(row["condition"]), row["place"]))
+        told = sorted(
+            with_orders(rows, present_fluids(connection)),
+            key=lambda row: (-SEVERITIES.index(row["condition"]), row["place"]),
+        )
     return [
         {**row, "place": place, "severity": SEVERITIES.index(row["condition"])} for place, row in enumerate(told, 1)
     ][:limit]

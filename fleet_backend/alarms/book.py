@@ -15,6 +15,7 @@ from fleet_backend.errors import RowRefusedError
 from fleet_backend.office_tables import ALARM, ALARM_MESSAGE
 
 CLAIM: Final = timedelta(seconds=60)  # whoever takes a message has so long to deliver it
+_TOGETHER: Final = 500  # in one transaction
 _FIRST_PAUSE_S: Final = 2.0
 _LONGEST_PAUSE_S: Final = 3600.0
 
@@ -48,7 +49,12 @@ def open_alarms(engine: Engine) -> dict[Subject, bool]:
 
 def write(engine: Engine, steps: Iterable[Transition], carriers: Sequence[str]) -> list[Transition]:
     """Write transitions with a message for each carrier; return those that another process had not written already."""
-    return [step for step in steps if _write(engine, step, carriers)]
+    waiting = list(steps)
+    return [
+        step
+        for first in range(0, len(waiting), _TOGETHER)
+        for step in _write(engine, waiting[first : first + _TOGETHER], carriers)
+    ]
 
 
 def acknowledge(engine: Engine, subject: Subject, number: int, note: Note) -> bool:
@@ -87,35 +93,49 @@ def settle(engine: Engine, letter: Letter, now: datetime, complaint: str | None)
         connection.execute(update(ALARM_MESSAGE).where(*own).values(**values))
 
 
-def _write(engine: Engine, step: Transition, carriers: Sequence[str]) -> bool:
+def _write(engine: Engine, steps: Sequence[Transition], carriers: Sequence[str]) -> list[Transition]:
     try:
         with transaction(engine) as connection:
-            number = _raise(connection, step) if step.event is Event.RAISED else _clear(connection, step)
-            if number is None:
-                return False
-            payload = json.dumps(_payload(step, number), sort_keys=True)
-            key = f"{_key(step.subject, number)}/{step.event}"
+            numbers = _raise(connection, [step for step in steps if step.event is Event.RAISED])
+            for step in steps:
+                if step.event is Event.CLEARED and (number := _clear(connection, step)) is not None:
+                    numbers[step] = number
             rows = [
-                {"key": key, "carrier": one, "payload": payload, "made_at": step.at, "next_try_at": step.at}
-                for one in carriers
+                {
+                    "key": f"{_key(step.subject, number)}/{step.event}",
+                    "carrier": carrier,
+                    "payload": json.dumps(_payload(step, number), sort_keys=True),
+                    "made_at": step.at,
+                    "next_try_at": step.at,
+                }
+                for step, number in numbers.items()
+                for carrier in carriers
             ]
             if rows:
                 connection.execute(insert(ALARM_MESSAGE).values(attempt_count=0), rows)
-    except RowRefusedError:  # another process raised it between our look and our word
-        return False
-    return True
+    except RowRefusedError:  # another process raised one between our look and our word
+        middle = len(steps) // 2
+        return [*_write(engine, steps[:middle], carriers), *_write(engine, steps[middle:], carriers)] if middle else []
+    return list(numbers)
 
 
-def _raise(connection: Connection, step: Transition) -> int | None:
-    """Return the number of a new alarm, or None if one is open."""
-    own = _is_of(step.subject)
-    if connection.execute(select(ALARM.c.number).where(*own, ALARM.c.cleared_at.is_(None))).first():
-        return None
-    last = connection.execute(select(func.max(ALARM.c.number)).where(*own)).scalar_one() or 0
-    subject = step.subject
-    values = {"vehicle": subject.vehicle, "clutch": subject.clutch, "rule": subject.rule.value, "number": last + 1}
-    connection.execute(insert(ALARM).values(**values, raised_at=step.at, reason=step.reason))
-    return int(last) + 1
+def _raise(connection: Connection, steps: Sequence[Transition]) -> dict[Transition, int]:
+    """Return the numbers of new alarms, without those of which one is open."""
+    vehicles = {step.subject.vehicle for step in steps}
+    of = (ALARM.c.vehicle, ALARM.c.clutch, ALARM.c.rule)
+    counts = select(*of, func.max(ALARM.c.number), func.count() - func.count(ALARM.c.cleared_at)).group_by(*of)
+    known = {tuple(row[:3]): row[3:] for row in connection.execute(counts.where(ALARM.c.vehicle.in_(vehicles)))}
+    numbers, rows = dict[Transition, int](), []
+    for step in steps:
+        own = (step.subject.vehicle, step.subject.clutch, step.subject.rule.value)
+        last, open_count = known.get(own, (0, 0))
+        if not open_count:
+            numbers[step] = last + 1
+            values = dict(zip(("vehicle", "clutch", "rule"), own, strict=True))
+            rows.append(values | {"number": last + 1, "raised_at": step.at, "reason": step.reason})
+    if rows:
+        connection.execute(insert(ALARM), rows)
+    return numbers
 
 
 def _clear(connection: Connection, step: Transition) -> int | None:

@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -18,6 +18,8 @@ from fleet_backend.alarms.carriers import Carrier, deliver_all
 from fleet_backend.alarms.rules import (
     Finding,
     Limits,
+    Rule,
+    Subject,
     Transition,
     due_finding,
     heard_last,
@@ -31,10 +33,10 @@ from fleet_backend.database import transaction
 from fleet_backend.errors import DatabaseError
 from fleet_backend.orders import is_alarming_since
 from fleet_backend.page import past
-from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.keeper import DatabaseSource, Keeper, Snapshot
 from fleet_backend.page.maintenance_view import due_of, keep_due
 from fleet_backend.page.outlook import chance_of, outlook_of, outlook_text
-from fleet_backend.page.populations import latest
+from fleet_backend.page.populations import Kept, latest
 from fleet_backend.page.records import ClutchNow, Severity
 from fleet_backend.page.running import last_arrivals
 from fleet_backend.page.vehicle_state import fills_of
@@ -63,7 +65,7 @@ class Watch:
         self._orders = orders
         self._now = now
         self._keeper = Keeper(DatabaseSource(engine))
-        self._judged: dict[str, list[tuple[object, ...]]] = {}
+        self._judged: dict[str, tuple[ClutchNow, ...]] = {}  # as they were then, those of the longest ago first
 
     def round(self, judging_s: float = JUDGING_S) -> list[Transition]:
         """Look at everything once; return what was raised and cleared.
@@ -76,7 +78,8 @@ class Watch:
         self._keeper.refresh()
         now = self._now()
         names = [carrier.name for carrier in self._orders.carriers]
-        steps = list(transitions(self._findings(now, judging_s), book.open_alarms(self._engine), now))
+        is_open = book.open_alarms(self._engine)
+        steps = list(transitions(self._findings(now, judging_s, is_open), is_open, now))
         written = book.write(self._engine, steps, names)
         for step in written:
             subject = step.subject
@@ -96,10 +99,11 @@ class Watch:
 
         return sum(deliver_all(take, settle, carrier, self._now()) for carrier in self._orders.carriers)
 
-    def _findings(self, now: datetime, judging_s: float) -> Iterator[Finding]:
+    def _findings(self, now: datetime, judging_s: float, is_open: Container[Subject]) -> Iterator[Finding]:
         snapshot = self._keeper.snapshot
         for one in snapshot.clutches:
-            is_old = self._speaks_of_old_fluid(one)
+            subject = Subject(vehicle=one.vehicle, clutch=one.clutch, rule=Rule.VERDICT)
+            is_old = subject in is_open and self._speaks_of_old_fluid(one)
             yield verdict_finding(one.vehicle, one.clutch, one.condition, one.order, is_old_fluid=is_old)
         arrivals = last_arrivals(self._engine)
         for record in queries.last_seen(self._engine):
@@ -108,17 +112,22 @@ class Watch:
             heard_at = heard_last(told, now)
             if heard_at is not None:
                 yield silence_finding(vehicle, heard_at, now, self._orders.limits)
-        end_s = time.monotonic() + judging_s
-        for vehicle in dict.fromkeys(one.vehicle for one in snapshot.clutches):
-            clutches = snapshot.vehicles[vehicle]
-            state: list[tuple[object, ...]] = [
-                (one.stream, one.seq, one.algorithm_version, one.fluid_since) for one in clutches
-            ]
-            if self._judged.get(vehicle) != state:
-                yield from self._judge(vehicle, clutches)
-                self._judged[vehicle] = state
-                if time.monotonic() >= end_s:
-                    return
+        kept, end_s = latest(self._engine), time.monotonic() + judging_s
+        for vehicle in self._to_judge(snapshot):
+            if time.monotonic() >= end_s:
+                return
+            yield from self._judge(vehicle, snapshot.vehicles[vehicle], kept)
+            self._judged.pop(vehicle, None)
+            self._judged[vehicle] = snapshot.vehicles[vehicle]
+
+    def _to_judge(self, snapshot: Snapshot) -> list[str]:
+        """Return vehicles with news: those that were never judged, the worst first, then those of the longest ago.
+
+        Thus the worst, which may have news in each round, keep none of the others waiting for ever.
+        """
+        never = dict.fromkeys(one.vehicle for one in snapshot.clutches if one.vehicle not in self._judged)
+        again = (name for name, own in self._judged.items() if snapshot.vehicles.get(name, own) != own)
+        return [*never, *again]
 
     def _speaks_of_old_fluid(self, one: ClutchNow) -> bool:
         """Return whether a clutch has no verdict, and no alarming one since its fluid was changed."""
@@ -127,10 +136,9 @@ class Watch:
         with transaction(self._engine) as connection:
             return not is_alarming_since(connection, one.vehicle, one.clutch, one.fluid_since)
 
-    def _judge(self, vehicle: str, clutches: Sequence[ClutchNow]) -> Iterator[Finding]:
+    def _judge(self, vehicle: str, clutches: Sequence[ClutchNow], kept: Kept | None) -> Iterator[Finding]:
         """Yield what the past of the clutches of a vehicle says."""
-        limits, kept = self._orders.limits, latest(self._engine)
-        fills, founds, readings = fills_of(self._engine, vehicle), [], []
+        limits, fills, founds, readings = self._orders.limits, fills_of(self._engine, vehicle), [], []
         for one in clutches:
             rows = past.results_of(self._engine, vehicle, one.clutch)
             last = rows[-limits.unused_events :]

@@ -12,6 +12,7 @@ from typing import Final, Protocol
 from sqlalchemy import Engine
 
 from fleet_backend.errors import DatabaseError
+from fleet_backend.orders import PresentFluid
 from fleet_backend.page import running
 from fleet_backend.page.listing import choices_of, worst_first
 from fleet_backend.page.records import ClutchNow, Usual
@@ -20,9 +21,11 @@ from fleet_backend.page.usual import ClutchGroup, usual_of
 
 PERIOD_S: Final = 2.0
 REST_RATIO: Final = 19.0  # of the time that reading takes: a twentieth of a processor at most, while much arrives
+LONGEST_REST_S: Final = 30.0  # however long it took: what arrives meanwhile has to be read, too
 OVERLAP: Final = timedelta(seconds=10)  # a transaction that began before one looked may have ended after
 WHOLE_AFTER: Final = timedelta(minutes=15)  # what nobody foresaw is put right by then
 USUAL_FOR: Final = timedelta(minutes=1)  # what is usual changes slowly, and every vehicle's page shows it
+ByVehicle = Mapping[str, tuple[ClutchNow, ...]]
 _NEVER: Final = datetime.min.replace(tzinfo=UTC)
 _LOG: Final = logging.getLogger(__name__)
 
@@ -35,6 +38,9 @@ class Source(Protocol):
 
     def fills_seen(self) -> FillsSeen:
         """Return what tells whether fills were noted."""
+
+    def fluids(self) -> Mapping[str, PresentFluid]:
+        """Return the fluid of each vehicle of which a fill is known."""
 
     def all_clutches(self) -> Sequence[ClutchNow]:
         """Return every clutch."""
@@ -60,6 +66,9 @@ class DatabaseSource:
         """Return what tells whether fills were noted."""
         return running.fills_seen(self._engine)
 
+    def fluids(self) -> Mapping[str, PresentFluid]:
+        return running.fluids_of(self._engine)
+
     def all_clutches(self) -> Sequence[ClutchNow]:
         return running.all_clutches(self._engine)
 
@@ -79,7 +88,7 @@ class Snapshot:
     read_at: datetime = _NEVER
     number: int = 0  # grows whenever something became different
     changed: frozenset[str] = frozenset()  # vehicles that did with this number
-    vehicles: Mapping[str, tuple[ClutchNow, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    vehicles: ByVehicle = field(default_factory=lambda: MappingProxyType({}))
     usual: Mapping[ClutchGroup, Usual] = field(default_factory=lambda: MappingProxyType({}))
     usual_at: datetime = _NEVER
     fluids: tuple[str, ...] = ()
@@ -93,6 +102,7 @@ class Keeper:
         self._source = source
         self._snapshot = Snapshot()
         self._fills: FillsSeen | None = None
+        self._fluids: Mapping[str, PresentFluid] = {}
         self._whole_at = self._snapshot.read_at
         self._listeners: set[Callable[[Snapshot], None]] = set()
         self.complaint: str | None = None  # why the snapshot is older than it should be
@@ -110,41 +120,44 @@ class Keeper:
         DatabaseError
             If the database does not answer or cannot be used; the last snapshot stays.
         """
-        now, fills = self._source.now(), self._source.fills_seen()
-        last = self._snapshot
-        if fills != self._fills or now - self._whole_at >= WHOLE_AFTER:
-            clutches: Sequence[ClutchNow] = self._source.all_clutches()
-            self._fills, self._whole_at = fills, now
+        now, fills, last = self._source.now(), self._source.fills_seen(), self._snapshot
+        fluids = self._fluids if fills == self._fills else self._source.fluids()
+        is_whole = now - self._whole_at >= WHOLE_AFTER
+        if is_whole:
+            fresh = _by_vehicle(self._source.all_clutches())
+            changed = {name for name in fresh.keys() | last.vehicles.keys() if fresh.get(name) != last.vehicles.get(name)}
         else:
-            names = self._source.vehicles_with_news(last.read_at - OVERLAP)
-            fresh = self._source.clutches_of(names) if names else ()
-            if all(one in last.vehicles.get(one.vehicle, ()) for one in fresh):
-                self._snapshot = replace(last, read_at=now)
-                return False
-            renewed = {one.vehicle for one in fresh}
-            clutches = [*(one for one in last.clutches if one.vehicle not in renewed), *fresh]
-        return self._take(worst_first(clutches), now)
+            news = {name for name, fluid in fluids.items() if self._fluids.get(name) != fluid}
+            news |= self._fluids.keys() - fluids.keys()
+            names = sorted(news.union(self._source.vehicles_with_news(last.read_at - OVERLAP)))
+            fresh = _by_vehicle(self._source.clutches_of(names) if names else ())
+            changed = {name for name, own in fresh.items() if own != last.vehicles.get(name)}
+        self._fills, self._fluids, self._whole_at = fills, fluids, now if is_whole else self._whole_at
+        if changed or is_whole:
+            self._snapshot = self._changed(fresh, changed, now, is_whole=is_whole)
+        else:
+            self._snapshot = replace(last, read_at=now)
+        return bool(changed)
 
-    def _take(self, clutches: tuple[ClutchNow, ...], now: datetime) -> bool:
-        last, vehicles = self._snapshot, _by_vehicle(clutches)
-        changed = {
-            name for name in vehicles.keys() | last.vehicles.keys() if vehicles.get(name) != last.vehicles.get(name)
-        }
-        number = last.number + (1 if changed else 0)
-        is_usual_old = now - last.usual_at >= USUAL_FOR
-        fluids, types = choices_of(clutches)
-        self._snapshot = Snapshot(
+    def _changed(self, fresh: ByVehicle, changed: set[str], now: datetime, *, is_whole: bool) -> Snapshot:
+        """Return the fleet with what was read of it: of changed vehicles, or of all."""
+        last = Snapshot() if is_whole else self._snapshot
+        read = [one for name, own in fresh.items() if is_whole or name in changed for one in own]
+        clutches = worst_first([*(one for one in last.clutches if one.vehicle not in changed), *read])
+        is_usual_old = now - self._snapshot.usual_at >= USUAL_FOR
+        fluids, types = choices_of(read)  # those of which nothing is left go when all is read
+        return replace(
+            self._snapshot,
             clutches=clutches,
             read_at=now,
-            number=number,
-            changed=frozenset(changed) if changed else last.changed,
-            vehicles=vehicles,
-            usual=usual_of(clutches) if is_usual_old else last.usual,
-            usual_at=now if is_usual_old else last.usual_at,
-            fluids=fluids,
-            types=types,
+            number=self._snapshot.number + (1 if changed else 0),
+            changed=frozenset(changed) if changed else self._snapshot.changed,
+            vehicles=MappingProxyType({**last.vehicles, **fresh}),
+            usual=usual_of(clutches) if is_usual_old else self._snapshot.usual,
+            usual_at=now if is_usual_old else self._snapshot.usual_at,
+            fluids=tuple(sorted({*last.fluids, *fluids})),
+            types=tuple(sorted({*last.types, *types})),
         )
-        return bool(changed)
 
     def listen(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:
         """Call a listener, in the event loop, with each new snapshot; return what ends that."""
@@ -158,7 +171,7 @@ class Keeper:
             await asyncio.sleep(pause_s)
             began_s = time.monotonic()
             await self.look()
-            pause_s = max(period_s, REST_RATIO * (time.monotonic() - began_s))
+            pause_s = max(period_s, min(REST_RATIO * (time.monotonic() - began_s), LONGEST_REST_S))
 
     async def look(self) -> None:
         """Refresh once, in a thread, and tell who listens if something is new; what goes wrong is kept to be shown."""
@@ -174,10 +187,8 @@ class Keeper:
             listener(self._snapshot)
 
 
-def _by_vehicle(clutches: Sequence[ClutchNow]) -> Mapping[str, tuple[ClutchNow, ...]]:
+def _by_vehicle(clutches: Sequence[ClutchNow]) -> ByVehicle:
     found: dict[str, list[ClutchNow]] = {}
     for one in clutches:
         found.setdefault(one.vehicle, []).append(one)
-    return MappingProxyType({
-        name: tuple(sorted(some, key=lambda one: one.clutch)) for name, some in found.items()
-    })  # fmt: skip
+    return {name: tuple(sorted(some, key=lambda one: one.clutch)) for name, some in found.items()}

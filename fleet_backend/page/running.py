@@ -1,6 +1,6 @@
 """The running condition of clutches, read for the whole fleet or for some vehicles: an index look-up per clutch."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
 from types import MappingProxyType
@@ -11,7 +11,7 @@ from sqlalchemy import Connection, Engine, TextClause, TextualSelect, bindparam,
 from fleet_backend.database import transaction
 from fleet_backend.months.locations import CLUTCH_STREAM
 from fleet_backend.months.partitions import has_partitions
-from fleet_backend.orders import present_fluids, with_orders
+from fleet_backend.orders import PresentFluid, present_fluids, with_orders
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchNow
 from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, WITHDRAWN_FILL, UtcDateTime
@@ -25,12 +25,7 @@ SELECT
   s.running_std_mu_c AS std_mu_c, s.running_std_mu_s AS std_mu_s, s.running_correlation AS correlation,
   s.running_slope_s_rad AS slope_s_rad, s.running_std_slope_s_rad AS std_slope_s_rad,
   s.running_probability_negative_slope AS probability_negative_slope,
-  s.odometer_m, s.end_at, s.stored_at, s.stream, s.seq, s.algorithm_version, s.calibration_version,
-  (
-    SELECT f.product FROM fluid_fill AS f
-    WHERE f.vehicle = s.vehicle AND f.filled_at <= s.end_at
-    ORDER BY f.filled_at DESC LIMIT 1
-  ) AS fluid
+  s.odometer_m, s.end_at, s.stored_at, s.stream, s.seq, s.algorithm_version, s.calibration_version, NULL AS fluid
 FROM {source}
 """
 _IN_ONE_TABLE: Final = """(
@@ -52,17 +47,16 @@ CROSS JOIN current_shift AS s
 WHERE s.vehicle = p.vehicle AND s.stream = p.stream AND s.seq = p.seq
 """
 # LIMIT keeps PostgreSQL from joining all months at once: one look into one part per clutch, however many there are.
-_BY_MONTH: Final = """clutch AS k
-CROSS JOIN LATERAL (
-  SELECT * FROM clutch_stream AS e WHERE e.vehicle = k.vehicle AND e.clutch = k.clutch
-  ORDER BY e.last_at DESC, e.stream DESC LIMIT 1
+_BY_MONTH: Final = """(
+  SELECT DISTINCT ON (k.vehicle, k.clutch) k.* FROM clutch_stream AS k {where}
+  ORDER BY k.vehicle, k.clutch, k.last_at DESC, k.stream DESC
 ) AS p
 CROSS JOIN LATERAL (
   SELECT * FROM shift_result AS r
-  WHERE r.vehicle = k.vehicle AND r.stream = p.stream AND r.seq = p.last_seq
+  WHERE r.vehicle = p.vehicle AND r.stream = p.stream AND r.seq = p.last_seq
     AND r.version_rank = p.last_version_rank AND r.produced_at = p.last_produced_at
   LIMIT 1
-) AS s {where}
+) AS s
 """
 _NAMES: Final = tuple(field.name for field in fields(ClutchNow))
 
@@ -139,6 +133,12 @@ def database_time(engine: Engine) -> datetime:
         return connection.execute(select(func.current_timestamp(type_=UtcDateTime()))).scalar_one()
 
 
+def fluids_of(engine: Engine) -> Mapping[str, PresentFluid]:
+    """Return the fluid of each vehicle of which a fill is known."""
+    with transaction(engine) as connection:
+        return present_fluids(connection)
+
+
 def fills_seen(engine: Engine) -> FillsSeen:
     """Return how many fluid fills are noted and taken back, and the latest."""
     with transaction(engine) as connection:
@@ -147,7 +147,8 @@ def fills_seen(engine: Engine) -> FillsSeen:
     return FillsSeen(count=count, latest=latest, withdrawn_count=withdrawn_count)
 
 
-def _told(connection: Connection, rows: Sequence[Mapping[str, Any]]) -> list[ClutchNow]:
+def _told(connection: Connection, rows: Iterable[Mapping[str, Any]]) -> list[ClutchNow]:
     """Return clutches, of whose calibrations is known what their vehicles told."""
-    remember(connection, ((row["vehicle"], row["calibration_version"]) for row in rows))
-    return [ClutchNow(**{name: row[name] for name in _NAMES}) for row in rows]
+    found = [ClutchNow(**{name: row[name] for name in _NAMES}) for row in rows]
+    remember(connection, ((one.vehicle, one.calibration_version) for one in found))
+    return found

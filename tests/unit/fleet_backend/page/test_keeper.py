@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from datetime import datetime, timedelta
 
 from fleet_backend.errors import DatabaseAwayError
+from fleet_backend.orders import PresentFluid
 from fleet_backend.page.keeper import REST_RATIO, WHOLE_AFTER, Keeper
 from fleet_backend.page.records import ClutchNow
 from fleet_backend.page.running import FillsSeen
@@ -21,6 +22,7 @@ class Fleet:
         self.news: list[str] = []
         self.at = NOW
         self.fills = FillsSeen(count=0, latest=None)
+        self.filled: dict[str, PresentFluid] = {}
         self.asked: list[str] = []
         self.is_away = False
 
@@ -31,6 +33,10 @@ class Fleet:
 
     def fills_seen(self) -> FillsSeen:
         return self.fills
+
+    def fluids(self) -> dict[str, PresentFluid]:
+        self.asked.append("fluids")
+        return dict(self.filled)
 
     def all_clutches(self) -> Sequence[ClutchNow]:
         self.asked.append("all")
@@ -52,24 +58,30 @@ def test_only_vehicles_with_news_are_read_again() -> None:
     fleet.clutches = [clutch_now("a"), clutch_now("b", condition="watch"), clutch_now("c")]
     fleet.news = ["b", "c"]
     assert keeper.refresh()
-    assert fleet.asked == ["all", "b,c"]
+    assert fleet.asked == ["fluids", "all", "b,c"]
     assert [one.vehicle for one in keeper.snapshot.clutches] == ["b", "a", "c"]
     assert (keeper.snapshot.number, keeper.snapshot.changed) == (2, frozenset({"b", "c"}))
     assert not keeper.refresh()  # the same news again, within the overlap
     assert keeper.snapshot.number == 2
 
 
-def test_new_fluid_and_time_make_it_read_all() -> None:
-    fleet = Fleet(clutch_now("a"))
+def test_new_fluid_makes_it_read_its_vehicle_and_time_all() -> None:
+    fleet = Fleet(clutch_now("a"), clutch_now("b"))
     keeper = Keeper(fleet)
     keeper.refresh()
-    fleet.fills = FillsSeen(count=1, latest=NOW)
-    fleet.clutches = [clutch_now("a", fluid="new")]
+    fleet.fills, fleet.filled = FillsSeen(count=1, latest=NOW), {"a": (NOW, "new")}
+    fleet.clutches[0] = clutch_now("a", fluid="new")
     assert keeper.refresh()
     assert keeper.snapshot.vehicles["a"][0].fluid == "new"
+    fleet.fills, fleet.filled = FillsSeen(count=0, latest=None, withdrawn_count=1), {}
+    fleet.clutches[0] = clutch_now("a")
+    assert keeper.refresh()
+    assert keeper.snapshot.vehicles["a"][0].fluid == clutch_now("a").fluid
+    assert fleet.asked == ["fluids", "all", "fluids", "a", "fluids", "a"]
     fleet.at += WHOLE_AFTER + timedelta(seconds=1)
-    assert not keeper.refresh()
-    assert fleet.asked == ["all"] * 3
+    del fleet.clutches[1]
+    assert keeper.refresh()
+    assert (fleet.asked[-1], set(keeper.snapshot.vehicles), len(keeper.snapshot.clutches)) == ("all", {"a"}, 1)
 
 
 async def test_who_listens_hears_of_changes_and_a_database_that_is_away_is_said() -> None:
