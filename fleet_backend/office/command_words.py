@@ -40,6 +40,9 @@ _LOTS: Final = Command(
     Option("--read FILE", "CSV with a column vehicle and one for each property; empty cells are forgotten", FILE),
     examples=(f"{PROGRAM} lots --read lots.csv", f"{PROGRAM} lots --json"),
 )
+_ACCESS: Final = Option(
+    "--access FILE", "who may read and change what, by a login here or by a proxy with one (docs/page.md)", FILE
+)
 _SERVE: Final = Command(
     "serve",
     "show the fleet to browsers and programs, until stopped",
@@ -50,9 +53,7 @@ _SERVE: Final = Command(
         f" (default: {DEFAULT_LISTEN})",
         default=DEFAULT_LISTEN,
     ),
-    Option(
-        "--access FILE", "who may read and change what, by a login here or by a proxy with one (docs/page.md)", FILE
-    ),
+    _ACCESS,
     examples=(f"{PROGRAM} serve", f"{PROGRAM} serve --listen 127.0.0.1:8090"),
 )
 _WATCH: Final = Command(
@@ -82,7 +83,9 @@ _WATCH: Final = Command(
         FLOAT,
         default=float(DEFAULT_SILENCE_DAYS),
     ),
-    Option("--once", "check everything once, deliver, and end"),
+    Option("--listen ADDRESS", "show the pages of serve there, too: both share one view of the fleet"),
+    _ACCESS,
+    Option("--once", "check once, for half a minute of prognoses at most, deliver, and end"),
     examples=(
         f"{PROGRAM} watch --webhook https://hooks.example/fleet --secret webhook.secret",
         f"{PROGRAM} watch --mqtt --broker mqtts://fleet@broker.example",

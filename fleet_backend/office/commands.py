@@ -1,9 +1,11 @@
 """What the commands of the fleet office do."""
 
 import sys
+from collections.abc import Callable, Coroutine
 from datetime import UTC, datetime
 from importlib import import_module
 from types import ModuleType, SimpleNamespace
+from typing import Any
 
 from sqlalchemy import Engine
 
@@ -15,7 +17,7 @@ from fleet_backend.alarms.words import parse_mail, parse_secret, parse_service_k
 from fleet_backend.commands import broker_of, tell, user_name
 from fleet_backend.config import parse_listen
 from fleet_backend.database import default_database, open_database
-from fleet_backend.errors import ExtraMissingError
+from fleet_backend.errors import ConfigError, ExtraMissingError
 from fleet_backend.lots import lots_of, read_lots, store_lots
 from fleet_backend.office.forgetting import forget_vehicle
 from fleet_backend.office.retention import retain as retain_months
@@ -76,13 +78,15 @@ def lots(options: SimpleNamespace, engine: Engine) -> None:
     tell(options, records, lambda: report.lots_table(records))
 
 
-def serve(options: SimpleNamespace, engine: Engine) -> None:
+def serve(
+    options: SimpleNamespace, engine: Engine, beside: Callable[[Any], Coroutine[None, None, None]] | None = None
+) -> None:
     place = parse_listen(options.listen, has_login=options.access is not None)
     server = _page_part("fleet_backend.page.server")
     access = read_access(options.access) if options.access is not None else Access()
     readers = open_database(options.database or default_database(), must_exist=True, is_read_only=True)
     try:
-        server.run_server(readers, engine, place.host, place.port, access)
+        server.run_server(readers, engine, place.host, place.port, access, beside)
     finally:
         readers.dispose()
 
@@ -100,6 +104,11 @@ def watch(options: SimpleNamespace, engine: Engine) -> None:
         carriers.append(Mqtt(broker=broker_of(options)))
     watching = _page_part("fleet_backend.office.watching")
     orders = watching.Orders(carriers=carriers, limits=limits, service_distance_m=distance_m)
+    if options.listen is not None:
+        if options.once:
+            raise ConfigError("--once ends, --listen does not: give one of them")
+        serve(options, engine, lambda keeper: watching.watch_for_ever(engine, orders, shared=keeper))
+        return
     watching.run_watch(engine, orders, is_once=options.once)
 
 

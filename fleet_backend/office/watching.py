@@ -2,11 +2,14 @@
 
 import asyncio
 import logging
+import random
 import time
+from collections import deque
 from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import chain
 from typing import Final
 
 from sqlalchemy import Engine
@@ -33,7 +36,7 @@ from fleet_backend.database import transaction
 from fleet_backend.errors import DatabaseError
 from fleet_backend.orders import is_alarming_since
 from fleet_backend.page import past
-from fleet_backend.page.keeper import DatabaseSource, Keeper, Snapshot
+from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.maintenance_view import due_of, keep_due
 from fleet_backend.page.outlook import chance_of, outlook_of, outlook_text
 from fleet_backend.page.populations import Kept, latest
@@ -43,7 +46,8 @@ from fleet_backend.page.vehicle_state import fills_of
 from fleet_backend.stopping import stopping
 
 ROUND_S: Final = 10.0
-JUDGING_S: Final = 5.0  # of a round, for prognoses; what is left over is judged in the next, the worst first
+JUDGING_S: Final = 5.0  # of a round, for prognoses; what is left over is judged in the next
+ONCE_S: Final = 30.0  # of the only round
 DELIVERY_S: Final = 2.0
 _LOG: Final = logging.getLogger(__name__)
 
@@ -60,26 +64,39 @@ class Orders:
 class Watch:
     """Holds the fleet against the rules; what it did not get to is judged in the next round."""
 
-    def __init__(self, engine: Engine, orders: Orders, now: Callable[[], datetime]) -> None:
+    def __init__(
+        self, engine: Engine, orders: Orders, now: Callable[[], datetime], *, shared: Keeper | None = None
+    ) -> None:
         self._engine = engine
         self._orders = orders
         self._now = now
-        self._keeper = Keeper(DatabaseSource(engine))
+        self._is_sharing = shared is not None  # then others keep it fresh
+        self._keeper = shared or Keeper(DatabaseSource(engine))
+        self.waiting_count = 0  # vehicles with news that the last round did not get to
         self._judged: dict[str, tuple[ClutchNow, ...]] = {}  # as they were then, those of the longest ago first
 
-    def round(self, judging_s: float = JUDGING_S) -> list[Transition]:
+    def round(self, judging_s: float = JUDGING_S, *, is_drawn: bool = False) -> list[Transition]:
         """Look at everything once; return what was raised and cleared.
+
+        Parameters
+        ----------
+        judging_s :
+            How long pasts are judged; then one vehicle is done with, and the others wait.
+        is_drawn :
+            Whether chance decides who is judged first; else the worst that never was.
 
         Raises
         ------
         DatabaseError
             If the database does not answer; what is written stays, the rest follows in the next round.
         """
-        self._keeper.refresh()
+        if not self._is_sharing:
+            self._keeper.refresh()
         now = self._now()
         names = [carrier.name for carrier in self._orders.carriers]
         is_open = book.open_alarms(self._engine)
-        steps = list(transitions(self._findings(now, judging_s, is_open), is_open, now))
+        findings = chain(self._findings(now, is_open), self._pasts(judging_s, is_drawn=is_drawn))
+        steps = list(transitions(findings, is_open, now))
         written = book.write(self._engine, steps, names)
         for step in written:
             subject = step.subject
@@ -99,9 +116,8 @@ class Watch:
 
         return sum(deliver_all(take, settle, carrier, self._now()) for carrier in self._orders.carriers)
 
-    def _findings(self, now: datetime, judging_s: float, is_open: Container[Subject]) -> Iterator[Finding]:
-        snapshot = self._keeper.snapshot
-        for one in snapshot.clutches:
+    def _findings(self, now: datetime, is_open: Container[Subject]) -> Iterator[Finding]:
+        for one in self._keeper.snapshot.clutches:
             subject = Subject(vehicle=one.vehicle, clutch=one.clutch, rule=Rule.VERDICT)
             is_old = subject in is_open and self._speaks_of_old_fluid(one)
             yield verdict_finding(one.vehicle, one.clutch, one.condition, one.order, is_old_fluid=is_old)
@@ -112,22 +128,26 @@ class Watch:
             heard_at = heard_last(told, now)
             if heard_at is not None:
                 yield silence_finding(vehicle, heard_at, now, self._orders.limits)
-        kept, end_s = latest(self._engine), time.monotonic() + judging_s
-        for vehicle in self._to_judge(snapshot):
-            if time.monotonic() >= end_s:
-                return
-            yield from self._judge(vehicle, snapshot.vehicles[vehicle], kept)
-            self._judged.pop(vehicle, None)
-            self._judged[vehicle] = snapshot.vehicles[vehicle]
 
-    def _to_judge(self, snapshot: Snapshot) -> list[str]:
-        """Return vehicles with news: those that were never judged, the worst first, then those of the longest ago.
+    def _pasts(self, judging_s: float, *, is_drawn: bool) -> Iterator[Finding]:
+        """Judge vehicles with news: those that never were, the worst first, then those of the longest ago.
 
         Thus the worst, which may have news in each round, keep none of the others waiting for ever.
         """
-        never = dict.fromkeys(one.vehicle for one in snapshot.clutches if one.vehicle not in self._judged)
+        snapshot, kept, end_s = self._keeper.snapshot, latest(self._engine), time.monotonic() + judging_s
+        never = list(dict.fromkeys(one.vehicle for one in snapshot.clutches if one.vehicle not in self._judged))
+        if is_drawn:
+            random.shuffle(never)
         again = (name for name, own in self._judged.items() if snapshot.vehicles.get(name, own) != own)
-        return [*never, *again]
+        names = deque((*never, *again))
+        while names:
+            vehicle = names.popleft()
+            yield from self._judge(vehicle, snapshot.vehicles[vehicle], kept)
+            self._judged.pop(vehicle, None)
+            self._judged[vehicle] = snapshot.vehicles[vehicle]
+            if time.monotonic() >= end_s:
+                break
+        self.waiting_count = len(names)
 
     def _speaks_of_old_fluid(self, one: ClutchNow) -> bool:
         """Return whether a clutch has no verdict, and no alarming one since its fluid was changed."""
@@ -158,20 +178,32 @@ class Watch:
 
 
 def run_watch(engine: Engine, orders: Orders, *, is_once: bool = False) -> None:
-    """Watch until SIGINT or SIGTERM, or for one round in which everything is judged."""
-    watch = Watch(engine, orders, lambda: datetime.now(UTC))
+    """Watch until SIGINT or SIGTERM, or for one round."""
     if is_once:
-        watch.round(judging_s=float("inf"))
+        watch = Watch(engine, orders, _utc_now)
+        watch.round(ONCE_S, is_drawn=True)
+        if watch.waiting_count:
+            _LOG.warning("%d vehicles were not judged in %g s; a watch that goes on does", watch.waiting_count, ONCE_S)
         watch.deliver()
         return
-    asyncio.run(_watch_until_told(watch))
+    asyncio.run(_watch_until_told(engine, orders))
 
 
-async def _watch_until_told(watch: Watch) -> None:
-    work = asyncio.gather(_repeat(watch.round, ROUND_S), _repeat(watch.deliver, DELIVERY_S))
+async def _watch_until_told(engine: Engine, orders: Orders) -> None:
+    work = asyncio.ensure_future(watch_for_ever(engine, orders))
     with stopping(work.cancel), suppress(asyncio.CancelledError):
-        _LOG.info("watching")
         await work
+
+
+def _utc_now() -> datetime:
+    return datetime.now(UTC)
+
+
+async def watch_for_ever(engine: Engine, orders: Orders, shared: Keeper | None = None) -> None:
+    """Look and deliver until it is cancelled."""
+    watch = Watch(engine, orders, _utc_now, shared=shared)
+    _LOG.info("watching")
+    await asyncio.gather(_repeat(watch.round, ROUND_S), _repeat(watch.deliver, DELIVERY_S))
 
 
 async def _repeat(step: Callable[[], object], pause_s: float) -> None:

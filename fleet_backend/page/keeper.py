@@ -125,7 +125,8 @@ class Keeper:
         is_whole = now - self._whole_at >= WHOLE_AFTER
         if is_whole:
             fresh = _by_vehicle(self._source.all_clutches())
-            changed = {name for name in fresh.keys() | last.vehicles.keys() if fresh.get(name) != last.vehicles.get(name)}
+            names = sorted(fresh.keys() | last.vehicles.keys())
+            changed = {name for name in names if fresh.get(name) != last.vehicles.get(name)}
         else:
             news = {name for name, fluid in fluids.items() if self._fluids.get(name) != fluid}
             news |= self._fluids.keys() - fluids.keys()

@@ -6,7 +6,7 @@ import logging
 import os
 import socket
 import sys
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from datetime import UTC, datetime
 from typing import Final
@@ -32,8 +32,17 @@ _GRACE_S: Final = 3  # for readers who are being answered when the server is tol
 _LOG: Final = logging.getLogger(__name__)
 
 
-def run_server(engine: Engine, writer: Engine, host: str, port: int, access: Access) -> None:
+def run_server(
+    engine: Engine,
+    writer: Engine,
+    host: str,
+    port: int,
+    access: Access,
+    beside: Callable[[Keeper], Coroutine[None, None, None]] | None = None,
+) -> None:
     """Serve the page until SIGINT or SIGTERM; say on standard output where it is.
+
+    What runs ``beside`` shares its view of the fleet.
 
     Raises
     ------
@@ -54,7 +63,7 @@ def run_server(engine: Engine, writer: Engine, host: str, port: int, access: Acc
         sources = Sources(
             engine=engine, keeper=keeper, news=News(keeper), writer=writer if access.knows_people else None
         )
-        asyncio.run(_serve_until_told(sources, listener, access))
+        asyncio.run(_serve_until_told(sources, listener, access, None if beside is None else beside(keeper)))
 
 
 @contextmanager
@@ -161,13 +170,22 @@ class _Server(uvicorn.Server):
         yield
 
 
-async def _serve_until_told(sources: Sources, listener: socket.socket, access: Access) -> None:
+async def _serve_until_told(
+    sources: Sources, listener: socket.socket, access: Access, beside: Coroutine[None, None, None] | None
+) -> None:
     servers: list[uvicorn.Server] = []
 
     def stop() -> None:
         for server in servers:
             server.should_exit = True
 
+    task = None if beside is None else asyncio.create_task(beside)
+    if task is not None:
+        task.add_done_callback(lambda _: stop())  # neither goes on without the other
     with stopping(stop):
         await serve(sources, listener, access=access, on_start=servers.append)
+    if task is not None:
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
     _LOG.info("ended")

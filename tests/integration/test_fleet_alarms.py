@@ -6,7 +6,10 @@ import hashlib
 import hmac
 import json
 import socketserver
+import subprocess
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,15 +19,16 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import httpx
 import pytest
-from sqlalchemy import Engine, select
+from sqlalchemy import Engine, event, select
 
 from diag_service.diagnosis.records import Condition
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter, Note
 from fleet_backend.alarms.carriers import Mail, Webhook
 from fleet_backend.alarms.mqtt import TOPIC_ROOT, Mqtt
-from fleet_backend.alarms.rules import Rule, Subject
+from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import CarrierError
@@ -32,6 +36,7 @@ from fleet_backend.office.watching import Orders, Watch
 from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, AUDIT
 from fleet_backend.page import alarms_view
 from fleet_backend.page.asking import read_words
+from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.writer import Batch, Writer
 from fleet_link import Connection, Message, Terms, parse_broker
 from tests.plugins.broker import Mosquitto
@@ -143,6 +148,60 @@ def test_a_process_that_dies_while_it_writes_leaves_no_half(engine: Engine, monk
     assert book.open_alarms(engine) == {}
     assert len(watch.round()) == 2
     assert watch.deliver() == 2
+
+
+def test_many_alarms_are_written_in_few_transactions_and_none_twice(engine: Engine) -> None:
+    vehicles, commits = [f"v{number}" for number in range(600)], list[object]()
+    shifts = [row_of(fleet_result(1, vehicle=vehicle, condition=BAD)) for vehicle in vehicles]
+    Writer(engine).store(Batch(shifts=shifts))
+    event.listen(engine, "commit", commits.append)
+    subjects = [Subject(vehicle=vehicle, clutch=2, rule=Rule.VERDICT) for vehicle in vehicles]
+    steps = [Transition(subject=one, event=Event.RAISED, reason="x", at=NOW) for one in subjects]
+    assert book.write(engine, steps[:500], ["memory"]) == steps[:500]
+    assert len(commits) == 1
+    assert book.write(engine, [*steps, steps[-1]], ["memory"]) == steps[500:]  # as if another had raised it meanwhile
+    over = [replace(step, event=Event.CLEARED) for step in steps]
+    assert book.write(engine, [*over, *over[:3]], ["memory"]) == over
+    with transaction(engine) as connection:
+        assert len(connection.execute(select(ALARM_MESSAGE)).all()) == 1200
+
+
+def test_the_worst_keeps_no_other_waiting(engine: Engine) -> None:
+    for vehicle, condition in (("worst", BAD), ("b", Condition.WATCH), ("c", Condition.GOOD)):
+        store(engine, 1, condition, vehicle)
+    watch, waiting = Watch(engine, Orders(), Clock()), list[int]()
+    for seq in range(2, 6):
+        watch.round(judging_s=0.0)  # one vehicle is judged, however little time there is
+        waiting.append(watch.waiting_count)
+        store(engine, seq, BAD, "worst")
+    assert waiting == [2, 2, 1, 0]
+
+
+async def test_a_watch_beside_the_pages_reads_no_fleet_of_its_own(engine: Engine) -> None:
+    store(engine, 1, BAD)
+    keeper = Keeper(DatabaseSource(engine))
+    watch = Watch(engine, Orders(), Clock(), shared=keeper)
+    assert not [step for step in watch.round() if step.subject.rule is Rule.VERDICT]
+    await keeper.look()
+    assert [step for step in watch.round() if step.subject.rule is Rule.VERDICT]
+
+
+def test_one_program_watches_and_shows_what_it_found(engine: Engine) -> None:
+    store(engine, 1, BAD)
+    address = engine.url.render_as_string(hide_password=False)
+    command = [sys.executable, "-m", "fleet_backend", "watch", "--database", address, "--listen", "127.0.0.1:0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        page = process.stdout.readline().split()[0]
+        deadline_s, rules = time.monotonic() + HANG_S, set[str]()
+        while "verdict" not in rules:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.05)
+            with httpx.Client(base_url=page, trust_env=False, timeout=HANG_S) as client:
+                rules = {one["rule"] for one in client.get("/api/v1/alarms?state=all").json()["alarms"]}
+        process.terminate()
+    assert process.returncode == 0
+    assert main(["watch", "--database", address, "--listen", "127.0.0.1:0", "--once"]) == 2
 
 
 def test_an_alarm_is_acknowledged_once_and_that_is_audited(engine: Engine) -> None:

@@ -16,7 +16,7 @@ BEFORE, LOADED = "fleet_backend.arguments", "fleet_backend.stopping"  # modules;
 AGAIN_S = 1.0e-3
 
 
-@pytest.mark.parametrize("word", ["ingest", "serve", "watch", "follow"])
+@pytest.mark.parametrize("word", ["ingest", "serve", "watch", "watch and serve", "follow"])
 @pytest.mark.parametrize(("module", "pause_s"), [(BEFORE, 0.0), (BEFORE, 0.1), (LOADED, 0.0), (LOADED, 0.5)])
 def test_signals_at_any_moment_end_the_backend_well(
     tmp_path: Path, broker: Mosquitto, sqlite_url: str, word: str, module: str, pause_s: float
@@ -26,10 +26,11 @@ def test_signals_at_any_moment_end_the_backend_well(
         "ingest": ["--database", sqlite_url, "--broker", broker.url],
         "serve": ["--database", sqlite_url, "--listen", "127.0.0.1:0"],
         "watch": ["--database", sqlite_url],
+        "watch and serve": ["--database", sqlite_url, "--listen", "127.0.0.1:0"],
         "follow": [broker.url],
     }
     said = tmp_path / "said.log"
-    command = [sys.executable, "-X", "importtime", "-m", "fleet_backend", word, *options[word]]
+    command = [sys.executable, "-X", "importtime", "-m", "fleet_backend", word.partition(" ")[0], *options[word]]
     with said.open("wb") as log, subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=log) as process:
         deadline_s = time.monotonic() + HANG_S
         while f"{module}\n" not in said.read_text(encoding="utf-8"):
