@@ -25,13 +25,14 @@ from diag_service.commands.arguments import (
     EXIT_STORE,
     parse_arguments,
 )
-from diag_service.commands.program import PROGRAM
 from diag_service.errors import ConfigError, ControllerError, IncompleteError, StoppedError, StoreError
 from diag_service.service.stopping import Controls, PatientTrigger, Trigger, ignore
+from diag_service.settings.options import PROGRAM
 
 _FUNCTIONS: Final = {  # of commands that share a module; the others are ``execute`` in a module of their own
-    **{word: f"live.{word}" for word in ("monitor", "run")},
+    **{word: f"live.{word}" for word in ("config", "monitor", "run")},
     **{word: f"store.{word}" for word in ("fluid_changed", "history", "report", "show")},
+    "calibrate": "learn.calibrate",
     "cluster": "lake.cluster",
 }
 COUNTS_WANTED: Final = tuple(number for number in signal.Signals if number.name == "SIGUSR1")  # POSIX alone has it

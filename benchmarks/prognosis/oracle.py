@@ -15,8 +15,8 @@ from benchmarks.prognosis.lives import ERRORS, Errors, Life
 from benchmarks.prognosis.truth import CASE_2, GONE, LINING_PER_KM, REFERENCE, SHAPES, STEP_KM, Stratum
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis import Passage
-from diag_service.diagnosis.prognosis.clocks import DISTANCE_M
-from diag_service.diagnosis.prognosis.normal import normal_cdf
+from diag_service.diagnosis.prognosis.channels import DISTANCE_M
+from diag_service.diagnosis.prognosis.trend import normal_cdf
 
 LIFE_STEPS: Final = np.linspace(-2.6, 2.6, 41)  # standard deviations of the logarithm of the life
 SHAPE_COUNT: Final = 7

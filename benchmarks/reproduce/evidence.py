@@ -8,8 +8,7 @@ import numpy as np
 from benchmarks.reproduce.drives import BoolArray, PaperDrive, noisy
 from benchmarks.reproduce.study import CALIBRATION, CLUTCHES, Setup, analysed, error_percent, true_value
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.friction.paper.fit import fit, static_gate
-from diag_service.diagnosis.friction.paper.friction_data import FrictionData
+from diag_service.diagnosis.friction.paper.friction_data import FrictionData, fit, static_gate
 
 PRIOR_FACTORS = (0.8, 0.9, 1.0, 1.1, 1.2)
 PASS_COUNT = 5

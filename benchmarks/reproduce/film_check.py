@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from benchmarks.reproduce.drives import PaperDrive
 from benchmarks.reproduce.study import CALIBRATION, Errors, Setup, analysed, errors_of
 from diag_service.diagnosis.friction.paper import PaperEstimate
-from diag_service.diagnosis.friction.paper.fit import fit
-from diag_service.diagnosis.friction.paper.friction_data import friction_data, viscous_torques_nm
+from diag_service.diagnosis.friction.paper.friction_data import fit, friction_data, viscous_torques_nm
 from ecu_emulator.plant import Col
 
 

@@ -19,7 +19,7 @@ from benchmarks.reproduce.study import (
     noiseless_errors,
     noisy_errors,
 )
-from diag_service.diagnosis.friction.paper.fit import NOISY_GATES
+from diag_service.diagnosis.friction.paper.friction_data import NOISY_GATES
 
 VARIANT_SEEDS = 10  # draws of the noise behind each reading and the evidence, at most
 CAN_SEEDS = 5  # drives behind the vehicle route, at most

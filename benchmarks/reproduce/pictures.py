@@ -18,7 +18,7 @@ from canlog.arrays import FloatArray
 from clutch_model.pack import friction_law, kinetic_friction
 from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from diag_service.diagnosis.friction.paper.differentiate import SteadyKalman
-from diag_service.diagnosis.friction.paper.fit import coulomb_gate, static_gate
+from diag_service.diagnosis.friction.paper.friction_data import coulomb_gate, static_gate
 from diag_service.diagnosis.friction.paper.method import Analysis, PaperSignals
 from ecu_emulator.plant import Col
 from ecu_emulator.shift_control.tcu_data import HOLD, TORQUE

@@ -18,8 +18,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.friction.paper import PaperEstimate, nominal_driveline
 from diag_service.diagnosis.friction.paper.differentiate import quiet_filter
-from diag_service.diagnosis.friction.paper.fit import NOISELESS_GATES, NOISY_GATES, Gates, fit
-from diag_service.diagnosis.friction.paper.friction_data import FilmTable
+from diag_service.diagnosis.friction.paper.friction_data import NOISELESS_GATES, NOISY_GATES, FilmTable, Gates, fit
 from diag_service.diagnosis.friction.paper.method import Analysis, Differentiators, PaperSignals, analyse
 
 CLUTCHES = (1, 2)

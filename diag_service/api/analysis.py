@@ -4,10 +4,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
-from clutch_model.calibration import Calibration
-from diag_service.api.choices import AnyPath, AnyPaths, Delivery, configuration, optional_path, path_list
+from diag_service.api.choices import AnyPath, AnyPaths, Delivery, LogMeaning, configuration, optional_path, path_list
 from diag_service.api.tables import ResultTable
 from diag_service.batch.tables import columns, drive_rows, flattened, record_columns
 from diag_service.console.notices import collected_notices
@@ -151,16 +150,11 @@ class Analysis:
 def analyze(
     paths: AnyPaths,
     *,
-    vehicle: str | None = None,
-    dbc: AnyPath | None = None,
-    profile: AnyPath | None = None,
-    calibration: Calibration | AnyPath | None = None,
     store: AnyPath | None = None,
     store_budget_mib: int | None = None,
     delivery: Delivery | None = None,
     is_strict: bool = False,
-    is_lenient: bool = False,
-    columns: str = "",
+    **meaning: Unpack[LogMeaning],
 ) -> Analysis:
     """Diagnose the logs of one drive, as ``diag-service analyze LOG...`` does.
 
@@ -204,10 +198,7 @@ def analyze(
     if folder := next((path for path in named if path.is_dir()), None):
         raise ConfigError(f"{folder} is a folder, in which every log is a drive: analyze_folders")
     with collected_notices() as notices:
-        config = configuration(
-            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient, columns=columns,
-            is_strict=is_strict, delivery=delivery, store_budget_mib=store_budget_mib,
-        )  # fmt: skip
+        config = configuration(is_strict=is_strict, delivery=delivery, store_budget_mib=store_budget_mib, **meaning)
         reporter = MemoryReporter()
         summary = run_recorded(config, named, optional_path(store), reporter, Trigger()).summary
     if is_strict:

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 
 from clutch_model.calibration import Calibration, nominal_calibration
 from diag_service.delivery import Acknowledge
@@ -69,30 +69,42 @@ class Poll:
     bus: "can.BusABC | None" = None
 
 
+class Meaning(TypedDict, total=False):
+    """What frames mean and whose they are, as functions take it by keyword; ``analyze`` says what each stands for."""
+
+    vehicle: str | None
+    dbc: AnyPath | None
+    profile: AnyPath | None
+    calibration: Calibration | AnyPath | None
+    is_lenient: bool
+
+
+class LogMeaning(Meaning, total=False):
+    """The same of logs, which may be tables."""
+
+    columns: str
+
+
 def configuration(
     *,
-    vehicle: str | None = None,
-    dbc: AnyPath | None = None,
-    profile: AnyPath | None = None,
-    calibration: Calibration | AnyPath | None = None,
-    is_lenient: bool = False,
     is_strict: bool = False,
-    columns: str = "",
     delivery: Delivery | None = None,
     store_budget_mib: int | None = None,
+    **meaning: Unpack[LogMeaning],
 ) -> DiagnosisConfig:
     """Return how frames become results; raises ConfigError or CalibrationError."""
+    calibration = meaning.get("calibration")
     chosen, gears = _described(calibration)
     return DiagnosisConfig(
-        vehicle=vehicle_of(vehicle, chosen),
+        vehicle=vehicle_of(meaning.get("vehicle"), chosen),
         calibration=chosen,
         gears=gears,
         vehicle_file=None if gears is None or isinstance(calibration, Calibration) else optional_path(calibration),
-        dbc=optional_path(dbc),
-        profile=optional_path(profile),
-        is_lenient=is_lenient,
+        dbc=optional_path(meaning.get("dbc")),
+        profile=optional_path(meaning.get("profile")),
+        is_lenient=meaning.get("is_lenient", False),
         is_strict=is_strict,
-        columns=columns,
+        columns=meaning.get("columns", ""),
         broker=None if delivery is None else broker_of(_options(delivery)),
         acknowledge=Acknowledge.BROKER if delivery is None else _acknowledge(delivery.acknowledge),
         budget_bytes=None if store_budget_mib is None else store_budget_mib * BYTES_PER_MIB,

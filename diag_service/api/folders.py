@@ -3,11 +3,10 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
-from clutch_model.calibration import Calibration
 from diag_service.api.analysis import Analysis
-from diag_service.api.choices import AnyPath, AnyPaths, configuration, optional_path, path_list
+from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, optional_path, path_list
 from diag_service.api.tables import ResultTable
 from diag_service.batch.drives import Drive, LeftOut
 from diag_service.batch.folder_run import analyse_folders
@@ -56,13 +55,8 @@ def analyze_folders(
     output: AnyPath | None = None,
     jobs: int | None = None,
     has_vehicles: bool = False,
-    vehicle: str | None = None,
-    dbc: AnyPath | None = None,
-    profile: AnyPath | None = None,
-    calibration: Calibration | AnyPath | None = None,
     is_strict: bool = False,
-    is_lenient: bool = False,
-    columns: str = "",
+    **meaning: Unpack[LogMeaning],
 ) -> FolderAnalysis:
     """Diagnose every log in some folders as a drive of its own, as ``diag-service analyze FOLDER...`` does.
 
@@ -96,12 +90,8 @@ def analyze_folders(
     """
     listener = _Listener()
     with collected_notices() as notices:
-        config = configuration(
-            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_strict=is_strict,
-            is_lenient=is_lenient, columns=columns,
-        )  # fmt: skip
         analyse_folders(
-            config,
+            configuration(is_strict=is_strict, **meaning),
             path_list(paths),
             output=optional_path(output),
             jobs=jobs,

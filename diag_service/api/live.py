@@ -6,12 +6,20 @@ import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import closing, suppress
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Self, Unpack
 
 from canlog.live import LiveSource, ReadSchedule
-from clutch_model.calibration import Calibration
 from diag_service.api.analysis import Analysis
-from diag_service.api.choices import AnyPath, Delivery, Poll, check_one_bus, configuration, optional_path, poll_config
+from diag_service.api.choices import (
+    AnyPath,
+    Delivery,
+    Meaning,
+    Poll,
+    check_one_bus,
+    configuration,
+    optional_path,
+    poll_config,
+)
 from diag_service.console.notices import collected_notices
 from diag_service.delivery import ControllerNews, News
 from diag_service.diagnosis.records import ShiftResult
@@ -336,17 +344,13 @@ def diagnose(
     is_fd: bool = False,
     is_only_mapped: bool = False,
     duration_s: float | None = None,
-    vehicle: str | None = None,
-    dbc: AnyPath | None = None,
-    profile: AnyPath | None = None,
-    calibration: Calibration | AnyPath | None = None,
     store: AnyPath | None = None,
     store_budget_mib: int | None = None,
     delivery: Delivery | None = None,
-    is_lenient: bool = False,
     poll: Poll | None = None,
     asks: bool = False,
     adapter: str | None = None,
+    **meaning: Unpack[Meaning],
 ) -> LiveDiagnosis:
     """Diagnose a live bus, as ``diag-service run`` does.
 
@@ -400,8 +404,5 @@ def diagnose(
         interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd, duration_s=duration_s,
         is_filtered=is_only_mapped, poll=poll_config(poll), asks=asks, adapter=adapter,
     )  # fmt: skip
-    config = configuration(
-        vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient, delivery=delivery,
-        store_budget_mib=store_budget_mib,
-    )  # fmt: skip
+    config = configuration(delivery=delivery, store_budget_mib=store_budget_mib, **meaning)
     return LiveDiagnosis(config, named, bus=bus, store=store)

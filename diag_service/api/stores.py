@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
-from clutch_model.calibration import Calibration, nominal_calibration
-from diag_service.api.choices import AnyPath, AnyPaths, configuration, path_list
+from clutch_model.calibration import nominal_calibration
+from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, path_list
 from diag_service.commands.store import check_name, findings_of, noted_fill
 from diag_service.console.notices import collected_notices
 from diag_service.diagnosis.records import FluidFill, ShiftResult, shift_from
@@ -21,13 +21,7 @@ from diag_service.store import StoreReader
 def write_report(
     paths: AnyPaths,
     output: AnyPath,
-    *,
-    vehicle: str | None = None,
-    dbc: AnyPath | None = None,
-    profile: AnyPath | None = None,
-    calibration: Calibration | AnyPath | None = None,
-    is_lenient: bool = False,
-    columns: str = "",
+    **meaning: Unpack[LogMeaning],
 ) -> int:
     """Write what the logs of a drive, or a store, say as one HTML page: ``diag-service report``.
 
@@ -52,10 +46,8 @@ def write_report(
     """
     check_name(Path(output))
     with collected_notices():
-        config = configuration(
-            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient, columns=columns
-        )
-        return write_page(Path(output), page_of(findings_of(config, path_list(paths), vehicle, Trigger()), utc_now()))
+        found = findings_of(configuration(**meaning), path_list(paths), meaning.get("vehicle"), Trigger())
+        return write_page(Path(output), page_of(found, utc_now()))
 
 
 def history(store: AnyPath, *, vehicle: str | None = None, clutches: Sequence[int] = (1, 2)) -> list[dict[str, Any]]:

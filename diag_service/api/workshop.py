@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import canlog
 from canlog.whole_log import Log
 from canlog.written_tables import EVERY_SIGNAL
-from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
-from diag_service.api.choices import AnyPath, AnyPaths, configuration, optional_path, path_list
+from clutch_model.calibration import nominal_calibration, read_calibration
+from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, optional_path, path_list
 from diag_service.commands.arguments import DEFAULT_BITRATE
 from diag_service.commands.inspect import Inspection, inspect_log
 from diag_service.commands.learn import learned_from, record, write_description
@@ -18,8 +18,7 @@ from diag_service.commands.talks import conversations_of
 from diag_service.console.notices import collected_notices
 from diag_service.diagnosis.friction.paper import PaperShift, PooledClutch
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration
-from diag_service.mapping.databases import open_database
-from diag_service.mapping.interpretation import interpret
+from diag_service.mapping.interpretation import interpret, open_database
 from diag_service.service.calibrate_run import calibrated, write_calibration
 from diag_service.service.drive import insist
 from diag_service.service.paper_run import run_paper
@@ -225,12 +224,7 @@ def calibrate(
     paths: AnyPaths,
     *,
     output: AnyPath | None = None,
-    vehicle: str | None = None,
-    dbc: AnyPath | None = None,
-    profile: AnyPath | None = None,
-    calibration: Calibration | AnyPath | None = None,
-    is_lenient: bool = False,
-    columns: str = "",
+    **meaning: Unpack[LogMeaning],
 ) -> SelfCalibration:
     """Find one vehicle's sensor errors and inertia from its logs, as ``diag-service calibrate`` does.
 
@@ -254,10 +248,7 @@ def calibrate(
         If a log cannot be read, or there is no shift in them.
     """
     with collected_notices():
-        config = configuration(
-            vehicle=vehicle, dbc=dbc, profile=profile, calibration=calibration, is_lenient=is_lenient, columns=columns
-        )
-        found = calibrated(config, path_list(paths), Trigger()).found
+        found = calibrated(configuration(**meaning), path_list(paths), Trigger()).found
         if output is not None:
             write_calibration(Path(output), found.calibration)
         return found
@@ -276,12 +267,8 @@ class PaperAnalysis:
 def analyze_by_paper(
     paths: AnyPaths,
     *,
-    dbc: AnyPath | None = None,
-    profile: AnyPath | None = None,
-    calibration: Calibration | AnyPath | None = None,
     is_strict: bool = False,
-    is_lenient: bool = False,
-    columns: str = "",
+    **meaning: Unpack[LogMeaning],
 ) -> PaperAnalysis:
     """Analyse the logs of one drive as ``diag-service analyze --estimator paper`` does; arguments as of ``analyze``.
 
@@ -289,14 +276,7 @@ def analyze_by_paper(
     """
     shifts: list[PaperShift] = []
     with collected_notices() as notices:
-        config = configuration(
-            dbc=dbc,
-            profile=profile,
-            calibration=calibration,
-            is_strict=is_strict,
-            is_lenient=is_lenient,
-            columns=columns,
-        )
+        config = configuration(is_strict=is_strict, **meaning)
         run = run_paper(config, path_list(paths), Trigger(), shifts.append)
     if is_strict:
         insist(run.account.gaps, run.account.contributions, is_strict=True)

@@ -21,8 +21,7 @@ from clutchdiag_io.command_line import (
     Program,
     parse,
 )
-from diag_service.commands.program import JSON, PROGRAM
-from diag_service.settings.options import BUS, CONFIG, DELIVERY, MEANING, PAGE, POLL, VARIABLES
+from diag_service.settings.options import BUS, CONFIG, DELIVERY, JSON, MEANING, PAGE, POLL, PROGRAM, VARIABLES
 
 DEFAULT_LIMIT_S: Final = 600.0  # an hour of a bus takes half a minute
 _LAKE: Final = click.Argument(

@@ -20,7 +20,7 @@ from clutchdiag_io.files import replacement_refusal
 from diag_service.commands.talks import pairs_of
 from diag_service.console.terminal import PeopleConsole, ReadingLine
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
-from diag_service.mapping.databases import asked_database
+from diag_service.mapping.interpretation import asked_database
 from diag_service.service.stopping import Controls
 from fleet_contract import JsonObject
 

@@ -25,7 +25,7 @@ from diag_service.commands.talks import Conversations, conversations_of
 from diag_service.console.terminal import PeopleConsole, ReadingLine
 from diag_service.diagnosis.records import dump, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoppedError
-from diag_service.mapping.databases import asked_database
+from diag_service.mapping.interpretation import asked_database
 from diag_service.service.stopping import Controls, Trigger
 from fleet_contract import JsonObject
 

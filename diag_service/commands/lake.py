@@ -12,9 +12,8 @@ from canlog.logs import STANDARD_INPUT
 from canlog.notice import NOTICE
 from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoreError
-from diag_service.lake.manifest import DONE, Manifest
 from diag_service.lake.nodes import ClusterAddress, run_scheduler, run_workers
-from diag_service.lake.parts import disagreement, forget, parts_of
+from diag_service.lake.parts import DONE, Manifest, disagreement, forget, parts_of
 from diag_service.lake.places import Place
 from diag_service.lake.run import LakeTotals, fill_lake, find_logs
 from diag_service.lake.work import Job

@@ -1,4 +1,4 @@
-"""``diag-service learn``: the description of a vehicle from its logs, for a person to complete."""
+"""``diag-service learn`` and ``calibrate``: what logs tell of one vehicle, for a person to complete, or as a file."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,9 @@ from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation, interpret
 from diag_service.mapping.learning import COMMANDS, LearnedVehicle, VehicleSurvey
 from diag_service.mapping.vehicle_file import PA_PER_KPA, description_toml
+from diag_service.service import calibrate_run
 from diag_service.service.stopping import Controls, Trigger
+from diag_service.settings.config import diagnosis_config
 
 SCHEMA: Final = "clutchdiag/learn/v1"
 BEHIND: Final = (Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED)
@@ -149,3 +151,11 @@ def record(learned: LearnedVehicle) -> dict[str, object]:
         **clutches,
         "rates_hz": rates,
     }
+
+
+def calibrate(options: SimpleNamespace, controls: Controls) -> None:
+    """Calibrate a vehicle and write its file."""
+    if text := replacement_refusal(options.output, is_forced=options.force):
+        raise ConfigError(text)
+    config = diagnosis_config(options)
+    calibrate_run.run_calibrate(config, options.logs, options.output, controls.stop, as_json=options.json)

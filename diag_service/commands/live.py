@@ -1,21 +1,29 @@
-"""``diag-service run`` and ``monitor``: a live bus is diagnosed, or shown, or what testers say on it."""
+"""``diag-service run``, ``monitor`` and ``config check``: a live bus is diagnosed or shown, or what a run would use."""
 
 import asyncio
+import logging
+import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
+from urllib.parse import urlsplit
+
+import tomli_w
 
 from canlog.errors import SourceError
 from canlog.live import BusOpener, LinkBreak, LiveSource, Silence, supervise
+from clutchdiag_io.files import legible
 from diag_service.commands.talks import Conversations, conversations_of
 from diag_service.console.terminal import PeopleConsole
-from diag_service.mapping.databases import asked_database
+from diag_service.mapping.interpretation import asked_database
 from diag_service.service import bus_run
 from diag_service.service.live import close_in_time
-from diag_service.service.onlookers import LiveRun
+from diag_service.service.snapshot import LiveRun
 from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import BusConfig, ListenAddress, bus_config, default_store, diagnosis_config
+from diag_service.settings.options import SETTINGS
 
 LOOK_PERIOD_S: Final = 0.25
 NS_PER_S: Final = 1e9
@@ -118,3 +126,37 @@ async def _look_again(talks: Conversations, heard: _Heard, show: Show) -> None:
 def _show_news(talks: Conversations, now_ns: int | None, show: Show) -> None:
     for line in talks.news(now_ns) if now_ns is not None else ():
         show(line)
+
+
+_LOG = logging.getLogger(__name__)
+
+
+def config(options: SimpleNamespace, controls: Controls) -> None:
+    """Check the settings and print them."""
+    del controls
+    diagnosis = diagnosis_config(options)
+    bus_config(options)
+    diagnosis.interpretation()
+    broker = diagnosis.broker
+    if broker is not None and broker.exposure:
+        _LOG.warning("%s", broker.exposure)
+    sys.stdout.write(describe(options))
+
+
+def describe(options: SimpleNamespace) -> str:
+    """Return the options as the text of a settings file, with what is secret masked."""
+    return "".join(_line(name, getattr(options, name)) for name in SETTINGS)
+
+
+def _line(name: str, value: str | float | Path | None) -> str:
+    if value is None:
+        return f"# {name} is not set\n"
+    if isinstance(value, str | Path):
+        value = legible(_masked(str(value)) if name == "broker" else str(value))
+    return tomli_w.dumps({name: value})
+
+
+def _masked(url: str) -> str:
+    """Return a URL without its password."""
+    password = urlsplit(url).password
+    return url if password is None else url.replace(f":{password}@", ":***@")

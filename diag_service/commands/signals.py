@@ -18,8 +18,8 @@ from dbc.contract import DBC_PATH
 from diag_service.console.terminal import ReadingLine
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import StoppedError
-from diag_service.mapping.databases import open_database
 from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.interpretation import open_database
 from diag_service.mapping.profile import Profile
 from diag_service.mapping.proposal import (
     Candidate,

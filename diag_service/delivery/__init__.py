@@ -1,12 +1,22 @@
 """Those who hear of results: people, the next program in a pipe, a broker, and a double for tests."""
 
-from diag_service.delivery.base import ControllerNews, DeliveryLimits, Link, News, Reporter
 from diag_service.delivery.console import ConsoleReporter
 from diag_service.delivery.delivery import Acknowledge
-from diag_service.delivery.memory import MemoryLink, MemoryReporter
 from diag_service.delivery.mqtt import MqttConnector
 from diag_service.delivery.outbox import Outbox
-from diag_service.delivery.reporters import AllReporters, DetachedReporter, JsonLinesReporter, PipeReporter
+from diag_service.delivery.reporters import (
+    AllReporters,
+    ControllerNews,
+    DeliveryLimits,
+    DetachedReporter,
+    JsonLinesReporter,
+    Link,
+    MemoryLink,
+    MemoryReporter,
+    News,
+    PipeReporter,
+    Reporter,
+)
 
 __all__ = [
     "Acknowledge",

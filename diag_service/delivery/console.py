@@ -6,7 +6,7 @@ from rich.table import Table
 from rich.text import Text
 
 from clutch_model.units import degc_from_k
-from diag_service.delivery.base import ControllerNews, News
+from diag_service.delivery.reporters import ControllerNews, News
 from diag_service.diagnosis.records import (
     LEAST_SLIP_ROWS,
     Condition,

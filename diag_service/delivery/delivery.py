@@ -11,7 +11,7 @@ from itertools import islice, takewhile
 from typing import Final
 
 from canlog.notice import NOTICE
-from diag_service.delivery.base import DeliveryLimits, Link
+from diag_service.delivery.reporters import DeliveryLimits, Link
 from diag_service.diagnosis.records import (
     FluidFill,
     StoredResult,

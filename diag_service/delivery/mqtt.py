@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from diag_service.delivery.base import OnFills, OnReceipts
+from diag_service.delivery.reporters import OnFills, OnReceipts
 from diag_service.diagnosis.records import ServiceStatus, fills_from, status_record
 from diag_service.errors import PublishError, PublishRefusedError
 from fleet_contract import (

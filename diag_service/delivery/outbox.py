@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 
 from canlog.notice import NOTICE
-from diag_service.delivery.base import DeliveryLimits, Link
 from diag_service.delivery.delivery import Acknowledge, Bundling, Delivery, OutboxState
+from diag_service.delivery.reporters import DeliveryLimits, Link
 from diag_service.errors import PublishError, StoreFullError
 from diag_service.store import ResultStore
 from fleet_contract import Outgoing

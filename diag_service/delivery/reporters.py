@@ -1,16 +1,174 @@
-"""Reporters for programs: JSON lines in a pipe, of which the reader may hang up or be slow."""
+"""Who hears of results: what the pipeline knows of them, JSON lines in a pipe, a test double."""
 
+import asyncio
 import logging
 import queue
 import threading
-from collections.abc import Callable
-from typing import Final, TextIO
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Protocol, TextIO
 
 from rich.console import Console
 
-from diag_service.delivery.base import ControllerNews, News, Reporter
-from diag_service.diagnosis.records import ShiftResult, dump, shift_record
+from diag_service.diagnosis.records import FluidFill, ShiftResult, dump, shift_from, shift_record
 from diag_service.diagnosis.summary import Summary, summary_record
+from diag_service.errors import PublishError
+from fleet_contract import (
+    Channel,
+    JsonObject,
+    Outgoing,
+    Receipt,
+    bundled_events,
+    key_of,
+    parse_topic,
+    read_message,
+    topic_of,
+)
+
+
+class ControllerNews(ABC):
+    """What a controller said of itself; ``str`` returns it on a line for people."""
+
+    @property
+    @abstractmethod
+    def record(self) -> Mapping[str, object]:
+        """The public record that stores and messages hold."""
+
+
+# Where frames are read from; then each shift, and what a controller says that is new; at the end the numbers.
+News = str | ShiftResult | ControllerNews | Summary
+OnFills = Callable[[list[FluidFill]], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeliveryLimits:
+    """Times and counts of an outbox; what stands here suits a vehicle on a mobile link."""
+
+    first_pause_s: float = 0.5  # after a connection broke; doubled with each further failure
+    longest_pause_s: float = 30.0
+    restart_pause_s: float = 1.0  # after the sending itself failed, which it should not
+    settled_after_s: float = 5.0  # then a result that a broker acknowledged is taken to be where it belongs
+    resend_after_s: float = 5.0  # without a receipt
+    longest_resend_s: float = 30.0  # while all is silent a few are sent again, less and less often up to this
+    astray_after_s: float = 2.0  # what was sent so long before an acknowledged one was lost on its way, not delayed
+    backlog_lag_s: float = 2.0  # so far behind a backend may be before it gets more of the backlog
+    window_count: int = 2000  # results in flight: sent, without a receipt
+    probe_count: int = 20  # results that ask a silent backend whether it is there; the others wait for its word
+
+
+class OnReceipts(Protocol):
+    """Hears the backend."""
+
+    def __call__(self, receipts: list[Receipt], *, takes_bundles: bool = False) -> None:
+        """Take receipts, and whether who gave them takes several results in one message."""
+
+
+class Link(Protocol):
+    """An open connection to a broker; the outbox opens one, uses it while it lasts, and opens the next."""
+
+    async def send(self, messages: Sequence[Outgoing]) -> None:
+        """Deliver messages, several in flight; return when the broker acknowledged all.
+
+        Raises
+        ------
+        PublishRefusedError, PublishError
+            If the broker takes one of them never; if it cannot be delivered now.
+        """
+
+    async def listen(self, vehicle: str, on_receipts: OnReceipts) -> None:
+        """Call ``on_receipts`` with the receipts of a backend from now on; raises PublishError if that is refused."""
+
+    async def hear_fills(self, vehicle: str, on_fills: OnFills) -> None:
+        """Call ``on_fills`` with the fluid fills that the fleet knows from now on, as far as the broker lets us."""
+
+    async def lost(self) -> None:
+        """Return when the connection is lost, or when a better one could be had."""
+
+
+class Reporter(Protocol):
+    """Shows a run to the person or program that started it; may block, so it runs in the worker thread."""
+
+    def report(self, news: News) -> None:
+        """Show one of the news; the numbers of the run are the last of them."""
+
+
+class MemoryLink:
+    """A broker connection in memory, with a backend behind it if it ``is_acknowledging``, which may take bundles."""
+
+    def __init__(self, *, is_acknowledging: bool = False, takes_bundles: bool = False) -> None:
+        self.takes_bundles = takes_bundles
+        self.bundled: list[int] = []  # how many results each bundle had
+        self.results: list[ShiftResult] = []
+        self.states: list[JsonObject] = []  # of clutches
+        self.others: list[Outgoing] = []
+        self.fleet_fills: list[FluidFill] = []  # that a fleet would tell
+        self.is_refusing = False
+        self.is_acknowledging = is_acknowledging
+        self.cut = asyncio.Event()
+        self.on_receipts: OnReceipts | None = None
+
+    async def send(self, messages: Sequence[Outgoing]) -> None:
+        """Keep messages, or refuse them."""
+        for message in messages:
+            if self.is_refusing or self.cut.is_set():
+                raise PublishError("the memory refuses")
+            self._keep(message)
+        await asyncio.sleep(0)
+
+    async def listen(self, vehicle: str, on_receipts: OnReceipts) -> None:  # noqa: ARG002 - there is one vehicle here
+        """Acknowledge to this listener."""
+        self.on_receipts = on_receipts
+
+    async def hear_fills(self, vehicle: str, on_fills: OnFills) -> None:  # noqa: ARG002 - there is one vehicle here
+        """Tell this listener what the fleet knows."""
+        if self.fleet_fills:
+            on_fills(self.fleet_fills)
+
+    async def lost(self) -> None:
+        """Return when the test cuts the connection."""
+        await self.cut.wait()
+
+    def _keep(self, message: Outgoing) -> None:
+        address = parse_topic(message.topic)
+        if address.channel is Channel.BUNDLE:
+            events = bundled_events(message.payload)
+            self.bundled.append(len(events))
+            topic = topic_of(address.vehicle, Channel.SHIFT)
+            for event in events:
+                self._keep(Outgoing(topic=topic, payload=event, is_retained=False))
+            return
+        incoming = read_message(message.topic, message.payload)
+        if incoming.address.channel is Channel.SHIFT:
+            self.results.append(shift_from(incoming.data))
+            if self.is_acknowledging and self.on_receipts is not None:
+                self.on_receipts([Receipt(key=key_of(incoming.data))], takes_bundles=self.takes_bundles)
+        elif incoming.address.channel is Channel.CLUTCH:
+            self.states.append(incoming.data)
+        else:
+            self.others.append(message)
+
+
+class MemoryReporter:
+    """A listener in memory."""
+
+    def __init__(self) -> None:
+        self.places: list[str] = []
+        self.results: list[ShiftResult] = []
+        self.summaries: list[Summary] = []
+        self.controllers: list[ControllerNews] = []
+
+    def report(self, news: News) -> None:
+        """Keep what came."""
+        if isinstance(news, str):
+            self.places.append(news)
+        elif isinstance(news, ShiftResult):
+            self.results.append(news)
+        elif isinstance(news, Summary):
+            self.summaries.append(news)
+        elif isinstance(news, ControllerNews):
+            self.controllers.append(news)
+
 
 LIMIT: Final = 1_000  # results that a slow reader may be behind
 DRAIN_S: Final = 3.0  # how long an ending service waits for a reader

@@ -1,25 +1,159 @@
-"""The files of a lake: their names, by date and vehicle, and their rows."""
+"""The files of a lake: parts by date and vehicle, and a manifest of what was made of which log.
+
+Rows of the manifest are only ever added, and now and then put together. A file of rows has a generation in its name,
+and of a log the row of the latest generation holds. So nothing is written over, whoever was killed, and a log that two
+files tell of is in the lake once.
+"""
 
 import hashlib
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+import io
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from itertools import islice
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
 from canlog.errors import DefinitionError, SourceError
 from canlog.logs import read_log
-from canlog.parquet_file import ParquetTable
+from canlog.parquet_file import TIME_TYPE, ParquetTable, load_pyarrow
 from canlog.tables.decoding import Plan, decode_logs
 from canlog.tables.outputs import TableFormat
 from diag_service.batch.tables import BATCH_ROWS, columns, flattened
-from diag_service.diagnosis.records import utc_from_bus_ns
+from diag_service.diagnosis.records import iso_utc, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoreError
-from diag_service.lake.manifest import DONE, Manifest
 from diag_service.lake.places import Held, Place
 from fleet_contract import JsonObject
+
+FOLDER: Final = "manifest"
+DONE, FAILED = "done", "failed"
+_SEPARATOR: Final = ";"
+_TYPES: Final = {"size_bytes": "int64", "shifts": "int64", "attempts": "int64", "made_at": TIME_TYPE}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogRow:
+    """What became of one log."""
+
+    source: str  # where it was found: by it a log is known
+    key: str  # the log as it was found: place, name, size, time of change, vehicle
+    size_bytes: int
+    vehicle: str
+    content: str  # sha256 of the log; empty if it could not be read at all
+    settings: str  # digest of all that decides about shifts besides the log
+    signals: str  # digest of all that decides about decoded signals; empty: none were asked for
+    algorithm_version: str
+    outcome: str  # done or failed
+    reason: str  # why it failed, or what of it could not be read; empty if all is well
+    shifts: int
+    attempts: int
+    parts: tuple[str, ...]  # the files that were made of it
+    account: str  # what it said, as JSON
+    made_at: str  # ISO 8601 UTC
+
+
+class Manifest:
+    """The rows of a lake, as they were when it was opened and as they became since.
+
+    Raises StoreError if a file of it is none.
+    """
+
+    def __init__(self, place: Place) -> None:
+        self._place = place
+        self._rows: dict[str, LogRow] = {}
+        self._files: list[str] = []
+        self._generation = 0
+        for name in place.held(FOLDER):
+            self._files.append(name)
+            self._generation = max(self._generation, _generation_of(name))
+            self._rows |= {row.source: row for row in _parsed(place.read(name), name)}
+        self.file_count = len(self._files)
+
+    @property
+    def rows(self) -> tuple[LogRow, ...]:
+        """The rows that hold, in no order."""
+        return tuple(self._rows.values())
+
+    def row(self, source: str) -> LogRow | None:
+        """Return what became of a log; None if nothing did."""
+        return self._rows.get(source)
+
+    def add(self, rows: Sequence[LogRow]) -> None:
+        """Write rows as one more file; those of the same logs hold no longer."""
+        if rows:
+            self._rows |= {row.source: row for row in rows}
+            self._write(rows)
+
+    def put_together(self, *, without: Iterable[str] = ()) -> None:
+        """Write one file in place of all that were read or written, without the rows of some logs."""
+        gone = set(without)
+        if len(self._files) <= 1 and not gone & self._rows.keys():
+            return
+        self._rows = {source: row for source, row in self._rows.items() if source not in gone}
+        files = list(self._files)
+        if self._rows:
+            self._write(sorted(self._rows.values(), key=lambda row: (row.vehicle, row.source)))
+        self._place.remove(files)
+        self._files = [name for name in self._files if name not in files]
+
+    def superseded(self, rows: Sequence[LogRow]) -> list[str]:
+        """Return the parts that rows make superfluous: those of the rows that hold, unless another one has them."""
+        before = [row.source for row in rows if row.source in self._rows]
+        return self.parts_only_of(before, besides=[part for row in rows for part in row.parts]) if before else []
+
+    def parts_only_of(self, sources: Iterable[str], *, besides: Iterable[str] = ()) -> list[str]:
+        """Return the parts of some rows that no other row has; two logs of one content share theirs."""
+        uses = Counter(part for row in self._rows.values() for part in row.parts)
+        uses.update(besides)
+        own = Counter(part for source in sources for part in self._rows[source].parts)
+        return sorted(part for part, count in own.items() if uses[part] == count)
+
+    def _write(self, rows: Sequence[LogRow]) -> None:
+        self._generation += 1
+        stream = io.BytesIO()
+        with ParquetTable(stream, manifest_columns()) as table:
+            table.write_rows([{**asdict(row), "parts": _SEPARATOR.join(row.parts)} for row in rows])
+        content = stream.getvalue()
+        name = f"{FOLDER}/{self._generation:010}-{hashlib.sha256(content).hexdigest()[:16]}.parquet"
+        with TemporaryDirectory(prefix="clutchdiag-") as folder:
+            path = Path(folder) / "rows"
+            path.write_bytes(content)
+            self._place.put(name, path)
+        self._files.append(name)
+
+
+def manifest_columns() -> dict[str, str]:
+    """Return the columns of the manifest and their types; ``parts`` are names, separated by semicolons."""
+    return {field.name: _TYPES.get(field.name, "string") for field in fields(LogRow)}
+
+
+def _generation_of(name: str) -> int:
+    number = name.removeprefix(f"{FOLDER}/").partition("-")[0]
+    if not number.isdecimal():
+        raise StoreError(f"{name} is not a file of a manifest")
+    return int(number)
+
+
+def _parsed(content: bytes, name: str) -> list[LogRow]:
+    arrow = load_pyarrow()
+    try:
+        # By this thread alone: threads of Arrow that outlive a short program abort it.
+        table = arrow.parquet.ParquetFile(io.BytesIO(content)).read(list(manifest_columns()), use_threads=False)
+        return [
+            LogRow(
+                **{
+                    **row,
+                    "parts": tuple(filter(None, row["parts"].split(_SEPARATOR))),
+                    "made_at": iso_utc(row["made_at"]),
+                }
+            )
+            for row in table.to_pylist()
+        ]
+    except (arrow.ArrowException, KeyError, TypeError) as exc:
+        raise StoreError(f"{name} is not a file of a manifest: {exc}") from exc
+
 
 SHIFTS, SIGNALS = "shifts", "signals"
 NAME_DIGITS: Final = 32  # of a sha256: enough that no two logs share a name
@@ -130,11 +264,6 @@ def by_date(shifts: Sequence[JsonObject]) -> Mapping[str, list[JsonObject]]:
     return days
 
 
-def shift_columns() -> dict[str, str]:
-    """Return the columns of the parts of shifts and their types: those of results of folders, ``path`` the source."""
-    return columns()
-
-
 def write_shifts(path: Path, source: str, shifts: Sequence[tuple[JsonObject, bool]]) -> None:
     """Write shifts, each with whether its log was complete, as one part.
 
@@ -145,7 +274,7 @@ def write_shifts(path: Path, source: str, shifts: Sequence[tuple[JsonObject, boo
         ({"path": source, "complete": is_complete, **flattened(shift)} for shift, is_complete in shifts),
         key=lambda row: str(row["start_utc"]),
     )
-    with path.open("wb") as stream, ParquetTable(stream, shift_columns()) as table:
+    with path.open("wb") as stream, ParquetTable(stream, columns()) as table:
         for group in _groups(rows):
             table.write_rows(group)
 

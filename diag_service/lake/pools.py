@@ -14,8 +14,8 @@ from typing import Any, Final, Protocol
 
 from diag_service.batch.worker import leave_to_parent
 from diag_service.errors import ConfigError, StoreError
-from diag_service.lake.manifest import LogRow
 from diag_service.lake.nodes import ClusterAddress, load_distributed, security
+from diag_service.lake.parts import LogRow
 from diag_service.lake.work import Job, LakeLog, make_in_worker
 
 POLL_S: Final = 0.05  # every process has its next log already

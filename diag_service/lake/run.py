@@ -11,9 +11,8 @@ from typing import Final, Self, TextIO
 from canlog.notice import NOTICE
 from diag_service.batch.processes import progress_bar
 from diag_service.errors import ConfigError, StoppedError
-from diag_service.lake.manifest import DONE, FAILED, LogRow, Manifest
 from diag_service.lake.nodes import ClusterAddress
-from diag_service.lake.parts import SIGNALS
+from diag_service.lake.parts import DONE, FAILED, SIGNALS, LogRow, Manifest
 from diag_service.lake.places import Place
 from diag_service.lake.pools import ClusterPool, LocalPool, Pool
 from diag_service.lake.work import Job, LakeLog, row_of

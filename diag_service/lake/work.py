@@ -21,10 +21,12 @@ from diag_service.batch.journal import Entry
 from diag_service.batch.worker import Analyst
 from diag_service.diagnosis.records import dump, iso_utc
 from diag_service.errors import ConfigError, StoreError
-from diag_service.lake.manifest import DONE, FAILED, LogRow
 from diag_service.lake.parts import (
+    DONE,
+    FAILED,
     SHIFTS,
     SIGNALS,
+    LogRow,
     by_date,
     content_digest,
     first_date,

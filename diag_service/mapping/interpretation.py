@@ -1,19 +1,22 @@
 """What frames mean: database and profile, as the user named them or as they fit each other."""
 
 import logging
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Self
 
 from cantools.database.can import Database
 
-from canlog.database.loading import bus_of
+from canlog.database.loading import PARSER_TIME_S, bus_of, load_database
 from canlog.database.signal_columns import columns_database
+from canlog.logs import is_folder, table_columns
 from canlog.notice import NOTICE
+from dbc.contract import DBC_PATH, load_contract
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.records import Tier
 from diag_service.errors import ConfigError
-from diag_service.mapping.databases import open_database
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.mapped_messages import fitting
 from diag_service.mapping.profile import (
@@ -25,6 +28,40 @@ from diag_service.mapping.profile import (
     shipped_profiles,
 )
 from diag_service.mapping.tiers import missing_for_next, tier_of
+
+
+def open_database(
+    path: Path | None,
+    logs: Iterable[Path] = (),
+    *,
+    is_lenient: bool = False,
+    is_j1939: bool = False,
+    parser_time_s: int | None = None,
+) -> Database:
+    """Return the database of a file, as `load_database` does; without one that of logs which are tables of signals.
+
+    If there are none either, the shipped one, which needs no care.
+
+    Raises DefinitionError, and SourceError if one of the logs cannot be read.
+    """
+    named = () if path is not None else [one for log in logs if not is_folder(log) for one in table_columns(log)]
+    if named:
+        return columns_database(named)
+    if path is None or path == DBC_PATH:
+        return load_contract()
+    return load_database(path, is_lenient=is_lenient, is_j1939=is_j1939, parser_time_s=parser_time_s or PARSER_TIME_S)
+
+
+def asked_database(options: SimpleNamespace) -> Database:
+    """Return the database that a command line names, read as that says; raises DefinitionError."""
+    return open_database(
+        options.dbc,
+        getattr(options, "logs", ()),
+        is_lenient=options.lenient,
+        is_j1939=getattr(options, "match", "") == "group",
+        parser_time_s=options.parser_time,
+    )
+
 
 MAX_COMPLAINTS = 3  # of a profile that does not fit: enough to see how far off it is
 _LOG = logging.getLogger(__name__)

@@ -13,6 +13,9 @@ import click
 from clutchdiag_io.command_line import FILE, FLOAT, INT, Choice, Option
 from diag_service.errors import ConfigError
 
+PROGRAM: Final = "diag-service"
+JSON: Final = Option("--json", "one JSON object on standard output")
+
 _KINDS: Final = {
     "boolean": "true or false",
     "float": "a number",

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Final, Protocol, Self
+from typing import Final, Self
 
 from clutchdiag_io.files import keep_private
 from diag_service.diagnosis.records import FluidFill, ShiftResult, StoredResult, dump, parse_shift, shift_record
@@ -460,31 +460,6 @@ def _read_reports(sql: sqlite3.Connection, vehicle: str) -> list[str]:
     return [str(text) for (text,) in rows]
 
 
-class SessionStore(Protocol):
-    """Where the results of a run go, and what earlier runs left there; `ResultStore` says what each method does."""
-
-    stream: str
-    keeps_state: bool
-
-    def next_seq(self) -> int:
-        """Return the sequence number that the next result of the live stream gets."""
-
-    def add(self, result: ShiftResult, state: VehicleState | None) -> bool:
-        """Take a result and the state after it; False if the key is already there."""
-
-    def find(self, vehicle: str, stream: str, seq: int, versions: Versions) -> ShiftResult | None:
-        """Return the result stored under a key, if any."""
-
-    def state(self, vehicle: str) -> VehicleState | None:
-        """Return the running state of a vehicle, if one was stored."""
-
-    def latest(self, vehicle: str) -> Sequence[StoredResult]:
-        """Return the newest result of each clutch."""
-
-    def fluid_at(self, vehicle: str, moment: str) -> FluidFill | None:
-        """Return the fill of the fluid that a vehicle had at a moment (ISO 8601 UTC), if it is known."""
-
-
 class NoStore:
     """Keeps nothing and knows nothing of earlier runs: nobody will ask."""
 
@@ -515,3 +490,6 @@ class NoStore:
 
     def fluid_at(self, *_: object) -> None:
         """Return nothing."""
+
+
+SessionStore = ResultStore | NoStore  # where the results of a run go, and what earlier runs left there

@@ -21,8 +21,8 @@ from diag_service.errors import ConfigError, ControllerError, RefusedError, Sile
 from diag_service.mapping.asked_signals import NEGATIVE, PENDING
 from diag_service.mapping.profile import AskingRules
 from diag_service.tester.addresses import CanAddress, hexadecimal, is_extended
+from diag_service.tester.answers import Timing
 from diag_service.tester.asking import LARGEST_LOGICAL, dialogue_over_ip, parse_doip
-from diag_service.tester.timing import Timing
 
 if TYPE_CHECKING:
     from diag_service.tester.dialogue import Dialogue

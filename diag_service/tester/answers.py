@@ -1,6 +1,7 @@
-"""What an answer says: whether it belongs to a request, and what a negative one means (ISO 14229-1, annex A)."""
+"""What an answer says and how long it may take: whether it belongs to a request, what a refusal means (ISO 14229-1)."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 POSITIVE: Final = 0x40  # added to the service in a positive response
@@ -182,3 +183,31 @@ def _rows_fault(rows: bytes) -> str:
     if not all(map(any, numbers)):
         return "it names the trouble code 000000, which is none"
     return "it names a trouble code twice" if len(set(numbers)) < len(numbers) else ""
+
+
+DEFAULT_SESSION: Final = 0x01
+STOPPED: Final = "stopped early: not everything was asked"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Timing:
+    """Times and counts of a tester (ISO 14229-2): how long it waits, how soon and how often it asks again."""
+
+    p2_s: float = 1.0  # until an answer begins; a controller has 0.05 s, what is between them the rest
+    p2_star_s: float = 6.0  # after the controller said that it takes longer (78)
+    longest_s: float = 60.0  # of one question, however often the controller asks for patience
+    gap_s: float = 0.01  # between an answer and the next question: others want to be heard as well
+    busy_pause_s: float = 0.1  # after 21; doubled each time
+    most_busy: int = 6
+    most_silent: int = 2  # times that a question is asked that is not answered
+
+
+@dataclass(slots=True)
+class DialogueCounts:
+    """What a dialogue went through."""
+
+    requests: int = 0
+    refusals: int = 0
+    busy: int = 0  # answered 21
+    silent: int = 0  # not answered in time
+    stray: int = 0  # messages that were no answer to what was asked

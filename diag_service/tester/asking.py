@@ -23,8 +23,8 @@ from canlog.live.factory import complete_settings
 from canlog.live.pythoncan import one_line, open_bus
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.tester.addresses import TRANSMISSION, CanAddress, id_text, is_extended, is_request, usual_response_id
+from diag_service.tester.answers import Timing
 from diag_service.tester.description import Description
-from diag_service.tester.timing import Timing
 
 if TYPE_CHECKING:
     from diag_service.tester.dialogue import Dialogue

@@ -10,10 +10,9 @@ import can
 from canlog.live.pythoncan import one_line
 from diag_service.errors import ControllerError, SilentError, StoppedError
 from diag_service.tester.addresses import CanAddress, is_extended
-from diag_service.tester.answers import request_text
+from diag_service.tester.answers import STOPPED, request_text
 from diag_service.tester.frames import CLASSIC_BYTES, PADDING, send
 from diag_service.tester.libraries import BaseConnection, TimeoutException, isotp
-from diag_service.tester.timing import STOPPED
 
 LONGEST_MESSAGE: Final = 65_535
 TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr

@@ -5,8 +5,7 @@ from typing import Final
 import click
 
 from clutchdiag_io.command_line import FILE, FLOAT, VERBOSE, Choice, Command, Option
-from diag_service.commands.program import JSON, PROGRAM
-from diag_service.settings.options import BUS, CONFIG, VARIABLES
+from diag_service.settings.options import BUS, CONFIG, JSON, PROGRAM, VARIABLES
 
 _ASKED_BUS: Final = tuple(option for option in BUS if option.name in {"interface", "channel", "bitrate", "fd"})
 _LISTENS: Final = (

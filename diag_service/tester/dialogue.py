@@ -7,7 +7,20 @@ from contextlib import contextmanager, suppress
 from typing import Any, Final, Self
 
 from diag_service.errors import ControllerError, MalformedError, PendingError, RefusedError, SilentError, StoppedError
-from diag_service.tester.answers import BUSY, SECURITY, SESSION, belongs, fault, refusal_text, request_text, shown
+from diag_service.tester.answers import (
+    BUSY,
+    DEFAULT_SESSION,
+    SECURITY,
+    SESSION,
+    STOPPED,
+    DialogueCounts,
+    Timing,
+    belongs,
+    fault,
+    refusal_text,
+    request_text,
+    shown,
+)
 from diag_service.tester.libraries import (
     BaseConnection,
     Client,
@@ -18,7 +31,6 @@ from diag_service.tester.libraries import (
     UnexpectedResponseException,
     default_client_config,
 )
-from diag_service.tester.timing import DEFAULT_SESSION, STOPPED, DialogueCounts, Timing
 
 LOOK_S: Final = 0.1  # how soon it notices that it shall stop
 _KEY: Final = 1  # added to the level that asked for the seed

@@ -4,23 +4,23 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
 from typing import Final
 
 from canlog.errors import CanlogError
 from canlog.notice import NOTICE
-from diag_service.delivery import Outbox, Reporter
+from diag_service.delivery import ControllerNews, Outbox, Reporter
 from diag_service.diagnosis.records import dump
 from diag_service.errors import DiagServiceError
 from diag_service.service.session import utc_now
 from diag_service.settings.config import BusConfig, PollConfig
 from diag_service.store import ResultStore
 from diag_service.tester.addresses import parse_address
+from diag_service.tester.answers import Timing
 from diag_service.tester.asking import LISTEN_S, AskingThread, BusName, BusTarget, address_for, asking, check_libraries
-from diag_service.tester.description import Description
-from diag_service.tester.description_file import find_description, recognised
-from diag_service.tester.reading import read_troubles
-from diag_service.tester.timing import Timing
-from diag_service.tester.trouble_report import ControllerReport
+from diag_service.tester.description import Description, find_description
+from diag_service.tester.questions import read_troubles, recognised
+from diag_service.tester.trouble import Record, TroubleCode, code_words, trouble_record
 from fleet_contract import Channel, Outgoing, controller_message
 
 MOST_CODES: Final = 1024  # as the contract has it
@@ -29,6 +29,34 @@ _KEPT: Final = ("snapshots", "extended_data")
 
 LONGEST_BACKOFF: Final = 16.0  # times the period, between attempts that fail
 _LOG: Final = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControllerReport(ControllerNews):
+    """What a controller said of its trouble codes."""
+
+    vehicle: str
+    read_at: str  # ISO 8601 UTC
+    controller: str  # where it was asked
+    description: str  # what it is taken for
+    codes: tuple[TroubleCode, ...]
+
+    def __str__(self) -> str:
+        """Return it on a line: the codes that matter, the confirmed ones first."""
+        ranked = sorted(self.codes, key=lambda code: not code.is_confirmed)
+        return f"controller {self.controller}: {', '.join(map(code_words, ranked)) or 'no trouble codes'}"
+
+    @property
+    def record(self) -> Record:
+        """The public record that stores and messages hold."""
+        return {
+            "schema": "clutchdiag/controller/v1",
+            "vehicle": self.vehicle,
+            "produced_at": self.read_at,
+            "controller": self.controller,
+            "description": self.description,
+            "codes": [trouble_record(code) for code in self.codes],
+        }
 
 
 def publish_controller(

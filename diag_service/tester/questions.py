@@ -1,28 +1,230 @@
-"""What one controller is asked, as values: what would be sent, and what it answers."""
+"""What one controller can be asked, as values and answers: trouble codes, that it forgets them, data, routines."""
 
+import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
-from diag_service.errors import ConfigError
-from diag_service.tester.answers import CLEAR, READ_DATA, ROUTINE, SECURITY, SESSION, request_text
-from diag_service.tester.clearing import Clearing, Group, clear_request, clear_troubles
-from diag_service.tester.description import UNKNOWN, Description
-from diag_service.tester.reading import (
-    ACTIONS,
-    FAILED_MASK,
-    DataAnswer,
-    RoutineAnswer,
-    control_routine,
-    read_data,
-    read_troubles,
-    trouble_request,
+from diag_service.errors import ConfigError, ControllerError, MalformedError, PendingError, RefusedError
+from diag_service.tester.answers import (
+    BY_MASK,
+    CLEAR,
+    DEFAULT_SESSION,
+    EXTENDED,
+    READ_DATA,
+    READ_TROUBLE,
+    READINESS,
+    ROUTINE,
+    SECURITY,
+    SESSION,
+    SNAPSHOTS,
+    SUPPORTED,
+    WITH_RECORD,
+    refusal_text,
+    request_text,
+    shown,
 )
-from diag_service.tester.timing import DEFAULT_SESSION
-from diag_service.tester.trouble import TroubleCode
+from diag_service.tester.description import (
+    SYSTEMS,
+    UNKNOWN,
+    Description,
+    Values,
+    fields_size_bytes,
+    read_fields,
+    shipped,
+)
+from diag_service.tester.trouble import CODE_BYTES, TroubleCode, read_codes, read_extended, read_snapshots
 
 if TYPE_CHECKING:
     from diag_service.tester.dialogue import Dialogue
+
+
+def recognised(tester: "Dialogue", description: Description = UNKNOWN) -> Description:
+    """Return a description; without one the shipped one that fits, or else what all controllers have.
+
+    Without one it asks for a datum or two.
+    """
+    if description is not UNKNOWN:
+        return description
+    for described in shipped():
+        if described.identity is None:
+            continue
+        try:
+            response = tester.ask(bytes([READ_DATA]) + described.identity.number.to_bytes(2, "big"))
+        except PendingError:  # whoever asks next would wait as long
+            raise
+        except ControllerError:  # it will not tell, or not answer: the question that follows says so
+            continue
+        if response[3:].rstrip(b"\0 ").decode("latin-1") == described.identity.text:
+            return described.description
+    return UNKNOWN
+
+
+ALL_RECORDS: Final = 0xFF
+EMISSIONS: Final = 0x33  # functional group (ISO 14229-1, annex D)
+FAILED_MASK: Final = 0xAF  # all bits but those that tell of a test that did not run
+FAILED: Final = bytes([READ_TROUBLE, BY_MASK, FAILED_MASK])  # the question for them
+START, STOP, RESULTS = 0x01, 0x02, 0x03
+ACTIONS: Final = {"start": START, "stop": STOP, "results": RESULTS}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataAnswer:
+    """What a controller says of one datum: its bytes and what they mean, or why there are none."""
+
+    number: int
+    name: str
+    data: bytes = b""
+    values: Values | None = None
+    refusal: int | None = None
+    fault: str = ""  # what is wrong with its answer
+
+    @property
+    def refusal_text(self) -> str:
+        """Why it will not tell, empty if it does."""
+        return "" if self.refusal is None else refusal_text(self.refusal)
+
+    @property
+    def trouble(self) -> str:
+        """Why there are no values, empty if there are."""
+        return self.refusal_text or self.fault
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoutineAnswer:
+    """What a controller says of a routine."""
+
+    number: int
+    name: str
+    action: str
+    data: bytes
+    values: Values
+
+
+def trouble_request(mask: int, *, group: int | None = None, record: int | None = None) -> bytes:
+    """Return the question for codes with a status bit of the mask; 0: for all that the controller knows.
+
+    With a group or a record it is that for the codes of OBD of a readiness group, or for those with a record of
+    extended data, whatever their status (SAE J1979-2).
+    """
+    if group is not None:
+        return bytes([READ_TROUBLE, READINESS, EMISSIONS, group])
+    if record is not None:
+        return bytes([READ_TROUBLE, WITH_RECORD, record])
+    return bytes([READ_TROUBLE, BY_MASK, mask]) if mask else bytes([READ_TROUBLE, SUPPORTED])
+
+
+def read_troubles(
+    tester: "Dialogue", description: Description, request: bytes = FAILED, *, has_details: bool = True
+) -> tuple[TroubleCode, ...]:
+    """Return the trouble codes for which a `trouble_request` asks.
+
+    With details each comes with its snapshots and extended data, as far as the controller has them.
+    """
+    codes = read_codes(tester.ask(request), description)
+    if not has_details:
+        return codes
+    record = request[2] if request[1] == WITH_RECORD else ALL_RECORDS
+    return tuple(_with_details(tester, description, code, record) for code in codes)
+
+
+def _with_details(tester: "Dialogue", description: Description, code: TroubleCode, record: int) -> TroubleCode:
+    """Return a code with what was kept of it; a controller that keeps nothing, or will not tell, is no error."""
+    number = code.number.to_bytes(3, "big")
+    snapshots = tester.may_ask(bytes([READ_TROUBLE, SNAPSHOTS]) + number + bytes([ALL_RECORDS]))
+    extended = tester.may_ask(bytes([READ_TROUBLE, EXTENDED]) + number + bytes([record]))
+    return replace(
+        code,
+        snapshots=() if isinstance(snapshots, RefusedError) else read_snapshots(snapshots, description),
+        extended=() if isinstance(extended, RefusedError) else read_extended(extended, description),
+    )
+
+
+def read_data(tester: "Dialogue", description: Description, numbers: Iterable[int]) -> list[DataAnswer]:
+    """Return what a controller says of each datum; they are asked for one at a time, so one refusal costs one."""
+    return [_read_datum(tester, description, number) for number in numbers]
+
+
+def _read_datum(tester: "Dialogue", description: Description, number: int) -> DataAnswer:
+    name = description.data_name(number)
+    try:
+        answer = tester.may_ask(bytes([READ_DATA]) + number.to_bytes(2, "big"))
+    except MalformedError as exc:
+        return DataAnswer(number=number, name=name, fault=str(exc))
+    if isinstance(answer, RefusedError):
+        return DataAnswer(number=number, name=name, refusal=answer.code)
+    data = answer[3:]
+    if (size := description.size_bytes(number)) not in {None, len(data)}:
+        return DataAnswer(
+            number=number, name=name, fault=f"its length in bytes is described as {size}, and it came as {shown(data)}"
+        )
+    return DataAnswer(number=number, name=name, data=data, values=description.values(number, data))
+
+
+ALL: Final = "all"
+GROUPS: Final = {ALL: 0xFFFFFF, "obd": 0xFFFF33}  # ISO 14229-1, annex D.1
+_CODE: Final = re.compile(r"([PCBU])([0-3][0-9A-F]{3})(?:-([0-9A-F]{2}))?", re.IGNORECASE)
+_NUMBER: Final = re.compile(r"(?:0x)?([0-9A-F]{6})", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Group:
+    """Which trouble codes are meant: a number of three bytes, or a code with whatever failure type."""
+
+    word: str
+    number: int | None  # None: every one of the codes that are there
+
+    def numbers(self, codes: Sequence[TroubleCode]) -> tuple[int, ...]:
+        """Return the groups to clear, by the codes that the controller tells.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such code.
+        """
+        if self.number is not None:
+            return (self.number,)
+        found = tuple(code.number for code in codes if code.code == self.word)
+        if not found:
+            known = ", ".join(dict.fromkeys(code.code for code in codes)) or "none"
+            raise ConfigError(f"{self.word} is not among the trouble codes that the controller reports: {known}")
+        return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Clearing:
+    """What a controller was told to forget, and what it told before and after."""
+
+    groups: tuple[int, ...]  # empty: somebody said no
+    before: tuple[TroubleCode, ...]
+    after: tuple[TroubleCode, ...]
+
+    @property
+    def gone(self) -> tuple[TroubleCode, ...]:
+        """The codes that it does not tell any more."""
+        left = {code.number for code in self.after}
+        return tuple(code for code in self.before if code.number not in left)
+
+
+def parse_group(text: str, name: str = "--clear") -> Group:
+    """Return what ``all``, ``obd``, ``P0811``, ``P0811-07`` or ``081107`` means; raises ConfigError."""
+    if (number := GROUPS.get(text.casefold())) is not None:
+        return Group(word=text.casefold(), number=number)
+    if found := _NUMBER.fullmatch(text):
+        return Group(word=found[1].upper(), number=int(found[1], 16))
+    if not (found := _CODE.fullmatch(text)):
+        raise ConfigError(f"{name} must be all, obd, a code such as P0811 or P0811-07, or three bytes, got {text!r}")
+    system, digits, failure_type = found[1].upper(), found[2].upper(), found[3]
+    if failure_type is None:
+        return Group(word=system + digits, number=None)
+    upper = SYSTEMS.index(system) << 14 | int(digits, 16)
+    return Group(word=text.upper(), number=upper << 8 | int(failure_type, 16))
+
+
+def clear_request(number: int) -> bytes:
+    """Return the request to forget a group."""
+    return bytes([CLEAR]) + number.to_bytes(CODE_BYTES, "big")
+
 
 EXTENDED_SESSION: Final = 0x03
 LARGEST_SESSION: Final = 0x7F
@@ -96,11 +298,18 @@ class ClearQuestion:
         return [f"{reading}: the codes", *_entering(self.session), f"{clearing}: clear", f"{reading}: what is left"]
 
     def ask(self, tester: "Dialogue", description: Description) -> Clearing:
-        """Clear them, unless that is not agreed to."""
-        return clear_troubles(
-            tester, description, self.group, mask=self.mask, session=self.session,
-            is_agreed=lambda codes: self.is_agreed(tester.where, codes),
-        )  # fmt: skip
+        """Clear them, unless that is not agreed to, which is asked before the session: that ends if nobody speaks."""
+        reading = trouble_request(self.mask)
+        before = read_troubles(tester, description, reading, has_details=False)
+        groups = self.group.numbers(before)
+        if not self.is_agreed(tester.where, before):
+            return Clearing(groups=(), before=before, after=before)
+        with tester.session(self.session):
+            for number in groups:
+                tester.ask(clear_request(number))
+        return Clearing(
+            groups=groups, before=before, after=read_troubles(tester, description, reading, has_details=False)
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -176,7 +385,19 @@ class RoutineQuestion:
         with tester.patience(self.patience_s), tester.session(self.session):
             if self.lock is not None:
                 tester.unlock(self.lock.level, self.lock.mask)
-            return control_routine(tester, description, number, self.action, self.options)
+            request = bytes([ROUTINE, ACTIONS[self.action]]) + number.to_bytes(2, "big") + self.options
+            data = tester.ask(request)[4:]
+        routine = description.routines.get(number)
+        fields = () if routine is None else routine.results
+        if (size := fields_size_bytes(fields)) not in {None, len(data)}:
+            if ACTIONS[self.action] == RESULTS:
+                text = (
+                    f"{tester.where}: the length in bytes of the results of routine {number:04X} is described as {size}"
+                )
+                raise MalformedError(f"{text}, and they came as {shown(data) or 'nothing'}")
+            fields = ()  # an answer to a start may hold the results, or something else
+        name = "" if routine is None else routine.name
+        return RoutineAnswer(number=number, name=name, action=self.action, data=data, values=read_fields(fields, data))
 
 
 def check_number(name: str, value: int, most: int) -> None:

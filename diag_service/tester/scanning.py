@@ -40,6 +40,7 @@ from diag_service.tester.answers import (
     READ_TROUBLE,
     SERVICE_NAMES,
     TESTER_PRESENT,
+    Timing,
     refusal_text,
     request_text,
 )
@@ -55,10 +56,8 @@ from diag_service.tester.asking import (
     opened_bus,
 )
 from diag_service.tester.description import STANDARD_DATA, UNKNOWN, Description
-from diag_service.tester.description_file import recognised
 from diag_service.tester.frames import CLASSIC_BYTES, PADDING, send
-from diag_service.tester.reading import FAILED_MASK, DataAnswer, read_data
-from diag_service.tester.timing import Timing
+from diag_service.tester.questions import FAILED_MASK, DataAnswer, read_data, recognised
 
 if TYPE_CHECKING:
     from diag_service.tester.dialogue import Dialogue

@@ -1,12 +1,12 @@
-"""Trouble codes out of the answers of service 19 (ISO 14229-1, annex D)."""
+"""Trouble codes out of the answers of service 19 (ISO 14229-1, annex D), as JSON and as lines for people."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
 from diag_service.errors import MalformedError
 from diag_service.tester.answers import EXTENDED, HEAD_BYTES, ROW_BYTES, SNAPSHOTS, shown
-from diag_service.tester.description import STANDARD_EXTENDED, Description, Values, code_text, read_fields
+from diag_service.tester.description import STANDARD_EXTENDED, Description, Value, Values, code_text, read_fields
 
 CODE_BYTES: Final = ROW_BYTES - 1
 STATUS_BITS: Final = (
@@ -132,3 +132,77 @@ def read_extended(response: bytes, description: Description) -> tuple[Snapshot, 
 def _check_whole(response: bytes, content: bytes, size_bytes: int) -> None:
     if len(content) < size_bytes:
         raise MalformedError(f"what was kept of a trouble code is cut off: {shown(response)}")
+
+
+Record = dict[str, object]
+NOTHING: Final = "not available"
+
+
+def code_words(code: TroubleCode) -> str:
+    """Return a code with what it says and how sure the controller is."""
+    state = "confirmed" if code.is_confirmed else "pending" if code.is_pending else "not confirmed"
+    return f"{code.code} {code.text} ({state})" if code.text else f"{code.code} ({state})"
+
+
+def trouble_record(code: TroubleCode) -> Record:
+    """Return a trouble code with what was kept of it."""
+    return {
+        "code": code.code,
+        "failure_type": code.failure_type,
+        "number": f"{code.number:06X}",
+        "text": code.text,
+        "status": code.status,
+        "states": list(code.states),
+        "snapshots": [_snapshot_record(one) for one in code.snapshots],
+        "extended_data": [_snapshot_record(one) for one in code.extended],
+    }
+
+
+def _snapshot_record(snapshot: Snapshot) -> Record:
+    data = {name: dict(values) for name, values in snapshot.data.items()}
+    return {"number": snapshot.number, "data": data, "rest": snapshot.rest.hex(" ").upper()}
+
+
+def trouble_lines(codes: Sequence[TroubleCode]) -> Iterator[str]:
+    """Yield a line for each code, and under it what was kept."""
+    if not codes:
+        yield "no trouble codes"
+        return
+    rows = [
+        (code.code, f"{code.failure_type:02X}", f"{code.status:02X}", ", ".join(code.states), code.text)
+        for code in codes
+    ]
+    head, *lines = columns(("code", "type", "status", "state", "text"), rows)
+    yield head
+    for line, code in zip(lines, codes, strict=True):
+        yield line
+        yield from _kept_lines("snapshot", code.snapshots)
+        yield from _kept_lines("extended data", code.extended)
+
+
+def _kept_lines(what: str, kept: Iterable[Snapshot]) -> Iterator[str]:
+    for one in kept:
+        parts = [f"{name}: {values_text(values)}" for name, values in one.data.items()]
+        if one.rest:
+            parts.append(f"not understood: {one.rest.hex(' ').upper()}")
+        yield f"  {what} {one.number:02X}: {'; '.join(parts)}"
+
+
+def values_text(values: Values) -> str:
+    """Return values for people: name, number, unit; the name of one that is alone says nothing new."""
+    is_alone = len(values) == 1
+    return ", ".join(_value_text("" if is_alone else name, name, value) for name, value in values.items())
+
+
+def _value_text(shown_name: str, name: str, value: Value) -> str:
+    shown = NOTHING if value is None else f"{value:.10g}" if isinstance(value, float) else str(value)
+    _, bracket, unit = name.partition(" [")
+    unit = f" {unit.removesuffix(']')}" if bracket and value is not None else ""
+    return f"{shown_name.partition(' [')[0]} {shown}{unit}".strip()
+
+
+def columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows as lines, each column as wide as its longest entry."""
+    widths = [max(len(row[place]) for row in (head, *rows)) for place in range(len(head))]
+    return ["  ".join(entry.ljust(width) for entry, width in zip(row, widths, strict=True)).rstrip()
+            for row in (head, *rows)]  # fmt: skip

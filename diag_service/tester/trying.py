@@ -19,16 +19,15 @@ from cantools.database.can import Database
 from canlog.errors import OutputError, SourceError
 from clutchdiag_io.files import replacement_refusal
 from diag_service.commands.arguments import parse_arguments
-from diag_service.commands.program import PROGRAM
 from diag_service.console.terminal import PeopleConsole
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError, ControllerError
 from diag_service.mapping.asked_signals import NEGATIVE, data_in, sizes_of
-from diag_service.mapping.databases import open_database
-from diag_service.mapping.interpretation import fit_of
+from diag_service.mapping.interpretation import fit_of, open_database
 from diag_service.mapping.profile import AskingRules, Profile, find_profile, load_shipped, shipped_profiles, to_si
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.service.stopping import Controls
+from diag_service.settings.options import PROGRAM
 from diag_service.tester.adapters import Line, line_through, parse_adapter, rules_through
 from diag_service.tester.addresses import CanAddress, id_text, is_extended
 from diag_service.tester.answers import refusal_text

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, Self, TypeVar
 from diag_service.api.choices import AnyPath, check_one_bus, optional_path
 from diag_service.errors import ConfigError
 from diag_service.tester.addresses import CanAddress, usual_response_id
+from diag_service.tester.answers import DEFAULT_SESSION, DialogueCounts, Timing
 from diag_service.tester.asking import (
     LARGEST_LOGICAL,
     LISTEN_S,
@@ -21,21 +22,25 @@ from diag_service.tester.asking import (
     heard,
     parse_doip,
 )
-from diag_service.tester.clearing import ALL as ALL_CODES
-from diag_service.tester.clearing import Clearing, parse_group
-from diag_service.tester.description_file import find_description, recognised
+from diag_service.tester.description import find_description
+from diag_service.tester.questions import ALL as ALL_CODES
 from diag_service.tester.questions import (
     EXTENDED_SESSION,
+    FAILED_MASK,
     PATIENCE_S,
+    Clearing,
     ClearQuestion,
+    DataAnswer,
     DataQuestion,
     Lock,
     Question,
+    RoutineAnswer,
     RoutineQuestion,
     TroubleQuestion,
     check_number,
+    parse_group,
+    recognised,
 )
-from diag_service.tester.reading import FAILED_MASK, DataAnswer, RoutineAnswer
 from diag_service.tester.scanning import (
     ALL_NUMBERS,
     SHORTEST_WAIT_S,
@@ -47,7 +52,6 @@ from diag_service.tester.scanning import (
     request_ids,
     scan,
 )
-from diag_service.tester.timing import DEFAULT_SESSION, DialogueCounts, Timing
 from diag_service.tester.trouble import TroubleCode
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from typing import Any
 from sqlalchemy import Engine
 
 from fleet_backend import queries, report
-from fleet_backend.alarms.carriers import Carrier, Mail, Webhook
-from fleet_backend.alarms.mqtt import Mqtt
+from fleet_backend.alarms.carriers import Carrier, Mail, Mqtt, Webhook
 from fleet_backend.alarms.rules import Limits
 from fleet_backend.alarms.words import parse_mail, parse_secret, parse_service_km, parse_silence, parse_webhook
 from fleet_backend.commands import broker_of, tell, user_name

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from diag_service.diagnosis.records import ServiceStatus, clutch_record, shift_record, status_record
+from diag_service.tester.polling import ControllerReport
 from diag_service.tester.trouble import Snapshot, TroubleCode
-from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract import (
     JsonObject,
     Outcome,

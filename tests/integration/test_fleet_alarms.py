@@ -26,8 +26,7 @@ from sqlalchemy import Engine, event, select
 from diag_service.diagnosis.records import Condition
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter, Note
-from fleet_backend.alarms.carriers import Mail, Webhook
-from fleet_backend.alarms.mqtt import TOPIC_ROOT, Mqtt
+from fleet_backend.alarms.carriers import TOPIC_ROOT, Mail, Mqtt, Webhook
 from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction

@@ -7,8 +7,8 @@ import pytest
 from sqlalchemy import Engine
 
 from diag_service.diagnosis.records import Condition
+from diag_service.tester.polling import ControllerReport
 from diag_service.tester.trouble import TroubleCode
-from diag_service.tester.trouble_report import ControllerReport
 from fleet_backend import queries
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction

@@ -16,8 +16,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.commands import analyze, lake
 from diag_service.commands.arguments import parse_arguments
 from diag_service.errors import ConfigError, IncompleteError, StoreError
-from diag_service.lake.manifest import DONE, FAILED, LogRow, Manifest
-from diag_service.lake.parts import Disagreement, disagreement, forget
+from diag_service.lake.parts import DONE, FAILED, Disagreement, LogRow, Manifest, disagreement, forget
 from diag_service.lake.places import Place
 from diag_service.lake.run import Ledger, find_logs, to_do
 from diag_service.lake.work import EXIT_OVERDUE, Job, LakeLog, Maker

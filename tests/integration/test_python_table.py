@@ -2,11 +2,11 @@
 
 import inspect
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args, is_typeddict
 
 import click
 import pytest
@@ -38,6 +38,17 @@ def spans(cell: str) -> list[str]:
     return SPAN.findall(cell)
 
 
+def parameters_of(function: Callable[..., Any]) -> set[str]:
+    """Return the names that a function takes, those of its record of options too."""
+    found = inspect.signature(function).parameters
+    options = [key for one in found.values() for kind in get_args(one.annotation) for key in options_in(kind)]
+    return {one.name for one in found.values() if one.kind is not one.VAR_KEYWORD and one.name != "self"} | set(options)
+
+
+def options_in(kind: object) -> Iterable[str]:
+    return kind.__annotations__ if is_typeddict(kind) else ()
+
+
 @dataclass(frozen=True, slots=True)
 class Offer:
     """What Python has for a command."""
@@ -47,8 +58,7 @@ class Offer:
 
     @property
     def parameters(self) -> set[str]:
-        found = {name for function in self.functions.values() for name in inspect.signature(function).parameters}
-        return found - {"self"}
+        return {name for function in self.functions.values() for name in parameters_of(function)}
 
     def has(self, word: str) -> bool:
         """Return whether a word of the second column is something that belongs to these functions."""
@@ -142,8 +152,7 @@ def test_every_argument_is_an_option_or_belongs_to_python() -> None:
             for function in offers()[name].functions.values():
                 reached.setdefault(function, set()).update(one.lower() if one in CHOICES else one for one in words)
     for function, words in reached.items():
-        parameters = set(inspect.signature(function).parameters) - {"self"}
-        assert parameters - words - own == set(), function
+        assert parameters_of(function) - words - own == set(), function
 
 
 def test_the_tables_name_nothing_that_is_not_there() -> None:

@@ -12,8 +12,9 @@ import pytest
 import canlog
 import diag_service
 import ecu_emulator
-from diag_service.tester.report import data_record, found_record, routine_record
-from diag_service.tester.trouble_report import ControllerReport, trouble_record
+from diag_service.tester.commands import data_record, found_record, routine_record
+from diag_service.tester.polling import ControllerReport
+from diag_service.tester.trouble import trouble_record
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from tests.integration.test_tester import MASK, SLIPS, Vehicle, another_tester, failing_car, told, vehicle

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from diag_service.delivery.console import order_lines
 from diag_service.diagnosis.condition.verdict import Cause, Silence, advice
 from diag_service.diagnosis.prognosis import Passage, Prognosis
-from diag_service.diagnosis.prognosis.clocks import DISTANCE_M
+from diag_service.diagnosis.prognosis.channels import DISTANCE_M
 from diag_service.diagnosis.prognosis.prognosis import Outlook, Reach
 from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.records import (

@@ -20,8 +20,7 @@ from typing import Any
 import psutil
 import pyarrow.parquet as pq
 
-from diag_service.lake.manifest import DONE, Manifest
-from diag_service.lake.parts import disagreement
+from diag_service.lake.parts import DONE, Manifest, disagreement
 from diag_service.lake.places import Place
 from tests.plugins.drives import SHIFT_COUNT, send_time_s
 from tests.support.cluster import Cluster

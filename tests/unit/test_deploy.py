@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from diag_service import cli
-from diag_service.commands.program import PROGRAM
 from diag_service.service.snapshot import STALE_S
+from diag_service.settings.options import PROGRAM
 
 UNIT = Path(__file__).parents[2] / "docs" / "deploy" / "clutchdiag.service"
 

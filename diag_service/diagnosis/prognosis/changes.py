@@ -13,8 +13,7 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array
 from diag_service.diagnosis.prognosis.assumptions import REFERENCE_K
-from diag_service.diagnosis.prognosis.history import History
-from diag_service.diagnosis.prognosis.normal import robust_noise_ratio
+from diag_service.diagnosis.prognosis.history import History, robust_noise_ratio
 
 # Rows that say where friction was: share of chi-square that each reaches.
 BEFORE_COUNTS: Final = {480: 1.0, 60: 0.7, 30: 0.5}

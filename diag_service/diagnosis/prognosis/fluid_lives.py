@@ -19,12 +19,20 @@ from diag_service.diagnosis.prognosis.assumptions import (
     ChannelPrior,
 )
 from diag_service.diagnosis.prognosis.changes import FluidStart
-from diag_service.diagnosis.prognosis.channels import Channel, ChannelName, channels_of
-from diag_service.diagnosis.prognosis.clocks import Clock, clocks_of
+from diag_service.diagnosis.prognosis.channels import Channel, ChannelName, Clock, channels_of, clocks_of
 from diag_service.diagnosis.prognosis.history import History
-from diag_service.diagnosis.prognosis.passage import Passage, passage
 from diag_service.diagnosis.prognosis.population import Peers
-from diag_service.diagnosis.prognosis.trend import Fit, Mixture, Part, aged, fit, log_evidence, summary
+from diag_service.diagnosis.prognosis.trend import (
+    Fit,
+    Mixture,
+    Part,
+    Passage,
+    aged,
+    fit,
+    log_evidence,
+    passage,
+    summary,
+)
 
 MOST_CLOCKS = 6  # that are looked at for bends
 LEAST_LOG_EVIDENCE = -4.6  # of a clock against the best: one in a hundred

@@ -212,3 +212,11 @@ def _new_fluids(history: History, fills: Sequence[FluidFill]) -> tuple[int, ...]
         if since_m is not None and history.odometer_m[first] - since_m <= NEW_WITHIN_M:
             new.append(number)
     return tuple(new)
+
+
+def robust_noise_ratio(value: FloatArray, std: FloatArray) -> float:
+    """Return how much larger the noise is than stated, at least 1; outliers and trends do not count."""
+    if len(value) < 8:
+        return 1.0
+    steps = np.diff(value) / np.hypot(std[1:], std[:-1])
+    return max(1.0, 1.4826 * float(np.median(np.abs(steps))))

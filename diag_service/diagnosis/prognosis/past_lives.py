@@ -13,7 +13,6 @@ import numpy as np
 from clutch_model.calibration import FrictionCurve
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO
 from diag_service.diagnosis.prognosis.assumptions import LEAST_ROWS
-from diag_service.diagnosis.prognosis.bends import Hindsight
 from diag_service.diagnosis.prognosis.changes import FluidStart, fluid_starts
 from diag_service.diagnosis.prognosis.fluid_lives import (
     CHANGE_MARGIN_RATIO,
@@ -23,9 +22,8 @@ from diag_service.diagnosis.prognosis.fluid_lives import (
     fluid_lives,
 )
 from diag_service.diagnosis.prognosis.history import History
-from diag_service.diagnosis.prognosis.passage import Passage
-from diag_service.diagnosis.prognosis.population import Ageing, Course, PeerGroup, Peers, Population
-from diag_service.diagnosis.prognosis.trend import Part, fallen, summary
+from diag_service.diagnosis.prognosis.population import Ageing, Course, Hindsight, PeerGroup, Peers, Population
+from diag_service.diagnosis.prognosis.trend import Part, Passage, fallen, summary
 
 LOOK_SHARES: Final = (0.1, 0.17, 0.25, 0.35, 0.5, 0.7)  # of a life: when it is foretold what came of it
 _HALVINGS: Final = 6  # a fluid's end is found to a sixty-fourth of what was driven with it

@@ -1,20 +1,85 @@
-"""What the clutches of a fleet have in common: how fast fluids of one kind age, how far vehicles differ in that.
+"""What the clutches of a fleet have in common: how fast fluids of one kind age, how they bend, how far they differ.
 
 Empirical Bayes: each life of a fluid says how fast it went, with its own doubt; the scatter beyond that doubt is that
-of the population. Both are robust, so that a bad batch among many does not widen what is usual.
+of the population. Both are robust, so that a bad batch among many does not widen what is usual. Each past life is also
+foretold at some of its ages as if nothing bent: the shares of bends that explain best what truly came are found by
+expectation and maximization (Dempster, Laird, Rubin 1977).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from math import isfinite
+from typing import Any, Final
 
 import numpy as np
 
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis.assumptions import FUTURE_BENDS, ChannelPrior
-from diag_service.diagnosis.prognosis.bends import Bends, Hindsight, bends_of
 from diag_service.diagnosis.prognosis.channels import ChannelName
 from diag_service.diagnosis.prognosis.common import Common
+from diag_service.diagnosis.prognosis.trend import Passage
+
+FACTORS: Final = (1.0, 0.6, 0.85, 1.2, 1.5, 2.0, 2.5, 3.3, 4.5)  # of the rate, the first of them no bend
+ASSUMED_LIVES: Final = 4.0  # that the assumed bends count as
+SHARED_LIVES: Final = 30.0  # that the bends of all types count as, for one type
+_BLUR: Final = 0.08  # of what was left: how exactly the end of a past life is known
+_LEAST: Final = 1e-4  # probability of any end: no bend is impossible
+_BEND_ROUNDS: Final = 200
+
+Bends = Mapping[float, float]  # factor of the rate: chance that it comes before the end
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hindsight:
+    """What would have been foretold of a past life at one of its ages, and what came."""
+
+    share: float  # of the life that was over
+    left_m: float  # that it truly lasted from then on, or was followed
+    has_ended: bool
+    passage: Passage  # if nothing bent
+
+
+def bends_of(groups: Mapping[str, Sequence[Sequence[Hindsight]]]) -> dict[str, Bends]:
+    """Return the bends of each type from the looks at its lives; what they share comes from all of them."""
+    likelihoods = {name: _likelihoods(lives) for name, lives in groups.items()}
+    assumed = np.array([1.0 - sum(FUTURE_BENDS.values()), *(FUTURE_BENDS.get(one, 0.0) for one in FACTORS[1:])])
+    every = np.concatenate([rows for rows, _ in likelihoods.values()])
+    weight = np.concatenate([weight for _, weight in likelihoods.values()])
+    shared = _shares(every, weight, ASSUMED_LIVES * assumed)
+    found: dict[str, Bends] = {}
+    for name, (rows, own) in likelihoods.items():
+        shares = _shares(rows, own, SHARED_LIVES * shared)
+        found[name] = dict(zip(FACTORS[1:], shares[1:].tolist(), strict=True))
+    return found
+
+
+def _likelihoods(lives: Sequence[Sequence[Hindsight]]) -> tuple[FloatArray, FloatArray]:
+    """Return how likely each bend makes what came of each look, and the weight of each; a life counts as one."""
+    rows = [_likelihood(look) for life in lives for look in life]
+    weight = [1.0 / len(life) for life in lives for _ in life]
+    return np.array(rows).reshape(-1, len(FACTORS)), np.array(weight)
+
+
+def _likelihood(look: Hindsight) -> FloatArray:
+    near_m, far_m = look.left_m * (1.0 - _BLUR), look.left_m * (1.0 + _BLUR)
+    ends_m = np.array([near_m, far_m] if look.has_ended else [look.left_m, np.inf])
+    ends_m = np.minimum(ends_m, look.passage.distance_m[-1])
+    passed = np.array([look.passage.bent_within(ends_m, {} if factor == 1.0 else {factor: 1.0}) for factor in FACTORS])
+    if not look.has_ended:
+        return np.asarray(1.0 - passed[:, 0] + _LEAST)
+    return np.asarray(passed[:, 1] - passed[:, 0] + _LEAST)
+
+
+def _shares(likelihood: FloatArray, weight: FloatArray, before: FloatArray) -> FloatArray:
+    """Return the share of each bend; ``before``: how many lives say so already."""
+    shares = np.full(len(FACTORS), 1.0 / len(FACTORS))
+    for _ in range(_BEND_ROUNDS):
+        belief = likelihood * shares
+        belief *= (weight / belief.sum(axis=1))[:, None]
+        shares = belief.sum(axis=0) + before
+        shares /= shares.sum()
+    return shares
+
 
 LEAST_LIVES: Final = 8  # of a kind; fewer say nothing of their scatter
 LEAST_SCATTER: Final = {"start": 0.005, "loss_log": 0.05}  # no population is believed to be all alike
@@ -186,3 +251,82 @@ def location_and_scatter(value: FloatArray, std: FloatArray) -> tuple[float, flo
         is_wider = float(np.median(np.abs(value - centre) * np.sqrt(weight))) > 0.6745
         low, high = (middle, high) if is_wider else (low, middle)
     return centre, 0.5 * (low + high)
+
+
+SCHEMA: Final = "clutchdiag/population/v1"
+_USUAL: Final = ("start", "start_std", "loss_per_m", "loss_log_std")
+
+
+def population_record(population: Population) -> dict[str, Any]:
+    """Return a population as it is written, JSON-ready."""
+    return {
+        "schema": SCHEMA,
+        "version": population.version,
+        "life_count": population.life_count,
+        "peers": [
+            {
+                "vehicle_type": one.kind.vehicle_type,
+                "fluid": one.kind.fluid,
+                "life_count": one.life_count,
+                "channels": {
+                    name.value: {key: getattr(usual, key) for key in _USUAL} for name, usual in one.channels.items()
+                },
+                "bends": [{"factor": factor, "chance": chance} for factor, chance in one.bends.items()],
+                "bend_life_count": one.bend_life_count,
+            }
+            for one in population.peers
+        ],
+        "common": [
+            {"vehicle_type": name, "first_period": one.first_period, "mu_c": one.mu_c, "mu_s": one.mu_s}
+            for name, one in population.common.items()
+        ],
+    }
+
+
+def population_from(record: object) -> Population:
+    """Return the population that a record holds.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or one of a newer program.
+    """
+    if not isinstance(record, Mapping) or record.get("schema") != SCHEMA:
+        raise ValueError(f"no population of the schema {SCHEMA}")
+    try:
+        return Population(
+            version=None if record["version"] is None else int(record["version"]),
+            life_count=int(record["life_count"]),
+            peers=tuple(_written_peers(one) for one in record["peers"]),
+            common={str(one["vehicle_type"]): _common(one) for one in record["common"]},
+        )
+    except (KeyError, TypeError, AttributeError) as exc:
+        raise ValueError(f"a population lacks something: {exc}") from exc
+
+
+def _written_peers(record: Mapping[str, Any]) -> Peers:
+    fluid = record["fluid"]
+    return Peers(
+        kind=PeerGroup(vehicle_type=str(record["vehicle_type"]), fluid=None if fluid is None else str(fluid)),
+        life_count=int(record["life_count"]),
+        channels={
+            ChannelName(name): Usual(**{key: _number(usual[key]) for key in _USUAL})
+            for name, usual in record["channels"].items()
+        },
+        bends={_number(one["factor"]): _number(one["chance"]) for one in record["bends"]},
+        bend_life_count=int(record["bend_life_count"]),
+    )
+
+
+def _common(record: Mapping[str, Any]) -> Common:
+    mu_c, mu_s = (tuple(map(_number, record[name])) for name in ("mu_c", "mu_s"))
+    if not mu_c or len(mu_c) != len(mu_s):
+        raise ValueError("common courses of mu_C and mu_S differ in length")
+    return Common(first_period=int(record["first_period"]), mu_c=mu_c, mu_s=mu_s)
+
+
+def _number(value: object) -> float:
+    number = float(str(value))
+    if not isfinite(number):
+        raise ValueError(f"{value!r} is not a number of a population")
+    return number

@@ -10,8 +10,7 @@ from math import inf, isnan
 from typing import Final
 
 from diag_service.diagnosis.prognosis.assumptions import HORIZON_M, LEAST_ROWS
-from diag_service.diagnosis.prognosis.prognosis import Outlook, Prognosis, Reach
-from diag_service.diagnosis.prognosis.words import M_PER_KM
+from diag_service.diagnosis.prognosis.prognosis import M_PER_KM, Outlook, Prognosis, Reach
 from fleet_contract.orders import Action
 
 _PERCENT: Final = 100.0

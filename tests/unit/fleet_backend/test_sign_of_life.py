@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from fleet_backend.application import answers, give_signs, prepare
 from fleet_backend.choices import Pace
 from fleet_backend.database import open_database
 from fleet_backend.errors import ConfigError
 from fleet_backend.ingest import Inbox, Worker
-from fleet_backend.sign_of_life import answers, give_signs, prepare
 from fleet_backend.writer import Writer
 from tests.support.fleet import NOW
 from tests.support.patience import HANG_S

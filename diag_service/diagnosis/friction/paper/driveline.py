@@ -1,12 +1,22 @@
-"""What the paper's method must know of the driveline beyond the calibration: inertias, compliances, ratios."""
+"""The driveline of the paper's method: what it must know beyond the calibration, and one shift as a linear system.
+
+Eqs. (1) to (3f) with both shafts in gear, in steps of a period. What is not modelled drives it as noise: the friction
+torques wander, and so does the acceleration of the wheels, which are measured, so that neither road nor car nor brake
+need be known.
+"""
 
 import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from enum import IntEnum
 from importlib.resources import files
 from typing import Self
 
+import numpy as np
+
+from canlog.arrays import FloatArray
+from clutch_model.calibration import InputSide
 from clutch_model.errors import CalibrationError
 from clutch_model.tables import record_from, require
 
@@ -105,3 +115,122 @@ def nominal_driveline() -> Driveline:
     """Return the driveline that ships with the service."""
     text = files("diag_service").joinpath("diagnosis/friction/paper/driveline.toml").read_text(encoding="utf-8")
     return Driveline.from_mapping(tomllib.loads(text))
+
+
+TORQUE_WANDER_NM_SQRT_S = 150.0  # friction torque: 15 N m in 10 ms, as in a handover
+WHEEL_WANDER_RAD_S2_SQRT_S = 30.0  # wheel acceleration: 3 rad/s^2 in 10 ms
+ENGINE_TORQUE_BAND_S = 0.01  # over which the engine torque's error is the same
+
+
+class State(IntEnum):
+    """Places in the state vector."""
+
+    ENGINE_SPEED = 0
+    FLYWHEEL_TWIST = 1
+    HUB_SPEED = 2
+    INPUT1_SPEED = 3
+    SHAFT1_TWIST = 4
+    INPUT2_SPEED = 5
+    SHAFT2_TWIST = 6
+    DIFF_SPEED = 7
+    OUTPUT_TWIST = 8
+    WHEEL_SPEED = 9
+    WHEEL_ACCELERATION = 10
+    CLUTCH1_TORQUE = 11
+    CLUTCH2_TORQUE = 12
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrivelineModel:
+    """``x(n+1) = transition*x(n) + engine*T_e(n) + w``, w of covariance ``noise``; and the torques in x."""
+
+    transition: FloatArray  # (13, 13)
+    engine: FloatArray  # (13,)
+    noise: FloatArray  # (13, 13)
+    flywheel_nm: FloatArray  # (13,) row that reads T_FW
+    shaft_nm: FloatArray  # (2, 13) rows that read T_si
+
+
+def driveline_model(
+    gears: tuple[int, int], period_s: float, side: InputSide, driveline: Driveline, engine_torque_std_nm: float
+) -> DrivelineModel:
+    """Return the model of a shift.
+
+    Parameters
+    ----------
+    gears : pair of int
+        Gear engaged on input shaft 1 and 2.
+    """
+    ratios = tuple(driveline.overall_ratios[gear - 1] for gear in gears)
+    flywheel, shafts = _torque_rows(ratios, driveline)
+    rate = _rates(ratios, flywheel, shafts, side, driveline)
+    size = len(State)
+    diffusion = np.zeros((size, size))
+    engine_std = engine_torque_std_nm / side.engine_inertia_kg_m2
+    diffusion[State.ENGINE_SPEED, State.ENGINE_SPEED] = engine_std**2 * ENGINE_TORQUE_BAND_S
+    diffusion[State.WHEEL_ACCELERATION, State.WHEEL_ACCELERATION] = WHEEL_WANDER_RAD_S2_SQRT_S**2
+    for torque in (State.CLUTCH1_TORQUE, State.CLUTCH2_TORQUE):
+        diffusion[torque, torque] = TORQUE_WANDER_NM_SQRT_S**2
+    by_torque = np.zeros(size)
+    by_torque[State.ENGINE_SPEED] = 1.0 / side.engine_inertia_kg_m2
+    transition, engine, noise = _discretised(rate, by_torque, diffusion, period_s)
+    return DrivelineModel(transition=transition, engine=engine, noise=noise, flywheel_nm=flywheel, shaft_nm=shafts)
+
+
+def _torque_rows(ratios: tuple[float, ...], driveline: Driveline) -> tuple[FloatArray, FloatArray]:
+    flywheel = np.zeros(len(State))
+    flywheel[State.FLYWHEEL_TWIST] = driveline.flywheel.stiffness_nm_rad
+    flywheel[State.ENGINE_SPEED] = driveline.flywheel.damping_nms_rad
+    flywheel[State.HUB_SPEED] = -driveline.flywheel.damping_nms_rad
+    shafts = np.zeros((2, len(State)))
+    for m, (ratio, shaft) in enumerate(zip(ratios, driveline.shafts, strict=True)):
+        shafts[m, State.SHAFT1_TWIST + 2 * m] = shaft.stiffness_nm_rad
+        shafts[m, State.INPUT1_SPEED + 2 * m] = shaft.damping_nms_rad
+        shafts[m, State.DIFF_SPEED] = -ratio * shaft.damping_nms_rad
+    return flywheel, shafts
+
+
+def _rates(
+    ratios: tuple[float, ...], flywheel: FloatArray, shafts: FloatArray, side: InputSide, driveline: Driveline
+) -> FloatArray:
+    rate = np.zeros((len(State), len(State)))
+    rate[State.ENGINE_SPEED] = -flywheel / side.engine_inertia_kg_m2
+    rate[State.FLYWHEEL_TWIST, [State.ENGINE_SPEED, State.HUB_SPEED]] = 1.0, -1.0
+    rate[State.HUB_SPEED] = flywheel / side.hub_inertia_kg_m2
+    rate[State.HUB_SPEED, State.HUB_SPEED] -= side.hub_damping_nms_rad / side.hub_inertia_kg_m2
+    diff_nm = np.zeros(len(State))
+    diff_inertia_kg_m2 = driveline.output.inertia_kg_m2
+    for m, (ratio, shaft) in enumerate(zip(ratios, driveline.shafts, strict=True)):
+        speed, twist, torque = State.INPUT1_SPEED + 2 * m, State.SHAFT1_TWIST + 2 * m, State.CLUTCH1_TORQUE + m
+        rate[State.HUB_SPEED, torque] = -1.0 / side.hub_inertia_kg_m2
+        rate[speed] = -shafts[m] / shaft.clutch_inertia_kg_m2
+        rate[speed, speed] -= shaft.clutch_damping_nms_rad / shaft.clutch_inertia_kg_m2
+        rate[speed, torque] += 1.0 / shaft.clutch_inertia_kg_m2
+        rate[twist, [speed, State.DIFF_SPEED]] = 1.0, -ratio
+        diff_nm += ratio * shafts[m]
+        diff_nm[State.DIFF_SPEED] -= ratio**2 * shaft.gear_damping_nms_rad
+        diff_inertia_kg_m2 += ratio**2 * shaft.gear_inertia_kg_m2
+    output = driveline.output
+    diff_nm[State.OUTPUT_TWIST] -= output.stiffness_nm_rad
+    diff_nm[State.DIFF_SPEED] -= output.damping_nms_rad
+    diff_nm[State.WHEEL_SPEED] += output.damping_nms_rad
+    rate[State.DIFF_SPEED] = diff_nm / diff_inertia_kg_m2
+    rate[State.OUTPUT_TWIST, [State.DIFF_SPEED, State.WHEEL_SPEED]] = 1.0, -1.0
+    rate[State.WHEEL_SPEED, State.WHEEL_ACCELERATION] = 1.0
+    return rate
+
+
+def _discretised(
+    rate: FloatArray, by_torque: FloatArray, diffusion: FloatArray, period_s: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return transition, response to a held engine torque, and covariance of the noise (Van Loan's way)."""
+    from scipy.linalg import expm  # noqa: PLC0415 - it takes a second to load
+
+    size = len(rate)
+    forced = np.zeros((size + 1, size + 1))
+    forced[:size, :size], forced[:size, size] = rate, by_torque
+    moved = expm(forced * period_s)
+    blocks = np.block([[-rate, diffusion], [np.zeros((size, size)), rate.T]])
+    spread = expm(blocks * period_s)
+    noise = spread[size:, size:].T @ spread[:size, size:]
+    return moved[:size, :size], moved[:size, size], 0.5 * (noise + noise.T)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from diag_service.console.keys import ending_key
+from diag_service.console.terminal import ending_key
 from tests.support.patience import HANG_S
 
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from diag_service.console.keys import is_confirmed
+from diag_service.console.terminal import is_confirmed
 from tests.support.patience import HANG_S
 
 

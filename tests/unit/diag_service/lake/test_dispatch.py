@@ -7,7 +7,7 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.errors import StoreError
-from diag_service.lake.manifest import DONE, FAILED, LogRow
+from diag_service.lake.parts import DONE, FAILED, LogRow
 from diag_service.lake.places import Held
 from diag_service.lake.pools import Outcome
 from diag_service.lake.run import MOST_DEATHS, MOST_REFUSALS, WAITING_PER_WORKER, Dispatch

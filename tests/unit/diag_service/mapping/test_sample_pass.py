@@ -9,10 +9,9 @@ from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import ColumnBatch, Signal
-from diag_service.mapping.decoder import PIECE_FRAMES, Decoder
+from diag_service.mapping.decoder import PIECE_FRAMES, Decoder, SamplePass
 from diag_service.mapping.mapped_messages import MessageColumns, map_signals
 from diag_service.mapping.profile import PROFILE_FOLDER, Profile, load_profile, load_shipped
-from diag_service.mapping.sample_pass import SamplePass
 from tests.support.wire import drive, received
 
 

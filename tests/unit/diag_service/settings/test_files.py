@@ -10,7 +10,7 @@ import pytest
 
 from diag_service.cli import main
 from diag_service.commands.arguments import parse_arguments
-from diag_service.commands.config import describe
+from diag_service.commands.live import describe
 from diag_service.errors import ConfigError
 from diag_service.settings.options import SETTINGS, VARIABLES, load_settings
 from fleet_contract import PREFIX, SERVICE_VARIABLES

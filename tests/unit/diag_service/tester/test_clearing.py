@@ -3,7 +3,7 @@
 import pytest
 
 from diag_service.errors import ConfigError
-from diag_service.tester.clearing import Clearing, parse_group
+from diag_service.tester.questions import Clearing, parse_group
 from diag_service.tester.trouble import TroubleCode
 
 CODES = tuple(TroubleCode(number=number, status=0x0F) for number in (0x081107, 0x081109, 0x02184B, 0xC07300))

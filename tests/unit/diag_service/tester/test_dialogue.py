@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import pytest
 
 from diag_service.errors import ControllerError, MalformedError, PendingError, RefusedError, SilentError, StoppedError
+from diag_service.tester.answers import Timing
 from diag_service.tester.dialogue import Dialogue
 from diag_service.tester.libraries import BaseConnection, TimeoutException
-from diag_service.tester.timing import Timing
 
 QUICK = Timing(p2_s=0.02, p2_star_s=0.05, longest_s=0.2, gap_s=0.0)
 VIN = bytes.fromhex("22 F1 90")

@@ -10,9 +10,8 @@ from canlog.errors import DefinitionError
 from diag_service.delivery import MemoryReporter
 from diag_service.errors import ResultError, SilentError, StoreError
 from diag_service.store import ResultStore
-from diag_service.tester.polling import Poller, message_of, pause_s, publish_controller
+from diag_service.tester.polling import ControllerReport, Poller, message_of, pause_s, publish_controller
 from diag_service.tester.trouble import Snapshot, TroubleCode
-from diag_service.tester.trouble_report import ControllerReport
 from fleet_contract import Channel, Outgoing, read_message
 from tests.support.patience import HANG_S
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from diag_service.diagnosis.prognosis.assumptions import FUTURE_BENDS
-from diag_service.diagnosis.prognosis.bends import Hindsight, bends_of
-from diag_service.diagnosis.prognosis.clocks import DISTANCE_M
-from diag_service.diagnosis.prognosis.normal import normal_cdf
-from diag_service.diagnosis.prognosis.passage import Passage
+from diag_service.diagnosis.prognosis.channels import DISTANCE_M
+from diag_service.diagnosis.prognosis.population import Hindsight, bends_of
+from diag_service.diagnosis.prognosis.trend import Passage, normal_cdf
 
 LEFT_M = 5.0e7
 SURE = Passage(distance_m=DISTANCE_M, probability=normal_cdf((DISTANCE_M - LEFT_M) / (0.05 * LEFT_M)))

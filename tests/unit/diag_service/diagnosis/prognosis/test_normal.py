@@ -5,7 +5,8 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from diag_service.diagnosis.prognosis.normal import normal_cdf, robust_noise_ratio
+from diag_service.diagnosis.prognosis.history import robust_noise_ratio
+from diag_service.diagnosis.prognosis.trend import normal_cdf
 
 
 def test_it_is_the_normal_distribution() -> None:

@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from diag_service.diagnosis.prognosis.assumptions import FUTURE_BENDS, HORIZON_M
-from diag_service.diagnosis.prognosis.clocks import DISTANCE_M, Clock
-from diag_service.diagnosis.prognosis.passage import Passage, passage
-from diag_service.diagnosis.prognosis.trend import Mixture
+from diag_service.diagnosis.prognosis.channels import DISTANCE_M, Clock
+from diag_service.diagnosis.prognosis.trend import Mixture, Passage, passage
 
 
 def sure(now: float, rate_per_m: float, *, std: float = 0.001, start: float = 1.0) -> Mixture:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diag_service.diagnosis.prognosis import Passage, Prognosis, prognose
-from diag_service.diagnosis.prognosis.clocks import DISTANCE_M
+from diag_service.diagnosis.prognosis.channels import DISTANCE_M
 from diag_service.diagnosis.prognosis.prognosis import Outlook, Reach
 from diag_service.diagnosis.prognosis.sentence import outlook_line
 from fleet_contract.orders import Action

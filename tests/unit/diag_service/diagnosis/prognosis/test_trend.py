@@ -6,11 +6,18 @@ import numpy as np
 import pytest
 
 from diag_service.diagnosis.prognosis.assumptions import MARGIN_OF_NEW
-from diag_service.diagnosis.prognosis.channels import ChannelName, channels_of
-from diag_service.diagnosis.prognosis.clocks import DISTANCE_M, clocks_of
+from diag_service.diagnosis.prognosis.channels import DISTANCE_M, ChannelName, channels_of, clocks_of
 from diag_service.diagnosis.prognosis.history import History
-from diag_service.diagnosis.prognosis.passage import passage
-from diag_service.diagnosis.prognosis.trend import Fit, Part, aged, fit, log_evidence, probability_falling, summary
+from diag_service.diagnosis.prognosis.trend import (
+    Fit,
+    Part,
+    aged,
+    fit,
+    log_evidence,
+    passage,
+    probability_falling,
+    summary,
+)
 from tests.support.pasts import REFERENCE, ageing, past
 
 COUNT = 400

@@ -11,8 +11,7 @@ from canlog.arrays import Series
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
-from diag_service.diagnosis.shifts.event_tracking import LOCK_NS, MAX_SLIP_NS
-from diag_service.diagnosis.shifts.shifts import DriveFinder
+from diag_service.diagnosis.shifts.shifts import LOCK_NS, MAX_SLIP_NS, DriveFinder
 
 STEP_NS = 10_000_000
 LOCK = LOCK_NS // STEP_NS

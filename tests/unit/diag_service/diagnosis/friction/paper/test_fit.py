@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.friction.paper.fit import NOISELESS_GATES, NOISY_GATES, Gate, coulomb_gate, fit, static_gate
-from diag_service.diagnosis.friction.paper.friction_data import FrictionData
+from diag_service.diagnosis.friction.paper.friction_data import (
+    NOISELESS_GATES,
+    NOISY_GATES,
+    FrictionData,
+    Gate,
+    coulomb_gate,
+    fit,
+    static_gate,
+)
 
 CURVE = nominal_calibration().clutches[0].friction
 BAND = CURVE.lock_band_rad_s

@@ -6,8 +6,8 @@ import pytest
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.friction.paper import nominal_driveline
-from diag_service.diagnosis.friction.paper.driveline_model import State, driveline_model
-from diag_service.diagnosis.friction.paper.vehicle_route import PERIOD_S, SPEED_STATES, Readings, smoothed_states
+from diag_service.diagnosis.friction.paper.collection import PERIOD_S, SPEED_STATES, Readings, smoothed_states
+from diag_service.diagnosis.friction.paper.driveline import State, driveline_model
 
 SIDE = nominal_calibration().input_side
 DRIVELINE = nominal_driveline()
