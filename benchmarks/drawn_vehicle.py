@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from benchmarks.accuracy import FLUIDS
-from clutch_model.calibration import nominal_calibration
+from clutch_model.calibration import nominal_calibration, shipped_calibration
 from clutch_model.pack import viscosities_pa_s
 from ecu_emulator.scenario.scenario import Effects, FluidCondition, Routine, Scenario, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario
@@ -34,6 +34,7 @@ class Vehicle:
     pressure_latency_s: float
     speed_latency_s: float
     effects: Effects
+    transmission: str = "nominal"
     oil: Mapping[str, float] = field(default_factory=dict)  # of another viscosity, as a scenario has it
 
     def scenario(self, drive: int, routine: Routine) -> Scenario:
@@ -55,6 +56,7 @@ class Vehicle:
         return replace(
             base,
             seed=10 * self.seed + drive,
+            transmission=self.transmission,
             cycles=CYCLES,
             fluid=replace(base.fluid, condition=self.fluid),
             sensors=sensors,
@@ -64,7 +66,7 @@ class Vehicle:
         )
 
     def _overrides(self) -> dict[str, object]:
-        nominal = nominal_calibration()
+        nominal = shipped_calibration(self.transmission)
         side = nominal.input_side
         shafts = [value * (1.0 + self.shaft_inertia_ratio) for value in side.input_shaft_inertias_kg_m2]
         overrides: dict[str, object] = {

@@ -12,6 +12,7 @@ are counted in events that were used. *Scale-free* is friction times gain and pi
     python -m benchmarks.drive_accuracy --mismatch --loss 0.05
     python -m benchmarks.drive_accuracy --other-laws --oil-degc -10     # open packs, oil and film obey other laws
     python -m benchmarks.drive_accuracy --loss 0.05 --burst 3           # three frames of a message are lost in a row
+    python -m benchmarks.drive_accuracy --transmission gs7              # a seven-speed transmission
 """
 
 import argparse
@@ -32,7 +33,7 @@ from benchmarks.drive_events import planned
 from benchmarks.study import over_drives, root_mean_square
 from canlog.arrays import FloatArray
 from canlog.frames import FrameBatch
-from clutch_model.calibration import Calibration, Uncertainty, nominal_calibration
+from clutch_model.calibration import SHIPPED, Calibration, Uncertainty, shipped_calibration
 from clutch_model.units import degc_from_k, k_from_degc
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
@@ -76,6 +77,7 @@ class Case:
     burst: int = 1  # frames of one message that are lost in a row
     is_known: bool = False  # the vehicle is believed to be what it is
     has_other_laws: bool = False  # of open packs, oil and film
+    transmission: str = "nominal"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,6 +108,8 @@ class Outcome:
 def scenario_of(case: Case) -> tuple[Scenario, Vehicle | None]:
     """Return what is driven, and the vehicle if it is not just like its type."""
     vehicle = None if case.is_plain else draw(case.seed, has_mismatch=case.has_mismatch)
+    if vehicle is not None:
+        vehicle = replace(vehicle, transmission=case.transmission)
     if vehicle is not None and case.has_other_laws:
         vehicle = with_other_laws(vehicle)
     if vehicle is None:
@@ -116,6 +120,7 @@ def scenario_of(case: Case) -> tuple[Scenario, Vehicle | None]:
     oil_k = k_from_degc(case.oil_degc)
     ambient = Ambient(temperature_k=min(oil_k, 293.15), oil_temperature_k=oil_k, coolant_temperature_k=oil_k)
     effects = replace(base.effects, frame_loss_ratio=case.loss_ratio if case.burst == 1 else 0.0)
+    base = replace(base, transmission=case.transmission)
     return replace(base, drive=DriveName.CITY, ambient=ambient, effects=effects), vehicle
 
 
@@ -123,7 +128,8 @@ def driven(case: Case) -> list[Outcome]:
     """Drive and diagnose."""
     scenario, vehicle = scenario_of(case)
     drive = Drive(scenario, planned=iter([planned(case.trace)]))
-    calibration = known_vehicle(nominal_calibration()) if case.is_known else nominal_calibration()
+    calibration = shipped_calibration(case.transmission)
+    calibration = known_vehicle(calibration) if case.is_known else calibration
     decoder = Decoder(load_contract(), load_profile())
     stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
     diagnoses: list[Diagnosis] = []
@@ -313,6 +319,7 @@ def main() -> int:
     parser.add_argument("--other-laws", action="store_true", help="laws of cold oil that the estimator does not have")
     parser.add_argument("--loss", type=float, default=0.0, help="share of the frames that are lost")
     parser.add_argument("--burst", type=int, default=1, help="frames of one message that are lost in a row")
+    parser.add_argument("--transmission", choices=SHIPPED, default="nominal")
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
     if options.known and not options.plain:
@@ -320,7 +327,7 @@ def main() -> int:
     case = partial(
         Case, trace=options.trace, oil_degc=options.oil_degc, is_plain=options.plain, has_mismatch=options.mismatch,
         loss_ratio=options.loss, burst=options.burst, is_known=options.known,
-        has_other_laws=options.other_laws,
+        has_other_laws=options.other_laws, transmission=options.transmission,
     )  # fmt: skip
     cases = [case(seed=seed) for seed in range(options.seed, options.seed + options.vehicles)]
     outcomes = over_drives(driven, cases, options.workers)

@@ -23,7 +23,7 @@ from diag_service.mapping.interpretation import interpret
 from diag_service.mapping.learning import LearnedVehicle
 from diag_service.service.stopping import Trigger
 from ecu_emulator.cli import main as emulator
-from ecu_emulator.plant.parameters import nominal_plant_table
+from ecu_emulator.plant.parameters import plant_table
 
 if TYPE_CHECKING:
     from canlog.arrays import FloatArray
@@ -35,7 +35,7 @@ HEAD = "| vehicle | what | found | deviation | truth | error | in deviations | c
 
 def drawn_ratios(rng: np.random.Generator) -> tuple[list[float], list[float]]:
     """Return the ratios of a gearbox, and the true ones of engine over the output shaft that is measured."""
-    gearbox = nominal_plant_table()["gearbox"]
+    gearbox = plant_table()["gearbox"]
     assert isinstance(gearbox, dict)  # noqa: S101 - nested tables of TOML
     gears, finals = (np.array(gearbox[name]) for name in ("gear_ratios", "final_drive_ratios"))
     overall = gears * finals

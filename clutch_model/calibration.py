@@ -291,6 +291,7 @@ class ClutchCalibration:
 
 CLUTCH_COUNT: Final = 2
 _TEXTS: Final = ("name", "version")  # a number will do
+_ELSEWHERE: Final = ("clutch", "transmission")  # read above, and by clutch_model.transmission
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -348,6 +349,7 @@ class Calibration:
         CalibrationError
             Naming the first offending key.
         """
+        table = completed(table)
         made_on, vehicle, clutches = table.get("made_on"), table.get("vehicle"), table.get("clutch")
         require(made_on is None or type(made_on) is date, f"made_on must be a day (2026-01-31), got {made_on!r}")
         is_name = isinstance(vehicle, str) and vehicle.isprintable() and vehicle != ""
@@ -355,19 +357,19 @@ class Calibration:
         if not isinstance(clutches, list) or len(clutches) != CLUTCH_COUNT:
             raise CalibrationError(f"calibration needs exactly {CLUTCH_COUNT} [[clutch]] tables")
         both = tuple(record_from(ClutchCalibration, one, f"clutch {m} ") for m, one in enumerate(clutches, 1))
-        rest = {key: str(value) if key in _TEXTS else value for key, value in table.items() if key != "clutch"}
+        rest = {key: str(value) if key in _TEXTS else value for key, value in table.items() if key not in _ELSEWHERE}
         return record_from(cls, rest, clutches=both)
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read a calibration file.
+    """Read a calibration file, or a shipped calibration that is named.
 
     Raises
     ------
     CalibrationError
         If the file is missing, not TOML, or holds a value outside its range.
     """
-    table = read_table(path, "calibration")
+    table = calibration_table(path)
     try:
         return Calibration.from_mapping(table)
     except CalibrationError as exc:
@@ -381,12 +383,48 @@ def calibration_toml(calibration: Calibration) -> str:
     return tomli_w.dumps({key: value for key, value in table.items() if value is not None})
 
 
-def nominal_table() -> dict[str, Any]:
-    """Return the shipped nominal calibration as nested tables, for callers that override some keys."""
-    text = files("clutch_model").joinpath("calibrations/nominal.toml").read_text(encoding="utf-8")
-    return tomllib.loads(text)
+SHIPPED: Final = ("nominal", "gs7")  # types of transmissions that can be driven and diagnosed
+DESCRIBED: Final = (*SHIPPED, "8hp70")
+
+
+def shipped_table(name: str = "nominal") -> dict[str, Any]:
+    """Return a shipped calibration as nested tables, for callers that override some keys."""
+    require(name in DESCRIBED, f"no transmission {name!r}; known: {', '.join(DESCRIBED)}")
+    text = files("clutch_model").joinpath(f"calibrations/{name}.toml").read_text(encoding="utf-8")
+    return completed(tomllib.loads(text))
+
+
+def completed(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table with all that it does not tell as the shipped one has it that it is ``like``, if any."""
+    told = dict(table)
+    like = told.pop("like", None)
+    return told if like is None else overlaid(shipped_table(str(like)), told)
+
+
+def overlaid(base: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested tables with others laid over them; of tables in a list the first over the first, and so on."""
+    return {**base, **{key: _over(base.get(key), value) for key, value in told.items()}}
+
+
+def _over(base: object, told: object) -> object:
+    if isinstance(base, Mapping) and isinstance(told, Mapping):
+        return overlaid(base, told)
+    if isinstance(base, list) and isinstance(told, list) and len(base) == len(told):
+        return [_over(one, other) for one, other in zip(base, told, strict=True)]
+    return told
+
+
+def calibration_table(path: Path) -> dict[str, Any]:
+    """Return the tables of a calibration file, or of a shipped calibration that is named; raises CalibrationError."""
+    name = str(path)
+    return shipped_table(name) if name in DESCRIBED and not path.exists() else read_table(path, "calibration")
+
+
+def shipped_calibration(name: str) -> Calibration:
+    """Return the calibration of a type of transmission that ships with the package."""
+    return Calibration.from_mapping(shipped_table(name))
 
 
 def nominal_calibration() -> Calibration:
-    """Return the calibration that ships with the package."""
-    return Calibration.from_mapping(nominal_table())
+    """Return the calibration of the six-speed transmission, which is believed where none is named."""
+    return shipped_calibration("nominal")

@@ -14,6 +14,7 @@ if typing.TYPE_CHECKING:
     from canlog.errors import CanlogError, DefinitionError, ExtraMissingError, OutputError, SourceError
     from canlog.written_tables import TableChoice
     from clutch_model.errors import CalibrationError
+    from clutch_model.transmission import Transmission, read_transmission
     from diag_service.api.analysis import Analysis, analyze
     from diag_service.api.choices import Delivery, Poll
     from diag_service.api.expectations import (
@@ -81,6 +82,7 @@ __all__ = [
     "Status",
     "StoreError",
     "TableChoice",
+    "Transmission",
     "UdsTester",
     "analyze",
     "analyze_by_paper",
@@ -99,6 +101,7 @@ __all__ = [
     "predict",
     "propose_profile",
     "read",
+    "read_transmission",
     "scan_controllers",
     "stored_shift",
     "write_report",
@@ -108,6 +111,7 @@ _HOMES = {
     "canlog.errors": ("CanlogError", "DefinitionError", "ExtraMissingError", "OutputError", "SourceError"),
     "canlog.written_tables": ("TableChoice",),
     "clutch_model.errors": ("CalibrationError",),
+    "clutch_model.transmission": ("Transmission", "read_transmission"),
     "diag_service.api.analysis": ("Analysis", "analyze"),
     "diag_service.api.choices": ("Delivery", "Poll"),
     "diag_service.api.expectations": ("expect_frames", "expect_same_frames", "expect_shifts", "expect_verdict"),

@@ -292,6 +292,20 @@ _LEARN: Final = Command(
     "claimed that the logs do not tell.",
     examples=(f"{PROGRAM} learn drive-a.csv drive-b.csv --profile car.toml -o car1.toml",),
 )
+_TRANSMISSION: Final = Command(
+    "transmission",
+    "show what follows from the description of a transmission: ratios, and which element which gear change tells",
+    click.Argument(
+        ["file"],
+        type=FILE,
+        metavar="NAME|FILE",
+        help="nominal, gs7, 8hp70, or a TOML file with a table [transmission]",
+    ),
+    *(JSON, VERBOSE),
+    description="Levers are torques over that of the input. An element can be told from a change in which it slips "
+    "and moves the input.",
+    examples=(f"{PROGRAM} transmission 8hp70",),
+)
 _DECODE: Final = Command(
     "decode",
     "write the signals of logs as a table: Parquet, CSV, JSON lines, Arrow or MF4",
@@ -417,7 +431,7 @@ COMMAND_LINE: Final = Program(
     _MONITOR,
     Group("config", "look at the settings", _CHECK, metavar="ACTION"),
     *(_ANALYZE, _REPORT, _HISTORY, _SHOW, _FLUID_CHANGED),
-    *(_CALIBRATE, _INSPECT, _SIGNALS, _DECODE, _PREDICT, _LEARN),
+    *(_CALIBRATE, _INSPECT, _SIGNALS, _DECODE, _PREDICT, _LEARN, _TRANSMISSION),
     *(command for words in attached("diag_service.command_words") for command in words),
     *(LAKE, CLUSTER),
 )

@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from clutch_model.calibration import Calibration, ClutchCalibration, calibration_toml, with_clutch
+from clutch_model.calibration import Calibration, ClutchCalibration, calibration_table, calibration_toml, with_clutch
 from clutch_model.errors import CalibrationError
-from clutch_model.tables import read_table, record_from
+from clutch_model.tables import record_from
 from diag_service.diagnosis.columns import GearRatios
 
 if TYPE_CHECKING:
@@ -30,8 +30,8 @@ class Described(NamedTuple):
 
 
 def read_description(path: Path) -> Described:
-    """Read a calibration, or the description of a vehicle; raises CalibrationError, naming the file and the key."""
-    table = read_table(path, "calibration")
+    """Read a calibration, a file or a shipped one by name, or the description of a vehicle; raises CalibrationError."""
+    table = calibration_table(path)
     gears = table.pop("gears", None)
     table.pop(LEARNED, None)
     try:

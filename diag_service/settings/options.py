@@ -89,7 +89,7 @@ MEANING: Final = (
         "which DBC signals are which: TOML file or shipped name (default: the shipped one that fits the DBC)",
         FILE,
     ),
-    Setting("--calibration FILE", "of a vehicle or its type (TOML; default: nominal)", FILE),
+    Setting("--calibration FILE", "of a vehicle or its type: TOML file or shipped name (default: nominal)", FILE),
     Setting("--vehicle-file FILE", "description that learn wrote, instead of a calibration: it has ratios, too", FILE),
 )
 DELIVERY: Final = (

@@ -145,6 +145,7 @@ class Answering:
             self._monitoring = Monitoring(
                 self.controller,
                 was_adapted=performer is None or performer.is_adapted,
+                transmission="nominal" if performer is None else performer.transmission,
             )
             self._routine = None if performer is None else RequestedRoutine(performer, self.controller)
             self._adaptation = None if performer is None else RequestedAdaptation(performer, self.controller)

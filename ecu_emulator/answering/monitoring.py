@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Final
 
+from ecu_emulator.diagnostics.clutch_heat import packs_of
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory import TestResult
@@ -20,6 +21,7 @@ from ecu_emulator.diagnostics.on_board_friction import (
 )
 from ecu_emulator.diagnostics.values import Values
 from ecu_emulator.errors import RecordError
+from ecu_emulator.plant.parameters import nominal_parameters
 
 MONITOR_PERIOD_S: Final = 0.1
 
@@ -33,15 +35,21 @@ class Monitoring:
         Who keeps the results; codes that its table does not have are not tested.
     was_adapted
         Whether it knew its clutches' touch points at its start.
+    transmission
+        Type of the transmission.
     """
 
-    def __init__(self, controller: Controller, *, was_adapted: bool = True) -> None:
+    def __init__(self, controller: Controller, *, was_adapted: bool = True, transmission: str = "nominal") -> None:
         self._controller = controller
         self._was_adapted = was_adapted
         self._numbers = {trouble.code: number for number, trouble in controller.table.troubles.items()}
         self._codes = {number: code for code, number in self._numbers.items()}
         self._watch = Watch()
-        self._limits = MonitorLimits(most_clutch_k=controller.table.clutches.most_temperature_k)
+        self._limits = MonitorLimits(
+            most_clutch_k=controller.table.clutches.most_temperature_k,
+            input_output_ratios=nominal_parameters(transmission).gearbox.input_output_ratios,
+            packs=packs_of(transmission),
+        )
         self._judged: OnBoardEstimates | None = None
         self._adaptation = controller.state.adaptation
         self.problem: str | None = None  # why something could not be kept, for people

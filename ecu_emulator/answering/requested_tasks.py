@@ -139,6 +139,10 @@ class AdaptedCar(Protocol):
         """Whether it stands in the workshop and waits."""
 
     @property
+    def transmission(self) -> str:
+        """Type of the transmission."""
+
+    @property
     def is_adapted(self) -> bool:
         """Whether the control knew the touch points as the drive began."""
 
@@ -181,7 +185,7 @@ class RequestedAdaptation:
     def __init__(self, car: AdaptedCar, controller: Controller) -> None:
         self._car = car
         self._controller = controller
-        self._nominal_pa = nominal_touch_pressures_pa()
+        self._nominal_pa = nominal_touch_pressures_pa(car.transmission)
         self._work: _Work | None = None
         self._heard: deque[tuple[float, Mapping[str, float]]] = deque(maxlen=MOST_MOMENTS)
         self._results: dict[int, Result] = {}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Final
 
-from clutch_model.calibration import nominal_calibration
+from clutch_model.calibration import shipped_calibration
 from clutch_model.pack import clutch_later_k, contact_torque_nm, film_law
 from ecu_emulator.diagnostics.adaptation import CLUTCHES
 
@@ -18,7 +18,7 @@ LEAST_SLIP_RAD_S: Final = 1.5  # below it a clutch may be locked, and carries le
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Pack:
+class Pack:
     """One clutch of the type."""
 
     touch_pressure_pa: float
@@ -28,13 +28,14 @@ class _Pack:
 
 
 @cache
-def _packs() -> tuple[_Pack, ...]:
+def packs_of(transmission: str = "nominal") -> tuple[Pack, ...]:
+    """Return both clutches of a type of transmission."""
     packs = []
-    for clutch in nominal_calibration().clutches:
+    for clutch in shipped_calibration(transmission).clutches:
         film = film_law(clutch)
         lining_nm_pa = float(contact_torque_nm(1.0, ASSUMED_FRICTION, 1.0, film.contact_factor_m3))
         packs.append(
-            _Pack(
+            Pack(
                 touch_pressure_pa=clutch.touch_pressure_pa,
                 torque_per_pressure_nm_pa=lining_nm_pa * film.piston_area_m2 / film.lining_area_m2,
                 heat_capacity_j_k=clutch.thermal.heat_capacity_j_k,
@@ -45,7 +46,10 @@ def _packs() -> tuple[_Pack, ...]:
 
 
 def heated_k(
-    before_k: tuple[float, float] | None, known: Mapping[str, float], duration_s: float
+    before_k: tuple[float, float] | None,
+    known: Mapping[str, float],
+    duration_s: float,
+    packs: tuple[Pack, ...],
 ) -> tuple[float, float] | None:
     """Return the temperatures of both clutches [K], None while the oil's is not known.
 
@@ -57,24 +61,25 @@ def heated_k(
         What the controller senses now, in SI.
     duration_s
         Since ``before_k`` [s], any: the balance is solved exactly for constant power.
+    packs
+        The clutches.
     """
     oil_k = known.get("sump_temperature_k")
     if oil_k is None:
         return before_k
     first, second = (
         clutch_later_k(
-            was_k, oil_k, slip_power_w(known, clutch), duration_s, pack.heat_capacity_j_k, pack.convection_w_k
+            was_k, oil_k, slip_power_w(known, clutch, pack), duration_s, pack.heat_capacity_j_k, pack.convection_w_k
         )
-        for clutch, was_k, pack in zip(CLUTCHES, before_k or (oil_k, oil_k), _packs(), strict=True)
+        for clutch, was_k, pack in zip(CLUTCHES, before_k or (oil_k, oil_k), packs, strict=True)
     )
     return first, second
 
 
-def slip_power_w(known: Mapping[str, float], clutch: int) -> float:
+def slip_power_w(known: Mapping[str, float], clutch: int, pack: Pack) -> float:
     """Return what a slipping clutch turns into heat [W]; a sensor that says nothing makes no heat."""
     slip_rad_s, pressure_pa = known.get(f"clutch{clutch}_slip_rad_s"), known.get(f"clutch{clutch}_pressure_pa")
     if slip_rad_s is None or pressure_pa is None or abs(slip_rad_s) < LEAST_SLIP_RAD_S:
         return 0.0
-    pack = _packs()[clutch - 1]
     touch_pa = known.get(f"clutch{clutch}_touch_pressure_pa", pack.touch_pressure_pa)
     return abs(slip_rad_s) * max(pressure_pa - touch_pa, 0.0) * pack.torque_per_pressure_nm_pa

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from clutch_model.calibration import clutch_of_gear
-from ecu_emulator.diagnostics.clutch_heat import heated_k
+from ecu_emulator.diagnostics.clutch_heat import Pack, heated_k, packs_of
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.values import Values
 from ecu_emulator.scenario.signals import SILENCE
@@ -27,7 +27,8 @@ class MonitorLimits:
     most_slip_rad_s: float = 10.0  # about 100 rpm in a clutch that shall be locked; a sound one stays below 1.5
     most_ratio_error: float = 0.03  # of input over output speed; sensors err by 0.01
     tested_output_rad_s: float = 10.0
-    input_output_ratios: tuple[float, ...] = (3.462, 2.150, 1.464, 1.079, 0.8452, 0.7116)  # gears 1..6, docs/model.md
+    input_output_ratios: tuple[float, ...] = (3.462, 2.150, 1.464, 1.079, 0.8452, 0.7116)  # of gears 1, 2, ...
+    packs: tuple[Pack, ...] = field(default_factory=packs_of)
     tested_pressure_pa: float = 3.0e5
     least_pressure_ratio: float = 0.7  # of what is commanded
     stuck_off_ratio: float = 0.2  # of what is commanded: the solenoid does nothing
@@ -132,7 +133,7 @@ def judge(
     fluid_k = known.get("sump_temperature_k")
     is_oil_believed = ("P0711", TestResult.PREPASSED) in samples
     since_look_s = 0.0 if watch.t_s is None else max(0.0, t_s - watch.t_s)
-    clutches_k = heated_k(watch.clutches_k, known, since_look_s) if is_oil_believed else watch.clutches_k
+    clutches_k = heated_k(watch.clutches_k, known, since_look_s, limits.packs) if is_oil_believed else watch.clutches_k
     after = Watch(
         t_s=t_s,
         gears=gears,

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
-from clutch_model.calibration import Calibration, ClutchCalibration, nominal_table
+from clutch_model.calibration import Calibration, ClutchCalibration, shipped_table
 from clutch_model.errors import CalibrationError
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.plant.parameters import PlantParameters, nominal_plant_table
+from ecu_emulator.plant.parameters import PlantParameters, plant_table
 from ecu_emulator.scenario.scenario import Effects, FluidCondition, Overrides, Scatter, Scenario
 from ecu_emulator.scenario.signals import Sensors, generator, split_unit
 
@@ -103,7 +103,9 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
     drawn = _draw(scenario.scatter, scenario.seed_of_vehicle)
     try:
         calibration = affected_calibration(
-            Calibration.from_mapping(_overridden(nominal_table(), scenario.truth.calibration, "truth.calibration")),
+            Calibration.from_mapping(
+                _overridden(shipped_table(scenario.transmission), scenario.truth.calibration, "truth.calibration")
+            ),
             scenario.effects,
         )
         clutches = [
@@ -122,7 +124,7 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
             parameters=_scattered_plant(
                 affected_parameters(
                     PlantParameters.from_mapping(
-                        _overridden(dict(nominal_plant_table()), scenario.truth.plant, "truth.plant")
+                        _overridden(plant_table(scenario.transmission), scenario.truth.plant, "truth.plant")
                     ),
                     scenario.effects,
                 ),

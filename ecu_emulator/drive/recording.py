@@ -94,7 +94,7 @@ class Drive:
         self._vehicle = vehicle = build_vehicle(scenario)
         database = load_contract()
         self._encoder = FrameEncoder(database)
-        self._touch_pa = None if scenario.adapted else nominal_touch_pressures_pa()
+        self._touch_pa = None if scenario.adapted else nominal_touch_pressures_pa(scenario.transmission)
         self._plant = self._made_plant(longest_stay_s, planned)
         self._departure: Departure | None = None
         self._watchers = (ShiftWatcher(), RevWatcher(), EventWatcher())
@@ -168,6 +168,11 @@ class Drive:
         """Have pressure steps broken off with the next stretch. Any thread may call."""
         if isinstance(plant := self._plant, Powertrain):
             self._asked.put(plant.stop_steps)
+
+    @property
+    def transmission(self) -> str:
+        """Type of the transmission."""
+        return self._scenario.transmission
 
     @property
     def is_adapted(self) -> bool:

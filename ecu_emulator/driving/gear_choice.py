@@ -10,7 +10,7 @@ from ecu_emulator.shift_control import tcu, tcu_data
 
 _BRAKING_M_S2 = 0.3
 _FORESEEN_RATIO = 1.5  # of the time of an upshift: a foot that is off by then shall not meet its end
-_LOWEST_SKIPPED_FROM = 4  # 6-4, 5-3, 4-2
+_LOWEST_SKIPPED_FROM = 4  # 4-2 and above
 _LOWEST_COASTING = 2  # the car rolls out of 2nd gear with open clutches
 
 
@@ -24,10 +24,16 @@ def low_rad_s(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> float:
 
 
 @array_kernel
+def is_highest(gear: int, law: DrivingLaw) -> bool:
+    """Tell whether there is no gear above this one."""
+    return bool(law.drive.overall_ratios[gear + 1] == 0.0)
+
+
+@array_kernel
 def wants_up(memory: FloatArray, sense: FloatArray, gear: int, law: DrivingLaw) -> bool:
     """Tell whether the gear above this one would turn the engine fast enough, or this one turns it too fast."""
     p = law.driving.choice
-    if gear >= tcu_data.GEAR_COUNT or memory[at.BRAKE] > _BRAKING_M_S2:
+    if is_highest(gear, law) or memory[at.BRAKE] > _BRAKING_M_S2:
         return False
     if gear_speed_rad_s(sense, gear, law) > p.top_rad_s:
         return True
@@ -80,7 +86,7 @@ def likely_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int:
     p, gear = law.driving.choice, int(memory[tcu_data.CURRENT_GEAR])
     if gear == 1:
         return 2
-    if gear == tcu_data.GEAR_COUNT:
+    if is_highest(gear, law):
         return gear - 1
     low = low_rad_s(memory, sense, law)
     ratios = law.drive.overall_ratios

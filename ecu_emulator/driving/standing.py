@@ -66,7 +66,7 @@ def starting_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int
     now_rad_s = gear_speed_rad_s(sense, current, law)
     if p.down_ratio * low_rad_s < soon_m_s * per_m_s * law.drive.overall_ratios[current] and now_rad_s < p.top_rad_s:
         return current
-    gear = tcu_data.GEAR_COUNT
+    gear = tcu_data.MOST_GEARS
     while gear > 1 and soon_m_s * per_m_s * law.drive.overall_ratios[gear] < p.up_ratio * low_rad_s:
         gear -= 1
     return gear

@@ -198,7 +198,7 @@ def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited
     """Return a car that stands on its brakes, the engine idling, both clutches open, gears 1 and 2 engaged."""
     factors = conditions.friction_factors
     cycles = np.zeros((1, tcu_data.CYCLE_COLUMN_COUNT))
-    cycles[0, tcu_data.CYCLE_MU :] = (factors.mu_c1, factors.mu_s1, factors.mu_c2, factors.mu_s2)
+    cycles[0, tcu_data.CYCLE_MU : tcu_data.CYCLE_UP] = (factors.mu_c1, factors.mu_s1, factors.mu_c2, factors.mu_s2)
     machine = blank_machine(
         cycles,
         memory_count=indices.MEMORY_COUNT,

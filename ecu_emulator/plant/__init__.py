@@ -4,7 +4,7 @@ from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
 from ecu_emulator.plant.parameters import (
     PlantParameters,
     nominal_parameters,
-    nominal_plant_table,
+    plant_table,
     read_parameters,
 )
 from ecu_emulator.plant.powertrain import Powertrain
@@ -17,6 +17,6 @@ __all__ = [
     "PlantParameters",
     "Powertrain",
     "nominal_parameters",
-    "nominal_plant_table",
+    "plant_table",
     "read_parameters",
 ]

@@ -32,7 +32,7 @@ class FrictionFactors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveSettings:
-    """One drive of ``cycles`` shift cycles 1-2-3-4-5-6-5-4-3-2-1.
+    """One drive of ``cycles`` shift cycles, up through all gears and down again.
 
     Raises
     ------
@@ -68,7 +68,7 @@ class DriveSettings:
         _check_range("ambient_k", self.ambient_k, 233.15, 328.15)
         _check_range("grade_ratio", self.grade_ratio, -0.03, 0.02)
         least = _MIN_PEDAL_RATIO + 5.0 * max(self.grade_ratio, 0.0)
-        require(self.pedal_ratio >= least, f"pedal_ratio must be >= {least:g} to pull up this grade in 6th gear")
+        require(self.pedal_ratio >= least, f"pedal_ratio must be >= {least:g} in the highest gear on this grade")
         _check_range("initial_engine_rad_s", self.initial_engine_rad_s, 80.0, 300.0)
         _check_range("dt_s", self.dt_s, 1.0e-6, _MAX_STEP_S)
         steps = 1.0e-3 / self.dt_s
@@ -98,7 +98,7 @@ def cycle_table(drive: DriveSettings, control: ControlParameters) -> npt.NDArray
     A longer drive begins with the cycles of a shorter one.
     """
     generator = np.random.default_rng(np.random.SeedSequence(drive.seed))
-    table = np.empty((drive.cycles, tcu_data.CYCLE_COLUMN_COUNT))
+    table = np.zeros((drive.cycles, tcu_data.CYCLE_COLUMN_COUNT))
     driver = np.array(
         [
             drive.pedal_ratio,
@@ -108,13 +108,16 @@ def cycle_table(drive: DriveSettings, control: ControlParameters) -> npt.NDArray
         ]
     )
     draws = generator.standard_normal((drive.cycles, driver.size)).clip(-_VARIATION_LIMIT, _VARIATION_LIMIT)
-    table[:, : driver.size] = driver * (1.0 + drive.vary_ratio * draws)
+    count = len(control.upshift_speeds_rad_s)
+    up, down = tcu_data.CYCLE_UP + np.arange(count), tcu_data.CYCLE_DOWN + np.arange(count)
+    columns = [tcu_data.CYCLE_PEDAL, tcu_data.CYCLE_BRAKE, *up, *down]
+    table[:, columns] = driver * (1.0 + drive.vary_ratio * draws)
     lowest = _MIN_PEDAL_RATIO + 5.0 * max(drive.grade_ratio, 0.0)
     table[:, tcu_data.CYCLE_PEDAL] = table[:, tcu_data.CYCLE_PEDAL].clip(lowest, 1.0)
     factors = drive.friction_factors or (FrictionFactors(),)
     for cycle in range(drive.cycles):
         now = factors[min(cycle, len(factors) - 1)]
-        table[cycle, tcu_data.CYCLE_MU :] = (now.mu_c1, now.mu_s1, now.mu_c2, now.mu_s2)
+        table[cycle, tcu_data.CYCLE_MU : tcu_data.CYCLE_UP] = (now.mu_c1, now.mu_s1, now.mu_c2, now.mu_s2)
     return table
 
 

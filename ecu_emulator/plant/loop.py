@@ -44,7 +44,7 @@ class DriveLaw(NamedTuple):
     actuation: ClutchActuation
     control: ControlParameters
     workshop: WorkshopParameters
-    overall_ratios: tuple[float, ...]  # i(g) of gears 0..6, 0 in neutral
+    overall_ratios: tuple[float, ...]  # i(g) of gears 0, 1, ...; 0 in neutral and where there is no gear
     steps_per_millisecond: int
 
 

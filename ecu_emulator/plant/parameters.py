@@ -6,8 +6,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Final, NamedTuple, Self
 
+from clutch_model.calibration import overlaid
 from clutch_model.errors import CalibrationError
 from clutch_model.tables import read_table, record_from, require
 from ecu_emulator.plant.clutch import LiningParameters
@@ -20,7 +21,7 @@ from ecu_emulator.plant.driveline import (
 )
 from ecu_emulator.plant.engine import EngineParameters
 from ecu_emulator.plant.hydraulics import HydraulicsParameters
-from ecu_emulator.shift_control.tcu_data import GEAR_COUNT, ControlParameters, WorkshopParameters
+from ecu_emulator.shift_control.tcu_data import MOST_GEARS, ControlParameters, WorkshopParameters
 
 _MAY_BE_ZERO = frozenset(
     {
@@ -59,11 +60,20 @@ _UP_TO_ONE = frozenset(
 )
 
 
+LEAST_GEARS: Final = 6  # touch points are looked for in 5th and 6th gear
+
+
 class GearboxParameters(NamedTuple):
-    """Ratios of gears 1..6."""
+    """Ratios of gears 1, 2, ..."""
 
     gear_ratios: tuple[float, ...]
     final_drive_ratios: tuple[float, ...]
+
+    @property
+    def input_output_ratios(self) -> tuple[float, ...]:
+        """Speed of an input shaft over that of the first output shaft, in each gear."""
+        pairs = zip(self.gear_ratios, self.final_drive_ratios, strict=True)
+        return tuple(ratio * final / self.final_drive_ratios[0] for ratio, final in pairs)
 
 
 class SumpParameters(NamedTuple):
@@ -104,13 +114,14 @@ class PlantParameters:
             require(math.isfinite(value), f"{name} must be finite, got {value}")
             require(is_positive, f"{name} must be > 0, got {value}")
             require(value <= 1.0 or key not in _UP_TO_ONE, f"{name} must be <= 1, got {value}")
-        for name, values, count in (
-            ("gearbox.gear_ratios", self.gearbox.gear_ratios, GEAR_COUNT),
-            ("gearbox.final_drive_ratios", self.gearbox.final_drive_ratios, GEAR_COUNT),
-            ("control.upshift_speeds_rad_s", self.control.upshift_speeds_rad_s, GEAR_COUNT - 1),
-            ("control.downshift_speeds_rad_s", self.control.downshift_speeds_rad_s, GEAR_COUNT - 1),
+        count = len(self.gearbox.gear_ratios)
+        require(LEAST_GEARS <= count <= MOST_GEARS, f"gearbox.gear_ratios: {LEAST_GEARS} to {MOST_GEARS} numbers")
+        for name, values, length in (
+            ("gearbox.final_drive_ratios", self.gearbox.final_drive_ratios, count),
+            ("control.upshift_speeds_rad_s", self.control.upshift_speeds_rad_s, count - 1),
+            ("control.downshift_speeds_rad_s", self.control.downshift_speeds_rad_s, count - 1),
         ):
-            require(len(values) == count, f"{name} must be a list of {count} numbers, got {list(values)}")
+            require(len(values) == length, f"{name} must be a list of {length} numbers, got {list(values)}")
         require(self.engine.closed_throttle_rad < 0.5 * math.pi, "engine.closed_throttle_rad must be < pi/2")
 
     def _numbers(self) -> Iterator[tuple[str, float]]:
@@ -137,14 +148,19 @@ class PlantParameters:
         return record_from(cls, {key: value for key, value in table.items() if key != "shaft"}, shafts=both)
 
 
-def nominal_plant_table() -> dict[str, object]:
-    """Return the shipped plant parameters as nested tables, for callers that override some keys."""
-    return tomllib.loads(files("ecu_emulator").joinpath("plant/parameters.toml").read_text(encoding="utf-8"))
+def plant_table(transmission: str = "nominal") -> dict[str, object]:
+    """Return the shipped plant parameters with a transmission as nested tables, for callers that override some keys."""
+    table = _shipped("parameters")
+    return table if transmission == "nominal" else overlaid(table, _shipped(transmission))
 
 
-def nominal_parameters() -> PlantParameters:
-    """Return the plant parameters that ship with the package."""
-    return PlantParameters.from_mapping(nominal_plant_table())
+def _shipped(name: str) -> dict[str, object]:
+    return tomllib.loads(files("ecu_emulator").joinpath(f"plant/{name}.toml").read_text(encoding="utf-8"))
+
+
+def nominal_parameters(transmission: str = "nominal") -> PlantParameters:
+    """Return the plant parameters that ship with the package, with a transmission."""
+    return PlantParameters.from_mapping(plant_table(transmission))
 
 
 def read_parameters(path: Path) -> PlantParameters:

@@ -170,20 +170,28 @@ def believe(actuation: ClutchActuation, touch_pressures_pa: tuple[float, float])
 
 
 def overall_ratios(gearbox: GearboxParameters) -> tuple[float, ...]:
-    """Return i(g) = ratio * final drive for gears 0..6; 0 in neutral."""
+    """Return i(g) = ratio * final drive for gears 0, 1, ...; 0 in neutral."""
     pairs = zip(gearbox.gear_ratios, gearbox.final_drive_ratios, strict=True)
     return (0.0, *(ratio * final for ratio, final in pairs))
 
 
+def _padded(values: tuple[float, ...], count: int) -> tuple[float, ...]:
+    """Return as many numbers, whatever the gearbox, for which kernels are compiled once: zeros for gears it has not."""
+    return (*values, *[0.0] * (count - len(values)))
+
+
 def drive_law(truth: Calibration, parameters: PlantParameters, drive: DriveSettings) -> DriveLaw:
     """Return everything constant over a drive, in the form the kernels take after `as_record`."""
-    plant = _plant_law(truth, parameters, drive)
+    plant, control = _plant_law(truth, parameters, drive), parameters.control
     return DriveLaw(
         plant=plant,
         actuation=_actuation(plant, parameters.control.friction_coefficient),
-        control=parameters.control,
+        control=control._replace(
+            upshift_speeds_rad_s=_padded(control.upshift_speeds_rad_s, tcu_data.MOST_GEARS),
+            downshift_speeds_rad_s=_padded(control.downshift_speeds_rad_s, tcu_data.MOST_GEARS),
+        ),
         workshop=parameters.workshop,
-        overall_ratios=overall_ratios(parameters.gearbox),
+        overall_ratios=_padded(overall_ratios(parameters.gearbox), tcu_data.MOST_GEARS + 2),
         steps_per_millisecond=drive.steps_per_millisecond,
     )
 

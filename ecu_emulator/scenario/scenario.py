@@ -7,7 +7,7 @@ from dataclasses import Field, dataclass, field, fields
 from enum import StrEnum
 from typing import Final
 
-from clutch_model.calibration import nominal_calibration
+from clutch_model.calibration import SHIPPED, nominal_calibration
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.faults import BusFault, SensorFault
@@ -220,6 +220,7 @@ class Scenario(_Ranged):
     name: str
     description: str = ""
     vehicle: str = "dct-demo"
+    transmission: str = "nominal"  # or another one that ships: clutch_model/calibrations
     seed: int = 1  # of everything that is drawn, unless one of the next two is given
     vehicle_seed: int | None = None  # of what stays with the car: production scatter
     drive_seed: int | None = None  # of what changes from drive to drive: driver, noise, losses on the bus
@@ -246,6 +247,8 @@ class Scenario(_Ranged):
         _Ranged.__post_init__(self)
         if not _VEHICLE_ID.fullmatch(self.vehicle):
             raise ConfigError(f"vehicle must be 1..64 letters, digits, '-' or '_', got {self.vehicle!r}")
+        if self.transmission not in SHIPPED:
+            raise ConfigError(f"transmission must be one of {', '.join(SHIPPED)}, got {self.transmission!r}")
         for name in ("seed", "vehicle_seed", "drive_seed"):
             seed = getattr(self, name)
             if seed is not None and not 0 <= seed < 2**63:

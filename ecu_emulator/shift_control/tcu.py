@@ -1,4 +1,4 @@
-"""Shift control and driver at 1 kHz: the sequential cycle 1-2-3-4-5-6-5-4-3-2-1, docs/model.md section "Shift control".
+"""Shift control and driver at 1 kHz: through all gears and back, docs/model.md section "Shift control".
 
 The control sees speeds, engine torque and how full each piston cavity is; it commands pressures, spark, pedal and
 brake and moves the synchronisers. Clutch 1 carries the odd gears, clutch 2 the even ones.
@@ -48,11 +48,20 @@ def hold_torque_nm(memory: FloatArray, p: ControlParameters) -> float:
 
 
 @array_kernel
+def next_gear(memory: FloatArray, cycles: FloatArray) -> int:
+    """Return the gear the sequence wants after the current one, 0 if none."""
+    gear = int(memory[at.CURRENT_GEAR])
+    if memory[at.IS_DRIVING] != 0.0:
+        return gear + 1 if cycles[int(memory[at.CYCLE]), at.CYCLE_UP + gear - 1] > 0.0 else 0
+    return gear - 1
+
+
+@array_kernel
 def drive(memory: FloatArray, commands: FloatArray, cycles: FloatArray, p: ControlParameters) -> None:
     """Move pedal and brake through the cycle; note when the last cycle is over."""
     is_steady = memory[at.PHASE] == at.HOLD
     if memory[at.IS_DRIVING] != 0.0:
-        if is_steady and memory[at.CURRENT_GEAR] == at.GEAR_COUNT and memory[at.DWELL] >= p.top_gear_time_s:
+        if is_steady and next_gear(memory, cycles) == 0 and memory[at.DWELL] >= p.top_gear_time_s:
             memory[at.IS_DRIVING] = 0.0
             memory[at.COAST_TIME] = 0.0
     else:
@@ -71,19 +80,12 @@ def drive(memory: FloatArray, commands: FloatArray, cycles: FloatArray, p: Contr
 
 
 @array_kernel
-def next_gear(memory: FloatArray) -> int:
-    """Return the gear the sequence wants after the current one, 0 if none."""
-    gear = int(memory[at.CURRENT_GEAR])
-    if memory[at.IS_DRIVING] != 0.0:
-        return gear + 1 if gear < at.GEAR_COUNT else 0
-    return gear - 1
-
-
-@array_kernel
-def preselect(memory: FloatArray, sense: FloatArray, commands: FloatArray, p: ControlParameters) -> None:
+def preselect(
+    memory: FloatArray, sense: FloatArray, commands: FloatArray, cycles: FloatArray, p: ControlParameters
+) -> None:
     """Move the idle shaft to the next gear once its clutch is empty enough."""
     idle = 1 - clutch_of(int(memory[at.CURRENT_GEAR]))
-    wanted = next_gear(memory)
+    wanted = next_gear(memory, cycles)
     has_gear = int(sense[at.SHAFT_GEAR + idle])
     if wanted in (0, has_gear) or (has_gear != 0 and sense[at.IS_ENGAGED + idle] == 0.0):
         return
@@ -100,7 +102,7 @@ def preselect(memory: FloatArray, sense: FloatArray, commands: FloatArray, p: Co
 @array_kernel
 def wants_shift(memory: FloatArray, sense: FloatArray, cycles: FloatArray, p: ControlParameters) -> bool:
     """Tell whether the engine has reached the speed of the next shift and the next gear stands ready."""
-    gear, wanted = int(memory[at.CURRENT_GEAR]), next_gear(memory)
+    gear, wanted = int(memory[at.CURRENT_GEAR]), next_gear(memory, cycles)
     if wanted == 0 or memory[at.DWELL] <= p.dwell_s:
         return False
     shaft = clutch_of(wanted)
@@ -263,10 +265,10 @@ def control(
         return
     phase = int(memory[at.PHASE])
     if phase == at.HOLD:
-        preselect(memory, sense, commands, p)
+        preselect(memory, sense, commands, cycles, p)
         hold_phase(memory, commands, actuation, p)
         if wants_shift(memory, sense, cycles, p):
-            memory[at.TARGET_GEAR] = next_gear(memory)
+            memory[at.TARGET_GEAR] = next_gear(memory, cycles)
             memory[at.IS_FILLED] = 0.0
             enter_phase(memory, at.PREFILL)
     elif phase == at.PREFILL:

@@ -5,7 +5,7 @@ Pairs hold clutch 1 (odd gears) first; clutch 2 follows.
 
 from typing import NamedTuple
 
-GEAR_COUNT = 6
+MOST_GEARS = 9  # of any gearbox; arrays by gear have room for as many, so that all are of one type
 PERIOD_S = 1.0e-3
 
 # Shift phases, as on the bus.
@@ -84,10 +84,10 @@ MEMORY_COUNT = 27
 # Columns of the table of cycles.
 CYCLE_PEDAL = 0
 CYCLE_BRAKE = 1
-CYCLE_UP = 2  # five speeds, leaving gears 1..5
-CYCLE_DOWN = 7  # five speeds, leaving gears 2..6
-CYCLE_MU = 12  # factors on mu_c1, mu_s1, mu_c2, mu_s2
-CYCLE_COLUMN_COUNT = 16
+CYCLE_MU = 2  # factors on mu_c1, mu_s1, mu_c2, mu_s2
+CYCLE_UP = 6  # speeds, leaving gears 1, 2, ...; 0 for the highest one and beyond
+CYCLE_DOWN = CYCLE_UP + MOST_GEARS  # speeds, leaving gears 2, 3, ...
+CYCLE_COLUMN_COUNT = CYCLE_DOWN + MOST_GEARS
 
 
 class ControlParameters(NamedTuple):
@@ -95,8 +95,8 @@ class ControlParameters(NamedTuple):
 
     friction_coefficient: float
     torque_filter_s: float
-    upshift_speeds_rad_s: tuple[float, ...]  # w_up, leaving gears 1..5
-    downshift_speeds_rad_s: tuple[float, ...]  # w_dn, leaving gears 2..6
+    upshift_speeds_rad_s: tuple[float, ...]  # w_up, leaving gears 1, 2, ...
+    downshift_speeds_rad_s: tuple[float, ...]  # w_dn, leaving gears 2, 3, ...
     dwell_s: float
     hold_gain_ratio: float
     hold_margin_nm: float

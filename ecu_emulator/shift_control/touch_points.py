@@ -12,7 +12,7 @@ from enum import IntEnum
 from statistics import fmean, median, stdev
 from typing import Final
 
-from clutch_model.calibration import nominal_calibration
+from clutch_model.calibration import nominal_calibration, shipped_calibration
 
 # All [C].
 WINDOW_S: Final = 0.6  # of each step, at its end, and of the wait with an empty clutch
@@ -155,9 +155,9 @@ class Search:
         return TouchPoint(pressure_pa=self.nominal_pa + change_pa, std_pa=math.nan, is_at_limit=True)
 
 
-def nominal_touch_pressures_pa() -> tuple[float, float]:
+def nominal_touch_pressures_pa(transmission: str = "nominal") -> tuple[float, float]:
     """Return the touch points of the type, by which a control works that has adapted nothing."""
-    first, second = nominal_calibration().clutches
+    first, second = shipped_calibration(transmission).clutches
     return first.touch_pressure_pa, second.touch_pressure_pa
 
 

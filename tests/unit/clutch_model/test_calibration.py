@@ -1,4 +1,5 @@
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,8 +8,9 @@ from clutch_model.calibration import (
     Calibration,
     calibration_toml,
     nominal_calibration,
-    nominal_table,
     read_calibration,
+    shipped_calibration,
+    shipped_table,
 )
 from clutch_model.errors import CalibrationError
 
@@ -30,7 +32,7 @@ def test_the_shipped_calibration_loads() -> None:
     ],
 )
 def test_a_number_outside_its_range_is_named(path: tuple[str, str], value: object, message: str) -> None:
-    table = nominal_table()
+    table = shipped_table()
     table[path[0]][path[1]] = value
     with pytest.raises(CalibrationError, match=message):
         Calibration.from_mapping(table)
@@ -47,14 +49,14 @@ def test_a_number_outside_its_range_is_named(path: tuple[str, str], value: objec
     ],
 )
 def test_a_clutch_outside_its_range_is_named(part: str, key: str, value: float) -> None:
-    table = nominal_table()
+    table = shipped_table()
     table["clutch"][1][part][key] = value
     with pytest.raises(CalibrationError, match=rf"clutch 2 {part}.*{key}"):
         Calibration.from_mapping(table)
 
 
 def test_a_key_too_many_or_too_few_is_named() -> None:
-    table = nominal_table()
+    table = shipped_table()
     table["viscosity"]["c_k"] = 1.0
     with pytest.raises(CalibrationError, match=r"viscosity\.c_k is unknown; known: a_pa_s"):
         Calibration.from_mapping(table)
@@ -64,7 +66,7 @@ def test_a_key_too_many_or_too_few_is_named() -> None:
 
 
 def test_two_clutches_are_needed() -> None:
-    table = nominal_table()
+    table = shipped_table()
     del table["clutch"][1]
     with pytest.raises(CalibrationError, match="exactly 2"):
         Calibration.from_mapping(table)
@@ -80,7 +82,7 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path) -> None:
 
 
 def test_a_calibration_may_name_its_vehicle() -> None:
-    named = Calibration.from_mapping(nominal_table() | {"vehicle": "car7"})
+    named = Calibration.from_mapping(shipped_table() | {"vehicle": "car7"})
     assert (named.vehicle, nominal_calibration().vehicle) == ("car7", None)
     assert Calibration.from_mapping(tomllib.loads(calibration_toml(named))) == named
 
@@ -88,4 +90,22 @@ def test_a_calibration_may_name_its_vehicle() -> None:
 @pytest.mark.parametrize("vehicle", [7, "", "car\n7", ["car7"]])
 def test_a_vehicle_is_a_text_of_one_line(vehicle: object) -> None:
     with pytest.raises(CalibrationError, match="vehicle must be a text"):
-        Calibration.from_mapping(nominal_table() | {"vehicle": vehicle})
+        Calibration.from_mapping(shipped_table() | {"vehicle": vehicle})
+
+
+def test_a_file_may_be_like_a_shipped_calibration() -> None:
+    table = {"like": "nominal", "name": "mine", "clutch": [{}, {"geometry": {"interface_count": 12}}]}
+    found, nominal = Calibration.from_mapping(table), nominal_calibration()
+    assert found.name == "mine"
+    assert found.clutches[0] == nominal.clutches[0]
+    assert found.clutches[1].geometry == replace(nominal.clutches[1].geometry, interface_count=12)
+    assert found.clutches[1].friction == nominal.clutches[1].friction
+    with pytest.raises(CalibrationError, match="no transmission 'dq500'; known: nominal, gs7"):
+        Calibration.from_mapping({"like": "dq500"})
+
+
+def test_a_shipped_calibration_may_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert read_calibration(Path("gs7")) == shipped_calibration("gs7") != nominal_calibration()
+    monkeypatch.chdir(tmp_path)
+    Path("gs7").write_text('like = "nominal"', encoding="utf-8")
+    assert read_calibration(Path("gs7")) == nominal_calibration()  # a file comes first

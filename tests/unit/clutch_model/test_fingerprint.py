@@ -14,8 +14,8 @@ from clutch_model.calibration import (
     SensorNoise,
     calibration_toml,
     nominal_calibration,
-    nominal_table,
     read_calibration,
+    shipped_table,
 )
 from clutch_model.fingerprint import canonical_text, fingerprint
 from tests.golden import earlier
@@ -118,7 +118,7 @@ def test_whose_it_is_and_since_when_does_not_count() -> None:
 
 
 def test_the_order_of_the_file_does_not_count() -> None:
-    reordered = Calibration.from_mapping(turned(nominal_table()))  # type: ignore[arg-type]
+    reordered = Calibration.from_mapping(turned(shipped_table()))  # type: ignore[arg-type]
     assert fingerprint(reordered) == fingerprint(NOMINAL)
 
 

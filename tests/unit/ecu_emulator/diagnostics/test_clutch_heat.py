@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ecu_emulator.answering.monitoring import Monitoring
-from ecu_emulator.diagnostics.clutch_heat import heated_k, slip_power_w
+from ecu_emulator.diagnostics.clutch_heat import heated_k, packs_of, slip_power_w
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.table_file import shipped_table
@@ -22,6 +22,7 @@ from tests.unit.ecu_emulator.driving.drives import driven, trace
 
 TOO_HOT = 0x27874B  # P2787
 STEP_S = 0.1
+PACKS = packs_of()
 HARD_LAUNCHES = ((0.0, 0.0), (2.0, 0.0), (4.4, 6.0), (5.4, 6.0), (6.9, 0.0), (8.9, 0.0), (11.3, 6.0), (12.3, 6.0))
 CREEP = ((0.0, 0.0), (2.0, 0.0), (4.0, 1.5), (30.0, 1.5))
 LAUNCH = ((0.0, 0.0), (2.0, 0.0), (8.0, 6.0))
@@ -43,7 +44,7 @@ def test_the_computed_temperature_is_near_the_true_one(
     rows = driven(trace(*points, grade_ratio=grade_ratio))[:: round(STEP_S * 1000)]
     now_k, errors_k = None, []
     for row in rows:
-        now_k = heated_k(now_k, known(row), STEP_S)
+        now_k = heated_k(now_k, known(row), STEP_S, PACKS)
         assert now_k is not None
         errors_k.append([now_k[0] - row[Col.CLUTCH1_TEMPERATURE], now_k[1] - row[Col.CLUTCH2_TEMPERATURE]])
     warming_k = (rows[:, Col.CLUTCH1_TEMPERATURE] - rows[:, Col.SUMP_TEMPERATURE]).max()
@@ -54,18 +55,18 @@ def test_the_computed_temperature_is_near_the_true_one(
 
 def test_what_is_not_known_makes_no_heat_and_time_cools() -> None:
     slipping = {"sump_temperature_k": 360.0, "clutch1_pressure_pa": 5e5, "clutch1_slip_rad_s": 100.0}
-    assert heated_k(None, {}, 1.0) is None
-    assert heated_k((370.0, 380.0), {}, 1.0) == (370.0, 380.0)
-    hot = heated_k(None, slipping, 5.0)
+    assert heated_k(None, {}, 1.0, PACKS) is None
+    assert heated_k((370.0, 380.0), {}, 1.0, PACKS) == (370.0, 380.0)
+    hot = heated_k(None, slipping, 5.0, PACKS)
     assert hot is not None
     assert hot[0] > 380.0
     assert hot[1] == 360.0
-    cold = heated_k(hot, {"sump_temperature_k": 340.0}, 3600.0)
+    cold = heated_k(hot, {"sump_temperature_k": 340.0}, 3600.0, PACKS)
     assert cold == pytest.approx((340.0, 340.0))
     for name in ("clutch1_pressure_pa", "clutch1_slip_rad_s"):
-        assert slip_power_w({key: value for key, value in slipping.items() if key != name}, 1) == 0.0
-    assert slip_power_w({**slipping, "clutch1_touch_pressure_pa": 6e5}, 1) == 0.0  # it carries nothing yet
-    assert slip_power_w({**slipping, "clutch1_slip_rad_s": -100.0}, 1) == slip_power_w(slipping, 1)
+        assert slip_power_w({key: value for key, value in slipping.items() if key != name}, 1, PACKS[0]) == 0.0
+    assert slip_power_w({**slipping, "clutch1_touch_pressure_pa": 6e5}, 1, PACKS[0]) == 0.0  # it carries nothing yet
+    assert slip_power_w({**slipping, "clutch1_slip_rad_s": -100.0}, 1, PACKS[0]) == slip_power_w(slipping, 1, PACKS[0])
 
 
 class Judged:

@@ -88,9 +88,9 @@ def test_preselection_waits_for_an_empty_clutch_and_goes_through_neutral() -> No
 def test_a_coasting_car_preselects_the_lower_gear() -> None:
     controller = Controller()
     controller.memory[tcu_data.IS_DRIVING] = 0.0
-    assert tcu.next_gear(controller.memory) == 1
+    assert tcu.next_gear(controller.memory, CYCLES) == 1
     controller.memory[tcu_data.CURRENT_GEAR] = 1
-    assert tcu.next_gear(controller.memory) == 0
+    assert tcu.next_gear(controller.memory, CYCLES) == 0
 
 
 def test_prefill_stops_at_the_touch_point_once_full() -> None:

@@ -1,0 +1,107 @@
+"""Transmissions from their parts: ratios as published, torques in balance, and descriptions that do not work."""
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clutch_model.calibration import DESCRIBED, shipped_table
+from clutch_model.errors import CalibrationError
+from clutch_model.transmission import Transmission, read_transmission
+from ecu_emulator.plant.parameters import nominal_parameters
+from ecu_emulator.plant.powertrain import overall_ratios
+
+PUBLISHED = {1: 4.696, 2: 3.130, 3: 2.104, 4: 1.667, 5: 1.285, 6: 1.000, 7: 0.839, 8: 0.667, -1: -3.297}
+
+
+def test_an_epicyclic_automatic_has_the_published_ratios() -> None:
+    found = read_transmission(Path("8hp70"))
+    assert {one.number: found.ratio(one) for one in found.gears} == pytest.approx(PUBLISHED, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["nominal", "gs7"])
+def test_a_dual_clutch_is_described_as_it_is_emulated(name: str) -> None:
+    found = read_transmission(Path(name))
+    assert tuple(one.ratio for one in found.gears) == pytest.approx(
+        overall_ratios(nominal_parameters(name).gearbox)[1:], rel=1e-4
+    )
+    for gear in found.gears:
+        assert found.levers(gear) == pytest.approx({f"clutch {2 - gear.number % 2}": 1.0})
+    ways = {(one.lower, one.upper): one for one in found.changes()}
+    for lower, upper in pairwise(found.gears):
+        change = ways[lower.number, upper.number]
+        assert [slip.by_input for slip in change.slips] == pytest.approx([1.0, 1.0])
+        assert [slip.by_output for slip in change.slips] == pytest.approx([-upper.ratio, -lower.ratio])
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_an_element_no_longer_slips_in_its_own_gear(name: str) -> None:
+    found = read_transmission(Path(name))
+    for change in found.changes():
+        lower = next(one for one in found.gears if one.number == change.lower)
+        upper = next(one for one in found.gears if one.number == change.upper)
+        coming, going = change.slips
+        assert coming.by_input * found.ratio(upper) == pytest.approx(-coming.by_output)  # it is closed in its gear
+        assert going.by_input * found.ratio(lower) == pytest.approx(-going.by_output)
+
+
+@pytest.mark.parametrize("name", DESCRIBED)
+def test_the_torque_of_an_element_is_the_same_by_balance_and_by_virtual_work(name: str) -> None:
+    """With one element slipping the input's torque is its own times its lever: the two ways share no code."""
+    found = read_transmission(Path(name))
+    for change in found.changes():
+        upper = next(one for one in found.gears if one.number == change.upper)
+        assert abs(found.levers(upper)[change.coming] * change.slips[0].by_input) == pytest.approx(1.0)
+
+
+def test_every_element_of_the_automatic_is_told_by_some_change() -> None:
+    found = read_transmission(Path("8hp70"))
+    assert {name for one in found.changes() for name, *_ in one.told} == {"A", "B", "C", "D", "E"}
+    assert all(np.isfinite(list(found.slips(one).values())).all() for one in found.gears)
+
+
+def wrong(change: str) -> dict[str, Any]:
+    table: dict[str, Any] = shipped_table("8hp70")["transmission"]
+    gears: list[dict[str, Any]] = table["gears"]
+    match change:
+        case "teeth":
+            table["planetary_sets"][3]["sun_teeth"] = 28
+        case "free":
+            gears[0]["elements"] = ["A", "B"]
+        case "blocked":
+            gears[0]["elements"] = ["A", "B", "C", "D", "E"]
+        case "element":
+            gears[0]["elements"] = ["A", "B", "F"]
+        case "pair":
+            gears[0]["gear_pairs"] = ["1"]
+        case "shaft":
+            table["output"] = "wheels"
+        case "format":
+            table["format"] = 2
+    return table
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("teeth", r"gear 1: its parts make 4\.0357, not 4\.6960"),
+        ("free", "gear 1: its parts leave the output free"),
+        ("blocked", "gear 1: its parts block each other"),
+        ("element", "gear 1: no element 'F'"),
+        ("pair", "no gear pair '1'"),
+        ("shaft", "no part has the shaft 'wheels'"),
+        ("format", "transmission.format must be 1, got 2"),
+    ],
+)
+def test_a_description_that_does_not_work_is_refused(change: str, message: str) -> None:
+    with pytest.raises(CalibrationError, match=message):
+        Transmission.from_mapping(wrong(change))
+
+
+def test_a_file_without_a_transmission_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "car.toml"
+    path.write_text('name = "car"', encoding="utf-8")
+    with pytest.raises(CalibrationError, match=r"car\.toml has no table \[transmission\]"):
+        read_transmission(path)
