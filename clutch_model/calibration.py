@@ -398,19 +398,16 @@ def completed(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return a table with all that it does not tell as the shipped one has it that it is ``like``, if any."""
     told = dict(table)
     like = told.pop("like", None)
-    return told if like is None else overlaid(shipped_table(str(like)), told)
+    completed_table: dict[str, Any] = told if like is None else overlaid(shipped_table(str(like)), told)
+    return completed_table
 
 
-def overlaid(base: Mapping[str, Any], told: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested tables with others laid over them; of tables in a list the first over the first, and so on."""
-    return {**base, **{key: _over(base.get(key), value) for key, value in told.items()}}
-
-
-def _over(base: object, told: object) -> object:
+def overlaid(base: Any, told: Any) -> Any:  # noqa: ANN401 - parsed TOML
+    """Return nested tables with others laid over them; of a list as long the first over the first, and so on."""
     if isinstance(base, Mapping) and isinstance(told, Mapping):
-        return overlaid(base, told)
+        return {**base, **{key: overlaid(base.get(key), value) for key, value in told.items()}}
     if isinstance(base, list) and isinstance(told, list) and len(base) == len(told):
-        return [_over(one, other) for one, other in zip(base, told, strict=True)]
+        return [overlaid(one, other) for one, other in zip(base, told, strict=True)]
     return told
 
 
