@@ -13,6 +13,7 @@ from datetime import date
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar, Final, NamedTuple, Self, TypeVar
 
 import numpy as np
@@ -53,6 +54,7 @@ class Ranged:
     """A record whose every number is finite and, unless a subclass says otherwise, not negative."""
 
     ABOVE_ZERO: ClassVar[tuple[str, ...]] = ()  # names of those that are not zero either
+    BOUNDS: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})  # of those that have others
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -66,6 +68,9 @@ class Ranged:
             value = getattr(self, name)
             if not (min(value) if isinstance(value, tuple) else value) > 0.0:
                 raise CalibrationError(f"{name} must be > 0")
+        for name, (least, most) in self.BOUNDS.items():
+            if not least <= (value := getattr(self, name)) <= most:
+                raise CalibrationError(f"{name} must be {least:g}..{most:g}, got {value}")
 
 
 MAX_LATENCY_S = 0.2  # a reading that is later still is no measurement of a shift
@@ -163,19 +168,13 @@ class FrictionCurve(Ranged):
     """Stribeck curve of one clutch, eq. (8)."""
 
     ABOVE_ZERO = ("stribeck_speed_rad_s", "stribeck_exponent")
+    BOUNDS = MappingProxyType(dict.fromkeys(("mu_c", "mu_s"), (0.02, 0.5)))  # of lubricated friction linings
 
     mu_c: float  # Coulomb coefficient, reached at high slip
     mu_s: float  # static coefficient, reached at zero slip
     stribeck_speed_rad_s: float  # w_S
     stribeck_exponent: float  # lambda_S
     lock_band_rad_s: float  # w_rel
-
-    def __post_init__(self) -> None:
-        """Check that the coefficients are those of a lubricated friction lining."""
-        Ranged.__post_init__(self)
-        for name in ("mu_c", "mu_s"):
-            if not 0.02 <= (mu := getattr(self, name)) <= 0.5:
-                raise CalibrationError(f"{name} must be 0.02..0.5, got {mu}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,7 +1,6 @@
 """What vehicle and fleet backend agree on: topics, envelope, schemas, receipts. Neither application is known here."""
 
 from fleet_contract.broker_url import BrokerUrl, exposure, is_this_machine, parse_broker_url
-from fleet_contract.bundles import MAX_BUNDLE_BYTES, MAX_BUNDLED, bundle_messages, bundled_events
 from fleet_contract.errors import (
     BrokerUrlError,
     ContractError,
@@ -12,6 +11,8 @@ from fleet_contract.errors import (
     VariableError,
 )
 from fleet_contract.messages import (
+    MAX_BUNDLE_BYTES,
+    MAX_BUNDLED,
     MAX_RECEIPTS,
     Incoming,
     Outcome,
@@ -19,6 +20,8 @@ from fleet_contract.messages import (
     Receipt,
     ResultKey,
     ack_messages,
+    bundle_messages,
+    bundled_events,
     clutch_message,
     config_message,
     controller_message,

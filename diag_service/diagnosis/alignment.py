@@ -190,7 +190,9 @@ def align(
     # Whole steps after the shift's start: a latency that is found more exactly must not move the points.
     grid_s = GRID_S * np.arange(math.ceil(history_s / GRID_S), math.ceil(duration_s / GRID_S), dtype=np.float64)
 
-    is_seen = _is_seen(grid_s, gaps_s)
+    is_seen = np.ones(len(grid_s), np.bool_)
+    for start_s, stop_s in gaps_s:
+        is_seen[grid_s.searchsorted(start_s, "right") : grid_s.searchsorted(stop_s)] = False
     is_known = other is not None and len(other.grid_s) == len(grid_s)  # the same grid: it ends where the event ends
     wanted = _MOVED if is_known else BALANCE_SIGNALS
     on_grid = {one: Resampled(times[one], event.columns[one].value, grid_s) for one in wanted}
@@ -268,14 +270,6 @@ def held_s(times_s: FloatArray, value: FloatArray, step: float) -> float:
     return held if held > HELD_ROWS * float(np.median(np.diff(times_s))) else 0.0
 
 
-def _is_seen(grid_s: FloatArray, gaps_s: FloatArray) -> BoolArray:
-    """Return which points of the grid lie in no gap, shape (len(grid),)."""
-    is_seen = np.ones(len(grid_s), np.bool_)
-    for start_s, stop_s in gaps_s:
-        is_seen[grid_s.searchsorted(start_s, "right") : grid_s.searchsorted(stop_s)] = False
-    return is_seen
-
-
 def compile_alignment() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     ends, one = np.array([0.0, 1.0]), np.zeros((1, 2))
@@ -292,8 +286,8 @@ def _expected_pa(event: Event, command: Signal, grid_s: FloatArray) -> FloatArra
     series = event.columns.get(command)
     if series is None or not len(series.t_ns):
         return None
-    expected_pa = np.empty_like(grid_s)
-    times_s = sample_times_s(series, event.start_ns)
+    times_s, expected_pa = np.empty(len(series.t_ns)), np.empty_like(grid_s)
+    _free_of_jitter(series.t_ns, series.sequence, event.start_ns, series.period_ns * NS_TO_S, times_s)
     _lag_behind(times_s, series.value, grid_s, GRID_S / COMMAND_LAG_S, expected_pa)
     return expected_pa
 

@@ -301,7 +301,7 @@ class FluidFill:
 
 
 SHIFT_SCHEMA: Final = Channel.SHIFT.schema_name
-_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_EPOCH: Final = datetime(1970, 1, 1)  # noqa: DTZ001 - UTC, which the text says
 _NS_PER_US: Final = 1000
 _RESULT_KEYS: Final = ("vehicle", "stream", "seq", "produced_at", "algorithm_version", "calibration_version")
 _PUBLIC_NAMES: Final = {"start_ns": "start_bus_ns", "end_ns": "end_bus_ns", "data_quality": "trust"}
@@ -367,7 +367,7 @@ class StoredResult:
 
 def utc_from_bus_ns(t_ns: int) -> str:
     """Return a bus time as ISO 8601 UTC with microseconds."""
-    return iso_utc(_EPOCH + timedelta(microseconds=t_ns // _NS_PER_US))
+    return (_EPOCH + timedelta(microseconds=t_ns // _NS_PER_US)).isoformat(timespec="microseconds") + "Z"
 
 
 def iso_utc(moment: datetime) -> str:
@@ -380,10 +380,11 @@ def shift_record(result: ShiftResult) -> JsonObject:
     estimate = to_plain(result.estimate)
     record = estimate | {public: estimate[name] for name, public in _PUBLIC_NAMES.items()}
     record |= {key: getattr(result, key) for key in _RESULT_KEYS}
-    record |= {"schema": SHIFT_SCHEMA, "verdict": _verdict_record(result.verdict)}
+    verdict = to_plain(result.verdict) | {"condition": result.verdict.condition.name.lower()}
+    record |= {"schema": SHIFT_SCHEMA, "verdict": verdict}
     record["start_utc"] = utc_from_bus_ns(result.estimate.start_ns)
     record["end_utc"] = utc_from_bus_ns(result.estimate.end_ns)
-    return _in_published_order(record, Channel.SHIFT)
+    return {key: record[key] for key in _keys_of(Channel.SHIFT)}
 
 
 def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:
@@ -409,7 +410,7 @@ def status_record(status: ServiceStatus) -> JsonObject:
     """Return the public form of the service's status."""
     word = "online" if status.is_online else "offline"
     record = {**to_plain(status), "schema": Channel.STATUS.schema_name, "status": word}
-    return {key: value for key, value in _in_published_order(record, Channel.STATUS).items() if value is not None}
+    return {key: record[key] for key in _keys_of(Channel.STATUS) if record[key] is not None}
 
 
 def dump(record: Mapping[str, object]) -> str:
@@ -481,19 +482,11 @@ def fills_from(table: Mapping[str, object]) -> list[FluidFill]:
         raise ResultError(f"incomplete fluid fills: {exc}") from exc
 
 
-def _verdict_record(verdict: ClutchVerdict) -> JsonObject:
-    return to_plain(verdict) | {"condition": verdict.condition.name.lower()}
-
-
 def _condition_as_number(table: object) -> object:
     """Return the table of a verdict with the number of its condition in place of the public word."""
     if not isinstance(table, dict):
         return table
     return table | {"condition": Condition.__members__.get(str(table.get("condition")).upper())}
-
-
-def _in_published_order(record: JsonObject, channel: Channel) -> JsonObject:
-    return {key: record[key] for key in _keys_of(channel)}
 
 
 @cache

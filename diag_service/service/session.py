@@ -141,9 +141,10 @@ class Session:
 
         A live bus does not wait for a full disk: what cannot be stored now is told when it can be.
         """
-        result = self._known(event)
-        if result is not None:
-            self._report(result, is_new=False)
+        stream = self._stream
+        known = None if stream is None else self._store.find(self.vehicle, stream, event.number, self._versions)
+        if known is not None:
+            self._report(known, is_new=False)
             return
         result, state = self._diagnose(event)
         self._witness(event, result)
@@ -225,14 +226,6 @@ class Session:
             _LOG.log(NOTICE, "%s", NOTHING_KNOWN)
         return summary
 
-    def _known(self, event: Event) -> ShiftResult | None:
-        if self._stream is None:
-            return None
-        return self._store.find(self.vehicle, self._stream, event.number, self._versions)
-
-    def _next_seq(self) -> int:
-        return self._pending[-1][0].seq + 1 if self._pending else self._store.next_seq()
-
     def _note_fluid(self, event: Event) -> None:
         """Let the stages know which fluid the vehicle had at a shift; anybody may have noted a fill meanwhile."""
         fill = self._store.fluid_at(self.vehicle, utc_from_bus_ns(event.start_ns))
@@ -250,11 +243,13 @@ class Session:
         if self.stages.doubt and not self._is_doubted:
             self._is_doubted = True
             _LOG.warning("nothing is estimated: %s", self.stages.doubt)
-        is_live = self._stream is None
+        is_live, seq = self._stream is None, event.number
+        if is_live:
+            seq = self._pending[-1][0].seq + 1 if self._pending else self._store.next_seq()
         result = ShiftResult(
             vehicle=self.vehicle,
             stream=self._stream or self._store.stream,
-            seq=self._next_seq() if is_live else event.number,
+            seq=seq,
             estimate=diagnosis.estimate,
             verdict=diagnosis.verdict,
             algorithm_version=self._versions.algorithm,

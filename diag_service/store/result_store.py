@@ -95,8 +95,12 @@ class ResultStore:
         self._budget_bytes = budget_bytes
         self._guard = threading.Lock()
         self.where = where
-        with self._transaction():
+        with self._transaction() as sql:
             self.stream = self._read_stream()
+            row = sql.execute("SELECT value FROM meta WHERE key = 'last_seq'").fetchone()
+        self._last_seq = (
+            0 if row is None else int(row[0])
+        )  # of the live stream; who owns the store alone writes results
 
     @classmethod
     def open(cls, path: Path, budget_bytes: int | None = None) -> Self:
@@ -142,8 +146,7 @@ class ResultStore:
 
     def next_seq(self) -> int:
         """Return the sequence number that the next result of the live stream gets; none is ever used again."""
-        with self._transaction() as sql:
-            return self._last_seq(sql) + 1
+        return self._last_seq + 1
 
     def add(self, result: ShiftResult, state: VehicleState | None) -> bool:
         """Store a result and the state after it, both or neither; False if the key is already there.
@@ -160,18 +163,22 @@ class ResultStore:
                 "INSERT OR IGNORE INTO result"
                 " (vehicle, stream, seq, algorithm_version, calibration_version, clutch, json)"
                 " VALUES (?, ?, ?, ?, ?, ?, ?)",
-                (*_key(result), result.estimate.clutch, text),
+                (
+                    *(result.vehicle, result.stream, result.seq, result.algorithm_version, result.calibration_version),
+                    *(result.estimate.clutch, text),
+                ),
             )
             if inserted.rowcount == 0:
                 return False
             if running is not None:
                 sql.execute("INSERT OR REPLACE INTO state VALUES (?, ?, ?, ?, ?)", running)
-            if result.stream == self.stream:
-                last_seq = max(self._last_seq(sql), result.seq)
+            last_seq = max(self._last_seq, result.seq) if result.stream == self.stream else self._last_seq
+            if last_seq != self._last_seq:
                 sql.execute("INSERT OR REPLACE INTO meta VALUES ('last_seq', ?)", (str(last_seq),))
             if self._budget_bytes is not None:
                 _enforce_budget(sql, self._budget_bytes, int(inserted.lastrowid or 0))
-            return True
+        self._last_seq = last_seq
+        return True
 
     def find(self, vehicle: str, stream: str, seq: int, versions: Versions) -> ShiftResult | None:
         """Return the result stored under a key, if any."""
@@ -318,11 +325,6 @@ class ResultStore:
         self._connection.execute("INSERT INTO meta VALUES ('stream', ?)", (stream,))
         return stream
 
-    @staticmethod
-    def _last_seq(sql: sqlite3.Connection) -> int:
-        row = sql.execute("SELECT value FROM meta WHERE key = 'last_seq'").fetchone()
-        return 0 if row is None else int(row[0])
-
     def _parse(self, text: str) -> ShiftResult:
         try:
             return parse_shift(text)
@@ -352,10 +354,6 @@ class ResultStore:
                 if isinstance(exc, sqlite3.Error):
                     raise store_error(self.where, exc) from exc
                 raise
-
-
-def _key(result: ShiftResult) -> tuple[str, str, int, str, str]:
-    return (result.vehicle, result.stream, result.seq, result.algorithm_version, result.calibration_version)
 
 
 def _mark(sql: sqlite3.Connection, changes: Iterable[tuple[int, str | None, int]]) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
+from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration, clutch_of_gear
 from diag_service.diagnosis.alignment import read_samples
@@ -167,7 +167,9 @@ def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibrati
     if count * GRID_S < MIN_WINDOW_S:
         return None
     asked_nm, rows = asked_nm[:count], rows[:count]
-    inertia_nm = calibration.input_side.engine_inertia_kg_m2 * _acceleration(grid.event, grid.t_s[rows])
+    speed, accelerations = grid.event.columns[Signal.ENGINE_SPEED], np.zeros(count)
+    _fit_slopes((speed.t_ns - grid.event.start_ns) / NS_PER_S, speed.value, grid.t_s[rows], accelerations)
+    inertia_nm = calibration.input_side.engine_inertia_kg_m2 * accelerations
     by_engine, by_offset, by_inertia, scatter = _fit_ratio(asked_nm, engine_nm[rows], inertia_nm)
     spread = calibration.uncertainty
     parts = (
@@ -231,14 +233,6 @@ def _pick_asked(
     return count
 
 
-def _acceleration(event: Event, at_s: FloatArray) -> FloatArray:
-    """Return the engine's acceleration at some times [rad/s2]: the slope of a parabola through the speeds around."""
-    series = event.columns[Signal.ENGINE_SPEED]
-    slopes = np.zeros(len(at_s))
-    _fit_slopes(_since(series, event), series.value, at_s, slopes)
-    return slopes
-
-
 @array_kernel
 def _fit_slopes(t_s: FloatArray, value: FloatArray, at_s: FloatArray, slopes: FloatArray) -> None:
     """Fit a parabola by least squares around each of some rising times; the slope of fewer than 3 samples stays."""
@@ -266,9 +260,3 @@ def compile_indices() -> None:
     _stuck_rows(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_), 0.0)
     _largest_swing(np.zeros(1), np.zeros(1))
     _pick_asked(np.zeros(1), np.zeros(1), np.zeros(1), False, np.empty(1), np.empty(1, np.int64))
-
-
-def _since(series: Series, event: Event) -> FloatArray:
-    """Return the times of samples after the start of the shift [s], shape (n,)."""
-    times: FloatArray = (series.t_ns - event.start_ns) / NS_PER_S
-    return times

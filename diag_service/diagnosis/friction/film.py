@@ -184,19 +184,14 @@ def integrate_films(
         for law, drive, rows in zip(laws, drives, found, strict=True)
     ]
     final_k = _integrate(packs[0], packs[1], step * GRID_S)
-    if step != 1 or count != length:
-        found = _spread_evenly(found, step, count, length)
+    if step != 1 or count != length:  # onto the even grid
+        whole = np.zeros((*found.shape[:-1], length))
+        for after in range(step):
+            places = whole[..., after:count:step]
+            places[...] = found[..., : places.shape[-1]]
+        found = whole
     first, second = (FilmTrack(rows[0], rows[1], rows[2], rows[3], rows[4], final_k[m]) for m, rows in enumerate(found))
     return first, second
-
-
-def _spread_evenly(found: FloatArray, step: int, count: int, length: int) -> FloatArray:
-    """Return rows on a coarse grid, shape (..., n), on the even grid, zero beyond ``count`` points."""
-    whole = np.zeros((*found.shape[:-1], length))
-    for after in range(step):
-        places = whole[..., after:count:step]
-        places[...] = found[..., : places.shape[-1]]
-    return whole
 
 
 def compile_film(calibration: Calibration) -> None:
