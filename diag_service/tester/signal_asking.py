@@ -225,7 +225,7 @@ class Plan:
                 f"{id_text(question.address.request_id)} does not take {len(question.data)} identifiers at once: {why}"
             )
         self.refused.add(question.data[0])
-        return f"{question} is not told ({why}), and not asked for again"
+        return f"{question} is not told ({why}), and left out"
 
     def _questions(self, fields: Sequence[AskedField]) -> list[Question]:
         addresses = {one.data_id: address_of(one) for one in fields}
@@ -276,6 +276,7 @@ class SignalAsker(AskingThread):
         self._silent: Counter[CanAddress | GroupQuestion] = Counter()  # questions in a row without answer
         self._silent_until_s: dict[CanAddress | GroupQuestion, float] = {}
         self._trouble, self._pause_s = "", FIRST_PAUSE_S
+        self._said: set[str] = set()  # of what is refused: it is tried again whenever the way is opened anew
         self._sets: deque[float] = deque(maxlen=10_000)
         self._told_hz: float | None = None
 
@@ -299,6 +300,7 @@ class SignalAsker(AskingThread):
 
     def _rounds(self, line: Line) -> None:
         self._silent.clear()
+        self.plan.refused.clear()
         self._forget_definitions()
         self._definitions_left = MOST_DEFINITIONS if self.plan.rules.define else 0
         while self.goes_on:
@@ -385,8 +387,13 @@ class SignalAsker(AskingThread):
             _LOG.log(NOTICE, "%s is not there any more (%s): it is defined anew", question, refusal_text(code))
             self._forget_definitions()
         else:
-            _LOG.log(NOTICE, "%s", self.plan.refuse(question, refusal_text(code)))
+            self._say_once(self.plan.refuse(question, refusal_text(code)))
         return False
+
+    def _say_once(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            _LOG.log(NOTICE, "%s", text)
 
     def _leave_alone(self, address: CanAddress | GroupQuestion) -> None:
         """Ask a controller that does not answer now and then only; raises ControllerError if none does."""
@@ -406,10 +413,10 @@ class SignalAsker(AskingThread):
         """Return whether an answer has what was asked for, in the lengths of the profile."""
         found = data_in(question.request, answer, question.address.request_id, self._sizes)
         if isinstance(found, str):
-            _LOG.log(NOTICE, "%s", self.plan.refuse(question, found))
+            self._say_once(self.plan.refuse(question, found))
             return False
         for datum in set(question.data) - dict(found).keys():
-            _LOG.log(NOTICE, "%s", self.plan.refuse(Question(question.address, (datum,)), "left out"))
+            self._say_once(self.plan.refuse(Question(question.address, (datum,)), "left out"))
         return bool(found)
 
     def _log_rate(self) -> None:
@@ -492,7 +499,7 @@ class CanLine:
             connection.specific_send(request)
         except SilentError:
             return None
-        wait_s, until_s = ANSWER_S, time.monotonic() + MOST_PENDING_S
+        wait_s, until_s, is_said = ANSWER_S, time.monotonic() + MOST_PENDING_S, False
         while time.monotonic() < until_s:
             try:
                 answer = connection.specific_wait_frame(wait_s)
@@ -501,6 +508,9 @@ class CanLine:
             is_refusal = answer[:2] == bytes([NEGATIVE, request[0]])
             if is_refusal and answer[2:3] == bytes([PENDING]):
                 wait_s = PENDING_S
+                if not is_said:
+                    is_said = True
+                    _LOG.log(NOTICE, "%s asks for patience (78): its answer comes too late to be a sample", address)
             elif is_refusal or answer[:1] == bytes([request[0] + POSITIVE]):
                 return answer
         return None
