@@ -1,8 +1,14 @@
 """Signals asked for through an ELM327 adapter and over IP: said on a bus of the process, where they are overheard."""
 
+import os
+import pty
+import socket
+import threading
 from collections.abc import Callable
+from contextlib import suppress
 
 import can
+import elmulator
 import numpy as np
 import pytest
 
@@ -13,6 +19,7 @@ from diag_service.errors import ConfigError
 from diag_service.mapping.asked_signals import Overheard
 from diag_service.mapping.profile import AskingRules, load_shipped
 from diag_service.tester.adapters import ELM_TOGETHER, line_through, messages_in, parse_adapter
+from diag_service.tester.addresses import CanAddress
 from diag_service.tester.signal_asking import SignalAsker
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
@@ -53,6 +60,72 @@ def test_an_elm327_adapter_is_asked_and_overheard() -> None:
     with ElmServer(controller(), ("127.0.0.1", 0)) as server:
         adapter = f"elm327://127.0.0.1:{server.address[1]}"
         check(overheard("elm", lambda: asking(adapter, "elm", ELM_TOGETHER)))
+
+
+def test_an_adapter_at_a_serial_port_is_asked_and_overheard() -> None:
+    ours, theirs = pty.openpty()
+    with ElmServer(controller(), ("127.0.0.1", 0)) as server, socket.create_connection(server.address) as cable:
+
+        def carry(read: Callable[[int], bytes], write: Callable[[bytes], object]) -> None:
+            """Carry bytes one way until an end is pulled out."""
+            with suppress(OSError):
+                while piece := read(4096):
+                    write(piece)
+
+        threads = [
+            threading.Thread(target=carry, args=(lambda size: os.read(ours, size), cable.sendall)),
+            threading.Thread(target=carry, args=(cable.recv, lambda piece: os.write(ours, piece))),
+        ]
+        for one in threads:
+            one.start()
+        try:
+            adapter = f"elm327:{os.ttyname(theirs)}"
+            check(overheard("serial", lambda: asking(adapter, "serial", ELM_TOGETHER)))
+        finally:
+            os.close(theirs)
+            cable.shutdown(socket.SHUT_RDWR)
+            for one in threads:
+                one.join()
+            os.close(ours)
+
+
+@pytest.mark.parametrize(("echo", "split"), [("off", None), ("on", [7])])
+def test_an_adapter_that_is_not_ours_is_asked_though_it_echoes_and_stutters(echo: str, split: list[int] | None) -> None:
+    said = {
+        "22100C380C380D": "00D\r0:62100C096038\r1:0C07D0380D05DC\r",
+        "2238EB38EA": "009\r0:6238EB019038\r1:EA0000\r",
+        "222104": "6221040320\r",
+    }
+    commands = [{"request": asked, "response_chunks": [f"{answer}\r>"]} for asked, answer in said.items()]
+    scenario = elmulator.Scenario(elmulator.build_scenario("dsg", commands))
+    stop, port = elmulator.serve_in_background(scenario, echo=echo, split=split)
+    adapter, channel = f"elm327://127.0.0.1:{port}", f"foreign {echo}"
+    try:
+        check(overheard(channel, lambda: asking(adapter, channel, ELM_TOGETHER)))
+    finally:
+        stop()
+
+
+def test_what_an_adapter_echoes_is_no_answer() -> None:
+    stop, port = elmulator.serve_in_background(elmulator.Scenario(elmulator.build_scenario("dead", [])), echo="on")
+    try:
+        with line_through(f"elm327://127.0.0.1:{port}", "dead") as line:
+            assert line.ask(b"\x22\x38\xeb", CanAddress(request_id=0x7E1, response_id=0x7E9)) is None
+    finally:
+        stop()
+
+
+def test_a_node_over_ip_that_dies_is_told_and_asked_again(caplog: pytest.LogCaptureFixture) -> None:
+    place = Place(host="127.0.0.1", port=free_port())
+    asker = asking(f"doip://127.0.0.1:{place.port}/1011", "doip 2", 8)
+    with DoipServer(controller(), place):
+        asker.__enter__()
+        wait_for(lambda: asker.set_count >= 1)
+    wait_for(lambda: "asking is interrupted: 1011 at DoIP" in caplog.text)
+    count = asker.set_count
+    with DoipServer(controller(), place):
+        wait_for(lambda: asker.set_count > count)
+        asker.end()
 
 
 def test_a_node_over_ip_is_asked_and_overheard() -> None:
