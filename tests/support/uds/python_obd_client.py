@@ -1,6 +1,6 @@
 """A scan tool that is not ours, as a process: python-OBD asks an ELM327 adapter, and prints what it was told as JSON.
 
-``python -m tests.support.uds.python_obd_client PORT``
+``python -m tests.support.uds.python_obd_client PORT [REQUEST...]``; it then asks those alone.
 """
 
 import json
@@ -58,6 +58,19 @@ def told(port: str) -> dict[str, Any]:
         with_adapter.close()
 
 
+def answers(port: str, requests: Sequence[str]) -> list[str]:
+    """Return what the transmission answers to requests, hexadecimal."""
+    with_adapter = obd.OBD(f"socket://127.0.0.1:{port}", fast=False, timeout=5)
+    try:
+        commands = [
+            obd.OBDCommand(one, one, one.encode(), 0, lambda said: bytes(said[0].data).hex().upper(), header=b"7E1")
+            for one in requests
+        ]
+        return [with_adapter.query(one, force=True).value for one in commands]
+    finally:
+        with_adapter.close()
+
+
 def _payload(messages: Sequence[Any]) -> str:
     return bytes(messages[0].data[3:]).rstrip(b"\0").decode("ascii")
 
@@ -67,4 +80,4 @@ def _magnitude(value: Any) -> float | None:  # noqa: ANN401 - untyped
 
 
 if __name__ == "__main__":
-    print(json.dumps(told(sys.argv[1])))
+    print(json.dumps(answers(sys.argv[1], sys.argv[2:]) if sys.argv[2:] else told(sys.argv[1])))

@@ -27,6 +27,7 @@ def main() -> None:
         uds.UDS() / uds.UDS_DSCPR(b"\x01\x00\x32\x01\xf4"),
         uds.UDS() / uds.UDS_RDBIPR(dataIdentifier=0xF190) / raw(b"WFOREIGN000000001"),
         uds.UDS() / uds.UDS_RDBIPR(dataIdentifier=0xF18C) / raw(b"A SERIAL NUMBER THAT TAKES SOME FRAMES"),
+        uds.UDS() / uds.UDS_RDBIPR(dataIdentifier=0x38EB) / raw(b"\x01\x90"),
         uds.UDS(b"\x59\x01\xff\x00\x00\x02"),
         uds.UDS(b"\x59\x02\xff\x01\x23\x45\x2f\x9a\xbc\xde\x08"),
         uds.UDS(b"\x59\x04\x01\x23\x45\x2f\x01\x01\x12\x34\xaa\xbb"),

@@ -1,0 +1,186 @@
+"""Asking controllers that are not ours, and our personalities asked by testers that are not ours."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import can
+import isotp
+import numpy as np
+import pytest
+from doipclient.client import DoIPClient
+from doipclient.connectors import DoIPClientUDSConnector
+from udsoncan.client import Client
+from udsoncan.connections import BaseConnection, PythonIsoTpConnection
+from udsoncan.Request import Request
+from udsoncan.Response import Response
+from udsoncan.services.ReadDataByIdentifier import ReadDataByIdentifier
+
+from canlog.database.signal_columns import column_id
+from canlog.frames import EXTENDED_FLAG, join
+from canlog.live.opening import MulticastBus
+from diag_service.diagnosis.columns import Signal
+from diag_service.mapping.asked_signals import AskedField, Overheard
+from diag_service.mapping.profile import AskingRules, load_profile, load_shipped
+from diag_service.tester.signal_asking import SignalAsker, address_of, line_on
+from ecu_emulator.diagnostics.doip.listening import Place
+from ecu_emulator.diagnostics.doip.server import DoipServer
+from ecu_emulator.diagnostics.elm327.server import ElmServer
+from ecu_emulator.diagnostics.link import DiagnosticLink
+from tests.integration.test_other_senders import two_ends
+from tests.integration.test_signal_asking import controller, wait_for
+from tests.integration.test_tester import vehicle
+from tests.support.asked import batch_of
+from tests.support.doip.tester import free_port
+from tests.support.patience import HANG_S
+from tests.support.replay import free_bus
+from tests.support.uds.udsoncan_client import CONFIG, ISO_TP, Number
+
+pytestmark = pytest.mark.asks
+
+ASKED = load_shipped("dct_asked").asked
+TOLD = {0x100C: 2400, 0x380C: 2000, 0x380D: 1500, 0x38EB: 400, 0x38EA: 0, 0x2104: 800}
+NUMBERS = count()
+Node: Any = DoIPClient  # the library says nothing of types
+Connector: Any = DoIPClientUDSConnector
+
+
+@contextmanager
+def car_of_udsoncan(bus: can.BusABC) -> Iterator[None]:
+    """Put a controller on a bus whose transport is can-isotp's and whose messages are udsoncan's."""
+    address = isotp.Address(isotp.AddressingMode.Normal_11bits, txid=0x7E9, rxid=0x7E1)
+    over = threading.Event()
+
+    def answer(payload: bytes) -> bytes:
+        request = Request.from_payload(payload)
+        if request.service is not ReadDataByIdentifier:
+            return bytes(Response(request.service, Response.Code.ServiceNotSupported).get_payload())
+        data = request.data or b""
+        numbers = [int.from_bytes(data[at : at + 2]) for at in range(0, len(data), 2)]
+        found = b"".join(one.to_bytes(2) + TOLD[one].to_bytes(2) for one in numbers if one in TOLD)
+        return bytes(Response(request.service, Response.Code.PositiveResponse, data=found).get_payload())
+
+    with can.Notifier(bus, [], timeout=0.05) as notifier:
+        stack = isotp.NotifierBasedCanStack(bus, notifier, address=address, params={"tx_padding": 0})
+
+        def serve() -> None:
+            while not over.is_set():
+                if (request := stack.recv(block=True, timeout=0.05)) is not None:
+                    stack.send(answer(bytes(request)))
+
+        thread = threading.Thread(target=serve)
+        stack.start()
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+            stack.stop()
+
+
+@contextmanager
+def asked(fields: Mapping[Signal, AskedField], bus: can.BusABC, *, define: bool = False) -> Iterator[SignalAsker]:
+    addresses = [address_of(one) for one in fields.values()]
+    asker = SignalAsker(
+        fields,
+        AskingRules(together=8, define=define),
+        lambda: line_on(bus, addresses, is_fd=False, listen_s=0.05, goes_on=lambda: asker.goes_on),
+    )
+    with asker:
+        yield asker
+
+
+def values_heard(frames: list[can.Message], fields: Mapping[Signal, AskedField]) -> dict[Signal, float]:
+    """Return the raw values that a dialogue tells last."""
+    reader = Overheard(list(fields.values()))
+    out = join([*reader.feed(batch_of(frames)), *reader.drain()])
+    values = np.ascontiguousarray(out.data).view("<f8")[:, 0]
+    columns = {signal: column_id(field.name) | EXTENDED_FLAG for signal, field in fields.items()}
+    return {signal: float(values[out.can_id == column][-1]) for signal, column in columns.items()}
+
+
+@pytest.mark.asks(may_define=True)
+@pytest.mark.parametrize("kind", ["virtual", "this machine", pytest.param("socketcan", marks=pytest.mark.vcan)])
+@pytest.mark.parametrize("define", [False, True])
+def test_a_car_of_can_isotp_and_udsoncan_is_asked(request: pytest.FixtureRequest, kind: str, *, define: bool) -> None:
+    channel = str(request.getfixturevalue("vcan")) if kind == "socketcan" else f"foreign {next(NUMBERS)}"
+    with two_ends(kind, channel) as (car, tester), car_of_udsoncan(car), asked(ASKED, tester, define=define) as asker:
+        wait_for(lambda: asker.set_count >= 3)
+        assert set(asker.sent) == ({0x22, 0x2C} if define else {0x22})
+
+
+@pytest.mark.vcan
+@pytest.mark.asks(may_define=True)
+@pytest.mark.parametrize("define", [False, True])
+def test_our_car_is_asked_and_overheard_on_a_real_bus(vcan: str, *, define: bool) -> None:
+    heard: list[can.Message] = []
+    with (
+        can.Bus(vcan, "socketcan") as near,
+        can.Bus(vcan, "socketcan") as tester,
+        can.Bus(vcan, "socketcan") as ear,
+        can.Notifier(ear, [heard.append], timeout=0.05),
+        DiagnosticLink(controller(), near.send) as link,
+        can.Notifier(near, [link.feed], timeout=0.05),
+        asked(ASKED, tester, define=define) as asker,
+    ):
+        wait_for(lambda: asker.set_count >= 5)
+    assert values_heard(heard, ASKED)[Signal.CLUTCH1_PRESSURE] == 400.0
+    assert values_heard(heard, ASKED)[Signal.SUMP_TEMPERATURE] == 800.0
+
+
+def test_a_car_of_scapy_is_asked(tmp_path: Path) -> None:
+    path = tmp_path / "scapy.toml"
+    entry = '{ did = 0x38EB, at = "742", reply = "75A", unit = "bar" }'
+    path.write_text(f"[signals]\nclutch1_pressure_pa = {entry}\n", encoding="utf-8")
+    place, fields = free_bus(), load_profile(path).asked
+    words = [sys.executable, "-m", "tests.support.uds.scapy_ecu", "-i", "udp_multicast", "-c", place.group]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env={**os.environ, **place.variables}) as program:
+        assert program.stdout is not None
+        try:
+            assert program.stdout.readline() == "answering\n"
+            with MulticastBus(place.group, place.port) as tester, asked(fields, tester) as asker:
+                wait_for(lambda: asker.set_count >= 3)
+        finally:
+            program.kill()
+
+
+@pytest.mark.parametrize("way", ["can", "doip"])
+def test_our_personality_tells_udsoncan(way: str) -> None:
+    numbers: dict[int, Any] = dict.fromkeys((0x100C, 0x38EB, 0x38EA, 0x2104), Number(">h"))
+    config: Any = {**CONFIG, "data_identifiers": numbers}
+    channel = f"foreign {next(NUMBERS)}"
+    with ExitStack() as stack:
+        connection: BaseConnection
+        if way == "doip":
+            server = stack.enter_context(DoipServer(controller(), Place(host="127.0.0.1", port=free_port())))
+            port = server.place.port
+            node = stack.enter_context(closing(Node("127.0.0.1", 0x1011, tcp_port=port, udp_port=port)))
+            connection = Connector(node)
+        else:
+            stack.enter_context(vehicle(channel, controller()))
+            bus = stack.enter_context(can.Bus(channel, "virtual"))
+            notifier = stack.enter_context(can.Notifier(bus, [], timeout=0.05))
+            address = isotp.Address(isotp.AddressingMode.Normal_11bits, txid=0x7E1, rxid=0x7E9)
+            transport = isotp.NotifierBasedCanStack(bus, notifier, address=address, params=ISO_TP)
+            connection = PythonIsoTpConnection(transport)
+        client = stack.enter_context(Client(connection, config=config))
+        told: Any = client.read_data_by_identifier(list(numbers))
+        assert told.service_data.values == {0x100C: 2400, 0x38EB: 400, 0x38EA: 0, 0x2104: 800}
+
+
+def test_our_personality_tells_python_obd() -> None:
+    with ElmServer(controller(), ("127.0.0.1", 0)) as server:
+        words = ["tests.support.uds.python_obd_client", str(server.address[1]), "2238EB", "222104"]
+        run = subprocess.run(
+            [sys.executable, "-m", *words], check=False, capture_output=True, text=True, timeout=HANG_S
+        )
+    assert run.returncode == 0, run.stderr
+    assert json.loads(run.stdout) == ["6238EB0190", "6221040320"]
