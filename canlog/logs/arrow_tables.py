@@ -16,8 +16,8 @@ from canlog.arrays import FloatArray
 from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
-from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.signal_tables import MOST_US, frames_of_rows, is_rising, signal_columns, time_places, time_unit_us
+from canlog.logs.log_counts import LogCounts
+from canlog.logs.signal_tables import checked_rows, is_rising, signal_columns, time_places, time_unit_us
 from canlog.parquet_file import load_pyarrow
 
 PARQUET_MAGIC, ARROW_MAGIC, ARROW_STREAM_MAGIC = b"PAR1", b"ARROW1", b"\xff\xff\xff\xff"
@@ -65,11 +65,7 @@ def read_arrow_table(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch
                 ids = np.array([column_id(one.name) | EXTENDED_FLAG for one in plan.columns], np.uint32)
             time_us = _times_us(batch.column(plan.time_place), plan.us_per_unit)
             values = np.column_stack([_numbers(batch.column(place)) for place in plan.places])
-            counts.reject(
-                LogReject.MALFORMED, "a row without a time", int(np.count_nonzero(~(np.abs(time_us) < MOST_US)))
-            )
-            counts.reject(LogReject.MALFORMED, "an infinite value", int(np.count_nonzero(np.isinf(values))))
-            frames = frames_of_rows(time_us, values, ids)
+            frames = checked_rows(time_us, values, ids, counts)
             if len(frames):
                 counts.frames += len(frames)
                 yield frames

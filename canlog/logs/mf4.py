@@ -1,4 +1,4 @@
-"""ASAM MDF 4 bus logs, read by asammdf in a child process: nobody vouches for a file, so memory and time are limited.
+"""ASAM MDF 4 files, read by asammdf in a child process: nobody vouches for a file, so memory and time are limited.
 
 A server process imports the library once and forks a child for each file, so a file costs milliseconds. The child sends
 batches, then its counts; what ends it early is one clear error here.
@@ -23,6 +23,7 @@ from canlog.errors import SourceError
 from canlog.extras import extra_missing
 from canlog.frames import FrameBatch
 from canlog.logs.log_counts import LogCounts
+from canlog.logs.mf4_channels import measured_channels
 from canlog.logs.mf4_frames import NEEDS_ASAMMDF, mf4_batches
 from canlog.logs.mf4_mending import UNFINISHED_MAGIC
 
@@ -31,6 +32,7 @@ MEMORY_PER_BYTE = 4
 COPY_PER_BYTE = 32  # of copies on the disk: records that were packed are there as they are
 CPU_S = 3.0
 BYTES_PER_CPU_S = 2_000_000
+MEASURED_SLOWER = 4  # a byte, where records of many channels are packed
 WAIT_PER_CPU_S = 20.0  # others may use the machine, too; processor time is what is limited
 CHILD = "canlog.logs.mf4_child"
 IS_LIMITED = sys.platform == "linux" and hasattr(os, "fork")  # elsewhere files are read in this process
@@ -52,7 +54,9 @@ def read_mf4(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     path = Path(stream.name)
     size_bytes = path.stat().st_size
     content_bytes = stored_bytes(path, size_bytes)
-    cpu_s = CPU_S + content_bytes / BYTES_PER_CPU_S
+    with path.open("rb") as file:
+        slower = MEASURED_SLOWER if measured_channels(file).groups else 1
+    cpu_s = CPU_S + slower * content_bytes / BYTES_PER_CPU_S
     if not IS_LIMITED:
         yield from _read_here(path, counts)
         return

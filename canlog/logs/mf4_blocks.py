@@ -1,10 +1,12 @@
-"""The blocks of an MDF 4 file, as far as it takes to find its records (ASAM MDF 4.2, the block structure)."""
+"""The blocks of an MDF 4 file, as far as it takes to find records and what is measured (ASAM MDF 4.2)."""
 
+import re
 import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import BinaryIO
+from html import unescape
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -23,6 +25,17 @@ MOST_UNPACKED_BYTES = 64 * 1024 * 1024  # of one block; the format's own limit i
 PLAIN, ZIPPED, LISTED, LIST_HEADER = b"##DT", b"##DZ", b"##DL", b"##HL"
 DATA = {PLAIN, ZIPPED}
 CHANNEL, CHANNEL_GROUP, CHANNEL_DATA = b"##CN", b"##CG", 5  # the last: which of a channel's links leads to its data
+COMPOSITION, NAME, CONVERSION, UNIT = 1, 2, 4, 6  # likewise
+FIELDS = struct.Struct("<BBB")  # of a channel: what it is to its group, of which quantity a master is, kind of number
+MASTERS, TIME, NUMBERS = {2, 3}, 1, range(6)
+UNIT_OF_CONVERSION, FIRST_REFERENCE = 1, 4  # links of a conversion
+FORMULA, TO_NUMBERS = 3, range(9)  # kinds of conversion; the last two name numbers in words, which are left alone
+SAFE_FORMULA = re.compile(r"[-+*/(). \dEeX]{1,200}")
+BUS_EVENTS = 0x0006  # flags of a channel group
+BUS_FRAMES = re.compile(r"(?:CAN|LIN|FLX|ETH|MOST|KLINE|K)_?\w*(?:Frame|Error|Event|Message)\w*")
+LONGEST_TEXT = 64 * 1024
+TEXT_IN_XML = re.compile(r"<TX>(.*?)</TX>", re.DOTALL)
+MOST_CHANNELS = 20_000
 
 
 class UnknownStructureError(Exception):
@@ -68,6 +81,24 @@ class DataGroup:
     groups: tuple[ChannelGroup, ...]
 
 
+class Channel(NamedTuple):
+    """A measured signal that is a number, and where its block is."""
+
+    at: int
+    name: str
+    unit: str
+
+
+class MeasuredGroup(NamedTuple):
+    """Channels that share their times; ``is_bus`` if its records are frames of a bus."""
+
+    at: int
+    channels: tuple[Channel, ...]
+    has_times: bool
+    is_bus: bool
+    others: tuple[str, ...]  # names of channels that are no numbers, or become such by an unknown formula
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stored:
     """The blocks with the records of a data group."""
@@ -94,6 +125,62 @@ class Mf4File:
             If one is missing, or stored in a way that is not understood here.
         """
         return [self._data_group(block) for block in self._chain(self._need(FIRST_BLOCK, b"##HD").links[0], b"##DG")]
+
+    def measured_groups(self) -> list[MeasuredGroup]:
+        """Return all groups that have records, with their channels; raises UnknownStructureError."""
+        found, count = list[MeasuredGroup](), 0
+        for data in self._chain(self._need(FIRST_BLOCK, b"##HD").links[0], b"##DG"):
+            for group in self._chain(data.links[1], CHANNEL_GROUP):
+                _, cycles, flags, _, _, _ = GROUP.unpack(self._bytes(group.body_at, GROUP.size))
+                blocks = list[Block]()
+                for block in self._chain(group.links[1], CHANNEL):
+                    count += 1
+                    if count > MOST_CHANNELS:
+                        raise UnknownStructureError("more channels than any measurement has")
+                    blocks.append(block)
+                if (cycles or self._is_unfinished) and not flags & VARIABLE_LENGTH:
+                    found.append(self._measured(group, flags, blocks))
+        return found
+
+    def _measured(self, group: Block, flags: int, blocks: list[Block]) -> MeasuredGroup:
+        channels, others, has_times = list[Channel](), list[str](), False
+        for block in blocks:
+            role, quantity, kind = FIELDS.unpack(self._bytes(block.body_at, FIELDS.size))
+            name = self._text(block.links[NAME])
+            if role in MASTERS:
+                has_times |= quantity == TIME
+            elif block.links[COMPOSITION] or kind not in NUMBERS or not self._is_number(block.links[CONVERSION]):
+                others.append(name)
+            else:
+                unit = self._text(block.links[UNIT]) or self._unit_of_conversion(block.links[CONVERSION])
+                channels.append(Channel(block.at, name, unit))
+        is_bus = bool(flags & BUS_EVENTS) or any(BUS_FRAMES.fullmatch(one) for one in others)
+        return MeasuredGroup(group.at, tuple(channels), has_times, is_bus, tuple(others))
+
+    def _is_number(self, conversion_at: int) -> bool:
+        """Return whether a conversion makes a number of a number."""
+        if not conversion_at:
+            return True
+        block = self._need(conversion_at, b"##CC")
+        kind = self._bytes(block.body_at, 1)[0]
+        if kind == FORMULA:
+            return SAFE_FORMULA.fullmatch(self._text(block.links[FIRST_REFERENCE])) is not None
+        return kind in TO_NUMBERS
+
+    def _unit_of_conversion(self, at: int) -> str:
+        return self._text(self._need(at, b"##CC").links[UNIT_OF_CONVERSION]) if at else ""
+
+    def _text(self, at: int) -> str:
+        """Return the text of a block of text, or the first one in its XML."""
+        if not at:
+            return ""
+        block = self._need(at)
+        length = min(block.length - HEADER.size, LONGEST_TEXT, self.size_bytes - block.body_at)
+        text = self._bytes(block.body_at, max(length, 0)).partition(b"\0")[0].decode("utf-8", "replace")
+        if block.kind == b"##MD":
+            found = TEXT_IN_XML.search(text)
+            text = unescape(found[1]) if found else ""
+        return text.strip()
 
     def stored(self, group: DataGroup) -> Stored:
         """Return the blocks with a group's records.

@@ -6,7 +6,7 @@ Times are floating-point seconds from the start in the file, rounded to whole mi
 import logging
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -34,6 +34,7 @@ from canlog.frames import (
 )
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.merging import merged_by_time
+from canlog.logs.mf4_channels import channel_batches, measured_channels
 from canlog.logs.mf4_mending import Mended, mended
 from canlog.logs.text_kernels import IS_LENGTH
 
@@ -55,7 +56,7 @@ DAMAGE = (OSError, ValueError, LookupError, TypeError, AttributeError, Arithmeti
 
 
 def mf4_batches(path: Path, folder: Path, counts: LogCounts) -> Iterator[FrameBatch]:
-    """Yield the frames of all CAN groups of an MDF 4 file, merged by time; for the child.
+    """Yield the frames of all CAN groups of an MDF 4 file, else its measured channels, merged by time; for the child.
 
     Raises
     ------
@@ -67,14 +68,21 @@ def mf4_batches(path: Path, folder: Path, counts: LogCounts) -> Iterator[FrameBa
     try:
         # A file that is cut off, or that its writer left unfinished, is completed in a copy.
         whole = mended(path, folder)
-        mdf = asammdf.MDF(whole.path, process_bus_logging=False, temporary_folder=folder)
-        count_missing(mdf.groups, whole, counts)
-        start_ns = measurement_start_ns(mdf.header)
-        groups = [(number, kind) for number, group in enumerate(mdf.groups) if (kind := frame_kind(group))]
-        streams = [read_group(mdf, number, kind, start_ns, whole, counts) for number, kind in groups]
-        for batch in merged_by_time(streams):
-            counts.frames += len(batch)
-            yield batch
+        with path.open("rb") as original, whole.path.open("rb") as opened:
+            measured = measured_channels(original)
+            # Of a stream rows are read in pieces, of a path all that a channel has.
+            source = opened if measured.groups else whole.path
+            mdf = asammdf.MDF(source, process_bus_logging=False, temporary_folder=folder)
+            start_ns = measurement_start_ns(mdf.header)
+            kinds = {number: kind for number, group in enumerate(mdf.groups) if (kind := frame_kind(group))}
+            addresses = {one.at for one in measured.groups} or {mdf.groups[one].channel_group.address for one in kinds}
+            count_missing(mdf.groups, addresses, whole, counts)
+            streams = [read_group(mdf, number, kind, start_ns, whole, counts) for number, kind in kinds.items()]
+            if measured.groups:
+                streams = channel_batches(mdf, measured, start_ns, counts)
+            for batch in merged_by_time(streams):
+                counts.frames += len(batch)
+                yield batch
     except errors as exc:
         raise SourceError(f"the MF4 file is damaged or cut off: {' '.join(str(exc).split())}") from exc
     finally:
@@ -113,12 +121,15 @@ def measurement_start_ns(header: Any) -> int:  # noqa: ANN401 - asammdf's own ob
     return int(header.abs_time)
 
 
-def count_missing(groups: Sequence[Any], whole: Mended, counts: LogCounts) -> None:  # asammdf's own objects
+def count_missing(  # of asammdf's own objects
+    groups: Sequence[Any], addresses: Collection[int], whole: Mended, counts: LogCounts
+) -> None:
     counts.truncated |= whole.is_cut
     for number, group in enumerate(groups):
-        missing = whole.missing.get(group.channel_group.address, 0)
-        if missing and not FLAG_OF_KIND.keys().isdisjoint(channel.name for channel in group.channels):
-            found = whole.found[group.channel_group.address]
+        address = group.channel_group.address
+        missing = whole.missing.get(address, 0)
+        if missing and address in addresses:
+            found = whole.found[address]
             counts.reject(LogReject.CUT_OFF, f"record {found + 1} of group {number}", missing)
     if whole.lost_at:
         counts.truncated = True

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import BinaryIO, Final
 
 from canlog.errors import InputLeftError, SourceError
 from canlog.files import WIDE_BYTES, widen
@@ -39,15 +39,23 @@ class PipeStream(io.RawIOBase):
         Whether to wait no longer for what has not come.
     hand_over_s
         How long what came first waits for more.
+    file
+        To which the descriptor belongs, open as long as this is.
     """
 
     name = INPUT_NAME
     is_live = True  # a reading that is short has a reason: what there is shall be used now
 
     def __init__(
-        self, descriptor: int, is_stopped: Callable[[], bool] = never, *, hand_over_s: float = HAND_OVER_S
+        self,
+        descriptor: int,
+        is_stopped: Callable[[], bool] = never,
+        *,
+        hand_over_s: float = HAND_OVER_S,
+        file: BinaryIO | None = None,
     ) -> None:
         super().__init__()
+        self._file = file
         self._descriptor = descriptor
         self._is_stopped = is_stopped
         self._hand_over_s = hand_over_s
@@ -58,6 +66,11 @@ class PipeStream(io.RawIOBase):
     def readable(self) -> bool:
         """Return True."""
         return True
+
+    def close(self) -> None:
+        super().close()
+        if self._file is not None:
+            self._file.close()
 
     def give_back(self, content: bytes) -> None:
         """Take back what was read; it is the next to be read."""
@@ -105,10 +118,20 @@ def _is_ready(descriptor: int, wait_s: float) -> bool:
         return True
 
 
+_WAITING: dict[int, PipeStream] = {}  # of standard input, by its object: it cannot be opened twice
+
+
+def wait_for_reader(stream: PipeStream) -> None:
+    """Let a stream be the standard input that is opened next."""
+    _WAITING[id(sys.stdin)] = stream
+
+
 def open_standard_input(is_stopped: Callable[[], bool] = never) -> PipeStream:
     """Return the standard input of this process; raises SourceError if there is none, or a person sits there."""
     if sys.stdin is None:
         raise SourceError("it is closed")
+    if (waiting := _WAITING.pop(id(sys.stdin), None)) is not None:
+        return waiting
     if sys.stdin.isatty():
         raise SourceError("it is a terminal; pipe a log into it, as in: candump -L can0 | ...")
     descriptor = sys.stdin.fileno()

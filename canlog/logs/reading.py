@@ -22,7 +22,16 @@ from canlog.logs.compressed import compression_of
 from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, detect_as_columns
 from canlog.logs.log_counts import BoundedStream, LogCounts, LogReject
 from canlog.logs.mf4 import read_mf4
-from canlog.logs.piped import STANDARD_INPUT, PipeStream, kept, never, open_standard_input, shown_name
+from canlog.logs.mf4_channels import measured_channels
+from canlog.logs.piped import (
+    STANDARD_INPUT,
+    PipeStream,
+    kept,
+    never,
+    open_standard_input,
+    shown_name,
+    wait_for_reader,
+)
 from canlog.logs.signal_tables import read_signal_table
 from canlog.logs.sqlite import check_messages, read_sqlite
 from canlog.logs.text_log import reader_of
@@ -77,6 +86,11 @@ class LogReader(Iterator[FrameBatch]):
             check_messages(self._stream)
         if self.format is LogFormat.SIGNALS and not self.columns:
             self.columns = arrow_columns(self._stream)
+        if self.format is LogFormat.MF4:
+            _, self.columns, notes = measured_channels(self._stream)
+            self.evidence += f"; {len(self.columns)} measured channels, no frames of a bus" * bool(self.columns)
+            for note in notes:
+                self._counts.note(note)
         self._batches = _reader_of(contents)(cast("BinaryIO", self._bounded), self._counts)
         self._watch = TimeWatch(self._counts)
         self._is_strict = is_strict
@@ -126,7 +140,7 @@ class LogReader(Iterator[FrameBatch]):
             self.close()
             kind = type(exc) if isinstance(exc, SourceError) else SourceError
             raise kind(f"{self.name}: {_reason(exc)}") from exc
-        if self._is_first and self.format is not LogFormat.SIGNALS:  # values of a row all have its time
+        if self._is_first and not self.columns:  # values of a row all have its time
             self._look_at_load(batch[:LOAD_FRAMES])
         self._is_first = False
         self._watch.look(batch)
@@ -234,12 +248,30 @@ def read_log(
         raise kind(f"{name or shown_name(path)}: {_reason(exc)}") from exc
 
 
-def table_columns(path: Path | str) -> tuple[SignalColumn, ...]:
-    """Return the columns of a table of signals; none of any other log, and of standard input. Raises as `read_log`."""
-    if Path(path) == STANDARD_INPUT:
-        return ()
-    with read_log(path) as reader:
-        return reader.columns
+def table_columns(
+    path: Path | str, *, is_stopped: Callable[[], bool] = never, columns: str = ""
+) -> tuple[SignalColumn, ...]:
+    """Return the columns of a table of signals, none of any other log; raises as `read_log`.
+
+    Standard input can be read afterwards, from its beginning.
+    """
+    if Path(path) != STANDARD_INPUT:
+        with read_log(path, columns=columns) as reader:
+            return reader.columns
+    try:
+        stream = open_standard_input(is_stopped)
+        detected = _looked_into(stream, columns)
+        if detected is not None and detected.format in TEXT_LOGS:
+            wait_for_reader(stream)
+            return ()
+        file = kept(stream, is_stopped)
+        wait_for_reader(PipeStream(file.fileno(), is_stopped, file=file))
+        again = BufferedReader(open_plain_file(Path(str(file.name))))
+        with LogReader(STANDARD_INPUT, contents_of(again, columns=columns)) as reader:
+            return reader.columns
+    except (OSError, SourceError) as exc:
+        kind = type(exc) if isinstance(exc, SourceError) else SourceError
+        raise kind(f"{shown_name(STANDARD_INPUT)}: {_reason(exc)}") from exc
 
 
 def _reason(error: Exception) -> str:
@@ -251,17 +283,22 @@ def _reason(error: Exception) -> str:
     return str(getattr(error, "strerror", None) or error)
 
 
-def _piped_reader(is_stopped: Callable[[], bool], columns: str, *, is_strict: bool) -> LogReader:
-    """Return the reader of standard input: of a text as it comes, of anything else when all of it is there."""
-    stream = open_standard_input(is_stopped)
+def _looked_into(stream: PipeStream, columns: str) -> Detected | None:
+    """Return what the beginning of a pipe speaks of, None if it is packed; the pipe is at its beginning again."""
     probe = b""
     while len(probe) < PROBE_BYTES and (piece := stream.read(PROBE_BYTES - len(probe))):
         probe += piece
         if _is_packed(probe) or _detected(probe) is not None:
             break
     stream.check_not_left()
-    detected = None if _is_packed(probe) else detect_as_columns(probe, columns) if columns else detect(probe)
     stream.give_back(probe)
+    return None if _is_packed(probe) else detect_as_columns(probe, columns) if columns else detect(probe)
+
+
+def _piped_reader(is_stopped: Callable[[], bool], columns: str, *, is_strict: bool) -> LogReader:
+    """Return the reader of standard input: of a text as it comes, of anything else when all of it is there."""
+    stream = open_standard_input(is_stopped)
+    detected = _looked_into(stream, columns)
     if detected is not None and detected.format in TEXT_LOGS:
         pipe = cast("BinaryIO", stream)
         live = Contents(stream=pipe, detected=detected, counts=LogCounts(), is_packed=False, columns=columns)

@@ -31,7 +31,7 @@ LEAST_RISING: Final = 0.9  # of all steps of a clock: a few may fall where a rec
 SEPARATORS: Final = "\t;,|"
 BLANKS: Final = frozenset({"", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none"})
 WORDS: Final = {"true": 1.0, "on": 1.0, "yes": 1.0, "false": 0.0, "off": 0.0, "no": 0.0}
-UNIT_IN_BRACKETS: Final = re.compile(r"\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
+UNIT_IN_BRACKETS: Final = re.compile(r"\s*[\[(](?P<unit>(?!\d+[\])])[^\[\]()]*)[\])]\s*$")  # a number is an index
 NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?")
 PAYLOAD: Final = re.compile(r"(?:0x)?(?:[0-9A-Fa-f]{2}[\s:._-]?){1,64}")
 LETTERS: Final = re.compile(r"[A-Fa-f]")
@@ -200,6 +200,15 @@ def frames_of_rows(
         length=np.full(len(rows), 8, np.uint8),
         data=payload.view(np.uint8).reshape(-1, 8),
     )
+
+
+def checked_rows(
+    time_us: FloatArray, values: FloatArray, ids: np.ndarray[tuple[int], np.dtype[np.uint32]], counts: LogCounts
+) -> FrameBatch:
+    """Return rows of a binary table as `frames_of_rows` does; those without a time and infinite values are counted."""
+    counts.reject(LogReject.MALFORMED, "a row without a time", int(np.count_nonzero(~(np.abs(time_us) < MOST_US))))
+    counts.reject(LogReject.MALFORMED, "an infinite value", int(np.count_nonzero(np.isinf(values))))
+    return frames_of_rows(time_us, values, ids)
 
 
 def signal_columns(names: Sequence[str], units: Sequence[str] = ()) -> tuple[list[SignalColumn], list[str]]:

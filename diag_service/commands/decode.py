@@ -42,7 +42,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         raise ConfigError("--jobs is for folders: the logs that were named are one table")
     table_format = table_format_of(options.output, options.format, is_folder=is_of_messages)
     _check(options, table_format)
-    messages = asked_database(options).messages
+    messages = asked_database(options, lambda: controls.stop.is_set).messages
     plan = planned(choice_of(options), messages)
     check_messages(options.output, plan, table_format, is_forced=options.force)
     is_piped = options.output == STANDARD_STREAM

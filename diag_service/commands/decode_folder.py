@@ -5,14 +5,15 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 
 from cantools.database.can import Message
 
+from canlog.database.signal_columns import SignalColumn, columns_database
 from canlog.errors import OutputError, SourceError
-from canlog.logs import STANDARD_INPUT, is_folder
+from canlog.logs import STANDARD_INPUT, is_folder, table_columns
 from canlog.notice import NOTICE
 from canlog.tables.account import account_record, frame_texts, losses
 from canlog.tables.decoding import Decoded, Plan, TableShape, decode_logs
@@ -36,6 +37,11 @@ class TableTask:
 
     log: Path
     output: Path
+    columns: tuple[SignalColumn, ...] = ()  # of a table of signals, which is its own database
+
+    def messages(self, others: Sequence[Message]) -> Sequence[Message]:
+        """Return the messages of the log: its columns, or those of the database of all other logs."""
+        return columns_database(self.columns).messages if self.columns else others
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,17 +56,21 @@ class TableDone:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableWriter:
-    """Writes tables by one plan."""
+    """Writes tables, those of logs with the same columns by one plan."""
 
-    plan: Plan
+    messages: Sequence[Message]
+    choice: TableChoice
     table_format: TableFormat
-    columns: str
+    plans: dict[tuple[SignalColumn, ...], Plan] = field(default_factory=dict)
 
     def write(self, task: TableTask) -> TableDone:
         """Return what became of a log; raises OutputError."""
         task.output.parent.mkdir(parents=True, exist_ok=True)
         try:
-            decoded = decode_logs([task.log], self.plan, task.output, self.table_format, columns=self.columns)
+            if task.columns not in self.plans:
+                self.plans[task.columns] = self.choice.plan(task.messages(self.messages))
+            plan, columns = self.plans[task.columns], self.choice.columns
+            decoded = decode_logs([task.log], plan, task.output, self.table_format, columns=columns)
         except SourceError as exc:
             reason = str(exc).removeprefix(f"{task.log}: ")
             record: JsonObject = {"path": str(task.log), "output": None, "error": reason}
@@ -90,7 +100,7 @@ _WRITERS: list[TableWriter] = []  # of this process: one, made when it starts
 def begin_tables(messages: Sequence[Message], choice: TableChoice, table_format: TableFormat) -> None:
     """Prepare a process for tables."""
     follow_parent()
-    _WRITERS.append(TableWriter(plan=choice.plan(messages), table_format=table_format, columns=choice.columns))
+    _WRITERS.append(TableWriter(messages=messages, choice=choice, table_format=table_format))
 
 
 def write_own_table(task: TableTask) -> TableDone:
@@ -110,11 +120,11 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     except OutputError as exc:
         raise ConfigError(str(exc)) from exc
     jobs = job_count(options.jobs)
-    messages = asked_database(options).messages
-    plan = planned(choice, messages)  # complains of signals and times that are none
-    tasks = _tasks(options, "" if plan.shape is TableShape.MESSAGES else SUFFIX_OF_FORMAT[table_format])
+    messages = asked_database(SimpleNamespace(**{**vars(options), "logs": ()})).messages
+    tasks = _tasks(options, "" if options.layout == TableShape.MESSAGES else SUFFIX_OF_FORMAT[table_format])
+    plans = {task.columns: planned(choice, task.messages(messages)) for task in tasks}  # complains of what is none
     for task in tasks:
-        check_messages(task.output, plan, table_format, is_forced=options.force)
+        check_messages(task.output, plans[task.columns], table_format, is_forced=options.force)
     console, totals, losing = PeopleConsole(), Counter[str](), list[str]()
     arguments = (messages, choice, table_format)
     for task, future in shared_out(write_own_table, tasks, jobs, controls.stop, begin_tables, arguments):
@@ -156,7 +166,9 @@ def _tasks(options: SimpleNamespace, suffix: str) -> list[TableTask]:
         home = path if is_folder(path) else path.parent
         for log in (log for drive in found.drives for log in drive.paths):
             own = log.relative_to(home)
-            tasks.append(TableTask(log=log, output=options.output / own.with_name(f"{own.name}{suffix}")))
+            columns = () if options.dbc is not None else table_columns(log, columns=options.columns or "")
+            output = options.output / own.with_name(f"{own.name}{suffix}")
+            tasks.append(TableTask(log=log, output=output, columns=columns))
     _check_outputs([task.output for task in tasks], are_files=bool(suffix), is_forced=options.force)
     return tasks
 

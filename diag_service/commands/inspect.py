@@ -65,7 +65,7 @@ class Inspection:
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Inspect one log after the other; raises StoppedError if that was stopped."""
-    messages = asked_database(options).messages
+    messages = asked_database(options, lambda: controls.stop.is_set).messages
     console = PeopleConsole()
     columns = options.columns or ""
     for path, is_found in _files(options, columns, console):

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 from cantools.database.can import Database
 
+from canlog.database.signal_columns import columns_database
 from canlog.decode.codec import Codec
 from canlog.logs import STANDARD_INPUT, read_log, shown_name, table_columns
 from canlog.logs.reading import Watch
@@ -105,9 +106,11 @@ def proposed_profile(
     columns: str = "",
 ) -> str:
     """Return a profile, as the text of a TOML file, whose comments say what signals the log holds."""
-    are_columns = dbc is None and bool(table_columns(log))
-    meant = "its columns" if are_columns else (dbc or DBC_PATH).name
-    database = open_database(dbc, [log], is_lenient=is_lenient, parser_time_s=parser_time_s)
+    named = () if dbc is not None else table_columns(log, is_stopped=lambda: stop.is_set, columns=columns)
+    are_columns, meant = bool(named), "its columns" if named else (dbc or DBC_PATH).name
+    database = (
+        columns_database(named) if named else open_database(dbc, is_lenient=is_lenient, parser_time_s=parser_time_s)
+    )
     survey = Survey(Codec(database.messages, check_codes=True), are_columns=are_columns)
     survey.add(log, stop, watch, columns)
     name, stem = (shown_name(log), "piped") if log == STANDARD_INPUT else (log.name, log.stem)

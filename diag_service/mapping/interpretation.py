@@ -1,7 +1,7 @@
 """What frames mean: database and profile, as the user named them or as they fit each other."""
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,7 +11,8 @@ from cantools.database.can import Database
 
 from canlog.database.loading import PARSER_TIME_S, bus_of, load_database
 from canlog.database.signal_columns import columns_database
-from canlog.logs import is_folder, table_columns
+from canlog.logs import STANDARD_INPUT, is_folder, table_columns
+from canlog.logs.piped import never
 from canlog.notice import NOTICE
 from dbc.contract import DBC_PATH, load_contract
 from diag_service.diagnosis.columns import GearRatios, Signal
@@ -37,6 +38,8 @@ def open_database(
     is_lenient: bool = False,
     is_j1939: bool = False,
     parser_time_s: int | None = None,
+    is_stopped: Callable[[], bool] = never,
+    columns: str = "",
 ) -> Database:
     """Return the database of a file, as `load_database` does; without one that of logs which are tables of signals.
 
@@ -44,22 +47,24 @@ def open_database(
 
     Raises DefinitionError, and SourceError if one of the logs cannot be read.
     """
-    named = () if path is not None else [one for log in logs if not is_folder(log) for one in table_columns(log)]
-    if named:
+    tables = () if path is not None else [one for one in logs if one == STANDARD_INPUT or not is_folder(one)]
+    if named := [one for log in tables for one in table_columns(log, is_stopped=is_stopped, columns=columns)]:
         return columns_database(named)
     if path is None or path == DBC_PATH:
         return load_contract()
     return load_database(path, is_lenient=is_lenient, is_j1939=is_j1939, parser_time_s=parser_time_s or PARSER_TIME_S)
 
 
-def asked_database(options: SimpleNamespace) -> Database:
-    """Return the database that a command line names, read as that says; raises DefinitionError."""
+def asked_database(options: SimpleNamespace, is_stopped: Callable[[], bool] = never) -> Database:
+    """Return the database that a command line names, read as that says; raises as `open_database`."""
     return open_database(
         options.dbc,
         getattr(options, "logs", ()),
         is_lenient=options.lenient,
         is_j1939=getattr(options, "match", "") == "group",
         parser_time_s=options.parser_time,
+        is_stopped=is_stopped,
+        columns=getattr(options, "columns", "") or "",
     )
 
 

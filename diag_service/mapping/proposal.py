@@ -270,13 +270,14 @@ def _candidate(signal: Signal, stat: SignalStatistics) -> Candidate | None:
     kind = KINDS[signal]
     if not stat.count or _NEVER.search(stat.signal) or (kind.is_integer and not stat.is_integer):
         return None
-    match = re.search(kind.names, MARKS.sub("_", stat.signal), re.IGNORECASE)
+    name = stat.signal.partition("\\")[0]  # behind it a measurement says of which controller it is
+    match = re.search(kind.names, MARKS.sub("_", name), re.IGNORECASE)
     if match is None:
         return None
     unit = next((unit for unit in _possible_units(signal, stat) if _is_possible(signal, stat, unit)), None)
     if unit is None:
         return None
-    score = 2.0 + 2.0 * len(match.group()) / len(stat.signal) + (1.0 if stat.unit else 0.0)
+    score = 2.0 + 2.0 * len(match.group()) / len(name) + (1.0 if stat.unit else 0.0)
     score += 1.0 if stat.highest > stat.lowest else 0.0  # a signal that never changes tells little
     if score < MIN_SCORE:
         return None

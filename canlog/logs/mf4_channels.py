@@ -1,0 +1,100 @@
+"""Measured channels of ASAM MDF 4 files as a table of signals: what a bench or a calibration tool recorded.
+
+Which channels there are is told by the file's own blocks, so that asammdf is loaded only where values are read. Each
+group has its own times. Values that are marked as invalid are none.
+"""
+
+import os
+from collections.abc import Iterator, Sequence
+from typing import Any, BinaryIO, Final, NamedTuple
+
+import numpy as np
+
+from canlog.arrays import FloatArray
+from canlog.database.signal_columns import SignalColumn, column_id
+from canlog.frames import EXTENDED_FLAG, FrameBatch
+from canlog.logs.log_counts import LogCounts
+from canlog.logs.mf4_blocks import MeasuredGroup, Mf4File, UnknownStructureError
+from canlog.logs.mf4_mending import UNFINISHED_MAGIC
+from canlog.logs.signal_tables import checked_rows, signal_columns
+
+CELLS: Final = 250_000  # that are read at once
+NS_PER_US: Final = 1000
+
+
+class Measured(NamedTuple):
+    """The groups of a file that are a table, the columns of all of them, and what is to be said of it."""
+
+    groups: tuple[MeasuredGroup, ...] = ()
+    columns: tuple[SignalColumn, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def measured_channels(stream: BinaryIO) -> Measured:
+    """Return what a file measured; none if it holds frames of a bus, or blocks that are not understood."""
+    try:
+        is_unfinished = stream.read(len(UNFINISHED_MAGIC)) == UNFINISHED_MAGIC
+        groups = Mf4File(stream, stream.seek(0, os.SEEK_END), is_unfinished=is_unfinished).measured_groups()
+    except (UnknownStructureError, IndexError):
+        return Measured()
+    finally:
+        stream.seek(0)
+    tables = tuple(one for one in groups if one.channels and one.has_times and not one.is_bus)
+    count = sum(len(one.channels) for one in tables)
+    if any(one.is_bus for one in groups):
+        return Measured(notes=(f"{count} measured channels beside the frames of buses are left out",) * bool(count))
+    channels = [channel for one in tables for channel in one.channels]
+    columns, notes = signal_columns([one.name for one in channels], [one.unit for one in channels])
+    others = [name for one in groups for name in one.others]
+    others += [channel.name for one in groups if not one.has_times for channel in one.channels]
+    notes += [f"channels that are no numbers, or have no times, are left out: {', '.join(others)}"] * bool(others)
+    return Measured(tables, tuple(columns), tuple(notes))
+
+
+def channel_batches(
+    mdf: Any,  # noqa: ANN401 - asammdf's own object
+    measured: Measured,
+    start_ns: int,
+    counts: LogCounts,
+) -> list[Iterator[FrameBatch]]:
+    """Return the values of each group as frames; for the child, with a file that was opened as a stream."""
+    places = {one.channel_group.address: number for number, one in enumerate(mdf.groups)}
+    ids = np.array([column_id(one.name) | EXTENDED_FLAG for one in measured.columns], np.uint32)
+    streams, first = list[Iterator[FrameBatch]](), 0
+    for group in measured.groups:
+        own = ids[first : first + len(group.channels)]
+        first += len(group.channels)
+        streams.append(_group(mdf, places[group.at], [one.at for one in group.channels], own, start_ns, counts))
+    return streams
+
+
+def _group(
+    mdf: Any,  # noqa: ANN401 - asammdf's own object
+    number: int,
+    addresses: Sequence[int],
+    ids: np.ndarray[tuple[int], np.dtype[np.uint32]],
+    start_ns: int,
+    counts: LogCounts,
+) -> Iterator[FrameBatch]:
+    group, done = mdf.groups[number], 0
+    index = {channel.address: place for place, channel in enumerate(group.channels)}
+    wanted, stated = [(None, number, index[one]) for one in addresses], int(group.channel_group.cycles_nr)
+    while done < stated:
+        count = min(max(1, CELLS // len(wanted)), stated - done)
+        found = mdf.select(
+            wanted, record_offset=done, record_count=count, copy_master=False, ignore_value2text_conversions=True
+        )
+        time_us = start_ns // NS_PER_US + np.rint(np.asarray(found[0].timestamps, np.float64) * 1e6)
+        if not len(time_us):
+            counts.cut_off(f"record {done + 1} of group {number}", stated - done)
+            return
+        done += len(time_us)
+        yield checked_rows(time_us, np.column_stack([_numbers(one) for one in found]), ids, counts)
+
+
+def _numbers(signal: Any) -> FloatArray:  # noqa: ANN401 - asammdf's own object
+    """Return the values of a channel, NaN for those that are marked as invalid."""
+    values: FloatArray = np.array(signal.samples, np.float64)
+    if signal.invalidation_bits is not None:
+        values[np.asarray(signal.invalidation_bits, np.bool_)] = np.nan
+    return values

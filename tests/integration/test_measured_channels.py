@@ -1,0 +1,153 @@
+"""Measured channels of MDF 4 files: names, units, conversions, rates, invalid values; cut off or beside frames."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from asammdf import MDF, Signal
+
+from canlog.database.signal_columns import SignalColumn, column_id
+from canlog.frames import EXTENDED_FLAG
+from canlog.logs import LogFormat, LogReader, read_log
+from canlog.logs.signal_tables import signal_columns
+from ecu_emulator.log_formats import Header, Mf4Writer
+from tests.support.measurements import START, Measured, written
+from tests.support.mf4_layouts import Layout, laid_out
+from tests.support.traffic import START_NS, as_received, random_frames
+
+FAST_S, SLOW_S = np.arange(0.0, 20.0, 0.01), np.arange(0.003, 20.0, 0.1)
+SPEED = np.round(1000.0 + 500.0 * np.sin(FAST_S), 2)
+PRESSURE = np.round(2.0 + np.cos(FAST_S), 3)
+TEMPERATURE = np.round(80.0 + SLOW_S, 1)
+FAST = [
+    Measured("nEng\\ETKC:1", "rpm", SPEED, 0.25),
+    Measured("pCl1\\ETKC:1", "bar", PRESSURE, 0.001, -1.0, dtype="<u2"),
+]
+SLOW = [
+    Measured("TOil", "degC", TEMPERATURE, 0.1, -40.0, SLOW_S > 15.0),
+    Measured("nEng\\ETKC:1", "rpm", SLOW_S),
+]
+GROUPS = [(FAST_S, FAST), (SLOW_S, SLOW)]
+COLUMNS = [("nEng\\ETKC:1", "rpm"), ("pCl1\\ETKC:1", "bar"), ("TOil", "degC"), ("nEng\\ETKC:1 (2)", "rpm")]
+
+
+def values(path: Path) -> tuple[LogReader, dict[str, tuple[list[float], list[int]]]]:
+    """Return what a file holds by the names of its channels: values, and times [us] from its start."""
+    with read_log(path) as reader:
+        batches, found = list(reader), {}
+    start_us = round(START.timestamp() * 1e6)
+    for column in reader.columns:
+        rows = [one[one.can_id == (column_id(column.name) | EXTENDED_FLAG)] for one in batches]
+        data = np.concatenate([np.ascontiguousarray(one.data[:, :8]) for one in rows])
+        times = np.concatenate([one.t_ns for one in rows]) // 1000 - start_us
+        found[column.name] = (data.view("<f8").ravel().tolist(), times.tolist())
+    assert all(np.diff(np.concatenate([one.t_ns for one in batches])) >= 0)
+    return reader, found
+
+
+@pytest.mark.parametrize("version", ["4.00", "4.10", "4.20"])
+def test_groups_of_different_rates_are_columns_with_times_of_their_own(tmp_path: Path, version: str) -> None:
+    path = tmp_path / "bench.mf4"
+    written(path, GROUPS, version=version)
+    reader, found = values(path)
+    assert reader.format is LogFormat.MF4
+    assert [(one.name, one.unit) for one in reader.columns] == COLUMNS
+    assert found["nEng\\ETKC:1"][0] == pytest.approx(np.rint(SPEED / 0.25) * 0.25, abs=1e-9)
+    assert found["pCl1\\ETKC:1"][0] == pytest.approx(PRESSURE, abs=1e-9)
+    assert found["nEng\\ETKC:1"][1] == np.rint(FAST_S * 1e6).tolist()
+    is_valid = SLOW_S <= 15.0  # the others are marked as invalid
+    assert found["TOil"][0] == pytest.approx(TEMPERATURE[is_valid], abs=1e-9)
+    assert found["TOil"][1] == np.rint(SLOW_S[is_valid] * 1e6).tolist()
+    assert found["nEng\\ETKC:1 (2)"][0] == SLOW_S.tolist()
+    counts = reader.counts
+    assert counts.frames == 2 * len(FAST_S) + len(SLOW_S) + int(is_valid.sum())
+    assert any("are called 'nEng\\\\ETKC:1': the others are numbered" in note for note in counts.notes)
+    assert not counts.rejected
+
+
+def test_words_are_left_out_and_named_and_states_stay_numbers(tmp_path: Path) -> None:
+    path, times_s = tmp_path / "words.mf4", np.arange(0.0, 5.0, 0.1)
+    states = {"val_0": 0, "text_0": b"open", "val_1": 1, "text_1": b"closed", "default": b"?"}
+    with MDF(version="4.10") as file:
+        file.append([
+            Signal((np.arange(50) % 2).astype("u1"), times_s, name="State", conversion=states),
+            Signal(np.arange(50).astype("u1"), times_s, name="Doubled", conversion={"formula": "X*2+1"}),
+            Signal(np.arange(50).astype("u1"), times_s, name="Odd", conversion={"formula": "__import__('os')"}),
+            Signal(np.array([b"note"] * 50), times_s, name="Note", encoding="utf-8"),
+        ])  # fmt: skip
+        file.save(path)
+    reader, found = values(path)
+    assert found["State"][0] == (np.arange(50) % 2).tolist()
+    assert found["Doubled"][0] == (np.arange(50) * 2.0 + 1.0).tolist()
+    assert any("left out: Odd, Note" in note for note in reader.counts.notes)
+
+
+def test_infinite_values_are_counted_and_cost_no_other_value(tmp_path: Path) -> None:
+    path, times_s = tmp_path / "odd.mf4", np.arange(0.0, 5.0, 0.1)
+    odd = np.where(np.arange(50) == 7, np.inf, 1.0)
+    written(path, [(times_s, [Measured("A", "bar", odd), Measured("B", "bar", times_s)])])
+    reader, found = values(path)
+    assert (len(found["A"][0]), len(found["B"][0])) == (49, 50)
+    assert sum(reader.counts.rejected.values()) == 1
+    assert "an infinite value" in reader.counts.first_rejected
+
+
+def test_times_that_go_back_are_counted(tmp_path: Path) -> None:
+    path, times_s = tmp_path / "back.mf4", np.arange(0.0, 5.0, 0.1)
+    times_s[30:] -= 1.0
+    written(path, [(times_s, [Measured("A", "bar", times_s)])])
+    with read_log(path) as reader:
+        assert sum(map(len, reader)) == 50
+    assert reader.counts.jumps_back == 1
+
+
+def test_frames_beside_channels_are_the_log_and_the_channels_are_told(tmp_path: Path) -> None:
+    frames, path = tmp_path / "frames.mf4", tmp_path / "both.mf4"
+    with frames.open("wb") as stream:
+        log = Mf4Writer(stream, Header(start_us=START_NS // 1000, channel="vcan0"))
+        traffic = random_frames(40)
+        log.write(as_received(traffic).t_ns // 1000, traffic)
+        log.close()
+    with MDF(frames) as file:
+        file.append([Signal(np.arange(50.0), np.arange(50.0), name="Load", unit="%")])
+        file.save(path)
+    with read_log(path) as reader:
+        assert reader.columns == ()
+        assert sum(map(len, reader)) > 0
+    assert any("1 measured channels beside the frames of buses are left out" in note for note in reader.counts.notes)
+
+
+@pytest.mark.parametrize("layout", Layout)
+@pytest.mark.parametrize("is_sorted", [True, False])
+@pytest.mark.parametrize("is_finished", [True, False])
+def test_a_file_that_is_cut_off_tells_every_row_that_is_there(
+    tmp_path: Path, layout: Layout, is_sorted: bool, is_finished: bool
+) -> None:
+    whole, path = tmp_path / "whole.mf4", tmp_path / "cut.mf4"
+    written(whole, GROUPS[:1], compression=0)
+    recording = laid_out(whole, layout, is_sorted=is_sorted, is_finished=is_finished)
+    path.write_bytes(recording.contents)
+    reader, found = values(path)
+    assert {len(own) for own, _ in found.values()} == {len(FAST_S)}
+    assert not reader.counts.truncated
+    ends = np.array(recording.record_ends)
+    if len(set(ends)) == 1:  # one packed block: half of it is none
+        return
+    cut = int(ends[1000]) + 5
+    path.write_bytes(recording.contents[:cut])
+    reader, found = values(path)
+    count = int(np.sum(ends <= cut))
+    assert reader.counts.truncated
+    assert found["nEng\\ETKC:1"][0][:count] == pytest.approx(np.rint(SPEED / 0.25)[:count] * 0.25, abs=1e-9)
+    assert count <= len(found["pCl1\\ETKC:1"][0]) < len(FAST_S)
+
+
+def test_the_columns_of_an_index_are_not_taken_for_units() -> None:
+    columns, notes = signal_columns(["Temp[0]", "Temp[1]", "Speed [1/min]", "p (kPa)"])
+    assert columns == [
+        SignalColumn("Temp[0]", ""),
+        SignalColumn("Temp[1]", ""),
+        SignalColumn("Speed", "1/min"),
+        SignalColumn("p", "kPa"),
+    ]
+    assert notes == []

@@ -1,0 +1,125 @@
+"""Tables of signals in every place that takes a log: commands, folders, lakes, pipes and Python; as text and as MF4."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+import diag_service
+from benchmarks.scan_tool import OF_FRICTION, OUTPUT, written
+from ecu_emulator.cli import main as emulator
+from tests.support import measurements
+from tests.support.in_process import ended
+from tests.support.pipes import piped
+
+NAMES = {"csv": "{}", "mf4": "{}\\ETKC:1"}
+
+
+@pytest.fixture(name="folder", scope="module")
+def _folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a drive of 20 gear changes as a table of text and as a measurement, and profiles of both."""
+    folder = tmp_path_factory.mktemp("everywhere")
+    log, table = folder / "car.log", folder / "csv" / "car.csv"
+    table.parent.mkdir()
+    assert emulator(["record", str(log), "--seed", "5", "--cycles", "2"]) == 0
+    written(log, table, np.random.default_rng(5), rate_hz=50.0, left_out=OUTPUT - OF_FRICTION)
+    (folder / "mf4").mkdir()
+    measurements.of_table(table, folder / "mf4" / "car.mf4", slow=["Oil Temperature"], names=NAMES["mf4"])
+    for kind in NAMES:
+        run = ended("signals", folder / kind / f"car.{kind}")
+        assert run.status == 0, run.err
+        (folder / f"{kind}.toml").write_text(run.out, encoding="utf-8")
+    return folder
+
+
+def results(path: Path) -> list[dict[str, Any]]:
+    records = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return [record for record in records if "from_gear" in record]
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_every_command_takes_a_table(folder: Path, tmp_path: Path, kind: str) -> None:
+    table, words = folder / kind / f"car.{kind}", ("--profile", folder / f"{kind}.toml")
+    record = json.loads(ended("inspect", table, "--json").out)
+    assert {one["message"] for one in record["ids"]} >= {NAMES[kind].format("Clutch 1 Pressure")}
+    found = tmp_path / "found.jsonl"
+    assert ended("analyze", table, *words, "-o", found).status == 0
+    assert [one["status"] for one in results(found)] == ["valid"] * 20
+    assert ended("calibrate", table, *words, "-o", tmp_path / "car.toml", "--vehicle", "car7").status == 0
+    assert ended("analyze", table, *words, "-o", found, "--force", "--calibration", tmp_path / "car.toml").status == 0
+    assert {one["vehicle"] for one in results(found)} == {"car7"}
+    assert ended("report", table, *words, "-o", tmp_path / "car.html").status == 0
+    assert '"valid": 20' in (tmp_path / "car.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_folders_and_lakes_take_tables(folder: Path, tmp_path: Path, kind: str) -> None:
+    words = ("--profile", folder / f"{kind}.toml")
+    run = ended("analyze", folder / kind, *words)
+    assert "20 shifts (20 valid)" in run.out, run.err
+    run = ended("analyze", folder / kind, *words, "--lake", tmp_path / "lake", "--jobs", "1")
+    assert run.status == 0, run.err
+    assert pl.read_parquet(tmp_path / "lake" / "shifts").height == 20
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_a_table_through_a_pipe_says_its_columns(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    table, profile = folder / kind / f"car.{kind}", folder / f"{kind}.toml"
+    content, name = table.read_bytes(), NAMES[kind].format("Engine Speed")
+
+    def run(*words: str | Path) -> str:
+        with piped(monkeypatch, [content[:1000], content[1000:]]):
+            done = ended(*words)
+        assert done.status == 0, done.err
+        return done.out
+
+    assert f'column = "{name}"'.replace("\\", "\\\\") in run("signals", "-")
+    assert name in run("inspect", "-")
+    run("decode", "-", "-o", tmp_path / "piped.parquet")
+    assert ended("decode", table, "-o", tmp_path / "named.parquet").status == 0
+    assert pl.read_parquet(tmp_path / "piped.parquet").equals(pl.read_parquet(tmp_path / "named.parquet"))
+    assert "20 shifts (20 valid)" in run("analyze", "-", "--profile", profile)
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_python_takes_a_table(folder: Path, kind: str) -> None:
+    table, profile = folder / kind / f"car.{kind}", folder / f"{kind}.toml"
+    assert len(diag_service.analyze(table, profile=profile).shifts) == 20
+    name = NAMES[kind].format("Engine Speed")
+    assert f"{name}.{name}" in diag_service.read(table).signals()
+    assert diag_service.inspect(table).values is not None
+    assert "engine_speed_rad_s" in diag_service.propose_profile(table)
+
+
+def test_tables_of_a_folder_become_tables_by_their_own_columns(folder: Path, tmp_path: Path) -> None:
+    output, logs = tmp_path / "tables", tmp_path / "logs"
+    logs.mkdir()
+    for source in (folder / "csv" / "car.csv", folder / "mf4" / "car.mf4", folder / "car.log"):
+        (logs / source.name).symlink_to(source)
+    run = ended("decode", logs, "-o", output, "--jobs", "1")
+    assert run.status == 0, run.err
+    assert "3 tables" in run.out
+    assert pl.read_parquet(output / "car.csv" / "Engine_Speed.parquet").height > 1000
+    assert pl.read_parquet(output / "car.mf4" / "Engine_Speed_ETKC_1.parquet").height > 1000
+    assert pl.read_parquet(output / "car.log" / "ECM_TorqueSpeed.parquet").height > 1000
+    again = ended("decode", logs, "-o", output, "--jobs", "1")
+    assert again.status != 0
+    assert "is there already" in again.err
+
+
+def test_results_of_a_measurement_are_those_of_its_table(folder: Path, tmp_path: Path) -> None:
+    found = dict[str, list[dict[str, Any]]]()
+    for kind in NAMES:
+        output = tmp_path / f"{kind}.jsonl"
+        assert (
+            ended("analyze", folder / kind / f"car.{kind}", "--profile", folder / f"{kind}.toml", "-o", output).status
+            == 0
+        )
+        found[kind] = results(output)
+    for text, channels in zip(found["csv"], found["mf4"], strict=True):
+        assert channels["friction"]["mu_c"] == pytest.approx(text["friction"]["mu_c"], rel=1e-3)
