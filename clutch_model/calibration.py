@@ -8,8 +8,9 @@ ones.
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date
+from enum import StrEnum
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -73,6 +74,10 @@ class Ranged:
                 raise CalibrationError(f"{name} must be {least:g}..{most:g}, got {value}")
 
 
+ENGINE_FRICTION_NMS_RAD: Final = 0.1  # Cho and Hedrick 1989: .1056 of a V6
+MODELLED_GAIN_RATIO: Final = 0.5  # a profile's scale may be off by half
+MODELLED_OFFSET_NM: Final = 60.0  # friction and pumping of the engine
+MODELLED_LATENCY_S: Final = 0.05  # an engine turns once or twice until the fuel is torque
 MAX_LATENCY_S = 0.2  # a reading that is later still is no measurement of a shift
 
 
@@ -323,6 +328,20 @@ class InputSide(Ranged):
     input_shaft_dampings_nms_rad: Pair  # B_L + B_G
 
 
+class TorqueSource(StrEnum):
+    """Where the engine's torque comes from."""
+
+    MEASURED = "measured"  # the engine's controller states it
+    MODELLED = "modelled"  # from injected fuel or pressure in the manifold, up to a gain and an offset
+    WITHOUT_CUT = "without_cut"  # likewise, but what takes it away for a shift, such as late sparks, is not in it
+    UNKNOWN = "unknown"
+
+    @property
+    def is_modelled(self) -> bool:
+        """Whether something goes with the torque."""
+        return self in {TorqueSource.MODELLED, TorqueSource.WITHOUT_CUT}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Calibration:
     """One vehicle type, as believed by the service or as true in the emulator; or one vehicle, self-calibrated."""
@@ -338,6 +357,7 @@ class Calibration:
     bias: SensorBias = field(default_factory=SensorBias)
     joint: JointUncertainty | None = None
     vehicle: str | None = field(default=None, repr=False)  # whose it is; None: of every vehicle of the type
+    torque: TorqueSource = TorqueSource.MEASURED
 
     @classmethod
     def from_mapping(cls, table: Mapping[str, Any]) -> Self:
@@ -359,6 +379,25 @@ class Calibration:
         rest = {key: str(value) if key in _TEXTS else value for key, value in table.items() if key not in _ELSEWHERE}
         return record_from(cls, rest, clutches=both)
 
+    def with_torque(self, source: TorqueSource) -> Self:
+        """Return what is believed of a vehicle with this torque.
+
+        Of a modelled one neither gain nor offset is known; what the engine loses with its speed no fuel tells.
+        """
+        if not source.is_modelled:
+            return replace(self, torque=source)
+        scatter = replace(
+            self.uncertainty,
+            torque_gain_ratio=MODELLED_GAIN_RATIO,
+            torque_offset_nm=MODELLED_OFFSET_NM,
+            torque_latency_s=MODELLED_LATENCY_S,
+            motoring_gain_ratio=0.0,
+        )
+        bias = replace(self.bias, torque_gain=1.0, motoring_gain=1.0, torque_offset_nm=0.0, torque_latency_s=0.0)
+        damping_nms_rad = self.input_side.hub_damping_nms_rad + ENGINE_FRICTION_NMS_RAD
+        side = replace(self.input_side, hub_damping_nms_rad=damping_nms_rad)
+        return replace(self, torque=source, uncertainty=scatter, bias=bias, input_side=side, joint=None)
+
 
 def read_calibration(path: Path) -> Calibration:
     """Read a calibration file, or a shipped calibration that is named.
@@ -379,6 +418,8 @@ def calibration_toml(calibration: Calibration) -> str:
     """Return a calibration as the text of a file that `read_calibration` reads back to the same numbers."""
     table = asdict(calibration)
     table["clutch"] = table.pop("clutches")
+    if calibration.torque is TorqueSource.MEASURED:
+        del table["torque"]
     return tomli_w.dumps({key: value for key, value in table.items() if value is not None})
 
 

@@ -11,6 +11,7 @@ learns to be told must not take the baseline from vehicles of which nobody says 
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
+from enum import StrEnum
 from typing import Any, Final
 
 from clutch_model.calibration import Calibration
@@ -97,4 +98,6 @@ def _value(value: object, key: str) -> str:
         return f"({', '.join(parts)}{',' if len(parts) == 1 else ''})"
     if isinstance(value, float):
         return float.__repr__(value)
-    return repr(value)  # an integer, a text, or None for what the file does not say
+    return repr(
+        value.value if isinstance(value, StrEnum) else value
+    )  # an integer, a text, or None for what the file does not say

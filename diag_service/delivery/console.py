@@ -24,6 +24,7 @@ from diag_service.diagnosis.summary import (
     ratio_line,
     scale_free_lines,
     shifts_line,
+    slope_line,
     values_line,
 )
 from fleet_contract.orders import SHOWN_AS, Order
@@ -102,6 +103,9 @@ class ConsoleReporter:
             self._line(sentence)
         if summary.latest:
             self._console.print(_clutch_table(summary, is_detailed=self._is_detailed))
+        for result in summary.latest:
+            if line := slope_line(result.verdict):
+                self._line(Text(f"clutch {result.verdict.clutch}: {line}"))
         if self._is_detailed:
             self._show_for_specialists(summary)
         self._line(Text(shifts_line(summary)))

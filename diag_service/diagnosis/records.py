@@ -6,18 +6,21 @@ Schemas (2020-12) and the envelope in which records travel. Keys keep one order,
 """
 
 import json
+import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from enum import IntEnum, StrEnum
 from functools import cache
+from statistics import NormalDist
 from typing import Final, Self, TypeVar
 
 import msgspec
 import numpy as np
 
 from canlog.arrays import FloatArray
+from clutch_model.calibration import TorqueSource
 from clutchdiag_io.files import legible_record
 from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.errors import ResultError
@@ -77,6 +80,7 @@ class Reason(StrEnum):
     FRAMES_MISSING = "frames_missing"
     NO_SLIP_WINDOW = "no_slip_window"
     FEW_SAMPLES = "few_samples"  # a table has too few rows in the slip
+    TORQUE_UNKNOWN = "torque_unknown"  # the engine may have been asked for less, and the modelled torque does not tell
     MISFIT = "misfit"  # chi-square above the gate
     SENSOR_FROZEN = "sensor_frozen"  # a signal repeats a value while noise is expected
     SPEEDS_DISAGREE = "speeds_disagree"  # shafts that turn together read different speeds
@@ -117,7 +121,8 @@ class ScaleFreeFriction:
     """Friction coefficients of one clutch times gain of the torque reading and piston area: what driving alone tells.
 
     The gain is reading over truth, the area a ratio to what the calibration says. Divided by both the numbers are the
-    coefficients; the uncertainty of the two, the common scale, is not in ``std_*``.
+    coefficients; the uncertainty of the two, the common scale, is not in ``std_*``. Of a modelled torque nobody knows
+    the gain: the numbers are friction up to a scale.
     """
 
     mu_c: float
@@ -125,6 +130,28 @@ class ScaleFreeFriction:
     std_mu_c: float
     std_mu_s: float
     correlation: float  # of the errors of mu_c and mu_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrictionSlope:
+    """How the friction of one clutch goes with its slip, where its level is not known: no scale is in it."""
+
+    torque: TorqueSource  # where that of the engine comes from
+    mu_s_ratio: float  # mu_S over mu_C; above 1 friction falls with the slip
+    std_mu_s_ratio: float
+    probability_negative: float  # of a slope that falls
+
+    @classmethod
+    def of(cls, free: ScaleFreeFriction, torque: TorqueSource) -> Self:
+        """Return what friction up to a scale says of it."""
+        ratio = free.mu_s / free.mu_c
+        part_c, part_s = free.std_mu_c / free.mu_c, free.std_mu_s / free.mu_s
+        std = ratio * math.sqrt(max(part_c**2 + part_s**2 - 2.0 * free.correlation * part_c * part_s, 1e-12))
+        # Of the difference, not of the ratio: a coefficient that is little known makes the latter lopsided.
+        shared = free.correlation * free.std_mu_c * free.std_mu_s
+        spread = math.sqrt(max(free.std_mu_c**2 + free.std_mu_s**2 - 2.0 * shared, 1e-12 * free.mu_c**2))
+        negative = NormalDist(free.mu_c - free.mu_s, spread).cdf(0.0)
+        return cls(torque=torque, mu_s_ratio=ratio, std_mu_s_ratio=std, probability_negative=negative)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -242,6 +269,7 @@ class ShiftEstimate:
     indices: ShiftIndices | None = None
     kind: EventKind = EventKind.SHIFT  # what happened; the default in results of older versions
     end_reason: EndReason | None = None  # how it ended; None in results of older versions
+    slope: FrictionSlope | None = None  # in place of friction where the torque is modelled
 
 
 class Condition(IntEnum):
@@ -272,6 +300,7 @@ class ClutchVerdict:
     stick_slip: StickSlip | None = None
     calibration_ratio: float | None = None  # how much of what driving tells of the vehicle is known, 0 to 1
     advice: str | None = None  # what to do, by when, how sure: one sentence for a workshop
+    slope: FrictionSlope | None = None  # in place of friction where the torque is modelled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -304,6 +333,7 @@ SHIFT_SCHEMA: Final = Channel.SHIFT.schema_name
 _EPOCH: Final = datetime(1970, 1, 1)  # noqa: DTZ001 - UTC, which the text says
 _NS_PER_US: Final = 1000
 _RESULT_KEYS: Final = ("vehicle", "stream", "seq", "produced_at", "algorithm_version", "calibration_version")
+_SLOPE: Final = "slope"  # is there where the torque is modelled, and nowhere else
 _PUBLIC_NAMES: Final = {"start_ns": "start_bus_ns", "end_ns": "end_bus_ns", "data_quality": "trust"}
 
 
@@ -381,10 +411,12 @@ def shift_record(result: ShiftResult) -> JsonObject:
     record = estimate | {public: estimate[name] for name, public in _PUBLIC_NAMES.items()}
     record |= {key: getattr(result, key) for key in _RESULT_KEYS}
     verdict = to_plain(result.verdict) | {"condition": result.verdict.condition.name.lower()}
+    if verdict[_SLOPE] is None:  # as by programs that knew none
+        del verdict[_SLOPE]
     record |= {"schema": SHIFT_SCHEMA, "verdict": verdict}
     record["start_utc"] = utc_from_bus_ns(result.estimate.start_ns)
     record["end_utc"] = utc_from_bus_ns(result.estimate.end_ns)
-    return {key: record[key] for key in _keys_of(Channel.SHIFT)}
+    return {key: record[key] for key in _keys_of(Channel.SHIFT) if key != _SLOPE or record[key]}
 
 
 def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:
@@ -398,7 +430,8 @@ def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:
     record = {**verdict, **{key: shift[key] for key in (*_RESULT_KEYS, "end_utc")}}
     record["schema"] = Channel.CLUTCH.schema_name
     record |= order_record(order)
-    return {key: record.get(key) for key in _keys_of(Channel.CLUTCH)}  # results of older programs lack some
+    keys = _keys_of(Channel.CLUTCH)
+    return {key: record.get(key) for key in keys if key != _SLOPE or record.get(key)}  # older programs lack some
 
 
 def order_record(order: Order | None) -> JsonObject:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import StrEnum
 
+from clutch_model.calibration import TorqueSource
 from diag_service.diagnosis.condition.verdict import Silence, advice
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
 from diag_service.diagnosis.records import (
@@ -31,6 +32,15 @@ TIER_TEXT = {
     Tier.FRICTION: "friction",
     Tier.TORQUE: "torque capacity, no friction",
     Tier.KINEMATIC: "shift time and slip, no friction",
+}
+
+
+TORQUE_TEXT = {
+    TorqueSource.MODELLED: "engine torque is modelled, not measured: friction is told up to a scale, its level is not",
+    TorqueSource.WITHOUT_CUT: (
+        "engine torque is modelled, not measured, and does not show what a shift takes away: only launches, creeping "
+        "and slips in gear tell friction, up to a scale"
+    ),
 }
 
 
@@ -84,6 +94,7 @@ class Capability:
     tier: Tier | None = Tier.FRICTION  # None: not even shifts can be found
     missing: str = ""  # what the next better tier needs; empty at the first
     unseen: tuple[str, ...] = ()  # mapped canonical signals that never had a value
+    torque: TorqueSource = TorqueSource.MEASURED  # of the engine
 
 
 FULL = Capability()
@@ -180,6 +191,9 @@ def summary_record(summary: Summary) -> JsonObject:
     """Return the numbers as the final JSON object of a run."""
     frames = {_FRAME_KEYS.get(name, name): value for name, value in to_plain(summary.frames).items()}
     frames.pop("invalid_at_first", None)  # for people
+    capability = to_plain(summary.capability)
+    if not summary.capability.torque.is_modelled:  # the tier says it
+        del capability["torque"]
     return {
         "schema": SUMMARY_SCHEMA,
         "vehicle": summary.vehicle,
@@ -195,7 +209,7 @@ def summary_record(summary: Summary) -> JsonObject:
         },
         **order_record(summary.order),
         "clutches": [clutch_record(shift_record(result), summary.order) for result in summary.latest],
-        "capability": to_plain(summary.capability),
+        "capability": capability,
         "logs": [log_record(log) for log in summary.contributions.logs],
         "idle": list(summary.contributions.idle),
     }
@@ -251,9 +265,11 @@ def capability_line(summary: Summary) -> str:
     """Return one line for people: what the signals suffice for and what is missing; empty where all is there."""
     capability = summary.capability
     has_shifts = any(summary.shifts.by_status.values())
-    if capability.tier is Tier.FRICTION and has_shifts:
-        return ""
     parts = [] if has_shifts else ["no shift was found"]
+    if capability.tier is Tier.FRICTION and capability.torque.is_modelled:
+        parts.append(TORQUE_TEXT[capability.torque])
+    if capability.tier is Tier.FRICTION and has_shifts:
+        return "; ".join(parts)
     if capability.tier is None:
         parts.append(f"the signals do not show shifts: {capability.missing}")
     elif capability.tier is not Tier.FRICTION:
@@ -261,6 +277,17 @@ def capability_line(summary: Summary) -> str:
     if capability.unseen:
         parts.append(f"mapped by profile {capability.profile}, but never seen: {', '.join(capability.unseen)}")
     return "; ".join(parts)
+
+
+def slope_line(verdict: ClutchVerdict) -> str:
+    """Return what is known of a clutch up to a scale, as one line for people; empty where the level is known, too."""
+    free, slope = verdict.scale_free, verdict.slope
+    if free is None or slope is None:
+        return ""
+    return (
+        f"up to a scale mu_C {free.mu_c:.4f} ± {free.std_mu_c:.4f}; mu_S/mu_C {slope.mu_s_ratio:.3f} ± "
+        f"{slope.std_mu_s_ratio:.3f}, a falling slope is {100.0 * slope.probability_negative:.1f} % likely"
+    )
 
 
 def scale_free_lines(verdict: ClutchVerdict) -> Iterator[str]:

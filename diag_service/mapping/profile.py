@@ -11,6 +11,7 @@ from typing import Final
 from canlog.arrays import FloatArray
 from canlog.database.signal_columns import SignalColumn
 from canlog.errors import DefinitionError
+from clutch_model.calibration import TorqueSource
 from clutch_model.tables import read_table, record_from
 from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from diag_service.diagnosis.columns import GearRatios, Signal
@@ -113,6 +114,7 @@ class SignalSource:
     less: str | None = None  # signal of the same message that is subtracted
     times: str | None = None  # signal of the same message that multiplies, such as a reference torque
     optional: bool = False  # a database without it serves as well
+    origin: TorqueSource = TorqueSource.MEASURED  # of engine torque: what else goes with it
     source_address: int | None = None  # of a J1939 message; None: the first sender that is heard
     request: bool = False  # a J1939 group that is asked for (PGN 59904), whether it comes by itself or not
     did: int | None = None  # of a datum that the controller tells who asks by service 22
@@ -254,6 +256,12 @@ class Profile:
         return tuple(SignalColumn(one.message_name, one.unit or "") for one in own)
 
     @property
+    def torque(self) -> TorqueSource:
+        """Where the engine's torque comes from."""
+        source = self.sources.get(Signal.ENGINE_TORQUE)
+        return TorqueSource.UNKNOWN if source is None else source.origin
+
+    @property
     def asked(self) -> Mapping[Signal, AskedField]:
         """What a controller tells whoever asks."""
         return {signal: one.asked for signal, one in self.sources.items() if one.is_asked}
@@ -309,7 +317,9 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
     problems: list[str] = []
     for key, entry in signals.items():
         try:
-            sources[_canonical(key)] = record_from(SignalSource, entry, error=ConfigError)
+            sources[_canonical(key)] = source = record_from(SignalSource, entry, error=ConfigError)
+            if source.origin is not TorqueSource.MEASURED and key != Signal.ENGINE_TORQUE.value:
+                problems.append(f"{key}: origin says where engine torque comes from, nothing else")
         except ConfigError as error:
             problems.append(f"{key}: {error}")
     gears, asking = None, AskingRules()

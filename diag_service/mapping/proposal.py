@@ -14,6 +14,8 @@ from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import SignalSource, to_si
 
+TYPICAL_TORQUE_NM: Final = 200.0  # of the most fuel: some scale must be assumed
+ASSUMED_FRICTION_NM: Final = 25.0  # of an engine without fuel
 WINDOW: Final = 0.01  # width of the band in which the ratios of a closed clutch lie, as a part of them
 LEAST_SAMPLES: Final = 10
 LEAST_SHARE: Final = 0.2  # of a gear's samples in that band: else its clutch was never closed for long
@@ -242,12 +244,23 @@ def profile_text(name: str, best: dict[Signal, list[Candidate]], remarks: Sequen
     lines = [*(f"# {remark}".rstrip() for remark in remarks), f'name = "{_quoted(name)}"', "", "[signals]"]
     for signal in Signal:
         for rank, one in enumerate(best.get(signal, ())[:3]):
-            message, name = _quoted(one.statistics.message), _quoted(one.statistics.signal)
-            place = f'message = "{message}", signal = "{name}"'
-            if one.statistics.is_column:
-                place = f'column = "{name}", unit = "{_quoted(one.unit)}"'
-            lines.append(f"{'# or: ' if rank else ''}{signal.value} = {{ {place} }}  # {_said(one)}")
+            unit = f', unit = "{_quoted(one.unit)}"' if one.statistics.is_column else ""
+            lines.append(f"{'# or: ' if rank else ''}{signal.value} = {{ {_place(one)}{unit} }}  # {_said(one)}")
+    if Signal.ENGINE_TORQUE not in best and Signal.INJECTION_TIME in best:
+        fuel = best[Signal.INJECTION_TIME][0]
+        scale = f"scale = {TYPICAL_TORQUE_NM / fuel.statistics.highest:.3g}"
+        source = f'{_place(fuel)}, unit = "Nm", {scale}, offset = {-ASSUMED_FRICTION_NM:g}, origin = "without_cut"'
+        lines.append(
+            "# Torque goes with the injected fuel, up to a scale. Where a shift takes away fuel, too, not only sparks:"
+        )
+        lines.append('# origin = "modelled"')
+        lines.append(f"{Signal.ENGINE_TORQUE.value} = {{ {source} }}")
     return "\n".join(lines) + "\n"
+
+
+def _place(one: Candidate) -> str:
+    message, name = _quoted(one.statistics.message), _quoted(one.statistics.signal)
+    return f'column = "{name}"' if one.statistics.is_column else f'message = "{message}", signal = "{name}"'
 
 
 def gears_text(over: Signal, ratios: Mapping[int, GearRatio]) -> str:

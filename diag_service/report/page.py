@@ -258,17 +258,22 @@ def _numbers_table(verdict: ClutchVerdict) -> Table:
 
 
 def _number_rows(verdict: ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
-    friction = verdict.friction
-    if friction is None:
+    friction, slope = verdict.friction, verdict.slope
+    if friction is not None:
+        yield "mu_C, at high slip", number(friction.mu_c), number(friction.std_mu_c)
+        yield "mu_S, at no slip", number(friction.mu_s), number(friction.std_mu_s)
+        if verdict.level_ratio is not None:
+            std_ratio = friction.std_mu_c / friction.mu_c * verdict.level_ratio
+            yield "mu_C over new", number(verdict.level_ratio, "{:.1%}"), number(std_ratio, "{:.1%}")
+        yield "slope [s/rad]", number(friction.slope_s_rad, "{:.5f}"), number(friction.std_slope_s_rad, "{:.5f}")
+        yield "probability of a falling slope", number(friction.probability_negative_slope, "{:.1%}"), NONE
+    elif slope is not None and verdict.scale_free is not None:
+        yield "mu_C up to a scale", number(verdict.scale_free.mu_c), number(verdict.scale_free.std_mu_c)
+        yield "mu_S over mu_C", number(slope.mu_s_ratio, "{:.3f}"), number(slope.std_mu_s_ratio, "{:.3f}")
+        yield "probability of a falling slope", number(slope.probability_negative, "{:.1%}"), NONE
+    else:
         yield "friction", NONE, NONE
         return
-    yield "mu_C, at high slip", number(friction.mu_c), number(friction.std_mu_c)
-    yield "mu_S, at no slip", number(friction.mu_s), number(friction.std_mu_s)
-    if verdict.level_ratio is not None:
-        std_ratio = friction.std_mu_c / friction.mu_c * verdict.level_ratio
-        yield "mu_C over new", number(verdict.level_ratio, "{:.1%}"), number(std_ratio, "{:.1%}")
-    yield "slope [s/rad]", number(friction.slope_s_rad, "{:.5f}"), number(friction.std_slope_s_rad, "{:.5f}")
-    yield "probability of a falling slope", number(friction.probability_negative_slope, "{:.1%}"), NONE
     for name, since in (("baseline", verdict.trend), ("first fluid", verdict.lining)):
         if since is not None:
             yield (

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from canlog.errors import SourceError
 from canlog.files import replacing
-from clutch_model.calibration import Calibration, calibration_toml
+from clutch_model.calibration import Calibration, TorqueSource, calibration_toml
 from clutch_model.units import NS_PER_S, bar_from_pa
 from diag_service.console.terminal import PeopleConsole, ReadingLine
 from diag_service.diagnosis.events import Event
@@ -129,6 +129,8 @@ def calibrated(
     Raises ConfigError if the drives do not suffice, StoppedError if it was stopped.
     """
     start = config.calibration
+    if start.torque is not TorqueSource.MEASURED:
+        raise ConfigError("no self-calibration: without measured engine torque nothing tells the scale of friction")
     with (
         line or ReadingLine(io.StringIO()) as shown,
         open_drive(logs, is_stopped=lambda: stop.is_set, watch=shown.watch, columns=config.columns) as drive,

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from canlog.frames import FrameBatch
-from clutch_model.calibration import Calibration
+from clutch_model.calibration import Calibration, TorqueSource
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
 from diag_service.diagnosis.condition.indices import compile_indices, measure
@@ -35,8 +35,9 @@ class Stages:
     def __init__(self, decoder: Decoder, calibration: Calibration, state: Posterior, memory: ConditionMemory) -> None:
         self.decoder = decoder
         self._finder = DriveFinder(decoder.signals, calibration, decoder.gears)
-        self.tier = tier_of(decoder.signals, knows_gears=knows_gears(decoder))
-        self._missing = why_no_friction(decoder.signals, knows_gears=knows_gears(decoder))
+        unknown = {Signal.ENGINE_TORQUE} if calibration.torque is TorqueSource.UNKNOWN else frozenset[Signal]()
+        self.tier = tier_of(decoder.signals - unknown, knows_gears=knows_gears(decoder))
+        self._missing = why_no_friction(decoder.signals - unknown, knows_gears=knows_gears(decoder))
         self._estimator = Estimator(calibration)
         compile_data_quality()
         compile_indices()
@@ -47,6 +48,7 @@ class Stages:
             mandatory_messages=decoder.mandatory_messages,
             scale_ends=decoder.limits,
             calibration_date=calibration.made_on,
+            torque=calibration.torque,
         )
         self._state = state
         self._memory = memory
@@ -110,7 +112,9 @@ class Stages:
             memory = self._memory.with_fit(estimate).with_shift(estimate, self._state).with_launch(estimate)
             self._memory, verdict = judge(memory, state, estimate.clutch, self._calibration)
         else:
-            verdict = no_verdict(estimate.clutch, self._missing)
+            self._memory = self._memory.with_launch(estimate)  # a witness that needs no torque
+            launches = self._memory.launches[estimate.clutch - 1]
+            verdict = replace(no_verdict(estimate.clutch, self._missing), stick_slip=launches.reported)
         self._state = state
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory)
 
@@ -136,6 +140,7 @@ class Stages:
             profile=self.decoder.profile_name,
             tier=tier_of(seen, knows_gears=has_gears),
             missing=missing_for_next(seen, knows_gears=has_gears),
+            torque=self._basis.torque if Signal.ENGINE_TORQUE in seen else TorqueSource.UNKNOWN,
             unseen=tuple(signal.value for signal in Signal if signal in expected - seen),
         )
 

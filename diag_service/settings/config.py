@@ -7,11 +7,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
-from clutch_model.calibration import Calibration, nominal_calibration
+from clutch_model.calibration import Calibration, TorqueSource, nominal_calibration
 from diag_service.delivery import Acknowledge
 from diag_service.diagnosis.columns import GearRatios
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import Interpretation, interpret
+from diag_service.mapping.profile import find_profile
 from diag_service.mapping.vehicle_file import read_description
 from fleet_contract import is_vehicle
 from fleet_link import AddressError, BrokerAddress, TlsFiles, parse_broker
@@ -127,6 +128,8 @@ def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
     described_in = options.vehicle_file or options.calibration
     calibration, gears = (nominal_calibration(), None) if described_in is None else read_description(described_in)
     options.vehicle = vehicle_of(options.vehicle, calibration)
+    told = TorqueSource.MEASURED if options.profile is None else find_profile(options.profile).torque
+    calibration = calibration.with_torque(told if told.is_modelled else calibration.torque)
     config = DiagnosisConfig(
         vehicle=options.vehicle,
         dbc=options.dbc,

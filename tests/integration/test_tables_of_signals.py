@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import diag_service
-from benchmarks.scan_tool import OF_FRICTION, OUTPUT, written
+from benchmarks.scan_tool import OF_FRICTION, OUTPUT, with_fuel, written
 from dbc.contract import load_contract
 from diag_service.mapping.profile import PROFILE_PATH
 from ecu_emulator.cli import main as emulator
@@ -159,6 +159,38 @@ def test_too_few_rows_in_a_slip_are_said_in_place_of_a_number(tmp_path: Path) ->
     assert sum(one["reasons"] == ["few_samples"] for one in found) >= 15
     assert all(one["friction"] is None for one in found if one["reasons"])
     assert "[not enough samples in the slip (3 of at least 5)]" in shown
+
+
+@pytest.mark.parametrize("origin", ["modelled", "without_cut"])
+def test_injected_fuel_tells_friction_up_to_a_scale(tmp_path: Path, origin: str) -> None:
+    log, table, profile = tmp_path / "car.log", tmp_path / "car.csv", tmp_path / "car.toml"
+    assert emulator(["record", str(log), "--seed", "5", "--cycles", "2"]) == 0
+    written(log, table, np.random.default_rng(5), rate_hz=50.0, left_out=OUTPUT - OF_FRICTION)
+    with_fuel(table, np.random.default_rng(5))
+    proposed = ended("signals", table).out
+    assert tomllib.loads(proposed)["signals"]["engine_torque_nm"]["origin"] == "without_cut"
+    profile.write_text(proposed.replace('origin = "without_cut"', f'origin = "{origin}"'), encoding="utf-8")
+    found = analysed(table, "--profile", profile)
+    shown = ended("analyze", table, "--profile", profile).out
+    assert "engine torque is modelled, not measured" in shown
+    assert {one["verdict"]["condition"] for one in found} == {"no_verdict"}
+    assert all(one["friction"] is one["verdict"]["friction"] is one["verdict"]["level_ratio"] is None for one in found)
+    if origin == "without_cut":
+        assert [one["reasons"] for one in found] == len(found) * [["torque_unknown"]]
+        assert "[torque unknown]" in shown
+        return
+    used = [one for one in found if one["status"] == "valid"]
+    assert len(used) >= 10
+    far = [(one["slope"]["mu_s_ratio"] - 0.85) / one["slope"]["std_mu_s_ratio"] for one in used]
+    assert np.abs(far).max() < 3.0
+    assert {one["slope"]["torque"] for one in used} == {"modelled"}
+    last = found[-1]["verdict"]
+    assert "engine torque is modelled, not measured: a negative mu-v slope is" in last["reason"]
+    assert last["slope"]["mu_s_ratio"] == pytest.approx(0.85, abs=2.0 * last["slope"]["std_mu_s_ratio"])
+    assert f"mu_S/mu_C {last['slope']['mu_s_ratio']:.3f}" in shown
+    report = tmp_path / "report.html"
+    assert ended("report", table, "--profile", profile, "-o", report).status == 0
+    assert "mu_S over mu_C" in report.read_text(encoding="utf-8")
 
 
 def test_record_writes_a_table_beside_its_log(tmp_path: Path) -> None:

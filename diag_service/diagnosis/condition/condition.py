@@ -6,7 +6,7 @@ from enum import StrEnum
 from math import hypot
 from typing import Self
 
-from clutch_model.calibration import Calibration, both_clutches, with_clutch
+from clutch_model.calibration import Calibration, TorqueSource, both_clutches, with_clutch
 from diag_service.diagnosis.condition.verdict import (
     CALIBRATED_RATIO,
     COLD_K,
@@ -19,6 +19,7 @@ from diag_service.diagnosis.condition.verdict import (
     Silence,
     advice,
     decide,
+    decide_up_to_scale,
     nothing,
 )
 from diag_service.diagnosis.friction.posterior import (
@@ -35,6 +36,7 @@ from diag_service.diagnosis.friction.posterior import (
 from diag_service.diagnosis.records import (
     ClutchVerdict,
     Condition,
+    FrictionSlope,
     FrictionTrend,
     LiningChange,
     Reason,
@@ -229,7 +231,13 @@ def judge(
     launches = memory.launches[index]
     common = common_margin(state, both_clutches(one.friction.mu_c - one.friction.mu_s for one in calibration.clutches))
     is_cold = state.packs is not None and state.packs.clutch_k[index] < COLD_K
-    finding = decide(now, since, reference, shift_count, memory.conditions[index], launches, common, is_cold=is_cold)
+    slope = None if state.torque is TorqueSource.MEASURED else FrictionSlope.of(free, state.torque)
+    rest = since, reference, shift_count, memory.conditions[index], launches
+    if slope is None:
+        finding = decide(now, *rest, common, is_cold=is_cold)
+    else:
+        finding = decide_up_to_scale(slope, *rest, is_cold=is_cold)
+    tells_level = known and slope is None
     progress = calibration_ratio(state, calibration)
     if memory.misfit_text:
         finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
@@ -240,11 +248,11 @@ def judge(
         clutch=clutch,
         condition=finding.condition,
         reason=finding.reason,
-        level_ratio=now.mu_c / reference.mu_c if known else None,
-        friction=now if known else None,
+        level_ratio=now.mu_c / reference.mu_c if tells_level else None,
+        friction=now if tells_level else None,
         shift_count=shift_count,
         scale_free=free if known else None,
-        common_scale_std_ratio=common_scale_std_ratio(state, clutch) if known else None,
+        common_scale_std_ratio=common_scale_std_ratio(state, clutch) if tells_level else None,
         shift_scatter=None if scatter is None else scatter.reported,
         trend=since,
         clutch_ratio=clutch_ratio(state),
@@ -252,6 +260,7 @@ def judge(
         stick_slip=launches.reported,
         calibration_ratio=progress,
         advice=advice(clutch, finding.condition, finding.ground, finding.probability),
+        slope=slope if known else None,
     )
     return replace(memory, conditions=with_clutch(memory.conditions, clutch, finding.condition)), verdict
 

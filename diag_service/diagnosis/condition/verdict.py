@@ -18,6 +18,7 @@ from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.records import (
     Condition,
     FrictionEstimate,
+    FrictionSlope,
     FrictionTrend,
     ShiftEstimate,
     ShiftScatter,
@@ -69,6 +70,9 @@ class Silence(StrEnum):
     LAUNCHES_JUDDER = "it slips again after it has stuck when the car starts off, and its friction does not say why"
     CALIBRATION_MISFIT = "the calibration does not fit this vehicle; diag-service calibrate makes one that does"
     SIGNALS_MISSING = "the signals of this vehicle do not tell its friction"
+    LEVEL_UNKNOWN = (
+        "the torque of the engine is not measured: its friction is known up to a scale and cannot be called sound"
+    )
     PART_OF_DRIVE = "only a part of the drive was seen; measure again on a whole one"
 
 
@@ -309,6 +313,49 @@ def decide(
     return _unless_they_judder(launches, 1.0 - probability, facts)
 
 
+def decide_up_to_scale(
+    slope: FrictionSlope,
+    since: FrictionTrend | None,
+    reference: FrictionCurve,
+    shift_count: int,
+    previous: Condition,
+    launches: Launches,
+    *,
+    is_cold: bool,
+) -> Finding:
+    """Return the verdict on a clutch whose level of friction is not known; arguments as of `decide`.
+
+    Slope and change are told without it. That friction is low, or sound, is not.
+    """
+    change_at = COLD_CHANGE_PROBABILITY if is_cold else CHANGE_PROBABILITY
+    watch_at = COLD_WATCH_PROBABILITY if is_cold else WATCH_PROBABILITY
+    if shift_count < MIN_SHIFT_COUNT:
+        return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
+    facts = ", ".join((
+        f"a negative mu-v slope is {_likely(slope.probability_negative)}",
+        f"mu_S {100.0 * slope.mu_s_ratio:.0f} +- {100.0 * slope.std_mu_s_ratio:.0f} % of mu_C",
+        *(() if since is None else (_changed(since),)),
+        f"{shift_count} shifts",
+        *((launches.text,) if launches.speak else ()),
+    ))  # fmt: skip
+    change = {
+        Cause.SHUDDER: launches.probability_negative(slope.probability_negative),
+        Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
+    }
+    cause, probability = _likeliest(change)
+    if probability >= (LEAVE_PROBABILITY if previous is Condition.CHANGE_FLUID else change_at):
+        return _because(Condition.CHANGE_FLUID, cause, probability, facts)
+    margin_ratio = 1.0 - reference.mu_s / reference.mu_c
+    watch = {Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO)}
+    if slope.std_mu_s_ratio <= MAX_MARGIN_STD_RATIO * margin_ratio:
+        margin = NormalDist(1.0 - slope.mu_s_ratio, slope.std_mu_s_ratio)
+        watch[Cause.MARGIN_THIN] = margin.cdf(WATCH_MARGIN_RATIO * margin_ratio)
+    cause, probability = _likeliest(watch)
+    if probability >= (LEAVE_PROBABILITY if previous is Condition.WATCH else watch_at):
+        return _because(Condition.WATCH, cause, probability, facts)
+    return nothing(Silence.LEVEL_UNKNOWN, f"engine torque is {slope.torque.replace('_', ' ')}, not measured: {facts}")
+
+
 def _may_be_thin(thin: float, common_thin: float, previous: Condition) -> bool:
     """Return whether a margin is too likely thin to be called good, by its own clutch or by both together."""
     if previous is Condition.GOOD:
@@ -328,9 +375,12 @@ def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend |
         f"mu_C {100.0 * level.mean:.0f} +- {100.0 * level.stdev:.0f} % of new"
     )
     if since is not None:
-        change, std = 100.0 * since.change_mu_c_ratio, 100.0 * since.std_change_mu_c_ratio
-        facts += f", {change:+.1f} +- {std:.1f} % since the baseline"
+        facts += f", {_changed(since)}"
     return f"{facts}, {shift_count} shifts"
+
+
+def _changed(since: FrictionTrend) -> str:
+    return f"{100.0 * since.change_mu_c_ratio:+.1f} +- {100.0 * since.std_change_mu_c_ratio:.1f} % since the baseline"
 
 
 def _likely(probability: float) -> str:

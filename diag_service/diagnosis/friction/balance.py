@@ -21,11 +21,19 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel, row_kernel, unchecked_kernel
-from clutch_model.calibration import Calibration, InputSide, SensorBias
+from clutch_model.calibration import Calibration, InputSide, SensorBias, TorqueSource
 from clutch_model.pack import FrictionLaw, contact_torque_nm, row_stribeck_weight, slower_film, stribeck_weight
 from clutch_model.row_functions import row_exponential, row_logarithm
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
-from diag_service.diagnosis.friction.drives import SLIP_DEGREE, SlipWindow, Weights, planned_drives, sines, spans_of
+from diag_service.diagnosis.friction.drives import (
+    SLIP_DEGREE,
+    SlipWindow,
+    Weights,
+    planned_drives,
+    polynomials,
+    sines,
+    spans_of,
+)
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_ROWS,
     PARAMETER_COUNT,
@@ -265,6 +273,7 @@ FILM_MOBILITY_LOG: Final = 1.0
 LEAST_SECANT: Final = 0.2  # of that: below it the tangent is near enough
 MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
 DOUBT_RATIO = 0.01  # of a clutch's torque: so far no law of friction and film holds moment by moment
+MODELLED_DOUBT_NM: Final = np.array([10.0, 5.0, 2.0, 1.0, 0.7])  # of a torque's mean in a piece, its slope, its bends
 OPEN_DOUBT_RATIO = 0.5  # of what an open pack drags: how that goes with the slip is another in every pack
 DOUBT_TIME_S = 0.1  # for which what is not known is wrong one way
 DOUBT_STEP = 2  # points of the grid: no test function turns in less than ten times that
@@ -487,6 +496,8 @@ class Sensitivity:
         self._add_doubt(noises)
         if signals.row_s:
             self._add_row_doubt(noises)
+        if calibration.torque is not TorqueSource.MEASURED:
+            self._add_torque_doubt(noises)
         by_hub_nms = self._answers[0].by_slip_nms + self._answers[1].by_slip_nms
         around = signals.hub_speed.around_samples(by_hub_nms, weights.value.places, weights.value.grid_rows)
         for place, hub in enumerate(self._spread.hub):
@@ -535,6 +546,13 @@ class Sensitivity:
         for part in parts:
             for place, weight in enumerate(part):
                 noises[place] += weight @ weight.T
+
+    def _add_torque_doubt(self, noises: list[FloatArray]) -> None:
+        """Add what a modelled torque leaves open: a smooth course of its own in every piece."""
+        for place, block in enumerate(self._balance.weights.value.blocks):
+            rows = block.shape[1]
+            doubt = (block @ polynomials(rows, len(MODELLED_DOUBT_NM) - 1)) * (math.sqrt(rows) * MODELLED_DOUBT_NM)
+            noises[place] += doubt @ doubt.T
 
     def _add_doubt(self, noises: list[FloatArray]) -> None:
         """Add what no law of friction, film and drag holds, wrong one way for a while."""

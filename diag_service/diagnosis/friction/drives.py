@@ -227,7 +227,7 @@ class Functions:
 
     def fitted_on_samples(self, degree: int, signal: Resampled) -> tuple[FloatArray, ...]:
         """Return the weights of the samples of a signal in sums with polynomial fits to the functions, one a piece."""
-        bases = [_polynomials(block.shape[1], degree) for block in self.blocks]
+        bases = [polynomials(block.shape[1], degree) for block in self.blocks]
         spread = signal.to_samples([np.ascontiguousarray(basis.T) for basis in bases], self.grid_rows)
         return tuple((block @ basis) @ one for block, basis, one in zip(self.blocks, bases, spread, strict=True))
 
@@ -245,7 +245,7 @@ class Weights:
         """Return polynomial fits to values, shape (len(rows),), one on each piece; nothing in between."""
         found = np.zeros_like(values)
         for place in self.value.places:
-            basis = _polynomials(place.stop - place.start, degree)
+            basis = polynomials(place.stop - place.start, degree)
             found[place] = (values[place] @ basis) @ basis.T
         return found
 
@@ -303,13 +303,13 @@ def smoothed(values: FloatArray, window: SlipWindow, degree: int) -> FloatArray:
     """Return the values, shape (len(grid),), with a polynomial fit in place of those inside each piece of a window."""
     smooth = values.copy()
     for piece in window.pieces:
-        basis = _polynomials(piece.stop - piece.first, degree)
+        basis = polynomials(piece.stop - piece.first, degree)
         smooth[piece.first : piece.stop] = (values[piece.first : piece.stop] @ basis) @ basis.T
     return smooth
 
 
 @lru_cache(maxsize=256)
-def _polynomials(count: int, degree: int) -> FloatArray:
+def polynomials(count: int, degree: int) -> FloatArray:
     """Return an orthonormal basis of the polynomials on ``count`` even points, shape (count, degree + 1).
 
     ``(values @ basis) @ basis.T`` is the fit to values there. Fitting is symmetric: weights fitted and values as they

@@ -7,7 +7,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from clutch_model.calibration import Calibration, clutch_of_gear
+from clutch_model.calibration import Calibration, TorqueSource, clutch_of_gear
 from clutch_model.errors import CalibrationError
 from diag_service.diagnosis.alignment import NS_TO_S, compile_alignment
 from diag_service.diagnosis.columns import Signal
@@ -59,7 +59,7 @@ from diag_service.diagnosis.quality.plausibility import (
     plausibility_faults,
     zero_has_jumped,
 )
-from diag_service.diagnosis.records import LEAST_SLIP_ROWS, Reason, ShiftEstimate, Status
+from diag_service.diagnosis.records import LEAST_SLIP_ROWS, FrictionSlope, Reason, ShiftEstimate, Status
 
 TOUCH_PRESSURE_PA: Final = 20e3
 VISCOSITY_RATIO: Final = 0.2
@@ -203,7 +203,8 @@ class Estimator:
         data is described and rejected; it leaves no trace in what is known, and is not even held against the others.
         """
         if isinstance(samples, Reason):
-            return state, without_friction(event, Status.REJECTED, samples)
+            is_untold = samples is Reason.TORQUE_UNKNOWN
+            return state, without_friction(event, Status.UNOBSERVED if is_untold else Status.REJECTED, samples)
         if samples.row_s != self._row_s:
             return Estimator(self._calibration, samples.row_s).estimate(event, samples, state, against)
         if self._row_s:
@@ -374,11 +375,13 @@ class Estimator:
         gate = misfit_gate(seen.evidence.count)
         fit = min(1.0, max(0.0, (gate - ratio) / (gate - 1.0)))
         with_scale, without_scale = both_frictions(replace(state, fusion=alone), clutch)
+        is_measured = state.torque is TorqueSource.MEASURED
         return replace(
             without_friction(event, Status.VALID),
             clutch=clutch,
-            friction=with_scale,
+            friction=with_scale if is_measured else None,
             scale_free=without_scale,
+            slope=None if is_measured else FrictionSlope.of(without_scale, state.torque),
             sample_count=balance.sample_count,
             window_s=window_s,
             chi_square_ratio=ratio,
@@ -411,7 +414,7 @@ def _untold(event: Event, why: Reason | _TooFew, against: tuple[Reason, ...]) ->
 
 def _rejected(estimate: ShiftEstimate, *reasons: Reason) -> ShiftEstimate:
     """Return an estimate that is not believed."""
-    return replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None, scale_free=None)
+    return replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None, scale_free=None, slope=None)
 
 
 def _judged_event(event: Event, seen: _Seen) -> JudgedEvent:

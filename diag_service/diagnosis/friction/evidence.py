@@ -94,6 +94,10 @@ def prior_covariance(calibration: Calibration) -> FloatArray:
     covariance = np.zeros((len(NAMES), len(NAMES)))
     covariance[:FRICTION_COUNT, :FRICTION_COUNT] = np.eye(FRICTION_COUNT) * FRICTION_PRIOR_STD**2
     covariance[FRICTION_COUNT:, FRICTION_COUNT:] = _nuisance_covariance(calibration)
+    if calibration.torque.is_modelled:  # a wrong scale makes all of them wrong alike
+        gain, mu = STATE_COUNT + Considered.TORQUE_GAIN, prior_mean(calibration)[:FRICTION_COUNT]
+        covariance[:FRICTION_COUNT, gain] = covariance[gain, :FRICTION_COUNT] = mu * covariance[gain, gain]
+        covariance[:FRICTION_COUNT, :FRICTION_COUNT] += np.outer(mu, mu) * covariance[gain, gain]
     return covariance
 
 

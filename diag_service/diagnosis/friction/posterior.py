@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 
 from canlog.arrays import FloatArray
-from clutch_model.calibration import Calibration, FrictionCurve, both_clutches, with_clutch
+from clutch_model.calibration import Calibration, FrictionCurve, TorqueSource, both_clutches, with_clutch
 from clutch_model.pack import friction_law, stribeck_weights
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import (
@@ -115,6 +115,7 @@ class Posterior:
     folded_counts: tuple[int, int] = (0, 0)  # events in the base that speak of the friction of clutch 1 and 2
     baselines: tuple[Baseline | None, Baseline | None] = (None, None)  # against the base
     packs: PackTemperatures | None = None
+    torque: TorqueSource = TorqueSource.MEASURED
     torque_gain: float = 1.0  # of the calibration: the parameters say by how much it is wrong
     stribeck_speed_rad_s: tuple[float, float] = (1.0, 1.0)  # likewise
 
@@ -133,6 +134,7 @@ class Posterior:
             recent=(),
             is_used=(),
             fusion=fuse(base, Evidence.none()),
+            torque=calibration.torque,
             torque_gain=calibration.bias.torque_gain,
             stribeck_speed_rad_s=both_clutches(one.friction.stribeck_speed_rad_s for one in calibration.clutches),
         )
@@ -353,6 +355,7 @@ def _restored(table: object) -> JudgedEvent:
 
 
 MODEL_STD_RATIO = 0.004  # by which a real clutch differs from the law alike in all events: they do not average it out
+MODELLED_STD_RATIO = 0.05  # likewise of a modelled torque: what goes with it does so along a curve, not a line
 _GAIN = STATE_COUNT + Considered.TORQUE_GAIN
 _WIDTH = STATE_COUNT + Considered.STRIBECK_SPEED
 _AREAS = (STATE_COUNT + Considered.PISTON_AREA1, STATE_COUNT + Considered.PISTON_AREA2)
@@ -382,6 +385,15 @@ class _Pair(NamedTuple):
         variance_s = factor * (factor * s_s + 2.0 * by_s * s_f) + by_s**2 * f_f + (MODEL_STD_RATIO * mu_s) ** 2
         covariance = factor * (factor * c_s + by_s * c_f + by_c * s_f) + by_c * by_s * f_f
         return cls(mu_c, mu_s, variance_c, variance_s, covariance, covariance / math.sqrt(variance_c * variance_s))
+
+    def with_common(self, ratio: float) -> Self:
+        """Return them less certain, both alike."""
+        variance_c, variance_s = (
+            self.variance_c + (ratio * self.mu_c) ** 2, self.variance_s + (ratio * self.mu_s) ** 2,
+        )  # fmt: skip
+        covariance = self.covariance + ratio**2 * self.mu_c * self.mu_s
+        correlation = covariance / math.sqrt(variance_c * variance_s)
+        return type(self)(self.mu_c, self.mu_s, variance_c, variance_s, covariance, correlation)
 
 
 def friction(state: Posterior, clutch: int) -> FrictionEstimate:
@@ -436,7 +448,8 @@ def _scale_free(pair: _Pair) -> ScaleFreeFriction:
 def _without_scale(state: Posterior, clutch: int) -> _Pair:
     area = _AREAS[clutch - 1]
     known = state.fusion.knowledge
-    return _Pair.of(known, clutch, area, 1.0 + float(known.mean[area]), 1.0)
+    pair = _Pair.of(known, clutch, area, 1.0 + float(known.mean[area]), 1.0)
+    return pair if state.torque is TorqueSource.MEASURED else pair.with_common(MODELLED_STD_RATIO)
 
 
 def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalDist:
@@ -479,6 +492,7 @@ def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
     known, rows = state.fusion.knowledge, FRICTION_ROWS[clutch - 1]
     gain = state.torque_gain + float(known.mean[_GAIN])
     now, then = known.mean[rows].tolist(), baseline.mean.tolist()
+    doubt = 0.0 if state.torque is TorqueSource.MEASURED else MODELLED_STD_RATIO
     spread = known.covariance[rows, rows], baseline.covariance, state.cross(clutch)[rows]
     mu_c, mu_s = map(_Change.of, now, then, zip(*(one.diagonal().tolist() for one in spread), strict=True))
     return FrictionTrend(
@@ -488,8 +502,8 @@ def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
         std_change_mu_s=mu_s.std / gain,
         change_mu_c_ratio=mu_c.ratio,
         change_mu_s_ratio=mu_s.ratio,
-        std_change_mu_c_ratio=mu_c.std_ratio,
-        std_change_mu_s_ratio=mu_s.std_ratio,
+        std_change_mu_c_ratio=math.hypot(mu_c.std_ratio, doubt),
+        std_change_mu_s_ratio=math.hypot(mu_s.std_ratio, doubt),
         baseline_end_bus_ns=baseline.end_ns,
         baseline_shift_count=baseline.shift_count,
         later_shift_count=later_count,

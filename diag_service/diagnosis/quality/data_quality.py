@@ -16,7 +16,7 @@ from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.alive_counter import row_period_ns
 from canlog.e2e.e2e_state import E2eState
 from canlog.jit import array_kernel, inlined_kernel, kernel
-from clutch_model.calibration import Calibration
+from clutch_model.calibration import Calibration, TorqueSource
 from diag_service.diagnosis.alignment import (
     COMMAND_LAG_S,
     NS_TO_S,
@@ -103,6 +103,7 @@ class QualityLimits:
 LIMITS: Final = QualityLimits()
 
 
+MAY_BE_CUT: Final = frozenset(EventKind) - {EventKind.LAUNCH, EventKind.CREEP, EventKind.CLOSING, EventKind.SLIP}
 UNSCHEDULED_PERIODS: Final = 1.5  # of the nominal one: what comes more seldom without schedule was asked for
 SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
 _LAG_NS: Final = round(COMMAND_LAG_S / NS_TO_S)
@@ -413,6 +414,7 @@ class QualityBasis:
     mandatory_messages: frozenset[str] = frozenset()
     scale_ends: Mapping[Signal, tuple[float, float]] = field(default_factory=dict)  # least and largest value, SI
     calibration_date: date | None = None
+    torque: TorqueSource = TorqueSource.MEASURED
 
 
 def data_quality(event: Event, basis: QualityBasis, limits: QualityLimits = LIMITS) -> DataQuality:
@@ -451,6 +453,8 @@ def gate(event: Event, basis: QualityBasis, limits: QualityLimits = LIMITS, *, t
     """Judge the data of an event, by themselves: which samples tell its friction, and whether they can be believed."""
     quality = data_quality(event, basis, limits)
     samples = usable_samples(event, limits) if tells_friction else None
+    if basis.torque is TorqueSource.WITHOUT_CUT and event.kind in MAY_BE_CUT and isinstance(samples, Samples):
+        samples = Reason.TORQUE_UNKNOWN
     against = () if isinstance(samples, Reason) else reasons_against(quality, limits)
     return Gate(quality=quality, samples=samples, against=against)
 

@@ -335,6 +335,7 @@ class MeaningCheck:
         """Take the estimate of an event; return whether it may be believed."""
         if self.doubt or estimate.friction is None:
             self._found[False] += bool(_MISFITS & set(estimate.reasons))
+            self._found[True] += estimate.status is Status.VALID  # of a modelled torque
             if not self.doubt and self._found[False] >= MOST_MISFITS and not self._found[True]:
                 self.doubt = (
                     f"none of {self._found[False]} events fits: pressures, torque and speeds do not fit together "

@@ -7,10 +7,11 @@ from dataclasses import asdict, replace
 import pytest
 from jsonschema import Draft202012Validator
 
-from clutch_model.calibration import nominal_calibration
+from clutch_model.calibration import TorqueSource, nominal_calibration
 from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.records import (
     Condition,
+    FrictionSlope,
     Reason,
     ServiceStatus,
     Status,
@@ -24,7 +25,7 @@ from diag_service.diagnosis.records import (
 )
 from diag_service.errors import ResultError
 from fleet_contract import schema
-from tests.support.builders import START_NS, friction_estimate, rejected, shift_result
+from tests.support.builders import START_NS, friction_estimate, rejected, scale_free_friction, shift_result
 
 CURVE = nominal_calibration().clutches[0].friction
 STATUS = ServiceStatus(
@@ -36,7 +37,15 @@ STATUS = ServiceStatus(
     calibration_version="1+0123456789ab",
     calibration={"vehicle_type": "a car", "new_friction": [asdict(CURVE), asdict(CURVE)]},
 )
+SLOPE = FrictionSlope.of(scale_free_friction(), TorqueSource.MODELLED)
+MODELLED = replace(
+    shift_result(),
+    estimate=replace(shift_result().estimate, friction=None, slope=SLOPE),
+    verdict=replace(shift_result().verdict, friction=None, level_ratio=None, slope=SLOPE),
+)
 RECORDS = [
+    pytest.param("shift", shift_record(MODELLED), id="shift of a modelled torque"),
+    pytest.param("clutch", clutch_record(shift_record(MODELLED)), id="clutch of a modelled torque"),
     pytest.param("shift", shift_record(shift_result()), id="shift"),
     pytest.param("shift", shift_record(rejected(shift_result())), id="rejected shift"),
     pytest.param("clutch", clutch_record(shift_record(shift_result())), id="clutch"),
@@ -51,7 +60,8 @@ def test_records_are_what_the_schema_describes(name: str, record: dict[str, obje
     description = schema(name)
     Draft202012Validator.check_schema(description)
     Draft202012Validator(description).validate(json.loads(dump(record)))
-    assert list(record) == list(description["properties"])  # type: ignore[call-overload]  # keys and their order
+    names = list(description["properties"])  # type: ignore[call-overload]
+    assert list(record) == [name for name in names if name != "slope" or record.get(name)]  # keys and their order
 
 
 @pytest.mark.parametrize("key", ["seq", "friction", "status", "verdict"])
@@ -80,7 +90,18 @@ def test_the_schemas_describe_friction_alike() -> None:
         assert shift[name] == clutch[name]
 
 
-@pytest.mark.parametrize("result", [shift_result(3, to_gear=5), rejected(shift_result())])
+def test_a_slope_needs_no_scale_and_a_measured_torque_none() -> None:
+    twice = replace(scale_free_friction(), **{name: 2.0 * getattr(scale_free_friction(), name) for name in
+                                              ("mu_c", "mu_s", "std_mu_c", "std_mu_s")})  # fmt: skip
+    again = FrictionSlope.of(twice, TorqueSource.MODELLED)
+    assert asdict(again) == pytest.approx(asdict(SLOPE))
+    flat = FrictionSlope.of(replace(twice, mu_s=twice.mu_c), TorqueSource.MODELLED)
+    assert (flat.mu_s_ratio, flat.probability_negative) == pytest.approx((1.0, 0.5))
+    assert "slope" not in shift_record(shift_result())
+    assert "slope" not in clutch_record(shift_record(shift_result()))
+
+
+@pytest.mark.parametrize("result", [shift_result(3, to_gear=5), rejected(shift_result()), MODELLED])
 def test_a_shift_survives_the_round_trip_to_the_bit(result: object) -> None:
     assert isinstance(result, type(shift_result()))
     assert parse_shift(dump(shift_record(result))) == result

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clutch_model.calibration import TorqueSource
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, GearRatios, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import SignalSource, find_profile, load_profile, shipped_profiles, to_si
@@ -229,3 +230,15 @@ def test_unreadable_profiles_are_refused(tmp_path: Path) -> None:
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="is not TOML"):
         load_profile(binary)
+
+
+def test_a_profile_says_where_engine_torque_comes_from(tmp_path: Path) -> None:
+    text = '[signals]\nengine_torque_nm = { column = "Fuel", unit = "Nm", scale = 40.0, origin = "without_cut" }'
+    assert load_profile(write(tmp_path, text)).torque is TorqueSource.WITHOUT_CUT
+    assert load_profile().torque is TorqueSource.MEASURED
+    none = load_profile(write(tmp_path, '[signals]\nengine_speed_rad_s = { column = "Speed", unit = "rpm" }'))
+    assert none.torque is TorqueSource.UNKNOWN
+    with pytest.raises(ConfigError, match="engine_speed_rad_s: origin says where engine torque comes from"):
+        load_profile(write(tmp_path, text.replace("engine_torque_nm", "engine_speed_rad_s")))
+    with pytest.raises(ConfigError, match="origin must be one of measured, modelled, without_cut, unknown"):
+        load_profile(write(tmp_path, text.replace("without_cut", "guessed")))

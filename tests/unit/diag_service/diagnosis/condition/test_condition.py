@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clutch_model.calibration import nominal_calibration
+from clutch_model.calibration import TorqueSource, nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge
 from diag_service.diagnosis.condition.verdict import LEAST_SHIFT_COUNT
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, FRICTION_ROWS, STATE_COUNT, Considered, Knowledge
 from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, Baseline, Posterior
-from diag_service.diagnosis.records import Condition, Reason, Status
+from diag_service.diagnosis.records import ClutchVerdict, Condition, Reason, Status
 from tests.support.builders import rejected, shift_estimate, shift_result
 
 CALIBRATION = nominal_calibration()
@@ -340,3 +340,30 @@ def test_what_all_vehicles_of_a_type_have_alike_is_known() -> None:
     )
     state = replace(Posterior.fresh(alike), folded_counts=(5, 5))
     assert judge(ConditionMemory.fresh(), state, 1, alike)[1].calibration_ratio == pytest.approx(2.0 / 8.0)
+
+
+def modelled(state: Posterior) -> ClutchVerdict:
+    return judge(ConditionMemory.fresh(), replace(state, torque=TorqueSource.MODELLED), 1, CALIBRATION)[1]
+
+
+def test_without_measured_torque_slope_and_change_are_judged_and_the_level_is_not() -> None:
+    sound = modelled(believed(0.14, 0.119))
+    assert sound.condition is Condition.NO_VERDICT
+    assert [sound.friction, sound.level_ratio, sound.common_scale_std_ratio] == 3 * [None]
+    assert sound.slope is not None
+    assert sound.slope.mu_s_ratio == pytest.approx(0.85)
+    assert sound.slope.probability_negative < 0.01
+    assert "engine torque is modelled, not measured: a negative mu-v slope is 0." in sound.reason
+    assert "cannot be called sound" in (sound.advice or "")
+    low = modelled(believed(0.10, 0.085))  # of a wrong scale, for all that is known
+    assert low.condition is Condition.NO_VERDICT
+    shudder = modelled(believed(0.125, 0.137))
+    assert shudder.condition is Condition.CHANGE_FLUID
+    assert shudder.reason.startswith("shudder (")
+    thin = modelled(believed(0.133, 0.130))
+    assert (thin.condition, thin.reason.split(" (")[0]) == (Condition.WATCH, "margin against shudder halved")
+    lost = modelled(aged(0.7))
+    assert (lost.condition, lost.reason.split(" (")[0]) == (
+        Condition.CHANGE_FLUID, "too much friction lost since the baseline",
+    )  # fmt: skip
+    assert modelled(believed(0.125, 0.137, shift_count=2)).condition is Condition.NO_VERDICT
