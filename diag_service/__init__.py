@@ -15,7 +15,7 @@ if typing.TYPE_CHECKING:
     from canlog.written_tables import TableChoice
     from clutch_model.errors import CalibrationError
     from clutch_model.transmission import Transmission, read_transmission
-    from diag_service.api.analysis import Analysis, analyze
+    from diag_service.api.analysis import Analysis, ResultTable, analyze
     from diag_service.api.choices import Delivery, Poll
     from diag_service.api.expectations import (
         expect_frames,
@@ -26,7 +26,6 @@ if typing.TYPE_CHECKING:
     from diag_service.api.folders import FolderAnalysis, analyze_folders
     from diag_service.api.live import BackgroundDiagnosis, LiveDiagnosis, diagnose
     from diag_service.api.stores import history, note_fluid, stored_shift, write_report
-    from diag_service.api.tables import ResultTable
     from diag_service.api.workshop import (
         PaperAnalysis,
         analyze_by_paper,
@@ -112,13 +111,12 @@ _HOMES = {
     "canlog.written_tables": ("TableChoice",),
     "clutch_model.errors": ("CalibrationError",),
     "clutch_model.transmission": ("Transmission", "read_transmission"),
-    "diag_service.api.analysis": ("Analysis", "analyze"),
+    "diag_service.api.analysis": ("Analysis", "ResultTable", "analyze"),
     "diag_service.api.choices": ("Delivery", "Poll"),
     "diag_service.api.expectations": ("expect_frames", "expect_same_frames", "expect_shifts", "expect_verdict"),
     "diag_service.api.folders": ("FolderAnalysis", "analyze_folders"),
     "diag_service.api.live": ("BackgroundDiagnosis", "LiveDiagnosis", "diagnose"),
     "diag_service.api.stores": ("history", "note_fluid", "stored_shift", "write_report"),
-    "diag_service.api.tables": ("ResultTable",),
     "diag_service.tester.uds_tester": ("UdsTester", "scan_controllers"),
     "diag_service.api.workshop": (
         "PaperAnalysis",

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
 
-from diag_service.api.analysis import Analysis
+from diag_service.api.analysis import Analysis, ResultTable
 from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, optional_path, path_list
-from diag_service.api.tables import ResultTable
 from diag_service.batch.drives import Drive, LeftOut
 from diag_service.batch.folder_run import analyse_folders
 from diag_service.batch.journal import Entry

@@ -18,9 +18,8 @@ from fleet_backend.config import parse_listen
 from fleet_backend.database import default_database, open_database
 from fleet_backend.errors import ConfigError, ExtraMissingError
 from fleet_backend.lots import lots_of, read_lots, store_lots
-from fleet_backend.office.forgetting import forget_vehicle
+from fleet_backend.office.retention import forget_vehicle, roll_up
 from fleet_backend.office.retention import retain as retain_months
-from fleet_backend.office.retention import roll_up
 from fleet_backend.page.access import Access, read_access
 
 

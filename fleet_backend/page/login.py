@@ -8,10 +8,9 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 from starlette.routing import Route
 
-from fleet_backend.page.access import ATTEMPT_COOKIE, Access, Login, cookie_in
+from fleet_backend.page.access import ATTEMPT_COOKIE, ATTEMPT_S, SESSION_S, Access, Attempt, Login, cookie_in
 from fleet_backend.page.errors import LoginError
 from fleet_backend.page.html import problem_page
-from fleet_backend.page.sessions import ATTEMPT_S, SESSION_S, Attempt
 
 LOGIN_PATH: Final = "/login"
 RETURN_PATH: Final = "/login/return"

@@ -20,8 +20,8 @@ from joserfc import jwt
 from joserfc.errors import JoseError
 from joserfc.jwk import KeySet
 
+from fleet_backend.page.access import Attempt
 from fleet_backend.page.errors import LoginError, ProviderAwayError
-from fleet_backend.page.sessions import Attempt
 
 LONGEST_WAIT_S: Final = 10.0
 AWAY_S: Final = 5.0  # a provider that did not answer is left alone, so that those who wait for it are not many

@@ -20,7 +20,6 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from clutchdiag_io.pages.environment import SAFE_HEADERS, host_of
 from fleet_backend.errors import DatabaseError, FleetBackendError
 from fleet_backend.page import (
-    alarm_view,
     alarms_view,
     audit_view,
     changes_view,
@@ -80,10 +79,10 @@ class KnownHosts:
 
 VIEWS: Final = (
     *(overview_view.VIEW, fleet_view.VIEW, vehicle_view.VIEW, shift_view.VIEW),
-    *(alarms_view.VIEW, alarm_view.VIEW, maintenance_view.VIEW, changes_view.VIEW),
+    *(alarms_view.VIEW, alarms_view.ONE_VIEW, maintenance_view.VIEW, changes_view.VIEW),
     *(quarantine_view.VIEW, audit_view.VIEW),
 )
-ACTIONS: Final = (alarm_view.ACTION,)
+ACTIONS: Final = (alarms_view.ACTION,)
 OPENAPI_PATH: Final = "/api/v1/openapi.json"
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 _API: Final = "/api/"

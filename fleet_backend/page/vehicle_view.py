@@ -8,10 +8,9 @@ from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
 from fleet_backend.page.cache import Same
-from fleet_backend.page.clutch_past import Past, read_past
 from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.listing import vehicle_type
-from fleet_backend.page.outlook import outlook_text
+from fleet_backend.page.outlook import Past, outlook_text, read_past
 from fleet_backend.page.pictures import (
     STD_OF_50_PERCENT,
     STD_OF_90_PERCENT,

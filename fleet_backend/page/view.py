@@ -11,10 +11,10 @@ from clutchdiag_io.pages.content import Advice, Link, Section
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import Ask, Parameter
 from fleet_backend.page.cache import Cache
-from fleet_backend.page.clutch_past import Past
 from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.listing import Part
 from fleet_backend.page.news import News
+from fleet_backend.page.outlook import Past
 from fleet_backend.page.records import ClutchNow, Due, VehicleAnswer
 
 MOST_POINTS: Final = 60_000  # of trends that are kept, a kilobyte each

@@ -11,8 +11,7 @@ from fleet_backend import queries
 from fleet_backend.cli import main
 from fleet_backend.database import transaction
 from fleet_backend.errors import UnknownVehicleError
-from fleet_backend.office.forgetting import forget_vehicle
-from fleet_backend.office.retention import roll_up
+from fleet_backend.office.retention import forget_vehicle, roll_up
 from fleet_backend.office_tables import AUDIT
 from fleet_backend.rows import Poison, quarantine_row
 from fleet_backend.writer import Batch, Writer

@@ -13,12 +13,11 @@ import pytest
 
 from fleet_backend.database import open_database
 from fleet_backend.errors import ConfigError
-from fleet_backend.page.access import Access, Login, Role, read_access
+from fleet_backend.page.access import ATTEMPT_S, SESSION_S, Access, Attempt, Login, Role, Sessions, read_access
 from fleet_backend.page.errors import LoginError, ProviderAwayError
 from fleet_backend.page.login import local_path
 from fleet_backend.page.oidc import Client, OpenIdProvider
 from fleet_backend.page.server import closing_socket
-from fleet_backend.page.sessions import ATTEMPT_S, SESSION_S, Attempt, Sessions
 from fleet_backend.page.site import ACTIONS, VIEWS
 from tests.integration.test_fleet_access import ALARM_WORDS, ROUTES, WORDS
 from tests.support.browsing import chromium, complaints_of, new_page

@@ -1,22 +1,42 @@
 """Messages are what they say they are, or they are refused with a reason."""
 
 import json
+import random
+import tracemalloc
+import zlib
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from diag_service.diagnosis.records import clutch_record, shift_record
 from fleet_contract import (
+    MAX_BUNDLE_BYTES,
+    MAX_BUNDLED,
+    MAX_RECEIPTS,
+    Channel,
     ContractError,
     IdentityError,
     MalformedError,
+    Outcome,
+    Outgoing,
+    Receipt,
+    ResultKey,
     SchemaError,
     TopicError,
+    ack_messages,
+    bundle_messages,
+    bundled_events,
     clutch_message,
     key_of,
     raw_shift_message,
     read_message,
+    receipts_of,
     shift_message,
+    takes_bundles,
 )
 from tests.support.builders import shift_result
 
@@ -94,3 +114,142 @@ def test_a_message_on_another_topic_is_refused(topic: str, kind: type) -> None:
 def test_a_clutch_state_belongs_to_its_clutch() -> None:
     with pytest.raises(IdentityError, match="clutch is 2 where 1 belongs"):
         read_message("clutchdiag/v1/car1/clutch/1", CLUTCH.payload)
+
+
+ALONE = shift_message(shift_record(shift_result()))
+TEXT = b"[" + b",".join([ALONE.payload] * 2) + b"]"
+
+
+def results(count: int, size_bytes: int = 0) -> list[Outgoing]:
+    """Return messages of so many results, each made as long as is asked with what zlib cannot pack."""
+    rng = random.Random(count)  # noqa: S311 - no secret
+    made = []
+    for number in range(count):
+        text = shift_message(shift_record(shift_result(number + 1))).payload
+        noise = rng.randbytes(max(0, size_bytes - len(text)) // 2 + 1).hex().encode()
+        made.append(replace(ALONE, payload=text[:-1] + b',"noise":"' + noise + b'"}' if size_bytes else text))
+    return made
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, MAX_BUNDLED, MAX_BUNDLED + 1, 3 * MAX_BUNDLED + 2])
+def test_results_are_bundled_in_order_and_come_out_as_they_went_in(count: int) -> None:
+    messages = results(count)
+    bundles = list(bundle_messages(messages))
+    assert len(bundles) == -(-count // MAX_BUNDLED)
+    events = []
+    for bundle in bundles:
+        is_alone = bundle in messages
+        assert is_alone or bundle.topic == "clutchdiag/v1/car1/bundle"
+        events += [bundle.payload] if is_alone else bundled_events(bundle.payload)
+    assert events == [message.payload for message in messages]
+    assert (count % MAX_BUNDLED == 1) == any(bundle in messages for bundle in bundles)
+
+
+@pytest.mark.parametrize("size_bytes", [5_000, 16_000])
+def test_long_results_make_smaller_bundles(size_bytes: int) -> None:
+    messages = results(MAX_BUNDLED, size_bytes)
+    bundles = list(bundle_messages(messages))
+    assert all(len(bundle.payload) <= Channel.BUNDLE.max_bytes for bundle in bundles)
+    assert [event for bundle in bundles for event in bundled_events(bundle.payload)] == [
+        message.payload for message in messages
+    ]
+
+
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (b"", "cut short"),
+        (b"nothing packed", "zlib did not pack"),
+        (zlib.compress(TEXT)[:-1], "cut short"),
+        (zlib.compress(TEXT)[:-1] + b"x", "zlib did not pack"),  # the sum at its end
+        (zlib.compress(TEXT) + b"x", "behind its end"),
+        (b"\x00" * (Channel.BUNDLE.max_bytes + 1), "65537 bytes, more than 65536"),
+        (zlib.compress(b"[]"), "0 results"),
+        (zlib.compress(b"[" + b"1," * MAX_BUNDLED + b"1]"), "51 results"),
+        (zlib.compress(ALONE.payload), "without a JSON array"),
+        (zlib.compress(b'[{"a":1}'), "without a JSON array"),
+        (zlib.compress(b"[" * (MAX_BUNDLE_BYTES // 2)), "without a JSON array"),
+        (zlib.compress(b" " * (MAX_BUNDLE_BYTES + 1)), "more than 262144 bytes when it is unpacked"),
+    ],
+)
+def test_what_is_no_bundle_is_malformed(payload: bytes, words: str) -> None:
+    with pytest.raises(MalformedError, match=words):
+        bundled_events(payload)
+
+
+def test_a_bomb_takes_no_more_memory_than_the_longest_bundle() -> None:
+    bomb = zlib.compress(b"\x00" * 10_000_000, 9)
+    assert len(bomb) < Channel.BUNDLE.max_bytes
+    tracemalloc.start()
+    try:
+        with pytest.raises(MalformedError):
+            bundled_events(bomb)
+        _, most_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most_bytes < 4 * MAX_BUNDLE_BYTES
+
+
+@settings(max_examples=50)
+@given(st.binary(max_size=200) | st.binary(max_size=400).map(zlib.compress) | st.text().map(json.dumps))
+def test_whatever_comes_is_events_or_an_error_of_the_contract(payload: bytes | str) -> None:
+    data = zlib.compress(b"[" + payload.encode() + b"]") if isinstance(payload, str) else payload
+    events: list[bytes] = []
+    with suppress(ContractError):
+        events = bundled_events(data)
+    assert len(events) <= MAX_BUNDLED
+    assert not isinstance(payload, str) or [json.loads(event) for event in events] == [json.loads(payload)]
+
+
+def test_a_bundle_is_no_message() -> None:
+    with pytest.raises(MalformedError, match="a bundle"):
+        read_message("clutchdiag/v1/car1/bundle", zlib.compress(TEXT))
+
+
+@pytest.mark.parametrize("is_so", [False, True])
+def test_an_acknowledgement_says_whether_bundles_are_taken(*, is_so: bool) -> None:
+    receipts = [Receipt(key=key_of(shift_record(shift_result())))]
+    now = "2026-01-01T00:00:00.000000Z"
+    (ack,) = ack_messages("car1", receipts, sent_at=now, worker="w", takes_bundles=is_so)
+    assert takes_bundles(read_message(ack.topic, ack.payload).data) is is_so
+    (older,) = ack_messages("car1", receipts, sent_at=now, worker="w")
+    assert b"takes_bundles" not in older.payload
+
+
+NOW = "2026-01-01T00:00:00.000000Z"
+KEY = key_of(shift_record(shift_result()))
+
+
+def test_receipts_are_read_back_in_as_many_messages_as_they_need() -> None:
+    receipts = [Receipt(key=replace(KEY, seq=seq)) for seq in range(1, 2 * MAX_RECEIPTS + 2)]
+    messages = list(ack_messages("car1", receipts, sent_at=NOW, worker="w"))
+    assert len(messages) == 3
+    incoming = [read_message(message.topic, message.payload) for message in messages]
+    assert [receipt for one in incoming for receipt in receipts_of(one.data)] == receipts
+    assert len({one.event_id for one in incoming}) == len(messages)
+
+
+def test_the_longest_acknowledgement_is_within_the_limit() -> None:
+    longest = ResultKey(
+        vehicle="v" * 64, stream='"' * 128, seq=2**63 - 1, algorithm_version='"' * 128, calibration_version='"' * 128
+    )
+    receipts = [Receipt(key=longest, outcome=Outcome.QUARANTINED, reason="\U0001f697" * 999)] * MAX_RECEIPTS
+    (message,) = ack_messages("v" * 64, receipts, sent_at=NOW, worker="w")
+    assert len(message.payload) > Channel.ACK.max_bytes // 2
+    first, *_ = receipts_of(read_message(message.topic, message.payload).data)
+    assert first == replace(receipts[0], reason="\U0001f697" * 100)
+
+
+def test_nothing_to_say_is_no_message() -> None:
+    assert list(ack_messages("car1", [], sent_at=NOW, worker="w")) == []
+
+
+def test_a_key_is_one_word_whatever_is_in_it() -> None:
+    odd = replace(KEY, stream="a/b c", calibration_version="1+0/x")
+    assert odd.text == "car1/a%2Fb%20c/1/algorithm-1/1+0%2Fx"
+
+
+@pytest.mark.parametrize("change", [{"seq": "1"}, {"seq": True}, {"stream": None}, {"vehicle": 7}])
+def test_no_key_without_all_its_parts(change: dict[str, object]) -> None:
+    with pytest.raises(SchemaError):
+        key_of(shift_record(shift_result()) | change)

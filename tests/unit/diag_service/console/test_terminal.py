@@ -1,10 +1,20 @@
-"""How far a reading is: on a terminal only, not before somebody may ask, and gone when something else is told."""
+"""What people read and say: lines, how far a reading is, a key that ends a program, yes or no."""
 
 import io
+import os
+import pty
+import select
+import termios
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
+
 from canlog.logs import LogReader, read_log
-from diag_service.console.terminal import ReadingLine, reading_text
+from diag_service.console.terminal import ReadingLine, ending_key, is_confirmed, reading_text
+from tests.support.patience import HANG_S
 
 LINES = "".join(f"({1767225600 + number}.000000) can0 100#00\n" for number in range(90_000))
 
@@ -60,3 +70,82 @@ def test_what_has_no_size_tells_its_frames(tmp_path: Path) -> None:
     reader.close()
     assert text.startswith("reading ...")
     assert text.endswith(f" %, {reader.counts.frames} frames")
+
+
+@pytest.fixture(name="keyboard")
+def _keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """Return where a test types; standard input is the terminal that hears it."""
+    ours, theirs = pty.openpty()
+    with os.fdopen(theirs) as terminal, os.fdopen(ours, "wb", buffering=0):
+        monkeypatch.setattr("sys.stdin", terminal)
+        yield ours
+
+
+def test_the_key_ends_it_and_no_other_does(keyboard: int) -> None:
+    ended = threading.Event()
+    with ending_key("q", ended.set) as has_keyboard:
+        assert has_keyboard
+        os.write(keyboard, b"x")
+        assert not ended.is_set()
+        os.write(keyboard, b"q")
+        assert ended.wait(HANG_S)
+
+
+def test_the_terminal_is_as_before(keyboard: int) -> None:
+    before = termios.tcgetattr(keyboard)
+    with ending_key("q", lambda: None):
+        assert termios.tcgetattr(keyboard) != before
+    assert termios.tcgetattr(keyboard) == before
+
+
+def test_without_a_keyboard_nothing_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    for stdin in (None, open(os.devnull, encoding="utf-8")):  # noqa: SIM115, PTH123 - closed below
+        monkeypatch.setattr("sys.stdin", stdin)
+        with ending_key("q", lambda: None) as has_keyboard:
+            assert not has_keyboard
+        if stdin is not None:
+            stdin.close()
+
+
+@contextmanager
+def person(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """Yield the person's end of a terminal before which the program sits."""
+    ours, theirs = pty.openpty()
+    with (
+        os.fdopen(theirs, "r") as keyboard,
+        os.fdopen(os.dup(theirs), "w") as screen,
+        monkeypatch.context() as patch,
+    ):
+        patch.setattr("sys.stdin", keyboard)
+        patch.setattr("sys.stderr", screen)
+        yield ours
+    os.close(ours)
+
+
+def assert_shown(end: int, text: bytes) -> None:
+    """Read what the person sees until the text is in it; a terminal hands over in pieces of its own."""
+    seen = b""
+    while text not in seen:
+        assert select.select([end], [], [], HANG_S)[0], seen
+        seen += os.read(end, 1000)
+
+
+@pytest.mark.parametrize(("typed", "is_yes"), [("y", True), ("Yes", True), ("", False), ("n", False), ("yep", False)])
+def test_only_a_yes_is_one(monkeypatch: pytest.MonkeyPatch, typed: str, is_yes: bool) -> None:
+    with person(monkeypatch) as end:
+        os.write(end, f"{typed}\n".encode())
+        assert is_confirmed("clear?", lambda: True) is is_yes
+        assert_shown(end, b"clear? [y/N] ")
+
+
+def test_a_program_that_shall_end_takes_it_for_a_no(monkeypatch: pytest.MonkeyPatch) -> None:
+    with person(monkeypatch) as end:
+        assert not is_confirmed("clear?", lambda: False)
+        assert_shown(end, b"clear?")
+
+
+def test_where_nobody_sits_the_command_line_has_the_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("n\n"))
+    assert is_confirmed("clear?", lambda: True)
+    monkeypatch.setattr("sys.stdin", None)
+    assert is_confirmed("clear?", lambda: True)

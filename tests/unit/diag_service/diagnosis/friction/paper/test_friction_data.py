@@ -1,14 +1,30 @@
 """Eq. (17): the coefficient that made a torque is found in it again."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.pack import contact_pressure_pa, film_law, shear_factor_difference, viscosity_pa_s, viscous_torque_nm
+from clutch_model.pack import (
+    applied_pressure_pa,
+    contact_pressure_pa,
+    film_law,
+    shear_factor_difference,
+    viscosity_pa_s,
+    viscous_torque_nm,
+)
 from diag_service.diagnosis.friction.paper.friction_data import (
+    NOISELESS_GATES,
+    NOISY_GATES,
     FrictionData,
+    Gate,
+    coulomb_gate,
+    fit,
     friction_data,
     pooled,
+    static_gate,
+    static_table,
     viscous_torques_nm,
 )
 
@@ -67,3 +83,145 @@ def test_pooling_keeps_every_sample() -> None:
     assert len(both) == 2 * len(one)
     assert np.array_equal(both.pressure_rate_pa_s, np.tile(one.pressure_rate_pa_s, 2))
     assert np.array_equal(both.is_shifting, np.tile(one.is_shifting, 2))
+
+
+CLUTCHES = nominal_calibration().clutches
+
+
+@pytest.mark.parametrize("clutch", CLUTCHES)
+@pytest.mark.parametrize("over_touch_pa", [0.3e5, 1.0e5, 3.0e5, 8.0e5])
+def test_in_the_static_table_the_asperities_carry_the_load(clutch: object, over_touch_pa: float) -> None:
+    believed = CLUTCHES[0] if clutch is CLUTCHES[0] else CLUTCHES[1]
+    law = film_law(believed)
+    pressure_pa = believed.touch_pressure_pa + over_touch_pa
+    film_m = float(static_table(law).film_at(np.array([pressure_pa]))[0])
+    assert contact_pressure_pa(film_m, law) == pytest.approx(applied_pressure_pa(pressure_pa, law), rel=1e-3)
+
+
+def test_below_the_touch_point_the_pack_stands_open() -> None:
+    law = film_law(CLUTCHES[0])
+    below_pa = np.array([-1.0e5, 0.0, CLUTCHES[0].touch_pressure_pa - 2.0e3])
+    assert np.all(static_table(law).film_at(below_pa) == law.open_gap_m)
+
+
+CURVE = nominal_calibration().clutches[0].friction
+BAND = CURVE.lock_band_rad_s
+
+
+def samples(
+    slip_rad_s: float, shear: float, mu: float = 0.12, rate_pa_s: float = 5e5, *, in_shift: bool = True
+) -> FrictionData:
+    slip = np.array([slip_rad_s])
+    return FrictionData(
+        mu=np.array([mu]),
+        slip_rad_s=slip,
+        shear_difference=np.array([shear]),
+        pressure_rate_pa_s=np.array([rate_pa_s]),
+        static_share=np.exp(-np.maximum(np.abs(slip) - BAND, 0.0) / CURVE.stribeck_speed_rad_s),
+        is_shifting=np.array([in_shift]),
+    )
+
+
+@pytest.mark.parametrize(
+    ("slip", "shear", "passes"),
+    [
+        (0.3, 0.4, True),
+        (-0.3, 0.4, True),  # either sign
+        (BAND + 0.5, 0.4, True),
+        (BAND, 0.4, False),  # locked
+        (BAND + 0.51, 0.4, False),  # too fast
+        (0.3, 0.6, False),  # partial lubrication
+    ],
+)
+def test_mu_s_comes_from_slow_slip_in_mechanical_contact(slip: float, shear: float, passes: bool) -> None:
+    assert static_gate(samples(slip, shear), NOISELESS_GATES, BAND, CURVE.mu_s).rows.tolist() == [passes]
+
+
+@pytest.mark.parametrize(("mu", "passes"), [(0.12, True), (0.142, True), (0.096, True), (0.144, False), (0.095, False)])
+def test_with_noise_mu_s_stays_within_20_percent_of_its_prior(mu: float, passes: bool) -> None:
+    data = samples(0.3, 0.4, mu)
+    assert static_gate(data, NOISY_GATES, BAND, 0.119).rows.tolist() == [passes]
+    assert static_gate(data, NOISELESS_GATES, BAND, 0.119).rows.tolist() == [True]
+
+
+@pytest.mark.parametrize(
+    ("slip", "shear", "passes"),
+    [
+        (20.0, 0.7, True),
+        (20.0, 0.6, False),
+        (20.0, 0.85, False),
+        (1.0, 0.7, False),
+        (-20.0, 0.7, False),  # printed without bars: a coasting downshift does not count
+    ],
+)
+def test_mu_c_comes_from_slip_in_partial_lubrication(slip: float, shear: float, passes: bool) -> None:
+    assert coulomb_gate(samples(slip, shear), NOISELESS_GATES).rows.tolist() == [passes]
+
+
+def test_the_slip_of_mu_c_may_be_read_with_bars() -> None:
+    gates = replace(NOISELESS_GATES, is_slip_signed=False)
+    assert coulomb_gate(samples(-20.0, 0.7), gates).rows.tolist() == [True]
+
+
+@pytest.mark.parametrize(("rate_pa_s", "passes"), [(2.1e5, True), (2.0e5, False), (-5e5, False)])
+def test_with_noise_mu_c_needs_a_stroking_clutch(rate_pa_s: float, passes: bool) -> None:
+    data = samples(20.0, 0.7, rate_pa_s=rate_pa_s)
+    assert coulomb_gate(data, NOISY_GATES).rows.tolist() == [passes]
+    assert coulomb_gate(data, NOISELESS_GATES).rows.tolist() == [True]
+
+
+@pytest.mark.parametrize("required", [True, False])
+def test_only_shifts_count_unless_told_otherwise(required: bool) -> None:
+    gates = replace(NOISELESS_GATES, is_shift_required=required)
+    assert coulomb_gate(samples(20.0, 0.7, in_shift=False), gates).rows.tolist() == [not required]
+    assert static_gate(samples(0.3, 0.4, in_shift=False), gates, BAND, CURVE.mu_s).rows.tolist() == [not required]
+
+
+def drive(mu_c: float, mu_s: float, noise: float = 0.0) -> FrictionData:
+    """Return slow slip in contact, then fast slip in partial lubrication, then locked samples that mean nothing."""
+    slip = np.concatenate((np.full(40, 0.1001), np.linspace(2.0, 60.0, 400), np.zeros(100)))
+    share = np.exp(-np.maximum(np.abs(slip) - BAND, 0.0) / CURVE.stribeck_speed_rad_s)
+    mu = mu_c + (mu_s - mu_c) * share + noise * np.random.default_rng(8).normal(size=len(slip))
+    mu[-100:] = 0.01
+    return FrictionData(
+        mu=mu,
+        slip_rad_s=slip,
+        shear_difference=np.concatenate((np.full(40, 0.3), np.full(400, 0.7), np.full(100, 0.3))),
+        pressure_rate_pa_s=np.full(len(slip), 1e6),
+        static_share=share,
+        is_shifting=np.ones(len(slip), np.bool_),
+    )
+
+
+@pytest.mark.parametrize("gates", [NOISELESS_GATES, NOISY_GATES])
+@pytest.mark.parametrize(("mu_c", "mu_s"), [(0.14, 0.119), (0.119, 0.137)])
+def test_clean_samples_give_their_curve_back(gates: object, mu_c: float, mu_s: float) -> None:
+    found = fit(drive(mu_c, mu_s), NOISELESS_GATES if gates is NOISELESS_GATES else NOISY_GATES, CURVE)
+    assert found.mu_c == pytest.approx(mu_c, rel=1e-6)
+    assert found.mu_s == pytest.approx(mu_s, rel=1e-4)
+    assert (found.static_count, found.coulomb_count) == (40, 400)
+
+
+def test_mu_c_is_the_least_squares_solution() -> None:
+    data = drive(0.14, 0.119, noise=0.01)
+    found = fit(data, NOISELESS_GATES, CURVE)
+    assert found.mu_s is not None
+    rows = coulomb_gate(data, NOISELESS_GATES).rows
+    share = data.static_share[rows]
+    expected, *_ = np.linalg.lstsq((1.0 - share)[:, None], data.mu[rows] - found.mu_s * share, rcond=None)
+    assert found.mu_c == pytest.approx(float(expected[0]), rel=1e-9)
+
+
+def test_no_sample_no_number() -> None:
+    found = fit(samples(0.0, 1.0), NOISY_GATES, CURVE)
+    assert (found.mu_c, found.mu_s) == (None, None)
+    assert found.static_counts == {Gate.SHIFTING: 1, Gate.STICK: 0, Gate.MECHANICAL: 0, Gate.NEAR_PRIOR: 0}
+
+
+def test_without_slow_slip_mu_c_rests_on_the_previous_mu_s() -> None:
+    data = samples(6.1, 0.7, mu=0.13)
+    low, high = (fit(data, NOISELESS_GATES, CURVE, prior).mu_c for prior in (0.10, 0.12))
+    assert low is not None
+    assert high is not None
+    share = float(data.static_share[0])
+    assert low - high == pytest.approx(0.02 * share / (1.0 - share))
