@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import re
 from pathlib import Path
 
 import can
@@ -105,19 +106,34 @@ def test_a_profile_for_another_car_is_found_out_and_nothing_is_estimated(
     assert not [one for one in run.records if one.get("status") == "valid"]
 
 
-async def test_a_bus_on_which_somebody_asks_says_what_its_recording_says(log: Path) -> None:
-    dialogue = dialogue_of(drive_of(log), asked_profile(log.parent), np.random.default_rng(1))
-    asked = log.with_name("recorded.log")
+def numbered(key: str) -> str:
+    """Return the profile with numbers of one byte in place of its identifiers."""
+    numbers = {text: f"{key} = {at}" for at, text in enumerate(dict.fromkeys(re.findall(r"did = \w+", DSG)), 16)}
+    return re.sub(r"did = \w+", lambda found: numbers[found[0]], DSG)
+
+
+@pytest.mark.parametrize(
+    ("text", "together", "is_defined"),
+    [(DSG, 8, False), (DSG, 8, True), (numbered("pid"), 3, False), (numbered("local"), 1, False)],
+    ids=["did", "define", "pid", "local"],
+)
+async def test_a_bus_on_which_somebody_asks_says_what_its_recording_says(
+    log: Path, text: str, together: int, *, is_defined: bool
+) -> None:
+    profile, drive, answer_s = asked_profile(log.parent, text), drive_of(log), (0.003, 0.005)
+    dialogue = dialogue_of(
+        drive, profile, np.random.default_rng(1), together=together, is_defined=is_defined, answer_s=answer_s
+    )
+    asked, path = log.with_name("recorded.log"), log.with_name("asked.toml")
     write_candump(asked, dialogue)
-    profile = log.with_name("asked.toml")
-    recorded = diag_service.analyze(asked, profile=profile)
+    recorded = diag_service.analyze(asked, profile=path)
     frames = join(list(read_log(asked)))
     live_results = []
     with (
         can.Bus("asked drive", "virtual", preserve_timestamps=True) as near,
         can.Bus("asked drive", "virtual") as far,
     ):
-        async with asyncio.timeout(HANG_S), diag_service.diagnose(far, profile=profile) as live:
+        async with asyncio.timeout(HANG_S), diag_service.diagnose(far, profile=path) as live:
             for t_ns, can_id, length, data in zip(
                 frames.t_ns.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True
             ):
@@ -131,5 +147,6 @@ async def test_a_bus_on_which_somebody_asks_says_what_its_recording_says(log: Pa
                 if len(live_results) == len(recorded.results) - 1:  # the last one waits for more of the bus, or its end
                     break
     assert len(live_results) >= 8
+    assert any(one.estimate.friction is not None for one in live_results)
     told = [one.estimate for one in recorded.results[: len(live_results)]]
     assert [one.estimate for one in live_results] == told

@@ -11,7 +11,7 @@ from canlog.arrays import Series
 from canlog.frames import EXTENDED_FLAG, FrameBatch, join
 from canlog.transport.isotp import segments
 from diag_service.diagnosis.columns import Signal
-from diag_service.mapping.asked_signals import DatumId, flagged, sizes_of
+from diag_service.mapping.asked_signals import READ_DATA, DatumId, flagged, sizes_of
 from diag_service.mapping.profile import Profile, SignalSource, load_profile, to_si
 
 FRAME_NS = 250_000  # on the bus, with what the controller needs between two
@@ -141,7 +141,8 @@ def _exchange(
     is_defined: bool,
 ) -> None:
     one = sources[data[0]][1].asked
-    numbers = b"" if is_defined else b"".join(datum.number.to_bytes(2) for datum in data)
+    width = 2 if one.service == READ_DATA else 1
+    numbers = b"" if is_defined else b"".join(datum.number.to_bytes(width) for datum in data)
     request = bytes([one.service]) + (DEFINED.to_bytes(2) if is_defined else numbers)
     wire.say(request, one.request_id, one.reply_id)
     asked_ns = wire.t_ns
@@ -151,7 +152,9 @@ def _exchange(
     for datum in data:
         signal, source = sources[datum]
         raw = raw_value(signal, source, held(drive[signal], read_ns))
-        answer += (b"" if is_defined else datum.number.to_bytes(2)) + raw.to_bytes(sizes[datum], signed=source.signed)
+        answer += (b"" if is_defined else datum.number.to_bytes(width)) + raw.to_bytes(
+            sizes[datum], signed=source.signed
+        )
     wire.say(answer, one.reply_id, one.request_id)
 
 
