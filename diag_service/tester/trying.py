@@ -33,6 +33,7 @@ from diag_service.tester.addresses import CanAddress, id_text, is_extended
 from diag_service.tester.answers import refusal_text
 from diag_service.tester.asking import BusName, check_time, heard, opened_bus
 from diag_service.tester.signal_asking import (
+    MOST_SILENT,
     NO_GROUPS,
     CanLine,
     GroupQuestion,
@@ -267,7 +268,8 @@ def _told(line: Line, profile: Profile, show: Show) -> frozenset[Signal]:
         question = Question(address_of(asked), (asked.data_id,))
         if question.address in silent:
             continue
-        answer = line.ask(question.request, question.address)
+        answers = (line.ask(question.request, question.address) for _ in range(MOST_SILENT))
+        answer = next((one for one in answers if one is not None), None)
         if answer is None:
             silent.add(question.address)
             show(f"  {id_text(asked.request_id)} does not answer")

@@ -1,18 +1,23 @@
 """``diag-service try`` before the emulated controller: nothing unless allowed, then values, rate, and how to go on."""
 
 import errno
+import shlex
 import signal
 import sys
 import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import can
 import pytest
 
+from dbc import DBC_PATH
 from diag_service.tester import trying
 from ecu_emulator.diagnostics.elm327.server import ElmServer
 from tests.integration.test_signal_asking import controller, heard
 from tests.integration.test_tester import vehicle
+from tests.plugins.asked_services import SentByUs
+from tests.support.documents import block_lines
 from tests.support.in_process import ended
 from tests.support.replay import free_bus
 from tests.support.service import service
@@ -52,22 +57,53 @@ def test_an_adapter_is_tried_with_every_profile_that_asks() -> None:
     assert "is refused, request out of range (31)" in " ".join(run.out.split())
 
 
-def test_a_first_drive_is_recorded_learned_from_and_diagnosed(tmp_path: Path) -> None:
+def shown(start: str, replaced: Mapping[str, str]) -> Iterator[list[str]]:
+    """Yield the words of the page's commands that begin so, with other places than those of the page."""
+    for one in block_lines("docs/own-car.md"):
+        if one.line.startswith(start):
+            line = one.line
+            for old, new in replaced.items():
+                line = line.replace(old, new)
+            yield shlex.split(line)
+
+
+def test_the_commands_of_the_page_ask_as_it_says() -> None:
+    with ElmServer(controller(), ("127.0.0.1", 0)) as server, vehicle("try-5", controller()), heard("try-5") as ear:
+        places = {
+            "-i socketcan": "-i virtual",
+            "can0": "try-5",
+            "vw_mqb.dbc": str(DBC_PATH),
+            "/dev/rfcomm0": f"//127.0.0.1:{server.address[1]}",
+        }
+        commands = [one for one in shown("diag-service try", places) if "--record" not in one]
+        assert ["--active" in one for one in commands] == [False, True, True]
+        for one in commands:
+            run = ended(*one[1:], "--listen", "0.05")
+            assert run.status == 0, run.err
+            assert ("nothing was sent" in run.out) == ("--active" not in one)
+            assert ear.requests() or "--adapter" in one or "--active" not in one
+            assert "--active" in one or not ear.requests()
+    assert "clutch1_pressure_pa = 4e+05 (38EB at 7E1)" in run.out
+
+
+def test_a_first_drive_is_recorded_learned_from_and_diagnosed(tmp_path: Path, sent_by_us: SentByUs) -> None:
     log, bus = tmp_path / "drive.log", free_bus()
-    place = ("-i", "udp_multicast", "-c", bus.group)
-    words = ("try", *place, "--profile", "dct_asked", "--active", "--listen", "0.5", "--record", log)
-    emulator = (sys.executable, "-m", "ecu_emulator", "run", *place, "--scenario", "case2", "--cycles", "9")
+    places = {"socketcan": "udp_multicast", "vcan0": bus.group, "drive.log": str(log)}
+    (driving,) = shown("ecu-emulator run", places)
+    (trying,) = [one for one in shown("diag-service try", places) if bus.group in one]
+    emulator = (sys.executable, "-m", "ecu_emulator", *driving[1:])
     with (
-        service(
-            tmp_path / "car", "--cycles", "9", "--answers-like", "vw_dsg", program=emulator, variables=bus.variables
-        ),
-        service(tmp_path / "try", *words, variables=bus.variables) as trial,
+        service(tmp_path / "car", program=emulator, variables=bus.variables),
+        service(tmp_path / "try", *trying[1:], "--listen", "2", variables=bus.variables) as trial,
     ):
         trial.wait_for(lambda: "drive now" in trial.out)
+        trial.wait_for(log.exists)
         time.sleep(DRIVE_S)
         trial.send(signal.SIGINT)  # ends the drive, not the program
         run = trial.wait()
     assert run.status == 0, run.err
+    sent_by_us.note_log(log)
+    assert sent_by_us.services[0x22] > 100
     said = " ".join(run.out.split())
     learned = log.with_suffix(".vehicle.toml")
     assert f"$ diag-service learn {log} --profile dct_asked -o {learned} gear" in said

@@ -1,7 +1,7 @@
 """Pytest plugin: every byte that asking for signals sends, in each test marked ``asks``, counted by service.
 
 Watched is what leaves the process: frames on any bus of python-can, lines to an ELM327 adapter, messages over IP. A
-service that is not for reading fails its test. What other processes say, a test hands over with ``note_frame``.
+service that is not for reading fails its test. What other processes say, a test hands over with ``note_log``.
 """
 
 import os
@@ -9,6 +9,7 @@ import socket
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import can
@@ -16,7 +17,9 @@ import pytest
 from can.interfaces.socketcan import SocketcanBus
 from can.interfaces.virtual import VirtualBus
 
+from canlog.frames import join
 from canlog.live.opening import MulticastBus
+from canlog.logs import read_log
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -69,6 +72,13 @@ class SentByUs:
             return
         self.byte_count += len(message)
         self.services[message[12]] += 1
+
+    def note_log(self, path: Path, request_id: int = 0x7E1) -> None:
+        """Count what another process sent, from a recording of the bus."""
+        frames = join(list(read_log(path)))
+        requests = frames[frames.can_id == request_id]
+        for data, length in zip(requests.data, requests.length.tolist(), strict=True):
+            self.note_frame(can.Message(arbitration_id=request_id, data=data[:length].tobytes(), is_extended_id=False))
 
     def check(self, *, may_define: bool) -> None:
         """Fail if anything else was sent than may be."""
