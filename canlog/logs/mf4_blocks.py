@@ -35,7 +35,7 @@ BUS_EVENTS = 0x0006  # flags of a channel group
 BUS_FRAMES = re.compile(r"(?:CAN|LIN|FLX|ETH|MOST|KLINE|K)_?\w*(?:Frame|Error|Event|Message)\w*")
 LONGEST_TEXT = 64 * 1024
 TEXT_IN_XML = re.compile(r"<TX>(.*?)</TX>", re.DOTALL)
-MOST_CHANNELS = 20_000
+MOST_CHANNELS = 20_000  # with their groups
 
 
 class UnknownStructureError(Exception):
@@ -129,15 +129,12 @@ class Mf4File:
     def measured_groups(self) -> list[MeasuredGroup]:
         """Return all groups that have records, with their channels; raises UnknownStructureError."""
         found, count = list[MeasuredGroup](), 0
-        for data in self._chain(self._need(FIRST_BLOCK, b"##HD").links[0], b"##DG"):
-            for group in self._chain(data.links[1], CHANNEL_GROUP):
+        for data in self._chain(self._need(FIRST_BLOCK, b"##HD").links[0], b"##DG", MOST_CHANNELS):
+            count += 1
+            for group in self._chain(data.links[1], CHANNEL_GROUP, MOST_CHANNELS - count):
                 _, cycles, flags, _, _, _ = GROUP.unpack(self._bytes(group.body_at, GROUP.size))
-                blocks = list[Block]()
-                for block in self._chain(group.links[1], CHANNEL):
-                    count += 1
-                    if count > MOST_CHANNELS:
-                        raise UnknownStructureError("more channels than any measurement has")
-                    blocks.append(block)
+                blocks = list(self._chain(group.links[1], CHANNEL, MOST_CHANNELS - count))
+                count += 1 + len(blocks)
                 if (cycles or self._is_unfinished) and not flags & VARIABLE_LENGTH:
                     found.append(self._measured(group, flags, blocks))
         return found
@@ -251,9 +248,9 @@ class Mf4File:
                 parts.append(data_at)
         raise UnknownStructureError("blocks in a ring")
 
-    def _chain(self, at: int, kind: bytes) -> Iterator[Block]:
-        """Yield blocks that are linked by their first links."""
-        for _ in range(MOST_BLOCKS):
+    def _chain(self, at: int, kind: bytes, most: int = MOST_BLOCKS) -> Iterator[Block]:
+        """Yield blocks that are linked by their first links, so many at most."""
+        for _ in range(most):
             if not at:
                 return
             block = self._need(at, kind)

@@ -12,10 +12,11 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.database.signal_columns import SignalColumn, column_id
+from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.mf4_blocks import MeasuredGroup, Mf4File, UnknownStructureError
-from canlog.logs.mf4_mending import UNFINISHED_MAGIC
+from canlog.logs.mf4_mending import FREE_BYTES, MOST_RATIO, UNFINISHED_MAGIC
 from canlog.logs.signal_tables import checked_rows, signal_columns
 
 CELLS: Final = 250_000  # that are read at once
@@ -54,11 +55,18 @@ def measured_channels(stream: BinaryIO) -> Measured:
 def channel_batches(
     mdf: Any,  # noqa: ANN401 - asammdf's own object
     measured: Measured,
+    size_bytes: int,
     start_ns: int,
     counts: LogCounts,
 ) -> list[Iterator[FrameBatch]]:
-    """Return the values of each group as frames; for the child, with a file that was opened as a stream."""
+    """Return the values of each group as frames; for the child, with a file that was opened as a stream.
+
+    Raises SourceError if they are packed as no measurement is.
+    """
     places = {one.channel_group.address: number for number, one in enumerate(mdf.groups)}
+    heads = [mdf.groups[places[one.at]].channel_group for one in measured.groups]
+    if sum(one.cycles_nr * one.samples_byte_nr for one in heads) > FREE_BYTES + MOST_RATIO * size_bytes:
+        raise SourceError(f"the MF4 file holds more than {MOST_RATIO} times its size: no measurement does")
     ids = np.array([column_id(one.name) | EXTENDED_FLAG for one in measured.columns], np.uint32)
     streams, first = list[Iterator[FrameBatch]](), 0
     for group in measured.groups:

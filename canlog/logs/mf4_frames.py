@@ -79,7 +79,7 @@ def mf4_batches(path: Path, folder: Path, counts: LogCounts) -> Iterator[FrameBa
             count_missing(mdf.groups, addresses, whole, counts)
             streams = [read_group(mdf, number, kind, start_ns, whole, counts) for number, kind in kinds.items()]
             if measured.groups:
-                streams = channel_batches(mdf, measured, start_ns, counts)
+                streams = channel_batches(mdf, measured, path.stat().st_size, start_ns, counts)
             for batch in merged_by_time(streams):
                 counts.frames += len(batch)
                 yield batch

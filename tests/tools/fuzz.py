@@ -54,6 +54,7 @@ from ecu_emulator.log_formats import (
     TrcWriter,
 )
 from ecu_emulator.log_formats.blf import CONTAINER_HEADER, DEFLATED, FILE_HEADER, LOG_CONTAINER, OBJECT_MAGIC
+from tests.support import measurements
 from tests.support.capture_grammars import COOKED, COOKED_2, SOCKETCAN, pcap, pcapng
 from tests.support.log_grammars import Frame
 from tests.support.traffic import START_NS, as_received, random_frames
@@ -233,6 +234,16 @@ def arrow_tables() -> tuple[bytes, ...]:
     return tuple(out.getvalue() for out in outs)
 
 
+def measurement() -> bytes:
+    """Return an MF4 file of measured channels in two groups, of which one has invalid values."""
+    fast_s, slow_s = np.arange(40) / 50.0, np.arange(10) / 10.0
+    with tempfile.NamedTemporaryFile(suffix=".mf4") as file:
+        speed = measurements.Measured("Speed", "rpm", 900.0 + fast_s, 0.25)
+        heat = measurements.Measured("Heat", "degC", 80.0 + slow_s, invalid=slow_s > 0.5)
+        measurements.written(Path(file.name), [(fast_s, [speed]), (slow_s, [heat])])
+        return Path(file.name).read_bytes()
+
+
 ARROW_TABLES = arrow_tables()
 READERS: dict[str, tuple[Reader, bytes | tuple[bytes, ...]]] = {
     "candump": (
@@ -264,10 +275,11 @@ READERS: dict[str, tuple[Reader, bytes | tuple[bytes, ...]]] = {
     "columns": (reader_of(TEXT_LOGS[LogFormat.COLUMNS]), COLUMNS),
     "signals": (read_signal_table, SIGNALS),
     "arrow": (read_arrow_table, ARROW_TABLES),
+    "measured": (read_packed, measurement()),
     "packed": (read_packed, tuple(PACKED.values())),
 }
 ALONE = {f"packed-{name}": (read_packed, sound) for name, sound in PACKED.items()}
-WITHOUT_LINES = ("blf", "pcap", "packed", "signals", "arrow")
+WITHOUT_LINES = ("blf", "pcap", "packed", "signals", "arrow", "measured")
 ALPHABET = st.sampled_from(b"0123456789ABCDEFabcdefx#()., \t\r\n;*:-_=TRrd$\0\xff").map(lambda value: bytes([value]))
 
 

@@ -20,13 +20,14 @@ from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import NamedTemporaryFile, TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from tests.support import measurements
 from tests.tools.hostile_archives import LINE, LINES, PACKED, QUICKLY_REFUSED, deflated, xz_bomb
 
 LIMIT_S = 10.0
@@ -205,6 +206,14 @@ def nested_parquet() -> bytes:
     return found
 
 
+def measured_bomb() -> bytes:
+    """Return a measurement of ten million rows that are all the same."""
+    with NamedTemporaryFile(suffix=".mf4") as file:
+        same = np.zeros(10_000_000)
+        measurements.written(Path(file.name), [(same, [measurements.Measured("Speed", "rpm", same)])])
+        return Path(file.name).read_bytes()
+
+
 HOSTILE: Mapping[str, Callable[[], bytes]] = {
     "row.csv": lambda: TABLE_HEAD + TABLE_ROWS + b"101.0," + b"1," * (32 << 20) + b"\n" + TABLE_ROWS,
     "cells.csv": lambda: TABLE_HEAD + TABLE_ROWS + b"101.0," + b"9" * (64 << 20) + b"\n" + TABLE_ROWS,
@@ -222,6 +231,7 @@ HOSTILE: Mapping[str, Callable[[], bytes]] = {
     "loop.mf4": mf4_loop,
     "channels.mf4": mf4_channel_loop,
     "bomb.mf4": mf4_bomb,
+    "measured.mf4": measured_bomb,
     "view.db": lambda: sqlite_file(ENDLESS_VIEW),
     "cell.db": lambda: sqlite_file(
         "CREATE TABLE messages (ts, arbitration_id, extended, remote, error, dlc, data)",
