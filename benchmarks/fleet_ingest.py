@@ -40,7 +40,7 @@ BROKER_LINES = ("max_inflight_messages 0", "max_queued_messages 0")
 def workers(address: str, database: str, count: int) -> Iterator[None]:
     """Run ingest workers for as long as the block lasts."""
     command = [sys.executable, "-m", "fleet_backend", "ingest", "--broker", address, "--database", database]
-    command += ["--batch", str(BATCH)]
+    command += ["--batch", str(BATCH), "--quotas", "0,0,0"]
     children = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for _ in range(count)]
     try:
         for child in children:

@@ -57,6 +57,7 @@ def measure(poison_count: int, good_count: int) -> bool:
         migrate(engine)
         port = stack.enter_context(mosquitto(folder, BROKER_LINES))
         command = ["fleet_backend", "ingest", "--broker", f"mqtt://127.0.0.1:{port}", "--database", database]
+        command += ["--quotas", "0,0,0"]
         child = subprocess.Popen([sys.executable, "-m", *command], stderr=subprocess.PIPE, text=True)
         stack.callback(child.communicate)
         stack.callback(child.terminate)

@@ -15,12 +15,13 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from clutchdiag_io.files import give_sign, make_sign
 from fleet_backend.broker import BrokerInbox, connected
-from fleet_backend.choices import Pace
+from fleet_backend.choices import Pace, Quotas
 from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError, DatabaseAwayError
 from fleet_backend.ingest import Pauses, Worker, filters_of
 from fleet_backend.intake import MessageKind
 from fleet_backend.migrate import make_ready
+from fleet_backend.quotas import Gate
 from fleet_backend.stopping import stopping
 from fleet_backend.writer import Writer
 from fleet_link import BrokerAddress
@@ -70,7 +71,14 @@ _LOG = logging.getLogger(__name__)
 
 
 def run_ingest(
-    engine: Engine, address: BrokerAddress, pace: Pace, name: str | None, alive: Path | None = None, *, group: str
+    engine: Engine,
+    address: BrokerAddress,
+    pace: Pace,
+    name: str | None,
+    alive: Path | None = None,
+    *,
+    group: str,
+    quotas: Quotas,
 ) -> None:
     """Ingest until SIGINT or SIGTERM; while all is well, touch the file ``alive``.
 
@@ -86,30 +94,32 @@ def run_ingest(
     """
     if alive is not None:
         prepare(alive)
-    asyncio.run(_ingest(engine, address, pace, name or f"{socket.gethostname()}-{uuid.uuid4().hex[:8]}", alive, group))
+    own_name = name or f"{socket.gethostname()}-{uuid.uuid4().hex[:8]}"
+    asyncio.run(_ingest(engine, address, pace, own_name, alive, group, Gate(engine, quotas)))
 
 
 async def _ingest(
-    engine: Engine, address: BrokerAddress, pace: Pace, name: str, alive: Path | None, group: str
+    engine: Engine, address: BrokerAddress, pace: Pace, name: str, alive: Path | None, group: str, gate: Gate
 ) -> None:
     def connect() -> AbstractAsyncContextManager[BrokerInbox]:
         return connected(address, filters_of(group), max_unsettled=pace.max_unsettled)
 
     if address.exposure:
         _LOG.warning("%s", address.exposure)
-    worker = Worker(connect, Writer(engine), name=name, now=_utc_now, pace=pace)
-    task = asyncio.ensure_future(_work(engine, worker, f"{name}: {address} into {place_of(engine)}", alive))
+    worker = Worker(connect, Writer(engine), name=name, now=_utc_now, pace=pace, judge=gate.judge)
+    task = asyncio.ensure_future(_work(engine, worker, gate, f"{name}: {address} into {place_of(engine)}", alive))
     with stopping(task.cancel), contextlib.suppress(asyncio.CancelledError):
         await task
     _LOG.info("%s", _counts_line(worker))
 
 
-async def _work(engine: Engine, worker: Worker, title: str, alive: Path | None) -> None:
+async def _work(engine: Engine, worker: Worker, gate: Gate, title: str, alive: Path | None) -> None:
     await _prepare(engine)
     _LOG.info("worker %s", title)
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(worker.run(), name="worker")
         tasks.create_task(_report(worker), name="report")
+        tasks.create_task(gate.share(), name="quotas")
         if alive is not None:
             tasks.create_task(give_signs(alive, worker, engine), name="sign of life")
 
@@ -133,8 +143,10 @@ async def _report(worker: Worker) -> None:
 
 
 def _counts_line(worker: Worker) -> str:
-    results, poison = worker.counts[MessageKind.SHIFT], worker.counts[MessageKind.POISON]
-    return f"{results} results committed, repetitions included; {poison} messages kept aside"
+    kinds = (MessageKind.SHIFT, MessageKind.POISON, MessageKind.WITHHELD)
+    results, poison, withheld = (worker.counts[kind] for kind in kinds)
+    told = f"; {withheld} beyond quotas" if withheld else ""
+    return f"{results} results committed, repetitions included; {poison} messages kept aside{told}"
 
 
 def _utc_now() -> datetime:

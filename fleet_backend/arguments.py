@@ -59,6 +59,12 @@ _INGEST: Final = Command(
         default=_PACE.patience_s * 1000.0,
     ),
     Option(
+        "--quotas R,Q,MB",
+        "what is taken of a vehicle in a day (UTC): results, unusable messages, megabytes; 0: any number. It keeps what"
+        " is beyond (default: 100000,1000,500)",
+        default="100000,1000,500",
+    ),
+    Option(
         "--no-bundles", "ask vehicles to send each result in a message of its own, for other readers of the topic shift"
     ),
     examples=(

@@ -18,6 +18,15 @@ class Axis(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Quotas:
+    """How much is taken of a vehicle in a day (UTC); 0: any number."""
+
+    results: int = 100_000
+    quarantined: int = 1_000
+    size_bytes: int = 500_000_000  # of all its messages
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Pace:
     """How messages are gathered: a transaction costs a disk's turn, whatever it holds."""
 

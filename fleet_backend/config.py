@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 import fleet_link
-from fleet_backend.choices import Pace
+from fleet_backend.choices import Pace, Quotas
 from fleet_backend.errors import ConfigError, ExtraMissingError
 from fleet_link import AddressError, BrokerAddress, TlsFiles
 
@@ -59,6 +59,15 @@ def parse_pace(batch_size: int, patience_ms: float, *, takes_bundles: bool = Tru
     if not 0.0 <= patience_ms <= 10_000.0:
         raise ConfigError(f"the patience must be 0 to 10000 ms, got {patience_ms:g}")
     return Pace(batch_size=batch_size, patience_s=patience_ms / 1000.0, takes_bundles=takes_bundles)
+
+
+def parse_quotas(text: str) -> Quotas:
+    """Return the quotas in ``RESULTS,MESSAGES,MB``; raises ConfigError if they are none."""
+    found = re.fullmatch(r"([0-9]{1,12}),([0-9]{1,12}),([0-9]{1,9})", text)
+    if found is None:
+        raise ConfigError(f"quotas must be RESULTS,MESSAGES,MB, such as 100000,1000,500, got {text!r}")
+    results, quarantined, megabytes = map(int, found.groups())
+    return Quotas(results=results, quarantined=quarantined, size_bytes=megabytes * 1_000_000)
 
 
 def parse_group(text: str) -> str:

@@ -95,12 +95,14 @@ class Worker:
         name: str,
         now: Callable[[], datetime],
         pace: Pace,
+        judge: Callable[[list[Taken], datetime], list[Taken]] = lambda taken, _at: taken,
     ) -> None:
         self._connect = connect
         self._store = store
         self._name = name
         self._now = now
         self._pace = pace
+        self._judge = judge  # what is beyond a quota is withheld
         self.counts: Counter[MessageKind] = Counter()  # committed, repetitions included
         self.is_listening = False
 
@@ -142,7 +144,7 @@ class Worker:
             await self._settle(inbox, looked_at, taken)
 
     async def _settle(self, inbox: Inbox, messages: Sequence[Message], looked_at: list[Taken]) -> None:
-        taken = await self._commit(looked_at)
+        taken = await self._commit(self._judge(looked_at, self._now()))
         sent_at = self._now().strftime("%Y-%m-%dT%H:%M:%S.%fZ")
         takes_bundles = self._pace.takes_bundles and inbox.takes_bundles
         for vehicle, receipts in receipts_of(taken).items():

@@ -59,6 +59,7 @@ class MessageKind(Enum):
     CONTROLLER = auto()
     FILLS = auto()
     POISON = auto()
+    WITHHELD = auto()  # beyond a quota
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""The tables that the fleet office alone writes: alarms and their messages, who changed what, what it works out."""
+"""The tables that no result needs: alarms and their messages, who changed what, quotas, what the office works out."""
 
 from typing import Final
 
@@ -13,6 +13,7 @@ __all__ = [
     "AUDIT",
     "CLUTCH_MONTH",
     "FLUID_DUE",
+    "INTAKE",
     "METADATA",
     "POPULATION",
     "VEHICLE_LOT",
@@ -67,6 +68,17 @@ CLUTCH_MONTH: Final = Table(
     Column("mean_mu_s", Double),
     Column("least_level_ratio", Double),
     Column("last_odometer_m", Double),
+)
+
+INTAKE: Final = Table(  # what came of each vehicle on the last day (UTC) on which it spoke; quotas are held by it
+    "intake",
+    METADATA,
+    Column("vehicle", Text, primary_key=True),
+    Column("day", Date, nullable=False),
+    Column("result_count", BigInteger, nullable=False),
+    Column("quarantined_count", BigInteger, nullable=False),
+    Column("byte_count", BigInteger, nullable=False),
+    Column("withheld_count", BigInteger, nullable=False),  # messages beyond a quota
 )
 
 FLUID_DUE: Final = Table(  # what the watch foretold last; of another action or fluid it holds no more

@@ -18,6 +18,7 @@ class Rule(StrEnum):
     QUALITY = "quality"  # most events of a clutch cannot be used
     ODOMETER = "odometer"  # it went back or leapt
     SILENCE = "silence"  # nothing was heard of a vehicle
+    QUOTA = "quota"  # it sends more than is taken of it in a day
 
 
 class Event(StrEnum):
@@ -113,6 +114,14 @@ def silence_finding(vehicle: str, last_heard_at: datetime, now: datetime, limits
     )
     reason = f"no message received since {last_heard_at:%Y-%m-%d %H:%M} UTC"
     return Finding(subject=_subject(vehicle, WHOLE_VEHICLE, Rule.SILENCE), is_wrong=is_wrong, reason=reason)
+
+
+def quota_findings(withheld: Mapping[str, int], is_open: Iterable[Subject]) -> Iterator[Finding]:
+    """Yield of which vehicles messages of today were withheld, and of which no longer."""
+    for vehicle in sorted(withheld.keys() | {one.vehicle for one in is_open if one.rule is Rule.QUOTA}):
+        count = withheld.get(vehicle, 0)
+        reason = f"{count} messages of today are beyond its quota; the vehicle keeps them and sends them again"
+        yield Finding(subject=_subject(vehicle, WHOLE_VEHICLE, Rule.QUOTA), is_wrong=count > 0, reason=reason)
 
 
 def transitions(findings: Iterable[Finding], is_open: Mapping[Subject, bool], now: datetime) -> Iterator[Transition]:

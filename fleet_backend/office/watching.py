@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from itertools import chain
 from typing import Final
 
-from sqlalchemy import Engine
+from sqlalchemy import Engine, select
 
 from fleet_backend import queries
 from fleet_backend.alarms import book
@@ -28,12 +28,14 @@ from fleet_backend.alarms.rules import (
     heard_last,
     odometer_finding,
     quality_finding,
+    quota_findings,
     silence_finding,
     transitions,
     verdict_finding,
 )
 from fleet_backend.database import transaction
 from fleet_backend.errors import DatabaseError
+from fleet_backend.office_tables import INTAKE
 from fleet_backend.orders import is_alarming_since
 from fleet_backend.page import past
 from fleet_backend.page.keeper import DatabaseSource, Keeper
@@ -95,7 +97,8 @@ class Watch:
         now = self._now()
         names = [carrier.name for carrier in self._orders.carriers]
         is_open = book.open_alarms(self._engine)
-        findings = chain(self._findings(now, is_open), self._pasts(judging_s, is_drawn=is_drawn))
+        quotas = quota_findings(self._withheld(now), is_open)
+        findings = chain(quotas, self._findings(now, is_open), self._pasts(judging_s, is_drawn=is_drawn))
         steps = list(transitions(findings, is_open, now))
         written = book.write(self._engine, steps, names)
         for step in written:
@@ -115,6 +118,13 @@ class Watch:
             return book.take(self._engine, name, self._now())
 
         return sum(deliver_all(take, settle, carrier, self._now()) for carrier in self._orders.carriers)
+
+    def _withheld(self, now: datetime) -> dict[str, int]:
+        """Return how many messages of today were not taken of each vehicle."""
+        told = select(INTAKE.c.vehicle, INTAKE.c.withheld_count)
+        told = told.where(INTAKE.c.day == now.date(), INTAKE.c.withheld_count > 0)
+        with transaction(self._engine) as connection:
+            return {str(vehicle): count for vehicle, count in connection.execute(told)}
 
     def _findings(self, now: datetime, is_open: Container[Subject]) -> Iterator[Finding]:
         for one in self._keeper.snapshot.clutches:

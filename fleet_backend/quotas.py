@@ -1,0 +1,98 @@
+"""How much is taken of each vehicle in a day (UTC): what is beyond is neither stored nor acknowledged.
+
+A vehicle keeps what has no receipt and sends it again: it loses nothing, and one that floods fills no database. All
+workers add up what they took every second.
+"""
+
+import asyncio
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import date, datetime
+from typing import Final
+
+from sqlalchemy import Engine, case
+from sqlalchemy.dialects import postgresql, sqlite
+
+from fleet_backend.choices import Quotas
+from fleet_backend.database import transaction
+from fleet_backend.errors import DatabaseError
+from fleet_backend.intake import MessageKind, Taken
+from fleet_backend.office_tables import INTAKE
+
+SHARE_S: Final = 1.0
+_COUNTS: Final = ("result_count", "quarantined_count", "byte_count", "withheld_count")
+_MOST_KNOWN: Final = 100_000  # vehicles that a worker remembers; of others it learns within a second
+_LOG: Final = logging.getLogger(__name__)
+
+Counts = dict[str, list[int]]  # of vehicles, in the order of the names above
+
+
+class Gate:
+    """Lets through what fits into the quotas of its vehicle."""
+
+    def __init__(self, engine: Engine, quotas: Quotas) -> None:
+        self._engine = engine
+        self._limits = (quotas.results, quotas.quarantined, quotas.size_bytes, 0)
+        self._day = date.min
+        self._known: Counts = {}  # of this day, as far as is known of other workers
+        self._news: Counts = {}  # of them, what is not yet shared
+        make = postgresql.insert if engine.dialect.name == "postgresql" else sqlite.insert
+        insert, known = make(INTAKE), INTAKE.c
+        said, is_new = insert.excluded, insert.excluded.day > known.day
+        sums = {name: case((is_new, said[name]), else_=known[name] + said[name]) for name in _COUNTS}
+        later = case((is_new, said.day), else_=known.day)
+        self._add = insert.on_conflict_do_update(index_elements=["vehicle"], set_={**sums, "day": later}).returning(
+            known.vehicle, *(known[name] for name in _COUNTS)
+        )
+
+    def judge(self, taken: Sequence[Taken], at: datetime) -> list[Taken]:
+        """Return messages as they came, those beyond a quota as withheld."""
+        if at.date() != self._day or len(self._known) > _MOST_KNOWN:
+            self._day, self._known = at.date(), {}
+        return [self._judged(item) for item in taken]
+
+    def _judged(self, item: Taken) -> Taken:
+        vehicle = str(item.row["vehicle"] or "")
+        known, news = (counts.setdefault(vehicle, [0, 0, 0, 0]) for counts in (self._known, self._news))
+        kinds = (MessageKind.SHIFT, MessageKind.POISON)
+        more = [*(int(item.kind is kind) for kind in kinds), len(item.message.payload), 0]
+        counts_of = zip(self._limits, known, more, strict=True)
+        if any(limit and one and had + one > limit for limit, had, one in counts_of):
+            if not known[-1]:
+                _LOG.warning("%s is beyond its quota of today: it keeps what is not taken", vehicle or "somebody")
+            more = [0, 0, 0, 1]
+            item = replace(item, kind=MessageKind.WITHHELD, fills=(), calibrations=(), receipt=None)
+        for counts in (known, news):
+            counts[:] = map(sum, zip(counts, more, strict=True))
+        return item
+
+    async def share(self) -> None:
+        """Add up with all workers every second, for ever."""
+        while True:
+            await asyncio.sleep(SHARE_S)
+            await self.add_up()
+
+    async def add_up(self) -> None:
+        """Add what is new to what all workers took; while the database is away, later."""
+        news, self._news = self._news, {}
+        try:
+            totals = await asyncio.to_thread(self._added, self._day, news)
+        except DatabaseError:  # those who store tell of it
+            totals, self._news = {}, _joined(news, self._news)
+        self._known |= _joined(totals, {name: self._news[name] for name in totals.keys() & self._news.keys()})
+
+    def _added(self, day: date, news: Counts) -> Counts:
+        rows = [{"vehicle": name, "day": day, **dict(zip(_COUNTS, news[name], strict=True))} for name in sorted(news)]
+        if not rows:
+            return {}
+        with transaction(self._engine) as connection:
+            if self._engine.dialect.name == "postgresql":  # nothing waits for a disk: a lost second is none
+                connection.exec_driver_sql("SET LOCAL synchronous_commit = off")
+            return {name: list(counts) for name, *counts in connection.execute(self._add, rows)}
+
+
+def _joined(one: Counts, other: Counts) -> Counts:
+    zero = [0] * len(_COUNTS)
+    names = one.keys() | other.keys()
+    return {name: [a + b for a, b in zip(one.get(name, zero), other.get(name, zero), strict=True)] for name in names}
