@@ -34,8 +34,7 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
 from ecu_emulator.bus.frames import merge
-from ecu_emulator.drive.build import build_vehicle
-from ecu_emulator.drive.drive_setup import WHOLE_STAY_S, journey
+from ecu_emulator.drive.build import WHOLE_STAY_S, build_vehicle, journey
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.driving.journey import PlannedTrip, trips
 from ecu_emulator.driving.trace import public_trace

@@ -18,8 +18,7 @@ from benchmarks.drawing import CLUTCH_COLOUR, INK, as_svg, drawing_style
 from benchmarks.drive_events import planned
 from canlog.arrays import FloatArray
 from clutch_model.units import bar_from_pa, k_from_degc, rpm_from_rad_s
-from ecu_emulator.drive.build import build_vehicle
-from ecu_emulator.drive.drive_setup import WHOLE_STAY_S, journey
+from ecu_emulator.drive.build import WHOLE_STAY_S, build_vehicle, journey
 from ecu_emulator.driving.indices import EventKind
 from ecu_emulator.plant import Col
 from ecu_emulator.scenario.drive_names import DriveName

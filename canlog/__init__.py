@@ -15,8 +15,8 @@ if typing.TYPE_CHECKING:
     from canlog.errors import CanlogError, DefinitionError, ExtraMissingError, OutputError, SourceError
     from canlog.frames import FrameBatch
     from canlog.logs import LogCounts, LogFormat, LogReader, read_log
+    from canlog.tables.decoding import TableChoice, write_parquet, write_table
     from canlog.whole_log import Log, Samples, read
-    from canlog.written_tables import TableChoice, write_parquet, write_table
 
 __all__ = [
     "CanlogError",
@@ -44,6 +44,6 @@ _HOMES = {
     "canlog.frames": ("FrameBatch",),
     "canlog.logs": ("LogCounts", "LogFormat", "LogReader", "read_log"),
     "canlog.whole_log": ("Log", "Samples", "read"),
-    "canlog.written_tables": ("TableChoice", "write_parquet", "write_table"),
+    "canlog.tables.decoding": ("TableChoice", "write_parquet", "write_table"),
 }
 __getattr__, __dir__ = _on_demand(__name__, _HOMES)

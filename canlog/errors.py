@@ -1,4 +1,4 @@
-"""The one family of errors of this library; a subclass says what a caller does next."""
+"""Errors of this package, and a level of log messages between INFO and WARNING."""
 
 
 class CanlogError(Exception):
@@ -23,3 +23,6 @@ class InputLeftError(SourceError):
 
 class OutputError(CanlogError):
     """A file cannot be written: check the disk and the folder."""
+
+
+NOTICE = 25  # between INFO and WARNING: always shown, nothing is wrong

@@ -13,16 +13,15 @@ import numpy as np
 from cantools.database.can import Database
 
 from canlog.arrays import FloatArray, Int64Array
+from canlog.column_files import TIME_TYPE, arrow_schema, load_pyarrow
 from canlog.database.loading import database_of
 from canlog.extras import load_extra
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch, join
 from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_log
-from canlog.parquet_file import TIME_TYPE, arrow_schema, load_pyarrow
 from canlog.tables.account import DecodeAccount, losses
 from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, groups, message_layout, stretches
-from canlog.tables.inputs import log_paths
+from canlog.tables.frame_groups import FrameGroup, log_paths
 from canlog.tables.layouts import BARE_ID, ShapeName, TableShapeName, Values, ValuesName, WideLayout
-from canlog.tables.long_rows import FrameGroup
 from canlog.transport import LongMessage, LongMessages
 
 WARNED_CELLS: Final = 50_000_000  # of a wide table: 0.4 GB

@@ -12,7 +12,7 @@ from canlog.extras import on_demand as _on_demand
 
 if typing.TYPE_CHECKING:
     from canlog.errors import CanlogError, DefinitionError, ExtraMissingError, OutputError, SourceError
-    from canlog.written_tables import TableChoice
+    from canlog.tables.decoding import TableChoice
     from clutch_model.errors import CalibrationError
     from clutch_model.transmission import Transmission, read_transmission
     from diag_service.api.analysis import Analysis, ResultTable, analyze
@@ -108,7 +108,7 @@ __all__ = [
 
 _HOMES = {
     "canlog.errors": ("CanlogError", "DefinitionError", "ExtraMissingError", "OutputError", "SourceError"),
-    "canlog.written_tables": ("TableChoice",),
+    "canlog.tables.decoding": ("TableChoice",),
     "clutch_model.errors": ("CalibrationError",),
     "clutch_model.transmission": ("Transmission", "read_transmission"),
     "diag_service.api.analysis": ("Analysis", "ResultTable", "analyze"),

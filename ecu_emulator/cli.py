@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _execute(options: SimpleNamespace, stop: Event) -> None:
     with _without("asammdf"):  # python-can loads it where it is installed, and that pandas: 0.3 s for nothing
-        from canlog.kernel_cache import announce_compiling  # noqa: PLC0415 - heavy; signals are in hand before
+        from canlog.jit import announce_compiling  # noqa: PLC0415 - heavy; signals are in hand before
         from ecu_emulator import commands  # noqa: PLC0415 - likewise
         from ecu_emulator.live import live_drive as live  # noqa: PLC0415 - likewise
 

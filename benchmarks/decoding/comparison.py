@@ -13,12 +13,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from benchmarks.decoding.random_log import CLASSIC_BYTES, FD_BYTES, SentFrame, random_frames, write_candump
+from canlog.column_files import TableFormat
 from canlog.database.loading import load_database
 from canlog.decode.codec import Codec, MessageTable
 from canlog.tables.account import DecodeAccount
 from canlog.tables.decoding import Plan, TableShape, decode_logs
 from canlog.tables.layouts import Values, table_names
-from canlog.tables.outputs import TableFormat
 from tests.support.cantools_oracle import Readings, readings
 
 FloatArray = npt.NDArray[np.float64]

@@ -24,9 +24,8 @@ from canlog.database import database_child, parsed_cache
 from canlog.database.addressing import J1939, is_of_groups
 from canlog.database.database_parsing import Parsed
 from canlog.database.dbc_sieve import Offence
-from canlog.errors import DefinitionError
+from canlog.errors import NOTICE, DefinitionError
 from canlog.files import read_small_file
-from canlog.notice import NOTICE
 
 MAX_FILE_BYTES: Final = 32 * 2**20  # the largest public databases have about 5 MB as DBC, some more as ARXML
 MAX_MESSAGE_BYTES: Final = 1785  # longest J1939 transport message, far above any CAN frame

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from canlog.errors import SourceError
-from canlog.live.interface import Seen, index_of, present_name, restart_controller
+from canlog.live.raw_socket import Seen, index_of, present_name, restart_controller
 from canlog.live.socketcan import SocketCanSource
 from canlog.live.sources import FrameSource, ReadSchedule
 

@@ -6,11 +6,10 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import Protocol
 
-from canlog.errors import SourceError
+from canlog.errors import NOTICE, SourceError
 from canlog.frames import FrameBatch
 from canlog.live.bus_state import BusState, BusStatus, BusWatch
 from canlog.live.sources import FrameSource, LinkBreak, Silence, SourceCounts
-from canlog.notice import NOTICE
 from canlog.traffic import frame_bits
 
 RETRY_S = 0.1  # from the return of the interface to its first frame: this and the opening

@@ -13,12 +13,12 @@ from typing import Any, BinaryIO, Final, NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
+from canlog.column_files import load_pyarrow
 from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.signal_tables import checked_rows, is_rising, signal_columns, time_places, time_unit_us
-from canlog.parquet_file import load_pyarrow
 
 PARQUET_MAGIC, ARROW_MAGIC, ARROW_STREAM_MAGIC = b"PAR1", b"ARROW1", b"\xff\xff\xff\xff"
 ROWS, CELLS = 16_384, 4_000_000  # of a batch, at most

@@ -14,8 +14,7 @@ import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import FD_FLAG, FrameBatch
-from canlog.logs.asc_fields import DECIMAL, HEXADECIMAL
-from canlog.logs.asc_kernel import BASE, CLOCK_FIELDS, IS_RELATIVE, NOW_US, START_US, parse_lines
+from canlog.logs.asc_kernel import BASE, CLOCK_FIELDS, DECIMAL, HEXADECIMAL, IS_RELATIVE, NOW_US, START_US, parse_lines
 from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_log import TextLog
 

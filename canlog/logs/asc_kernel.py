@@ -1,5 +1,7 @@
 """The lines of an ASC file that begin with a time, compiled: frames, and events that are none."""
 
+import string
+
 import numpy as np
 
 from canlog.arrays import BoolArray, Int64Array, UInt8Array
@@ -7,6 +9,7 @@ from canlog.frames import (
     BRS_FLAG,
     ERROR_FLAG,
     ESI_FLAG,
+    EXTENDED_FLAG,
     FD_FLAG,
     FD_PAYLOAD_BYTES,
     PAYLOAD_BYTES,
@@ -14,8 +17,6 @@ from canlog.frames import (
     TX_FLAG,
 )
 from canlog.jit import array_kernel, inlined_kernel
-from canlog.logs import asc_fields as fields
-from canlog.logs.asc_fields import DECIMAL, HEXADECIMAL, LETTER_R, NONE
 from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_kernels import (
     BLANK,
@@ -24,6 +25,7 @@ from canlog.logs.text_kernels import (
     IS_LENGTH,
     LENGTH_OF_CODE,
     LINES,
+    LONGEST_NUMBER,
     MALFORMED,
     NEWLINE,
     OTHER,
@@ -36,11 +38,114 @@ from canlog.logs.text_kernels import (
     count_line,
     decimal,
     decimal_parts,
+    digits,
     skip_blanks,
     skip_line,
     skip_word,
     whole_number,
 )
+
+HEXADECIMAL, DECIMAL = 16, 10
+MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
+MOST_ID_DIGITS = 12
+BYTE_DIGITS, MAX_BYTE = 3, 255
+EQUALS = ord("=")
+LETTER_R, LETTER_T, LETTER_X = ord("r"), ord("t"), ord("x")
+NONE = -1  # in place of a number or a position
+
+IS_LETTER: BoolArray = np.isin(np.arange(256), list(f"{string.ascii_letters}{string.digits}_".encode()))  # of a name
+
+
+@array_kernel
+def is_word(text: UInt8Array, at: int, word: UInt8Array) -> bool:
+    """Return whether a word stands here, in letters of either size."""
+    for index in range(len(word)):
+        if text[at + index] | 32 != word[index]:
+            return False
+    return not IS_LETTER[text[at + len(word)]]
+
+
+@array_kernel
+def decimal_number(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Read a decimal number and the blanks behind it; NONE, and stay, if there is none."""
+    number, behind = decimal(text, at, LONGEST_NUMBER)
+    if behind == at or text[behind] > BLANK:
+        return NONE, at
+    return number, skip_blanks(text, behind)
+
+
+@array_kernel
+def read_direction(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Pass over ``Rx`` or ``Tx`` and the blanks behind it; return 1 for the latter. Else stay: NONE."""
+    is_sent = text[at] | 32 == LETTER_T
+    if (is_sent or text[at] | 32 == LETTER_R) and text[at + 1] | 32 == LETTER_X and not IS_LETTER[text[at + 2]]:
+        return int(is_sent), skip_blanks(text, at + 2)
+    return NONE, at
+
+
+@array_kernel
+def read_identifier(text: UInt8Array, at: int, base: int) -> tuple[int, int]:
+    """Read an identifier and the blanks behind it; NONE if it is none."""
+    begin = at
+    value, at = digits(text, begin, base, MOST_ID_DIGITS)
+    is_extended = text[at] | 32 == LETTER_X
+    at += is_extended
+    if at == begin + is_extended or text[at] > BLANK or value > (MAX_EXTENDED_ID if is_extended else MAX_STANDARD_ID):
+        return NONE, at
+    return (value | EXTENDED_FLAG if is_extended else value), skip_blanks(text, at)
+
+
+@array_kernel
+def payload(text: UInt8Array, at: int, data: UInt8Array, row: int, count: int, base: int, is_fd: int) -> int:
+    """Read bytes, each behind blanks; return the position behind them, or NONE.
+
+    Hexadecimal ones of CAN FD have two digits each: the numbers behind them may have one.
+    """
+    behind = _paired_bytes(text, at, data, row, count) if base == HEXADECIMAL else NONE
+    if behind == NONE:
+        behind = at
+        for index in range(count):
+            begin = skip_blanks(text, behind)
+            value, behind = whole_number(text, begin, base, BYTE_DIGITS)
+            if not 0 <= value <= MAX_BYTE or (is_fd and base == HEXADECIMAL and behind != begin + 2):
+                return NONE
+            data[row, index] = value
+    for index in range(count, data.shape[1]):
+        data[row, index] = 0
+    return behind
+
+
+@array_kernel
+def _paired_bytes(text: UInt8Array, at: int, data: UInt8Array, row: int, count: int) -> int:
+    """Read bytes of two digits, as nearly all are, each behind blanks; return the position behind them, or NONE."""
+    for index in range(count):
+        if text[at] != BLANK:
+            return NONE
+        at = skip_blanks(text, at)
+        high = HEX_VALUE[text[at]]
+        low = HEX_VALUE[text[at + 1]] if high >= 0 else NONE
+        if low < 0:
+            return NONE
+        data[row, index] = high * 16 + low
+        at += 2
+    return at if text[at] <= BLANK else NONE
+
+
+@array_kernel
+def end_of_line(text: UInt8Array, at: int) -> int:
+    """Pass over ``name = anything`` or a comment, if it is there; return the position behind the line, or NONE."""
+    at = skip_blanks(text, at)
+    if text[at] == NEWLINE:
+        return at + 1
+    if text[at] == SLASH and text[at + 1] == SLASH:
+        return skip_line(text, at)
+    begin = at
+    while IS_LETTER[text[at]]:
+        at += 1
+    if at == begin or text[skip_blanks(text, at)] != EQUALS:
+        return NONE
+    return skip_line(text, at)
+
 
 # The clock of a file.
 START_US, NOW_US, IS_RELATIVE, BASE, CLOCK_FIELDS = range(5)
@@ -102,7 +207,7 @@ def _time_us(text: UInt8Array, at: int) -> tuple[int, int]:
 def _event(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> tuple[int, int]:
     """Read what stands behind a time; return the outcome and the position behind the line."""
     is_fd = text[at] | 32 == CANFD_WORD[0]
-    number, channel_at = fields.decimal_number(text, skip_blanks(text, skip_word(text, at)) if is_fd else at)
+    number, channel_at = decimal_number(text, skip_blanks(text, skip_word(text, at)) if is_fd else at)
     end = NONE
     if 0 <= number <= MOST_CHANNEL_NUMBER:
         rows.channel[row] = min(number, MAX_CHANNEL)
@@ -115,18 +220,18 @@ def _event(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> t
 @array_kernel
 def _other(text: UInt8Array, at: int, rows: FrameRows, row: int) -> tuple[int, int]:
     """Read an event that is no frame with a payload; return the outcome and the position behind the line."""
-    begin, is_fd, outcome = at, fields.is_word(text, at, CANFD_WORD), SKIPPED
-    number, at = fields.decimal_number(text, skip_blanks(text, at + len(CANFD_WORD)) if is_fd else at)
-    direction, behind = fields.direction(text, at)
-    if 0 <= number <= MOST_CHANNEL_NUMBER and fields.is_word(text, behind, ERROR_WORD):
+    begin, is_fd, outcome = at, is_word(text, at, CANFD_WORD), SKIPPED
+    number, at = decimal_number(text, skip_blanks(text, at + len(CANFD_WORD)) if is_fd else at)
+    direction, behind = read_direction(text, at)
+    if 0 <= number <= MOST_CHANNEL_NUMBER and is_word(text, behind, ERROR_WORD):
         rows.can_id[row], rows.length[row], rows.flags[row] = ERROR_FLAG, 0, TX_FLAG * (direction > 0)
         rows.data[row, :] = 0
         return FRAME, skip_line(text, behind)
     if number < 0:  # a channel that is none, or an event of another bus
         at = skip_blanks(text, skip_word(text, at))
-        direction, _ = fields.direction(text, at)
+        direction, _ = read_direction(text, at)
     if not is_fd:
-        direction, behind = fields.direction(text, skip_blanks(text, skip_word(text, at)))
+        direction, behind = read_direction(text, skip_blanks(text, skip_word(text, at)))
         kind = text[behind] | 32
         is_data = (kind == LETTER_D or kind == LETTER_R) and text[behind + 1] <= BLANK  # noqa: PLR1714, SIM109 - no tuple
         direction = direction if number >= 0 or is_data else NONE
@@ -143,8 +248,8 @@ def _other(text: UInt8Array, at: int, rows: FrameRows, row: int) -> tuple[int, i
 @inlined_kernel
 def _frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> int:
     """Read ``123x  Rx   d 8 11 22 ...``, perhaps without a direction; return what ``_fd_frame`` does."""
-    identifier, at = fields.identifier(text, at, base)
-    direction, at = fields.direction(text, at)
+    identifier, at = read_identifier(text, at, base)
+    direction, at = read_direction(text, at)
     kind = text[at] | 32
     is_remote = kind == LETTER_R and direction >= 0  # what else begins with R may be a damaged direction
     if identifier < 0 or not (kind == LETTER_D or is_remote) or text[at + 1] > BLANK:
@@ -157,19 +262,19 @@ def _frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> i
             return at
         rows.length[row], rows.can_id[row] = count, identifier
         rows.flags[row] = TX_FLAG * (direction > 0) | (FD_FLAG if count > PAYLOAD_BYTES else 0)
-        return fields.end_of_line(text, at)
+        return end_of_line(text, at)
     if code >= MOST_CODES or (code < 0 and not is_remote):
         return NONE
     count = min(max(code, 0), PAYLOAD_BYTES)
     rows.length[row], rows.flags[row] = count, TX_FLAG * (direction > 0)
     rows.can_id[row] = identifier | (REMOTE_FLAG if is_remote else 0)
-    at = fields.payload(text, at, rows.data, row, 0 if is_remote else count, base, 0)
+    at = payload(text, at, rows.data, row, 0 if is_remote else count, base, 0)
     while is_remote and code >= 0:  # bytes that some write, though there are none
-        value, behind = whole_number(text, skip_blanks(text, at), HEXADECIMAL, fields.BYTE_DIGITS)
+        value, behind = whole_number(text, skip_blanks(text, at), HEXADECIMAL, BYTE_DIGITS)
         if value < 0:
             break
         at = behind
-    return fields.end_of_line(text, at) if at >= 0 else NONE
+    return end_of_line(text, at) if at >= 0 else NONE
 
 
 @array_kernel
@@ -183,8 +288,8 @@ def _long_payload(text: UInt8Array, begin: int, rows: FrameRows, row: int, base:
     count = 0
     while count <= FD_PAYLOAD_BYTES:
         start = skip_blanks(text, at)
-        value, behind = whole_number(text, start, base, fields.BYTE_DIGITS)
-        if not 0 <= value <= fields.MAX_BYTE or (base == HEXADECIMAL and behind != start + 2):
+        value, behind = whole_number(text, start, base, BYTE_DIGITS)
+        if not 0 <= value <= MAX_BYTE or (base == HEXADECIMAL and behind != start + 2):
             break
         if count < rows.data.shape[1]:
             rows.data[row, count] = value
@@ -207,19 +312,19 @@ def _fd_frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -
 
     What is below NONE says that the rows are too short.
     """
-    direction, at = fields.direction(text, at)
-    identifier, at = fields.identifier(text, at, base)
+    direction, at = read_direction(text, at)
+    identifier, at = read_identifier(text, at, base)
     if not 48 <= text[at] <= 49 or text[at + 1] > BLANK:  # the name of a message
         at = skip_blanks(text, skip_word(text, at))
-    is_fast, at = fields.decimal_number(text, at)
-    is_passive, at = fields.decimal_number(text, at)
+    is_fast, at = decimal_number(text, at)
+    is_passive, at = decimal_number(text, at)
     code, at = whole_number(text, at, base, 2)
     count, behind = whole_number(text, skip_blanks(text, at), DECIMAL, 3)
     if min(identifier, is_fast, is_passive, code, count) < 0 or max(is_fast, is_passive) > 1 or code >= MOST_CODES:
         return NONE
     if count > rows.data.shape[1]:
         return NONE if count > FD_PAYLOAD_BYTES else NONE - 1
-    behind = fields.payload(text, behind, rows.data, row, count, base, 1)
+    behind = payload(text, behind, rows.data, row, count, base, 1)
     said, end = _said_flags(text, behind) if behind >= 0 else (NONE, NONE)
     is_fd, is_remote = said & SAID_FD != 0, said & SAID_REMOTE != 0
     length = LENGTH_OF_CODE[code] if is_fd else min(code, PAYLOAD_BYTES)

@@ -17,11 +17,8 @@ from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog
 from canlog.logs.captures import capture_of
 from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, is_traffic, proposed
-from canlog.logs.columns.busmaster import Busmaster
-from canlog.logs.columns.clx000 import CLX000_HEADER, Clx000
-from canlog.logs.columns.csv_tables import GVRET_HEADER, PYTHON_CAN_HEADER, GvretCsv, PythonCanCsv
+from canlog.logs.columns.headed import CLX000_HEADER, Busmaster, Clx000, Trc
 from canlog.logs.columns.log import TableLog
-from canlog.logs.columns.nmea2000 import Actisense, Canboat, YachtDevices
 from canlog.logs.columns.programs import (
     CANHACKER_HEADER,
     CANKING,
@@ -29,11 +26,17 @@ from canlog.logs.columns.programs import (
     CARBUS,
     CARBUS_HEADER,
     CRTD,
+    GVRET_HEADER,
     MICROCHIP_HEADER,
+    PYTHON_CAN_HEADER,
+    Actisense,
+    Canboat,
     CanHacker,
+    GvretCsv,
     Microchip,
+    PythonCanCsv,
+    YachtDevices,
 )
-from canlog.logs.columns.trc import Trc
 from canlog.logs.console import ConsoleLog
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.signal_tables import table_header

@@ -13,8 +13,8 @@ from canlog.decode.codec import HAS_VALUES, Codec, FrameFate, MessageTable, Mess
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import LogCounts
 from canlog.logs.log_counts import assumed_texts, lost_texts, odd_texts
+from canlog.tables.frame_groups import FrameGroup, Stretch
 from canlog.tables.layouts import BARE_ID, Place, TableNames, flagged_id, identifier_text
-from canlog.tables.long_rows import FrameGroup, Stretch
 from canlog.transport import TransferCounts
 
 MAX_IDS: Final = 65_536  # that are counted one by one: no bus has as many, a log of noise has

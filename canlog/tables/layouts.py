@@ -17,13 +17,12 @@ from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt32Array
+from canlog.column_files import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
 from canlog.database.addressing import sort_by_slot
 from canlog.decode.codec import MessageTable, MessageValues
 from canlog.decode.signals import FloatCode, PayloadWords, SignalTable
 from canlog.frames import EXTENDED_FLAG
-from canlog.parquet_file import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
-from canlog.tables.inputs import Origins
-from canlog.tables.long_rows import FrameGroup
+from canlog.tables.frame_groups import FrameGroup, Origins
 
 TEXT_SUFFIX: Final = ".text"  # of the column that names the states beside the numbers
 BARE_ID: Final = 0x1FFF_FFFF

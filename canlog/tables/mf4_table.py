@@ -11,8 +11,7 @@ from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.decode.codec import MessageValues
 from canlog.extras import load_extra
 from canlog.tables.account import DecodeAccount
-from canlog.tables.inputs import Origins
-from canlog.tables.long_rows import FrameGroup
+from canlog.tables.frame_groups import FrameGroup, Origins
 
 VERSION: Final = "4.10"
 TRANSPOSED_AND_DEFLATED: Final = 2

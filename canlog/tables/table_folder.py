@@ -10,9 +10,9 @@ from itertools import count
 from pathlib import Path
 from typing import BinaryIO, Final, cast
 
+from canlog.column_files import SUFFIX_OF_FORMAT, TableFormat
 from canlog.errors import OutputError
 from canlog.tables.layouts import TableNames
-from canlog.tables.outputs import SUFFIX_OF_FORMAT, TableFormat
 
 LONGEST_BYTES: Final = 160  # of a name without number and suffix; systems take 255
 _KEPT: Final = frozenset("-_+@=.")

@@ -6,8 +6,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, Unpack
 
+from canlog.column_files import arrow_schema, row_table
 from canlog.extras import load_extra
-from canlog.parquet_file import arrow_schema, row_table
 from diag_service.api.choices import AnyPath, AnyPaths, Delivery, LogMeaning, configuration, optional_path, path_list
 from diag_service.batch.tables import columns, drive_rows, flattened, record_columns
 from diag_service.console.notices import collected_notices

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any, Unpack
 
 import canlog
+from canlog.tables.decoding import EVERY_SIGNAL
 from canlog.whole_log import Log
-from canlog.written_tables import EVERY_SIGNAL
 from clutch_model.calibration import nominal_calibration, read_calibration
 from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, optional_path, path_list
 from diag_service.commands.arguments import DEFAULT_BITRATE

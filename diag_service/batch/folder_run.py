@@ -12,8 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Protocol, TextIO
 
-from canlog.errors import SourceError
-from canlog.notice import NOTICE
+from canlog.errors import NOTICE, SourceError
 from clutchdiag_io.files import replacement_refusal
 from diag_service.batch.drives import Drive, LeftOut, find_drives, left_out_record
 from diag_service.batch.journal import Entry, Journal

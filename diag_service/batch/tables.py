@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from enum import StrEnum
 from pathlib import Path
 
+from canlog.column_files import BOOL_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
 from canlog.files import replacing
-from canlog.parquet_file import BOOL_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
 from clutchdiag_io.files import legible
 from diag_service.batch.journal import Entry
 from diag_service.diagnosis.records import dump

@@ -4,8 +4,8 @@ import logging
 import sys
 from types import SimpleNamespace
 
+from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT, is_folder
-from canlog.notice import NOTICE
 from clutchdiag_io.files import replacement_refusal
 from diag_service.console.terminal import ReadingLine
 from diag_service.delivery import AllReporters, MemoryReporter

@@ -8,13 +8,12 @@ from typing import BinaryIO, Final
 
 from cantools.database.can import Message
 
+from canlog.column_files import FORMAT_OF_SUFFIX, STREAMED, TableFormat, check_libraries
 from canlog.errors import SourceError
 from canlog.logs import STANDARD_INPUT, is_folder, shown_name
 from canlog.tables.account import account_record, frame_texts, losses, remarks, values_text
-from canlog.tables.decoding import Decoded, Plan, TableShape, decode_logs
-from canlog.tables.outputs import FORMAT_OF_SUFFIX, STREAMED, TableFormat, check_libraries
+from canlog.tables.decoding import Decoded, Plan, TableChoice, TableShape, decode_logs, default_shape
 from canlog.tables.table_folder import message_files, tables_there
-from canlog.written_tables import TableChoice, default_shape
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.files import replacement_refusal
 from diag_service.commands.talks import pairs_of

@@ -11,14 +11,12 @@ from types import SimpleNamespace
 
 from cantools.database.can import Message
 
+from canlog.column_files import SUFFIX_OF_FORMAT, TableFormat
 from canlog.database.signal_columns import SignalColumn, columns_database
-from canlog.errors import OutputError, SourceError
+from canlog.errors import NOTICE, OutputError, SourceError
 from canlog.logs import STANDARD_INPUT, is_folder, table_columns
-from canlog.notice import NOTICE
 from canlog.tables.account import account_record, frame_texts, losses
-from canlog.tables.decoding import Decoded, Plan, TableShape, decode_logs
-from canlog.tables.outputs import SUFFIX_OF_FORMAT, TableFormat
-from canlog.written_tables import TableChoice
+from canlog.tables.decoding import Decoded, Plan, TableChoice, TableShape, decode_logs
 from clutchdiag_io.files import replacement_refusal
 from diag_service.batch.drives import find_drives, left_out_record
 from diag_service.batch.processes import follow_parent, job_count, shared_out

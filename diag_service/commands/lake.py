@@ -8,8 +8,8 @@ from difflib import get_close_matches
 from types import SimpleNamespace
 from typing import Final
 
+from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT
-from canlog.notice import NOTICE
 from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoreError
 from diag_service.lake.nodes import ClusterAddress, run_scheduler, run_workers

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Final
 
-from canlog.kernel_cache import announce_compiling
-from canlog.notice import NOTICE
+from canlog.errors import NOTICE
+from canlog.jit import announce_compiling
 from clutchdiag_io.files import legible
 
 _FOUND: ContextVar[list[str] | None] = ContextVar("notices of this run", default=None)

@@ -10,7 +10,7 @@ from enum import StrEnum
 from itertools import islice, takewhile
 from typing import Final
 
-from canlog.notice import NOTICE
+from canlog.errors import NOTICE
 from diag_service.delivery.reporters import DeliveryLimits, Link
 from diag_service.diagnosis.records import (
     FluidFill,

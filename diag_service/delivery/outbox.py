@@ -12,7 +12,7 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 
-from canlog.notice import NOTICE
+from canlog.errors import NOTICE
 from diag_service.delivery.delivery import Acknowledge, Bundling, Delivery, OutboxState
 from diag_service.delivery.reporters import DeliveryLimits, Link
 from diag_service.errors import PublishError, StoreFullError

@@ -16,11 +16,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
+from canlog.column_files import TIME_TYPE, ParquetTable, TableFormat, load_pyarrow
 from canlog.errors import DefinitionError, SourceError
 from canlog.logs import read_log
-from canlog.parquet_file import TIME_TYPE, ParquetTable, load_pyarrow
 from canlog.tables.decoding import Plan, decode_logs
-from canlog.tables.outputs import TableFormat
 from diag_service.batch.tables import BATCH_ROWS, columns, flattened
 from diag_service.diagnosis.records import iso_utc, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoreError

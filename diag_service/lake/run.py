@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Final, Self, TextIO
 
-from canlog.notice import NOTICE
+from canlog.errors import NOTICE
 from diag_service.batch.processes import progress_bar
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.lake.nodes import ClusterAddress

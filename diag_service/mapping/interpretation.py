@@ -11,9 +11,9 @@ from cantools.database.can import Database
 
 from canlog.database.loading import PARSER_TIME_S, bus_of, load_database
 from canlog.database.signal_columns import columns_database
+from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT, is_folder, table_columns
 from canlog.logs.piped import never
-from canlog.notice import NOTICE
 from dbc.contract import DBC_PATH, load_contract
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.records import Tier

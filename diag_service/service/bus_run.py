@@ -9,8 +9,8 @@ from contextlib import AbstractAsyncContextManager, ExitStack, closing, nullcont
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from canlog.errors import NOTICE
 from canlog.live import BusOpener, ReadSchedule, SupervisedSource, supervise
-from canlog.notice import NOTICE
 from clutchdiag_io.annexes import part
 from diag_service.console.terminal import PeopleConsole, ending_key
 from diag_service.delivery import DetachedReporter, Outbox

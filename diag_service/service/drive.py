@@ -16,9 +16,9 @@ from canlog.files import open_plain_file
 from canlog.frames import FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader, merged_by_time, read_log, split_member
 from canlog.logs.log_counts import assumed_texts, lost_texts, odd_texts
+from canlog.logs.merging import SourceMarks
 from canlog.logs.piped import never
 from canlog.logs.reading import Watch
-from canlog.logs.source_marks import SourceMarks
 from diag_service.diagnosis.contributions import ChannelShare, Contributions, LogShare, idle_lines
 from diag_service.diagnosis.summary import Gap, gaps_line
 from diag_service.errors import ConfigError, IncompleteError, StoppedError

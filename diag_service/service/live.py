@@ -5,9 +5,8 @@ import logging
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from contextlib import suppress
 
-from canlog.errors import SourceError
+from canlog.errors import NOTICE, SourceError
 from canlog.live import LinkBreak, LiveSource, ReadSchedule, Silence
-from canlog.notice import NOTICE
 from diag_service.delivery import Outbox
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import FrameCounts, Summary, frames_line, shifts_line

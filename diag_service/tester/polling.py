@@ -7,8 +7,7 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from typing import Final
 
-from canlog.errors import CanlogError
-from canlog.notice import NOTICE
+from canlog.errors import NOTICE, CanlogError
 from diag_service.delivery import ControllerNews, Outbox, Reporter
 from diag_service.diagnosis.records import dump
 from diag_service.errors import DiagServiceError

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 
 import can
 
+from canlog.errors import NOTICE
 from canlog.live.pythoncan import one_line
-from canlog.notice import NOTICE
 from diag_service.errors import (
     ConfigError,
     ControllerError,

@@ -17,8 +17,7 @@ from typing import Final, cast
 import can
 
 from canlog.database.addressing import parameter_group
-from canlog.errors import CanlogError
-from canlog.notice import NOTICE
+from canlog.errors import NOTICE, CanlogError
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError, ControllerError, DiagServiceError, SilentError, StoppedError
 from diag_service.mapping.asked_signals import (

@@ -30,6 +30,7 @@ from ecu_emulator.answering.requested_tasks import (
 )
 from ecu_emulator.bus.sender import FrameSender
 from ecu_emulator.bus.sent_values import OWN_NODE, SentValues, recounted
+from ecu_emulator.diagnostics.clutches import values_of
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.doip.listening import Place
@@ -37,7 +38,6 @@ from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.elm327.server import ElmServer, parse_place
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.monitors import SENSED
-from ecu_emulator.diagnostics.on_board_friction import values_of
 from ecu_emulator.diagnostics.table_file import load_table, shipped_table, table_like
 from ecu_emulator.errors import ExtraMissingError
 

@@ -11,9 +11,8 @@ import can
 from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.answering.command_words import DOIP_TLS_PORT
 from ecu_emulator.answering.on_board import EstimateSource, FixedEstimate, OnBoardService
-from ecu_emulator.diagnostics.doip.listening import Place, parse_place
-from ecu_emulator.diagnostics.doip.tls import tls_node
-from ecu_emulator.diagnostics.on_board_friction import scenario_friction
+from ecu_emulator.diagnostics.clutches import scenario_friction
+from ecu_emulator.diagnostics.doip.listening import Place, parse_place, tls_node
 from ecu_emulator.diagnostics.table_file import table_like
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError

@@ -4,12 +4,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Final
 
-from ecu_emulator.diagnostics.clutch_heat import packs_of
-from ecu_emulator.diagnostics.codes import Status
-from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.monitors import MonitorLimits, Watch, is_warm, judge
-from ecu_emulator.diagnostics.on_board_friction import (
+from ecu_emulator.diagnostics.clutches import (
     ADAPTATION_CODE,
     FLUID_CODE,
     LIMIT_CODE,
@@ -18,7 +13,12 @@ from ecu_emulator.diagnostics.on_board_friction import (
     failed_codes,
     fluid_test,
     limit_test,
+    packs_of,
 )
+from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.memory import TestResult
+from ecu_emulator.diagnostics.monitors import MonitorLimits, Watch, is_warm, judge
 from ecu_emulator.diagnostics.values import Values
 from ecu_emulator.errors import RecordError
 from ecu_emulator.plant.parameters import nominal_parameters

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Final, Protocol, Self
 
-from ecu_emulator.diagnostics.on_board_friction import OnBoardEstimates, OnBoardFriction, read_line
+from ecu_emulator.diagnostics.clutches import OnBoardEstimates, OnBoardFriction, read_line
 
 LONGEST_LINE: Final = 1 << 20
 LONGEST_COMPLAINT: Final = 1 << 16

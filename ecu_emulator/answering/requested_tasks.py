@@ -8,10 +8,9 @@ from typing import Final, Protocol
 
 from ecu_emulator.answering.monitoring import Monitoring
 from ecu_emulator.answering.on_board import EstimateSource
-from ecu_emulator.diagnostics.adaptation import CLUTCHES, Adaptation
+from ecu_emulator.diagnostics.clutches import CLUTCHES, Adaptation, OnBoardEstimates
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.descriptions import Task
-from ecu_emulator.diagnostics.on_board_friction import OnBoardEstimates
 from ecu_emulator.diagnostics.state import RoutineRun
 from ecu_emulator.diagnostics.values import Values, holds
 from ecu_emulator.errors import RecordError

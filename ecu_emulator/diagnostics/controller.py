@@ -5,11 +5,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from ecu_emulator.diagnostics.adaptation import Adaptation
+from ecu_emulator.diagnostics.clutches import Adaptation, OnBoardEstimates
 from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.on_board_friction import OnBoardEstimates
 from ecu_emulator.diagnostics.server import (
     advance,
     answer,

@@ -16,11 +16,18 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from canlog.files import read_small_file
-from ecu_emulator.diagnostics.adaptation import CLUTCHES, Adaptation
+from ecu_emulator.diagnostics.clutches import CLUTCHES, Adaptation, OnBoardFriction
 from ecu_emulator.diagnostics.codes import Status
-from ecu_emulator.diagnostics.emissions import MOST_CYCLES, Emissions, FreezeFrame
-from ecu_emulator.diagnostics.memory import MOST_COUNT, Capture, TroubleMemory, TroubleRecord, empty_memory
-from ecu_emulator.diagnostics.on_board_friction import OnBoardFriction
+from ecu_emulator.diagnostics.memory import (
+    MOST_COUNT,
+    MOST_CYCLES,
+    Capture,
+    Emissions,
+    FreezeFrame,
+    TroubleMemory,
+    TroubleRecord,
+    empty_memory,
+)
 from ecu_emulator.diagnostics.state import ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.errors import RecordError

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from clutch_model.calibration import clutch_of_gear
-from ecu_emulator.diagnostics.clutch_heat import Pack, heated_k, packs_of
+from ecu_emulator.diagnostics.clutches import Pack, heated_k, packs_of
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.values import Values
 from ecu_emulator.scenario.signals import SILENCE

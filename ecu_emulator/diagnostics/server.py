@@ -17,10 +17,12 @@ from ecu_emulator.diagnostics.codes import (
     Service,
 )
 from ecu_emulator.diagnostics.descriptions import Profile
-from ecu_emulator.diagnostics.emissions import after_cycle, after_test, after_warm_up
 from ecu_emulator.diagnostics.memory import (
     NOTHING_CAPTURED,
     TestResult,
+    after_cycle,
+    after_test,
+    after_warm_up,
     begin_cycle,
     empty_memory,
     needs_capture,

@@ -3,11 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from ecu_emulator.diagnostics.adaptation import Adaptation
+from ecu_emulator.diagnostics.clutches import Adaptation, OnBoardEstimates
 from ecu_emulator.diagnostics.codes import DEFAULT_SESSION
-from ecu_emulator.diagnostics.emissions import Emissions
-from ecu_emulator.diagnostics.memory import TroubleMemory
-from ecu_emulator.diagnostics.on_board_friction import OnBoardEstimates
+from ecu_emulator.diagnostics.memory import Emissions, TroubleMemory
 from ecu_emulator.diagnostics.values import Values
 
 

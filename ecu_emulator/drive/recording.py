@@ -13,9 +13,9 @@ from clutch_model.errors import CalibrationError
 from dbc.contract import load_contract
 from ecu_emulator.bus.bus_faults import BusFaults, FrameLoss
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
-from ecu_emulator.drive.build import build_vehicle
-from ecu_emulator.drive.drive_setup import (
+from ecu_emulator.drive.build import (
     WHOLE_STAY_S,
+    build_vehicle,
     drive_settings,
     drive_truth,
     installation,

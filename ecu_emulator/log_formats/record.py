@@ -23,7 +23,7 @@ from ecu_emulator.log_formats import (
     Mf4Writer,
     TrcWriter,
 )
-from ecu_emulator.log_formats.base import ERROR_FLAG, Int64Array
+from ecu_emulator.log_formats.writers import ERROR_FLAG, Int64Array
 
 DEFAULT_START_NS: Final = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
 US_PER_S: Final = 1e6

@@ -12,7 +12,7 @@ import j1939
 import pytest
 
 import diag_service
-from canlog.notice import NOTICE
+from canlog.errors import NOTICE
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import interpret

@@ -18,7 +18,7 @@ from canlog.e2e.profile1 import COUNTER_PERIOD, DATA_START_BIT, counter_of, prot
 from canlog.frames import FrameBatch
 from diag_service.diagnosis.records import Status
 from diag_service.mapping.profile import load_profile
-from ecu_emulator.drive.drive_setup import ROAD_MESSAGES
+from ecu_emulator.drive.build import ROAD_MESSAGES
 from tests.support.chain import Outcome, diagnosed, frames_of_log
 from tests.support.wire import CONTRACTS, DATABASE
 

@@ -34,7 +34,7 @@ THREE_LINES, MORE_LINES = re.findall(
 )
 WATCHED = f"""
 import importlib.util, json, sys
-from canlog.kernel_cache import on_compiling
+from canlog.jit import on_compiling
 compiled = []
 on_compiling(compiled.append)
 {THREE_LINES}

@@ -11,9 +11,9 @@ from cantools.database import load_string
 from cantools.database.can import Database
 
 import canlog
+from canlog.column_files import TableFormat
 from canlog.frames import FrameBatch
 from canlog.tables.decoding import Plan, TableShape, decode_logs
-from canlog.tables.outputs import TableFormat
 from canlog.transport import LongMessages
 from tests.support.transport_traffic import Sent, batch_of, fast_packets, generator, iso_tp, j1939
 

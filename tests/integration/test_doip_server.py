@@ -12,7 +12,7 @@ import pytest
 
 from ecu_emulator.diagnostics.doip.listening import Place, listen
 from ecu_emulator.diagnostics.doip.server import DoipServer
-from ecu_emulator.diagnostics.doip.sockets import MORE_CONNECTIONS
+from ecu_emulator.diagnostics.doip.streams import MORE_CONNECTIONS
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.state import Reply, ServerState
 from ecu_emulator.errors import BusError

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import diag_service
+from ecu_emulator.diagnostics.doip.listening import TlsNode, tls_node
 from ecu_emulator.diagnostics.doip.server import DoipServer
-from ecu_emulator.diagnostics.doip.tls import TlsNode, tls_node
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from ecu_emulator.errors import ConfigError
 from fleet_backend.certificates.authority import Authority, Lifetime

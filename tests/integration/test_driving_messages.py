@@ -8,7 +8,7 @@ import pytest
 
 import canlog
 from dbc.contract import DBC_PATH, load_contract
-from ecu_emulator.drive.drive_setup import ROAD_MESSAGES
+from ecu_emulator.drive.build import ROAD_MESSAGES
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.driving.indices import DriveState, EngineState
 from ecu_emulator.log_formats.record import open_log

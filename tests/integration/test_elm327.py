@@ -13,8 +13,7 @@ import pytest
 from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.doip.listening import Place
-from ecu_emulator.diagnostics.elm327.client import MOST_LINE_BYTES
-from ecu_emulator.diagnostics.elm327.server import MOST_CLIENTS, ElmServer, parse_place
+from ecu_emulator.diagnostics.elm327.server import MOST_CLIENTS, MOST_LINE_BYTES, ElmServer, parse_place
 from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
 from ecu_emulator.errors import BusError, ConfigError
 from tests.support.patience import HANG_S

@@ -14,7 +14,7 @@ import can
 import cantools
 import pytest
 
-from canlog import kernel_cache
+from canlog import jit
 from dbc.contract import load_contract
 from ecu_emulator import __version__, write_dbc
 from ecu_emulator.cli import main
@@ -74,10 +74,10 @@ def test_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_program_that_has_ended_says_no_more_of_compiling() -> None:
-    before = list(kernel_cache._listeners)
+    before = list(jit._listeners)
     assert main(["scenarios"]) == 0
     assert main(["record", "drive.unknown"]) != 0
-    assert kernel_cache._listeners == before
+    assert jit._listeners == before
 
 
 def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:

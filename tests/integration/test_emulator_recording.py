@@ -11,7 +11,7 @@ from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import COUNTER_PERIOD, counter_of, crc_is_valid, data_id_remainder
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
-from ecu_emulator.drive.drive_setup import ROAD_MESSAGES
+from ecu_emulator.drive.build import ROAD_MESSAGES
 from ecu_emulator.drive.recording import Drive, frames_of
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live.sent_truth import SentTruth

@@ -14,7 +14,7 @@ import clutch_model
 PACKAGES = [Path(package.__file__ or "").parent for package in (clutch_model, canlog)]
 LAWS, LIBRARY = (package.name for package in PACKAGES)
 USE_LAWS = """
-from canlog.kernel_cache import on_compiling
+from canlog.jit import on_compiling
 compiled = []
 on_compiling(compiled.append)
 from clutch_model.pack import FrictionLaw, kinetic_friction
@@ -83,7 +83,7 @@ def test_a_comment_and_another_folder_compile_nothing_and_a_law_what_it_is_part_
 
 def test_the_forms_of_a_kernel_do_not_pile_up(tmp_path: Path, cache: Path) -> None:
     checkout = Checkout(tmp_path / "only", cache)
-    checkout.edit("canlog/kernel_cache.py", "KEPT_VERSIONS = 8", "KEPT_VERSIONS = 1")
+    checkout.edit("canlog/jit.py", "KEPT_VERSIONS = 8", "KEPT_VERSIONS = 1")
     checkout.compiled()
     before = sorted(path.suffix for path in cache.rglob("*.nb?"))
     checkout.edit("clutch_model/pack.py", "np.exp(-excess)", "np.exp(-2.0 * excess)")
@@ -108,7 +108,7 @@ def test_a_law_that_moved_to_another_module_is_compiled_there(tmp_path: Path, ca
 
 def test_the_time_of_a_first_compilation_is_told_in_one_way() -> None:
     told = "takes up to a minute"
-    for page in ("docs/usage.md", "docs/python.md", "canlog/README.md", "canlog/kernel_cache.py"):
+    for page in ("docs/usage.md", "docs/python.md", "canlog/README.md", "canlog/jit.py"):
         assert told in (REPOSITORY / page).read_text(encoding="utf-8"), page
 
 

@@ -13,9 +13,9 @@ import pyarrow.parquet as pq
 import pytest
 from cantools.database.can import Database
 
+from canlog.column_files import TableFormat
 from canlog.errors import DefinitionError, OutputError, SourceError
 from canlog.tables.decoding import Plan, TableShape, decode_logs
-from canlog.tables.outputs import TableFormat
 from dbc.contract import DBC_PATH, load_contract
 from diag_service.commands.arguments import parse_arguments
 from diag_service.diagnosis.columns import Signal

@@ -21,7 +21,7 @@ from diag_service.diagnosis.friction.paper.collection import GRID_STRIDE, paper_
 from diag_service.diagnosis.friction.paper.friction_data import NOISY_GATES
 from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
-from ecu_emulator.drive.drive_setup import drive_settings
+from ecu_emulator.drive.build import drive_settings
 from ecu_emulator.plant import Col
 from tests.integration.test_estimation import shifts
 from tests.support.builders import drive_scenario

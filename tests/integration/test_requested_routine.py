@@ -24,7 +24,7 @@ from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.commands import LogOptions, write_log
-from ecu_emulator.diagnostics.on_board_friction import OnBoardFriction, read_line
+from ecu_emulator.diagnostics.clutches import OnBoardFriction, read_line
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live.live_drive import BusChoice, send

@@ -12,7 +12,7 @@ from pathlib import Path
 import can
 import pytest
 
-from canlog.notice import NOTICE
+from canlog.errors import NOTICE
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.asked_signals import Overheard, flagged
 from diag_service.mapping.profile import AskingRules, Profile, load_profile, load_shipped

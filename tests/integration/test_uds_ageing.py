@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from ecu_emulator.diagnostics.clutches import SHIFT_SCHEMA
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.on_board_friction import SHIFT_SCHEMA
 from ecu_emulator.diagnostics.table_file import shipped_table
 from tests.support.traffic import START_NS
 from tests.support.uds.ageing_car import Car, Plan

@@ -24,9 +24,9 @@ from cantools.database.conversion import BaseConversion
 from cantools.database.namedsignalvalue import NamedSignalValue
 
 from benchmarks.decoding.random_log import SentFrame, random_frames, write_candump
+from canlog.column_files import SUFFIX_OF_FORMAT, TableFormat
 from canlog.tables.decoding import Plan, TableShape, decode_logs
 from canlog.tables.layouts import Values
-from canlog.tables.outputs import SUFFIX_OF_FORMAT, TableFormat
 from tests.support.cantools_oracle import readings
 
 Row = dict[str, Any]

@@ -6,7 +6,7 @@ import sys
 import time
 from dataclasses import dataclass, field
 
-from ecu_emulator.diagnostics.doip.datagrams import datagram_reply
+from ecu_emulator.diagnostics.doip.messages import datagram_reply
 from tests.support.doip.desk import ENTITY, Desk, activation, framed, messages_in, request
 from tests.support.doip.entity_by_the_book import NEVER_REFUSED, Book
 from tests.support.doip.tester import Tester, entity

@@ -53,7 +53,7 @@ from ecu_emulator.log_formats import (
     Header,
     TrcWriter,
 )
-from ecu_emulator.log_formats.blf import CONTAINER_HEADER, DEFLATED, FILE_HEADER, LOG_CONTAINER, OBJECT_MAGIC
+from ecu_emulator.log_formats.writers import CONTAINER_HEADER, DEFLATED, FILE_HEADER, LOG_CONTAINER, OBJECT_MAGIC
 from tests.support import measurements
 from tests.support.capture_grammars import COOKED, COOKED_2, SOCKETCAN, pcap, pcapng
 from tests.support.log_grammars import Frame

@@ -33,10 +33,10 @@ from canlog.logs.columns.message_kernel import (
     NOW_US,
     WRAP_US,
 )
-from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, MICROSECONDS, SECONDS, Column, Layout, Role
+from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, Column, Layout, Role
 from canlog.logs.frame_buffer import MOST_CHANNELS, FrameRows
+from canlog.logs.log_counts import MICROSECONDS, SECONDS, UNIT_NAMES, likely_unit
 from canlog.logs.text_log import TextLog, frames_of
-from canlog.logs.time_watch import UNIT_NAMES, likely_unit
 
 HEADER_LINES_LOOKED_AT = 20
 SAMPLE_LINES = 2_000

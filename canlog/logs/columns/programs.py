@@ -1,39 +1,130 @@
-"""Layouts of what programs write of a bus: CARBUS Analyzer, CANHacker, CanKing, Microchip's CAN Bus Analyzer, CRTD.
-
-CARBUS Analyzer, versions 2 and 3, has tabs between columns, and times that begin again every minute:
-``46,016 TAB 1 TAB 0004 TAB 45A TAB 8 TAB 5A 04 00 00 00 00 00 00 TAB 00000000 TAB Z``: seconds of the minute, channel,
-flags, identifier, length, bytes, a checksum, the bytes as text. The date is not in the file.
-
-CANHacker: ``00.000 00000280 8 01 00 14 0A 01 00 00 80 comment``, seconds since the minute began. An adapter that speaks
-Lawicel's protocol counts 60,000 milliseconds and begins again. Identifiers have eight digits of either kind: those
-that eleven bits hold are taken as standard ones.
-
-Kvaser's CanKing: ``0  0CFBFFDB X  8  1B 31 20 EB B3 FF D9 FF  100.000139 R``, seconds from the start. Between an
-identifier and a length may stand what kind of frame it is; behind the bytes stand time and direction.
-
-Microchip's analyser, also as SavvyCAN writes its logs: ``1247;RX;0xC2;8;0x5C;0x87;0x00``, milliseconds. Between two
-lines of ``//---`` stands who wrote it and when; identifiers that eleven bits hold are taken as standard.
-
-CRTD of the Open Vehicles project, versions 1 to 3: seconds since the epoch, UTC, or since the device was started.
-"""
+"""Layouts of what programs and gateways write of a bus, a line for each frame or message, in columns."""
 
 import re
 from dataclasses import replace
+from functools import partial
 
 from canlog.logs.asc import date_us
 from canlog.logs.columns.fields import REST
+from canlog.logs.columns.header import in_unit
 from canlog.logs.columns.log import TableLog
-from canlog.logs.columns.roles import (
-    BLANKS,
-    HEXADECIMAL,
-    MILLISECONDS,
-    MINUTE_US,
-    SECONDS,
-    Column,
-    Layout,
-    Meaning,
-    Role,
+from canlog.logs.columns.roles import BLANKS, COMMA, DAY_US, HEXADECIMAL, MINUTE_US, Column, Layout, Meaning, Role
+from canlog.logs.log_counts import MICROSECONDS, MILLISECONDS, SECONDS, likely_unit
+from canlog.logs.text_log import frames_of
+
+PYTHON_CAN_HEADER = re.compile(rb"\s*timestamp,arbitration_id,extended,remote,error,dlc,data\s*\Z", re.IGNORECASE)
+GVRET_HEADER = re.compile(rb"\s*time stamp,id,extended,", re.IGNORECASE)
+
+PYTHON_CAN = Layout(
+    columns=(
+        Column(role=Role.TIME, parameter=SECONDS),
+        Column(role=Role.ID, parameter=HEXADECIMAL),
+        Column(role=Role.EXTENDED),
+        Column(role=Role.REMOTE),
+        Column(role=Role.ERROR),
+        Column(role=Role.LENGTH),
+        Column(role=Role.BASE64),
+    ),
+    separator=COMMA,
+    comment_starts=b"tT",
+    is_exact=True,
 )
+_GVRET_START = (
+    Column(role=Role.TIME, parameter=MICROSECONDS),
+    Column(role=Role.ID, parameter=HEXADECIMAL),
+    Column(role=Role.EXTENDED),
+)
+_GVRET_END = (Column(role=Role.CHANNEL), Column(role=Role.LENGTH), Column(role=Role.DATA, parameter=HEXADECIMAL))
+GVRET = Layout(columns=_GVRET_START + _GVRET_END, separator=COMMA, comment_starts=b"tT", is_exact=True, is_padded=True)
+GVRET_WITH_DIRECTION = replace(GVRET, columns=(*_GVRET_START, Column(role=Role.DIRECTION), *_GVRET_END))
+
+
+class PythonCanCsv(TableLog):
+    """The CSV of python-can's ``CSVWriter``; it does not tell CAN FD apart, but longer payloads are."""
+
+    def __init__(self) -> None:
+        super().__init__(PYTHON_CAN)
+
+    def read_comment(self, line: bytes) -> bool:
+        """Take up what a line without a frame says; return whether it belongs to the format."""
+        return PYTHON_CAN_HEADER.match(line) is not None
+
+
+class GvretCsv(TableLog):
+    """The CSV of GVRET devices and SavvyCAN, with or without the column of directions."""
+
+    def __init__(self) -> None:
+        super().__init__(GVRET)
+        self._unit = MICROSECONDS
+
+    def read_comment(self, line: bytes) -> bool:
+        """Take up what a line without a frame says; return whether it belongs to the format."""
+        if not GVRET_HEADER.match(line):
+            return False
+        self._set_layout(GVRET_WITH_DIRECTION if b",dir," in line.lower() else GVRET)
+        return True
+
+    def look_ahead(self, text: bytes) -> None:
+        """Find out the unit of times."""
+        self._unit, note = likely_unit(frames_of(GvretCsv(), text))
+        self._set_layout(self.layout)
+        self.notes += note
+
+    def _set_layout(self, layout: Layout) -> None:
+        self.set_layout(replace(layout, columns=in_unit(layout.columns, self._unit)))
+
+
+CLOCK_DIGITS = 9  # hhmmss.ddd
+NO_DATE = "times are times of day, taken as those of 1970-01-01"
+CANBOAT = Layout(
+    columns=(
+        Column(role=Role.TIME, parameter=6),
+        Column(role=Role.PRIORITY),
+        Column(role=Role.GROUP),
+        Column(role=Role.SOURCE),
+        Column(role=Role.DESTINATION),
+        Column(role=Role.LENGTH),
+        Column(role=Role.MESSAGE, parameter=HEXADECIMAL),
+    ),
+    separator=ord(","),
+)
+YACHT_DEVICES = Layout(
+    columns=(
+        Column(role=Role.TIME),
+        Column(role=Role.DIRECTION),
+        Column(role=Role.ID, parameter=HEXADECIMAL),
+        Column(role=Role.DATA, parameter=HEXADECIMAL),
+    ),
+    separator=BLANKS,
+    extended_digits=8,
+    wrap_us=DAY_US,
+)
+ACTISENSE = Layout(
+    columns=(
+        Column(role=Role.STAMP, parameter=-CLOCK_DIGITS),
+        Column(role=Role.ADDRESSES),
+        Column(role=Role.GROUP, parameter=HEXADECIMAL),
+        Column(role=Role.MESSAGE, parameter=HEXADECIMAL),
+    ),
+    separator=BLANKS,
+    comment_starts=b"#$!",  # sentences of NMEA 0183, which gateways mix in
+    wrap_us=DAY_US,
+)
+
+
+class MessageLog(TableLog):
+    """A log of whole messages."""
+
+    def look_ahead(self, text: bytes) -> None:
+        """Find out which groups have messages longer than a frame: their shorter ones are fast packets, too."""
+        frames_of(self, text)
+        self.restart()
+
+
+Canboat = partial(MessageLog, CANBOAT)
+YachtDevices = partial(TableLog, YACHT_DEVICES, NO_DATE)
+Actisense = partial(MessageLog, ACTISENSE, NO_DATE)
+
 
 CARBUS = Layout(
     columns=(

@@ -60,7 +60,6 @@ class Meaning(IntFlag):
 
 
 EVENT = int(Meaning.EVENT)
-SECONDS, MILLISECONDS, MICROSECONDS = 6, 3, 0
 HEXADECIMAL, DECIMAL = 16, 10
 BLANKS, COMMA = ord(" "), ord(",")
 PACKED_BYTES = 8  # of a word: its first characters tell it apart

@@ -21,8 +21,7 @@ from ecu_emulator.diagnostics.descriptions import (
     VehicleInfo,
     supported,
 )
-from ecu_emulator.diagnostics.emissions import ALL_EMISSION_CODES
-from ecu_emulator.diagnostics.memory import FIRST_RECORD, LATEST_RECORD
+from ecu_emulator.diagnostics.memory import ALL_EMISSION_CODES, FIRST_RECORD, LATEST_RECORD
 from ecu_emulator.diagnostics.pdx.elements import (
     Dictionary,
     Part,

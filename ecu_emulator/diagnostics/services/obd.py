@@ -8,8 +8,7 @@ from typing import Final
 
 from ecu_emulator.diagnostics.codes import ALL_CODES, Nrc, ObdService, Status
 from ecu_emulator.diagnostics.descriptions import BLOCK, Obd, supported
-from ecu_emulator.diagnostics.emissions import emission_codes
-from ecu_emulator.diagnostics.memory import FAILED_COUNTER, PASSED_COUNTER, TroubleRecord
+from ecu_emulator.diagnostics.memory import FAILED_COUNTER, PASSED_COUNTER, TroubleRecord, emission_codes
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet
 from ecu_emulator.diagnostics.services.obd_data import info_data, pid_data
 from ecu_emulator.diagnostics.services.trouble import cleared

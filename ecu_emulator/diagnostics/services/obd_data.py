@@ -4,8 +4,7 @@ from typing import Final
 
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.descriptions import BLOCK, Pid, Profile, VehicleInfo, supported
-from ecu_emulator.diagnostics.emissions import FrozenPids, emission_codes
-from ecu_emulator.diagnostics.memory import is_lamp_on
+from ecu_emulator.diagnostics.memory import FrozenPids, emission_codes, is_lamp_on
 from ecu_emulator.diagnostics.state import Instant, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import Value, Values, encode

@@ -6,14 +6,16 @@ from typing import Final
 
 from ecu_emulator.diagnostics.codes import ALL_BITS, ALL_CODES, Nrc
 from ecu_emulator.diagnostics.descriptions import IN_USE, OF_MEMORY, ExtendedRecord, Profile, Trouble
-from ecu_emulator.diagnostics.emissions import ALL_EMISSION_CODES, after_clear, emission_codes
 from ecu_emulator.diagnostics.memory import (
+    ALL_EMISSION_CODES,
     FAILED_COUNTER,
     FIRST_RECORD,
     LATEST_RECORD,
     Capture,
     TroubleRecord,
+    after_clear,
     clear,
+    emission_codes,
 )
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet_by_service
 from ecu_emulator.diagnostics.services.data import data_of

@@ -2,8 +2,7 @@
 
 from collections.abc import Iterable
 
-from ecu_emulator.diagnostics.doip.sockets import Ask, Close, Send, Step
-from ecu_emulator.diagnostics.doip.streams import advanced, closed, opened, received, responded
+from ecu_emulator.diagnostics.doip.streams import Ask, Close, Send, Step, advanced, closed, opened, received, responded
 from ecu_emulator.diagnostics.table import DoipEntity
 
 ENTITY = DoipEntity()

@@ -10,9 +10,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.doip.listening import Place
+from ecu_emulator.diagnostics.doip.listening import Place, TlsNode
 from ecu_emulator.diagnostics.doip.server import DoipServer
-from ecu_emulator.diagnostics.doip.tls import TlsNode
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from tests.support.doip.desk import activation, framed, request
 from tests.support.patience import HANG_S

@@ -22,10 +22,10 @@ from ecu_emulator.answering.monitoring import Monitoring
 from ecu_emulator.answering.requested_tasks import RequestedClearing
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.bus.sent_values import LatestValues, SentValues
+from ecu_emulator.diagnostics.clutches import OnBoardEstimates, OnBoardFriction, read_line, values_of
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.monitors import SENSED
-from ecu_emulator.diagnostics.on_board_friction import OnBoardEstimates, OnBoardFriction, read_line, values_of
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.scenario import Fluid, FluidCondition, Routine, Scenario

@@ -12,7 +12,14 @@ from types import MappingProxyType
 import numpy as np
 
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.log_formats.blf import CONTAINER_HEADER, DEFLATED, FILE_HEADER, LOG_CONTAINER, OBJECT, OBJECT_MAGIC
+from ecu_emulator.log_formats.writers import (
+    CONTAINER_HEADER,
+    DEFLATED,
+    FILE_HEADER,
+    LOG_CONTAINER,
+    OBJECT,
+    OBJECT_MAGIC,
+)
 from tests.tools.damage.recordings import short_drive, write_recorded
 
 Generator = np.random.Generator

@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from canlog.kernel_cache import UnknownIngredientError, kernel_key
+from canlog.jit import UnknownIngredientError, kernel_key
 
 LAW = '''"""A law and its constants."""
 import numpy as np
@@ -141,8 +141,8 @@ def test_the_laws_of_this_project_have_keys() -> None:
         "for package in (canlog, clutch_model, dbc, diag_service, ecu_emulator):\n"
         "    for module in pkgutil.walk_packages(package.__path__, package.__name__ + '.'):\n"
         "        if not module.name.endswith(('__main__', '_child')): importlib.import_module(module.name)\n"
-        "from canlog.kernel_cache import kernel_count\n"
-        "from canlog.kernel_cache import kernel_key\n"
+        "from canlog.jit import kernel_count\n"
+        "from canlog.jit import kernel_key\n"
         "ours = ('canlog', 'clutch_model', 'dbc', 'diag_service', 'ecu_emulator')\n"
         "kernels = [one for one in gc.get_objects() if type(one).__name__ == 'CPUDispatcher']\n"
         "kernels = [one for one in kernels if one.py_func.__module__.split('.')[0] in ours]\n"

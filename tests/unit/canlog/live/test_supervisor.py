@@ -7,11 +7,10 @@ from collections.abc import AsyncIterator
 import numpy as np
 import pytest
 
-from canlog.errors import SourceError
+from canlog.errors import NOTICE, SourceError
 from canlog.frames import ERROR_FLAG, FrameBatch
 from canlog.live import BusState, LinkBreak, Silence, SourceCounts, SupervisedSource, supervise
 from canlog.live.supervisor import Backoff
-from canlog.notice import NOTICE
 from tests.support.patience import HANG_S
 from tests.support.virtual_time import in_virtual_time
 

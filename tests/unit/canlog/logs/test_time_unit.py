@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, FrameBatch
-from canlog.logs.columns.roles import MICROSECONDS, MILLISECONDS, SECONDS
-from canlog.logs.time_watch import bus_load_ratio, is_plausible, likely_unit
+from canlog.logs.log_counts import MICROSECONDS, MILLISECONDS, SECONDS, bus_load_ratio, is_plausible, likely_unit
 
 
 def batch_of(gap_us: float, count: int = 100, *, length: int = 8, can_id: int = 0x123, flags: int = 0) -> FrameBatch:

@@ -4,7 +4,7 @@ from cantools.database import load_string
 from cantools.database.can import Database
 
 from canlog.decode.codec import Codec, FrameFate
-from canlog.tables.long_rows import LongRows
+from canlog.tables.frame_groups import LongRows
 from tests.support.transport_traffic import Sent, batch_of
 
 FAST, SINGLE, ANSWER = 0x89F80501, 0x98FECA03, 0x7E8

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from canlog.column_files import load_pyarrow
 from canlog.errors import ExtraMissingError
-from canlog.parquet_file import load_pyarrow
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import columns, flattened, format_of, write_results
 from diag_service.diagnosis.records import shift_record

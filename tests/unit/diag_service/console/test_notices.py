@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from canlog.notice import NOTICE
+from canlog.errors import NOTICE
 from diag_service.console.notices import set_up_notices
 from diag_service.service.application import first_error
 

@@ -9,10 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from canlog.errors import SourceError
+from canlog.errors import NOTICE, SourceError
 from canlog.frames import FrameBatch
 from canlog.live import LinkBreak, Silence, SourceCounts
-from canlog.notice import NOTICE
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryLink, MemoryReporter, Outbox, Reporter

@@ -1,8 +1,8 @@
 """A routine that the car performs: when it begins, when it is over, how long its judgement is waited for."""
 
 from ecu_emulator.answering.requested_tasks import ESTIMATE_S, Driven, RequestedRoutine
+from ecu_emulator.diagnostics.clutches import OnBoardFriction
 from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.on_board_friction import OnBoardFriction
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.scenario.scenario import Routine
 from tests.unit.ecu_emulator.diagnostics.bench import PARKED

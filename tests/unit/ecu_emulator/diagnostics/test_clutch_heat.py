@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ecu_emulator.answering.monitoring import Monitoring
-from ecu_emulator.diagnostics.clutch_heat import heated_k, packs_of, slip_power_w
+from ecu_emulator.diagnostics.clutches import heated_k, packs_of, slip_power_w
 from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.table_file import shipped_table

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from ecu_emulator.diagnostics.adaptation import Adaptation
+from ecu_emulator.diagnostics.clutches import Adaptation
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile

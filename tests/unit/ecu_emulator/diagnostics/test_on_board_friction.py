@@ -5,14 +5,14 @@ import math
 import pytest
 
 from diag_service.diagnosis.records import Condition, dump, shift_record
-from ecu_emulator.diagnostics.memory import TestResult as Result
-from ecu_emulator.diagnostics.on_board_friction import (
+from ecu_emulator.diagnostics.clutches import (
     OnBoardFriction,
     fluid_test,
     read_line,
     scenario_friction,
     values_of,
 )
+from ecu_emulator.diagnostics.memory import TestResult as Result
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.scenario import EstimateFrom, FluidVerdict
 from ecu_emulator.scenario.scenario_file import parse_scenario

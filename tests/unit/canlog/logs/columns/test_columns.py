@@ -9,7 +9,7 @@ import pytest
 from canlog.errors import SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.logs.columns import ColumnsLog, columns_seen
-from canlog.logs.columns.clx000 import Clx000
+from canlog.logs.columns.headed import Clx000
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.programs import CANKING, CARBUS, CanHacker, Microchip
 from canlog.logs.detection import LogFormat, detect

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from canlog.frames import EXTENDED_FLAG, FrameBatch
-from canlog.logs.columns.nmea2000 import Actisense, Canboat, YachtDevices
+from canlog.logs.columns.programs import Actisense, Canboat, YachtDevices
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.text_log import TextLog, frames_of
 from canlog.transport.fast_packet import FastPackets

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ecu_emulator.diagnostics.doip.datagrams import announcement, datagram_reply
+from ecu_emulator.diagnostics.doip.messages import announcement, datagram_reply
 from tests.support.doip.desk import ENTITY, framed
 
 VIN = b"WDCTEMULATED00001"
