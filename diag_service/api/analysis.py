@@ -13,7 +13,7 @@ from diag_service.batch.tables import columns, drive_rows, flattened, record_col
 from diag_service.console.notices import collected_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.delivery.console import condition_words
-from diag_service.diagnosis.records import ClutchVerdict, ShiftResult, dump, shift_record, verdict_from
+from diag_service.diagnosis.records import ClutchVerdict, ShiftResult, dump, shift_record, verdict_from, with_revisions
 from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged
 from diag_service.errors import ConfigError
 from diag_service.service.drive import insist
@@ -158,9 +158,9 @@ class Analysis:
 
     @property
     def shifts(self) -> ResultTable:
-        """A row for each shift; the table that ``analyze -o`` writes."""
+        """A row for each shift, as all of them judge it; the table that ``analyze -o`` writes."""
         gaps = tuple(Gap(gap) for gap in self.summary["incomplete"])
-        records = (shift_record(unjudged(result, gaps)) for result in self.results)
+        records = (shift_record(unjudged(result, gaps)) for result in with_revisions(self.results))
         return ResultTable(columns(), list(drive_rows(self.paths, records, is_complete=self.is_complete)))
 
     @property

@@ -11,7 +11,7 @@ from canlog.column_files import BOOL_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
 from canlog.files import replacing
 from clutchdiag_io.files import legible
 from diag_service.batch.journal import Entry
-from diag_service.diagnosis.records import dump
+from diag_service.diagnosis.records import REVISIONS, dump
 from diag_service.errors import ConfigError, StoreError
 from fleet_contract import Channel, JsonObject, schema
 
@@ -72,7 +72,7 @@ def columns() -> dict[str, str]:
 def record_columns(channel: Channel) -> dict[str, str]:
     """Return the columns that the records of a channel have as rows, and their types, from its schema."""
     description = schema(channel.label)
-    return dict(_leaves(description, description))
+    return {name: kind for name, kind in _leaves(description, description) if name != REVISIONS}
 
 
 def drive_rows(
@@ -85,9 +85,11 @@ def drive_rows(
 
 
 def flattened(record: Mapping[str, object], prefix: str = "") -> dict[str, object]:
-    """Return a record without nesting: keys joined by dots, lists by semicolons."""
+    """Return a record without nesting: keys joined by dots, lists by semicolons; what it revised is in other rows."""
     flat: dict[str, object] = {}
     for key, value in record.items():
+        if key == REVISIONS:
+            continue
         if isinstance(value, Mapping):
             flat |= flattened(value, f"{prefix}{key}.")
         else:

@@ -12,7 +12,7 @@ from diag_service.batch.journal import Entry
 from diag_service.batch.processes import follow_parent
 from diag_service.console.notices import collected_notices, set_up_notices
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.records import ShiftResult, shift_record
+from diag_service.diagnosis.records import ShiftResult, shift_record, with_revisions
 from diag_service.diagnosis.summary import summary_record, unjudged
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.recorded import RecordedRun, run_recorded
@@ -53,7 +53,7 @@ def drive_entry(
     """Return what a drive said, as journals and files of results keep it."""
     account = {"stream": run.stream, "summary": summary_record(run.summary), "notices": list(notices)}
     judged = (unjudged(one, run.summary.gaps) for one in results)  # the last one is taken for the drive's
-    return Entry(key=key, drive={**_account(paths), **account}, shifts=tuple(map(shift_record, judged)))
+    return Entry(key=key, drive={**_account(paths), **account}, shifts=tuple(map(shift_record, with_revisions(judged))))
 
 
 def _account(paths: Iterable[Path]) -> dict[str, object]:

@@ -150,7 +150,17 @@ def shift_line(result: ShiftResult, *, is_detailed: bool = True) -> Text:
     line.append(condition_words(verdict.condition), _CONDITION_STYLE[verdict.condition])
     if estimate.reasons:
         line.append(f" [{reason_words(estimate)}]")
+    if estimate.revisions:
+        line.append(f" [{revision_words(estimate)}]")
     return line
+
+
+def revision_words(estimate: ShiftEstimate) -> str:
+    """Return what an event made of earlier ones; empty if nothing."""
+    left_out = sum(bool(one.reasons) for one in estimate.revisions)
+    taken_in = len(estimate.revisions) - left_out
+    told = ((left_out, "no longer believed"), (taken_in, "believed after all"))
+    return ", ".join(f"{count} earlier {text}" for count, text in told if count)
 
 
 def short_shift_head() -> Text:

@@ -8,7 +8,7 @@ Schemas (2020-12) and the envelope in which records travel. Keys keep one order,
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from enum import IntEnum, StrEnum
@@ -242,6 +242,19 @@ class ShiftIndices:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Revision:
+    """What an event made of an earlier one of the same vehicle: now it belongs with the others, or no longer."""
+
+    clutch: int
+    end_bus_ns: int  # by these two the earlier event is known
+    status: Status
+    reasons: tuple[Reason, ...]
+    friction: FrictionEstimate | None
+    scale_free: ScaleFreeFriction | None
+    slope: FrictionSlope | None = None  # as in an estimate
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ShiftEstimate:
     """What one shift says about the clutch that engaged."""
 
@@ -270,6 +283,7 @@ class ShiftEstimate:
     kind: EventKind = EventKind.SHIFT  # what happened; the default in results of older versions
     end_reason: EndReason | None = None  # how it ended; None in results of older versions
     slope: FrictionSlope | None = None  # in place of friction where the torque is modelled
+    revisions: tuple[Revision, ...] = ()  # of earlier events
 
 
 class Condition(IntEnum):
@@ -333,7 +347,8 @@ SHIFT_SCHEMA: Final = Channel.SHIFT.schema_name
 _EPOCH: Final = datetime(1970, 1, 1)  # noqa: DTZ001 - UTC, which the text says
 _NS_PER_US: Final = 1000
 _RESULT_KEYS: Final = ("vehicle", "stream", "seq", "produced_at", "algorithm_version", "calibration_version")
-_SLOPE: Final = "slope"  # is there where the torque is modelled, and nowhere else
+REVISIONS: Final = "revisions"
+_ONLY_WHERE_THERE: Final = frozenset({"slope", REVISIONS})  # keys of a record
 _PUBLIC_NAMES: Final = {"start_ns": "start_bus_ns", "end_ns": "end_bus_ns", "data_quality": "trust"}
 
 
@@ -411,12 +426,31 @@ def shift_record(result: ShiftResult) -> JsonObject:
     record = estimate | {public: estimate[name] for name, public in _PUBLIC_NAMES.items()}
     record |= {key: getattr(result, key) for key in _RESULT_KEYS}
     verdict = to_plain(result.verdict) | {"condition": result.verdict.condition.name.lower()}
-    if verdict[_SLOPE] is None:  # as by programs that knew none
-        del verdict[_SLOPE]
+    if verdict["slope"] is None:  # as by programs that knew none
+        del verdict["slope"]
     record |= {"schema": SHIFT_SCHEMA, "verdict": verdict}
     record["start_utc"] = utc_from_bus_ns(result.estimate.start_ns)
     record["end_utc"] = utc_from_bus_ns(result.estimate.end_ns)
-    return {key: record[key] for key in _keys_of(Channel.SHIFT) if key != _SLOPE or record[key]}
+    return {key: record[key] for key in _keys_of(Channel.SHIFT) if key not in _ONLY_WHERE_THERE or record[key]}
+
+
+def with_revisions(results: Iterable[ShiftResult]) -> list[ShiftResult]:
+    """Return results of one vehicle, the oldest first, each as later ones have judged it."""
+    revised, places = list(results), dict[tuple[int, int], int]()
+    for place, result in enumerate(revised):
+        for one in result.estimate.revisions:
+            if (earlier := places.get((one.clutch, one.end_bus_ns))) is not None:
+                estimate = replace(
+                    revised[earlier].estimate,
+                    status=one.status,
+                    reasons=one.reasons,
+                    friction=one.friction,
+                    scale_free=one.scale_free,
+                    slope=one.slope,
+                )
+                revised[earlier] = replace(revised[earlier], estimate=estimate)
+        places[result.estimate.clutch, result.estimate.end_ns] = place
+    return revised
 
 
 def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:
@@ -431,7 +465,7 @@ def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:
     record["schema"] = Channel.CLUTCH.schema_name
     record |= order_record(order)
     keys = _keys_of(Channel.CLUTCH)
-    return {key: record.get(key) for key in keys if key != _SLOPE or record.get(key)}  # older programs lack some
+    return {key: record.get(key) for key in keys if key not in _ONLY_WHERE_THERE or record.get(key)}  # older programs lack some
 
 
 def order_record(order: Order | None) -> JsonObject:

@@ -1,14 +1,14 @@
 """What a report is about: results of one vehicle, from logs or a store, and the signals of a few of its shifts."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.records import FluidFill, ShiftResult, Status
+from diag_service.diagnosis.records import FluidFill, ShiftResult, Status, with_revisions
 from diag_service.diagnosis.summary import Gap, Summary, of_present_fluid, order_by
 from diag_service.errors import StoppedError
 from diag_service.service.drive import open_drive, stream_of_drive
@@ -93,7 +93,7 @@ def findings_of_logs(
     return Findings(
         vehicle=config.vehicle,
         sources=sources,
-        rows=tuple(Row(position=number, result=one) for number, one in enumerate(reporter.results, 1)),
+        rows=tuple(Row(position=number, result=one) for number, one in enumerate(with_revisions(reporter.results), 1)),
         latest=summary.latest,
         versions=versions_for(config.calibration),
         calibration=config.calibration,
@@ -112,11 +112,12 @@ def findings_of_store(path: Path, named: str | None, calibration: Calibration) -
         rows = list(store.rows(vehicle))
         fills = tuple(store.fills(vehicle))
     versions = _versions(rows[-1].result)
-    same = tuple(row for row in rows if _versions(row.result) == versions)
+    same = [row for row in rows if _versions(row.result) == versions]
+    revised = with_revisions(row.result for row in same)
     return Findings(
         vehicle=vehicle,
         sources=(path.name,),
-        rows=same,
+        rows=tuple(replace(row, result=result) for row, result in zip(same, revised, strict=True)),
         latest=of_present_fluid(latest_of(row.result for row in same), fills[-1] if fills else None),
         versions=versions,
         calibration=calibration if versions_for(calibration).calibration == versions.calibration else None,

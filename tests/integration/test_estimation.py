@@ -16,12 +16,14 @@ from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.posterior import scale_free
 from diag_service.diagnosis.quality.data_quality import usable_samples
-from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
+from diag_service.diagnosis.records import Reason, ShiftEstimate, Status, shift_from, shift_record, with_revisions
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from ecu_emulator.drive.recording import frames_of
-from tests.support.builders import drive_scenario
+from fleet_contract import Channel
+from fleet_contract.schema_check import check_data
+from tests.support.builders import drive_scenario, shift_result
 from tests.support.wire import received
 
 CALIBRATION = nominal_calibration()
@@ -221,3 +223,26 @@ def test_new_fluid_is_believed_after_three_shifts_that_agree() -> None:
         free = scale_free(state, clutch)
         assert free.mu_c == pytest.approx(0.140, abs=4 * free.std_mu_c)
         assert state.shift_counts[clutch - 1] == 5  # the two that were left out at first are of the new fluid too
+
+
+def test_what_new_fluid_left_out_at_first_is_believed_after_all() -> None:
+    old, new = shifts("case2", cycles=3), shifts("ideal", seed=78)
+    estimates = [estimate for _, estimate in followed((*old, *new))]
+    left_out = {(one.clutch, one.end_ns) for one in estimates if Reason.NOT_UPDATED in one.reasons}
+    told = [one for estimate in estimates for one in estimate.revisions]
+    assert {(one.clutch, one.end_bus_ns) for one in told if not one.reasons} == left_out
+    assert all(one.status is Status.VALID and one.friction is not None for one in told)
+
+
+def test_a_bad_first_shift_is_named_by_those_that_find_it_out() -> None:
+    """It was believed at first: nobody knew better. No sound one is blamed in the end."""
+    events = shifts(cycles=2)
+    bad = changed(events[0], Signal.ENGINE_TORQUE, lambda _, value: value + 30.0)
+    results = [replace(shift_result(), estimate=estimate) for _, estimate in followed((bad, *events[1:]))]
+    assert results[0].estimate.reasons == ()
+    revised = with_revisions(results)
+    assert [place for place, one in enumerate(revised) if one.estimate.reasons] == [0]
+    record = shift_record(next(one for one in results if one.estimate.revisions))
+    check_data(Channel.SHIFT, record)
+    assert shift_from(record).estimate.revisions  # as a store and a message carry it
+    assert "revisions" not in shift_record(results[0])

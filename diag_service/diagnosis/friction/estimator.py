@@ -1,6 +1,6 @@
 """One shift in, one friction estimate and a new running state out."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -59,7 +59,7 @@ from diag_service.diagnosis.quality.plausibility import (
     plausibility_faults,
     zero_has_jumped,
 )
-from diag_service.diagnosis.records import LEAST_SLIP_ROWS, FrictionSlope, Reason, ShiftEstimate, Status
+from diag_service.diagnosis.records import LEAST_SLIP_ROWS, FrictionSlope, Reason, Revision, ShiftEstimate, Status
 
 TOUCH_PRESSURE_PA: Final = 20e3
 VISCOSITY_RATIO: Final = 0.2
@@ -247,13 +247,36 @@ class Estimator:
         before = self._unknown_friction(others, seen.clutch)
         alone = fuse(before, seen.evidence)
         estimate = self._described(event, seen, state, alone)
+        if not state.believes_as(room):
+            estimate = replace(estimate, revisions=tuple(self._revisions(room, state)))
         if state.is_used[-1]:
             return state, estimate
-        if zero_has_jumped(_zeros(before), _zeros(alone.knowledge)):
-            return state, _rejected(estimate, Reason.ZERO_JUMPED)
-        if _is_misfit(before, alone, seen.evidence.count):
-            return state, _rejected(estimate, Reason.MISFIT)
-        return state, replace(estimate, reasons=(Reason.NOT_UPDATED,))
+        reason = _why_left_out(before, alone, seen.evidence.count)
+        if reason is not Reason.NOT_UPDATED:
+            return state, _rejected(estimate, reason)
+        return state, replace(estimate, reasons=(reason,))
+
+    def _revisions(self, room: Posterior, state: Posterior) -> Iterator[Revision]:
+        """Yield what the newest event has made of those before it, with which it was judged."""
+        before = {id(event): used for event, used in zip(room.recent, room.is_used, strict=True)}
+        for place, (event, is_used) in enumerate(zip(state.recent[:-1], state.is_used, strict=False)):
+            if before.get(id(event), is_used) == is_used:
+                continue
+            known = self._unknown_friction(state.without(place), event.clutch)
+            alone = fuse(known, event.evidence)
+            reasons = () if is_used else (_why_left_out(known, alone, event.evidence.count),)
+            is_valid = reasons in {(), (Reason.NOT_UPDATED,)}
+            friction, free = both_frictions(replace(state, fusion=alone), event.clutch) if is_valid else (None, None)
+            is_measured = state.torque is TorqueSource.MEASURED
+            yield Revision(
+                clutch=event.clutch,
+                end_bus_ns=event.end_ns,
+                status=Status.VALID if is_valid else Status.REJECTED,
+                reasons=reasons,
+                friction=friction if is_measured else None,
+                scale_free=free,
+                slope=None if free is None or is_measured else FrictionSlope.of(free, state.torque),
+            )
 
     def _unknown_friction(self, known: Knowledge, clutch: int) -> Knowledge:
         """Return what is known with the friction of one clutch unknown again, everything else kept."""
@@ -410,6 +433,13 @@ def _untold(event: Event, why: Reason | _TooFew, against: tuple[Reason, ...]) ->
     status = Status.UNOBSERVED if is_unobserved and not against else Status.REJECTED
     untold = without_friction(event, status, *reasons)
     return replace(untold, sample_count=why.row_count) if isinstance(why, _TooFew) else untold
+
+
+def _why_left_out(before: Knowledge, alone: Fusion, count: int) -> Reason:
+    """Return why an event of ``count`` residuals does not belong with the others, which know ``before``."""
+    if zero_has_jumped(_zeros(before), _zeros(alone.knowledge)):
+        return Reason.ZERO_JUMPED
+    return Reason.MISFIT if _is_misfit(before, alone, count) else Reason.NOT_UPDATED
 
 
 def _rejected(estimate: ShiftEstimate, *reasons: Reason) -> ShiftEstimate:

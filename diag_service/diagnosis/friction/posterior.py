@@ -147,7 +147,12 @@ class Posterior:
     @property
     def others(self) -> Knowledge:
         """What is known without the newest event."""
-        return fuse(self.base, together(self.recent[:-1], self.is_used)).knowledge
+        return self.without(len(self.recent) - 1)
+
+    def without(self, place: int) -> Knowledge:
+        """Return what is known without one of the recent events."""
+        is_used = [used and other != place for other, used in enumerate(self.is_used)]
+        return fuse(self.base, together(self.recent, is_used)).knowledge
 
     @property
     def shift_counts(self) -> tuple[int, int]:
