@@ -465,7 +465,9 @@ def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:
     record["schema"] = Channel.CLUTCH.schema_name
     record |= order_record(order)
     keys = _keys_of(Channel.CLUTCH)
-    return {key: record.get(key) for key in keys if key not in _ONLY_WHERE_THERE or record.get(key)}  # older programs lack some
+    return {
+        key: record.get(key) for key in keys if key not in _ONLY_WHERE_THERE or record.get(key)
+    }  # older programs lack some
 
 
 def order_record(order: Order | None) -> JsonObject:
