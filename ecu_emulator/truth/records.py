@@ -15,6 +15,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self, TextIO
 
+import msgspec
+
 from canlog.files import read_small_file
 from ecu_emulator.errors import RecordError
 
@@ -266,32 +268,14 @@ def read_truth(path: Path) -> TruthLog:
     """
     try:
         lines = [json.loads(line) for line in read_small_file(path, MAX_TRUTH_BYTES).decode("utf-8").splitlines()]
-        by_kind = {
-            kind: [_content(line) for line in lines if line["kind"] == kind]
-            for kind in (_DRIVE, *_KINDS.values(), _TOTALS)
-        }
-        (drive,) = by_kind[_DRIVE]
+        (drive,) = (line for line in lines if line["kind"] == _DRIVE)
         seeds = dict.fromkeys(("vehicle_seed", "drive_seed"), drive["seed"])  # older files have one for both
-        totals = [
-            Totals(**{**line, "faults": tuple(FaultTruth(**fault) for fault in line.get("faults", ()))})
-            for line in by_kind[_TOTALS]
-        ]
+        totals = [msgspec.convert(line, Totals) for line in lines if line["kind"] == _TOTALS]
         happened = [
-            record(**(_with_pairs(line) if record is TripTruth else line))
-            for record, kind in _KINDS.items()
-            for line in by_kind[kind]
+            msgspec.convert(line, record) for record, kind in _KINDS.items() for line in lines if line["kind"] == kind
         ]
-        return truth_log(DriveTruth(**{**seeds, **_with_pairs(drive)}), happened, totals[0] if totals else None)
+        return truth_log(msgspec.convert({**seeds, **drive}, DriveTruth), happened, totals[0] if totals else None)
     except OSError as exc:
         raise RecordError(f"cannot read truth {path}: {exc.strerror or exc}") from exc
     except (ValueError, KeyError, TypeError) as exc:
         raise RecordError(f"{path} is not a truth file: {exc}") from exc
-
-
-def _content(line: dict[str, Any]) -> dict[str, Any]:  # JSON is untyped
-    return {key: value for key, value in line.items() if key != "kind"}
-
-
-def _with_pairs(line: dict[str, Any]) -> dict[str, Any]:
-    """Return a line with its numbers per clutch as records have them."""
-    return {**line, "mu_c": tuple(line["mu_c"]), "mu_s": tuple(line["mu_s"])}
