@@ -20,7 +20,7 @@ from diag_service.console.terminal import PeopleConsole
 from diag_service.mapping.interpretation import asked_database
 from diag_service.service import bus_run
 from diag_service.service.live import close_in_time
-from diag_service.service.snapshot import LiveRun
+from diag_service.service.onlookers import LiveRun
 from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import BusConfig, ListenAddress, bus_config, default_store, diagnosis_config
 from diag_service.settings.options import SETTINGS

@@ -20,8 +20,9 @@ from clutchdiag_io.pages.environment import SAFE_HEADERS, host_of, templates_of
 from diag_service.diagnosis.summary import frames_line
 from diag_service.report.findings import Findings
 from diag_service.report.page import advice_of, events_section, friction_section, shift_figures
+from diag_service.service.onlookers import LiveRun
 from diag_service.service.session import versions_for
-from diag_service.service.snapshot import LiveRun, Snapshot
+from diag_service.service.snapshot import Snapshot
 from diag_service.service.web import serving_web
 from diag_service.settings.config import ListenAddress
 from diag_service.store import Row

@@ -12,9 +12,9 @@ from diag_service.diagnosis.records import FluidFill, ShiftResult, Status, with_
 from diag_service.diagnosis.summary import Gap, Summary, of_present_fluid, order_by
 from diag_service.errors import StoppedError
 from diag_service.service.drive import open_drive, stream_of_drive
+from diag_service.service.onlookers import Example, own_samples
 from diag_service.service.recorded import STOPPED_TEXT, replay, warn_of_slow_messages
 from diag_service.service.session import Session, versions_for
-from diag_service.service.snapshot import Example, own_samples
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import NoStore, Row, StoreReader, Versions

@@ -43,7 +43,7 @@ from diag_service.report.pictures import (
     shift_picture,
     trend_picture,
 )
-from diag_service.service.snapshot import Example
+from diag_service.service.onlookers import Example
 from diag_service.store import Row
 from fleet_contract import CLUTCHES, JsonObject
 from fleet_contract.orders import SHOWN_AS, Order

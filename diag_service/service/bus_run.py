@@ -19,8 +19,9 @@ from diag_service.errors import ConfigError
 from diag_service.service.application import opened_store, outbox_of, reporter_of
 from diag_service.service.live import run_live
 from diag_service.service.monitor import Monitor
+from diag_service.service.onlookers import LastShifts, LiveRun, OpenPage
 from diag_service.service.session import Session
-from diag_service.service.snapshot import Board, LastShifts, LiveRun, OpenPage, Snapshot, SnapshotTaker
+from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import BusConfig, DiagnosisConfig
 from diag_service.store import ResultStore

@@ -1,22 +1,17 @@
 """How a live run stands at one moment, for whoever looks on: monitor, metrics, watchdog."""
 
 import time
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import Protocol
 
 from canlog.live import BusState, BusStatus, LiveSource
-from clutch_model.calibration import Calibration
 from clutch_model.units import NS_PER_S
-from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.records import FluidFill, ShiftResult
 from diag_service.diagnosis.summary import FrameCounts, Summary
 from diag_service.mapping.decoder import MessageCounts
 from diag_service.service.session import Session, Stuck
 from diag_service.service.stages import Stages
-from diag_service.settings.config import ListenAddress
 
 DEFAULT_BITRATE = 500_000
 STALE_S = 5.0  # a service that has not looked up for this long does not live
@@ -144,50 +139,3 @@ class Board:
     def is_ready(self) -> bool:
         """Whether it is at work and hears its bus."""
         return self.is_live and self.latest is not None and self.latest.bus.state in READY_STATES
-
-
-MOST_SHIFTS: Final = 4  # with their signals, some hundred kilobytes each
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Example:
-    """A shift with its signals."""
-
-    event: Event
-    result: ShiftResult
-
-
-class LastShifts:
-    """The last shifts of a run, the newest last; written by one thread, read by others."""
-
-    def __init__(self, most: int = MOST_SHIFTS) -> None:
-        self._kept: deque[Example] = deque(maxlen=most)
-
-    @property
-    def examples(self) -> Sequence[Example]:
-        """What is kept."""
-        return tuple(self._kept)
-
-    def add(self, event: Event, result: ShiftResult) -> None:
-        """Keep a shift and forget the oldest."""
-        self._kept.append(Example(event=own_samples(event), result=result))
-
-
-def own_samples(event: Event) -> Event:
-    """Return an event with samples of its own: those of the stream are written over."""
-    return replace(event, columns={signal: series.copy() for signal, series in event.columns.items()})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LiveRun:
-    """A live run, as a page shows it."""
-
-    vehicle: str
-    source: str  # where frames are read from
-    store: str  # where results are
-    calibration: Calibration
-    board: "Board"
-    shifts: LastShifts
-
-
-OpenPage = Callable[[ListenAddress, LiveRun], AbstractContextManager[str]]  # shows a run while entered; yields where

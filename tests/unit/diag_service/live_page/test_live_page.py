@@ -12,8 +12,9 @@ from diag_service.delivery import MemoryReporter
 from diag_service.errors import ConfigError
 from diag_service.live_page import opened_page
 from diag_service.live_page.server import MOST_READERS
+from diag_service.service.onlookers import MOST_SHIFTS, LastShifts, LiveRun
 from diag_service.service.session import Session
-from diag_service.service.snapshot import MOST_SHIFTS, Board, LastShifts, LiveRun, SnapshotTaker
+from diag_service.service.snapshot import Board, SnapshotTaker
 from diag_service.settings.config import DiagnosisConfig, ListenAddress
 from diag_service.store import ResultStore
 from tests.support.patience import HANG_S
