@@ -15,6 +15,7 @@ from fleet_backend.rows import (
     fill_rows,
     metrics_row,
     quarantine_row,
+    revision_rows,
     shift_row,
     status_row,
 )
@@ -74,6 +75,7 @@ class Taken:
     row: Row  # of several: what is common to them
     fills: Sequence[Row] = ()
     calibrations: Sequence[Row] = ()
+    revisions: Sequence[Row] = ()
     receipt: Receipt | None = None
 
 
@@ -114,7 +116,9 @@ def _take(message: Message, address: Address, received_at: datetime) -> Taken:
         return refuse(message, _reason_of(exc), str(exc), received_at)
     channel, data = address.channel, incoming.data
     if channel is Channel.SHIFT and incoming.key is not None:
-        return Taken(message=message, kind=MessageKind.SHIFT, row=shift_row(data), receipt=Receipt(key=incoming.key))
+        row, revisions = shift_row(data), revision_rows(data)
+        receipt = Receipt(key=incoming.key)
+        return Taken(message=message, kind=MessageKind.SHIFT, row=row, revisions=revisions, receipt=receipt)
     if channel is Channel.STATUS:
         told = calibration_rows(data)
         return Taken(message=message, kind=MessageKind.STATUS, row=status_row(data), calibrations=told)
@@ -150,6 +154,7 @@ def batch_of(taken: Sequence[Taken]) -> Batch:
         shifts=rows[MessageKind.SHIFT],
         statuses=rows[MessageKind.STATUS],
         calibrations=[row for item in taken for row in item.calibrations],
+        revisions=[row for item in taken for row in item.revisions],
         metrics=rows[MessageKind.METRICS],
         controllers=rows[MessageKind.CONTROLLER],
         fills=[row for item in taken for row in item.fills],

@@ -145,6 +145,20 @@ def calibration_rows(data: Mapping[str, object]) -> list[Row]:
     return [{**{name: data[name] for name in names}, "content": json.dumps(told)}]
 
 
+def revision_rows(data: Mapping[str, object]) -> list[Row]:
+    """Return the rows of what a result made of earlier ones of its vehicle."""
+    rows: list[Row] = []
+    told = data.get("revisions", [])
+    for one in map(_table, told if isinstance(told, list) else []):
+        reasons = one["reasons"]
+        now = {"status": one["status"], "reasons": ",".join(map(str, reasons)) if isinstance(reasons, list) else ""}
+        now |= _friction(one["friction"], FRICTION_COLUMNS) | _scale_free(one["scale_free"])
+        names = ("vehicle", "stream", "seq")
+        key = {**{name: data[name] for name in names}, "clutch": one["clutch"], "end_bus_ns": one["end_bus_ns"]}
+        rows.append({**key, "content": json.dumps(now)})
+    return rows
+
+
 def fill_rows(data: Mapping[str, object]) -> list[Row]:
     """Return the rows of the fluid fills that a vehicle knows; of those that are taken back the key alone."""
     fills, withdrawn = data["fills"], data.get("withdrawn", [])

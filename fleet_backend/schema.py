@@ -183,6 +183,17 @@ CALIBRATION: Final = Table(  # as the status of a service tells it: a vehicle sp
     Column("content", Text, nullable=False),  # JSON object: the type, and the friction of each clutch when new
 )
 
+REVISION: Final = Table(  # what a result made of an earlier one, whichever comes first
+    "revision",
+    METADATA,
+    Column("vehicle", Text, primary_key=True),
+    Column("stream", SORTED_BY_BYTES, primary_key=True),
+    Column("seq", BigInteger, primary_key=True, autoincrement=False),
+    Column("clutch", SmallInteger, primary_key=True, autoincrement=False),
+    Column("end_bus_ns", BigInteger, primary_key=True, autoincrement=False),
+    Column("content", Text, nullable=False),  # JSON object: columns of the earlier result as they are now
+)
+
 # What makes a result that result. In PostgreSQL the time of its making is in the primary key as well: no unique index
 # of a partitioned table can do without; the views take one result per key all the same.
 KEY_COLUMNS: Final = tuple(column.name for column in SHIFT_RESULT.primary_key)

@@ -38,6 +38,7 @@ from fleet_backend.schema import (
     FLUID_FILL,
     KEY_COLUMNS,
     QUARANTINE,
+    REVISION,
     SHIFT_RESULT,
     VEHICLE,
     WITHDRAWN_FILL,
@@ -113,6 +114,7 @@ class Batch:
     shifts: Sequence[Row] = ()
     statuses: Sequence[Row] = ()
     calibrations: Sequence[Row] = ()
+    revisions: Sequence[Row] = ()
     metrics: Sequence[Row] = ()
     controllers: Sequence[Row] = ()
     fills: Sequence[Row] = ()
@@ -132,7 +134,7 @@ class Writer:
         self._controller = _later_wins(make(VEHICLE), "controller")
         self._first_comes = {
             table.name: make(table).on_conflict_do_nothing()
-            for table in (VEHICLE, CALIBRATION, CLUTCH, FLUID_FILL, WITHDRAWN_FILL, QUARANTINE)
+            for table in (VEHICLE, CALIBRATION, REVISION, CLUTCH, FLUID_FILL, WITHDRAWN_FILL, QUARANTINE)
         }
 
     def store(self, batch: Batch) -> None:
@@ -180,6 +182,7 @@ class Writer:
             _execute(connection, self._metrics, _sorted(batch.metrics, "vehicle"))
             _execute(connection, self._controller, _sorted(batch.controllers, "vehicle"))
             self._put_results(connection, batch.shifts)
+            self._put(connection, REVISION, _sorted(batch.revisions, *REVISION.primary_key.columns.keys()))
             self._put_fills(connection, _sorted(batch.fills, "vehicle", "filled_at"))
             self._put(connection, QUARANTINE, _sorted(batch.quarantined, "digest"))
         if len(self._known) > _MAX_KNOWN:

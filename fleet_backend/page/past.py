@@ -6,7 +6,7 @@ from dataclasses import fields
 from datetime import datetime, timedelta
 from typing import Any, Final
 
-from sqlalchemy import Engine, Interval, Select, and_, func, literal, or_, select, tuple_
+from sqlalchemy import Connection, Engine, Interval, Select, and_, func, literal, or_, select, tuple_
 
 from fleet_backend import views
 from fleet_backend.database import transaction
@@ -18,6 +18,7 @@ from fleet_backend.page.records import ClutchAlarm, Quarantined, ShiftAnswer
 from fleet_backend.schema import (
     FRICTION_COLUMNS,
     QUARANTINE,
+    REVISION,
     RUNNING,
     SCALE_FREE,
     SCALE_FREE_COLUMNS,
@@ -80,13 +81,23 @@ def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
     with transaction(engine) as connection:
         statement = current_results(vehicle, clutch, is_by_month=has_partitions(engine))
         found = connection.execute(statement)
-        rows: list[Row] = [dict(zip(_TREND_COLUMNS, row, strict=True)) for row in found]
+        rows = _revised(connection, [dict(zip(_TREND_COLUMNS, row, strict=True)) for row in found])
         remember(connection, {(row["vehicle"], row["calibration_version"]) for row in rows})
     last: dict[str, datetime] = {}
     for row in rows:
         at = min(row["produced_at"], row["stored_at"])  # a clock that is ahead orders nothing
         last[row["stream"]] = max(at, last.get(row["stream"], at))
     return sorted(_once(rows), key=lambda row: (last[row["stream"]], row["stream"], row["seq"]))
+
+
+def _revised(connection: Connection, rows: list[Row]) -> list[Row]:
+    """Return results of one vehicle as later ones have judged them."""
+    table = REVISION.c
+    statement = select(table.clutch, table.end_bus_ns, table.content).order_by(table.stream, table.seq)
+    told = connection.execute(statement.where(table.vehicle == rows[0]["vehicle"])) if rows else ()
+    now = {(one.clutch, one.end_bus_ns): one.content for one in told}
+    known = ((row, now.get((row["clutch"], row["end_bus_ns"]))) for row in rows)
+    return [row if content is None else {**row, **json.loads(content)} for row, content in known]
 
 
 def _once(rows: list[Row]) -> list[Row]:
@@ -133,7 +144,7 @@ def shift_of(engine: Engine, vehicle: str, stream: str, seq: int) -> ShiftAnswer
                 return None
             own = and_(own, table.c.produced_at >= span[0], table.c.produced_at < span[1])
         statement = select(table).where(own).order_by(table.c.version_rank.desc())
-        rows: list[Row] = [dict(row) for row in connection.execute(statement).mappings()]
+        rows = _revised(connection, [dict(row) for row in connection.execute(statement).mappings()])
         remember(connection, [(vehicle, row["calibration_version"]) for row in rows[:1]])
     if not rows:
         return None

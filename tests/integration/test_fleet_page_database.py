@@ -13,7 +13,7 @@ from sqlalchemy import Connection, Engine, event, text
 
 from diag_service.diagnosis.prognosis import history_of, prognose
 from diag_service.diagnosis.prognosis.sentence import outlook_line
-from diag_service.diagnosis.records import Condition, ServiceStatus, status_record
+from diag_service.diagnosis.records import Condition, Reason, Revision, ServiceStatus, Status, status_record
 from fleet_backend import queries
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
@@ -26,7 +26,7 @@ from fleet_backend.page.access import Access
 from fleet_backend.page.asking import Ask, read_words
 from fleet_backend.page.keeper import DatabaseSource, Keeper
 from fleet_backend.page.news import News
-from fleet_backend.page.past import results_of
+from fleet_backend.page.past import results_of, shift_of
 from fleet_backend.page.peers import fleet_ageing
 from fleet_backend.page.records import Due
 from fleet_backend.page.running import all_clutches, clutches_of
@@ -38,7 +38,7 @@ from fleet_backend.writer import Batch, Writer
 from fleet_contract import status_message
 from fleet_contract.orders import Action
 from fleet_link import Message
-from tests.support.fleet import NOW, fleet_result, row_of
+from tests.support.fleet import NOW, fleet_result, message_of, row_of
 from tests.support.fleet_page import sources_of
 from tests.support.histories import CALIBRATION, history
 
@@ -415,3 +415,24 @@ def test_no_question_reads_all_results(large: Engine) -> None:
     assert len(plans) > 10
     whole = re.compile(r'"Node Type": "Seq Scan"[^{}]*"Relation Name": "shift_result"')
     assert [statement for statement, plan in plans.items() if whole.search(plan)] == []
+
+
+@pytest.mark.parametrize("is_first", [False, True])
+def test_results_are_as_later_ones_have_judged_them_whichever_came_first(engine: Engine, is_first: bool) -> None:
+    bad, later = fleet_result(1), fleet_result(2)
+    misfit = Revision(
+        clutch=bad.estimate.clutch,
+        end_bus_ns=bad.estimate.end_ns,
+        status=Status.REJECTED,
+        reasons=(Reason.MISFIT,),
+        friction=None,
+        scale_free=None,
+    )
+    later = replace(later, estimate=replace(later.estimate, revisions=(misfit,)))
+    for one in (later, bad) if is_first else (bad, later):
+        Writer(engine).store(batch_of(take_all(message_of(one), NOW)))
+    row, other = results_of(engine, bad.vehicle, bad.estimate.clutch)
+    assert (row["status"], row["reasons"], row["mu_c"], other["status"]) == ("rejected", "misfit", None, "valid")
+    shown = shift_of(engine, bad.vehicle, bad.stream, bad.seq)
+    assert shown is not None
+    assert (shown.status, shown.reasons, shown.friction) == ("rejected", ("misfit",), None)
