@@ -48,7 +48,7 @@ def measured_channels(stream: BinaryIO) -> Measured:
     columns, notes = signal_columns([one.name for one in channels], [one.unit for one in channels])
     others = [name for one in groups for name in one.others]
     others += [channel.name for one in groups if not one.has_times for channel in one.channels]
-    notes += [f"channels that are no numbers, or have no times, are left out: {', '.join(others)}"] * bool(others)
+    notes += [f"channels without numbers or without times are left out: {', '.join(others)}"] * bool(others)
     return Measured(tables, tuple(columns), tuple(notes))
 
 

@@ -19,8 +19,7 @@ from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, WITHDRAWN_FILL, UtcDa
 _MOST_NAMES: Final = 500  # of vehicles in one statement
 # The view running_condition for some vehicles alone: a database does not carry a list of names into a view by itself.
 _RUNNING: Final = """
-SELECT
-  s.vehicle, s.clutch, s.condition, s.condition_reason, s.advice, s.level_ratio,
+SELECT s.vehicle, s.clutch, s.condition, s.condition_reason, s.advice, s.level_ratio,
   s.running_shift_count AS shift_count, s.running_mu_c AS mu_c, s.running_mu_s AS mu_s,
   s.running_std_mu_c AS std_mu_c, s.running_std_mu_s AS std_mu_s, s.running_correlation AS correlation,
   s.running_slope_s_rad AS slope_s_rad, s.running_std_slope_s_rad AS std_slope_s_rad,

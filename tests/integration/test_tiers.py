@@ -78,7 +78,7 @@ def test_a_worn_clutch_carries_less_than_it_is_asked_for(tmp_path: Path) -> None
 def test_a_log_without_shifts_is_accounted_for(drive_log: Path, tmp_path: Path) -> None:
     ended = run("analyze", drive_log, "--profile", "j1939")
     assert ended.status == 0
-    assert "profile j1939: 10 of 10 signals, tier 3; torque capacity needs" in ended.err
+    assert "profile j1939: 12 of 12 signals, tier 3; torque capacity needs" in ended.err
     lines = len(drive_log.read_bytes().splitlines())
     assert f"{lines} frames, 0 decoded, {lines} ignored" in ended.out
     assert "no shift was found; the signals do not show shifts: shift time and slip needs engine_speed" in ended.out

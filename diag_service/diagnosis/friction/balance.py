@@ -4,12 +4,9 @@ Over each piece ``a..b`` of a slip window, with test functions psi_k that vanish
 
     int psi (T_e - B_H w_H - T_V1 - T_V2) dt + int psi' (J_E w_E + J_H w_H) dt = sum_m int psi T_C,m dt
 
-holds without differentiating a speed (integration by parts). Every term is linear in the samples, so the covariance
-of its noise is exact; the contact torques T_C,m are linear in the friction coefficients.
-
-The sensitivities, and so the gain of an update, come from *planned* drives that are free of sensor noise: regressors
-that share noise with the residual would pull friction down by several percent. The residual itself comes from the
-measured ones (`Balance`).
+holds without differentiating a speed. Every term is linear in the samples, so the covariance of its noise is exact; the
+contact torques T_C,m are linear in the friction coefficients. Sensitivities come from *planned* drives without sensor
+noise, which would pull friction down by several percent; the residual comes from the measured ones (`Balance`).
 """
 
 import math
@@ -69,10 +66,7 @@ class ClutchMoments(NamedTuple):
 
 
 class Torques(NamedTuple):
-    """What both clutches carry on the rows of a window, eqs. (5), (6) and (8); each (2 clutches, ...).
-
-    The two numbers of friction are per unit of mu_c and of mu_s.
-    """
+    """What both clutches carry on the rows of a window, eqs. (5), (6) and (8); (2 clutches, 2: by mu_c, mu_s, ...)."""
 
     lever_m3: FloatArray  # (2, 2, n) contact torque over its pressure
     contact_nm: FloatArray  # (2, 2, n)
