@@ -27,7 +27,7 @@ FREE_BYTES, PACKED_RATIO = 128 << 20, 50  # of a batch as it is unpacked, and ov
 NS_PER_US: Final = 1000.0
 UNIT: Final = b"unit"
 RECORD_BATCH: Final = 3  # a kind of message
-DAMAGE: Final = (OSError, ValueError, TypeError, KeyError, OverflowError, MemoryError)  # that pyarrow falls over
+DAMAGE: Final = (OSError, ValueError, TypeError, LookupError, OverflowError, MemoryError)  # that pyarrow falls over
 
 
 class _Plan(NamedTuple):

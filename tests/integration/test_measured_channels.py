@@ -3,10 +3,12 @@
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from asammdf import MDF, Signal
 
 from canlog.database.signal_columns import SignalColumn, column_id
+from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG
 from canlog.logs import LogFormat, LogReader, read_log
 from canlog.logs.signal_tables import signal_columns
@@ -140,6 +142,14 @@ def test_a_file_that_is_cut_off_tells_every_row_that_is_there(
     assert reader.counts.truncated
     assert found["nEng\\ETKC:1"][0][:count] == pytest.approx(np.rint(SPEED / 0.25)[:count] * 0.25, abs=1e-9)
     assert count <= len(found["pCl1\\ETKC:1"][0]) < len(FAST_S)
+
+
+def test_an_arrow_table_without_fields_is_no_table(tmp_path: Path) -> None:
+    path = tmp_path / "none.arrows"
+    with pa.OSFile(str(path), "wb") as sink, pa.ipc.new_stream(sink, pa.schema([])) as writer:
+        writer.write_batch(pa.record_batch([], schema=pa.schema([])))
+    with pytest.raises(SourceError, match=r"damaged|without a column of times"):
+        read_log(path)
 
 
 def test_the_columns_of_an_index_are_not_taken_for_units() -> None:
