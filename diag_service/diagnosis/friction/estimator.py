@@ -243,11 +243,12 @@ class Estimator:
 
     def _judged(self, event: Event, seen: _Seen, room: Posterior, state: Posterior) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after an event, and its estimate: used or left out, and why."""
-        others = room.fusion.knowledge if state.believes_as(room) else state.others
+        is_agreed = state.believes_as(room)
+        others = room.fusion.knowledge if is_agreed else state.others
         before = self._unknown_friction(others, seen.clutch)
         alone = fuse(before, seen.evidence)
         estimate = self._described(event, seen, state, alone)
-        if not state.believes_as(room):
+        if not is_agreed:
             estimate = replace(estimate, revisions=tuple(self._revisions(room, state)))
         if state.is_used[-1]:
             return state, estimate
