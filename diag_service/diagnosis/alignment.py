@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from canlog.jit import array_kernel, kernel
-from clutch_model.calibration import Calibration
+from clutch_model.calibration import Calibration, SensorNoise
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import Event
 
@@ -19,7 +19,10 @@ END_COUNT = 30  # samples, of which one is nearly on time; an event is cut that 
 COMMAND_LAG_S = 0.025  # from commanded to piston pressure: solenoid and feed orifice; docs/model.md, hydraulics
 
 FRAME_AGE_STD_S = 3e-3  # of a value that was sent every 10 ms before it was asked for
-BEND_RATIO = 0.125  # of the second difference of rows: so far a parabola is from the straight line between two
+ANSWER_S = 0.025  # after a request some controller reads a value, nobody knows when
+POINT_S, POINTS_PER_ROW = 0.01, 4  # of the curve through rows: as near as frames, or as is of use
+WALK_RATIO = 2.0  # of what slopes near by say: of four each may be small by chance
+LEAST_WALK = 1.0  # of what the noise of three rows alone would look like
 HELD_STEPS, HELD_ROWS, LEAST_RUNS = 2.5, 1.5, 4  # of the resolution, of the rows, of what must agree
 
 _NO_WEIGHT = 1e-9  # of grid points: a sample at the very end of some rows says nothing there
@@ -33,8 +36,33 @@ AGE_RATIO: Mapping[Signal, float] = {
 }
 """Standard deviation of the age of values within a row, of its length."""
 
+
+def noise_of_signals(noise: SensorNoise) -> dict[Signal, float]:
+    """Return the noise of the sensor of each signal of the balance."""
+    return {
+        Signal.ENGINE_SPEED: noise.engine_speed_rad_s,
+        Signal.ENGINE_TORQUE: noise.engine_torque_nm,
+        Signal.HUB_SPEED: noise.hub_speed_rad_s,
+        **dict.fromkeys((Signal.INPUT1_SPEED, Signal.INPUT2_SPEED), noise.input_speed_rad_s),
+        **dict.fromkeys((Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE), noise.pressure_pa),
+    }
+
+
 SampleTimes = Mapping[Signal, FloatArray]
 """When each signal of the balance was sampled [s] after the start of its event."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rows:
+    """How the samples of an event are rows of a table, or answers to a tester; none of it where ``period_s`` is 0."""
+
+    period_s: float = 0.0  # from row to row
+    skew_s: float = 0.0  # by up to so much the columns are apart
+    own_age_std_s: float = 0.0  # of the age of one value, whatever that of others is
+    noise_std: Mapping[Signal, float] = field(default_factory=dict)  # of sensors
+
+
+NO_ROWS = Rows()
 
 
 @dataclass(slots=True, init=False, eq=False)
@@ -50,12 +78,16 @@ class Resampled:
     left: Int64Array  # (len(grid),)
     share: FloatArray  # (len(grid),)
     on_grid: FloatArray  # (len(grid),)
-    doubt: FloatArray | None  # (n,) standard deviation beside the sensor's noise; None: there is none
+    curve: "RowCurve | None"  # through few rows, whose points stand for samples; None: each sample for itself
 
-    def __init__(self, times_s: FloatArray, value: FloatArray, grid_s: FloatArray) -> None:
-        self.times_s, self.value, self.doubt = times_s, value, None
+    def __init__(
+        self, times_s: FloatArray, value: FloatArray, grid_s: FloatArray, curve: "RowCurve | None" = None
+    ) -> None:
+        self.times_s, self.value, self.curve = times_s, value, curve
         self.left = np.empty(len(grid_s), dtype=np.int64)
         self.share, self.on_grid = np.empty(len(grid_s)), np.empty(len(grid_s))
+        if curve is not None:
+            times_s, value = curve.times_s, curve.value
         _resample(times_s, value, grid_s, self.left, self.share, self.on_grid)
 
     def to_samples(self, weights: Sequence[FloatArray], pieces: Sequence[slice]) -> tuple[FloatArray, ...]:
@@ -70,14 +102,14 @@ class Resampled:
             _spread(own, left, self.share[rows], found[-1])
         return tuple(found)
 
-    def doubted(self, blocks: Sequence[FloatArray], pieces: Sequence[slice]) -> tuple[FloatArray, ...]:
-        """Return weights of `to_samples` times the doubt of each sample; nothing where there is none."""
-        if self.doubt is None:
-            return ()
-        firsts = [self.left[rows][0] for rows in pieces]
-        return tuple(
-            block * self.doubt[first : first + block.shape[1]] for block, first in zip(blocks, firsts, strict=True)
-        )
+    def shared(self, one: Sequence[FloatArray], other: Sequence[FloatArray], rows: Sequence[slice]) -> list[FloatArray]:
+        """Return covariances of two sums with weights of `to_samples`, in variances of the sensor."""
+        if self.curve is None:
+            return [first @ second.T for first, second in zip(one, other, strict=True)]
+        return [
+            first @ self.curve.covariance(self.left[piece][0], self.left[piece][-1] + 2) @ second.T
+            for first, second, piece in zip(one, other, rows, strict=True)
+        ]
 
     def around_samples(
         self, values: FloatArray, places: Sequence[slice], pieces: Sequence[slice]
@@ -166,7 +198,7 @@ def align(
     oil_k: float,
     gaps_s: FloatArray,
     other: AlignedSignals | None = None,
-    row_s: float = 0.0,
+    rows: Rows = NO_ROWS,
 ) -> AlignedSignals:
     """Return the signals of an event on the even grid that all of them reach.
 
@@ -182,8 +214,8 @@ def align(
         Between which instants [s] samples are missing, on the clock of ``times``.
     other
         The same event as another calibration has it: what no calibration moves is taken over from there.
-    row_s
-        From row to row [s] where signals are columns of a table, else 0.
+    rows
+        Of the table that its signals are columns of.
     """
     history_s = max(one[0] for one in times.values())
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
@@ -195,12 +227,10 @@ def align(
         is_seen[grid_s.searchsorted(start_s, "right") : grid_s.searchsorted(stop_s)] = False
     is_known = other is not None and len(other.grid_s) == len(grid_s)  # the same grid: it ends where the event ends
     wanted = _MOVED if is_known else BALANCE_SIGNALS
-    on_grid = {one: Resampled(times[one], event.columns[one].value, grid_s) for one in wanted}
-    if row_s:
-        for one, signal in on_grid.items():
-            if not is_of_rows(event.columns[one]):
-                continue
-            signal.doubt = row_doubt(signal.times_s, signal.value, AGE_RATIO[one] * row_s)
+    if rows.period_s:
+        on_grid = {one: _resampled(one, times[one], event.columns[one], grid_s, rows) for one in wanted}
+    else:
+        on_grid = {one: Resampled(times[one], event.columns[one].value, grid_s) for one in wanted}
     engine_speed, engine_torque = on_grid[Signal.ENGINE_SPEED], on_grid[Signal.ENGINE_TORQUE]
     pressure = (on_grid[Signal.CLUTCH1_PRESSURE], on_grid[Signal.CLUTCH2_PRESSURE])
     if other is not None and is_known:
@@ -208,6 +238,8 @@ def align(
             other, engine_speed=engine_speed, engine_torque=engine_torque, pressure=pressure, is_seen=is_seen
         )
     hub, first, second = (on_grid[one] for one in (Signal.HUB_SPEED, Signal.INPUT1_SPEED, Signal.INPUT2_SPEED))
+    if hub.curve is not None and engine_speed.curve is not None:
+        hub = engine_speed  # nearer to it than two columns are, up to a row apart
     return AlignedSignals(
         grid_s=grid_s,
         engine_speed=engine_speed,
@@ -222,8 +254,17 @@ def align(
         ),
         oil_k=oil_k,
         is_seen=is_seen,
-        row_s=row_s,
+        row_s=rows.period_s,
     )
+
+
+def _resampled(signal: Signal, times_s: FloatArray, series: Series, grid_s: FloatArray, rows: Rows) -> Resampled:
+    """Return one signal on the grid: a curve through few rows, or straight between samples of a bus."""
+    if not is_of_rows(series):
+        return Resampled(times_s, series.value, grid_s)
+    age_std_s = AGE_RATIO[signal] * rows.skew_s
+    curve = RowCurve(times_s, series.value, rows.noise_std[signal], age_std_s, rows.own_age_std_s)
+    return Resampled(times_s, series.value, grid_s, curve)
 
 
 def is_of_rows(series: Series) -> bool:
@@ -231,27 +272,74 @@ def is_of_rows(series: Series) -> bool:
     return not series.period_ns and len(series.t_ns) > 1 and bool(series.sequence[0] < 0)
 
 
-def row_doubt(times_s: FloatArray, value: FloatArray, age_std_s: float) -> FloatArray:
-    """Return the standard deviation of each value of a column beside its sensor's noise, shape (n,); n >= 2.
+class RowCurve:
+    """The curve through the rows of a column that bends as little as its rows do, and how sure it is.
 
-    What a straight line between two rows leaves out is bounded by how much the rows bend; a step of the resolution is
-    even noise; an age that is not known, that of a held value too, counts as far as the value changes.
+    What the column does between rows is a random walk of its slope, as large as the slopes of rows near by differ; what
+    is off in each row is independent; an age that all rows share moves the whole curve.
 
     Parameters
     ----------
     times_s, value : (n,) array
-        The column.
-    age_std_s
-        Of the age of a value within its row.
+        The column; n >= 2.
+    noise_std
+        Of its sensor.
+    age_std_s, own_age_std_s
+        Of the age that all rows share, and of that which each has of its own.
     """
-    rise, moved = np.diff(value), np.abs(np.diff(value)) > 0.0
-    step = float(np.abs(rise[moved]).min()) if moved.any() else 0.0
-    bend = np.zeros(len(value))
-    bend[1:-1] = np.abs(np.diff(rise)) * BEND_RATIO
-    bend[:-1], bend[1:] = np.maximum(bend[:-1], bend[1:]), np.maximum(bend[1:], bend[:-1])
-    age_s = math.hypot(age_std_s, FRAME_AGE_STD_S, held_s(times_s, value, step) / math.sqrt(12.0))
-    slope = np.abs(np.gradient(value, times_s))
-    return np.asarray(np.sqrt(bend**2 + step**2 / 12.0 + (age_s * slope) ** 2))
+
+    def __init__(
+        self, times_s: FloatArray, value: FloatArray, noise_std: float, age_std_s: float, own_age_std_s: float
+    ) -> None:
+        from scipy.linalg import cho_solve_banded, cholesky_banded  # noqa: PLC0415 - it takes a while to load
+
+        rise, moved = np.diff(value), np.abs(np.diff(value)) > 0.0
+        step = float(np.abs(rise[moved]).min()) if moved.any() else 0.0
+        own_s = math.hypot(own_age_std_s, held_s(times_s, value, step) / math.sqrt(12.0))
+        variance = noise_std**2 + step**2 / 12.0 + (own_s * np.gradient(value, times_s)) ** 2
+        period_s = float(np.median(np.diff(times_s)))
+        spacing_s = max(POINT_S, period_s / POINTS_PER_ROW)
+        count = max(3, math.ceil((times_s[-1] - times_s[0]) / spacing_s) + 1)
+        self.times_s = np.linspace(times_s[0], times_s[-1], count)
+        spacing_s = self.times_s[1] - self.times_s[0]
+        walk = _slope_walk(times_s, value, noise_std)[np.searchsorted(times_s[1:-1], self.times_s[1:-1])]
+        stiffness = 1.0 / (walk * spacing_s**3)
+        bands, right = np.zeros((3, count)), np.zeros(count)  # of the information, upper form
+        for k, first in enumerate((1.0, -2.0, 1.0)):
+            for j, second in enumerate((1.0, -2.0, 1.0)[k:]):
+                bands[2 - j, k + j : count - 2 + k + j] += first * second * stiffness
+        left = np.minimum(((times_s - times_s[0]) / spacing_s).astype(np.int64), count - 2)
+        share = (times_s - self.times_s[left]) / spacing_s
+        np.add.at(bands[2], left, (1.0 - share) ** 2 / variance)
+        np.add.at(bands[2], left + 1, share**2 / variance)
+        np.add.at(bands[1], left + 1, share * (1.0 - share) / variance)
+        np.add.at(right, left, (1.0 - share) * value / variance)
+        np.add.at(right, left + 1, share * value / variance)
+        self._root, self._noise_std = cholesky_banded(bands), noise_std
+        self.value = cho_solve_banded((self._root, False), right)
+        self._moved_by_age = age_std_s * np.gradient(self.value, spacing_s)
+
+    def covariance(self, first: int, stop: int) -> FloatArray:
+        """Return that of the points ``first <= point < stop``, in variances of the sensor."""
+        from scipy.linalg import cho_solve_banded  # noqa: PLC0415 - it takes a while to load
+
+        own = np.zeros((len(self.value), stop - first))
+        own[first:stop] = np.eye(stop - first)
+        by_age = self._moved_by_age[first:stop]
+        found = cho_solve_banded((self._root, False), own)[first:stop] + np.outer(by_age, by_age)
+        return np.asarray(found / self._noise_std**2)
+
+
+def _slope_walk(times_s: FloatArray, value: FloatArray, noise_std: float) -> FloatArray:
+    """Return by how much the variance of a column's slope grows in a second between its rows, shape (n - 1,)."""
+    periods_s = np.diff(times_s)
+    if len(value) < 3:
+        return np.full(1, (np.ptp(value) + noise_std) ** 2 / periods_s[0] ** 3)
+    spans_s = periods_s[1:] + periods_s[:-1]
+    found = 3.0 * np.diff(np.diff(value) / periods_s) ** 2 / spans_s
+    found = np.pad(found, 2, mode="edge")
+    near = (found[:-3] + found[1:-2] + found[2:-1] + found[3:]) * (WALK_RATIO / 4.0)
+    return np.asarray(np.maximum(near, LEAST_WALK * noise_std**2 / np.median(periods_s) ** 3))
 
 
 def held_s(times_s: FloatArray, value: FloatArray, step: float) -> float:

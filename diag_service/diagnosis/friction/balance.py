@@ -444,34 +444,39 @@ class Sensitivity:
         sensors, bias, weights = balance.calibration.noise, balance.calibration.bias, balance.weights
         speed_std = sensors.engine_speed_rad_s * balance.calibration.input_side.engine_inertia_kg_m2
         speed_slopes = weights.rate.fitted_on_samples(SLIP_DEGREE, signals.engine_speed)
-        hubs = self._spread.hub
+        hubs, of_rows = self._spread.hub, weights.value.grid_rows
+        pairs = list(zip(speed_slopes, self._spread.engine_rate, hubs, strict=True))
+        by_speeds, by_hubs = [one @ rate.T for one, rate, _ in pairs], [hub @ hub.T for _, _, hub in pairs]
+        if signals.row_s:
+            by_speeds = signals.engine_speed.shared(speed_slopes, self._spread.engine_rate, of_rows)
+            by_hubs = signals.hub_speed.shared(hubs, hubs, of_rows)
         motoring = self._motoring_shares()
         overlaps = []
-        for place, noise in enumerate(self.noises):
-            precision, overlap = np.asarray(np.linalg.inv(noise)), np.zeros(PARAMETER_COUNT)
+        precisions = [np.asarray(np.linalg.inv(noise)) for noise in self.noises]
+        if signals.row_s:
+            precisions = [precisions[0][band, band] for band in weights.value.bands]
+        for place, precision in enumerate(precisions):
+            overlap = np.zeros(PARAMETER_COUNT)
             considered = overlap[STATE_COUNT:]
-            by_speed, by_hub = speed_slopes[place] @ self._spread.engine_rate[place].T, hubs[place] @ hubs[place].T
-            speed = speed_std**2 * float(np.vdot(precision, by_speed.T))  # the trace of the product
-            hub = sensors.hub_speed_rad_s**2 * float(np.vdot(precision, by_hub.T))
+            speed = speed_std**2 * float(np.vdot(precision, by_speeds[place].T))  # the trace of the product
+            hub = sensors.hub_speed_rad_s**2 * float(np.vdot(precision, by_hubs[place].T))
             considered[Considered.TORQUE_GAIN] = -bias.torque_gain * (speed + hub)
             considered[Considered.ENGINE_INERTIA] = -(bias.torque_gain**2) * speed
             if motoring is not None:
                 shared = float(np.vdot(precision, motoring[place].T))
                 considered[Considered.MOTORING_GAIN] = sensors.engine_torque_nm**2 * shared
             overlaps.append(overlap)
-        return overlaps
+        return [np.sum(overlaps, axis=0)] if signals.row_s else overlaps
 
-    def _motoring_shares(self) -> Blocks | None:
+    def _motoring_shares(self) -> list[FloatArray] | None:
         """Return what the derivative by the gain of negative torque shares with the torque; None without such."""
         balance = self._balance
         is_motoring = self._torque_nm < balance.at[State.TORQUE_OFFSET]
         if not is_motoring.any():
             return None
         value = balance.weights.value * (is_motoring / balance.calibration.bias.motoring_gain)
-        pairs = zip(
-            value.fitted_on_samples(SLIP_DEGREE, balance.signals.engine_torque), self._spread.torque_value, strict=True
-        )
-        return tuple(one @ other.T for one, other in pairs)
+        torque = balance.signals.engine_torque
+        return torque.shared(value.fitted_on_samples(SLIP_DEGREE, torque), self._spread.torque_value, value.grid_rows)
 
     def _noises(self) -> list[FloatArray]:
         """Return the covariance of the residual of each piece from sensor noise, every sample independent.
@@ -479,6 +484,8 @@ class Sensitivity:
         Films and friction that are not known are noise of another kind, wrong one way for a while.
         """
         balance, calibration = self._balance, self._balance.calibration
+        if balance.signals.row_s:
+            return self._row_noises()
         sensors, side, gain = calibration.noise, calibration.input_side, calibration.bias.torque_gain
         signals, weights = balance.signals, balance.weights
         noises = [
@@ -488,8 +495,6 @@ class Sensitivity:
         ]
         self._add_clutch_noise(noises)
         self._add_doubt(noises)
-        if signals.row_s:
-            self._add_row_doubt(noises)
         if calibration.torque is not TorqueSource.MEASURED:
             self._add_torque_doubt(noises)
         by_hub_nms = self._answers[0].by_slip_nms + self._answers[1].by_slip_nms
@@ -518,28 +523,44 @@ class Sensitivity:
                 scaled = weight * np.sqrt(np.sum([squares[place] for squares in variances], axis=0))
                 noises[place] += scaled @ scaled.T
 
-    def _add_row_doubt(self, noises: list[FloatArray]) -> None:
-        """Add what the rows of a table leave open beside the noise of sensors: ages, steps, and what lies between."""
-        balance, spread = self._balance, self._spread
-        signals, weights, side = balance.signals, balance.weights, balance.calibration.input_side
-        rows, gain = weights.value.grid_rows, balance.calibration.bias.torque_gain
-        inertia_kg_m2 = gain * side.engine_inertia_kg_m2
-        parts = [
-            signals.engine_torque.doubted(spread.torque_value, rows),
-            signals.engine_speed.doubted([inertia_kg_m2 * block for block in spread.engine_rate], rows),
-            signals.hub_speed.doubted([gain * block for block in spread.hub], rows),
-        ]
+    def _row_noises(self) -> list[FloatArray]:
+        """Return the covariance of the residual of all pieces where signals are columns of a table.
+
+        What the curves through few rows leave open is wrong in one way from row to row, also from piece to piece.
+        """
+        balance, signals = self._balance, self._balance.signals
+        sensors, side, gain = (
+            balance.calibration.noise,
+            balance.calibration.input_side,
+            balance.calibration.bias.torque_gain,
+        )
+        value, rate = balance.weights.value.joined(), balance.weights.rate.joined()
+        first, second = self._answers
+        hub = rate * (gain * side.hub_inertia_kg_m2) + value * -(
+            gain * side.hub_damping_nms_rad + first.by_slip_nms + second.by_slip_nms
+        )
+        engine = rate * (gain * side.engine_inertia_kg_m2)
+        parts = [(signals.engine_torque, value, sensors.engine_torque_nm)]
+        if signals.hub_speed.curve is not None and signals.engine_speed.curve is not None:  # both are one column
+            parts.append((signals.engine_speed, engine + hub, sensors.engine_speed_rad_s))
+        else:
+            parts.append((signals.engine_speed, engine, sensors.engine_speed_rad_s))
+            parts.append((signals.hub_speed, hub, sensors.hub_speed_rad_s))
         for m, answers in enumerate(self._answers):
-            for by, signal, blocks in (
-                (answers.by_slip_nms, signals.input_speed[m], spread.input_value[m]),
-                (answers.by_pressure_m3, signals.pressure[m], spread.pressure_value[m]),
-            ):
-                around = signal.around_samples(by, weights.value.places, rows)
-                scaled = [block * means for block, means in zip(blocks, around, strict=True)]
-                parts.append(signal.doubted(scaled, rows))
-        for part in parts:
-            for place, weight in enumerate(part):
-                noises[place] += weight @ weight.T
+            parts.append((signals.input_speed[m], value * answers.by_slip_nms, sensors.input_speed_rad_s))
+            parts.append((signals.pressure[m], value * answers.by_pressure_m3, sensors.pressure_pa))
+        bands = balance.weights.value.bands
+        own = [np.zeros((band.stop - band.start, band.stop - band.start)) for band in bands]
+        self._add_doubt(own)
+        if balance.calibration.torque is not TorqueSource.MEASURED:
+            self._add_torque_doubt(own)
+        joint = np.zeros((bands[-1].stop, bands[-1].stop))
+        for band, noise in zip(bands, own, strict=True):
+            joint[band, band] = noise
+        for signal, functions, std in parts:
+            weights = signal.to_samples(functions.blocks, value.grid_rows)
+            joint += std**2 * signal.shared(weights, weights, value.grid_rows)[0]
+        return [joint]
 
     def _add_torque_doubt(self, noises: list[FloatArray]) -> None:
         """Add what a modelled torque leaves open: a smooth course of its own in every piece."""
@@ -564,6 +585,8 @@ def measured(balance: Balance, near: Sequence[Measurement] = ()) -> tuple[Measur
     """Return what each piece of a balance says, linearised; with the derivatives found near by if there are some."""
     residual = balance.residual_nms()
     bands = balance.weights.value.bands
+    if balance.signals.row_s:  # what curves through rows leave open is shared by all pieces
+        bands = (slice(0, len(residual)),)
     if [len(one.residual) for one in near] == [band.stop - band.start for band in bands]:
         return tuple(replace(one, residual=residual[band]) for one, band in zip(near, bands, strict=True))
     found = Sensitivity(balance)

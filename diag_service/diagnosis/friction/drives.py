@@ -221,6 +221,14 @@ class Functions:
         """Return the sums of two functions on the same pieces."""
         return replace(self, blocks=tuple(one + two for one, two in zip(self.blocks, other.blocks, strict=True)))
 
+    def joined(self) -> "Functions":
+        """Return the same functions on one piece, from the first to the last."""
+        block = np.zeros((self.bands[-1].stop, self.rows.stop - self.rows.start))
+        for band, place, own in zip(self.bands, self.places, self.blocks, strict=True):
+            block[band, place] = own
+        place, band = slice(0, block.shape[1]), slice(0, block.shape[0])
+        return replace(self, grid_rows=(self.rows,), places=(place,), bands=(band,), blocks=(block,))
+
     def sums(self) -> FloatArray:
         """Return the sum of each function, shape (k,)."""
         return np.concatenate([block.sum(axis=1) for block in self.blocks])

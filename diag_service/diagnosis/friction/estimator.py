@@ -46,7 +46,7 @@ from diag_service.diagnosis.friction.evidence import (
     compile_evidence,
     displaced,
     fuse,
-    row_variance,
+    skew_variance,
 )
 from diag_service.diagnosis.friction.film import compile_film, compile_tangents, pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, compile_selection, omission_cost
@@ -165,16 +165,16 @@ class Estimator:
     ----------
     calibration
         Of the vehicle.
-    row_s
-        From row to row [s] of a table that its events are of; 0: they are of a bus.
+    skew_s
+        By which columns of a table that its events are of may be apart [s]; 0: they are of a bus.
     """
 
-    def __init__(self, calibration: Calibration, row_s: float = 0.0) -> None:
+    def __init__(self, calibration: Calibration, skew_s: float = 0.0) -> None:
         self._calibration = calibration
-        self._row_s = row_s
+        self._skew_s = skew_s
         self._type = Posterior.fresh(calibration).base
-        if row_s:
-            self._type = self._type.less_sure(row_variance(row_s))
+        if skew_s:
+            self._type = self._type.less_sure(skew_variance(skew_s))
         std = self._type.std()
         self._per_std = 1.0 / np.where(std > 0.0, std, np.inf)
         self._per_std[:FRICTION_COUNT] = 0.0
@@ -205,9 +205,9 @@ class Estimator:
         if isinstance(samples, Reason):
             is_untold = samples is Reason.TORQUE_UNKNOWN
             return state, without_friction(event, Status.UNOBSERVED if is_untold else Status.REJECTED, samples)
-        if samples.row_s != self._row_s:
-            return Estimator(self._calibration, samples.row_s).estimate(event, samples, state, against)
-        if self._row_s:
+        if samples.skew_s != self._skew_s:
+            return Estimator(self._calibration, samples.skew_s).estimate(event, samples, state, against)
+        if self._skew_s:
             state = self._of_rows(state)
         first = self._linearised(samples, state, state.fusion.knowledge.mean, None)
         if not isinstance(first, _Seen):
@@ -237,7 +237,7 @@ class Estimator:
         if state.recent or state.folded_counts != (0, 0):
             return state
         added = np.maximum(self._type.covariance.diagonal() - state.base.covariance.diagonal(), 0.0)
-        added *= row_variance(self._row_s) > 0.0
+        added *= skew_variance(self._skew_s) > 0.0
         base = state.base.less_sure(added)
         return replace(state, base=base, fusion=fuse(base, Evidence.none()))
 

@@ -142,13 +142,13 @@ def type_std(calibration: Calibration) -> list[float]:
     ]
 
 
-def row_variance(row_s: float) -> FloatArray:
-    """Return what the rows of a table add to the variance of all parameters, shape (PARAMETER_COUNT,).
+def skew_variance(skew_s: float) -> FloatArray:
+    """Return what a skew of columns adds to the variance of all parameters, shape (PARAMETER_COUNT,).
 
-    Columns are asked one after the other: torque and pressures may be up to a row younger than the engine's speed.
+    Columns are asked one after the other: torque and pressures may be younger than the engine's speed by up to that.
     """
     added = np.zeros(PARAMETER_COUNT)
-    added[[STATE_COUNT + Considered.TORQUE_LATENCY, STATE_COUNT + Considered.PRESSURE_LATENCY]] = row_s**2 / 6.0
+    added[[STATE_COUNT + Considered.TORQUE_LATENCY, STATE_COUNT + Considered.PRESSURE_LATENCY]] = skew_s**2 / 6.0
     return added
 
 

@@ -18,13 +18,18 @@ from canlog.e2e.e2e_state import E2eState
 from canlog.jit import array_kernel, inlined_kernel, kernel
 from clutch_model.calibration import Calibration, TorqueSource
 from diag_service.diagnosis.alignment import (
+    ANSWER_S,
     COMMAND_LAG_S,
+    FRAME_AGE_STD_S,
+    NO_ROWS,
     NS_TO_S,
     AlignedSignals,
+    Rows,
     SampleTimes,
     align,
     is_of_rows,
     measured_times,
+    noise_of_signals,
     sampling_times,
 )
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, ROW_SIGNALS, Columns, Signal
@@ -269,6 +274,7 @@ class Samples:
     times: SampleTimes
     oil_k: float
     row_s: float = 0.0  # from row to row [s] where signals are columns of a table, else 0
+    skew_s: float = 0.0  # by which columns of a row, or values that are asked for, may be apart [s]
 
 
 def usable_signals(event: Event, calibration: Calibration, limits: QualityLimits = LIMITS) -> AlignedSignals | Reason:
@@ -300,7 +306,14 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
     oil_k = float(oil.value.mean())
     if not limits.oil_range_k[0] <= oil_k <= limits.oil_range_k[1]:
         return Reason.OUT_OF_RANGE
-    return Samples(event=event, times=sampled, oil_k=oil_k, row_s=row_s)
+    skew_s = min(row_s, ANSWER_S) if row_s and not is_of_one_time(event) else row_s
+    return Samples(event=event, times=sampled, oil_k=oil_k, row_s=row_s, skew_s=skew_s)
+
+
+def is_of_one_time(event: Event) -> bool:
+    """Return whether torque and pressures have the times of rows; values that are asked for have their own."""
+    torque, pressure = event.columns[Signal.ENGINE_TORQUE], event.columns[Signal.CLUTCH1_PRESSURE]
+    return len(torque.t_ns) == len(pressure.t_ns) and bool(np.all(torque.t_ns == pressure.t_ns))
 
 
 def _row_s(event: Event, limits: QualityLimits) -> float:
@@ -346,8 +359,15 @@ def aligned(
     times = measured_times(samples.times, samples.event, calibration)
     if min(_step_range_s(one)[0] for one in times.values()) <= 0.0:
         return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock cannot be believed
-    gaps = gaps_s(times, samples.event, limits, samples.row_s)
-    return align(times, samples.event, samples.oil_k, gaps, other, samples.row_s)
+    gaps, rows = gaps_s(times, samples.event, limits, samples.row_s), NO_ROWS
+    if samples.row_s:
+        rows = Rows(
+            period_s=samples.row_s,
+            skew_s=samples.skew_s,
+            own_age_std_s=FRAME_AGE_STD_S if samples.skew_s >= samples.row_s else samples.skew_s / math.sqrt(12.0),
+            noise_std=noise_of_signals(calibration.noise),
+        )
+    return align(times, samples.event, samples.oil_k, gaps, other, rows)
 
 
 @array_kernel

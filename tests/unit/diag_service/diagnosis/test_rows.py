@@ -1,11 +1,11 @@
-"""Rows of a table: how far their values may be from those of their moment."""
+"""Rows of a table: the curve through them, and how far it may be from what was."""
 
 import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.alive_counter import row_period_ns
-from diag_service.diagnosis.alignment import FRAME_AGE_STD_S, held_s, row_doubt
+from diag_service.diagnosis.alignment import FRAME_AGE_STD_S, RowCurve, held_s
 
 TIMES_S: FloatArray = np.arange(40, dtype=np.float64) * 0.04
 
@@ -33,23 +33,35 @@ def test_messages_of_a_bus_are_no_table(other: Series) -> None:
     assert row_period_ns([series(np.arange(10) * 37_000_000), other]) == 0
 
 
-def test_a_value_at_rest_is_as_good_as_its_sensor() -> None:
-    assert row_doubt(TIMES_S, np.full(40, 5.0), 0.01) == pytest.approx(np.zeros(40))
+def test_a_value_at_rest_is_at_least_as_good_as_its_sensor() -> None:
+    curve = RowCurve(TIMES_S, np.full(40, 5.0), 0.1, 0.01, FRAME_AGE_STD_S)
+    assert curve.value == pytest.approx(np.full(len(curve.value), 5.0))
+    assert np.sqrt(np.diag(curve.covariance(20, 30))).max() < 1.0
 
 
-def test_a_value_that_moves_is_unsure_by_its_age() -> None:
+def test_an_age_of_all_rows_moves_the_whole_curve_one_way() -> None:
     rising: FloatArray = 100.0 * TIMES_S
-    doubt = row_doubt(TIMES_S, rising, 0.01)
-    step = 100.0 * 0.04
-    assert doubt == pytest.approx(np.sqrt(step**2 / 12.0 + 1e4 * (0.01**2 + FRAME_AGE_STD_S**2)))
+    plain, aged = (RowCurve(TIMES_S, rising, 0.1, age_s, 0.0).covariance(20, 30) for age_s in (0.0, 0.01))
+    assert aged - plain == pytest.approx(np.full((10, 10), (100.0 * 0.01 / 0.1) ** 2), rel=1e-6)
 
 
-def test_a_bend_between_rows_is_bounded() -> None:
-    """The straight line between two rows of a parabola is off by no more than is stated."""
-    value: FloatArray = 200.0 * (TIMES_S - 0.8) ** 2
-    middle_s = (TIMES_S[1:] + TIMES_S[:-1]) / 2.0
-    off = np.abs((value[1:] + value[:-1]) / 2.0 - 200.0 * (middle_s - 0.8) ** 2)
-    assert np.all(off <= row_doubt(TIMES_S, value, 0.0)[1:] + 1e-9)
+@pytest.mark.parametrize("period_s", [0.02, 0.1, 0.3])
+def test_a_curve_states_how_far_it_is_off_between_few_rows(period_s: float) -> None:
+    """A rise and a fall with a kink in the end; sums over all of it, too: its errors are not independent."""
+    far = list[float]()
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        times_s = np.arange(0.0, 4.0, period_s) + rng.uniform(0.0, period_s)
+        curve = RowCurve(times_s, _torque_nm(times_s) + rng.normal(0.0, 3.0, len(times_s)), 3.0, 0.0, 0.0)
+        first, stop = np.searchsorted(curve.times_s, (1.0, 3.0))
+        weights = np.sin(np.pi * np.arange(stop - first) / (stop - first))
+        off_nm = weights @ (curve.value - _torque_nm(curve.times_s))[first:stop]
+        far.append(float(off_nm / np.sqrt(9.0 * weights @ curve.covariance(first, stop) @ weights)))
+    assert 0.4 < np.sqrt(np.mean(np.square(far))) < 1.2
+
+
+def _torque_nm(times_s: FloatArray) -> FloatArray:
+    return np.asarray(np.where(times_s < 2.4, 80.0 * np.sin(np.clip(times_s - 0.6, 0.0, None)) ** 2, 75.0))
 
 
 def test_held_values_are_told_from_those_at_rest() -> None:
