@@ -15,7 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from clutchdiag_io.files import give_sign, make_sign
 from fleet_backend.broker import BrokerInbox, connected
-from fleet_backend.choices import Pace, Quotas
+from fleet_backend.choices import Pace, Part, Quotas
 from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError, DatabaseAwayError
 from fleet_backend.ingest import Pauses, Worker, filters_of
@@ -78,6 +78,7 @@ def run_ingest(
     alive: Path | None = None,
     *,
     group: str,
+    part: Part,
     quotas: Quotas,
 ) -> None:
     """Ingest until SIGINT or SIGTERM; while all is well, touch the file ``alive``.
@@ -95,19 +96,19 @@ def run_ingest(
     if alive is not None:
         prepare(alive)
     own_name = name or f"{socket.gethostname()}-{uuid.uuid4().hex[:8]}"
-    asyncio.run(_ingest(engine, address, pace, own_name, alive, group, Gate(engine, quotas)))
 
-
-async def _ingest(
-    engine: Engine, address: BrokerAddress, pace: Pace, name: str, alive: Path | None, group: str, gate: Gate
-) -> None:
     def connect() -> AbstractAsyncContextManager[BrokerInbox]:
-        return connected(address, filters_of(group), max_unsettled=pace.max_unsettled)
+        return connected(address, filters_of(part.group(group)), max_unsettled=pace.max_unsettled, part=part)
 
+    gate = Gate(engine, quotas)
+    worker = Worker(connect, Writer(engine), name=own_name, now=_utc_now, pace=pace, judge=gate.judge)
     if address.exposure:
         _LOG.warning("%s", address.exposure)
-    worker = Worker(connect, Writer(engine), name=name, now=_utc_now, pace=pace, judge=gate.judge)
-    task = asyncio.ensure_future(_work(engine, worker, gate, f"{name}: {address} into {place_of(engine)}", alive))
+    asyncio.run(_ingest(engine, worker, gate, f"{own_name}: {address} into {place_of(engine)}", alive))
+
+
+async def _ingest(engine: Engine, worker: Worker, gate: Gate, title: str, alive: Path | None) -> None:
+    task = asyncio.ensure_future(_work(engine, worker, gate, title, alive))
     with stopping(task.cancel), contextlib.suppress(asyncio.CancelledError):
         await task
     _LOG.info("%s", _counts_line(worker))

@@ -15,7 +15,7 @@ from clutchdiag_io.annexes import part
 from fleet_backend import queries, report
 from fleet_backend.application import run_ingest
 from fleet_backend.choices import Axis
-from fleet_backend.config import parse_broker, parse_group, parse_moment, parse_pace, parse_quotas
+from fleet_backend.config import parse_broker, parse_group, parse_moment, parse_pace, parse_part, parse_quotas
 from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import ConfigError
 from fleet_backend.layout import Sheet
@@ -51,6 +51,7 @@ def _ingest(options: SimpleNamespace, engine: Engine) -> None:
         options.alive,
         group=parse_group(options.group),
         quotas=parse_quotas(options.quotas),
+        part=parse_part(options.part),
     )
 
 

@@ -68,10 +68,18 @@ class JetStream:
         self._is_trying = True  # to connect
 
     @classmethod
-    async def open(cls, address: BrokerAddress, filters: Sequence[str], group: str, batch_bytes: int) -> Self:
+    async def open(
+        cls,
+        address: BrokerAddress,
+        filters: Sequence[str],
+        group: str,
+        batch_bytes: int,
+        *,
+        is_for_groups: bool = False,
+    ) -> Self:
         """Connect; make the stream of these topics and its group unless they are there.
 
-        A batch has no more than so many bytes, but one message at least.
+        A batch has no more than so many bytes, but one message at least. ``is_for_groups``: of each message a copy.
 
         Raises
         ------
@@ -100,7 +108,7 @@ class JetStream:
                     error_cb=made._complain,
                 )
                 made._is_trying = False
-                await made._prepare(filters, group)
+                await made._prepare(filters, group, is_for_groups=is_for_groups)
                 await client.subscribe(f"{made._inbox_name}.*", cb=made._take, pending_msgs_limit=-1)
         except (Error, OSError, TimeoutError) as exc:
             await made.close()
@@ -155,7 +163,7 @@ class JetStream:
             async with asyncio.timeout(_TIMEOUT_S):
                 await self._client.close()
 
-    async def _prepare(self, filters: Sequence[str], group: str) -> None:
+    async def _prepare(self, filters: Sequence[str], group: str, *, is_for_groups: bool) -> None:
         """Make stream and group where they are missing; how an operator made them is not changed."""
         from nats.js.api import (  # noqa: PLC0415 - an extra
             AckPolicy,
@@ -177,7 +185,7 @@ class JetStream:
             config = StreamConfig(
                 name=STREAM,
                 subjects=[subject_of(name) for name in filters],
-                retention=RetentionPolicy.WORK_QUEUE,
+                retention=RetentionPolicy.INTEREST if is_for_groups else RetentionPolicy.WORK_QUEUE,
                 storage=StorageType.FILE,
             )
             await manager.add_stream(config)

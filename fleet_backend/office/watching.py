@@ -49,7 +49,7 @@ from fleet_backend.stopping import stopping
 
 ROUND_S: Final = 10.0
 JUDGING_S: Final = 5.0  # of a round, for prognoses; what is left over is judged in the next
-ONCE_S: Final = 30.0  # of the only round
+ONCE_S: Final = 15.0  # of the only round
 DELIVERY_S: Final = 2.0
 _LOG: Final = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ _OURS = re.compile(r"(#|listener|allow_anonymous|persistence|autosave|max_(infli
 _PLUGIN = "mosquitto_dynamic_security.so"
 
 
-def fleet_broker(folder: Path, authority: Authority) -> Mosquitto:
+def fleet_broker(folder: Path, authority: Authority, *more: str) -> Mosquitto:
     """Return a broker, off until started, for all that have certificates by now."""
     folder.mkdir()
     write_access(authority.folder)
@@ -28,4 +28,4 @@ def fleet_broker(folder: Path, authority: Authority) -> Mosquitto:
     text = text.replace(f"/etc/clutchdiag/{MOSQUITTO_FILE}", str(access)).replace(
         "/etc/clutchdiag", str(authority.folder)
     )
-    return Mosquitto(folder, tuple(line for line in text.splitlines() if line and not _OURS.match(line)))
+    return Mosquitto(folder, (*(line for line in text.splitlines() if line and not _OURS.match(line)), *more))
