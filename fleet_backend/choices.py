@@ -35,7 +35,6 @@ class Part:
     count: int = 1
 
     def takes(self, topic: str) -> bool:
-        """Return whether a topic is of a vehicle that belongs here."""
         return self.count == 1 or crc32(topic.split("/")[2].encode()) % self.count == self.number - 1
 
     def group(self, name: str) -> str:

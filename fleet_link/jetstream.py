@@ -69,13 +69,7 @@ class JetStream:
 
     @classmethod
     async def open(
-        cls,
-        address: BrokerAddress,
-        filters: Sequence[str],
-        group: str,
-        batch_bytes: int,
-        *,
-        is_for_groups: bool = False,
+        cls, address: BrokerAddress, filters: Sequence[str], group: str, batch_bytes: int, *, is_for_groups: bool
     ) -> Self:
         """Connect; make the stream of these topics and its group unless they are there.
 

@@ -96,6 +96,17 @@ class Hostile:
         client.disconnect()
         client.loop_stop()
 
+    def vanish(self) -> None:
+        """Leave without a farewell: the broker is to speak the will, which is one for another."""
+        client = self.client(f"{BAD}-will")
+        deadline_s = time.monotonic() + HANG_S
+        while not client.is_connected() and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        client.loop_stop()
+        connection = client.socket()
+        if connection is not None:
+            connection.close()
+
     def storm(self) -> None:
         """Take over, flood and retain until it is over."""
         number = 0
@@ -207,7 +218,7 @@ TRACES = {
     "mosquitto": {
         "take over a session": f"Client {BAD} already connected, closing old connection",
         "write to another": f"Denied PUBLISH from {BAD} ",
-        "a huge session, a will": f"as {BAD} (",
+        "a huge session": f"as {BAD} (p5, c",
         **{f"subscribe {topic}": f"\t{topic} (QoS 1)" for topic in OTHERS},
     },
     "nats": {
@@ -254,6 +265,7 @@ async def attack(folder: Path, kind: str, names: Sequence[str], shifts: int) -> 
         usual_s = await deliver(authority, port, names, range(1, shifts + 1))
         granted = [topic for topic in OTHERS if hostile.subscribe(topic)]
         hostile.tell(f"clutchdiag/v1/{names[0]}/ack")
+        hostile.vanish()
         with hostile.storming():
             took_s = await deliver(authority, port, names, range(shifts + 1, 2 * shifts + 1))
     (log,) = place.glob("*.log")
