@@ -64,6 +64,9 @@ ELSEWHERE = {
     "curl": "tests/integration/test_fleet_page.py",
     "pip install": "tests/integration/test_canlog_alone.py",
     "pip-audit": "CONTRIBUTING.md",
+    "pg_dump": "tests/integration/test_fleet_backup.py",
+    "pg_restore": "tests/integration/test_fleet_backup.py",
+    "python -c": "tests/integration/test_fleet_backup.py",
     "python -m": "tests/integration/test_documents.py",
 }
 """What needs a bus, a broker, root or minutes, by the beginning of its line, and where it is run or checked instead."""
@@ -140,6 +143,7 @@ BLOCKS = {
     ("docs/diagnostics.md", "toml"): "tests/integration/test_diagnostics_page.py",
     ("docs/tester.md", "toml"): "tests/integration/test_diagnostics_page.py",
     ("docs/own-car.md", "toml"): "tests/integration/test_diagnostics_page.py",
+    ("docs/fleet.md", "sql"): "tests/integration/test_fleet_backup.py",
     ("docs/howto.md", "python"): "tests/integration/test_howto.py",
     ("docs/lake.md", "sql"): "tests/integration/test_lake.py",
     ("docs/page.md", "toml"): "tests/integration/test_fleet_access.py",

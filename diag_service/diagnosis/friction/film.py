@@ -30,6 +30,7 @@ from clutch_model.pack import (
     point_motion,
     point_rate_m_s,
     sheared_torque_nm,
+    stribeck_weight,
     viscosity_pa_s,
 )
 from diag_service.diagnosis.alignment import GRID_S
@@ -40,6 +41,9 @@ DRAG_LIMIT_NM = 8.0  # of an open pack: its oil is full of air, so the law of a 
 _TIMING_S = 0.015  # by how much earlier or later than its pressure says a film may close or open
 _HOVER_PA = 0.12e5  # so near its touch point a piston may press or not: nobody knows the film of an open pack
 _DOUBT_RISE = 10.0  # by openness: how oil drags that fills with air, or gives it off
+
+
+SIGN_WIDTH_RAD_S = 0.5  # near lock the sign of the slip fades with it, and so does its noise
 
 
 class _Oil(NamedTuple):
@@ -469,3 +473,33 @@ def _step(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float,
         by_applied = by_pa * law.lining_area_m2 / law.piston_area_m2
         by[_STIFFNESS] -= stretch * by_applied * point.contact_pa
     return later_m
+
+
+@unchecked_kernel
+def direction(slip_rad_s: float) -> float:
+    """Return the sign of the slip, fading near zero."""
+    return min(max(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0), 1.0)
+
+
+@unchecked_kernel
+def levers_m3(slip_rad_s: float, weight: float, contact_factor_m3: float) -> tuple[float, float]:
+    """Return the torque of a contact per pressure, by mu_c and by mu_s [m^3]."""
+    full_m3 = contact_torque_nm(direction(slip_rad_s), 1.0, 1.0, contact_factor_m3)
+    return full_m3 * (1.0 - weight), full_m3 * weight
+
+
+@array_kernel
+def heat_w(
+    slip_rad_s: FloatArray, contact_pa: FloatArray, viscous_nm: FloatArray, mu: FloatArray, law: FrictionLaw,
+    contact_factor_m3: float,
+) -> float:  # fmt: skip
+    """Return the sum of the heat made at each point [W]."""
+    total_w = 0.0
+    for row in range(len(slip_rad_s)):
+        torque_nm = viscous_nm[row]
+        if contact_pa[row] > 0.0:
+            weight = stribeck_weight(slip_rad_s[row], law)
+            by_mu_c, by_mu_s = levers_m3(slip_rad_s[row], weight, contact_factor_m3)
+            torque_nm += (by_mu_c * mu[0] + by_mu_s * mu[1]) * contact_pa[row]
+        total_w += abs(torque_nm * slip_rad_s[row])
+    return total_w

@@ -144,11 +144,6 @@ class Posterior:
         """Everything that is known, with its uncertainty."""
         return self.fusion.knowledge
 
-    @property
-    def others(self) -> Knowledge:
-        """What is known without the newest event."""
-        return self.without(len(self.recent) - 1)
-
     def without(self, place: int) -> Knowledge:
         """Return what is known without one of the recent events."""
         is_used = [used and other != place for other, used in enumerate(self.is_used)]

@@ -40,7 +40,7 @@ def test_a_setting_outside_its_range_is_named(name: str, value: object) -> None:
 
 def test_a_steep_road_needs_more_pedal() -> None:
     assert DriveSettings(grade_ratio=0.02, pedal_ratio=0.36).grade_ratio == 0.02
-    with pytest.raises(CalibrationError, match="pull up this grade"):
+    with pytest.raises(CalibrationError, match="in the highest gear on this grade"):
         DriveSettings(grade_ratio=0.02, pedal_ratio=0.3)
 
 

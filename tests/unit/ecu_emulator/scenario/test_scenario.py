@@ -24,7 +24,7 @@ FAULT = "[[sensor_faults]]\nquantity = 'hub_speed_rad_s'\n"
 
 
 def test_shipped_scenarios_load_and_are_named_like_their_files() -> None:
-    assert shipped_scenarios() == ("ageing", "case1", "case2", "ideal", "noise_only")
+    assert shipped_scenarios() == ("ageing", "case1", "case2", "gs7", "ideal", "noise_only")
     for name in shipped_scenarios():
         scenario = load_scenario(name)
         assert scenario.name == name
@@ -37,6 +37,7 @@ def test_shipped_fluids() -> None:
         "ageing": FluidCondition.AGEING,
         "case1": FluidCondition.CASE_1,
         "case2": FluidCondition.CASE_2,
+        "gs7": FluidCondition.IDEAL,
         "ideal": FluidCondition.IDEAL,
         "noise_only": FluidCondition.IDEAL,
     }
@@ -180,7 +181,7 @@ def test_bus_faults_are_read() -> None:
 
 
 def test_an_unknown_scenario_lists_the_shipped_ones() -> None:
-    with pytest.raises(ConfigError, match="ageing, case1, case2, ideal, noise_only"):
+    with pytest.raises(ConfigError, match="ageing, case1, case2, gs7, ideal, noise_only"):
         load_scenario("nothing")
 
 
