@@ -20,6 +20,7 @@ async def test_it_hurts_nobody_and_is_seen(tmp_path: Path, kind: str) -> None:
     assert (outcome.granted, outcome.heard) == ([], [])
     assert outcome.stored_count == 2 * len(GOOD) * SHIFTS
     assert outcome.unseen(kind) == []
+    assert outcome.took_s < 60.0
     if kind == "mosquitto":
         assert not any(f"Client {name} already connected" in outcome.log for name in (*GOOD, "fleet-backend"))
 
