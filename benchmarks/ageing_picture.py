@@ -19,7 +19,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.records import Condition, FrictionEstimate
 from ecu_emulator.scenario.scenario_file import load_scenario
-from ecu_emulator.truth.records import ShiftTruth
+from ecu_emulator.truth import ShiftTruth
 
 SCENARIO = "ageing"
 CLUTCH = 2

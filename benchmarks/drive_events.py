@@ -42,8 +42,7 @@ from ecu_emulator.plant import Col
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition
 from ecu_emulator.scenario.scenario_file import load_scenario
-from ecu_emulator.truth.records import EventTruth
-from ecu_emulator.truth.watchers import PRESSED_NM
+from ecu_emulator.truth import PRESSED_NM, EventTruth
 
 CITY_SEED: Final = 77
 SLIP_RAD_S: Final = 5.0

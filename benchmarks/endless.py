@@ -29,7 +29,7 @@ from diag_service.service.stages import Stages
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive, Stretch
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario_file import load_scenario
-from ecu_emulator.truth.records import EventTruth, TripTruth
+from ecu_emulator.truth import EventTruth, TripTruth
 
 HOURS: Final = 24.0
 PARKED_S: Final = 10.0  # what a stay lasts on a bus

@@ -7,7 +7,7 @@ from typing import Final
 from sqlalchemy import Engine, text
 
 from fleet_backend.database import transaction
-from fleet_backend.months.partitions import months_between, months_on
+from fleet_backend.months import months_between, months_on
 from tests.support.fleet import fleet_result, row_of
 
 PER_DAY: Final = 150  # results of one clutch of a vehicle that is driven

@@ -30,7 +30,7 @@ from demo.fleet.servers import PostgresServer, mosquitto
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
-from fleet_backend.months.partitions import keep_months, partitions
+from fleet_backend.months import keep_months, partitions
 from fleet_backend.page import past, running
 from fleet_backend.page.vehicle_state import state_of
 from fleet_contract import Channel, filter_of

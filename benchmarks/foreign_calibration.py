@@ -31,7 +31,7 @@ from diag_service.service.stages import Diagnosis, Stages
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.scenario import Routine, Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario
-from ecu_emulator.truth.records import TruthLog
+from ecu_emulator.truth import TruthLog
 
 FIRST_SEED = 52_000  # seeds below were looked at while the rule was chosen
 VEHICLES = 30

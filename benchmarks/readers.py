@@ -28,8 +28,7 @@ from benchmarks.bus64 import Decoder, dbc_text, load_bus, write_log
 from benchmarks.measuring import machine, peak_mib, took_s
 from canlog.frames import FrameBatch
 from canlog.logs import blf, read_log
-from canlog.logs.blf import CONTAINER_HEADER, OBJECT_HEADER
-from canlog.logs.inflating import inflated_by_libdeflate, inflated_by_zlib
+from canlog.logs.blf import CONTAINER_HEADER, OBJECT_HEADER, inflated_by_libdeflate, inflated_by_zlib
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.mf4_frames import mf4_batches
 

@@ -32,7 +32,7 @@ from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario
-from ecu_emulator.truth.records import ShiftTruth, TruthLog
+from ecu_emulator.truth import ShiftTruth, TruthLog
 
 DATABASE, PROFILE, CALIBRATION = load_contract(), load_profile(), nominal_calibration()
 NOISE_ONLY, SCATTERED = "noise_only", "ideal"

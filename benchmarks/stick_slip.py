@@ -32,7 +32,7 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive
-from ecu_emulator.truth.records import EventTruth
+from ecu_emulator.truth import EventTruth
 
 FIRST_SEED: Final = 92_000
 TRACES: Final = ("udds", "us06", "wltc")

@@ -18,7 +18,7 @@ from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Diagnosis, Stages
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.scenario import Scenario
-from ecu_emulator.truth.records import TruthLog
+from ecu_emulator.truth import TruthLog
 
 CaseT = TypeVar("CaseT")
 ResultT = TypeVar("ResultT")

@@ -1,7 +1,7 @@
 """Command lines by click: complaints in one line, help with examples and exit statuses, completion by the shell.
 
-A program parses first and works afterwards: ``parse`` returns a namespace and calls nothing, so that signals, exit
-statuses and the loading of libraries stay with the program.
+A program parses first and works afterwards: ``Program.parse`` returns a namespace and calls nothing, so that signals,
+exit statuses and the loading of libraries stay with the program.
 """
 
 import os
@@ -251,26 +251,25 @@ class Program(Group):
         self.epilog = exit_text
         click.version_option(package_name=DISTRIBUTION, prog_name=name, message="%(prog)s %(version)s")(self)
 
+    def parse(self, words: Sequence[str] | None) -> SimpleNamespace:
+        """Return what a command line says; ``None`` stands for the command line of this process.
 
-def parse(program: Program, words: Sequence[str] | None) -> SimpleNamespace:
-    """Return what a command line says; ``None`` stands for the command line of this process.
-
-    Raises
-    ------
-    SystemExit
-        After help, version, or the words that a shell may complete; and with status 2 after a complaint.
-    """
-    name = program.name or ""
-    try:
-        outcome = program.main(words, name, standalone_mode=False)
-    except click.UsageError as exc:
-        path = name if exc.ctx is None else exc.ctx.command_path
-        text = " ".join(_complaint(exc).split()).removesuffix(".")
-        sys.stderr.write(f"{name}: error: {text} (see {path} --help)\n")
-        raise SystemExit(EXIT_USAGE) from None
-    if isinstance(outcome, SimpleNamespace):
-        return outcome
-    raise SystemExit(outcome)
+        Raises
+        ------
+        SystemExit
+            After help, version, or the words that a shell may complete; and with status 2 after a complaint.
+        """
+        name = self.name or ""
+        try:
+            outcome = self.main(words, name, standalone_mode=False)
+        except click.UsageError as exc:
+            path = name if exc.ctx is None else exc.ctx.command_path
+            text = " ".join(_complaint(exc).split()).removesuffix(".")
+            sys.stderr.write(f"{name}: error: {text} (see {path} --help)\n")
+            raise SystemExit(EXIT_USAGE) from None
+        if isinstance(outcome, SimpleNamespace):
+            return outcome
+        raise SystemExit(outcome)
 
 
 def _invalid_choice(word: object, choices: Iterable[object]) -> str:

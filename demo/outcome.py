@@ -11,7 +11,7 @@ from rich.text import Text
 
 from diag_service.delivery.console import condition_words
 from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult
-from ecu_emulator.truth.records import ShiftTruth, TruthLog
+from ecu_emulator.truth import ShiftTruth, TruthLog
 from fleet_contract import CLUTCHES
 
 MAX_ERROR_STD: Final = 4.0  # beyond it an estimate is wrong, not unlucky: 6e-5 by chance

@@ -34,7 +34,7 @@ from demo.programs import BACKEND, EMULATOR, HOST, LOOK_S, SERVICE, DemoError, P
 from demo.scan_tool import ScanTool
 from diag_service.diagnosis.records import SHIFT_SCHEMA, ShiftResult, shift_from, verdict_from
 from diag_service.errors import ResultError
-from ecu_emulator.truth.records import read_truth
+from ecu_emulator.truth import read_truth
 from fleet_contract import Channel
 from fleet_link import BrokerAddress
 

@@ -13,17 +13,16 @@ from typing import Final
 from canlog.errors import DefinitionError, ExtraMissingError, InputLeftError, OutputError, SourceError
 from canlog.extras import TESTER, wait_with
 from canlog.files import widen
-from clutchdiag_io.annexes import is_attached, part
 from clutchdiag_io.command_line import STANDARD_STREAM
-from clutchdiag_io.program import Kinds, complain, reckon_in_one_thread, standard_output
+from clutchdiag_io.program import Kinds, complain, is_attached, part, reckon_in_one_thread, standard_output
 from diag_service.commands.arguments import (
+    COMMAND_LINE,
     EXIT_CONFIG,
     EXIT_INCOMPLETE,
     EXIT_OK,
     EXIT_SIGNALLED,
     EXIT_SOURCE,
     EXIT_STORE,
-    parse_arguments,
 )
 from diag_service.errors import ConfigError, ControllerError, IncompleteError, StoppedError, StoreError
 from diag_service.service.stopping import Controls, PatientTrigger, Trigger, ignore
@@ -47,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         is_verbose = False
         try:
-            options = parse_arguments(arguments)
+            options = COMMAND_LINE.parse(arguments)
             is_verbose = options.verbose > 0
             with standard_output():
                 _run(options, controls)
@@ -81,7 +80,7 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
     if _reads_standard_input(options):
         _widen_standard_input()  # whoever writes goes on meanwhile: candump loses frames once the pipe is full
     # Imported here: compiled libraries take a second, in which a signal must already find its handler.
-    from diag_service.console.notices import set_up_notices  # noqa: PLC0415 - see above
+    from diag_service.console import set_up_notices  # noqa: PLC0415 - see above
 
     set_up_notices(options.verbose)
     word = options.command.replace("-", "_")

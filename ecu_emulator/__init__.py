@@ -13,13 +13,13 @@ from canlog.extras import on_demand as _on_demand
 if typing.TYPE_CHECKING:
     from ecu_emulator.answering.answers import Answers
     from ecu_emulator.answering.pdx_command import write_pdx
-    from ecu_emulator.api.emulator import Emulator, write_dbc
+    from ecu_emulator.api import Emulator, write_dbc
     from ecu_emulator.commands import Recording
     from ecu_emulator.errors import BusError, ConfigError, EmulatorError, ExtraMissingError, RecordError
     from ecu_emulator.scenario.faults import BusFault, SensorFault
     from ecu_emulator.scenario.scenario import Scenario
     from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
-    from ecu_emulator.truth.records import TruthLog, read_truth
+    from ecu_emulator.truth import TruthLog, read_truth
 
 __all__ = [
     "Answers",
@@ -46,13 +46,13 @@ __version__ = "0.9.0"
 
 _HOMES = {
     "ecu_emulator.answering.answers": ("Answers",),
-    "ecu_emulator.api.emulator": ("Emulator", "write_dbc"),
+    "ecu_emulator.api": ("Emulator", "write_dbc"),
     "ecu_emulator.commands": ("Recording",),
     "ecu_emulator.answering.pdx_command": ("write_pdx",),
     "ecu_emulator.errors": ("BusError", "ConfigError", "EmulatorError", "ExtraMissingError", "RecordError"),
     "ecu_emulator.scenario.faults": ("BusFault", "SensorFault"),
     "ecu_emulator.scenario.scenario": ("Scenario",),
     "ecu_emulator.scenario.scenario_file": ("load_scenario", "shipped_scenarios"),
-    "ecu_emulator.truth.records": ("TruthLog", "read_truth"),
+    "ecu_emulator.truth": ("TruthLog", "read_truth"),
 }
 __getattr__, __dir__ = _on_demand(__name__, _HOMES)

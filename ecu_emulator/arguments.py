@@ -1,14 +1,13 @@
 """The words of the command line: which commands there are, and which options each takes. Imports next to nothing."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from datetime import UTC, datetime
-from types import SimpleNamespace
 from typing import Final
 
 import click
 
-from clutchdiag_io.annexes import attached
-from clutchdiag_io.command_line import FILE, FORCE, INT, Choice, Command, Option, Program, parse
+from clutchdiag_io.command_line import FILE, FORCE, INT, Choice, Command, Option, Program
+from clutchdiag_io.program import attached
 from ecu_emulator.scenario.drive_names import DriveName
 
 PROGRAM: Final = "ecu-emulator"
@@ -217,8 +216,3 @@ COMMAND_LINE: Final = Program(
         examples=(f"{PROGRAM} scenarios",),
     ),
 )
-
-
-def parse_arguments(words: Sequence[str] | None) -> SimpleNamespace:
-    """Return what a command line says; raises SystemExit after help or a complaint."""
-    return parse(COMMAND_LINE, words)

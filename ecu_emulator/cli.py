@@ -10,10 +10,8 @@ from threading import Event
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Final
 
-from clutchdiag_io.annexes import is_attached, part
-from clutchdiag_io.files import refusal
-from clutchdiag_io.program import complain, standard_output
-from ecu_emulator.arguments import PROGRAM, parse_arguments
+from clutchdiag_io.program import complain, is_attached, part, refusal, standard_output
+from ecu_emulator.arguments import COMMAND_LINE, PROGRAM
 from ecu_emulator.errors import BusError, ConfigError, ExtraMissingError, RecordError
 
 if TYPE_CHECKING:
@@ -27,7 +25,7 @@ PATIENCE_S: Final = 1.0
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program and return its exit status."""
     with _stop_on_signals(is_program=arguments is None) as stop:
-        options = parse_arguments(arguments)
+        options = COMMAND_LINE.parse(arguments)
         try:
             with standard_output():
                 _execute(options, stop)

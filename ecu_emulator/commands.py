@@ -16,7 +16,7 @@ from typing import Any
 
 from clutch_model.units import k_from_degc
 from clutchdiag_io.command_line import STANDARD_STREAM
-from clutchdiag_io.files import refusal
+from clutchdiag_io.program import refusal
 from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.errors import ConfigError, RecordError
@@ -26,7 +26,7 @@ from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Routine, Scenario, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
-from ecu_emulator.truth.records import Totals, TruthWriter, read_truth, truth_path
+from ecu_emulator.truth import Totals, TruthWriter, read_truth, truth_path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

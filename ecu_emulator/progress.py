@@ -9,7 +9,7 @@ from typing import Final, Self
 from rich.console import Console
 from rich.status import Status
 
-from clutchdiag_io.files import legible
+from clutchdiag_io.program import legible
 
 LOG_PERIOD_S: Final = 10.0
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from canlog.live.medium import Medium
     from canlog.live.recorder import FrameRecorder
-    from ecu_emulator.api.emulator import Emulator
+    from ecu_emulator.api import Emulator
 
 AUTO = "auto"
 OPTION = "vcan_bus"
@@ -74,7 +74,7 @@ def emulated_vehicle(
     with ExitStack() as stack:
 
         def start(scenario: Any = "ideal", *, bus: "Medium | None" = None, **options: Any) -> "Emulator":  # noqa: ANN401
-            from ecu_emulator.api.emulator import Emulator  # noqa: PLC0415 - not before it is used
+            from ecu_emulator.api import Emulator  # noqa: PLC0415 - not before it is used
 
             medium = request.getfixturevalue("vcan_bus") if bus is None else bus
             car = Emulator(

@@ -1,13 +1,11 @@
 """The words of the command line: which commands there are, and which options each takes. Needs no extra."""
 
-from collections.abc import Sequence
-from types import SimpleNamespace
 from typing import Final
 
 import click
 
-from clutchdiag_io.annexes import attached
-from clutchdiag_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Option, Program, parse
+from clutchdiag_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Option, Program
+from clutchdiag_io.program import attached
 from fleet_backend.choices import Axis, Pace
 from fleet_backend.options import (
     BROKER,
@@ -170,8 +168,3 @@ COMMAND_LINE: Final = Program(
         examples=(f"{PROGRAM} hash",),
     ),
 )
-
-
-def parse_arguments(words: Sequence[str] | None) -> SimpleNamespace:
-    """Return what a command line says; raises SystemExit after help or a complaint."""
-    return parse(COMMAND_LINE, words)

@@ -10,12 +10,12 @@ from typing import Final
 
 from clutchdiag_io.program import complain, reckon_in_one_thread, standard_output
 from fleet_backend.arguments import (
+    COMMAND_LINE,
     EXIT_BROKER,
     EXIT_CONFIG,
     EXIT_DATABASE,
     EXIT_OK,
     EXIT_UNKNOWN,
-    parse_arguments,
 )
 from fleet_backend.errors import BrokerError, ConfigError, DatabaseError, ExtraMissingError, UnknownVehicleError
 from fleet_backend.options import PROGRAM
@@ -32,7 +32,7 @@ _STATUSES: Final = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the backend and return its exit status."""
     reckon_in_one_thread()
-    options = parse_arguments(arguments)
+    options = COMMAND_LINE.parse(arguments)
     _set_up_log(options.verbose)
     try:
         _check_environment()

@@ -11,7 +11,7 @@ from typing import Final
 
 from sqlalchemy import Engine
 
-from clutchdiag_io.annexes import part
+from clutchdiag_io.program import part
 from fleet_backend import queries, report
 from fleet_backend.application import run_ingest
 from fleet_backend.choices import Axis
@@ -20,7 +20,7 @@ from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import ConfigError
 from fleet_backend.layout import Sheet
 from fleet_backend.migrate import make_ready, migrate, newest_revision
-from fleet_backend.months.partitions import keep_months, partitions
+from fleet_backend.months import keep_months, partitions
 from fleet_backend.options import BROKER_VARIABLE
 from fleet_link import BrokerAddress
 

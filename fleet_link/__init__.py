@@ -2,10 +2,9 @@
 
 from fleet_link.address import BrokerAddress, parse_broker
 from fleet_link.arrivals import Message
-from fleet_link.connection import Connection
+from fleet_link.connection import Connection, Terms
 from fleet_link.errors import AddressError, LinkDownError, LinkError, MessageRefusedError, VersionRefusedError
 from fleet_link.jetstream import JetStream
-from fleet_link.terms import Terms
 from fleet_link.tls import TlsFiles, check_secret_mode, read_secret
 
 __all__ = [

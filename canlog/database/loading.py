@@ -3,7 +3,7 @@
 cantools believes every number in a file: 92 bytes of DBC can take 8.7 GB, and nested ranges of multiplexers multiply.
 So the text is looked at for sizes that no CAN message has, which gives the best message, then parsed in a process of
 its own with little memory and time (database_child.py), which bounds whatever else a file may do and costs a third of
-a second, once for each file (parsed_cache.py).
+a second, once for each file: what came of it is kept.
 """
 
 import logging
@@ -11,21 +11,26 @@ import os
 import pickle
 import re
 import signal
+import stat
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from enum import StrEnum
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
+import cantools
 from cantools.database.can import Database, Message
 
-from canlog.database import database_child, parsed_cache
+from canlog.database import database_child
 from canlog.database.addressing import J1939, is_of_groups
 from canlog.database.database_parsing import Parsed
 from canlog.database.dbc_sieve import Offence
 from canlog.errors import NOTICE, DefinitionError
-from canlog.files import read_small_file
+from canlog.files import read_small_file, replacing
 
 MAX_FILE_BYTES: Final = 32 * 2**20  # the largest public databases have about 5 MB as DBC, some more as ARXML
 MAX_MESSAGE_BYTES: Final = 1785  # longest J1939 transport message, far above any CAN frame
@@ -203,11 +208,11 @@ def _shown(digits: str) -> str:
 def _parse(text: str, database_format: DatabaseFormat, path: Path, *, is_lenient: bool, parser_time_s: int) -> Parsed:
     """Return what cantools makes of the text, and what is wrong with it."""
     mode = database_child.LENIENT if is_lenient else database_child.STRICT
-    key = parsed_cache.key_of(text, database_format, mode)
-    written = parsed_cache.kept(key)
+    key = key_of(text, database_format, mode)
+    written = kept(key)
     if written is None:
         written = _written_by_child(text, database_format, path, mode, parser_time_s)
-        parsed_cache.keep(key, written)
+        keep(key, written)
     parsed: Parsed = pickle.loads(written)  # noqa: S301 - written by our own module, and kept where only we write
     return parsed
 
@@ -290,3 +295,68 @@ def _twice(message: Message, other: Message) -> str:
 def database_of(database: Database | Path | str, *, is_lenient: bool) -> Database:
     """Return a database, loaded if it is a file's name; raises as ``load_database``."""
     return database if isinstance(database, Database) else load_database(Path(database), is_lenient=is_lenient)
+
+
+# Kept are the pickles of `database_child`, in a folder that nobody else can write to, as machine code of kernels is.
+MOST_KEPT: Final = 32
+MOST_BYTES: Final = 16 * 2**20  # of one; the largest public databases come to some more
+_DIGEST_BYTES: Final = 32
+_OTHERS_WRITE: Final = stat.S_IWGRP | stat.S_IWOTH
+
+
+def key_of(text: str, database_format: str, mode: str) -> str:
+    """Return what a parsed text is known by: the text, how it is parsed, and all that parses it."""
+    digest = sha256(f"{_maker()}\0{database_format}\0{mode}\0".encode())
+    digest.update(text.encode(errors="replace"))
+    return digest.hexdigest()
+
+
+def kept(key: str) -> bytes | None:
+    """Return what was kept under a key, None if nothing was or if it cannot be trusted."""
+    folder = _folder()
+    if folder is None:
+        return None
+    try:
+        content = (folder / key).read_bytes()
+        if sha256(content[_DIGEST_BYTES:]).digest() != content[:_DIGEST_BYTES]:
+            return None
+        os.utime(folder / key)  # the oldest are forgotten first
+    except OSError:
+        return None
+    return content[_DIGEST_BYTES:]
+
+
+def keep(key: str, content: bytes) -> None:
+    """Keep what came of a text; where that is not possible, the next start parses it again."""
+    folder = _folder()
+    if folder is None or len(content) > MOST_BYTES:
+        return
+    with suppress(OSError), replacing(folder / key, OSError) as part:
+        part.write_bytes(sha256(content).digest() + content)
+        part.replace(folder / key)
+        newest_first = sorted(folder.iterdir(), key=lambda path: -path.stat().st_mtime_ns)
+        for path in newest_first[MOST_KEPT:]:
+            path.unlink(missing_ok=True)
+
+
+def _folder() -> Path | None:
+    """Return the folder, made if need be; None where there is none that is this user's alone."""
+    if not hasattr(os, "geteuid"):
+        return None
+    try:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "clutchdiag" / "databases"
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.lstat()
+    except (OSError, RuntimeError):  # no home, no rights, something else in the way
+        return None
+    is_own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid() and not found.st_mode & _OTHERS_WRITE
+    return folder if is_own else None
+
+
+@cache
+def _maker() -> str:
+    """Return what parses: our modules, cantools, Python."""
+    digest = sha256()
+    for module in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(module.read_bytes())
+    return f"{digest.hexdigest()} {cantools.__version__} {sys.version}"

@@ -1,9 +1,8 @@
 """Live buses: received without waiting, supervised, in bus time."""
 
-from canlog.live.bus_state import BusState, BusStatus
 from canlog.live.factory import BusOpener, open_source
 from canlog.live.sources import FrameSource, LinkBreak, LiveSource, ReadSchedule, Silence, SourceCounts
-from canlog.live.supervisor import SupervisedSource, supervise
+from canlog.live.supervisor import BusState, BusStatus, SupervisedSource, supervise
 
 __all__ = [
     "BusOpener",

@@ -17,10 +17,9 @@ from tempfile import TemporaryDirectory
 from typing import BinaryIO, Final, Protocol, cast
 
 from canlog.errors import ExtraMissingError, SourceError
-from canlog.logs.compressed import InflatedStream, check_growth, compression_of
 from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, detect, detect_as_columns
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.piped import KeptFile
+from canlog.logs.streams import InflatedStream, KeptFile, check_growth, compression_of
 
 TAR_MAGIC, TAR_MAGIC_AT = b"ustar", 257
 MOST_HEADER_BYTES: Final = 1024 * 1024  # of one header with its names and attributes, which are read at once

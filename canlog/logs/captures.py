@@ -208,6 +208,7 @@ MAGICS: Final = {
     for magic, ticks in ((0xA1B2C3D4, 1_000_000), (0xA1B23C4D, 1_000_000_000))
 }  # the byte order of the file, and into how many parts seconds are divided
 SECTION_MAGIC: Final = SECTION_HEADER.to_bytes(4, "big")
+CAPTURE_MAGICS: Final = (*MAGICS, SECTION_MAGIC)
 BIG_ORDER_MAGIC: Final = bytes.fromhex("1A2B3C4D")
 FILE_HEADER, FILE_HEADER_BYTES = "4s16xL", 24  # of pcap
 LINK_MASK: Final = 0x0FFF_FFFF  # above it stands how long checksums are
@@ -219,13 +220,13 @@ DIGITS_AT_END: Final = re.compile(rb"(\d{1,3})\0*$")
 
 
 def capture_of(probe: bytes) -> str:
-    """Return what a file that begins so is, ``pcap`` or ``pcapng``, or nothing; raises SourceError if it has no CAN."""
+    """Return what a capture that begins so is, ``pcap`` or ``pcapng``; raises SourceError if it has no CAN."""
     order, _ = MAGICS.get(probe[:4], ("", 0))
     if order and len(probe) >= FILE_HEADER_BYTES:
         link = struct.unpack_from(order + FILE_HEADER, probe)[1] & LINK_MASK
         if link not in LINKS:
             raise SourceError(f"a pcap capture of another kind of network than CAN (link type {link})")
-    return "pcapng" if probe.startswith(SECTION_MAGIC) else "pcap" if order else ""
+    return "pcap" if order else "pcapng"
 
 
 def read_capture(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:

@@ -15,7 +15,7 @@ from canlog.logs import sqlite
 from canlog.logs.asc import FIRST_LINE, AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog
-from canlog.logs.captures import capture_of
+from canlog.logs.captures import CAPTURE_MAGICS, capture_of
 from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, is_traffic, proposed
 from canlog.logs.columns.headed import CLX000_HEADER, Busmaster, Clx000, Trc
 from canlog.logs.columns.log import TableLog
@@ -189,7 +189,8 @@ def detect(probe: bytes) -> Detected:
         return Detected(format=LogFormat.SQLITE, evidence="it begins with SQLite format 3")
     if probe.startswith(ARROW_MAGICS):
         return Detected(format=LogFormat.SIGNALS, evidence="it begins as a Parquet or Arrow table does")
-    if capture := capture_of(probe):
+    if probe.startswith(CAPTURE_MAGICS):
+        capture = capture_of(probe)
         return Detected(format=LogFormat(capture), evidence=f"it begins with the number of {capture}")
     if probe.startswith(MDF_MAGICS):
         if probe[MDF_VERSION] != b"4":

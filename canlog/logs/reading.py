@@ -18,22 +18,22 @@ from canlog.logs.arrow_tables import arrow_columns, read_arrow_table
 from canlog.logs.blf import read_blf
 from canlog.logs.captures import read_capture
 from canlog.logs.columns import ColumnsLog
-from canlog.logs.compressed import compression_of
 from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, detect_as_columns
 from canlog.logs.log_counts import BoundedStream, LogCounts, LogReject, TimeWatch, bus_load_ratio, is_plausible
 from canlog.logs.mf4 import read_mf4
 from canlog.logs.mf4_channels import measured_channels
-from canlog.logs.piped import (
+from canlog.logs.signal_tables import read_signal_table
+from canlog.logs.sqlite import check_messages, read_sqlite
+from canlog.logs.streams import (
     STANDARD_INPUT,
     PipeStream,
+    compression_of,
     kept,
     never,
     open_standard_input,
     shown_name,
     wait_for_reader,
 )
-from canlog.logs.signal_tables import read_signal_table
-from canlog.logs.sqlite import check_messages, read_sqlite
 from canlog.logs.text_log import reader_of
 
 LOAD_FRAMES = 2_000  # the first ones, from which a load is told

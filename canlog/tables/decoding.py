@@ -20,8 +20,8 @@ from canlog.errors import DefinitionError, OutputError, SourceError
 from canlog.files import replacing
 from canlog.frames import FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader
-from canlog.logs.piped import never
 from canlog.logs.reading import Watch
+from canlog.logs.streams import never
 from canlog.tables.account import DecodeAccount, losses
 from canlog.tables.frame_groups import FrameGroup, FrameStock, LogSet, LongRows, Origins, Stretch, log_paths
 from canlog.tables.layouts import (

@@ -16,8 +16,8 @@ from canlog.errors import SourceError
 from canlog.frames import COLUMNS, PAYLOAD_BYTES, FrameBatch, empty_batch, join
 from canlog.logs import STANDARD_INPUT, LogCounts, LogReader, merged_by_time, read_log, shown_name
 from canlog.logs.merging import MOST_SOURCES, SourceMarks
-from canlog.logs.piped import kept, never, open_standard_input
 from canlog.logs.reading import Watch
+from canlog.logs.streams import kept, never, open_standard_input
 from canlog.transport import Reassembler, Transfer, TransferCounts
 from canlog.transport.reassembly import fast_groups
 

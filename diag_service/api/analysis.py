@@ -10,7 +10,7 @@ from canlog.column_files import arrow_schema, row_table
 from canlog.extras import load_extra
 from diag_service.api.choices import AnyPath, AnyPaths, Delivery, LogMeaning, configuration, optional_path, path_list
 from diag_service.batch.tables import columns, drive_rows, flattened, record_columns
-from diag_service.console.notices import collected_notices
+from diag_service.console import collected_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.delivery.console import condition_words
 from diag_service.diagnosis.records import ClutchVerdict, ShiftResult, dump, shift_record, verdict_from, with_revisions

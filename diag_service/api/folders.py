@@ -11,7 +11,7 @@ from diag_service.batch.drives import Drive, LeftOut
 from diag_service.batch.folder_run import analyse_folders
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import columns
-from diag_service.console.notices import collected_notices
+from diag_service.console import collected_notices
 from diag_service.diagnosis.records import shift_from
 from diag_service.service.stopping import Trigger
 

@@ -20,7 +20,7 @@ from diag_service.api.choices import (
     optional_path,
     poll_config,
 )
-from diag_service.console.notices import collected_notices
+from diag_service.console import collected_notices
 from diag_service.delivery import ControllerNews, News
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import FrameCounts, Summary

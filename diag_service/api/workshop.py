@@ -15,7 +15,7 @@ from diag_service.commands.learn import learned_from, record, write_description
 from diag_service.commands.predict import predict_shifts
 from diag_service.commands.signals import proposed_profile
 from diag_service.commands.talks import conversations_of
-from diag_service.console.notices import collected_notices
+from diag_service.console import collected_notices
 from diag_service.diagnosis.friction.paper import PaperShift, PooledClutch
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration
 from diag_service.mapping.interpretation import interpret, open_database

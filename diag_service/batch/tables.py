@@ -9,7 +9,7 @@ from pathlib import Path
 
 from canlog.column_files import BOOL_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
 from canlog.files import replacing
-from clutchdiag_io.files import legible
+from clutchdiag_io.program import legible
 from diag_service.batch.journal import Entry
 from diag_service.diagnosis.records import REVISIONS, dump
 from diag_service.errors import ConfigError, StoreError

@@ -10,7 +10,7 @@ from canlog.errors import SourceError
 from diag_service.batch.drives import Drive
 from diag_service.batch.journal import Entry
 from diag_service.batch.processes import follow_parent
-from diag_service.console.notices import collected_notices, set_up_notices
+from diag_service.console import collected_notices, set_up_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.records import ShiftResult, shift_record, with_revisions
 from diag_service.diagnosis.summary import summary_record, unjudged

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT, is_folder
-from clutchdiag_io.files import replacement_refusal
-from diag_service.console.terminal import ReadingLine
+from clutchdiag_io.program import replacement_refusal
+from diag_service.console import ReadingLine
 from diag_service.delivery import AllReporters, MemoryReporter
 from diag_service.diagnosis.summary import Gap
 from diag_service.errors import ConfigError
@@ -81,7 +81,7 @@ def _analyse_drive_into_file(options: SimpleNamespace, diagnosis: DiagnosisConfi
     """Show the results of a drive and write them into a file, which is checked before hours of work."""
     from diag_service.batch.tables import check_output, write_results  # noqa: PLC0415 - for an output alone
     from diag_service.batch.worker import drive_entry  # noqa: PLC0415 - likewise
-    from diag_service.console.notices import collected_notices  # noqa: PLC0415 - likewise
+    from diag_service.console import collected_notices  # noqa: PLC0415 - likewise
 
     if text := replacement_refusal(options.output, is_forced=options.force):
         raise ConfigError(text)

@@ -1,12 +1,9 @@
 """The words of the command line: which commands there are, and which options each takes. Imports next to nothing."""
 
-from collections.abc import Sequence
-from types import SimpleNamespace
 from typing import Any, Final
 
 import click
 
-from clutchdiag_io.annexes import attached
 from clutchdiag_io.command_line import (
     FILE,
     FILE_OR_STORE,
@@ -19,8 +16,8 @@ from clutchdiag_io.command_line import (
     Group,
     Option,
     Program,
-    parse,
 )
+from clutchdiag_io.program import attached
 from diag_service.settings.options import BUS, CONFIG, DELIVERY, JSON, MEANING, PAGE, POLL, PROGRAM, VARIABLES
 
 DEFAULT_LIMIT_S: Final = 600.0  # an hour of a bus takes half a minute
@@ -435,8 +432,3 @@ COMMAND_LINE: Final = Program(
     *(command for words in attached("diag_service.command_words") for command in words),
     *(LAKE, CLUSTER),
 )
-
-
-def parse_arguments(words: Sequence[str] | None) -> SimpleNamespace:
-    """Return what a command line says, settings included; raises SystemExit after help or a complaint, ConfigError."""
-    return parse(COMMAND_LINE, words)

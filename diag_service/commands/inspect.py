@@ -22,7 +22,7 @@ from canlog.logs.reading import Watch
 from canlog.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
 from diag_service.batch.drives import LeftOut, TakenFor, left_out_record, sorted_out
 from diag_service.commands.talks import Conversations, conversations_of
-from diag_service.console.terminal import PeopleConsole, ReadingLine
+from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.records import dump, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import asked_database

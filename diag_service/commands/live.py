@@ -14,9 +14,9 @@ import tomli_w
 
 from canlog.errors import SourceError
 from canlog.live import BusOpener, LinkBreak, LiveSource, Silence, supervise
-from clutchdiag_io.files import legible
+from clutchdiag_io.program import legible
 from diag_service.commands.talks import Conversations, conversations_of
-from diag_service.console.terminal import PeopleConsole
+from diag_service.console import PeopleConsole
 from diag_service.mapping.interpretation import asked_database
 from diag_service.service import bus_run
 from diag_service.service.live import close_in_time

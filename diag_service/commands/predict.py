@@ -11,7 +11,7 @@ import numpy as np
 
 from canlog.logs import read_log
 from canlog.logs.reading import Watch
-from diag_service.console.terminal import PeopleConsole, ReadingLine
+from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.prediction import (
     LEAST_EVENTS,

@@ -14,9 +14,9 @@ from canlog.decode.codec import Codec
 from canlog.logs import STANDARD_INPUT, read_log, shown_name, table_columns
 from canlog.logs.reading import Watch
 from canlog.traffic import NS_PER_S
-from clutchdiag_io.files import legible
+from clutchdiag_io.program import legible
 from dbc.contract import DBC_PATH
-from diag_service.console.terminal import ReadingLine
+from diag_service.console import ReadingLine
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import StoppedError
 from diag_service.mapping.decoder import Decoder

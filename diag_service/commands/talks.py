@@ -6,7 +6,7 @@ from typing import Final, Protocol
 from cantools.database.can import Message
 
 from canlog.frames import EXTENDED_FLAG, FrameBatch
-from clutchdiag_io.annexes import part
+from clutchdiag_io.program import part
 from diag_service.errors import ConfigError
 from fleet_contract import JsonObject
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from clutch_model.transmission import Transmission, read_transmission
-from diag_service.console.terminal import PeopleConsole
+from diag_service.console import PeopleConsole
 from diag_service.diagnosis.records import dump
 from diag_service.service.stopping import Controls
 from fleet_contract import JsonObject

@@ -4,13 +4,14 @@ SI units, radians, kelvin and pascal throughout. Times are bus times in integer 
 whatever a log counts from: below zero they are as good as above.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
-from canlog.arrays import Int64Array, Series
+from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.e2e_state import E2eChange
 
 
@@ -114,3 +115,65 @@ class ColumnBatch:
     breaks_before: bool = False
     bad_frame_ns: Int64Array = field(default_factory=lambda: np.empty(0, np.int64))  # (m,) rejected or missing
     e2e_changes: tuple[E2eChange, ...] = ()  # of each message in the order of time
+
+
+class Samples(NamedTuple):
+    """Samples of k signals, each row filled from its beginning."""
+
+    filled: Int64Array  # (k,) where each row ends
+    t_ns: Int64Array  # (k, n)
+    sequence: Int64Array  # (k, n)
+    value: FloatArray  # (k, n)
+
+
+def empty_rows(count: int, size: int) -> Samples:
+    """Return empty rows for ``size`` samples each."""
+    return Samples(
+        filled=np.zeros(count, np.int64),
+        t_ns=np.empty((count, size), np.int64),
+        sequence=np.empty((count, size), np.int64),
+        value=np.empty((count, size)),
+    )
+
+
+class BlockLayout:
+    """Which signal is in which row of a block, and how often it comes."""
+
+    def __init__(self, signals: Sequence[Signal], period_ns: Sequence[int]) -> None:
+        self.signals = tuple(signals)
+        self.period_ns = tuple(period_ns)
+        self.row = {signal: row for row, signal in enumerate(signals)}
+
+    def room(self, size: int) -> Samples:
+        """Return empty rows for ``size`` samples each."""
+        return empty_rows(len(self.signals), size)
+
+
+class SampleBlock(Mapping[Signal, Series]):
+    """Columns that are made into series when somebody asks for them; signals without a sample are not among them."""
+
+    __slots__ = ("layout", "samples")
+
+    def __init__(self, layout: BlockLayout, samples: Samples) -> None:
+        self.layout = layout
+        self.samples = samples
+
+    def __getitem__(self, signal: Signal) -> Series:
+        row = self.layout.row[signal]
+        count = self.samples.filled[row]
+        if not count:
+            raise KeyError(signal)
+        return Series(
+            t_ns=self.samples.t_ns[row, :count],
+            sequence=self.samples.sequence[row, :count],
+            value=self.samples.value[row, :count],
+            period_ns=self.layout.period_ns[row],
+        )
+
+    def __iter__(self) -> Iterator[Signal]:
+        return (
+            signal for signal, count in zip(self.layout.signals, self.samples.filled.tolist(), strict=True) if count
+        )
+
+    def __len__(self) -> int:
+        return int(np.count_nonzero(self.samples.filled))

@@ -21,7 +21,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import TorqueSource
-from clutchdiag_io.files import legible_record
+from clutchdiag_io.program import legible_record
 from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.errors import ResultError
 from fleet_contract import Channel, JsonObject, ResultKey, schema

@@ -14,9 +14,9 @@ from wsgiref.types import StartResponse, WSGIEnvironment
 
 from jinja2 import Environment
 
-from clutchdiag_io.files import legible
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Section, Table, number
 from clutchdiag_io.pages.environment import SAFE_HEADERS, host_of, templates_of
+from clutchdiag_io.program import legible
 from diag_service.diagnosis.summary import frames_line
 from diag_service.report.findings import Findings
 from diag_service.report.page import advice_of, events_section, friction_section, shift_figures

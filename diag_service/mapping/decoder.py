@@ -16,8 +16,7 @@ from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from canlog.frames import ERROR_FLAG, MAX_GAP_NS, BusTrouble, FrameBatch, empty_batch, reports
 from canlog.jit import array_kernel, inlined_kernel
 from clutch_model.units import NS_PER_S
-from diag_service.diagnosis.columns import ColumnBatch, Columns, GearRatios, Signal
-from diag_service.diagnosis.sample_block import BlockLayout, SampleBlock, Samples
+from diag_service.diagnosis.columns import BlockLayout, ColumnBatch, Columns, GearRatios, SampleBlock, Samples, Signal
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.asked_signals import Overheard
 from diag_service.mapping.mapped_messages import MessageColumns, SourceTable, map_signals

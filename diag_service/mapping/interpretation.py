@@ -13,7 +13,7 @@ from canlog.database.loading import PARSER_TIME_S, bus_of, load_database
 from canlog.database.signal_columns import columns_database
 from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT, is_folder, table_columns
-from canlog.logs.piped import never
+from canlog.logs.streams import never
 from dbc.contract import DBC_PATH, load_contract
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.records import Tier

@@ -11,9 +11,9 @@ import numpy as np
 
 from canlog.files import replacing
 from clutch_model.units import NS_PER_S
-from clutchdiag_io.files import legible, legible_record
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Key, Section, Table, number, spread
 from clutchdiag_io.pages.environment import templates_of
+from clutchdiag_io.program import legible, legible_record
 from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis.records import (
     SHIFT_SCHEMA,

@@ -15,9 +15,8 @@ from typing import Final, TypeVar
 
 from rich.console import Console
 
-from clutchdiag_io.files import legible
-from clutchdiag_io.program import discard
-from diag_service.console.terminal import PeopleConsole
+from clutchdiag_io.program import discard, legible
+from diag_service.console import PeopleConsole
 from diag_service.delivery import (
     Acknowledge,
     ConsoleReporter,

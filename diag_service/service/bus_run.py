@@ -11,8 +11,8 @@ from pathlib import Path
 
 from canlog.errors import NOTICE
 from canlog.live import BusOpener, ReadSchedule, SupervisedSource, supervise
-from clutchdiag_io.annexes import part
-from diag_service.console.terminal import PeopleConsole, ending_key
+from clutchdiag_io.program import part
+from diag_service.console import PeopleConsole, ending_key
 from diag_service.delivery import DetachedReporter, Outbox
 from diag_service.diagnosis.summary import frames_line
 from diag_service.errors import ConfigError

@@ -14,7 +14,7 @@ from canlog.errors import SourceError
 from canlog.files import replacing
 from clutch_model.calibration import Calibration, TorqueSource, calibration_toml
 from clutch_model.units import NS_PER_S, bar_from_pa
-from diag_service.console.terminal import PeopleConsole, ReadingLine
+from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.evidence import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.diagnosis.friction.posterior import friction as friction_of

@@ -17,8 +17,8 @@ from canlog.frames import FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader, merged_by_time, read_log, split_member
 from canlog.logs.log_counts import assumed_texts, lost_texts, odd_texts
 from canlog.logs.merging import SourceMarks
-from canlog.logs.piped import never
 from canlog.logs.reading import Watch
+from canlog.logs.streams import never
 from diag_service.diagnosis.contributions import ChannelShare, Contributions, LogShare, idle_lines
 from diag_service.diagnosis.summary import Gap, gaps_line
 from diag_service.errors import ConfigError, IncompleteError, StoppedError

@@ -10,7 +10,7 @@ from rich import box
 from rich.table import Table
 
 from canlog.logs.reading import Watch
-from diag_service.console.terminal import PeopleConsole, ReadingLine
+from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.paper import (

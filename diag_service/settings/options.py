@@ -5,11 +5,14 @@ Over the file stands the environment, and over both the command line. Loads next
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import urlsplit
 
 import click
 
+from canlog.files import read_toml_file
 from clutchdiag_io.command_line import FILE, FLOAT, INT, Choice, Option
 from diag_service.errors import ConfigError
 
@@ -61,15 +64,8 @@ def _read_elsewhere(ctx: click.Context, _option: click.Parameter, file: Path | N
     except VariableError as exc:
         raise ConfigError(str(exc)) from exc
     if file is not None:
-        ctx.default_map = load_settings(file)
+        ctx.default_map = read_settings(file)
     return file
-
-
-def load_settings(file: Path) -> dict[str, Any]:
-    """Return what a settings file sets; raises ConfigError, as `read_settings` says."""
-    from diag_service.settings.files import read_settings  # noqa: PLC0415 - most do without
-
-    return read_settings(file, SETTINGS)
 
 
 MEANING: Final = (
@@ -158,3 +154,59 @@ CONFIG: Final = Setting(
     "--config FILE", "TOML file with settings, see 'config check'", FILE, is_eager=True, callback=_read_elsewhere
 )
 SETTINGS: Final[Mapping[str, Setting]] = {option.name: option for option in (*MEANING, *DELIVERY, *BUS, *PAGE, *POLL)}
+
+
+def read_settings(file: Path) -> dict[str, Any]:
+    """Return what a settings file sets.
+
+    Raises ConfigError if a key is unknown, a value unfit, or a file with a password may be read by others. The message
+    does not repeat values, which may be secret.
+    """
+    values, problems = {}, []
+    for key, value in _read(file).items():
+        try:
+            values[key] = _converted(SETTINGS.get(key), value)
+        except ValueError as exc:
+            problems.append(f"{key}: {exc}")
+    if problems:
+        raise ConfigError(f"settings in {file}: {'; '.join(problems)}")
+    return values
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        table = read_toml_file(file)
+    except OSError as exc:
+        raise ConfigError(f"cannot read {file}: {exc.strerror or exc}") from exc
+    except ValueError as exc:
+        raise ConfigError(f"{file} is not TOML: {exc}") from exc
+    from fleet_link import AddressError, check_secret_mode  # noqa: PLC0415 - most do without a file
+
+    try:
+        if _holds_password(str(table.get("broker", ""))):
+            check_secret_mode(file)
+    except AddressError as exc:
+        raise ConfigError(str(exc)) from exc
+    return table
+
+
+def _holds_password(url: str) -> bool:
+    try:
+        return urlsplit(url).password is not None
+    except ValueError:  # no address at all; that is said later
+        return "@" in url
+
+
+def _converted(option: Setting | None, value: object) -> object:
+    """Return what the value of an option stands for; a number may be written as a text, a text not as a number.
+
+    Raises ValueError if it does not fit.
+    """
+    if option is None:
+        raise ValueError("Extra inputs are not permitted")
+    takes_numbers = option.type.name in {"boolean", "float", "int"}
+    if isinstance(value, str) or (takes_numbers and isinstance(value, bool | int | float)):
+        text = str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
+        with suppress(click.BadParameter, ValueError):
+            return option.type.convert(text, option, None)
+    raise ValueError(option.demand)

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from types import SimpleNamespace
 from typing import Final, TypeVar
 
-from diag_service.console.terminal import PeopleConsole, ReadingLine, is_confirmed
+from diag_service.console import PeopleConsole, ReadingLine, is_confirmed
 from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.service.stopping import Controls, Trigger

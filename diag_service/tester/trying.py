@@ -17,9 +17,9 @@ import numpy as np
 from cantools.database.can import Database
 
 from canlog.errors import OutputError, SourceError
-from clutchdiag_io.files import replacement_refusal
-from diag_service.commands.arguments import parse_arguments
-from diag_service.console.terminal import PeopleConsole
+from clutchdiag_io.program import replacement_refusal
+from diag_service.commands.arguments import COMMAND_LINE
+from diag_service.console import PeopleConsole
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError, ControllerError
 from diag_service.mapping.asked_signals import NEGATIVE, data_in, sizes_of
@@ -229,7 +229,7 @@ def _judged(log: Path, words: list[str], controls: Controls, show: Show) -> list
 
 def _typed(words: list[str], controls: Controls, show: Show) -> None:
     show(f"$ {PROGRAM} {shlex.join(words)}")
-    options = parse_arguments(words)
+    options = COMMAND_LINE.parse(words)
     import_module(f"diag_service.commands.{words[0]}").execute(options, controls)
 
 

@@ -13,7 +13,7 @@ from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind
 from ecu_emulator.scenario.signals import generator
-from ecu_emulator.sensing.sensors import MS_PER_S, Onsets
+from ecu_emulator.sensing import MS_PER_S, Onsets
 
 Rows = npt.NDArray[np.int64]
 

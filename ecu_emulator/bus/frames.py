@@ -14,7 +14,7 @@ from canlog.arrays import FloatArray
 from canlog.e2e.message_contract import message_contract
 from canlog.e2e.profile1 import PAYLOAD_BYTES, protect
 from clutch_model.units import bar_from_pa, degc_from_k, km_h_from_m_s, rpm_from_rad_s
-from ecu_emulator.sensing.sensors import Readings
+from ecu_emulator.sensing import Readings
 
 UInt8Array = npt.NDArray[np.uint8]
 UInt32Array = npt.NDArray[np.uint32]

@@ -36,13 +36,14 @@ from ecu_emulator.diagnostics.services.data import (
     control_data,
     define_data,
     due,
+    frozen_pids,
+    odometer_m,
     only_allowed,
     read_data,
     read_periodically,
     write_data,
 )
 from ecu_emulator.diagnostics.services.obd import OBD_HANDLERS
-from ecu_emulator.diagnostics.services.obd_data import frozen_pids, odometer_m
 from ecu_emulator.diagnostics.services.routines import RESULTS, START, STOP, answered, routine_control, timed_out
 from ecu_emulator.diagnostics.services.sessions import (
     CODES_OFF,

@@ -16,8 +16,8 @@ from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
 from ecu_emulator.plant.parameters import PlantParameters, plant_table
 from ecu_emulator.scenario.scenario import MAX_CYCLES, Effects, FluidCondition, Overrides, Scatter, Scenario
 from ecu_emulator.scenario.signals import Sensors, generator, split_unit
-from ecu_emulator.sensing.sensors import Installation, Schedule
-from ecu_emulator.truth.records import DriveTruth, TripTruth
+from ecu_emulator.sensing import Installation, Schedule
+from ecu_emulator.truth import DriveTruth, TripTruth
 
 _FRESH: Final = (1.0, 1.0)
 _CLUTCH_NAMES: Final = ("clutch1", "clutch2")

@@ -30,20 +30,22 @@ from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import BusFault, SensorFault
 from ecu_emulator.scenario.scenario import Routine, Scenario
-from ecu_emulator.sensing.sensors import SensorSuite
+from ecu_emulator.sensing import SensorSuite
 from ecu_emulator.shift_control.touch_points import PressureSteps, nominal_touch_pressures_pa
-from ecu_emulator.truth.records import (
+from ecu_emulator.truth import (
     EventTruth,
+    EventWatcher,
     FaultTruth,
     Happened,
+    RevWatcher,
     ShiftTruth,
+    ShiftWatcher,
     Totals,
     TripTruth,
     TruthLog,
     known_at_s,
     truth_log,
 )
-from ecu_emulator.truth.watchers import EventWatcher, RevWatcher, ShiftWatcher
 
 LONG_STRETCH_S: Final = 10.0  # for files
 MOST_STARTS: Final = 64  # that nobody has asked for

@@ -9,10 +9,9 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
 from ecu_emulator.driving import indices
-from ecu_emulator.driving.driver import GRID_S
 from ecu_emulator.driving.indices import DriveState
 from ecu_emulator.driving.laws import DrivingLaw, idle_rad_s
-from ecu_emulator.driving.loop import Road, run
+from ecu_emulator.driving.loop import GRID_S, Road, run
 from ecu_emulator.driving.parameters import DrivingParameters, nominal_driving
 from ecu_emulator.driving.trace import SpeedTrace
 from ecu_emulator.errors import ConfigError

@@ -13,7 +13,7 @@ from typing import Final, Protocol, Self
 import can
 
 from canlog.e2e.message_contract import message_contracts
-from clutchdiag_io.files import give_sign, make_sign
+from clutchdiag_io.program import give_sign, make_sign
 from dbc.contract import load_contract
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
 from ecu_emulator.drive.recording import Drive
@@ -23,7 +23,7 @@ from ecu_emulator.live.other_senders import WORTH_SAYING, OtherSenders
 from ecu_emulator.live.sent_truth import SentTruth
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.scenario.scenario import Scenario
-from ecu_emulator.truth.records import ROTATED_BYTES, TruthWriter
+from ecu_emulator.truth import ROTATED_BYTES, TruthWriter
 
 MS_PER_S: Final = 1e3
 

@@ -8,7 +8,7 @@ from typing import Final, Protocol
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.bus.sender import TransmitReport
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
-from ecu_emulator.truth.records import DriveTruth, EventTruth, Happened, ShiftTruth, Totals, known_at_s
+from ecu_emulator.truth import DriveTruth, EventTruth, Happened, ShiftTruth, Totals, known_at_s
 
 
 class TruthSink(Protocol):

@@ -8,7 +8,7 @@ from typing import Final
 
 import click
 
-from clutchdiag_io.command_line import FILE, FLOAT, Command, Option, Program, parse
+from clutchdiag_io.command_line import FILE, FLOAT, Command, Option, Program
 from clutchdiag_io.program import complain
 from fleet_backend.certificates.errors import CertificateError
 
@@ -62,7 +62,7 @@ COMMAND_LINE: Final = Program(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Make what is asked for and return the exit status."""
-    options = parse(COMMAND_LINE, arguments)
+    options = COMMAND_LINE.parse(arguments)
     try:
         _execute(options)
     except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass

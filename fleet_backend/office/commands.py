@@ -11,8 +11,7 @@ from sqlalchemy import Engine
 
 from fleet_backend import queries, report
 from fleet_backend.alarms.carriers import Carrier, Mail, Mqtt, Webhook
-from fleet_backend.alarms.rules import Limits
-from fleet_backend.alarms.words import parse_mail, parse_secret, parse_service_km, parse_silence, parse_webhook
+from fleet_backend.alarms.rules import Limits, parse_mail, parse_secret, parse_service_km, parse_silence, parse_webhook
 from fleet_backend.commands import broker_of, tell, user_name
 from fleet_backend.config import parse_listen
 from fleet_backend.database import default_database, open_database

@@ -30,9 +30,11 @@ from sqlalchemy import (
 from fleet_backend.audit_trail import COMMAND_LINE, note_change
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, DatabaseError
-from fleet_backend.months.locations import CLUTCH_BLOCK, CLUTCH_STREAM, forget, moved_only, note_going
-from fleet_backend.months.partitions import (
+from fleet_backend.months import (
+    CLUTCH_BLOCK,
+    CLUTCH_STREAM,
     TABLE,
+    forget,
     has_partitions,
     keep_months,
     lock,
@@ -40,7 +42,9 @@ from fleet_backend.months.partitions import (
     month_of,
     months,
     months_on,
+    moved_only,
     name_of,
+    note_going,
 )
 from fleet_backend.office_tables import ALARM_MESSAGE, AUDIT, CLUTCH_MONTH, METADATA
 from fleet_backend.queries import check_vehicle

@@ -9,8 +9,7 @@ from typing import Any, Final
 from sqlalchemy import Connection, Engine, TextClause, TextualSelect, bindparam, func, select, text
 
 from fleet_backend.database import transaction
-from fleet_backend.months.locations import CLUTCH_STREAM
-from fleet_backend.months.partitions import has_partitions
+from fleet_backend.months import CLUTCH_STREAM, has_partitions
 from fleet_backend.orders import PresentFluid, present_fluids, with_orders
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchNow

@@ -7,8 +7,7 @@ from typing import Any, Final
 from sqlalchemy import BigInteger, Connection, Engine, Select, bindparam, cast, func, select
 
 from fleet_backend.database import transaction
-from fleet_backend.months.locations import CLUTCH_STREAM
-from fleet_backend.months.partitions import has_partitions
+from fleet_backend.months import CLUTCH_STREAM, has_partitions
 from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT, POPULATION
 from fleet_backend.page.records import Fill
 from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, VEHICLE

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from diag_service.commands import analyze
-from diag_service.commands.arguments import parse_arguments
+from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import ConfigError
 from diag_service.service.stopping import Controls
 from tests.plugins.drives import SHIFT_COUNT
@@ -20,7 +20,7 @@ from tests.tools.folders import fill_folder
 def fill(*words: str) -> None:
     logs, lake = f"s3://{BUCKET}/logs", f"s3://{BUCKET}/lake"
     arguments = ["analyze", logs, "--lake", lake, "--vehicle-from", "path", *words]
-    analyze.execute(parse_arguments(arguments), Controls())
+    analyze.execute(COMMAND_LINE.parse(arguments), Controls())
 
 
 @pytest.mark.slow

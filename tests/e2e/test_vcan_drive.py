@@ -12,7 +12,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from canlog.e2e.profile1 import COUNTER_PERIOD
-from ecu_emulator.truth.records import TruthLog, read_truth
+from ecu_emulator.truth import TruthLog, read_truth
 from fleet_contract import schema
 from tests.plugins.broker import Mosquitto
 from tests.plugins.vcan import own_vcan

@@ -17,7 +17,7 @@ from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Diagnosis, Stages
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind, Phase
-from ecu_emulator.truth.records import TruthLog
+from ecu_emulator.truth import TruthLog
 from tests.support.builders import drive_scenario
 
 MESSAGE = "TCU_Pressures"

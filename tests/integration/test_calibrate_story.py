@@ -13,7 +13,7 @@ import pytest
 import diag_service.cli
 import ecu_emulator.cli
 from clutch_model.calibration import read_calibration
-from ecu_emulator.truth.records import DriveTruth, read_truth, truth_path
+from ecu_emulator.truth import DriveTruth, read_truth, truth_path
 
 ROOT = Path(__file__).parents[2]
 SECTION = re.compile(r"^## One vehicle's own calibration\n(.*?)^## ", re.MULTILINE | re.DOTALL)

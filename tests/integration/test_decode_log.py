@@ -12,7 +12,7 @@ import pytest
 from cantools.database.can import Database
 
 from canlog.errors import DefinitionError
-from diag_service.commands.arguments import parse_arguments
+from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import IncompleteError, StoppedError
 from diag_service.service.stopping import Controls, Trigger
 from tests.support.in_process import ended as run
@@ -69,7 +69,7 @@ what is this
 
 def execute(*words: str | Path, stop: Trigger | None = None) -> None:
     """Run the command in this process."""
-    options = parse_arguments(["decode", *(str(word) for word in words)])
+    options = COMMAND_LINE.parse(["decode", *(str(word) for word in words)])
     import_module("diag_service.commands.decode").execute(options, Controls(stop=stop or Trigger()))
 
 
@@ -271,7 +271,7 @@ def test_of_messages_with_one_identifier_the_last_is_written_and_the_other_told(
     record = told(tmp_path, capsys, database, log_of("100#0100000000000000"))
     assert record["losses"] == ["message Status has the identifier of Later, by which its frames are decoded"]
     assert pq.read_table(tmp_path / "out.parquet").to_pylist()[0]["Later.Value"] == 101.0
-    options = parse_arguments(["inspect", str(tmp_path / "drive.log"), "--dbc", str(tmp_path / "car.dbc"), "--json"])
+    options = COMMAND_LINE.parse(["inspect", str(tmp_path / "drive.log"), "--dbc", str(tmp_path / "car.dbc"), "--json"])
     import_module("diag_service.commands.inspect").execute(options, Controls())
     assert [one["message"] for one in json.loads(capsys.readouterr().out)["ids"]] == ["Later"]
 

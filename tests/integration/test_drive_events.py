@@ -18,7 +18,7 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive
-from ecu_emulator.truth.records import EventTruth
+from ecu_emulator.truth import EventTruth
 from tests.support.chain import Outcome, diagnosed
 from tests.support.road import road_scenario, short_trip
 from tests.support.wire import START_NS, received

@@ -18,7 +18,7 @@ from canlog import jit
 from dbc.contract import load_contract
 from ecu_emulator import __version__, write_dbc
 from ecu_emulator.cli import main
-from ecu_emulator.truth.records import read_truth, truth_path
+from ecu_emulator.truth import read_truth, truth_path
 from tests.support.patience import HANG_S
 
 RECORD = ("--scenario", "noise_only", "--cycles", "1")

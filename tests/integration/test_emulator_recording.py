@@ -16,7 +16,7 @@ from ecu_emulator.drive.recording import Drive, frames_of
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live.sent_truth import SentTruth
 from ecu_emulator.scenario.scenario import Fluid, FluidCondition, Routine, Truth
-from ecu_emulator.truth.records import TruthLog, TruthWriter, read_truth
+from ecu_emulator.truth import TruthLog, TruthWriter, read_truth
 from tests.support.builders import drive_scenario
 
 GEARS = [1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1]

@@ -10,8 +10,7 @@ from sqlalchemy import Connection, Engine, delete, insert
 from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
-from fleet_backend.months.locations import BLOCK, FILL
-from fleet_backend.months.partitions import keep_months
+from fleet_backend.months import BLOCK, FILL, keep_months
 from fleet_backend.office.retention import retain
 from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT
 from fleet_backend.page import past, running

@@ -12,7 +12,7 @@ from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import ConfigError
 from fleet_backend.migrate import migrate
-from fleet_backend.months.partitions import keep_months, partitions
+from fleet_backend.months import keep_months, partitions
 from fleet_backend.office.retention import retain, roll_up
 from fleet_backend.office_tables import AUDIT, CLUTCH_MONTH
 from fleet_backend.rows import Row

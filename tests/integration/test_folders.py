@@ -12,7 +12,7 @@ from canlog.errors import SourceError
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import write_results
 from diag_service.commands import analyze
-from diag_service.commands.arguments import parse_arguments
+from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import ConfigError, StoreError
 from diag_service.service.stopping import Controls
 from tests.plugins.drives import SHIFT_COUNT
@@ -96,7 +96,7 @@ def test_what_cannot_be_done_is_told(
     (tmp_path / "empty.log").touch()
     words = ["analyze", *(argument.format(log=drive_log, tmp=tmp_path) for argument in arguments)]
     with pytest.raises(error, match=re.escape(text)):
-        analyze.execute(parse_arguments(words), Controls())
+        analyze.execute(COMMAND_LINE.parse(words), Controls())
 
 
 def test_a_folder_below_names_the_vehicle(drive_log: Path, tmp_path: Path) -> None:
@@ -120,4 +120,4 @@ def test_a_folder_below_names_the_vehicle(drive_log: Path, tmp_path: Path) -> No
 def test_folders_that_are_no_vehicles_are_told(drive_log: Path, tmp_path: Path) -> None:
     fill_folder(tmp_path / "fleet" / "my car", drive_log, 1)
     with pytest.raises(ConfigError, match=r"drive.*: 'my car' is not a vehicle id"):
-        analyze.execute(parse_arguments(["analyze", str(tmp_path / "fleet"), "--vehicle-from", "path"]), Controls())
+        analyze.execute(COMMAND_LINE.parse(["analyze", str(tmp_path / "fleet"), "--vehicle-from", "path"]), Controls())

@@ -11,7 +11,7 @@ from tests.plugins.broker import Mosquitto
 
 EVENT_CALLS, EVENT_MODULES = 500, 20  # to the stored result
 BROKER_MODULES = 30
-DECODE_CALLS, DECODE_MODULES = 1_610, 36  # from a log to its table
+DECODE_CALLS, DECODE_MODULES = 1_600, 30  # from a log to its table
 
 
 @pytest.fixture(scope="module")

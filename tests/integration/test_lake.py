@@ -14,7 +14,7 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.commands import analyze, lake
-from diag_service.commands.arguments import parse_arguments
+from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import ConfigError, IncompleteError, StoreError
 from diag_service.lake.parts import DONE, FAILED, Disagreement, LogRow, Manifest, disagreement, forget
 from diag_service.lake.places import Place
@@ -75,7 +75,7 @@ def _filled(logs: Path) -> Path:
     """Return a lake that a process of its own has made."""
     place = logs.parent / "lake"
     words = ("--lake", str(place), "--vehicle-from", "path", "--signals", SIGNALS, "--jobs", "1")
-    analyze.execute(parse_arguments(["analyze", str(logs), *words]), Controls())
+    analyze.execute(COMMAND_LINE.parse(["analyze", str(logs), *words]), Controls())
     return place
 
 
@@ -145,14 +145,14 @@ def test_one_vehicle_is_forgotten_in_a_store(port: int, logs: Path, capsys: pyte
     assert table.metadata.num_rows == SHIFT_COUNT
     assert table.metadata.row_group(0).column(table.schema_arrow.get_field_index("start_bus_ns")).statistics.has_min_max
     assert fill(Job.of(CONFIG, address, None, 60.0), f"s3://{BUCKET}/logs") == []
-    lake.execute(parse_arguments(["lake", "forget", address, "car1", "--json"]), Controls())
+    lake.execute(COMMAND_LINE.parse(["lake", "forget", address, "car1", "--json"]), Controls())
     gone = json.loads(capsys.readouterr().out)
     assert (len(gone["parts"]), gone["rows"], gone["shifts"]) == (2, 4, 3 * SHIFT_COUNT)
     assert files.glob(f"{BUCKET}/lake/*/*/vehicle=car1/*") == []
     assert all(b"car1" not in files.cat_file(path) for path in files.glob(f"{BUCKET}/lake/manifest/*"))
     with pytest.raises(StoreError, match="has nothing of car1; it has "):
-        lake.execute(parse_arguments(["lake", "forget", address, "car1"]), Controls())
-    lake.execute(parse_arguments(["lake", "check", address]), Controls())
+        lake.execute(COMMAND_LINE.parse(["lake", "forget", address, "car1"]), Controls())
+    lake.execute(COMMAND_LINE.parse(["lake", "check", address]), Controls())
     assert f"3 logs, 2 of them not analysed, {SHIFT_COUNT} shifts of 1 vehicles in 1 parts" in capsys.readouterr().out
 
 
@@ -178,13 +178,13 @@ def test_what_a_killed_run_left_is_told_and_can_be_removed(filled: Path, tmp_pat
     unfinished = part.with_name(f".{part.name}.1-1.part")
     unfinished.write_bytes(b"PAR1")
     with pytest.raises(IncompleteError, match="disagree"):
-        lake.execute(parse_arguments(["lake", "check", str(address)]), Controls())
-    lake.execute(parse_arguments(["lake", "check", str(address), "--repair"]), Controls())
+        lake.execute(COMMAND_LINE.parse(["lake", "check", str(address)]), Controls())
+    lake.execute(COMMAND_LINE.parse(["lake", "check", str(address), "--repair"]), Controls())
     assert not orphan.exists()
     assert not unfinished.exists()
     part.unlink()
     with pytest.raises(IncompleteError):
-        lake.execute(parse_arguments(["lake", "check", str(address), "--repair"]), Controls())
+        lake.execute(COMMAND_LINE.parse(["lake", "check", str(address), "--repair"]), Controls())
 
 
 def test_a_log_that_takes_too_long_or_breaks_the_program_is_a_row(tmp_path: Path, logs: Path) -> None:
@@ -235,7 +235,7 @@ def test_what_cannot_be_done_with_a_lake_is_told(
 ) -> None:
     filled = [word.format(logs=logs, tmp=tmp_path) for word in words]
     with pytest.raises(error, match=text):
-        analyze.execute(parse_arguments(["analyze", *filled]), Controls())
+        analyze.execute(COMMAND_LINE.parse(["analyze", *filled]), Controls())
 
 
 def test_a_link_is_what_it_leads_to(logs: Path, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from dbc.contract import DBC_PATH
 from diag_service.cli import main
-from diag_service.commands.arguments import parse_arguments
+from diag_service.commands.arguments import COMMAND_LINE
 
 ITEM = 'VAL_ 300 Missing 0 "off" 1 "on";'
 COMMANDS = {
@@ -40,5 +40,5 @@ def test_a_wrong_item_stops_a_command_or_is_left_out(
 @pytest.mark.parametrize("command", ["run", "monitor", "calibrate", "analyze", "inspect", "signals", "decode"])
 def test_every_command_with_a_database_may_be_told(command: str) -> None:
     words = {"calibrate": ["a.log", "-o", "a.toml"], "decode": ["a.log", "-o", "a.parquet"], "run": [], "monitor": []}
-    options = parse_arguments([command, *words.get(command, ["a.log"]), "--dbc", "a.dbc", "--lenient"])
+    options = COMMAND_LINE.parse([command, *words.get(command, ["a.log"]), "--dbc", "a.dbc", "--lenient"])
     assert options.lenient is True

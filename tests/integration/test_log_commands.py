@@ -17,7 +17,7 @@ from canlog.column_files import TableFormat
 from canlog.errors import DefinitionError, OutputError, SourceError
 from canlog.tables.decoding import Plan, TableShape, decode_logs
 from dbc.contract import DBC_PATH, load_contract
-from diag_service.commands.arguments import parse_arguments
+from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import load_profile
@@ -31,7 +31,7 @@ FRAME_COUNT = 1000
 
 def execute(*words: str | Path) -> None:
     """Run a command in this process."""
-    options = parse_arguments([str(word) for word in words])
+    options = COMMAND_LINE.parse([str(word) for word in words])
     import_module(f"diag_service.commands.{options.command}").execute(options, Controls())
 
 

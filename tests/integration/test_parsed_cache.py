@@ -7,8 +7,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from canlog.database.loading import load_database
-from canlog.database.parsed_cache import MOST_KEPT, keep, kept, key_of
+from canlog.database.loading import MOST_KEPT, keep, kept, key_of, load_database
 
 DATABASE = """VERSION ""
 BU_: A

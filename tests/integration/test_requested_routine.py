@@ -31,7 +31,7 @@ from ecu_emulator.live.live_drive import BusChoice, send
 from ecu_emulator.live.sent_truth import SentTruth
 from ecu_emulator.log_formats.record import open_log
 from ecu_emulator.scenario.scenario import Routine, Scenario
-from ecu_emulator.truth.records import Happened, RevTruth, ShiftTruth
+from ecu_emulator.truth import Happened, RevTruth, ShiftTruth
 from tests.support.builders import drive_scenario, shift_result
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S

@@ -22,7 +22,7 @@ from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario import Ambient, Fluid, FluidCondition, Truth
 from ecu_emulator.scenario.signals import generator
-from ecu_emulator.truth.records import EventTruth, ShiftTruth, TripTruth, TruthWriter, read_truth
+from ecu_emulator.truth import EventTruth, ShiftTruth, TripTruth, TruthWriter, read_truth
 from tests.support.builders import drive_scenario
 from tests.support.road import road_scenario, short_trip
 

@@ -10,7 +10,7 @@ from typing import Any
 import can
 import pytest
 
-from diag_service.console.terminal import ReadingLine
+from diag_service.console import ReadingLine
 from diag_service.service.stopping import Trigger
 from diag_service.tester.commands import waiting
 from diag_service.tester.scanning import find_addresses, standard_requests

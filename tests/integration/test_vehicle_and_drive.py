@@ -12,7 +12,7 @@ from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.scenario import Scenario
 from ecu_emulator.scenario.scenario_file import parse_scenario
-from ecu_emulator.truth.records import read_truth, truth_path
+from ecu_emulator.truth import read_truth, truth_path
 
 SHORT = ("--scenario", "ideal", "--cycles", "1")
 

@@ -16,7 +16,7 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.scenario import Routine
-from ecu_emulator.truth.records import TruthLog
+from ecu_emulator.truth import TruthLog
 from tests.support.builders import drive_scenario
 from tests.support.traffic import START_NS, as_received
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from canlog.arrays import FloatArray
 from ecu_emulator.scenario.signals import NOMINAL_SENSORS, Sensors
-from ecu_emulator.sensing.sensors import QUANTITIES, Installation, Readings, Schedule, SensorSuite
+from ecu_emulator.sensing import QUANTITIES, Installation, Readings, Schedule, SensorSuite
 from ecu_emulator.shift_control.tcu_data import CLOSED_REVS, OPEN_REVS
-from ecu_emulator.truth.watchers import RevWatcher, ShiftWatcher
+from ecu_emulator.truth import RevWatcher, ShiftWatcher
 from tests.unit.ecu_emulator.rows import made_up_rows, with_revs, with_shift
 
 COUNT = 1500

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from diag_service.cli import main
-from diag_service.console.notices import OWN
+from diag_service.console import OWN
 from tests.support.service import Ended
 
 

@@ -23,7 +23,7 @@ from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind, SensorFault, SensorFaultKind
 from ecu_emulator.scenario.scenario_file import load_scenario
-from ecu_emulator.truth.records import ShiftTruth
+from ecu_emulator.truth import ShiftTruth
 from tests.support.bus_end import STRANGER_ID
 from tests.support.wire import CONTRACTS
 from tests.tools.link_cycles import CALAMITIES

@@ -8,7 +8,7 @@ from canlog.frames import FrameBatch
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder
 from ecu_emulator.drive.build import ROAD_MESSAGES
-from ecu_emulator.sensing.sensors import Readings
+from ecu_emulator.sensing import Readings
 
 START_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
 DATABASE = load_contract()

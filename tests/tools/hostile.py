@@ -293,11 +293,11 @@ READERS: Mapping[str, str] = {
     ".lenient": "tests.tools.hostile:load_leniently",
     ".profile": "diag_service.mapping.profile:load_profile",
     ".calibration": "clutch_model.calibration:read_calibration",
-    ".config": "diag_service.settings.options:load_settings",
+    ".config": "diag_service.settings.options:read_settings",
     ".password": "fleet_link.tls:read_secret",
     ".plant": "ecu_emulator.plant.parameters:read_parameters",
     ".scenario": "ecu_emulator.scenario.scenario_file:load_scenario",
-    ".truth": "ecu_emulator.truth.records:read_truth",
+    ".truth": "ecu_emulator.truth:read_truth",
 }  # by suffix; everything else is a log
 PLACES: Mapping[str, Callable[[Path], None]] = {
     "zero": lambda path: path.symlink_to("/dev/zero"),

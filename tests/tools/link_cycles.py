@@ -23,7 +23,7 @@ import numpy as np
 
 from canlog.e2e.profile1 import COUNTER_PERIOD
 from ecu_emulator.bus.frames import FrameEncoder
-from ecu_emulator.sensing.sensors import Readings
+from ecu_emulator.sensing import Readings
 from tests.support.service import Ended, Service, service
 from tests.support.wire import CONTRACTS, DATABASE
 from tests.uml.vcan import create_vcan, ip_link

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 import pytest
 
-from clutchdiag_io.command_line import Command, Program, parse
+from clutchdiag_io.command_line import Command, Program
 from diag_service.commands.arguments import COMMAND_LINE as DIAG_SERVICE
 from ecu_emulator.arguments import COMMAND_LINE as ECU_EMULATOR
 from fleet_backend.arguments import COMMAND_LINE as FLEET_BACKEND
@@ -41,7 +41,7 @@ def test_an_example_is_understood(example: str) -> None:
     (program, *words), *_ = (
         stage for one in example.split("|") if (stage := shlex.split(one.partition(">")[0]))[0] in PROGRAMS
     )
-    assert parse(PROGRAMS[program], words).command == words[0]
+    assert PROGRAMS[program].parse(words).command == words[0]
 
 
 @pytest.mark.parametrize("program", PROGRAMS.values(), ids=PROGRAMS)
@@ -55,7 +55,7 @@ def test_every_command_has_an_example_and_every_option_a_text(program: Program) 
 @pytest.mark.parametrize("program", PROGRAMS.values(), ids=PROGRAMS)
 def test_the_exit_status_of_every_program_is_in_its_help(program: Program, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        parse(program, ["--help"])
+        program.parse(["--help"])
     assert ended.value.code == 0
     assert "exit status: 0 " in capsys.readouterr().out
 
@@ -68,6 +68,6 @@ def test_every_program_completes_in_every_shell(
     variable = f"_{name.upper().replace('-', '_')}_COMPLETE"
     monkeypatch.setenv(variable, f"{shell}_source")
     with pytest.raises(SystemExit) as ended:
-        parse(PROGRAMS[name], [])
+        PROGRAMS[name].parse([])
     assert ended.value.code == 0
     assert f"{variable}={shell}_complete" in capsys.readouterr().out

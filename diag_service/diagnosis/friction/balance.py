@@ -19,8 +19,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from canlog.jit import row_kernel
 from clutch_model.calibration import Calibration, InputSide, SensorBias, TorqueSource
-from clutch_model.pack import FrictionLaw, row_stribeck_weight, slower_film
-from clutch_model.row_functions import row_exponential, row_logarithm
+from clutch_model.pack import FrictionLaw, row_exponential, row_logarithm, row_stribeck_weight, slower_film
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.drives import (
     SLIP_DEGREE,

@@ -8,8 +8,7 @@ import numpy as np
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.frames import BEFORE_ALL_NS
 from canlog.jit import array_kernel
-from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.sample_block import BlockLayout, SampleBlock, Samples, empty_rows
+from diag_service.diagnosis.columns import BlockLayout, SampleBlock, Samples, Signal, empty_rows
 
 FIRST_CAPACITY: Final = 256  # samples of a signal; grows by doubling
 _FULL: Final = -1

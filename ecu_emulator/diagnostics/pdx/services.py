@@ -36,7 +36,7 @@ from ecu_emulator.diagnostics.pdx.elements import (
     value,
     worded,
 )
-from ecu_emulator.diagnostics.services import data, obd, obd_data, routines, sessions, trouble
+from ecu_emulator.diagnostics.services import data, obd, routines, sessions, trouble
 from ecu_emulator.diagnostics.table import PERIODIC_PAGE, DiagnosticTable
 
 _RESETS: Final = {
@@ -445,11 +445,9 @@ class ObdServices(_Services):
     def by_identifier(self) -> Iterator[Service]:
         """Yield a service for each datum of SAE J1979-2: parameters F4xx, vehicle information F8xx."""
         known = self._obd
-        found = {obd_data.PID_DATA | pid.number: (pid.name, self._pids[pid.number]) for pid in known.pids.values()}
-        found |= {
-            obd_data.INFO_DATA | info.number: (info.name, self._infos[info.number]) for info in known.infos.values()
-        }
-        for page, numbers in ((obd_data.PID_DATA, known.pids), (obd_data.INFO_DATA, known.infos)):
+        found = {data.PID_DATA | pid.number: (pid.name, self._pids[pid.number]) for pid in known.pids.values()}
+        found |= {data.INFO_DATA | info.number: (info.name, self._infos[info.number]) for info in known.infos.values()}
+        for page, numbers in ((data.PID_DATA, known.pids), (data.INFO_DATA, known.infos)):
             found |= {page | first: (f"supported {page | first:04X}", self._bitmap) for first in _bitmaps(numbers)}
         for number, (name, content) in found.items():
             begin = constant("identifier", number, 2, "ID")

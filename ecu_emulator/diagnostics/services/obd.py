@@ -10,7 +10,7 @@ from ecu_emulator.diagnostics.codes import ALL_CODES, Nrc, ObdService, Status
 from ecu_emulator.diagnostics.descriptions import BLOCK, Obd, supported
 from ecu_emulator.diagnostics.memory import FAILED_COUNTER, PASSED_COUNTER, TroubleRecord, emission_codes
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet
-from ecu_emulator.diagnostics.services.obd_data import info_data, pid_data
+from ecu_emulator.diagnostics.services.data import info_data, pid_data
 from ecu_emulator.diagnostics.services.trouble import cleared
 
 MOST_PIDS: Final = 6  # in one request

@@ -18,8 +18,7 @@ from ecu_emulator.diagnostics.memory import (
     emission_codes,
 )
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet_by_service
-from ecu_emulator.diagnostics.services.data import data_of
-from ecu_emulator.diagnostics.services.obd_data import odometer_m
+from ecu_emulator.diagnostics.services.data import data_of, odometer_m
 from ecu_emulator.diagnostics.state import Instant, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import encode

@@ -9,8 +9,7 @@ from typing import Final
 
 from alembic import op
 
-from fleet_backend.months.locations import FOLLOW, MAKE
-from fleet_backend.months.partitions import AHEAD_MONTHS, make_partitions, month_of, months_on
+from fleet_backend.months import AHEAD_MONTHS, FOLLOW, MAKE, make_partitions, month_of, months_on
 
 revision: str = "r0011"
 down_revision: str | None = None

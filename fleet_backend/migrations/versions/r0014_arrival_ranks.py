@@ -5,7 +5,7 @@ from typing import Final
 
 from alembic import op
 
-from fleet_backend.months.locations import FUNCTIONS
+from fleet_backend.months import FUNCTIONS
 
 revision: str = "r0014"
 down_revision: str | None = "r0013"

@@ -30,7 +30,7 @@ from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.scenario import Fluid, FluidCondition, Routine, Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario
-from ecu_emulator.truth.records import ShiftTruth
+from ecu_emulator.truth import ShiftTruth
 from tests.support.patience import HANG_S
 
 STEP_S: Final = 0.5

@@ -13,7 +13,7 @@ from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.answering.on_board import EstimateSource
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.bus.sender import to_messages
-from ecu_emulator.sensing.sensors import Readings
+from ecu_emulator.sensing import Readings
 
 STEP_S = 0.5
 TRIP_STEPS = 12

@@ -7,7 +7,7 @@ import pytest
 
 from canlog.arrays import FloatArray
 from canlog.jit import row_kernel
-from clutch_model.row_functions import row_exponential, row_logarithm
+from clutch_model.pack import row_exponential, row_logarithm
 
 LOGS = np.concatenate((np.linspace(-690.0, 690.0, 9973), np.linspace(-1.0, 1.0, 9973), [0.0, 1e-9, -1e-17]))
 

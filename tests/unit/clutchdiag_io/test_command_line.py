@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import click
 import pytest
 
-from clutchdiag_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Group, Option, Program, parse
+from clutchdiag_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Group, Option, Program
 
 ANSWER = Command(
     "answer",
@@ -31,7 +31,7 @@ ORACLE = Program(
 
 
 def said(*words: str) -> SimpleNamespace:
-    return parse(ORACLE, ["answer", "why", "-o", "a.txt", *words])
+    return ORACLE.parse(["answer", "why", "-o", "a.txt", *words])
 
 
 def test_words_become_values_and_what_was_given_is_known() -> None:
@@ -39,7 +39,7 @@ def test_words_become_values_and_what_was_given_is_known() -> None:
     assert (options.command, options.words, str(options.output)) == ("answer", ("why", "not"), "a.txt")
     assert (options.count, options.loud, options.verbose, options.colour) == (-3, True, 2, None)
     assert options.given == {"words", "output", "count", "loud", "verbose"}
-    assert parse(ORACLE, ["well", "clean"]).command == "well"
+    assert ORACLE.parse(["well", "clean"]).command == "well"
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_a_complaint_is_one_line_that_names_the_help(
     words: tuple[str, ...], text: str, helper: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
-        parse(ORACLE, words)
+        ORACLE.parse(words)
     assert ended.value.code == 2
     assert capsys.readouterr() == ("", f"oracle: error: {text} (see {helper} --help)\n")
 
@@ -111,7 +111,7 @@ def test_a_complaint_is_one_line_that_names_the_help(
 def test_help_shows_every_option_an_example_and_the_exit_status(capsys: pytest.CaptureFixture[str]) -> None:
     for words in (["answer", "-h"], ["answer", "why", "--help"]):
         with pytest.raises(SystemExit) as ended:
-            parse(ORACLE, words)
+            ORACLE.parse(words)
         assert ended.value.code == 0
         out, err = capsys.readouterr()
         assert err == ""
@@ -124,7 +124,7 @@ def test_help_shows_every_option_an_example_and_the_exit_status(capsys: pytest.C
 
 def test_the_program_s_help_shows_its_commands(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
-        parse(ORACLE, ["--help"])
+        ORACLE.parse(["--help"])
     out = capsys.readouterr().out
     assert out.startswith("usage: oracle [OPTIONS] COMMAND ...\n\n  Answers questions.\n")
     assert "Commands:\n    answer  answer a question\n    well    look after the well\n\nexit status" in out
@@ -146,7 +146,7 @@ def test_a_shell_completes_words(
     monkeypatch.setenv("COMP_WORDS", line)
     monkeypatch.setenv("COMP_CWORD", str(place))
     with pytest.raises(SystemExit) as ended:
-        parse(ORACLE, [])
+        ORACLE.parse([])
     assert ended.value.code == 0
     assert {one.partition(",")[2] for one in capsys.readouterr().out.split()} == offered
 
@@ -156,5 +156,5 @@ def test_a_shell_completes_file_names(monkeypatch: pytest.MonkeyPatch, capsys: p
     monkeypatch.setenv("COMP_WORDS", "oracle answer -o dri")
     monkeypatch.setenv("COMP_CWORD", "3")
     with pytest.raises(SystemExit):
-        parse(ORACLE, [])
+        ORACLE.parse([])
     assert capsys.readouterr().out == "file,dri\n"

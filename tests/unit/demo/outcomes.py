@@ -5,7 +5,7 @@ from dataclasses import replace
 from clutch_model.calibration import clutch_of_gear
 from demo.outcome import SHIFTS_PER_CYCLE, FrameAccount, Outcome
 from diag_service.diagnosis.records import ClutchVerdict, Condition, ShiftResult
-from ecu_emulator.truth.records import DriveTruth, ShiftTruth, Totals, TruthLog
+from ecu_emulator.truth import DriveTruth, ShiftTruth, Totals, TruthLog
 from tests.support.builders import friction_estimate, shift_result
 
 GEARS = ((1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 5), (5, 4), (4, 3), (3, 2), (2, 1))

@@ -4,17 +4,17 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.arguments import parse_arguments
+from ecu_emulator.arguments import COMMAND_LINE
 from ecu_emulator.commands import choose_scenario, drive_options, started_at
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario import Ambient, Scenario
-from ecu_emulator.truth.records import TruthWriter
+from ecu_emulator.truth import TruthWriter
 
 
 def chosen(*words: str) -> Scenario:
-    return choose_scenario(drive_options(parse_arguments(["record", "x.log", *words])))
+    return choose_scenario(drive_options(COMMAND_LINE.parse(["record", "x.log", *words])))
 
 
 def test_the_shift_cycle_is_driven_unless_something_else_is_named() -> None:

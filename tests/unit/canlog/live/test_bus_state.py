@@ -3,7 +3,7 @@
 import numpy as np
 
 from canlog.frames import ERROR_FLAG, BusTrouble, FrameBatch
-from canlog.live.bus_state import TROUBLE_S, BusState, BusWatch
+from canlog.live.supervisor import TROUBLE_S, BusState, BusWatch
 
 DATA, BUS_OFF, RESTART, ARBITRATION = 0x123, ERROR_FLAG | 0x40, ERROR_FLAG | 0x100, ERROR_FLAG | 0x2
 

@@ -11,8 +11,8 @@ import pytest
 import zstandard
 
 from canlog.errors import SourceError
-from canlog.logs.compressed import Compression, InflatedStream, compression_of
 from canlog.logs.log_counts import LogCounts, LogReject
+from canlog.logs.streams import Compression, InflatedStream, compression_of
 
 TEXT = b"".join(b"(%d.%06d) can0 %03X#%016X\n" % (k, k, k % 0x800, k * 2_654_435_761) for k in range(20_000))
 WRAPPED = {

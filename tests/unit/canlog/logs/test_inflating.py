@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canlog.logs.inflating import Inflate, adler32, inflated_by_libdeflate, inflated_by_zlib, sound_contents
+from canlog.logs.blf import Inflate, adler32, inflated_by_libdeflate, inflated_by_zlib, sound_contents
 
 CONTENTS = bytes(range(256)) * 40 + b"container" * 300
 STREAM = zlib.compress(CONTENTS)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from canlog.errors import NOTICE
-from diag_service.console.notices import set_up_notices
+from diag_service.console import set_up_notices
 from diag_service.service.application import first_error
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from canlog.logs import LogReader, read_log
-from diag_service.console.terminal import ReadingLine, ending_key, is_confirmed, reading_text
+from diag_service.console import ReadingLine, ending_key, is_confirmed, reading_text
 from tests.support.patience import HANG_S
 
 LINES = "".join(f"({1767225600 + number}.000000) can0 100#00\n" for number in range(90_000))

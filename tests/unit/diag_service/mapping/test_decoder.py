@@ -18,7 +18,7 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import Profile, SignalSource, load_profile
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder
 from ecu_emulator.drive.build import ROAD_MESSAGES
-from ecu_emulator.sensing.sensors import Readings
+from ecu_emulator.sensing import Readings
 from tests.support import wire
 from tests.support.wire import CONTRACTS, DATABASE, START_NS, drive, joined, of_message
 

@@ -27,7 +27,7 @@ from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore, VehicleState
 from ecu_emulator.bus.frames import FrameEncoder
-from ecu_emulator.sensing.sensors import Readings
+from ecu_emulator.sensing import Readings
 from tests.support.patience import HANG_S
 
 CALIBRATION = nominal_calibration()

@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import pytest
 
 from diag_service.cli import main
-from diag_service.commands.arguments import parse_arguments
+from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.commands.live import describe
 from diag_service.errors import ConfigError
-from diag_service.settings.options import SETTINGS, VARIABLES, load_settings
+from diag_service.settings.options import SETTINGS, VARIABLES, read_settings
 from fleet_contract import PREFIX, SERVICE_VARIABLES
 from tests.support.service import environment
 
@@ -66,7 +66,7 @@ def toml(values: dict[str, str | int | float | bool]) -> str:
 
 def settings(file: Path | None = None, *words: str) -> dict[str, object]:
     """Return the settings of a run."""
-    options = parse_arguments(["config", "check", *words, *([] if file is None else ["--config", str(file)])])
+    options = COMMAND_LINE.parse(["config", "check", *words, *([] if file is None else ["--config", str(file)])])
     return {name: getattr(options, name) for name in VALUES}
 
 
@@ -123,7 +123,7 @@ def test_commands_that_take_no_settings_leave_the_environment_alone(monkeypatch:
     monkeypatch.setenv("CLUTCHDIAG_DBC", "/none.dbc")
     monkeypatch.setenv("CLUTCHDIAG_BITRATE", "125000")
     monkeypatch.setenv("CLUTCHDIAG_OUTPUT", "no setting")
-    options = parse_arguments(["inspect", "a.log"])
+    options = COMMAND_LINE.parse(["inspect", "a.log"])
     assert (options.dbc, options.bitrate) == (None, 500_000)
 
 
@@ -165,12 +165,12 @@ def test_a_file_that_is_wrong_is_refused(text: str, message: str, tmp_path: Path
     file = tmp_path / "car.toml"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=message):
-        load_settings(file)
+        read_settings(file)
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="No such file"):
-        load_settings(tmp_path / "none.toml")
+        read_settings(tmp_path / "none.toml")
 
 
 def test_what_is_wrong_is_not_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,7 +181,7 @@ def test_what_is_wrong_is_not_repeated(tmp_path: Path, monkeypatch: pytest.Monke
     file = tmp_path / "car.toml"
     file.write_text("store_budget = 'hunter2'", encoding="utf-8")
     with pytest.raises(ConfigError, match="store_budget: must be a whole number") as caught:
-        load_settings(file)
+        read_settings(file)
     assert "hunter2" not in str(caught.value)
 
 
@@ -207,10 +207,10 @@ def test_a_password_in_a_file_that_others_may_read_is_refused(tmp_path: Path) ->
     file.write_text('broker = "mqtt://car1:hunter2@host"\n', encoding="utf-8")
     file.chmod(0o644)
     with pytest.raises(ConfigError, match="chmod 600") as caught:
-        load_settings(file)
+        read_settings(file)
     assert "hunter2" not in str(caught.value)
     file.chmod(0o600)
-    assert load_settings(file) == {"broker": "mqtt://car1:hunter2@host"}
+    assert read_settings(file) == {"broker": "mqtt://car1:hunter2@host"}
 
 
 def test_a_broker_in_a_file_that_is_no_address_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -272,8 +272,8 @@ def test_config_check_finds_what_is_wrong(
 
 def test_words_are_read_before_anything_heavy_is_loaded() -> None:
     code = (
-        "import sys; from diag_service import cli; from diag_service.commands.arguments import parse_arguments;"
-        "parse_arguments(['run']); sys.exit(bool({'numpy', 'numba', 'rich', 'can', 'asyncio'} & set(sys.modules)))"
+        "import sys; from diag_service import cli; from diag_service.commands.arguments import COMMAND_LINE;"
+        "COMMAND_LINE.parse(['run']); sys.exit(bool({'numpy', 'numba', 'rich', 'can', 'asyncio'} & set(sys.modules)))"
     )
     started = subprocess.run([sys.executable, "-c", code], check=False, env=environment())
     assert started.returncode == 0

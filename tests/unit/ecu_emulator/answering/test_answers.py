@@ -3,12 +3,12 @@
 import pytest
 
 from ecu_emulator.answering.answers import Answers, chosen
-from ecu_emulator.arguments import parse_arguments
+from ecu_emulator.arguments import COMMAND_LINE
 from ecu_emulator.errors import ConfigError
 
 
 def answers(*words: str) -> Answers | None:
-    return chosen(parse_arguments(["run", *words]))
+    return chosen(COMMAND_LINE.parse(["run", *words]))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from ecu_emulator.bus.bus_faults import ERROR_FLAG, FOREIGN_IDS, FRAME_S, BusFau
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind, Phase
-from ecu_emulator.sensing.sensors import MS_PER_S
+from ecu_emulator.sensing import MS_PER_S
 from tests.support.wire import CONTRACTS, drive
 from tests.unit.ecu_emulator.rows import made_up_rows
 from tests.unit.ecu_emulator.sensing.test_sensor_faults import rows_with_shifts

@@ -12,7 +12,7 @@ from canlog.arrays import FloatArray
 from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
 from clutch_model.units import rad_s_from_rpm
 from ecu_emulator.bus.frames import SIGNAL_OF, EncodedFrames, FrameEncoder, merge
-from ecu_emulator.sensing.sensors import Readings
+from ecu_emulator.sensing import Readings
 from tests.support.wire import CONTRACTS, DATABASE, drive, readings
 
 NO_FRAMES = EncodedFrames(

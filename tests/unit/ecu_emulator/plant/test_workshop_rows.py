@@ -7,8 +7,7 @@ from clutch_model.calibration import nominal_calibration
 from clutch_model.errors import CalibrationError
 from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
 from ecu_emulator.shift_control import tcu_data
-from ecu_emulator.truth.records import RevTruth
-from ecu_emulator.truth.watchers import RevWatcher
+from ecu_emulator.truth import RevTruth, RevWatcher
 from tests.support.cycles import CYCLE_SHIFTS, FloatArray, powertrain, shifts
 
 ROUTINE = DriveSettings(open_revs=2, closed_revs=2)

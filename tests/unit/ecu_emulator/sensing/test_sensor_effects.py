@@ -7,7 +7,7 @@ import pytest
 
 from canlog.arrays import FloatArray
 from ecu_emulator.plant.state import Col
-from ecu_emulator.sensing.sensors import Installation, Readings, SensorSuite
+from ecu_emulator.sensing import Installation, Readings, SensorSuite
 from tests.unit.ecu_emulator.rows import made_up_rows
 from tests.unit.ecu_emulator.sensing.test_sensors import PLACE, schedule
 

@@ -8,7 +8,7 @@ import pytest
 from canlog.arrays import FloatArray
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import Phase, PhaseCode, SensorFault, SensorFaultKind
-from ecu_emulator.sensing.sensors import SensorFaults
+from ecu_emulator.sensing import SensorFaults
 from tests.unit.ecu_emulator.rows import made_up_rows
 
 QUANTITY = "hub_speed_rad_s"

@@ -5,7 +5,7 @@ from canlog.arrays import FloatArray
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.signals import NOMINAL_SENSORS, STATES, Sensor, Sensors
-from ecu_emulator.sensing.sensors import (
+from ecu_emulator.sensing import (
     BRAKE_PA_PER_M_S2,
     MAX_SEGMENT_MS,
     MEASURABLE,

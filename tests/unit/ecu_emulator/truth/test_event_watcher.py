@@ -6,8 +6,7 @@ import pytest
 from canlog.arrays import FloatArray
 from ecu_emulator.driving.indices import EventKind
 from ecu_emulator.plant.state import Col
-from ecu_emulator.truth.records import EventTruth
-from ecu_emulator.truth.watchers import EventWatcher
+from ecu_emulator.truth import EventTruth, EventWatcher
 from tests.unit.ecu_emulator.rows import made_up_rows
 
 HUB_RAD_S = 150.0

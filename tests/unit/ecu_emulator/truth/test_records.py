@@ -9,11 +9,13 @@ import pytest
 from ecu_emulator.errors import RecordError
 from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control.tcu_data import CLOSED_REVS, OPEN_REVS
-from ecu_emulator.truth.records import (
+from ecu_emulator.truth import (
     DriveTruth,
     EventTruth,
     FaultTruth,
     RevTruth,
+    RevWatcher,
+    ShiftWatcher,
     Totals,
     TripTruth,
     TruthLog,
@@ -22,7 +24,6 @@ from ecu_emulator.truth.records import (
     read_truth,
     truth_path,
 )
-from ecu_emulator.truth.watchers import RevWatcher, ShiftWatcher
 from tests.unit.ecu_emulator.rows import made_up_rows, with_revs, with_shift
 
 DRIVE = DriveTruth(

@@ -1,5 +1,6 @@
-"""What people read and say: lines broken between words on a terminal, how far a reading is, single keys, yes or no."""
+"""What people read and say: notices, lines broken between words, how far a reading is, single keys, yes or no."""
 
+import logging
 import os
 import re
 import select
@@ -8,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from typing import Any, Final, Self, TextIO
 
 from rich.cells import cell_len
@@ -17,8 +19,10 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from canlog.errors import NOTICE
+from canlog.jit import announce_compiling
 from canlog.logs import LogReader
-from clutchdiag_io.files import legible
+from clutchdiag_io.program import legible
 
 INDENT: Final = "    "  # of what goes on in the next line
 CLEAR: Final = "\r\x1b[K"  # takes away what stands on the last line
@@ -236,3 +240,65 @@ def is_confirmed(question: str, goes_on: Callable[[], bool]) -> bool:
             return sys.stdin.readline().strip().casefold() in YES
     sys.stderr.write("\n")
     return False
+
+
+_FOUND: ContextVar[list[str] | None] = ContextVar("notices of this run", default=None)
+
+
+_PROGRAM = "diag-service"
+OWN = ("diag_service", "canlog", "fleet_link", "clutchdiag_io")  # whose messages are shown without being asked for
+COMPILING = "diag_service.compiling"
+
+
+class _Collector(logging.Handler):
+    """Keeps the messages of the run that they come from; the handlers of the program get them as ever.
+
+    With it a program without any logging of its own has no message on its standard error.
+    """
+
+    def emit(self, record: logging.LogRecord) -> None:
+        found = _FOUND.get()
+        if found is not None:
+            found.append(legible(record.getMessage()))
+
+
+_COLLECTOR: Final = _Collector()
+
+
+@contextmanager
+def collected_notices() -> Iterator[list[str]]:
+    """Yield a list that gets what is logged in this context, and in the tasks that it starts with their threads."""
+    for name in OWN:
+        logging.getLogger(name).addHandler(_COLLECTOR)  # once, however often it is asked for
+    found: list[str] = []
+    token = _FOUND.set(found)
+    try:
+        yield found
+    finally:
+        _FOUND.reset(token)
+
+
+class _OneLine(logging.Formatter):
+    """``diag-service: warning: text``; no level where nothing is wrong, a traceback only if one is attached."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        level = f"{record.levelname.lower()}: " if record.levelno >= logging.WARNING else ""
+        line = f"{_PROGRAM}: {level}{legible(record.getMessage())}"
+        return f"{line}\n{self.formatException(record.exc_info)}" if record.exc_info else line
+
+
+def set_up_notices(verbosity: int) -> None:
+    """Show what the service itself says; with ``verbosity`` 1 more of it, with 2 also what its libraries say."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_OneLine())
+    level = (NOTICE, logging.INFO, logging.DEBUG)[min(verbosity, 2)]
+    for name in OWN:
+        own = logging.getLogger(name)
+        own.handlers = [handler]
+        own.propagate = False
+        own.setLevel(level)
+    compiling = logging.getLogger(COMPILING)
+    compiling.setLevel(level)  # a level of its own: workers that leave other notices to their parent tell of this
+    announce_compiling(lambda line: compiling.log(NOTICE, "%s", line))
+    logging.getLogger("can").setLevel(logging.CRITICAL)  # python-can logs what it raises, and more
+    logging.getLogger().handlers = [handler] if verbosity > 1 else [logging.NullHandler()]

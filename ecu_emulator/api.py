@@ -35,7 +35,7 @@ from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.faults import BusFault, SensorFault
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario.scenario_file import parse_fault
-from ecu_emulator.truth.records import ROTATED_BYTES, DriveTruth, Happened, Totals, TruthLog, TruthWriter, truth_log
+from ecu_emulator.truth import ROTATED_BYTES, DriveTruth, Happened, Totals, TruthLog, TruthWriter, truth_log
 
 AnyPath = str | os.PathLike[str]
 AnyFault = SensorFault | BusFault | Mapping[str, object]

@@ -1,1 +1,0 @@
-"""What people read: notices, progress, lines that fit a terminal."""

@@ -1,1 +1,0 @@
-"""What the vehicle measures, and how measuring goes wrong."""

@@ -1,1 +1,0 @@
-"""What only the emulator knows, for tests and demonstrations."""
