@@ -3,6 +3,7 @@
 import asyncio
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -10,14 +11,16 @@ import numpy as np
 import pytest
 
 import diag_service
-from canlog.frames import join
+from canlog.frames import EXTENDED_FLAG, join
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import Posterior
+from diag_service.diagnosis.records import ShiftResult
 from diag_service.mapping.interpretation import interpret
 from diag_service.service.stages import Stages
 from ecu_emulator.cli import main as emulator
+from tests.golden.analyses import RECORDINGS
 from tests.support.asked import DSG, asked_profile, dialogue_of, merged, write_candump
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
@@ -25,6 +28,7 @@ from tests.support.recode import drive_of
 
 ON_THE_BUS = ("engine_speed_rad_s", "hub_speed_rad_s", "current_gear", "target_gear")
 MINUTE_NS = 60_000_000_000
+GROUP_ID, GROUP_REQUEST_ID = 0x18FEF8FE, 0x18EAFFF9
 BROADCAST = """
 engine_speed_rad_s = { message = "ECM_TorqueSpeed", signal = "EngineSpeed" }
 hub_speed_rad_s = { message = "TCU_InputSpeeds", signal = "ClutchHubSpeed" }
@@ -127,27 +131,57 @@ async def test_a_bus_on_which_somebody_asks_says_what_its_recording_says(
     )
     asked, path = log.with_name("recorded.log"), log.with_name("asked.toml")
     write_candump(asked, dialogue)
-    recorded = diag_service.analyze(asked, profile=path)
-    frames = join(list(read_log(asked)))
-    live_results = []
+    live = await live_results(asked, path)
+    assert len(live) >= 8
+    assert any(one.estimate.friction is not None for one in live)
+
+
+async def test_groups_that_are_asked_for_on_a_bus_say_what_its_recording_says(tmp_path: Path) -> None:
+    recording = RECORDINGS / "j1939.log.xz"
+    told, group = join(list(read_log(recording))), GROUP_ID | int(EXTENDED_FLAG)
+    answers = np.flatnonzero(told.can_id == group)
+    asked_for = told[answers[::5]]  # twice a second
+    requests = replace(
+        asked_for,
+        t_ns=asked_for.t_ns - 3_000_000,
+        can_id=np.full(len(asked_for), GROUP_REQUEST_ID | int(EXTENDED_FLAG), np.uint32),
+        length=np.full(len(asked_for), 3, np.uint8),
+        data=np.tile(np.array([0xF8, 0xFE, 0, 0, 0, 0, 0, 0], np.uint8), (len(asked_for), 1)),
+    )
+    asked, unasked = tmp_path / "groups.log", told[told.can_id != group]
+    write_candump(asked, merged(unasked, asked_for, requests))
+    live = await live_results(asked, Path("j1939"))
+    assert len(live) >= 8
+    assert all(one.estimate.sump_temperature_k is not None for one in live)
+    write_candump(asked, unasked)
+    assert all(one.estimate.sump_temperature_k is None for one in diag_service.analyze(asked, profile="j1939").results)
+
+
+async def live_results(log: Path, profile: Path) -> list[ShiftResult]:
+    """Return what a bus says on which a recording is played, which must be what the recording says."""
+    recorded, frames = diag_service.analyze(log, profile=profile), join(list(read_log(log)))
+    found: list[ShiftResult] = []
     with (
         can.Bus("asked drive", "virtual", preserve_timestamps=True) as near,
         can.Bus("asked drive", "virtual") as far,
     ):
-        async with asyncio.timeout(HANG_S), diag_service.diagnose(far, profile=path) as live:
+        async with asyncio.timeout(HANG_S), diag_service.diagnose(far, profile=profile) as live:
             for t_ns, can_id, length, data in zip(
                 frames.t_ns.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True
             ):
+                is_long = bool(can_id & int(EXTENDED_FLAG))
                 near.send(
                     can.Message(
-                        timestamp=t_ns / 1e9, arbitration_id=can_id, is_extended_id=False, data=data[:length].tobytes()
+                        timestamp=t_ns / 1e9,
+                        arbitration_id=can_id & 0x1FFF_FFFF,
+                        is_extended_id=is_long,
+                        data=data[:length].tobytes(),
                     )
                 )
             async for result in live:
-                live_results.append(result)
-                if len(live_results) == len(recorded.results) - 1:  # the last one waits for more of the bus, or its end
+                found.append(result)
+                if len(found) == len(recorded.results) - 1:  # the last one waits for more of the bus, or its end
                     break
-    assert len(live_results) >= 8
-    assert any(one.estimate.friction is not None for one in live_results)
-    told = [one.estimate for one in recorded.results[: len(live_results)]]
-    assert [one.estimate for one in live_results] == told
+    told = recorded.results[: len(found)]
+    assert [one.estimate for one in found] == [one.estimate for one in told]
+    return found
