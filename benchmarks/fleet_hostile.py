@@ -1,7 +1,7 @@
 """What one vehicle that means ill costs the others: 1,000 results of 20 vehicles, without it and while it attacks.
 
-It has a certificate of its own and the brokers are as docs/deploy has them; Mosquitto logs all. It subscribes to
-what is others', takes over sessions, floods, retains, leaves wills and huge sessions.
+It has a certificate of its own and the brokers are as docs/deploy has them. It subscribes to what is others', takes
+over sessions, floods, retains, leaves wills and huge sessions.
 
     python -m benchmarks.fleet_hostile
 """

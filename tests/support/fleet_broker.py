@@ -8,7 +8,7 @@ from fleet_backend.certificates.authority import Authority
 from tests.plugins.broker import Mosquitto
 
 DEPLOY = Path(__file__).parents[2] / "docs" / "deploy"
-_OURS = re.compile(r"(#|listener|allow_anonymous|persistence|autosave|max_(inflight|queued)_messages)")
+_OURS = re.compile(r"(#|listener|allow_anonymous|persistence|max_(inflight|queued)_messages)")
 _PLUGIN = "mosquitto_dynamic_security.so"
 
 
@@ -28,4 +28,5 @@ def fleet_broker(folder: Path, authority: Authority, *more: str) -> Mosquitto:
     text = text.replace(f"/etc/clutchdiag/{MOSQUITTO_FILE}", str(access)).replace(
         "/etc/clutchdiag", str(authority.folder)
     )
-    return Mosquitto(folder, (*(line for line in text.splitlines() if line and not _OURS.match(line)), *more))
+    lines = (*(line for line in text.splitlines() if line and not _OURS.match(line)), *more)
+    return Mosquitto(folder, lines, is_durable=False)  # it saves as often as ours: at each change it would do little else

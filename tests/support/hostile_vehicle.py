@@ -213,7 +213,7 @@ class Outcome:
         return [name for name, word in TRACES[kind].items() if word not in self.log]
 
 
-# What the log of a broker says of each attempt; Mosquitto tells what it refuses at the level of debugging alone.
+# What the log of a broker says of each attempt.
 TRACES = {
     "mosquitto": {
         "take over a session": f"Client {BAD} already connected, closing old connection",
@@ -246,7 +246,7 @@ async def attack(folder: Path, kind: str, names: Sequence[str], shifts: int) -> 
     with ExitStack() as stack:
         flood_count = 20 if kind == "mosquitto" else 1
         if kind == "mosquitto":
-            mosquitto = fleet_broker(place, authority, "log_type all")
+            mosquitto = fleet_broker(place, authority)
             mosquitto.start()
             stack.callback(mosquitto.stop)
             port, words = mosquitto.port, (*words, "--group", GROUP)
