@@ -31,6 +31,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from fleet_backend.database import place_of, transaction
 from fleet_backend.errors import RowRefusedError
+from fleet_backend.months.locations import BLOCK
 from fleet_backend.rows import Row, told_fill
 from fleet_backend.schema import (
     CALIBRATION,
@@ -61,9 +62,29 @@ _MAKE: Final = (
 )
 _COPY: Final = f"COPY {_STAGE} ({_COLUMNS}) FROM STDIN (FORMAT BINARY)"
 _ORDER: Final = ", ".join(_KEY)
+# The key of a table by months has the time of making in it, so another time is no conflict. Only what is not behind the
+# last of its stream can be known already, in months that hold its version near its position. Two workers that take two
+# times at once keep both: the views show one.
+_IS_KEY: Final = " AND ".join(f"r.{name} = s.{name}" for name in KEY_COLUMNS)
+_RIVALS: Final = (
+    f"{_STAGE} AS s CROSS JOIN LATERAL (SELECT DISTINCT b.month FROM clutch_block AS b WHERE b.vehicle = s.vehicle"
+    f" AND b.stream = s.stream AND b.block = s.seq / {BLOCK} AND b.version_rank = s.version_rank AND s.seq <= ("
+    "SELECT max(e.last_seq) FROM clutch_stream AS e WHERE e.vehicle = s.vehicle AND e.stream = s.stream)) AS m"
+    f" CROSS JOIN LATERAL (SELECT r.* FROM {SHIFT_RESULT.name} AS r WHERE {_IS_KEY} AND r.produced_at <> s.produced_at"
+    " AND r.produced_at >= m.month::timestamp AT TIME ZONE 'UTC'"
+    " AND r.produced_at < (m.month + interval '1 month') AT TIME ZONE 'UTC' OFFSET 0) AS r"
+)
+_DROP: Final = (
+    f"DELETE FROM {SHIFT_RESULT.name} AS t USING {_RIVALS} WHERE s.content_digest < r.content_digest AND "  # noqa: S608
+    + " AND ".join(f"t.{name} = r.{name}" for name in _KEY)
+)
+_YIELD: Final = (
+    f"DELETE FROM {_STAGE} AS t USING {_RIVALS} WHERE t.ctid = s.ctid"  # noqa: S608
+)
 _TAKE: Final = (
     f"INSERT INTO {SHIFT_RESULT.name} ({_COLUMNS})"  # noqa: S608 - our own names
-    f" SELECT DISTINCT ON ({_ORDER}) {_COLUMNS} FROM {_STAGE} ORDER BY {_ORDER}, content_digest"
+    f" SELECT DISTINCT ON ({', '.join(KEY_COLUMNS)}) {_COLUMNS} FROM {_STAGE}"
+    f" ORDER BY {', '.join(KEY_COLUMNS)}, content_digest"
     f" ON CONFLICT ({_ORDER}) DO UPDATE SET "
     + ", ".join(f"{name} = excluded.{name}" for name in _NAMES if name not in _KEY)
     + f" WHERE excluded.content_digest < {SHIFT_RESULT.name}.content_digest"
@@ -92,7 +113,8 @@ def copy_results(connection: Connection, rows: Sequence[Row]) -> None:
                 copy.set_types(_TYPES)
                 for row in rows:
                     copy.write_row(_VALUES_OF(row))
-            cursor.execute(_TAKE)
+            for statement in (_DROP, _YIELD, _TAKE):
+                cursor.execute(statement)
     except base as error:
         is_gone = dialect.is_disconnect(error, driver, None)
         if is_gone:

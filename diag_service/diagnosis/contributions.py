@@ -67,17 +67,17 @@ NO_LOGS = Contributions()
 
 
 def idle_lines(logs: Sequence[LogShare], named_channel: int | None) -> Iterator[str]:
-    """Yield a line for each log, and each channel with messages that are wanted, of which not one frame was used.
+    """Yield a line for each log of which not one frame was used, and for channels with wanted messages of each other.
 
     A profile that names its channel passes the others over on purpose; a log without the named one gives nothing.
     """
     for log in logs:
         if not log.decoded:
             yield f"{log.path} contributed nothing: {_log_fate(log, logs, named_channel)}"
-        elif named_channel is None:
-            for one in log.channels:
-                if one.is_passed_over:
-                    yield f"channel {one.channel} of {log.path} contributed nothing: {_channel_fate(one)}"
+        elif named_channel is None and (passed := tuple(one for one in log.channels if one.is_passed_over)):
+            more = f" and {len(passed) - 1} more" if len(passed) > 1 else ""  # a damaged log may have hundreds
+            fate = _fate_text(LogShare.of(log.path, passed), "of messages that are followed elsewhere")
+            yield f"channel {passed[0].channel}{more} of {log.path} contributed nothing: {fate}"
 
 
 def log_record(log: LogShare) -> JsonObject:
@@ -103,10 +103,6 @@ def _log_fate(log: LogShare, logs: Sequence[LogShare], named_channel: int | None
         used = {channel for other in logs for channel in other.used_channels}
         wanted = f"the drive follows {_listed(used - own)}" if used - own else "the drive follows those of other logs"
     return _fate_text(log, f"on another channel ({_listed(own)}; {wanted})")
-
-
-def _channel_fate(one: ChannelShare) -> str:
-    return _fate_text(one, "of messages that are followed elsewhere")
 
 
 def _fate_text(share: FrameShare, elsewhere: str) -> str:

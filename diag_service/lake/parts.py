@@ -263,14 +263,14 @@ def by_date(shifts: Sequence[JsonObject]) -> Mapping[str, list[JsonObject]]:
     return days
 
 
-def write_shifts(path: Path, source: str, shifts: Sequence[tuple[JsonObject, bool]]) -> None:
-    """Write shifts, each with whether its log was complete, as one part.
+def write_shifts(path: Path, content: str, shifts: Sequence[tuple[JsonObject, bool]]) -> None:
+    """Write shifts of the log of a digest, each with whether its log was complete, as one part.
 
-    Rows are in order of time, so that a reader who looks for a time or a vehicle skips most row groups by their
-    statistics.
+    Their ``path`` is the digest: a part depends on its content alone, and the manifest tells where that lies. Rows are
+    in order of time, so that a reader who looks for a time or a vehicle skips most row groups by their statistics.
     """
     rows = sorted(
-        ({"path": source, "complete": is_complete, **flattened(shift)} for shift, is_complete in shifts),
+        ({"path": f"sha256:{content}", "complete": is_complete, **flattened(shift)} for shift, is_complete in shifts),
         key=lambda row: str(row["start_utc"]),
     )
     with path.open("wb") as stream, ParquetTable(stream, columns()) as table:

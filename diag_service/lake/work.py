@@ -167,7 +167,7 @@ class Maker:
         complete = {entry.drive["stream"]: _is_complete(entry) for entry in entries}
         for date, shifts in by_date([shift for entry in entries for shift in entry.shifts]).items():
             made = folder / "shifts.parquet"
-            write_shifts(made, log.source, [(shift, complete[shift["stream"]]) for shift in shifts])
+            write_shifts(made, content, [(shift, complete[shift["stream"]]) for shift in shifts])
             names.append(part_name(SHIFTS, date, log.vehicle, content, self.job.settings))
             self._lake.put(names[-1], made)
         names += log.kept

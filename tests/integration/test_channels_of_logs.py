@@ -149,6 +149,14 @@ def test_a_log_that_ends_frees_its_own_messages_only(lines: list[bytes], tmp_pat
     )
 
 
+def test_a_damaged_log_is_warned_of_once(lines: list[bytes], tmp_path: Path) -> None:
+    """Damage that changes numbers of channels makes as many channels as there are numbers."""
+    strays = [on(100 + number, [line])[0] for number, line in enumerate(lines[1_000:1_100])]
+    path = written(tmp_path / "damaged.log", [*lines[:1_000], *strays, *lines[1_100:]])
+    (text,) = followed([path]).contributions.idle
+    assert text.startswith(f"channel 100 and 99 more of {path} contributed nothing: ")
+
+
 def test_logs_that_meet_within_one_tick_lose_no_frame(lines: list[bytes], tmp_path: Path) -> None:
     stamp = lines[2_000].split()[0]
     lines = [*lines[:1_990], *(stamp + line[line.index(b" ") :] for line in lines[1_990:2_010]), *lines[2_010:]]

@@ -4,7 +4,7 @@ from datetime import timedelta
 
 import numpy as np
 import pytest
-from sqlalchemy import Engine
+from sqlalchemy import Engine, select
 
 from diag_service.diagnosis.records import Condition
 from diag_service.tester.polling import ControllerReport
@@ -66,6 +66,23 @@ def test_two_contents_under_one_key_have_one_winner_in_any_order(engine: Engine,
         Writer(engine).store(Batch(shifts=[row]))
     (record,) = queries.worst_first(engine)
     assert record["condition"] == winner["condition"]
+
+
+@pytest.mark.parametrize("is_reversed", [False, True])
+@pytest.mark.parametrize("is_together", [False, True])
+def test_one_key_with_two_times_of_making_is_one_row(engine: Engine, is_reversed: bool, is_together: bool) -> None:
+    """A store that was put back to an earlier state uses its positions again, in another month."""
+    rows = [row_of(fleet_result(1, produced_at=f"2026-0{month}-01T00:00:00.000000Z")) for month in (2, 3)]
+    winner = min(rows, key=lambda row: int(str(row["content_digest"])))
+    Writer(engine).store(Batch(shifts=[row_of(fleet_result(2)), row_of(fleet_result(2, stream="stream-0"))]))
+    told = rows[::-1] if is_reversed else rows
+    for some in (told,) if is_together else ([one] for one in told):
+        Writer(engine).store(Batch(shifts=some))
+    with transaction(engine) as connection:
+        assert connection.execute(select(SHIFT_RESULT.c.produced_at).where(SHIFT_RESULT.c.seq == 1)).scalars().all() == [
+            winner["produced_at"]
+        ]
+    assert queries.result_count(engine) == 3
 
 
 def test_a_newer_algorithm_supersedes_and_nothing_is_lost(engine: Engine) -> None:

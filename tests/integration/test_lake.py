@@ -83,6 +83,19 @@ def files_in(place: Path) -> dict[str, int]:
     return {str(path.relative_to(place)): path.stat().st_mtime_ns for path in place.rglob("*") if path.is_file()}
 
 
+def test_a_part_depends_on_the_content_of_its_log_alone(logs: Path, tmp_path: Path) -> None:
+    """Of two logs of one content either may come last."""
+    found = {}
+    for name in ("drive000.log", "copy.log"):
+        job = Job.of(CONFIG, str(tmp_path / name), None, 60.0)
+        (log,) = [one for one in found_in(logs, Place(job.lake)) if one.source.endswith(f"car1/{name}")]
+        row = Maker(job).make(log, 1)
+        found[name] = [(tmp_path / name / part).read_bytes() for part in row.parts]
+        (shifts,) = (pq.read_table(tmp_path / name / part) for part in row.parts)
+        assert set(shifts["path"].to_pylist()) == {f"sha256:{row.content}"}
+    assert found["drive000.log"] == found["copy.log"]
+
+
 def test_a_lake_is_made_once_and_then_kept(logs: Path, filled: Path, tmp_path: Path) -> None:
     rows = sorted(Manifest(Place(str(filled))).rows, key=lambda row: row.source)
     assert [(str(Path(row.source).relative_to(logs)), row.outcome, row.shifts) for row in rows] == [

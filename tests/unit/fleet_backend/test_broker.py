@@ -1,12 +1,15 @@
 """Subscribing at a broker that lacks what later programs ask for."""
 
 import asyncio
+import re
 
 import pytest
 
+from demo.fleet.__main__ import BROKER_LINES
 from fleet_backend.broker import connected, is_of_bundles
 from fleet_backend.errors import BrokerError
 from fleet_backend.ingest import FILTERS
+from tests.support.grafana import ROOT
 from tests.unit.fleet_link.test_connection import ACCEPTED, Script, broker, packet
 
 _SUBSCRIBE = 8
@@ -43,3 +46,11 @@ async def test_a_broker_that_refuses_results_is_an_error() -> None:
         with pytest.raises(BrokerError, match="shift was refused"):
             async with connected(address, FILTERS, max_unsettled=20):
                 pass
+
+
+def test_every_place_tells_a_broker_not_to_drop_by_count() -> None:
+    places = ("docs/fleet.md", "docs/deploy/mosquitto.conf", "docker-compose.yml")
+    texts = [*((ROOT / name).read_text(encoding="utf-8") for name in places), *BROKER_LINES]
+    told = [re.findall(r"(max_(?:inflight|queued)_messages) (\d+)", text) for text in texts]
+    both = [("max_inflight_messages", "0"), ("max_queued_messages", "0")]
+    assert [sorted(one) for one in told] == [*([both] * len(places)), both[:1], both[1:]]
