@@ -16,10 +16,12 @@ from sqlalchemy.exc import SQLAlchemyError
 from clutchdiag_io.program import give_sign, make_sign
 from fleet_backend.broker import BrokerInbox, connected
 from fleet_backend.choices import Pace, Part, Quotas
+from fleet_backend.config import Place
 from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError, DatabaseAwayError
 from fleet_backend.ingest import Pauses, Worker, filters_of
 from fleet_backend.intake import MessageKind
+from fleet_backend.metrics import shown_at, worker_families
 from fleet_backend.migrate import make_ready
 from fleet_backend.quotas import Gate
 from fleet_backend.stopping import stopping
@@ -80,6 +82,7 @@ def run_ingest(
     group: str,
     part: Part,
     quotas: Quotas,
+    metrics: Place | None = None,
 ) -> None:
     """Ingest until SIGINT or SIGTERM; while all is well, touch the file ``alive``.
 
@@ -91,7 +94,7 @@ def run_ingest(
     DatabaseError
         If the database has another schema.
     ConfigError
-        If the file ``alive`` cannot be made.
+        If the file ``alive`` cannot be made, or nothing can listen where ``metrics`` are to be read.
     """
     if alive is not None:
         prepare(alive)
@@ -104,7 +107,8 @@ def run_ingest(
     worker = Worker(connect, Writer(engine), name=own_name, now=_utc_now, pace=pace, judge=gate.judge)
     if address.exposure:
         _LOG.warning("%s", address.exposure)
-    asyncio.run(_ingest(engine, worker, gate, f"{own_name}: {address} into {place_of(engine)}", alive))
+    with shown_at(metrics, lambda: worker_families(worker)):
+        asyncio.run(_ingest(engine, worker, gate, f"{own_name}: {address} into {place_of(engine)}", alive))
 
 
 async def _ingest(engine: Engine, worker: Worker, gate: Gate, title: str, alive: Path | None) -> None:

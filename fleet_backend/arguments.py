@@ -13,6 +13,7 @@ from fleet_backend.options import (
     CLUTCH,
     COMMON,
     GROUP_VARIABLE,
+    METRICS,
     PROGRAM,
     QUESTION,
     VEHICLE,
@@ -55,6 +56,7 @@ _INGEST: Final = Command(
         default="1/1",
     ),
     Option("--alive FILE", "touch this file every 5 s while broker and database answer", FILE),
+    METRICS,
     Option("--batch N", f"results per transaction (default: {_PACE.batch_size})", INT, default=_PACE.batch_size),
     Option(
         "--patience MS",

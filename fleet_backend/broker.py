@@ -33,6 +33,11 @@ class BrokerInbox:
         self.takes_bundles = takes_bundles  # whether they reach us
         self._connection = connection
 
+    @property
+    def unsettled_count(self) -> int:
+        """How many messages came and are not settled."""
+        return self._connection.unsettled_count
+
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
         """Return the next messages: those of our part; until ``patience_s`` after the first, ``limit`` at most.
 

@@ -15,7 +15,16 @@ from clutchdiag_io.program import part
 from fleet_backend import queries, report
 from fleet_backend.application import run_ingest
 from fleet_backend.choices import Axis
-from fleet_backend.config import parse_broker, parse_group, parse_moment, parse_pace, parse_part, parse_quotas
+from fleet_backend.config import (
+    Place,
+    parse_broker,
+    parse_group,
+    parse_listen,
+    parse_moment,
+    parse_pace,
+    parse_part,
+    parse_quotas,
+)
 from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import ConfigError
 from fleet_backend.layout import Sheet
@@ -52,7 +61,12 @@ def _ingest(options: SimpleNamespace, engine: Engine) -> None:
         group=parse_group(options.group),
         quotas=parse_quotas(options.quotas),
         part=parse_part(options.part),
+        metrics=metrics_of(options),
     )
+
+
+def metrics_of(options: SimpleNamespace) -> Place | None:
+    return None if options.metrics is None else parse_listen(options.metrics, option="--metrics")
 
 
 def user_name() -> str:

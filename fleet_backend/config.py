@@ -93,7 +93,7 @@ class Place:
     port: int
 
 
-def parse_listen(text: str, *, has_login: bool = False) -> Place:
+def parse_listen(text: str, *, has_login: bool = False, option: str = "--listen") -> Place:
     """Return the place in ``HOST:PORT`` or ``[HOST]:PORT``, without a login one of this machine's loopback.
 
     Raises
@@ -103,14 +103,15 @@ def parse_listen(text: str, *, has_login: bool = False) -> Place:
     """
     found = re.fullmatch(r"\[?([0-9A-Za-z.:-]+?)\]?:([0-9]{1,5})", text)
     if found is None or int(found[2]) > _MAX_PORT:
-        raise ConfigError(f"--listen must be HOST:PORT, such as 127.0.0.1:8090, got {text!r}")
+        raise ConfigError(f"{option} must be HOST:PORT, such as 127.0.0.1:8090, got {text!r}")
     host = "127.0.0.1" if found[1] == "localhost" else found[1]
     try:
         is_loopback = ip_address(host).is_loopback
     except ValueError as exc:
-        raise ConfigError(f"--listen must be an address in numbers or localhost, got {host!r}") from exc
+        raise ConfigError(f"{option} must be an address in numbers or localhost, got {host!r}") from exc
     if not is_loopback and not has_login:
-        raise ConfigError(f"--listen {text}: others could read the fleet there without a login; give --access")
+        hint = "give --access" if option == "--listen" else "let a proxy with one ask a loopback address"
+        raise ConfigError(f"{option} {text}: others could read the fleet there without a login; {hint}")
     return Place(host=host, port=int(found[2]))
 
 

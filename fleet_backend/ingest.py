@@ -54,6 +54,10 @@ class Inbox(Protocol):
     def takes_bundles(self) -> bool:
         """Whether the bundles of vehicles come in by it."""
 
+    @property
+    def unsettled_count(self) -> int:
+        """How many messages came and are not settled."""
+
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
         """Return the next messages, or raise BrokerError when the connection is lost."""
 
@@ -105,6 +109,20 @@ class Worker:
         self._judge = judge  # what is beyond a quota is withheld
         self.counts: Counter[MessageKind] = Counter()  # committed, repetitions included
         self.is_listening = False
+        self.committed_at: datetime | None = None
+        self._inbox: Inbox | None = None
+        self._begun_at: datetime | None = None  # the batch at hand
+
+    @property
+    def backlog_count(self) -> int:
+        """Messages that the broker delivered and that are not settled."""
+        return 0 if self._inbox is None or not self.is_listening else self._inbox.unsettled_count
+
+    @property
+    def lag_s(self) -> float:
+        """How long the batch at hand has waited for its commit; 0 without one."""
+        begun_at = self._begun_at
+        return 0.0 if begun_at is None else (self._now() - begun_at).total_seconds()
 
     async def run(self) -> None:
         """Connect, take, commit, acknowledge; come back after every loss. Ends only when it is cancelled."""
@@ -114,10 +132,10 @@ class Worker:
                 async with self._connect() as inbox:
                     _LOG.info("listening")
                     pauses.reset()
-                    self.is_listening = True
+                    self._inbox, self.is_listening = inbox, True
                     await self._serve(inbox)
             except BrokerError as exc:
-                self.is_listening = False
+                self.is_listening, self._begun_at = False, None
                 await pauses.wait(exc)
 
     async def _serve(self, inbox: Inbox) -> None:
@@ -131,7 +149,7 @@ class Worker:
 
         Of bundles no more than a batch is unpacked at a time.
         """
-        received_at = self._now()
+        self._begun_at = received_at = self._now()
         looked_at: list[Message] = []
         taken: list[Taken] = []
         for message in messages:
@@ -142,10 +160,12 @@ class Worker:
                 looked_at, taken = [], []
         if looked_at:
             await self._settle(inbox, looked_at, taken)
+        self._begun_at = None
 
     async def _settle(self, inbox: Inbox, messages: Sequence[Message], looked_at: list[Taken]) -> None:
         taken = await self._commit(self._judge(looked_at, self._now()))
-        sent_at = self._now().strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+        self.committed_at = self._now()
+        sent_at = self.committed_at.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
         takes_bundles = self._pace.takes_bundles and inbox.takes_bundles
         for vehicle, receipts in receipts_of(taken).items():
             acks = ack_messages(vehicle, receipts, sent_at=sent_at, worker=self._name, takes_bundles=takes_bundles)

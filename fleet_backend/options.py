@@ -29,6 +29,7 @@ COMMON: Final = (
     ),
     VERBOSE,
 )
+METRICS: Final = Option("--metrics ADDRESS", "serve metrics for Prometheus at HOST:PORT, a loopback address")
 QUESTION: Final = (
     *COMMON,
     Option("--json", "one JSON object per line"),

@@ -67,8 +67,9 @@ _ORDER: Final = ", ".join(_KEY)
 # times at once keep both: the views show one.
 _IS_KEY: Final = " AND ".join(f"r.{name} = s.{name}" for name in KEY_COLUMNS)
 _RIVALS: Final = (
-    f"{_STAGE} AS s CROSS JOIN LATERAL (SELECT DISTINCT b.month FROM clutch_block AS b WHERE b.vehicle = s.vehicle"
-    f" AND b.stream = s.stream AND b.block = s.seq / {BLOCK} AND b.version_rank = s.version_rank AND s.seq <= ("
+    f"{_STAGE} AS s CROSS JOIN LATERAL ("  # noqa: S608 - our own names
+    "SELECT DISTINCT b.month FROM clutch_block AS b WHERE b.vehicle = s.vehicle AND b.stream = s.stream"
+    f" AND b.block = s.seq / {BLOCK} AND b.version_rank = s.version_rank AND s.seq <= ("
     "SELECT max(e.last_seq) FROM clutch_stream AS e WHERE e.vehicle = s.vehicle AND e.stream = s.stream)) AS m"
     f" CROSS JOIN LATERAL (SELECT r.* FROM {SHIFT_RESULT.name} AS r WHERE {_IS_KEY} AND r.produced_at <> s.produced_at"
     " AND r.produced_at >= m.month::timestamp AT TIME ZONE 'UTC'"
@@ -78,9 +79,7 @@ _DROP: Final = (
     f"DELETE FROM {SHIFT_RESULT.name} AS t USING {_RIVALS} WHERE s.content_digest < r.content_digest AND "  # noqa: S608
     + " AND ".join(f"t.{name} = r.{name}" for name in _KEY)
 )
-_YIELD: Final = (
-    f"DELETE FROM {_STAGE} AS t USING {_RIVALS} WHERE t.ctid = s.ctid"  # noqa: S608
-)
+_YIELD: Final = f"DELETE FROM {_STAGE} AS t USING {_RIVALS} WHERE t.ctid = s.ctid"  # noqa: S608
 _TAKE: Final = (
     f"INSERT INTO {SHIFT_RESULT.name} ({_COLUMNS})"  # noqa: S608 - our own names
     f" SELECT DISTINCT ON ({', '.join(KEY_COLUMNS)}) {_COLUMNS} FROM {_STAGE}"

@@ -245,7 +245,7 @@ class Connection:
         self._window = 1
         self._in_flight: dict[int, str] = {}  # packet id -> topic, of what `publish_all` waits for
         self._unanswered: set[int] = set()  # packet ids of what `send` sent at least once
-        self._unsettled_count = 0  # messages that we were sent and have not acknowledged
+        self.unsettled_count = 0  # messages that we were sent and have not acknowledged
         self._unsettled_bytes = 0  # of them
         self._granted: set[str] = set()  # topics on which the broker took a message
         self._is_probing = False  # on a topic that is not among them
@@ -379,7 +379,7 @@ class Connection:
         for message in messages:
             if message.packet_id:
                 self._client.ack(message.packet_id, AT_LEAST_ONCE)
-                self._unsettled_count -= 1
+                self.unsettled_count -= 1
                 self._unsettled_bytes -= len(message.payload)
         if not self._is_overfull:
             self._socket_loop.resume()
@@ -389,7 +389,7 @@ class Connection:
         """Whether the broker sent more than the Receive Maximum that it was told allows, or more than we hold."""
         limit, most_bytes = self._terms.max_unsettled, self._terms.max_unsettled_bytes
         is_long = most_bytes is not None and self._unsettled_bytes > most_bytes
-        return is_long or (limit is not None and self._unsettled_count > limit)
+        return is_long or (limit is not None and self.unsettled_count > limit)
 
     async def lost(self) -> None:
         await self._is_lost.wait()
@@ -478,7 +478,7 @@ class Connection:
         self._inbox.append(Message(topic=message.topic, payload=bytes(message.payload), packet_id=packet_id))
         self._arrived.set()
         if packet_id:
-            self._unsettled_count += 1
+            self.unsettled_count += 1
             self._unsettled_bytes += len(message.payload)
         if self._is_overfull:
             self._socket_loop.pause()

@@ -112,6 +112,11 @@ class JetStream:
             raise
         return made
 
+    @property
+    def unsettled_count(self) -> int:
+        """How many messages came and are not settled."""
+        return len(self._replies)
+
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
         """Return the next messages: as many as came until ``patience_s`` after the first, ``limit`` at most.
 

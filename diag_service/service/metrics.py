@@ -1,6 +1,6 @@
 """A live run for machines: Prometheus metrics and health checks over HTTP, in threads of their own."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
 from http import HTTPStatus
@@ -8,11 +8,11 @@ from typing import Any, Final
 from wsgiref.types import StartResponse, WSGIEnvironment
 
 from prometheus_client import CollectorRegistry, make_wsgi_app
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
-from prometheus_client.registry import Collector
+from prometheus_client.core import InfoMetricFamily, Metric
 
 from canlog.e2e.e2e_state import E2eState
 from canlog.live import BusState
+from clutchdiag_io.metrics import Told, counter, gauge
 from diag_service.diagnosis.records import Condition, ShiftResult, Status
 from diag_service.service.session import Stage
 from diag_service.service.snapshot import Board, Snapshot
@@ -20,7 +20,6 @@ from diag_service.service.web import serving_web
 from diag_service.settings.config import ListenAddress
 from fleet_contract import CLUTCHES
 
-_Value = float | Mapping[Any, float]
 _Rows = Iterable[tuple[str, str, str]]
 _Records = Mapping[tuple[str, str], object]
 
@@ -64,15 +63,15 @@ def _of_the_bus(snapshot: Snapshot) -> Iterator[Metric]:
         "queue_dropped": frames.queue_dropped,
         **{f"rejected_{reason}": count for reason, count in frames.rejected.items()},
     }
-    yield _gauge("bus_state", "1 for the state that the bus is in.", _one_of(BusState, bus.state), "state")
-    yield _gauge("bus_load_ratio", "Share of the bit rate, stuff bits estimated.", snapshot.load_ratio)
-    yield _counter("bus_errors", "Error frames by what they tell.", dict(bus.errors), "kind")
-    yield _counter("bus_interruptions", "Times that the interface was lost.", bus.interruption_count)
-    yield _counter("bus_restarts_asked", "Restarts asked of the controller.", bus.restart_count)
-    yield _counter("clock_steps", "Steps of the wall clock.", snapshot.clock_steps)
-    yield _counter("frames_on_bus", "Frames that reached this machine.", frames.on_bus)
-    yield _counter("frames", "Frames by what became of them.", fates, "fate")
-    yield _counter("frames_missing", "Frames that alive counters show to be lost.", frames.missing)
+    yield gauge("bus_state", "1 for the state that the bus is in.", _one_of(BusState, bus.state), "state")
+    yield gauge("bus_load_ratio", "Share of the bit rate, stuff bits estimated.", snapshot.load_ratio)
+    yield counter("bus_errors", "Error frames by what they tell.", dict(bus.errors), "kind")
+    yield counter("bus_interruptions", "Times that the interface was lost.", bus.interruption_count)
+    yield counter("bus_restarts_asked", "Restarts asked of the controller.", bus.restart_count)
+    yield counter("clock_steps", "Steps of the wall clock.", snapshot.clock_steps)
+    yield counter("frames_on_bus", "Frames that reached this machine.", frames.on_bus)
+    yield counter("frames", "Frames by what became of them.", fates, "fate")
+    yield counter("frames_missing", "Frames that alive counters show to be lost.", frames.missing)
 
 
 def _of_messages(snapshot: Snapshot) -> Iterator[Metric]:
@@ -84,22 +83,22 @@ def _of_messages(snapshot: Snapshot) -> Iterator[Metric]:
         for state, value in _one_of(E2eState, message.e2e_state).items()
     }
     lapses = {name: message.invalidations for name, message in messages}
-    yield _gauge("message_rate_hertz", "Frames per second, as received.", snapshot.rates_hz, "message")
-    yield _gauge("message_nominal_hertz", "Frames per second, as the database says.", nominal, "message")
-    yield _gauge("message_e2e_state", "1 for the E2E state of the message.", states, "message", "state")
-    yield _counter("message_invalidations", "Times that a message lost its trust.", lapses, "message")
+    yield gauge("message_rate_hertz", "Frames per second, as received.", snapshot.rates_hz, "message")
+    yield gauge("message_nominal_hertz", "Frames per second, as the database says.", nominal, "message")
+    yield gauge("message_e2e_state", "1 for the E2E state of the message.", states, "message", "state")
+    yield counter("message_invalidations", "Times that a message lost its trust.", lapses, "message")
 
 
 def _of_shifts(snapshot: Snapshot) -> Iterator[Metric]:
     summary, stuck = snapshot.summary, {stage.value: 0.0 for stage in Stage}
     if snapshot.stuck is not None:
         stuck[snapshot.stuck.stage.value] = snapshot.stuck.for_s
-    yield _gauge("stage_stuck_seconds", "How long a stage has held work without progress.", stuck, "stage")
-    yield _counter("shifts", "Shifts by what their estimate is worth.", summary.shifts.by_status, "status")
-    yield _counter("shift_reasons", "Shifts that were not used, by reason.", summary.shifts.by_reason, "reason")
+    yield gauge("stage_stuck_seconds", "How long a stage has held work without progress.", stuck, "stage")
+    yield counter("shifts", "Shifts by what their estimate is worth.", summary.shifts.by_status, "status")
+    yield counter("shift_reasons", "Shifts that were not used, by reason.", summary.shifts.by_reason, "reason")
     qualities = [result.estimate.data_quality for result in snapshot.recent if result.estimate.data_quality is not None]
     if qualities:
-        yield _gauge("last_shift_trust", "Trust in the last shift, 0..1.", qualities[-1].score)
+        yield gauge("last_shift_trust", "Trust in the last shift, 0..1.", qualities[-1].score)
 
 
 def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
@@ -117,15 +116,15 @@ def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
         for clutch in CLUTCHES
         for status in Status
     }
-    yield _gauge("clutch_verdict", "1 for the verdict on the clutch and its fluid.", states, *_CLUTCH_LABELS, "verdict")
+    yield gauge("clutch_verdict", "1 for the verdict on the clutch and its fluid.", states, *_CLUTCH_LABELS, "verdict")
     yield _advice(snapshot)
-    yield _counter(
+    yield counter(
         "clutch_shifts", "Shifts of this run by what their estimate is worth.", counts, *_CLUTCH_LABELS, "status"
     )
     made = {_key(result): datetime.fromisoformat(result.produced_at).timestamp() for result in snapshot.clutches}
-    yield _gauge("clutch_last_result_timestamp_seconds", "When the last result was made.", made, *_CLUTCH_LABELS)
+    yield gauge("clutch_last_result_timestamp_seconds", "When the last result was made.", made, *_CLUTCH_LABELS)
     filled = {} if snapshot.fluid is None else {vehicle: datetime.fromisoformat(snapshot.fluid.filled_at).timestamp()}
-    yield _gauge("fluid_fill_timestamp_seconds", "When the present fluid was filled in.", filled, "vehicle")
+    yield gauge("fluid_fill_timestamp_seconds", "When the present fluid was filled in.", filled, "vehicle")
 
 
 def _advice(snapshot: Snapshot) -> Metric:
@@ -154,7 +153,7 @@ def _fields(rows: _Rows, records: _Records) -> Iterator[Metric]:
     for name, field, text in rows:
         found = {key: getattr(record, field) for key, record in records.items() if record is not None}
         known = {key: value for key, value in found.items() if value is not None}
-        yield _gauge(f"clutch_{name}", text, known, *_CLUTCH_LABELS)
+        yield gauge(f"clutch_{name}", text, known, *_CLUTCH_LABELS)
 
 
 def _coefficients(rows: _Rows, records: _Records) -> Iterator[Metric]:
@@ -165,45 +164,15 @@ def _coefficients(rows: _Rows, records: _Records) -> Iterator[Metric]:
             for key, record in known.items()
             for symbol in _COEFFICIENTS
         }
-        yield _gauge(f"clutch_{name}", text, found, *_CLUTCH_LABELS, "coefficient")
+        yield gauge(f"clutch_{name}", text, found, *_CLUTCH_LABELS, "coefficient")
 
 
 def _key(result: ShiftResult) -> tuple[str, str]:
     return result.vehicle, str(result.verdict.clutch)
 
 
-def _gauge(name: str, text: str, value: _Value, *labels: str) -> Metric:
-    return _filled(GaugeMetricFamily(f"clutchdiag_{name}", text, labels=labels), value)
-
-
-def _counter(name: str, text: str, value: _Value, *labels: str) -> Metric:
-    return _filled(CounterMetricFamily(f"clutchdiag_{name}", text, labels=labels), value)
-
-
-def _filled(family: GaugeMetricFamily | CounterMetricFamily, value: _Value) -> Metric:
-    """Return a family with its value, or with one value for each of its labels."""
-    values = value if isinstance(value, Mapping) else {(): value}
-    for key, one in values.items():
-        labels: Sequence[str] = key if isinstance(key, tuple) else (str(key),)
-        family.add_metric(labels, one)
-    return family
-
-
 def _one_of(states: Any, present: Any) -> dict[str, float]:  # noqa: ANN401 - any enumeration
     return {state.name.lower(): float(state is present) for state in states}
-
-
-class SnapshotCollector(Collector):
-    """The latest snapshot as metric families; no families before the first."""
-
-    def __init__(self, board: Board) -> None:
-        self._board = board
-
-    def collect(self) -> Iterable[Metric]:
-        """Yield the families."""
-        snapshot = self._board.latest
-        if snapshot is not None:
-            yield from families(snapshot)
 
 
 @contextmanager
@@ -213,7 +182,7 @@ def serving(address: ListenAddress, board: Board) -> Iterator[int]:
     Raises ConfigError if the address cannot be listened to.
     """
     registry = CollectorRegistry()
-    registry.register(SnapshotCollector(board))
+    registry.register(Told(lambda: () if board.latest is None else families(board.latest)))  # none before the first
     metrics = make_wsgi_app(registry)
     checks = {"/livez": lambda: board.is_live, "/readyz": lambda: board.is_ready}
 

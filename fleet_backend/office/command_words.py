@@ -3,7 +3,7 @@
 from typing import Final
 
 from clutchdiag_io.command_line import FILE, FLOAT, Command, Option
-from fleet_backend.options import BROKER, CLUTCH, COMMON, MAIL_VARIABLE, PROGRAM, QUESTION, VEHICLE, count
+from fleet_backend.options import BROKER, CLUTCH, COMMON, MAIL_VARIABLE, METRICS, PROGRAM, QUESTION, VEHICLE, count
 
 DEFAULT_SERVICE_KM: Final = 15_000
 DEFAULT_SILENCE_DAYS: Final = 14
@@ -54,6 +54,7 @@ _SERVE: Final = Command(
         default=DEFAULT_LISTEN,
     ),
     _ACCESS,
+    METRICS,
     examples=(f"{PROGRAM} serve", f"{PROGRAM} serve --listen 127.0.0.1:8090"),
 )
 _WATCH: Final = Command(
@@ -85,6 +86,7 @@ _WATCH: Final = Command(
     ),
     Option("--listen ADDRESS", "show the pages of serve there, too: both share one view of the fleet"),
     _ACCESS,
+    METRICS,
     Option("--once", "check once, with 15 s of prognoses at most, deliver, and end"),
     examples=(
         f"{PROGRAM} watch --webhook https://hooks.example/fleet --secret webhook.secret",

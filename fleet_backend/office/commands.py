@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Coroutine
 from datetime import UTC, datetime
+from functools import partial
 from importlib import import_module
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -12,7 +13,7 @@ from sqlalchemy import Engine
 from fleet_backend import queries, report
 from fleet_backend.alarms.carriers import Carrier, Mail, Mqtt, Webhook
 from fleet_backend.alarms.rules import Limits, parse_mail, parse_secret, parse_service_km, parse_silence, parse_webhook
-from fleet_backend.commands import broker_of, tell, user_name
+from fleet_backend.commands import broker_of, metrics_of, tell, user_name
 from fleet_backend.config import parse_listen
 from fleet_backend.database import default_database, open_database
 from fleet_backend.errors import ConfigError, ExtraMissingError
@@ -78,12 +79,13 @@ def lots(options: SimpleNamespace, engine: Engine) -> None:
 def serve(
     options: SimpleNamespace, engine: Engine, beside: Callable[[Any], Coroutine[None, None, None]] | None = None
 ) -> None:
+    metrics = metrics_of(options)
     place = parse_listen(options.listen, has_login=options.access is not None)
     server = _page_part("fleet_backend.page.server")
     access = read_access(options.access) if options.access is not None else Access()
     readers = open_database(options.database or default_database(), must_exist=True, is_read_only=True)
     try:
-        server.run_server(readers, engine, place.host, place.port, access, beside)
+        server.run_server(readers, engine, place.host, place.port, access, beside or partial(server.show, metrics))
     finally:
         readers.dispose()
 
@@ -104,9 +106,9 @@ def watch(options: SimpleNamespace, engine: Engine) -> None:
     if options.listen is not None:
         if options.once:
             raise ConfigError("--once ends, --listen does not: give one of them")
-        serve(options, engine, lambda keeper: watching.watch_for_ever(engine, orders, shared=keeper))
+        serve(options, engine, lambda keeper: watching.watch_for_ever(engine, orders, metrics_of(options), keeper))
         return
-    watching.run_watch(engine, orders, is_once=options.once)
+    watching.run_watch(engine, orders, metrics_of(options), is_once=options.once)
 
 
 def _page_part(name: str) -> ModuleType:

@@ -4,7 +4,7 @@ import asyncio
 import logging
 import random
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -12,8 +12,10 @@ from datetime import UTC, datetime
 from itertools import chain
 from typing import Final
 
-from sqlalchemy import Engine, select
+from prometheus_client.core import Metric
+from sqlalchemy import Engine, func, select
 
+from clutchdiag_io.metrics import gauge
 from fleet_backend import queries
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter
@@ -33,18 +35,22 @@ from fleet_backend.alarms.rules import (
     transitions,
     verdict_finding,
 )
+from fleet_backend.config import Place
 from fleet_backend.database import transaction
 from fleet_backend.errors import DatabaseError
-from fleet_backend.office_tables import INTAKE
+from fleet_backend.metrics import shown_at
+from fleet_backend.months.partitions import month_of, partitions
+from fleet_backend.office_tables import ALARM_MESSAGE, INTAKE
 from fleet_backend.orders import is_alarming_since
 from fleet_backend.page import past
-from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.keeper import DatabaseSource, Keeper, fleet_families
 from fleet_backend.page.maintenance_view import due_of, keep_due
 from fleet_backend.page.outlook import chance_of, outlook_of, outlook_text
 from fleet_backend.page.populations import Kept, latest
 from fleet_backend.page.records import ClutchNow, Severity
 from fleet_backend.page.running import last_arrivals
 from fleet_backend.page.vehicle_state import fills_of
+from fleet_backend.schema import QUARANTINE
 from fleet_backend.stopping import stopping
 
 ROUND_S: Final = 10.0
@@ -75,6 +81,7 @@ class Watch:
         self._is_sharing = shared is not None  # then others keep it fresh
         self._keeper = shared or Keeper(DatabaseSource(engine))
         self.waiting_count = 0  # vehicles with news that the last round did not get to
+        self._told: tuple[Metric, ...] = ()  # of the last round
         self._judged: dict[str, tuple[ClutchNow, ...]] = {}  # as they were then, those of the longest ago first
 
     def round(self, judging_s: float = JUDGING_S, *, is_drawn: bool = False) -> list[Transition]:
@@ -92,6 +99,7 @@ class Watch:
         DatabaseError
             If the database does not answer; what is written stays, the rest follows in the next round.
         """
+        began_s = time.monotonic()
         if not self._is_sharing:
             self._keeper.refresh()
         now = self._now()
@@ -104,7 +112,41 @@ class Watch:
         for step in written:
             subject = step.subject
             _LOG.info("%s: %s of %s, clutch %d", step.event, subject.rule, subject.vehicle, subject.clutch)
+        self._told = (*self._database_families(now), *self._round_families(began_s))
         return written
+
+    def families(self) -> Iterator[Metric]:
+        """Yield what the last round found, none before the first, and how large the fleet is."""
+        yield from fleet_families(self._keeper)
+        yield from self._told
+
+    def _round_families(self, began_s: float) -> Iterator[Metric]:
+        at_s, took_s = self._now().timestamp(), time.monotonic() - began_s
+        yield gauge("watch_round_timestamp_seconds", "When a round of the watch ended last.", at_s)
+        yield gauge("watch_round_seconds", "How long it took.", took_s)
+        yield gauge("watch_waiting_vehicles", "Vehicles with news that it did not get to.", self.waiting_count)
+
+    def _database_families(self, now: datetime) -> Iterator[Metric]:
+        open_counts = dict.fromkeys((rule.value for rule in Rule), 0)
+        open_counts |= Counter(subject.rule.value for subject in book.open_alarms(self._engine))
+        yield gauge("fleet_open_alarms", "Alarms that are not cleared, by their rule.", open_counts, "rule")
+        waiting = select(func.count()).select_from(ALARM_MESSAGE).where(ALARM_MESSAGE.c.delivered_at.is_(None))
+        reason = QUARANTINE.c.reason
+        aside = select(reason, func.count()).where(QUARANTINE.c.acknowledged_at.is_(None)).group_by(reason)
+        with transaction(self._engine) as connection:
+            waiting_count = connection.execute(waiting).scalar_one()
+            aside_counts = {str(key): count for key, count in connection.execute(aside)}
+        yield gauge("watch_undelivered_messages", "Messages of alarms that wait for a carrier.", waiting_count)
+        yield gauge("fleet_quarantined_messages", "Messages kept aside, not acknowledged.", aside_counts, "reason")
+        heard = last_arrivals(self._engine).values()
+        if heard:
+            yield gauge("fleet_last_result_timestamp_seconds", "When a result was stored last.", max(heard).timestamp())
+        parts = partitions(self._engine)
+        if months := [one.month for one in parts if one.month is not None]:
+            ahead = sum(month > month_of(now) for month in months)
+            yield gauge("fleet_months_ahead", "Months after this one that have a partition.", ahead)
+            late = parts[-1].row_estimate or 0
+            yield gauge("fleet_last_partition_rows", "Results later than all months, estimated.", late)
 
     def deliver(self) -> int:
         """Deliver what waits; return how many messages arrived."""
@@ -187,7 +229,7 @@ class Watch:
                 yield due_finding(vehicle, found.clutch, chance_of(found), text, limits)
 
 
-def run_watch(engine: Engine, orders: Orders, *, is_once: bool = False) -> None:
+def run_watch(engine: Engine, orders: Orders, metrics: Place | None = None, *, is_once: bool = False) -> None:
     """Watch until SIGINT or SIGTERM, or for one round."""
     if is_once:
         watch = Watch(engine, orders, _utc_now)
@@ -196,11 +238,11 @@ def run_watch(engine: Engine, orders: Orders, *, is_once: bool = False) -> None:
             _LOG.warning("%d vehicles were not judged in %g s; a watch that goes on does", watch.waiting_count, ONCE_S)
         watch.deliver()
         return
-    asyncio.run(_watch_until_told(engine, orders))
+    asyncio.run(_watch_until_told(engine, orders, metrics))
 
 
-async def _watch_until_told(engine: Engine, orders: Orders) -> None:
-    work = asyncio.ensure_future(watch_for_ever(engine, orders))
+async def _watch_until_told(engine: Engine, orders: Orders, metrics: Place | None) -> None:
+    work = asyncio.ensure_future(watch_for_ever(engine, orders, metrics))
     with stopping(work.cancel), suppress(asyncio.CancelledError):
         await work
 
@@ -209,11 +251,14 @@ def _utc_now() -> datetime:
     return datetime.now(UTC)
 
 
-async def watch_for_ever(engine: Engine, orders: Orders, shared: Keeper | None = None) -> None:
+async def watch_for_ever(
+    engine: Engine, orders: Orders, metrics: Place | None = None, shared: Keeper | None = None
+) -> None:
     """Look and deliver until it is cancelled."""
     watch = Watch(engine, orders, _utc_now, shared=shared)
-    _LOG.info("watching")
-    await asyncio.gather(_repeat(watch.round, ROUND_S), _repeat(watch.deliver, DELIVERY_S))
+    with shown_at(metrics, watch.families):
+        _LOG.info("watching")
+        await asyncio.gather(_repeat(watch.round, ROUND_S), _repeat(watch.deliver, DELIVERY_S))
 
 
 async def _repeat(step: Callable[[], object], pause_s: float) -> None:

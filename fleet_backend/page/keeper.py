@@ -3,19 +3,22 @@
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from types import MappingProxyType
 from typing import Final, Protocol
 
+from prometheus_client.core import Metric
 from sqlalchemy import Engine
 
+from clutchdiag_io.metrics import gauge
 from fleet_backend.errors import DatabaseError
 from fleet_backend.orders import PresentFluid
 from fleet_backend.page import running
 from fleet_backend.page.listing import choices_of, worst_first
-from fleet_backend.page.records import ClutchNow, Usual
+from fleet_backend.page.records import ClutchNow, Severity, Usual
 from fleet_backend.page.running import FillsSeen
 from fleet_backend.page.usual import ClutchGroup, usual_of
 
@@ -186,6 +189,15 @@ class Keeper:
         self.complaint = None
         for listener in tuple(self._listeners) if is_new else ():
             listener(self._snapshot)
+
+
+def fleet_families(keeper: Keeper) -> Iterator[Metric]:
+    """Yield how large the fleet is and how old is what is known of it."""
+    snapshot = keeper.snapshot
+    counts = dict.fromkeys((one.value for one in Severity), 0) | Counter(one.condition for one in snapshot.clutches)
+    yield gauge("fleet_vehicles", "Vehicles with results.", len(snapshot.vehicles))
+    yield gauge("fleet_clutches", "Clutches by the verdict that holds.", counts, "verdict")
+    yield gauge("fleet_read_timestamp_seconds", "When the fleet was read last.", snapshot.read_at.timestamp())
 
 
 def _by_vehicle(clutches: Sequence[ClutchNow]) -> ByVehicle:

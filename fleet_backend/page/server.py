@@ -16,10 +16,12 @@ from sqlalchemy import Engine
 from starlette.applications import Starlette
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from fleet_backend.config import Place
 from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError
+from fleet_backend.metrics import shown_at
 from fleet_backend.page.access import Access
-from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.keeper import DatabaseSource, Keeper, fleet_families
 from fleet_backend.page.news import News
 from fleet_backend.page.site import site
 from fleet_backend.page.view import Sources
@@ -64,6 +66,12 @@ def run_server(
             engine=engine, keeper=keeper, news=News(keeper), writer=writer if access.knows_people else None
         )
         asyncio.run(_serve_until_told(sources, listener, access, None if beside is None else beside(keeper)))
+
+
+async def show(metrics: Place | None, keeper: Keeper) -> None:
+    """Show the metrics of a server that watches nothing, until it is cancelled."""
+    with shown_at(metrics, lambda: fleet_families(keeper)):
+        await asyncio.Event().wait()
 
 
 @contextmanager

@@ -79,9 +79,8 @@ def test_one_key_with_two_times_of_making_is_one_row(engine: Engine, is_reversed
     for some in (told,) if is_together else ([one] for one in told):
         Writer(engine).store(Batch(shifts=some))
     with transaction(engine) as connection:
-        assert connection.execute(select(SHIFT_RESULT.c.produced_at).where(SHIFT_RESULT.c.seq == 1)).scalars().all() == [
-            winner["produced_at"]
-        ]
+        found = connection.execute(select(SHIFT_RESULT.c.produced_at).where(SHIFT_RESULT.c.seq == 1)).scalars().all()
+    assert found == [winner["produced_at"]]
     assert queries.result_count(engine) == 3
 
 

@@ -30,6 +30,7 @@ class Office:
     """A worker with a gate of its own into a database, on a day that can be moved; its broker, too."""
 
     takes_bundles = True
+    unsettled_count = 0
 
     def __init__(self, engine: Engine, quotas: Quotas = QUOTAS) -> None:
         self.at, self.gate = NOW, Gate(engine, quotas)

@@ -29,4 +29,4 @@ def fleet_broker(folder: Path, authority: Authority, *more: str) -> Mosquitto:
         "/etc/clutchdiag", str(authority.folder)
     )
     lines = (*(line for line in text.splitlines() if line and not _OURS.match(line)), *more)
-    return Mosquitto(folder, lines, is_durable=False)  # it saves as often as ours: at each change it would do little else
+    return Mosquitto(folder, lines, is_durable=False)  # it saves as often as ours; at each change: hardly anything else

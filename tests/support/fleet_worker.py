@@ -85,6 +85,7 @@ class DoomedInbox:
         self._doom = doom
         self._pending: Step | None = None
         self.takes_bundles = inbox.takes_bundles
+        self.unsettled_count = 0
 
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
         """Return the next messages; what was queued for the broker before is on its way by now."""

@@ -86,10 +86,10 @@ def promtool(*words: str | Path, given: str | None = None) -> str:
     return said
 
 
-def check_rules(folder: Path, groups: Iterable[Mapping[str, Any]]) -> None:
+def check_rules(folder: Path, groups: Iterable[Mapping[str, Any]], rules: Path = RULES) -> None:
     """Let promtool evaluate the shipped rules on the series of test groups, and hold it against what they expect."""
     path = folder / "tests.yml"  # JSON is YAML
-    content = {"rule_files": [str(RULES)], "evaluation_interval": "1m", "tests": list(groups)}
+    content = {"rule_files": [str(rules)], "evaluation_interval": "1m", "tests": list(groups)}
     path.write_text(json.dumps(content), encoding="utf-8")
     said = promtool("test", "rules", path)
     assert re.search("SUCCESS", said), said

@@ -33,6 +33,7 @@ class Records:
 
     def __init__(self, batches: Sequence[Sequence[Message]] = (), *, takes_bundles: bool = True) -> None:
         self.takes_bundles = takes_bundles
+        self.unsettled_count = 0
         self.steps: list[str] = []
         self.stored: list[Batch] = []
         self.sent: list[Outgoing] = []

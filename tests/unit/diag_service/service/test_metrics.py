@@ -10,10 +10,11 @@ from prometheus_client.core import Metric, Sample
 from prometheus_client.parser import text_string_to_metric_families
 
 from canlog.live import BusState, BusStatus
+from clutchdiag_io.metrics import Told
 from diag_service.diagnosis.records import Condition, FluidFill, ShiftResult, ShiftStatistics
 from diag_service.diagnosis.summary import FrameCounts, Summary, of_present_fluid
-from diag_service.service.metrics import SnapshotCollector
-from diag_service.service.snapshot import Board, Snapshot
+from diag_service.service.metrics import families as _families
+from diag_service.service.snapshot import Snapshot
 from tests.support.builders import rejected, shift_result
 from tests.support.histories import history
 
@@ -45,9 +46,8 @@ def snapshot(*results: ShiftResult, fluid: FluidFill | None = None) -> Snapshot:
 
 def exposition(shown: Snapshot) -> str:
     """Return the metrics as they are served."""
-    board, registry = Board(), CollectorRegistry()
-    board.latest = shown
-    registry.register(SnapshotCollector(board))
+    registry = CollectorRegistry()
+    registry.register(Told(lambda: _families(shown)))
     return generate_latest(registry).decode()
 
 

@@ -1,0 +1,53 @@
+"""Metrics for Prometheus: families with their samples, and a small server that shows them."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from prometheus_client import CollectorRegistry, start_http_server
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+Value = float | Mapping[Any, float]
+
+
+def gauge(name: str, text: str, value: Value, *labels: str) -> Metric:
+    return _filled(GaugeMetricFamily(f"clutchdiag_{name}", text, labels=labels), value)
+
+
+def counter(name: str, text: str, value: Value, *labels: str) -> Metric:
+    return _filled(CounterMetricFamily(f"clutchdiag_{name}", text, labels=labels), value)
+
+
+def _filled(family: GaugeMetricFamily | CounterMetricFamily, value: Value) -> Metric:
+    """Return a family with its value, or with one value for each of its labels."""
+    values = value if isinstance(value, Mapping) else {(): value}
+    for key, one in values.items():
+        labels: Sequence[str] = key if isinstance(key, tuple) else (str(key),)
+        family.add_metric(labels, one)
+    return family
+
+
+class Told(Collector):
+    """Families as they are told at each scrape."""
+
+    def __init__(self, tell: Callable[[], Iterable[Metric]]) -> None:
+        self._tell = tell
+
+    def collect(self) -> Iterable[Metric]:
+        """Return the families."""
+        return self._tell()
+
+
+@contextmanager
+def serving_metrics(host: str, port: int, tell: Callable[[], Iterable[Metric]]) -> Iterator[int]:
+    """Serve families under ``/metrics`` while entered, in threads; yield the port. Raises OSError where it cannot."""
+    registry = CollectorRegistry()
+    registry.register(Told(tell))
+    server, thread = start_http_server(port, host, registry)
+    try:
+        yield server.server_port
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
