@@ -1,10 +1,8 @@
-"""Metrics for Prometheus: families with their samples, and a small server that shows them."""
+"""Metrics for Prometheus: families with their samples."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from prometheus_client import CollectorRegistry, start_http_server
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
@@ -37,17 +35,3 @@ class Told(Collector):
     def collect(self) -> Iterable[Metric]:
         """Return the families."""
         return self._tell()
-
-
-@contextmanager
-def serving_metrics(host: str, port: int, tell: Callable[[], Iterable[Metric]]) -> Iterator[int]:
-    """Serve families under ``/metrics`` while entered, in threads; yield the port. Raises OSError where it cannot."""
-    registry = CollectorRegistry()
-    registry.register(Told(tell))
-    server, thread = start_http_server(port, host, registry)
-    try:
-        yield server.server_port
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()

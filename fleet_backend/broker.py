@@ -35,7 +35,6 @@ class BrokerInbox:
 
     @property
     def unsettled_count(self) -> int:
-        """How many messages came and are not settled."""
         return self._connection.unsettled_count
 
     async def collect(self, limit: int, patience_s: float) -> list[Message]:

@@ -110,19 +110,8 @@ class Worker:
         self.counts: Counter[MessageKind] = Counter()  # committed, repetitions included
         self.is_listening = False
         self.committed_at: datetime | None = None
-        self._inbox: Inbox | None = None
-        self._begun_at: datetime | None = None  # the batch at hand
-
-    @property
-    def backlog_count(self) -> int:
-        """Messages that the broker delivered and that are not settled."""
-        return 0 if self._inbox is None or not self.is_listening else self._inbox.unsettled_count
-
-    @property
-    def lag_s(self) -> float:
-        """How long the batch at hand has waited for its commit; 0 without one."""
-        begun_at = self._begun_at
-        return 0.0 if begun_at is None else (self._now() - begun_at).total_seconds()
+        self.begun_at: datetime | None = None  # the batch at hand
+        self.inbox: Inbox | None = None
 
     async def run(self) -> None:
         """Connect, take, commit, acknowledge; come back after every loss. Ends only when it is cancelled."""
@@ -132,10 +121,10 @@ class Worker:
                 async with self._connect() as inbox:
                     _LOG.info("listening")
                     pauses.reset()
-                    self._inbox, self.is_listening = inbox, True
+                    self.inbox, self.is_listening = inbox, True
                     await self._serve(inbox)
             except BrokerError as exc:
-                self.is_listening, self._begun_at = False, None
+                self.is_listening, self.begun_at = False, None
                 await pauses.wait(exc)
 
     async def _serve(self, inbox: Inbox) -> None:
@@ -149,7 +138,7 @@ class Worker:
 
         Of bundles no more than a batch is unpacked at a time.
         """
-        self._begun_at = received_at = self._now()
+        self.begun_at = received_at = self._now()
         looked_at: list[Message] = []
         taken: list[Taken] = []
         for message in messages:
@@ -160,7 +149,7 @@ class Worker:
                 looked_at, taken = [], []
         if looked_at:
             await self._settle(inbox, looked_at, taken)
-        self._begun_at = None
+        self.begun_at = None
 
     async def _settle(self, inbox: Inbox, messages: Sequence[Message], looked_at: list[Taken]) -> None:
         taken = await self._commit(self._judge(looked_at, self._now()))

@@ -14,7 +14,7 @@ from sqlalchemy import Connection, Engine, and_, column, func, select, table, te
 
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError
-from fleet_backend.schema import UtcDateTime
+from fleet_backend.schema import BLOCK, UtcDateTime
 
 __all__ = [
     "AHEAD_MONTHS",
@@ -189,7 +189,6 @@ def _month(name: str) -> date | None:
 
 
 TABLE: Final = "shift_result"
-BLOCK: Final = 1024  # positions of a stream
 _NO_VERSION: Final = "''"  # what was replaced may have said something else: two versions are nothing certain
 _STREAM: Final = "vehicle, clutch, stream"
 _LAST: Final = "last_seq, last_version_rank, last_produced_at, last_digest"

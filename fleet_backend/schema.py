@@ -41,6 +41,7 @@ RUNNING: Final = "running_"  # prefix of what is said of the running estimate af
 SCALE_FREE_COLUMNS: Final = ("mu_c", "mu_s", "std_mu_c", "std_mu_s", "correlation")
 SCALE_FREE: Final = "scale_free_"  # prefix of what driving alone tells, gain and area left out
 
+BLOCK: Final = 1024  # positions of a stream that clutch_block tells of together
 SORTED_BY_BYTES: Final = Text().with_variant(Text(collation="C"), "postgresql")  # as SQLite sorts everywhere
 
 

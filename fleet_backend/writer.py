@@ -31,9 +31,9 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from fleet_backend.database import place_of, transaction
 from fleet_backend.errors import RowRefusedError
-from fleet_backend.months.locations import BLOCK
 from fleet_backend.rows import Row, told_fill
 from fleet_backend.schema import (
+    BLOCK,
     CALIBRATION,
     CLUTCH,
     FLUID_FILL,
@@ -62,9 +62,7 @@ _MAKE: Final = (
 )
 _COPY: Final = f"COPY {_STAGE} ({_COLUMNS}) FROM STDIN (FORMAT BINARY)"
 _ORDER: Final = ", ".join(_KEY)
-# The key of a table by months has the time of making in it, so another time is no conflict. Only what is not behind the
-# last of its stream can be known already, in months that hold its version near its position. Two workers that take two
-# times at once keep both: the views show one.
+# By months another time of making is another key: such rivals are looked for behind what is new in a stream alone.
 _IS_KEY: Final = " AND ".join(f"r.{name} = s.{name}" for name in KEY_COLUMNS)
 _RIVALS: Final = (
     f"{_STAGE} AS s CROSS JOIN LATERAL ("  # noqa: S608 - our own names

@@ -114,7 +114,6 @@ class JetStream:
 
     @property
     def unsettled_count(self) -> int:
-        """How many messages came and are not settled."""
         return len(self._replies)
 
     async def collect(self, limit: int, patience_s: float) -> list[Message]:

@@ -1,6 +1,6 @@
 """A live run for machines: Prometheus metrics and health checks over HTTP, in threads of their own."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from http import HTTPStatus
@@ -20,27 +20,16 @@ from diag_service.service.web import serving_web
 from diag_service.settings.config import ListenAddress
 from fleet_contract import CLUTCHES
 
-_Rows = Iterable[tuple[str, str, str]]
-_Records = Mapping[tuple[str, str], object]
-
 _CLUTCH_LABELS: Final = ("vehicle", "clutch")
 _COEFFICIENTS: Final = ("mu_c", "mu_s")  # a label: as parts of names "_c" and "_s" would read as units
-# Name of the metric, field of the record, help.
-_OF_VERDICT: Final = (
-    ("level_ratio", "level_ratio", "Friction at high slip over that of new fluid."),
-    ("estimate_shifts", "shift_count", "Shifts in the running estimate."),
-)
-_OF_SLOPE: Final = (
-    ("negative_slope_probability_ratio", "probability_negative_slope", "Probability that friction falls with slip."),
-)
-# The same, with the coefficient for the braces.
-_OF_FRICTION: Final = (
-    ("mu", "{}", "Friction coefficient at high (mu_c) and low (mu_s) slip, running estimate."),
-    ("mu_std", "std_{}", "Standard deviation of the friction coefficient, common scale included."),
-)
-_OF_TREND: Final = (
-    ("mu_change_ratio", "change_{}_ratio", "Change of the friction coefficient since the baseline of this fluid."),
-    ("mu_change_std_ratio", "std_change_{}_ratio", "Standard deviation of that change."),
+_OF_ESTIMATES: Final = (  # name of the metric, part of the verdict, its field with the coefficient for the braces, help
+    ("level_ratio", "", "level_ratio", "Friction at high slip over that of new fluid."),
+    ("estimate_shifts", "", "shift_count", "Shifts in the running estimate."),
+    ("negative_slope_probability_ratio", "friction", "probability_negative_slope", "P that friction falls with slip."),
+    ("mu", "friction", "{}", "Friction coefficient at high (mu_c) and low (mu_s) slip, running estimate."),
+    ("mu_std", "friction", "std_{}", "Standard deviation of the friction coefficient, common scale included."),
+    ("mu_change_ratio", "trend", "change_{}_ratio", "Change since the baseline of this fluid."),
+    ("mu_change_std_ratio", "trend", "std_change_{}_ratio", "Standard deviation of that change."),
 )
 
 
@@ -141,30 +130,17 @@ def _advice(snapshot: Snapshot) -> Metric:
 def _of_the_estimates(snapshot: Snapshot) -> Iterator[Metric]:
     """Yield the numbers behind the verdicts."""
     verdicts = {_key(result): result.verdict for result in snapshot.clutches}
-    frictions = {key: verdict.friction for key, verdict in verdicts.items()}
-    trends = {key: verdict.trend for key, verdict in verdicts.items()}
-    yield from _fields(_OF_VERDICT, verdicts)
-    yield from _fields(_OF_SLOPE, frictions)
-    yield from _coefficients(_OF_FRICTION, frictions)
-    yield from _coefficients(_OF_TREND, trends)
-
-
-def _fields(rows: _Rows, records: _Records) -> Iterator[Metric]:
-    for name, field, text in rows:
-        found = {key: getattr(record, field) for key, record in records.items() if record is not None}
-        known = {key: value for key, value in found.items() if value is not None}
-        yield gauge(f"clutch_{name}", text, known, *_CLUTCH_LABELS)
-
-
-def _coefficients(rows: _Rows, records: _Records) -> Iterator[Metric]:
-    known = {key: record for key, record in records.items() if record is not None}
-    for name, field, text in rows:
+    for name, part, field, text in _OF_ESTIMATES:
+        records = {key: getattr(verdict, part) if part else verdict for key, verdict in verdicts.items()}
+        labels = [(symbol,) for symbol in _COEFFICIENTS] if "{}" in field else [()]
         found = {
-            (*key, symbol): getattr(record, field.format(symbol))
-            for key, record in known.items()
-            for symbol in _COEFFICIENTS
+            (*key, *label): getattr(record, field.format(*label))
+            for key, record in records.items()
+            for label in labels
+            if record is not None
         }
-        yield gauge(f"clutch_{name}", text, found, *_CLUTCH_LABELS, "coefficient")
+        known = {key: value for key, value in found.items() if value is not None}
+        yield gauge(f"clutch_{name}", text, known, *_CLUTCH_LABELS, *(["coefficient"] if labels[0] else []))
 
 
 def _key(result: ShiftResult) -> tuple[str, str]:

@@ -39,7 +39,7 @@ from fleet_backend.config import Place
 from fleet_backend.database import transaction
 from fleet_backend.errors import DatabaseError
 from fleet_backend.metrics import shown_at
-from fleet_backend.months.partitions import month_of, partitions
+from fleet_backend.months import month_of, partitions
 from fleet_backend.office_tables import ALARM_MESSAGE, INTAKE
 from fleet_backend.orders import is_alarming_since
 from fleet_backend.page import past

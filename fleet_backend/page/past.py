@@ -10,11 +10,12 @@ from sqlalchemy import Connection, Engine, Interval, Select, and_, func, literal
 
 from fleet_backend import views
 from fleet_backend.database import transaction
-from fleet_backend.months import BLOCK, CLUTCH_BLOCK, has_partitions, months_with
+from fleet_backend.months import CLUTCH_BLOCK, has_partitions, months_with
 from fleet_backend.orders import without_old_fluid
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchAlarm, Quarantined, ShiftAnswer
 from fleet_backend.schema import (
+    BLOCK,
     FRICTION_COLUMNS,
     QUARANTINE,
     REVISION,

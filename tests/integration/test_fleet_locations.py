@@ -10,13 +10,13 @@ from sqlalchemy import Connection, Engine, delete, insert
 from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
-from fleet_backend.months import BLOCK, FILL, keep_months
+from fleet_backend.months import FILL, keep_months
 from fleet_backend.office.retention import retain
 from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT
 from fleet_backend.page import past, running
 from fleet_backend.page.vehicle_state import Stored, state_of
 from fleet_backend.rows import Row
-from fleet_backend.schema import KEY_COLUMNS, SHIFT_RESULT
+from fleet_backend.schema import BLOCK, KEY_COLUMNS, SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 

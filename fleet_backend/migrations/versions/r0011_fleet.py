@@ -281,7 +281,7 @@ WITH streams AS (
 """
 # From those blocks alone that hold such a verdict: each of them and what follows up to one that certainly holds another
 # (there is one version of each result in it, and none that was replaced), if need be in later streams. A block has the
-# 1024 positions of locations.BLOCK. A stream begins at block -1 and cannot go on behind the one of the last position.
+# 1024 positions of schema.BLOCK. A stream begins at block -1 and cannot go on behind the one of the last position.
 _ALARM_HISTORY_BY_BLOCKS: Final = """
 CREATE VIEW clutch_alarm AS
 WITH places AS (
