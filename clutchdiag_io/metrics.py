@@ -33,5 +33,4 @@ class Told(Collector):
         self._tell = tell
 
     def collect(self) -> Iterable[Metric]:
-        """Return the families."""
         return self._tell()

@@ -63,19 +63,19 @@ _MAKE: Final = (
 _COPY: Final = f"COPY {_STAGE} ({_COLUMNS}) FROM STDIN (FORMAT BINARY)"
 _ORDER: Final = ", ".join(_KEY)
 # By months another time of making is another key: such rivals are looked for behind what is new in a stream alone.
-_IS_KEY: Final = " AND ".join(f"r.{name} = s.{name}" for name in KEY_COLUMNS)
 _RIVALS: Final = (
     f"{_STAGE} AS s CROSS JOIN LATERAL ("  # noqa: S608 - our own names
     "SELECT DISTINCT b.month FROM clutch_block AS b WHERE b.vehicle = s.vehicle AND b.stream = s.stream"
     f" AND b.block = s.seq / {BLOCK} AND b.version_rank = s.version_rank AND s.seq <= ("
     "SELECT max(e.last_seq) FROM clutch_stream AS e WHERE e.vehicle = s.vehicle AND e.stream = s.stream)) AS m"
-    f" CROSS JOIN LATERAL (SELECT r.* FROM {SHIFT_RESULT.name} AS r WHERE {_IS_KEY} AND r.produced_at <> s.produced_at"
+    f" CROSS JOIN LATERAL (SELECT r.* FROM {SHIFT_RESULT.name} AS r WHERE r.produced_at <> s.produced_at"
+    " AND (r.vehicle, r.stream, r.seq, r.version_rank) = (s.vehicle, s.stream, s.seq, s.version_rank)"
     " AND r.produced_at >= m.month::timestamp AT TIME ZONE 'UTC'"
     " AND r.produced_at < (m.month + interval '1 month') AT TIME ZONE 'UTC' OFFSET 0) AS r"
 )
 _DROP: Final = (
-    f"DELETE FROM {SHIFT_RESULT.name} AS t USING {_RIVALS} WHERE s.content_digest < r.content_digest AND "  # noqa: S608
-    + " AND ".join(f"t.{name} = r.{name}" for name in _KEY)
+    f"DELETE FROM {SHIFT_RESULT.name} AS t USING {_RIVALS} WHERE s.content_digest < r.content_digest"  # noqa: S608
+    f" AND (t.{', t.'.join(_KEY)}) = (r.{', r.'.join(_KEY)})"
 )
 _YIELD: Final = f"DELETE FROM {_STAGE} AS t USING {_RIVALS} WHERE t.ctid = s.ctid"  # noqa: S608
 _TAKE: Final = (

@@ -8,7 +8,7 @@ from typing import Any, Final
 from wsgiref.types import StartResponse, WSGIEnvironment
 
 from prometheus_client import CollectorRegistry, make_wsgi_app
-from prometheus_client.core import InfoMetricFamily, Metric
+from prometheus_client.core import Metric
 
 from canlog.e2e.e2e_state import E2eState
 from canlog.live import BusState
@@ -106,7 +106,8 @@ def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
         for status in Status
     }
     yield gauge("clutch_verdict", "1 for the verdict on the clutch and its fluid.", states, *_CLUTCH_LABELS, "verdict")
-    yield _advice(snapshot)
+    told = {(*_key(result), snapshot.summary.order.text): 1.0 for result in snapshot.clutches}
+    yield gauge("clutch_advice_info", "What the vehicle is told; the same for both.", told, *_CLUTCH_LABELS, "advice")
     yield counter(
         "clutch_shifts", "Shifts of this run by what their estimate is worth.", counts, *_CLUTCH_LABELS, "status"
     )
@@ -114,17 +115,6 @@ def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
     yield gauge("clutch_last_result_timestamp_seconds", "When the last result was made.", made, *_CLUTCH_LABELS)
     filled = {} if snapshot.fluid is None else {vehicle: datetime.fromisoformat(snapshot.fluid.filled_at).timestamp()}
     yield gauge("fluid_fill_timestamp_seconds", "When the present fluid was filled in.", filled, "vehicle")
-
-
-def _advice(snapshot: Snapshot) -> Metric:
-    family = InfoMetricFamily(
-        "clutchdiag_clutch_advice",
-        "What the vehicle is told, with what each clutch says; the same for both.",
-        labels=_CLUTCH_LABELS,
-    )
-    for result in snapshot.clutches:
-        family.add_metric(_key(result), {"advice": snapshot.summary.order.text})
-    return family
 
 
 def _of_the_estimates(snapshot: Snapshot) -> Iterator[Metric]:
@@ -153,10 +143,7 @@ def _one_of(states: Any, present: Any) -> dict[str, float]:  # noqa: ANN401 - an
 
 @contextmanager
 def serving(address: ListenAddress, board: Board) -> Iterator[int]:
-    """Serve ``/metrics``, ``/livez`` and ``/readyz`` while entered; yield the port.
-
-    Raises ConfigError if the address cannot be listened to.
-    """
+    """Serve ``/metrics``, ``/livez``, ``/readyz`` while entered; yield the port. Raises ConfigError where it cannot."""
     registry = CollectorRegistry()
     registry.register(Told(lambda: () if board.latest is None else families(board.latest)))  # none before the first
     metrics = make_wsgi_app(registry)
