@@ -255,6 +255,28 @@ class Revision:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftQuality:
+    """How well an event went, docs/shift-quality.md; None: its signals do not tell."""
+
+    score: float | None  # 0 to 100, of a gear change
+    reasons: tuple[str, ...] = ()  # the parts that cost a point or more, the dearest first
+    corrections: tuple[str, ...] = ()  # of the first two parts: those that are sure and large enough to be adapted
+    fill_error_s: float | None = None  # by which the on-coming clutch was filled for too short a time
+    touch_error_pa: float | None = None  # by which its touch point is later than the control believes
+    flare_rad_s: float | None = None  # engine speed outside of what lies between both shafts
+    tie_up_nm: float | None = None  # that both clutches carried against each other
+    torque_hole_m_s2: float | None = None  # acceleration below that before and after
+    overtime_s: float | None = None  # from the request to the end of slip, beyond what is intended
+    temperature_rise_k: float | None = None  # that slip makes of the warmer pack, no heat carried away
+    jerk_m_s3: float | None = None
+    lock_rate_rad_s2: float | None = None  # of the slip as it ends
+    std_fill_error_s: float | None = None
+    std_touch_error_pa: float | None = None
+    slip_energy1_j: float | None = None  # of clutch 1
+    slip_energy2_j: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ShiftEstimate:
     """What one shift says about the clutch that engaged."""
 
@@ -284,6 +306,7 @@ class ShiftEstimate:
     end_reason: EndReason | None = None  # how it ended; None in results of older versions
     slope: FrictionSlope | None = None  # in place of friction where the torque is modelled
     revisions: tuple[Revision, ...] = ()  # of earlier events
+    shift_quality: ShiftQuality | None = None  # None in results of older versions, and of what was broken off
 
 
 class Condition(IntEnum):
@@ -348,7 +371,7 @@ _EPOCH: Final = datetime(1970, 1, 1)  # noqa: DTZ001 - UTC, which the text says
 _NS_PER_US: Final = 1000
 _RESULT_KEYS: Final = ("vehicle", "stream", "seq", "produced_at", "algorithm_version", "calibration_version")
 REVISIONS: Final = "revisions"
-_ONLY_WHERE_THERE: Final = frozenset({"slope", REVISIONS})  # keys of a record
+_ONLY_WHERE_THERE: Final = frozenset({"slope", REVISIONS, "shift_quality"})  # keys of a record
 _PUBLIC_NAMES: Final = {"start_ns": "start_bus_ns", "end_ns": "end_bus_ns", "data_quality": "trust"}
 
 

@@ -7,6 +7,7 @@ from clutch_model.calibration import Calibration, TorqueSource
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
 from diag_service.diagnosis.condition.indices import compile_indices, measure
+from diag_service.diagnosis.condition.shift_quality import ShiftScorer
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
@@ -43,6 +44,7 @@ class Stages:
         compile_indices()
         if self.tier is Tier.FRICTION:
             self._estimator.prepare()
+        self._scorer = ShiftScorer(calibration, decoder.gears)
         self._calibration = calibration
         self._basis = QualityBasis(
             mandatory_messages=decoder.mandatory_messages,
@@ -97,11 +99,14 @@ class Stages:
         else:
             estimate = without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
         is_believed = not data.against or estimate.reasons != data.against
+        has_scale = self.tier is Tier.FRICTION and self._calibration.torque is TorqueSource.MEASURED
+        known = state.fusion.knowledge if has_scale else None
         estimate = replace(
             estimate,
             data_quality=data.quality,
             tier=self.tier or Tier.KINEMATIC,
             indices=measure(event, self._calibration) if is_believed else None,
+            shift_quality=self._scorer.score(event, known) if is_believed else None,
         )
         if self.tier is Tier.FRICTION:
             for clutch in (1, 2):

@@ -1,0 +1,416 @@
+"""How well a gear change went: its parts with their units, one score, and what the control would have to adapt.
+
+Parts, weights and their sources: docs/shift-quality.md. Signals that are missing leave parts out; the score is that of
+the others.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple, Self
+
+import numpy as np
+
+from canlog.arrays import FloatArray
+from canlog.jit import array_kernel
+from clutch_model.calibration import Calibration, ClutchCalibration, clutch_of_gear
+from clutch_model.pack import film_law
+from diag_service.diagnosis.alignment import read_samples
+from diag_service.diagnosis.columns import Columns, GearRatios, Signal
+from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.friction.evidence import Knowledge, State
+from diag_service.diagnosis.records import ShiftQuality
+from diag_service.diagnosis.shifts.slip_tracking import LOADED_PA, SLIP_RAD_S
+
+GRID_S = 0.01
+BEFORE_S, AFTER_S = 0.3, 0.1  # of the signals around the event
+NS_PER_S = 1e9
+SLOPE_ROWS = 8  # of the parabola that differentiates the car's speed: 0.08 s on either side
+JERK_ROWS = 10  # 0.1 s, over which a change of acceleration is felt as one
+LOCKED_RAD_S = 2.0  # below it slip has ended
+LANDING_ROWS = 10  # 0.1 s before, whose slope of slip is that at which the clutch locks
+ASKED_NM = 2.0  # above it a clutch is asked to carry
+LEAST_PAIRS = 10  # of commanded torque and pressure, which tell the touch point that a control believes in
+MAP_PA = 0.05e5  # rms: beyond it the command is no straight line of the torque
+PULSE_PA = 1.0e5  # above the touch point, with no torque asked for: the clutch is being filled
+FILLED_ROWS = 4  # before torque is asked for, whose mean pressure tells how full the cavity is
+PRESSURE_PA = 5.0e3  # of a reading, one deviation
+FLOW_STD_RATIO = 0.1  # how well the mean flow of a pulse stands for that of its last milliseconds
+LEAST_CHANGE: Final = {"touch_error_pa": 2.0e3, "fill_error_s": 0.04}  # a smaller one mends nothing that is felt
+USUAL_S = 1.2  # from the request to the end of slip [C]
+INTENDED_S: Final = {EventKind.COAST_SKIP: 1.8, EventKind.POWER_ON_SKIP: 1.8, EventKind.KICKDOWN: 1.5}  # other kinds
+SCORED: Final = frozenset(
+    {EventKind.SHIFT, EventKind.POWER_ON_UPSHIFT, EventKind.POWER_OFF_UPSHIFT, EventKind.COAST_DOWNSHIFT,
+     EventKind.POWER_ON_DOWNSHIFT, *INTENDED_S}
+)  # fmt: skip
+
+
+class Part(NamedTuple):
+    """What a part of the score is worth: up to ``free`` it costs nothing, at ``felt`` its weight."""
+
+    name: str  # of the field of `ShiftQuality`
+    weight: float
+    free: float
+    felt: float
+
+
+PARTS: Final = (
+    Part("jerk_m_s3", 25.0, 12.0, 30.0),
+    Part("torque_hole_m_s2", 15.0, 0.8, 2.0),
+    Part("flare_rad_s", 15.0, 3.0, 15.0),
+    Part("tie_up_nm", 15.0, 8.0, 40.0),
+    Part("fill_error_s", 10.0, 0.04, 0.12),
+    Part("touch_error_pa", 15.0, 0.05e5, 0.2e5),
+    Part("lock_rate_rad_s2", 10.0, 100.0, 400.0),
+    Part("overtime_s", 5.0, 0.1, 0.6),
+    Part("temperature_rise_k", 5.0, 6.0, 30.0),
+)
+
+
+_PUBLIC: Final = (
+    *(part.name for part in PARTS),
+    "std_fill_error_s",
+    "std_touch_error_pa",
+    "slip_energy1_j",
+    "slip_energy2_j",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Pack:
+    """What the calibration says of one clutch."""
+
+    touch_pa: float
+    torque_nm_pa: float  # that it carries per pressure beyond its touch point
+    stroke_pa: float  # by which its spring's pressure grows while its cavity fills
+    heat_j_k: float
+
+    @classmethod
+    def of(cls, clutch: ClutchCalibration) -> Self:
+        film, piston = film_law(clutch), clutch.piston
+        return cls(
+            touch_pa=clutch.touch_pressure_pa,
+            torque_nm_pa=clutch.friction.mu_c * film.contact_factor_m3 * film.piston_area_m2 / film.lining_area_m2,
+            stroke_pa=piston.spring_rate_n_m * piston.fill_stroke_m / film.piston_area_m2,
+            heat_j_k=clutch.thermal.heat_capacity_j_k,
+        )
+
+
+_PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
+_SHAFTS: Final = (Signal.INPUT1_SPEED, Signal.INPUT2_SPEED)
+_COMMANDS: Final = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
+_ASKINGS: Final = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
+_ENGINE, _ON, _OFF, _CAR, _PRESSURE_ON, _PRESSURE_OFF, _COMMAND, _ASKED, _TORQUE, _SLOPE, _ROW_COUNT = range(11)
+
+
+class _Found(NamedTuple):
+    """What the signals of an event tell; NaN: nothing."""
+
+    flare_rad_s: float = math.nan
+    locked_s: float = math.nan  # after the start
+    lock_rate_rad_s2: float = math.nan
+    torque_hole_m_s2: float = math.nan
+    jerk_m_s3: float = math.nan
+    tie_up_nm: float = math.nan
+    energy_on_j: float = math.nan
+    energy_off_j: float = math.nan
+    believed_pa: float = math.nan  # the touch point by which the control commands pressures
+    believed_std_pa: float = math.nan
+    share: float = math.nan  # of the cavity that is full as torque is asked for; above 1: it was too early
+    pulse_s: float = math.nan  # for how long it was being filled
+    early_s: float = math.nan  # by which it was full before the pulse ended; 0: it was not
+
+
+class ShiftScorer:
+    """Says how well the events of one vehicle go.
+
+    Parameters
+    ----------
+    calibration
+        Of the vehicle: touch points, torque per pressure, heat capacities.
+    gears
+        By which the speeds of input shafts are known that the bus does not tell.
+    """
+
+    def __init__(self, calibration: Calibration, gears: GearRatios | None) -> None:
+        self._packs = tuple(_Pack.of(clutch) for clutch in calibration.clutches)
+        self._gears = gears
+        nothing = np.full((_ROW_COUNT, 30), np.nan)
+        _measure(nothing, 15, 20, True, (0.0, 0.0), (0.0, 0.0), 1.0)  # compiled before the first event
+
+    def score(self, event: Event, known: Knowledge | None) -> ShiftQuality | None:
+        """Return how well an event went; None if it was broken off.
+
+        ``known`` are the touch points and the zeros of the pressure sensors; None: what pressures mean is not known.
+        """
+        duration_s = (event.end_ns - event.start_ns) / NS_PER_S
+        if event.end_reason is not EndReason.COMPLETE or duration_s <= 0.0:
+            return None
+        on, off = clutch_of_gear(event.to_gear) - 1, clutch_of_gear(event.from_gear) - 1
+        grid_s = np.arange(-BEFORE_S, duration_s + AFTER_S, GRID_S)
+        rows, packs = np.full((_ROW_COUNT, len(grid_s)), np.nan), (self._packs[on], self._packs[off])
+        self._read_speeds(event, (on, off), grid_s, rows)
+        touch_pa = packs[0].touch_pa, packs[1].touch_pa
+        if known is not None:
+            self._read_pressures(event, (on, off), grid_s, rows, known)
+            touch_pa = (
+                touch_pa[0] + float(known.mean[State.TOUCH1 + on]),
+                touch_pa[1] + float(known.mean[State.TOUCH1 + off]),
+            )
+        first, stop = round(BEFORE_S / GRID_S), round((BEFORE_S + duration_s) / GRID_S)
+        torque_nm_pa = packs[0].torque_nm_pa, packs[1].torque_nm_pa
+        found = _Found(*_measure(rows, first, stop, on != off, touch_pa, torque_nm_pa, packs[0].stroke_pa))
+        adaptable = {} if known is None else self._adaptable(on, found, touch_pa[0], known)
+        return _judged(event, found, adaptable, packs, is_second=on == 1)
+
+    def _read_speeds(self, event: Event, clutches: tuple[int, int], grid_s: FloatArray, rows: FloatArray) -> None:
+        """Fill in the speeds of engine, both shafts and the car."""
+        columns, start_ns = event.columns, event.start_ns
+        if not _read(columns, Signal.HUB_SPEED, start_ns, grid_s, rows[_ENGINE]):
+            _read(columns, Signal.ENGINE_SPEED, start_ns, grid_s, rows[_ENGINE])
+        gears, over = self._gears, None
+        for row, clutch, gear in zip((_ON, _OFF), clutches, (event.to_gear, event.from_gear), strict=True):
+            if _read(columns, _SHAFTS[clutch], start_ns, grid_s, rows[row]) or gears is None:
+                continue
+            if over is None:
+                over = np.full(len(grid_s), np.nan)
+                _read(columns, gears.over, start_ns, grid_s, over)
+            if 1 <= gear <= len(gears.ratios):
+                rows[row] = gears.ratios[gear - 1] * over
+        speed = columns.get(Signal.VEHICLE_SPEED)
+        if speed is None or not len(speed.value):
+            return
+        if _read(columns, Signal.OUTPUT_SPEED, start_ns, grid_s, rows[_CAR]):  # finer than the car's own
+            turning = float(rows[_CAR].mean())
+            rows[_CAR] *= float(speed.value.mean()) / turning if turning > 1.0 else math.nan
+        else:
+            _read(columns, Signal.VEHICLE_SPEED, start_ns, grid_s, rows[_CAR])
+
+    def _read_pressures(
+        self, event: Event, clutches: tuple[int, int], grid_s: FloatArray, rows: FloatArray, known: Knowledge
+    ) -> None:
+        """Fill in pressures, freed of their sensors' zeros, commands and the engine's torque."""
+        for row, clutch in zip((_PRESSURE_ON, _PRESSURE_OFF), clutches, strict=True):
+            if _read(event.columns, _PRESSURES[clutch], event.start_ns, grid_s, rows[row]):
+                rows[row] -= known.mean[State.ZERO1 + clutch]
+        for row, signal in ((_COMMAND, _COMMANDS[clutches[0]]), (_ASKED, _ASKINGS[clutches[0]]),
+                            (_TORQUE, Signal.ENGINE_TORQUE)):  # fmt: skip
+            _read(event.columns, signal, event.start_ns, grid_s, rows[row])
+
+    def _adaptable(self, on: int, found: _Found, touch_pa: float, known: Knowledge) -> dict[str, tuple[float, float]]:
+        """Return what could be adapted of the on-coming clutch, by part: value and deviation."""
+        adaptable = {}
+        std_pa = math.sqrt(known.covariance[State.TOUCH1 + on, State.TOUCH1 + on])
+        if math.isfinite(found.believed_pa):
+            adaptable["touch_error_pa"] = touch_pa - found.believed_pa, math.hypot(std_pa, found.believed_std_pa)
+        if math.isfinite(found.share):
+            s_per_share = found.pulse_s / max(found.share, 0.1)
+            longer_s = -found.early_s if found.share >= 1.0 else (1.0 - found.share) * s_per_share
+            read_std = math.hypot(std_pa, PRESSURE_PA / math.sqrt(FILLED_ROWS)) / self._packs[on].stroke_pa
+            adaptable["fill_error_s"] = longer_s, math.hypot(read_std * s_per_share, FLOW_STD_RATIO * longer_s, GRID_S)
+        return adaptable
+
+
+def _read(columns: Columns, signal: Signal, start_ns: int, grid_s: FloatArray, row: FloatArray) -> bool:
+    """Fill in a signal on the grid, and tell whether it is there."""
+    series = columns.get(signal)
+    if series is None or len(series.t_ns) < 2:
+        return False
+    read_samples(series.t_ns, series.value, start_ns, NS_PER_S, grid_s, row)
+    return True
+
+
+def _judged(
+    event: Event,
+    found: _Found,
+    adaptable: dict[str, tuple[float, float]],
+    packs: tuple[_Pack, _Pack],
+    *,
+    is_second: bool,
+) -> ShiftQuality:
+    """Return the parts of an event, what they cost, and what of the control is wrong for sure."""
+    energies_j = found.energy_on_j, found.energy_off_j
+    told: dict[str, float] = {
+        **found._asdict(),
+        **{name: value for name, (value, _) in adaptable.items()},
+        **{f"std_{name}": std for name, (_, std) in adaptable.items()},
+        "overtime_s": max(found.locked_s - INTENDED_S.get(event.kind, USUAL_S), 0.0 * found.locked_s),
+        "temperature_rise_k": max(energies_j[0] / packs[0].heat_j_k, energies_j[1] / packs[1].heat_j_k),
+        "slip_energy1_j": energies_j[is_second],
+        "slip_energy2_j": energies_j[not is_second],
+    }
+    parts = {name: float(told[name]) for name in _PUBLIC if math.isfinite(told.get(name, math.nan))}
+    costs = {
+        part.name: part.weight * max(abs(parts[part.name]) - part.free, 0.0) / (part.felt - part.free)
+        for part in PARTS
+        if part.name in parts
+    }
+    weight = sum(part.weight for part in PARTS if part.name in costs)
+    if not weight or event.kind not in SCORED:
+        return ShiftQuality(score=None, **parts)
+    return ShiftQuality(
+        score=100.0 * math.exp(-sum(costs.values()) / weight),
+        reasons=tuple(sorted((name for name in costs if costs[name] >= 0.01 * weight), key=lambda name: -costs[name])),
+        corrections=tuple(
+            name for name, (value, std) in adaptable.items() if abs(value) > max(2.0 * std, LEAST_CHANGE[name])
+        ),
+        **parts,
+    )
+
+
+@array_kernel
+def _mean(row: FloatArray, first: int, stop: int) -> float:
+    """Return the mean of some rows."""
+    total = 0.0
+    for place in range(first, stop):
+        total += row[place]
+    return total / max(stop - first, 1)
+
+
+@array_kernel
+def _differentiate(car_m_s: FloatArray, slopes: FloatArray) -> None:
+    """Fill in the slope of a straight line around each row [m/s2]; near both ends it stays."""
+    square = 0.0
+    for k in range(-SLOPE_ROWS, SLOPE_ROWS + 1):
+        square += k * k
+    for row in range(SLOPE_ROWS, len(car_m_s) - SLOPE_ROWS):
+        moment = 0.0
+        for k in range(-SLOPE_ROWS, SLOPE_ROWS + 1):
+            moment += k * car_m_s[row + k]
+        slopes[row] = moment / square / GRID_S
+
+
+@array_kernel
+def _speeds_told(rows: FloatArray, first: int, stop: int, is_handover: bool) -> tuple[float, float, float]:  # noqa: FBT001
+    """Return flare [rad/s], when slip ended [s], and how fast it did [rad/s2]."""
+    engine, on, off = rows[_ENGINE], rows[_ON], rows[_OFF]
+    flare, peak, at = np.nan, 0.0, -1
+    for row in range(first, stop):
+        slip = abs(engine[row] - on[row])
+        if slip > peak:
+            peak, at = slip, row
+        if is_handover:
+            beyond, within = 0.0, row - 1
+            for place in range(within, within + 3):
+                low, high = min(on[place], off[place]), max(on[place], off[place])
+                beyond += max(engine[place] - high, low - engine[place], 0.0) / 3.0
+            flare = beyond if beyond >= 0.0 and not flare > beyond else flare
+    if at < 0 or peak < SLIP_RAD_S:
+        return flare, np.nan, np.nan
+    row = at
+    while row < stop and abs(engine[row] - on[row]) >= LOCKED_RAD_S:
+        row += 1
+    if row == stop:
+        return flare, np.nan, np.nan
+    moment, square, middle = 0.0, 0.0, 0.5 * (LANDING_ROWS - 1)
+    for k in range(LANDING_ROWS):
+        place = row - LANDING_ROWS + k
+        moment += (k - middle) * abs(engine[place] - on[place])
+        square += (k - middle) ** 2
+    return flare, (row - first) * GRID_S, max(-moment / square / GRID_S, 0.0)
+
+
+@array_kernel
+def _car_told(slopes: FloatArray, first: int, stop: int) -> tuple[float, float]:
+    """Return by how much the car's acceleration fell below that before and after [m/s2], and its jerk [m/s3]."""
+    end = min(stop + 1, len(slopes) - SLOPE_ROWS)
+    level = min(_mean(slopes, SLOPE_ROWS, first - SLOPE_ROWS // 2), _mean(slopes, end - SLOPE_ROWS, end))
+    hole, jerk = 0.0, 0.0
+    for row in range(first, end):
+        hole = max(hole, level - slopes[row])
+        jerk = max(jerk, abs(slopes[row] - slopes[row - JERK_ROWS]) / (JERK_ROWS * GRID_S))
+    return (np.nan, np.nan) if math.isnan(level) else (hole, jerk)
+
+
+@array_kernel
+def _loads_told(
+    rows: FloatArray,
+    first: int,
+    stop: int,
+    is_handover: bool,  # noqa: FBT001
+    touch_pa: tuple[float, float],
+    torque_nm_pa: tuple[float, float],
+) -> tuple[float, float, float]:
+    """Return what both clutches carried against each other [N m], and the slip energy of each [J]."""
+    tie_up, energy_on, energy_off = np.nan, 0.0, 0.0
+    if math.isnan(rows[_PRESSURE_ON, first]):
+        return tie_up, np.nan, np.nan
+    for row in range(first, stop):
+        on_pa = _mean(rows[_PRESSURE_ON], row - 1, row + 2) - touch_pa[0]
+        off_pa = _mean(rows[_PRESSURE_OFF], row - 1, row + 2) - touch_pa[1]
+        on_nm, off_nm = max(on_pa, 0.0) * torque_nm_pa[0], max(off_pa, 0.0) * torque_nm_pa[1]
+        on_slip = abs(rows[_ENGINE, row] - rows[_ON, row])
+        energy_on += on_nm * on_slip * GRID_S if on_slip > LOCKED_RAD_S else 0.0
+        if is_handover:
+            off_slip = abs(rows[_ENGINE, row] - rows[_OFF, row])
+            energy_off += off_nm * off_slip * GRID_S if off_slip > LOCKED_RAD_S and off_pa > LOADED_PA else 0.0
+            both_nm = min(on_nm - abs(_mean(rows[_TORQUE], row - 2, row + 3)), off_nm if off_pa > LOADED_PA else 0.0)
+            if not math.isnan(both_nm) and not tie_up > both_nm:
+                tie_up = max(both_nm, 0.0)
+    return tie_up, energy_on, energy_off
+
+
+@array_kernel
+def _map_told(rows: FloatArray, stop: int) -> tuple[float, float]:
+    """Return the pressure at which the control believes that the clutch carries nothing [Pa], and its deviation."""
+    command, asked = rows[_COMMAND], rows[_ASKED]
+    count, x1, x2, y1, y2, xy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for row in range(1, stop - 1):
+        is_steady = abs(asked[row + 1] - asked[row - 1]) < 15.0  # commands of two messages, a row apart
+        if is_steady and asked[row] > ASKED_NM and asked[row - 1] > ASKED_NM and asked[row + 1] > ASKED_NM:
+            count, x1, y1 = count + 1, x1 + asked[row], y1 + command[row]
+            x2, y2, xy = x2 + asked[row] ** 2, y2 + command[row] ** 2, xy + asked[row] * command[row]
+    if count < LEAST_PAIRS:
+        return np.nan, np.nan
+    x1, y1 = x1 / count, y1 / count
+    across = x2 / count - x1 * x1
+    if not across > 100.0:  # 10 N m
+        return np.nan, np.nan
+    slope = (xy / count - x1 * y1) / across
+    rms = math.sqrt(max(y2 / count - y1 * y1 - slope * slope * across, 0.0))
+    if rms > MAP_PA:
+        return np.nan, np.nan
+    return y1 - slope * x1, rms * math.sqrt((1.0 + x1 * x1 / across) / count) + 500.0  # half a step of the command
+
+
+@array_kernel
+def _fill_told(
+    rows: FloatArray, first: int, stop: int, touch_pa: float, stroke_pa: float
+) -> tuple[float, float, float]:
+    """Return how full the cavity is as torque is asked for, for how long it was filled, and how much too long [s]."""
+    command, asked, pressure = rows[_COMMAND], rows[_ASKED], rows[_PRESSURE_ON]
+    row, pulse, ended, full = first, 0, first, -1
+    while row < stop and not (asked[row] >= ASKED_NM and pulse > 0):
+        if asked[row] < ASKED_NM and command[row] > touch_pa + PULSE_PA:
+            pulse, ended = pulse + 1, row + 1
+        if full < 0 and pressure[row] > touch_pa + LOADED_PA and pressure[row + 1] > touch_pa + LOADED_PA:
+            full = row if pulse > 0 else -1
+        row += 1
+    if row >= stop or pulse == 0:
+        return np.nan, np.nan, np.nan
+    if full >= 0:
+        return 1.0, pulse * GRID_S, max((ended - full) * GRID_S, 0.0)
+    short_pa = touch_pa - _mean(pressure, row - FILLED_ROWS, row)
+    return 1.0 - max(short_pa, 0.0) / stroke_pa, pulse * GRID_S, 0.0
+
+
+@array_kernel
+def _measure(
+    rows: FloatArray,
+    first: int,
+    stop: int,
+    is_handover: bool,  # noqa: FBT001 - a compiled function
+    touch_pa: tuple[float, float],
+    torque_nm_pa: tuple[float, float],
+    stroke_pa: float,
+) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]:
+    """Return the fields of `_Found`; the event lasts from row ``first`` to before ``stop``."""
+    flare, locked_s, lock_rate = _speeds_told(rows, first, stop, is_handover)
+    _differentiate(rows[_CAR], rows[_SLOPE])
+    hole, jerk = _car_told(rows[_SLOPE], first, stop)
+    tie_up, energy_on, energy_off = _loads_told(rows, first, stop, is_handover, touch_pa, torque_nm_pa)
+    believed, believed_std = _map_told(rows, stop)
+    share, pulse_s, early_s = _fill_told(rows, first, stop, touch_pa[0], stroke_pa)
+    return (
+        flare, locked_s, lock_rate, hole, jerk, tie_up, energy_on, energy_off, believed, believed_std, share, pulse_s,
+        early_s,
+    )  # fmt: skip
