@@ -93,7 +93,7 @@ def flattened(record: Mapping[str, object], prefix: str = "") -> dict[str, objec
         if isinstance(value, Mapping):
             flat |= flattened(value, f"{prefix}{key}.")
         else:
-            flat[f"{prefix}{key}"] = ";".join(map(str, value)) if isinstance(value, list) else value
+            flat[f"{prefix}{key}"] = ";".join(map(str, value)) if isinstance(value, list | tuple) else value
     return flat
 
 

@@ -18,7 +18,7 @@ from diag_service.diagnosis.alignment import read_samples
 from diag_service.diagnosis.columns import Columns, GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.friction.evidence import Knowledge, State
-from diag_service.diagnosis.records import ShiftQuality
+from diag_service.diagnosis.records import ShiftQuality, from_plain
 from diag_service.diagnosis.shifts.slip_tracking import LOADED_PA, SLIP_RAD_S
 
 GRID_S = 0.01
@@ -245,16 +245,16 @@ def _judged(
         if part.name in parts
     }
     weight = sum(part.weight for part in PARTS if part.name in costs)
-    if not weight or event.kind not in SCORED:
-        return ShiftQuality(score=None, **parts)
-    return ShiftQuality(
-        score=100.0 * math.exp(-sum(costs.values()) / weight),
-        reasons=tuple(sorted((name for name in costs if costs[name] >= 0.01 * weight), key=lambda name: -costs[name])),
-        corrections=tuple(
+    record: dict[str, object] = {"score": None, **parts}
+    if weight and event.kind in SCORED:
+        record["score"] = 100.0 * math.exp(-sum(costs.values()) / weight)
+        record["reasons"] = sorted(
+            (name for name in costs if costs[name] >= 0.01 * weight), key=lambda name: -costs[name]
+        )
+        record["corrections"] = [
             name for name, (value, std) in adaptable.items() if abs(value) > max(2.0 * std, LEAST_CHANGE[name])
-        ),
-        **parts,
-    )
+        ]
+    return from_plain(record, ShiftQuality)
 
 
 @array_kernel

@@ -14,6 +14,7 @@ from diag_service.diagnosis.records import (
     FrictionSlope,
     Reason,
     ServiceStatus,
+    ShiftQuality,
     Status,
     clutch_record,
     dump,
@@ -43,7 +44,17 @@ MODELLED = replace(
     estimate=replace(shift_result().estimate, friction=None, slope=SLOPE),
     verdict=replace(shift_result().verdict, friction=None, level_ratio=None, slope=SLOPE),
 )
+SCORED = replace(
+    shift_result(),
+    estimate=replace(
+        shift_result().estimate,
+        shift_quality=ShiftQuality(
+            score=87.5, reasons=("flare_rad_s",), corrections=("fill_error_s",), flare_rad_s=9.0
+        ),
+    ),
+)
 RECORDS = [
+    pytest.param("shift", shift_record(SCORED), id="shift with its quality"),
     pytest.param("shift", shift_record(MODELLED), id="shift of a modelled torque"),
     pytest.param("clutch", clutch_record(shift_record(MODELLED)), id="clutch of a modelled torque"),
     pytest.param("shift", shift_record(shift_result()), id="shift"),
@@ -62,7 +73,7 @@ def test_records_are_what_the_schema_describes(name: str, record: dict[str, obje
     Draft202012Validator(description).validate(json.loads(dump(record)))
     names = list(description["properties"])  # type: ignore[call-overload]
     assert list(record) == [
-        name for name in names if name not in {"slope", "revisions"} or record.get(name)
+        name for name in names if name not in {"slope", "revisions", "shift_quality"} or record.get(name)
     ]  # keys and their order
 
 
@@ -103,7 +114,7 @@ def test_a_slope_needs_no_scale_and_a_measured_torque_none() -> None:
     assert "slope" not in clutch_record(shift_record(shift_result()))
 
 
-@pytest.mark.parametrize("result", [shift_result(3, to_gear=5), rejected(shift_result()), MODELLED])
+@pytest.mark.parametrize("result", [shift_result(3, to_gear=5), rejected(shift_result()), MODELLED, SCORED])
 def test_a_shift_survives_the_round_trip_to_the_bit(result: object) -> None:
     assert isinstance(result, type(shift_result()))
     assert parse_shift(dump(shift_record(result))) == result

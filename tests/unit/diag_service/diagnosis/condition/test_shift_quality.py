@@ -1,0 +1,163 @@
+"""The quality of a made-up upshift whose every part is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from canlog.arrays import FloatArray, Series
+from clutch_model.calibration import nominal_calibration
+from clutch_model.pack import film_law
+from diag_service.diagnosis.columns import GearRatios, Signal
+from diag_service.diagnosis.condition.shift_quality import PARTS, ShiftScorer
+from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.friction import Posterior
+from diag_service.diagnosis.records import ShiftQuality
+
+CALIBRATION = nominal_calibration()
+KNOWN = Posterior.fresh(CALIBRATION).fusion.knowledge
+TOUCH_PA = CALIBRATION.clutches[1].touch_pressure_pa
+STEP_NS, START_NS = 10_000_000, 1_000_000_000
+T_S = np.arange(-0.5, 1.3, 0.01)
+END_S, HANDED_S, LOCKED_S = 1.2, 0.5, 0.9
+OLD_RAD_S, NEW_RAD_S = 300.0, 240.0
+BAR_PA = 1e5
+ENGINE = np.interp(T_S, [HANDED_S, LOCKED_S - 0.2, LOCKED_S], [OLD_RAD_S, NEW_RAD_S + 8.0, NEW_RAD_S])
+FILM = film_law(CALIBRATION.clutches[1])
+NM_PER_PA = 0.140 * FILM.contact_factor_m3 * FILM.piston_area_m2 / FILM.lining_area_m2
+ASKED_NM = np.interp(T_S, [0.2, HANDED_S], [0.0, 100.0])
+
+
+def event(**changed: FloatArray | float | None) -> Event:
+    """Return a change from gear 1 to 2; signals by the names of their members, None takes one away."""
+    on_pa = TOUCH_PA + ASKED_NM / NM_PER_PA
+    filling = (T_S >= 0.0) & (T_S < 0.15)
+    told: dict[str, FloatArray | float | None] = {
+        "ENGINE_SPEED": ENGINE,
+        "INPUT1_SPEED": OLD_RAD_S,
+        "INPUT2_SPEED": NEW_RAD_S,
+        "OUTPUT_SPEED": 100.0 + 10.0 * T_S,
+        "VEHICLE_SPEED": 8.0 + 0.8 * T_S,
+        "ENGINE_TORQUE": 100.0,
+        "CLUTCH1_PRESSURE": np.where(T_S < HANDED_S, 2.0 * BAR_PA, 0.0),
+        "CLUTCH2_PRESSURE": np.where(T_S < 0.0, 0.0, on_pa),
+        "CLUTCH2_PRESSURE_COMMAND": np.where(filling, 7.0 * BAR_PA, np.where(T_S < 0.0, 0.0, on_pa)),
+        "CLUTCH2_TORQUE_COMMAND": ASKED_NM,
+    } | changed
+    series = {
+        Signal[name]: Series(
+            t_ns=START_NS + np.rint(T_S * 1e9).astype(np.int64),
+            sequence=np.arange(len(T_S)),
+            value=np.broadcast_to(np.asarray(value, np.float64), T_S.shape).copy(),
+        )
+        for name, value in told.items()
+        if value is not None
+    }
+    return Event(
+        kind=EventKind.POWER_ON_UPSHIFT,
+        number=1,
+        from_gear=1,
+        to_gear=2,
+        start_ns=START_NS,
+        end_ns=START_NS + round(END_S * 1e9),
+        end_reason=EndReason.COMPLETE,
+        columns=series,
+        bad_frame_count=0,
+    )
+
+
+def quality(given: Event, gears: GearRatios | None = None, *, has_scale: bool = True) -> ShiftQuality:
+    found = ShiftScorer(CALIBRATION, gears).score(given, KNOWN if has_scale else None)
+    assert found is not None
+    return found
+
+
+def test_a_faultless_change_has_all_parts_and_costs_nothing() -> None:
+    found = quality(event())
+    assert found.score == pytest.approx(100.0)
+    assert (found.reasons, found.corrections) == ((), ())
+    assert all(getattr(found, part.name) is not None for part in PARTS)
+    assert found.lock_rate_rad_s2 == pytest.approx(40.0, abs=2.0)
+    assert found.overtime_s == 0.0
+    assert found.touch_error_pa == pytest.approx(0.0, abs=100.0)
+
+
+def test_slip_becomes_heat_of_the_clutch_that_slipped() -> None:
+    found = quality(event())
+    slipping = (T_S > 0.0) & (T_S < END_S)
+    expected_j = float(np.sum((ASKED_NM * (ENGINE - NEW_RAD_S))[slipping]) * 0.01)
+    assert found.slip_energy2_j == pytest.approx(expected_j, rel=0.02)
+    assert found.slip_energy1_j == 0.0
+    assert found.temperature_rise_k == pytest.approx(
+        expected_j / CALIBRATION.clutches[1].thermal.heat_capacity_j_k, rel=0.02
+    )
+
+
+def test_an_engine_that_runs_away_is_a_flare() -> None:
+    flare = 20.0 * np.exp(-(((T_S - 0.4) / 0.08) ** 2))
+    found = quality(event(ENGINE_SPEED=ENGINE + flare))
+    assert found.flare_rad_s == pytest.approx(20.0, abs=1.0)
+    assert found.reasons[0] == "flare_rad_s"
+    assert found.score is not None
+    assert found.score < 90.0
+
+
+def test_both_clutches_carry_against_each_other() -> None:
+    both_pa = np.where((T_S > 0.3) & (T_S < 0.5), TOUCH_PA + 150.0 / NM_PER_PA, TOUCH_PA)
+    found = quality(event(CLUTCH2_PRESSURE=both_pa, CLUTCH1_PRESSURE=4.0 * BAR_PA))
+    assert found.tie_up_nm == pytest.approx(50.0, abs=2.0)
+    assert "tie_up_nm" in found.reasons
+
+
+def test_a_hole_in_the_acceleration_is_as_deep_as_it_is_and_jerks() -> None:
+    slope_m_s2 = np.where((T_S > 0.4) & (T_S < 0.8), -2.2, 0.8)
+    car_m_s = 8.0 + np.cumsum(slope_m_s2) * 0.01
+    found = quality(event(OUTPUT_SPEED=None, VEHICLE_SPEED=car_m_s))
+    assert found.torque_hole_m_s2 == pytest.approx(3.0, abs=0.1)
+    assert found.jerk_m_s3 == pytest.approx(23.4, rel=0.03)  # 78 % of a step in 0.1 s, through a window of 0.17 s
+    assert found.reasons[0] == "torque_hole_m_s2"
+
+
+def test_a_touch_point_that_the_control_has_wrong_is_named_with_its_size() -> None:
+    off_pa = 0.3 * BAR_PA
+    command = np.where(T_S < 0.2, 0.0, TOUCH_PA - off_pa + ASKED_NM / NM_PER_PA)
+    found = quality(event(CLUTCH2_PRESSURE_COMMAND=command))
+    assert found.touch_error_pa == pytest.approx(off_pa, abs=0.01 * BAR_PA)
+    assert found.std_touch_error_pa is not None
+    assert found.corrections == ("touch_error_pa",)
+
+
+def test_a_cavity_that_is_not_full_in_time_was_filled_for_too_short_a_time() -> None:
+    piston, area_m2 = CALIBRATION.clutches[1].piston, CALIBRATION.clutches[1].geometry.piston_area_m2
+    half_pa = TOUCH_PA - 0.5 * piston.spring_rate_n_m * piston.fill_stroke_m / area_m2
+    found = quality(event(CLUTCH2_PRESSURE=np.where(T_S < 0.25, half_pa, TOUCH_PA + ASKED_NM / NM_PER_PA)))
+    assert found.fill_error_s == pytest.approx(0.15, abs=0.02)  # as long again as the pulse
+    assert found.corrections == ("fill_error_s",)
+    early = np.where((T_S > 0.05) & (T_S < 0.15), 4.0 * BAR_PA, TOUCH_PA + ASKED_NM / NM_PER_PA)
+    assert quality(event(CLUTCH2_PRESSURE=early)).fill_error_s == pytest.approx(-0.1, abs=0.02)
+
+
+def test_what_signals_do_not_tell_is_left_out() -> None:
+    found = quality(event(CLUTCH1_PRESSURE=None, CLUTCH2_PRESSURE=None), has_scale=False)
+    assert (found.tie_up_nm, found.fill_error_s, found.touch_error_pa, found.slip_energy2_j) == (None,) * 4
+    assert found.score == pytest.approx(100.0)
+    assert found.flare_rad_s is not None
+    speeds = quality(event(OUTPUT_SPEED=None, VEHICLE_SPEED=None), has_scale=False)
+    assert (speeds.jerk_m_s3, speeds.torque_hole_m_s2) == (None, None)
+    assert speeds.lock_rate_rad_s2 == found.lock_rate_rad_s2
+
+
+def test_ratios_stand_in_for_shafts_that_no_signal_tells() -> None:
+    gears = GearRatios(over=Signal.OUTPUT_SPEED, ratios=(3.0, 2.4))
+    given = event(INPUT1_SPEED=None, INPUT2_SPEED=None, OUTPUT_SPEED=100.0, VEHICLE_SPEED=8.0)
+    assert quality(given, gears).flare_rad_s == quality(event()).flare_rad_s
+    assert quality(given).flare_rad_s is None
+
+
+def test_what_is_no_gear_change_has_no_score_and_what_was_broken_off_nothing() -> None:
+    launch = replace(event(), kind=EventKind.LAUNCH, from_gear=2)
+    found = quality(launch)
+    assert (found.score, found.reasons, found.flare_rad_s, found.tie_up_nm) == (None, (), None, None)
+    assert found.slip_energy2_j == quality(event()).slip_energy2_j
+    broken = replace(event(), end_reason=EndReason.ABANDONED)
+    assert ShiftScorer(CALIBRATION, None).score(broken, KNOWN) is None
