@@ -20,8 +20,8 @@ ROOT: Final = Path(__file__).parents[2]
 WRITTEN_BY_PROGRAMS: Final = frozenset({"docs/mismatch.md", "docs/verdict-operating-curve.md"})
 LONG_WORDS: Final = 35  # of a sentence
 _GENERATED: Final = re.compile(r"<!-- (?!end)[\w -]+ -->.*?<!-- end -->", re.DOTALL)
-_CODE: Final = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
-_NO_PROSE: Final = re.compile(r"^(?:#|\||!\[| {4}\S|---).*$", re.MULTILINE)  # headings, tables, pictures, equations
+_CODE: Final = re.compile(r"^( *)```.*?^\1```", re.DOTALL | re.MULTILINE)
+_NO_PROSE: Final = re.compile(r"^(?:#| *\||!\[| {4}\S|---).*$", re.MULTILINE)  # headings, tables, pictures, equations
 _LINK: Final = re.compile(r"\[([^\]]*)\]\([^)]*\)")
 _SENTENCE_END: Final = re.compile(r"(?<=[.!?:])\s+(?=[A-Z`*\[(\d])|\n\s*\n|\n\s*(?:[-*]|\d+\.)\s+")
 _WORD: Final = re.compile(r"[A-Za-z][A-Za-z'-]*")
