@@ -91,13 +91,15 @@ _DRIVE: Final = (
     Option("--endless", "drive again and again until stopped"),
     Option(
         "--oil-degc T",
-        "temperature of the transmission oil when the drive begins; coolant and air are at most as warm",
+        "temperature of the transmission oil when the drive begins; coolant and air are at most as warm; the shift "
+        "cycle needs 40 degC",
         _between(*OIL_RANGE_DEGC, "degC"),
     ),
     Option("--mass-kg M", "override the mass of the car", _between(*MASS_RANGE_KG, "kg")),
     Option(
         "--odometer KM|TRUTH",
-        "what the odometer reads at the start [km], or the truth file of the drive before, from whose end it goes on",
+        "what the odometer reads at the start [km], or the truth file of the drive before, from whose end it goes on "
+        "(default: 12345)",
     ),
     Option(
         "--routine [OPEN[,CLOSED]]",
@@ -130,7 +132,8 @@ _RUN: Final = Command(
     Option("--start-delay S", "wait before the first frame", _between(*DELAY_RANGE_S, "s"), default="0"),
     Option(
         "--parked S",
-        "while the car is parked the bus is silent for at most this long; it cools down for all of its stay",
+        "while the car is parked the bus is silent for at most this long; it cools down for all of its stay "
+        f"(default: {LIVE_PARKED_S:g})",
         _between(*PARKED_RANGE_S, "s"),
         default=f"{LIVE_PARKED_S:g}",
     ),
