@@ -1,7 +1,7 @@
 """Everything that a prognosis assumes beyond the results, as numbers.
 
-How the rate wanders, bends, random wear, powers of the work and the future load were tuned on simulated lives with seeds
-below 2000; all else is chosen by reasoning: usual losses are usual intervals of change, with room on both sides.
+How the rate wanders, bends, random wear, powers of the work and the future load were tuned on simulated lives (seeds
+below 2000); all else is chosen by reasoning: usual losses are usual intervals of change, with room on both sides.
 
 Margin is ``mu_C - mu_S`` over that of new fluid: 1 when new, 0 where the slope turns. Level: ``mu_C`` over that of new.
 """
