@@ -1,5 +1,7 @@
 """A line per shift and a closing table, for people."""
 
+import re
+
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -51,12 +53,18 @@ def reason_words(estimate: ShiftEstimate) -> str:
     return ", ".join(_reason_word(reason, estimate) for reason in estimate.reasons)
 
 
+def part_words(name: str) -> str:
+    """Return the name of a part of a score for people: without its unit."""
+    return _UNIT.sub("", name).replace("_", " ")
+
+
 def _reason_word(reason: Reason, estimate: ShiftEstimate) -> str:
     if reason is Reason.FEW_SAMPLES:
         return f"not enough samples in the slip ({estimate.sample_count} of at least {LEAST_SLIP_ROWS})"
     return reason.value.replace("_", " ")
 
 
+_UNIT = re.compile(r"_(s|pa|nm|k|rad_s2?|m_s[23])$")
 _CONDITION_STYLE = {
     Condition.NO_VERDICT: "dim",
     Condition.GOOD: "green",

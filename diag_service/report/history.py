@@ -8,8 +8,10 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from clutch_model.units import degc_from_k
 from clutchdiag_io.pages.content import spread
-from diag_service.delivery.console import condition_words, order_lines
+from diag_service.delivery.console import condition_words, order_lines, part_words
+from diag_service.diagnosis.condition.shift_course import COURSE_COUNT, correction_lines, courses, loads
 from diag_service.diagnosis.prognosis import Population, history_of, prognose, without
 from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.records import (
@@ -112,6 +114,39 @@ def history_lines(
             continue
         yield _fluid_table(clutch, periods)
         yield _event_table(clutch, rows, most_rows)
+    yield from _course(found)
+
+
+def _course(found: Findings) -> Iterator[Text | Table]:
+    """Yield how well the gear changes went, if that is known, and what a control should adapt."""
+    known = courses(found.results)
+    if not known:
+        return
+    table = _table("How well it shifts: scores by kind, gears and oil; 100 is faultless")
+    for name in (
+        "change",
+        "gears",
+        "count",
+        f"first {COURSE_COUNT}",
+        f"last {COURSE_COUNT}",
+        "cold",
+        "warm",
+        "hot",
+        "costs",
+    ):
+        table.add_column(name, justify="left" if name in {"change", "costs"} else "right", no_wrap=True)
+    for one in known:
+        scores = (_NONE if score is None else f"{score:.0f}" for score in (one.first, one.last, *one.by_oil))
+        kind, gears = one.kind.value.replace("_", " "), f"{one.from_gear}-{one.to_gear}"
+        table.add_row(kind, gears, str(one.count), *scores, part_words(one.reason) or _NONE)
+    yield table
+    yield from (Text(f"Adapt {line}.") for line in correction_lines(found.results))
+    for load in [] if found.calibration is None else loads(found.results, found.calibration):
+        hottest = "" if load.peak_k is None else f", at most {degc_from_k(load.peak_k):.0f} °C"
+        yield Text(
+            f"Clutch {load.clutch} turned {load.energy_j / 1e6:.2f} MJ into heat in {sum(load.counts)} events, "
+            f"{load.launch_count} of them launches{hottest}: {load.life_ratio:.4%} of its lining's life, as an index."
+        )
 
 
 def _outlook(found: Findings, population: Population | None) -> Text:

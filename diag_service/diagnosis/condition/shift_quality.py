@@ -5,6 +5,7 @@ the others.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Self
 
@@ -135,20 +136,20 @@ class ShiftScorer:
         self._packs = tuple(_Pack.of(clutch) for clutch in calibration.clutches)
         self._gears = gears
         nothing = np.full((_ROW_COUNT, 30), np.nan)
-        _measure(nothing, 15, 20, True, (0.0, 0.0), (0.0, 0.0), 1.0)  # compiled before the first event
+        _measure(nothing, 15, 20, True, 0.0, (0.0, 0.0), (0.0, 0.0), 1.0)  # compiled before the first event
 
     def score(self, event: Event, known: Knowledge | None) -> ShiftQuality | None:
-        """Return how well an event went; None if it was broken off.
+        """Return how well an event went; None if the stream broke off.
 
         ``known`` are the touch points and the zeros of the pressure sensors; None: what pressures mean is not known.
         """
         duration_s = (event.end_ns - event.start_ns) / NS_PER_S
-        if event.end_reason is not EndReason.COMPLETE or duration_s <= 0.0:
+        if event.end_reason is EndReason.INTERRUPTED or duration_s <= 0.0:
             return None
         on, off = clutch_of_gear(event.to_gear) - 1, clutch_of_gear(event.from_gear) - 1
         grid_s = np.arange(-BEFORE_S, duration_s + AFTER_S, GRID_S)
         rows, packs = np.full((_ROW_COUNT, len(grid_s)), np.nan), (self._packs[on], self._packs[off])
-        self._read_speeds(event, (on, off), grid_s, rows)
+        skew_s = self._read_speeds(event, (on, off), grid_s, rows)
         touch_pa = packs[0].touch_pa, packs[1].touch_pa
         if known is not None:
             self._read_pressures(event, (on, off), grid_s, rows, known)
@@ -158,13 +159,13 @@ class ShiftScorer:
             )
         first, stop = round(BEFORE_S / GRID_S), round((BEFORE_S + duration_s) / GRID_S)
         torque_nm_pa = packs[0].torque_nm_pa, packs[1].torque_nm_pa
-        found = _Found(*_measure(rows, first, stop, on != off, touch_pa, torque_nm_pa, packs[0].stroke_pa))
+        found = _Found(*_measure(rows, first, stop, on != off, skew_s, touch_pa, torque_nm_pa, packs[0].stroke_pa))
         adaptable = {} if known is None else self._adaptable(on, found, touch_pa[0], known)
         return _judged(event, found, adaptable, packs, is_second=on == 1)
 
-    def _read_speeds(self, event: Event, clutches: tuple[int, int], grid_s: FloatArray, rows: FloatArray) -> None:
-        """Fill in the speeds of engine, both shafts and the car."""
-        columns, start_ns = event.columns, event.start_ns
+    def _read_speeds(self, event: Event, clutches: tuple[int, int], grid_s: FloatArray, rows: FloatArray) -> float:
+        """Fill in the speeds of engine, both shafts and the car; return by how much they may be apart [s]."""
+        columns, start_ns, skew_s = event.columns, event.start_ns, 0.0
         if not _read(columns, Signal.HUB_SPEED, start_ns, grid_s, rows[_ENGINE]):
             _read(columns, Signal.ENGINE_SPEED, start_ns, grid_s, rows[_ENGINE])
         gears, over = self._gears, None
@@ -173,17 +174,20 @@ class ShiftScorer:
                 continue
             if over is None:
                 over = np.full(len(grid_s), np.nan)
-                _read(columns, gears.over, start_ns, grid_s, over)
+                if _read(columns, gears.over, start_ns, grid_s, over):  # asked for after the engine's speed
+                    t_ns = columns[gears.over].t_ns
+                    skew_s = float(t_ns[-1] - t_ns[0]) / NS_PER_S / (len(t_ns) - 1)
             if 1 <= gear <= len(gears.ratios):
                 rows[row] = gears.ratios[gear - 1] * over
         speed = columns.get(Signal.VEHICLE_SPEED)
         if speed is None or not len(speed.value):
-            return
+            return skew_s
         if _read(columns, Signal.OUTPUT_SPEED, start_ns, grid_s, rows[_CAR]):  # finer than the car's own
             turning = float(rows[_CAR].mean())
             rows[_CAR] *= float(speed.value.mean()) / turning if turning > 1.0 else math.nan
         else:
             _read(columns, Signal.VEHICLE_SPEED, start_ns, grid_s, rows[_CAR])
+        return skew_s
 
     def _read_pressures(
         self, event: Event, clutches: tuple[int, int], grid_s: FloatArray, rows: FloatArray, known: Knowledge
@@ -239,22 +243,31 @@ def _judged(
         "slip_energy2_j": energies_j[not is_second],
     }
     parts = {name: float(told[name]) for name in _PUBLIC if math.isfinite(told.get(name, math.nan))}
-    costs = {
-        part.name: part.weight * max(abs(parts[part.name]) - part.free, 0.0) / (part.felt - part.free)
-        for part in PARTS
-        if part.name in parts
-    }
-    weight = sum(part.weight for part in PARTS if part.name in costs)
     record: dict[str, object] = {"score": None, **parts}
-    if weight and event.kind in SCORED:
-        record["score"] = 100.0 * math.exp(-sum(costs.values()) / weight)
-        record["reasons"] = sorted(
-            (name for name in costs if costs[name] >= 0.01 * weight), key=lambda name: -costs[name]
-        )
+    if event.kind in SCORED:
+        record["score"], record["reasons"] = weighed(parts)
         record["corrections"] = [
             name for name, (value, std) in adaptable.items() if abs(value) > max(2.0 * std, LEAST_CHANGE[name])
         ]
     return from_plain(record, ShiftQuality)
+
+
+def weighed(parts: Mapping[str, float]) -> tuple[float | None, list[str]]:
+    """Return the score of some parts by their names, None of none, and those that cost a point, the dearest first.
+
+    Twice as much is felt less than twice as strongly: beyond `felt` the logarithm bends what a part costs.
+    """
+    costs = {
+        part.name: part.weight
+        * math.log1p((math.e - 1.0) * max(abs(parts[part.name]) - part.free, 0.0) / (part.felt - part.free))
+        for part in PARTS
+        if part.name in parts
+    }
+    weight = sum(part.weight for part in PARTS if part.name in costs)
+    if not weight:
+        return None, []
+    dear = sorted((name for name in costs if costs[name] >= 0.01 * weight), key=lambda name: -costs[name])
+    return 100.0 * math.exp(-sum(costs.values()) / weight), dear
 
 
 @array_kernel
@@ -280,7 +293,13 @@ def _differentiate(car_m_s: FloatArray, slopes: FloatArray) -> None:
 
 
 @array_kernel
-def _speeds_told(rows: FloatArray, first: int, stop: int, is_handover: bool) -> tuple[float, float, float]:  # noqa: FBT001
+def _speeds_told(
+    rows: FloatArray,
+    first: int,
+    stop: int,
+    is_handover: bool,  # noqa: FBT001
+    skew_s: float,
+) -> tuple[float, float, float]:
     """Return flare [rad/s], when slip ended [s], and how fast it did [rad/s2]."""
     engine, on, off = rows[_ENGINE], rows[_ON], rows[_OFF]
     flare, peak, at = np.nan, 0.0, -1
@@ -293,11 +312,13 @@ def _speeds_told(rows: FloatArray, first: int, stop: int, is_handover: bool) -> 
             for place in range(within, within + 3):
                 low, high = min(on[place], off[place]), max(on[place], off[place])
                 beyond += max(engine[place] - high, low - engine[place], 0.0) / 3.0
+            beyond -= skew_s * abs(engine[row + 1] - engine[row - 1]) / (2.0 * GRID_S)
+            beyond = max(beyond, 0.0) if not math.isnan(beyond) else beyond
             flare = beyond if beyond >= 0.0 and not flare > beyond else flare
     if at < 0 or peak < SLIP_RAD_S:
         return flare, np.nan, np.nan
-    row = at
-    while row < stop and abs(engine[row] - on[row]) >= LOCKED_RAD_S:
+    row, sign = at, 1.0 if engine[at] > on[at] else -1.0
+    while row < stop and sign * (engine[row] - on[row]) >= LOCKED_RAD_S:  # or beyond: rows may be far apart
         row += 1
     if row == stop:
         return flare, np.nan, np.nan
@@ -399,12 +420,13 @@ def _measure(
     first: int,
     stop: int,
     is_handover: bool,  # noqa: FBT001 - a compiled function
+    skew_s: float,
     touch_pa: tuple[float, float],
     torque_nm_pa: tuple[float, float],
     stroke_pa: float,
 ) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]:
     """Return the fields of `_Found`; the event lasts from row ``first`` to before ``stop``."""
-    flare, locked_s, lock_rate = _speeds_told(rows, first, stop, is_handover)
+    flare, locked_s, lock_rate = _speeds_told(rows, first, stop, is_handover, skew_s)
     _differentiate(rows[_CAR], rows[_SLOPE])
     hole, jerk = _car_told(rows[_SLOPE], first, stop)
     tie_up, energy_on, energy_off = _loads_told(rows, first, stop, is_handover, touch_pa, torque_nm_pa)

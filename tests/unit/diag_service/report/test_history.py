@@ -9,7 +9,7 @@ from rich.text import Text
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.prognosis import ChannelName, PeerGroup, Peers, Population, Usual
-from diag_service.diagnosis.records import FluidFill, shift_record, utc_from_bus_ns
+from diag_service.diagnosis.records import FluidFill, ShiftQuality, shift_record, utc_from_bus_ns
 from diag_service.errors import StoreError
 from diag_service.report.findings import findings_of_store
 from diag_service.report.history import history_lines, history_records, periods_of, shift_lines
@@ -128,3 +128,20 @@ def test_the_future_of_the_fluid_is_one_sentence() -> None:
     assert (
         "No prognosis yet: it takes 8 usable results of a clutch with this fluid; clutch 1 has 3, clutch 2 has 4."
     ) in few
+
+
+def test_how_well_it_shifts_is_a_table_with_what_to_adapt_and_the_load() -> None:
+    quality = ShiftQuality(
+        score=70.0, reasons=("touch_error_pa",), corrections=("touch_error_pa",), touch_error_pa=4_000.0,
+        std_touch_error_pa=1_000.0, slip_energy1_j=20e3, slip_energy2_j=0.0,
+    )  # fmt: skip
+    rows = tuple(
+        replace(row, result=replace(row.result, estimate=replace(row.result.estimate, shift_quality=quality)))
+        for row in findings(6).rows
+    )
+    lines = list(history_lines(replace(findings(6), rows=rows), (1, 2), most_rows=5))
+    (table,) = (line for line in lines if isinstance(line, Table) and str(line.title).startswith("How well it shifts"))
+    assert [next(iter(column.cells)) for column in table.columns][3:] == ["70", "70", "-", "70", "-", "touch error"]
+    told = [str(line) for line in lines if isinstance(line, Text)]
+    assert "Adapt clutch 1: touch point 0.04 bar later than believed (± 0.01)." in told
+    assert told[-1].startswith("Clutch 1 turned 0.12 MJ into heat in 6 events, 0 of them launches")

@@ -13,10 +13,19 @@ from canlog.arrays import Series
 from clutchdiag_io.pages.content import spread
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.records import FluidFill, Reason, Status, clutch_record, dump, shift_record, utc_from_bus_ns
+from diag_service.diagnosis.records import (
+    FluidFill,
+    Reason,
+    ShiftQuality,
+    Status,
+    clutch_record,
+    dump,
+    shift_record,
+    utc_from_bus_ns,
+)
 from diag_service.errors import StoreError
 from diag_service.report.findings import Album, Findings
-from diag_service.report.page import html_of, page_of, record_of, write_page
+from diag_service.report.page import course_sections, html_of, page_of, record_of, write_page
 from diag_service.report.pictures import Trend
 from fleet_contract.orders import Action
 from tests.support.builders import shift_result
@@ -222,3 +231,22 @@ def test_places_are_spread_evenly_from_first_to_last(count: int, most: int) -> N
     assert len(places) == min(count, most)
     assert places == sorted(set(places))
     assert not places or (places[0], places[-1]) == (0, count - 1)
+
+
+def test_a_page_says_how_well_it_shifts_where_that_is_known() -> None:
+    assert "How well it shifts" not in html(findings(6))
+    quality = ShiftQuality(score=70.0, reasons=("jerk_m_s3",), slip_energy1_j=0.0, slip_energy2_j=5e6)
+    rows = tuple(
+        replace(row, result=replace(row.result, estimate=replace(row.result.estimate, shift_quality=quality)))
+        for row in findings(6).rows
+    )
+    (section,) = course_sections(replace(findings(6), rows=rows))
+    scores, load = section.tables
+    assert [cell if isinstance(cell, str) else str(getattr(cell, "text", "")) for cell in scores.rows[0]][-1] == "jerk"
+    assert [cell if isinstance(cell, str) else str(getattr(cell, "text", "")) for cell in load.rows[0]][7:] == [
+        "30.00",
+        "88",
+        "0",
+        "0.3482 %",
+    ]
+    assert "How well it shifts" in html(replace(findings(6), rows=rows))

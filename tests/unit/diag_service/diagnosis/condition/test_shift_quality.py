@@ -159,5 +159,5 @@ def test_what_is_no_gear_change_has_no_score_and_what_was_broken_off_nothing() -
     found = quality(launch)
     assert (found.score, found.reasons, found.flare_rad_s, found.tie_up_nm) == (None, (), None, None)
     assert found.slip_energy2_j == quality(event()).slip_energy2_j
-    broken = replace(event(), end_reason=EndReason.ABANDONED)
+    broken = replace(event(), end_reason=EndReason.INTERRUPTED)
     assert ShiftScorer(CALIBRATION, None).score(broken, KNOWN) is None

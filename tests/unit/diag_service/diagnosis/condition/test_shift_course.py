@@ -1,0 +1,61 @@
+"""What scores and slip of many changes come to."""
+
+from dataclasses import replace
+
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.condition.shift_course import Course, correction_lines, courses, loads
+from diag_service.diagnosis.events import EventKind
+from diag_service.diagnosis.records import ShiftQuality, ShiftResult
+from tests.support.builders import shift_result
+
+UPSHIFT = ShiftQuality(
+    score=80.0, reasons=("jerk_m_s3",), std_touch_error_pa=1_000.0, slip_energy1_j=0.0, slip_energy2_j=5_000.0
+)
+
+
+def result(
+    seq: int, quality: ShiftQuality | None, *, oil_k: float = 350.0, kind: str = "power_on_upshift"
+) -> ShiftResult:
+    given = shift_result(seq)
+    estimate = replace(given.estimate, shift_quality=quality, sump_temperature_k=oil_k, kind=EventKind(kind))
+    return replace(given, estimate=estimate)
+
+
+def test_a_course_has_both_ends_and_the_oil() -> None:
+    some = [result(seq, replace(UPSHIFT, score=90.0), oil_k=300.0) for seq in range(20)]
+    some += [result(20 + seq, replace(UPSHIFT, score=60.0)) for seq in range(20)]
+    some.append(result(41, None))
+    (found,) = courses(some)
+    assert found == Course(
+        kind=EventKind.POWER_ON_UPSHIFT, from_gear=1, to_gear=2, count=40, first=90.0, last=60.0,
+        by_oil=(90.0, 60.0, None), reason="jerk_m_s3",
+    )  # fmt: skip
+    assert courses([result(1, None)]) == []
+
+
+def test_the_newest_word_on_a_clutch_counts() -> None:
+    late = replace(UPSHIFT, corrections=("touch_error_pa",), touch_error_pa=4_000.0)
+    early = replace(late, touch_error_pa=-6_000.0, corrections=("touch_error_pa", "fill_error_s"),
+                    fill_error_s=0.06, std_fill_error_s=0.01)  # fmt: skip
+    assert correction_lines([result(1, early), result(2, late)]) == [
+        "clutch 2: touch point 0.04 bar later than believed (± 0.01)"
+    ]
+    assert correction_lines([result(1, late), result(2, early)]) == [
+        "clutch 2: fill for 60 ms longer (± 10)",
+        "clutch 2: touch point 0.06 bar earlier than believed (± 0.01)",
+    ]
+    assert correction_lines([result(1, late), result(2, UPSHIFT)]) == []
+
+
+def test_the_load_of_a_clutch_is_what_it_slipped() -> None:
+    calibration = nominal_calibration()
+    launch = replace(UPSHIFT, score=None, slip_energy2_j=40_000.0)
+    some = [result(1, UPSHIFT), result(2, UPSHIFT), result(3, launch, kind="launch"), result(4, None)]
+    (found,) = loads(some, calibration)
+    assert (found.clutch, found.counts, found.energy_j, found.launch_count) == (2, (0, 0, 0, 2, 0, 1), 50_000.0, 1)
+    assert found.peak_k == some[0].estimate.clutch_temperature_k
+    assert found.life_ratio == pytest.approx(
+        50e3 / 8.62e9, rel=0.002
+    )  # ten faces of 60 cm2, 0.2 mm of each, 1.4 mm3/MJ
