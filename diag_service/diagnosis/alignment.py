@@ -1,7 +1,7 @@
 """The signals of one event on one clock and one even grid: when samples were taken, and what they read in between."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -104,10 +104,25 @@ class Resampled:
 
     def shared(self, one: Sequence[FloatArray], other: Sequence[FloatArray], rows: Sequence[slice]) -> list[FloatArray]:
         """Return covariances of two sums with weights of `to_samples`, in variances of the sensor."""
+        return self._joined(one, other, rows, RowCurve.covariance)
+
+    def followed(
+        self, one: Sequence[FloatArray], other: Sequence[FloatArray], rows: Sequence[slice]
+    ) -> list[FloatArray]:
+        """Return of these covariances what is noise of samples that the values on the grid wrongly follow."""
+        return self._joined(one, other, rows, RowCurve.followed)
+
+    def _joined(
+        self,
+        one: Sequence[FloatArray],
+        other: Sequence[FloatArray],
+        rows: Sequence[slice],
+        of: "Callable[[RowCurve, int, int], FloatArray]",
+    ) -> list[FloatArray]:
         if self.curve is None:
             return [first @ second.T for first, second in zip(one, other, strict=True)]
         return [
-            first @ self.curve.covariance(self.left[piece][0], self.left[piece][-1] + 2) @ second.T
+            first @ of(self.curve, self.left[piece][0], self.left[piece][-1] + 2) @ second.T
             for first, second, piece in zip(one, other, rows, strict=True)
         ]
 
@@ -310,24 +325,41 @@ class RowCurve:
                 bands[2 - j, k + j : count - 2 + k + j] += first * second * stiffness
         left = np.minimum(((times_s - times_s[0]) / spacing_s).astype(np.int64), count - 2)
         share = (times_s - self.times_s[left]) / spacing_s
-        np.add.at(bands[2], left, (1.0 - share) ** 2 / variance)
-        np.add.at(bands[2], left + 1, share**2 / variance)
-        np.add.at(bands[1], left + 1, share * (1.0 - share) / variance)
+        self._told = np.zeros((2, count))  # by the rows, as the lower two bands
+        np.add.at(self._told[1], left, (1.0 - share) ** 2 / variance)
+        np.add.at(self._told[1], left + 1, share**2 / variance)
+        np.add.at(self._told[0], left + 1, share * (1.0 - share) / variance)
         np.add.at(right, left, (1.0 - share) * value / variance)
         np.add.at(right, left + 1, share * value / variance)
+        bands[1:] += self._told
         self._root, self._noise_std = cholesky_banded(bands), noise_std
         self.value = cho_solve_banded((self._root, False), right)
         self._moved_by_age = age_std_s * np.gradient(self.value, spacing_s)
 
     def covariance(self, first: int, stop: int) -> FloatArray:
         """Return that of the points ``first <= point < stop``, in variances of the sensor."""
+        by_age = self._moved_by_age[first:stop]
+        found = self._columns(first, stop)[first:stop] + np.outer(by_age, by_age)
+        return np.asarray(found / self._noise_std**2)
+
+    def followed(self, first: int, stop: int) -> FloatArray:
+        """Return likewise what the points share with the noise of rows.
+
+        A curve that follows rows as it should is no more off where it is high than where it is low. The walk is taken
+        `WALK_RATIO` times as large as rows say, and so much of their noise is in the curve as noise is in a reading.
+        """
+        columns = self._columns(first, stop)
+        told = self._told[1][:, None] * columns
+        told[:-1] += self._told[0][1:, None] * columns[1:]
+        told[1:] += self._told[0][1:, None] * columns[:-1]
+        return np.asarray(columns.T @ told * ((1.0 - 1.0 / WALK_RATIO) / self._noise_std**2))
+
+    def _columns(self, first: int, stop: int) -> FloatArray:
         from scipy.linalg import cho_solve_banded  # noqa: PLC0415 - it takes a while to load
 
         own = np.zeros((len(self.value), stop - first))
         own[first:stop] = np.eye(stop - first)
-        by_age = self._moved_by_age[first:stop]
-        found = cho_solve_banded((self._root, False), own)[first:stop] + np.outer(by_age, by_age)
-        return np.asarray(found / self._noise_std**2)
+        return np.asarray(cho_solve_banded((self._root, False), own))
 
 
 def _slope_walk(times_s: FloatArray, value: FloatArray, noise_std: float) -> FloatArray:

@@ -22,6 +22,7 @@ from clutch_model.calibration import Calibration, InputSide, SensorBias, TorqueS
 from clutch_model.pack import FrictionLaw, row_exponential, row_logarithm, row_stribeck_weight, slower_film
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.drives import (
+    PRESSURE_DEGREE,
     SLIP_DEGREE,
     SlipWindow,
     Weights,
@@ -419,16 +420,14 @@ class Sensitivity:
         hubs, of_rows = self._spread.hub, weights.value.grid_rows
         pairs = list(zip(speed_slopes, self._spread.engine_rate, hubs, strict=True))
         by_speeds, by_hubs = [one @ rate.T for one, rate, _ in pairs], [hub @ hub.T for _, _, hub in pairs]
-        if signals.row_s:
-            by_speeds = signals.engine_speed.shared(speed_slopes, self._spread.engine_rate, of_rows)
-            by_hubs = signals.hub_speed.shared(hubs, hubs, of_rows)
-        motoring = self._motoring_shares()
-        overlaps = []
         precisions = [np.asarray(np.linalg.inv(noise)) for noise in self.noises]
         if signals.row_s:
             precisions = [precisions[0][band, band] for band in weights.value.bands]
-        for place, precision in enumerate(precisions):
-            overlap = np.zeros(PARAMETER_COUNT)
+            by_speeds = signals.engine_speed.followed(speed_slopes, self._spread.engine_rate, of_rows)
+            by_hubs = signals.hub_speed.followed(hubs, hubs, of_rows)
+        motoring, by_friction = self._motoring_shares(), self._friction_shares() if signals.row_s else []
+        overlaps = [np.zeros(PARAMETER_COUNT) for _ in precisions]
+        for place, (precision, overlap) in enumerate(zip(precisions, overlaps, strict=True)):
             considered = overlap[STATE_COUNT:]
             speed = speed_std**2 * float(np.vdot(precision, by_speeds[place].T))  # the trace of the product
             hub = sensors.hub_speed_rad_s**2 * float(np.vdot(precision, by_hubs[place].T))
@@ -437,8 +436,21 @@ class Sensitivity:
             if motoring is not None:
                 shared = float(np.vdot(precision, motoring[place].T))
                 considered[Considered.MOTORING_GAIN] = sensors.engine_torque_nm**2 * shared
-            overlaps.append(overlap)
+            for row, shares in enumerate(by_friction):
+                overlap[row] = -(sensors.pressure_pa**2) * float(np.vdot(precision, shares[place].T))
         return [np.sum(overlaps, axis=0)] if signals.row_s else overlaps
+
+    def _friction_shares(self) -> list[list[FloatArray]]:
+        """Return what the derivatives by friction share with the pressures: those of rows are noise in both."""
+        value, found = self._balance.weights.value, list[list[FloatArray]]()
+        for m, pressure in enumerate(self._balance.signals.pressure):
+            by_pressure_m3, film = self._answers[m].by_pressure_m3, self._balance.laws[m].film
+            torque = pressure.to_samples((value * by_pressure_m3).blocks, value.grid_rows)
+            ratio = film.piston_area_m2 / film.lining_area_m2 * (by_pressure_m3 != 0.0)
+            for lever_m3 in ratio * self._torques.lever_m3[m]:
+                slopes = (value * lever_m3).fitted_on_samples(PRESSURE_DEGREE, pressure)
+                found.append(pressure.followed(slopes, torque, value.grid_rows))
+        return found
 
     def _motoring_shares(self) -> list[FloatArray] | None:
         """Return what the derivative by the gain of negative torque shares with the torque; None without such."""
@@ -501,11 +513,8 @@ class Sensitivity:
         What the curves through few rows leave open is wrong in one way from row to row, also from piece to piece.
         """
         balance, signals = self._balance, self._balance.signals
-        sensors, side, gain = (
-            balance.calibration.noise,
-            balance.calibration.input_side,
-            balance.calibration.bias.torque_gain,
-        )
+        sensors, side = balance.calibration.noise, balance.calibration.input_side
+        gain = balance.calibration.bias.torque_gain
         value, rate = balance.weights.value.joined(), balance.weights.rate.joined()
         first, second = self._answers
         hub = rate * (gain * side.hub_inertia_kg_m2) + value * -(
@@ -522,13 +531,11 @@ class Sensitivity:
             parts.append((signals.input_speed[m], value * answers.by_slip_nms, sensors.input_speed_rad_s))
             parts.append((signals.pressure[m], value * answers.by_pressure_m3, sensors.pressure_pa))
         bands = balance.weights.value.bands
-        own = [np.zeros((band.stop - band.start, band.stop - band.start)) for band in bands]
+        joint = np.zeros((bands[-1].stop, bands[-1].stop))
+        own = [joint[band, band] for band in bands]
         self._add_doubt(own)
         if balance.calibration.torque is not TorqueSource.MEASURED:
             self._add_torque_doubt(own)
-        joint = np.zeros((bands[-1].stop, bands[-1].stop))
-        for band, noise in zip(bands, own, strict=True):
-            joint[band, band] = noise
         for signal, functions, std in parts:
             weights = signal.to_samples(functions.blocks, value.grid_rows)
             joint += std**2 * signal.shared(weights, weights, value.grid_rows)[0]

@@ -60,6 +60,20 @@ def test_a_curve_states_how_far_it_is_off_between_few_rows(period_s: float) -> N
     assert 0.4 < np.sqrt(np.mean(np.square(far))) < 1.2
 
 
+def test_a_curve_tells_how_much_noise_of_its_rows_it_follows() -> None:
+    """So much is it too high where it is high: what multiplies it would come out too low."""
+    times_s, shared, told, rng = np.arange(0.0, 3.0, 0.005), list[float](), list[float](), np.random.default_rng(1)
+    for _ in range(200):
+        truth = np.cumsum(np.cumsum(rng.normal(0.0, 2e4 * 0.005**0.5, len(times_s)))) * 0.005  # its slope is a walk
+        rows = slice(0, None, 20)
+        curve = RowCurve(times_s[rows], truth[rows] + rng.normal(0.0, 5e3, 30), 5e3, 0.0, 0.0)
+        middle = slice(len(curve.times_s) // 4, 3 * len(curve.times_s) // 4)
+        off = curve.value - np.interp(curve.times_s, times_s, truth)
+        shared.append(float((off * curve.value)[middle].mean()) / 5e3**2)
+        told.append(float(np.diag(curve.followed(middle.start, middle.stop)).mean()))
+    assert 0.1 < np.mean(told) < np.mean(shared) < 0.8
+
+
 def _torque_nm(times_s: FloatArray) -> FloatArray:
     return np.asarray(np.where(times_s < 2.4, 80.0 * np.sin(np.clip(times_s - 0.6, 0.0, None)) ** 2, 75.0))
 
