@@ -1,7 +1,7 @@
 """The signals of one event on one clock and one even grid: when samples were taken, and what they read in between."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -48,6 +48,7 @@ def noise_of_signals(noise: SensorNoise) -> dict[Signal, float]:
     }
 
 
+Sums = Sequence[FloatArray]
 SampleTimes = Mapping[Signal, FloatArray]
 """When each signal of the balance was sampled [s] after the start of its event."""
 
@@ -102,27 +103,13 @@ class Resampled:
             _spread(own, left, self.share[rows], found[-1])
         return tuple(found)
 
-    def shared(self, one: Sequence[FloatArray], other: Sequence[FloatArray], rows: Sequence[slice]) -> list[FloatArray]:
+    def shared(self, one: Sums, other: Sums, rows: Sequence[slice], *, is_followed: bool = False) -> list[FloatArray]:
         """Return covariances of two sums with weights of `to_samples`, in variances of the sensor."""
-        return self._joined(one, other, rows, RowCurve.covariance)
-
-    def followed(
-        self, one: Sequence[FloatArray], other: Sequence[FloatArray], rows: Sequence[slice]
-    ) -> list[FloatArray]:
-        """Return of these covariances what is noise of samples that the values on the grid wrongly follow."""
-        return self._joined(one, other, rows, RowCurve.followed)
-
-    def _joined(
-        self,
-        one: Sequence[FloatArray],
-        other: Sequence[FloatArray],
-        rows: Sequence[slice],
-        of: "Callable[[RowCurve, int, int], FloatArray]",
-    ) -> list[FloatArray]:
         if self.curve is None:
             return [first @ second.T for first, second in zip(one, other, strict=True)]
+        of_points = self.curve.followed if is_followed else self.curve.covariance
         return [
-            first @ of(self.curve, self.left[piece][0], self.left[piece][-1] + 2) @ second.T
+            first @ of_points(self.left[piece][0], self.left[piece][-1] + 2) @ second.T
             for first, second, piece in zip(one, other, rows, strict=True)
         ]
 
@@ -315,51 +302,38 @@ class RowCurve:
         period_s = float(np.median(np.diff(times_s)))
         spacing_s = max(POINT_S, period_s / POINTS_PER_ROW)
         count = max(3, math.ceil((times_s[-1] - times_s[0]) / spacing_s) + 1)
-        self.times_s = np.linspace(times_s[0], times_s[-1], count)
-        spacing_s = self.times_s[1] - self.times_s[0]
+        self.times_s, spacing_s = np.linspace(times_s[0], times_s[-1], count, retstep=True)
         walk = _slope_walk(times_s, value, noise_std)[np.searchsorted(times_s[1:-1], self.times_s[1:-1])]
         stiffness = 1.0 / (walk * spacing_s**3)
-        bands, right = np.zeros((3, count)), np.zeros(count)  # of the information, upper form
+        bands = np.zeros((3, count))  # of the information, upper form
         for k, first in enumerate((1.0, -2.0, 1.0)):
             for j, second in enumerate((1.0, -2.0, 1.0)[k:]):
                 bands[2 - j, k + j : count - 2 + k + j] += first * second * stiffness
         left = np.minimum(((times_s - times_s[0]) / spacing_s).astype(np.int64), count - 2)
         share = (times_s - self.times_s[left]) / spacing_s
-        self._told = np.zeros((2, count))  # by the rows, as the lower two bands
-        np.add.at(self._told[1], left, (1.0 - share) ** 2 / variance)
-        np.add.at(self._told[1], left + 1, share**2 / variance)
-        np.add.at(self._told[0], left + 1, share * (1.0 - share) / variance)
-        np.add.at(right, left, (1.0 - share) * value / variance)
-        np.add.at(right, left + 1, share * value / variance)
-        bands[1:] += self._told
+        rows, at = np.zeros((len(value), count)), np.arange(len(value))  # each by the points, in deviations
+        rows[at, left], rows[at, left + 1] = 1.0 - share, share
+        rows /= np.sqrt(variance)[:, None]
+        bands[2] += (rows**2).sum(axis=0)
+        bands[1, 1:] += (rows[:, :-1] * rows[:, 1:]).sum(axis=0)
         self._root, self._noise_std = cholesky_banded(bands), noise_std
-        self.value = cho_solve_banded((self._root, False), right)
+        self._by_rows = cho_solve_banded((self._root, False), rows.T)
+        self.value = self._by_rows @ (value / np.sqrt(variance))
         self._moved_by_age = age_std_s * np.gradient(self.value, spacing_s)
 
     def covariance(self, first: int, stop: int) -> FloatArray:
         """Return that of the points ``first <= point < stop``, in variances of the sensor."""
+        from scipy.linalg import cho_solve_banded  # noqa: PLC0415 - it takes a while to load
+
+        own = np.eye(len(self.value), stop - first, -first)
         by_age = self._moved_by_age[first:stop]
-        found = self._columns(first, stop)[first:stop] + np.outer(by_age, by_age)
+        found = cho_solve_banded((self._root, False), own)[first:stop] + np.outer(by_age, by_age)
         return np.asarray(found / self._noise_std**2)
 
     def followed(self, first: int, stop: int) -> FloatArray:
-        """Return likewise what the points share with the noise of rows.
-
-        A curve that follows rows as it should is no more off where it is high than where it is low. The walk is taken
-        `WALK_RATIO` times as large as rows say, and so much of their noise is in the curve as noise is in a reading.
-        """
-        columns = self._columns(first, stop)
-        told = self._told[1][:, None] * columns
-        told[:-1] += self._told[0][1:, None] * columns[1:]
-        told[1:] += self._told[0][1:, None] * columns[:-1]
-        return np.asarray(columns.T @ told * ((1.0 - 1.0 / WALK_RATIO) / self._noise_std**2))
-
-    def _columns(self, first: int, stop: int) -> FloatArray:
-        from scipy.linalg import cho_solve_banded  # noqa: PLC0415 - it takes a while to load
-
-        own = np.zeros((len(self.value), stop - first))
-        own[first:stop] = np.eye(stop - first)
-        return np.asarray(cho_solve_banded((self._root, False), own))
+        """Return likewise how far points are off where they are high: by what noise of rows the loose walk lets in."""
+        own = self._by_rows[first:stop] / self._noise_std
+        return np.asarray((1.0 - 1.0 / WALK_RATIO) * own @ own.T)
 
 
 def _slope_walk(times_s: FloatArray, value: FloatArray, noise_std: float) -> FloatArray:

@@ -423,8 +423,8 @@ class Sensitivity:
         precisions = [np.asarray(np.linalg.inv(noise)) for noise in self.noises]
         if signals.row_s:
             precisions = [precisions[0][band, band] for band in weights.value.bands]
-            by_speeds = signals.engine_speed.followed(speed_slopes, self._spread.engine_rate, of_rows)
-            by_hubs = signals.hub_speed.followed(hubs, hubs, of_rows)
+            by_speeds = signals.engine_speed.shared(speed_slopes, self._spread.engine_rate, of_rows, is_followed=True)
+            by_hubs = signals.hub_speed.shared(hubs, hubs, of_rows, is_followed=True)
         motoring, by_friction = self._motoring_shares(), self._friction_shares() if signals.row_s else []
         overlaps = [np.zeros(PARAMETER_COUNT) for _ in precisions]
         for place, (precision, overlap) in enumerate(zip(precisions, overlaps, strict=True)):
@@ -449,7 +449,7 @@ class Sensitivity:
             ratio = film.piston_area_m2 / film.lining_area_m2 * (by_pressure_m3 != 0.0)
             for lever_m3 in ratio * self._torques.lever_m3[m]:
                 slopes = (value * lever_m3).fitted_on_samples(PRESSURE_DEGREE, pressure)
-                found.append(pressure.followed(slopes, torque, value.grid_rows))
+                found.append(pressure.shared(slopes, torque, value.grid_rows, is_followed=True))
         return found
 
     def _motoring_shares(self) -> list[FloatArray] | None:

@@ -329,7 +329,7 @@ class Estimator:
             step = after.mean - at
             if (np.abs(step) / np.maximum(after.std(), 1e-30)).max() < CONVERGED:
                 break
-            longest = self._longest(step)
+            longest = float((np.abs(step) * self._per_std).max())  # in standard deviations of the type, friction aside
             at = at + step / max(1.0, longest / LONGEST_STEP)
             attempt = self._linearised(samples, state, at, seen, is_near=longest < NEAR_STEP)
             if attempt is Reason.NO_SLIP_WINDOW:
@@ -347,10 +347,6 @@ class Estimator:
         if told <= 1.0:  # by less than what the type tells
             return float(known.mean[row])
         return (mean_pa + variance_pa2 * float(empty.vector[row])) / (1.0 + told)
-
-    def _longest(self, step: FloatArray) -> float:
-        """Return the largest part of a step in standard deviations of the type, friction aside."""
-        return float((np.abs(step) * self._per_std).max())
 
     def _linearised(
         self, samples: Samples, state: Posterior, at: FloatArray, earlier: _Seen | None, *, is_near: bool = False

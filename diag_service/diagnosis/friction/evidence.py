@@ -297,14 +297,9 @@ class Evidence:
         constant = sum(value**2 / its_variance for value, its_variance in zip(reading, variance, strict=True))
         return cls(matrix=matrix, vector=vector, constant=constant, count=len(rows))
 
-    def plus(self, other: Self, sign: float = 1.0) -> Self:
-        """Return what both say; with a ``sign`` of -1 what is left without the other."""
-        return type(self)(
-            matrix=self.matrix + sign * other.matrix,
-            vector=self.vector + sign * other.vector,
-            constant=self.constant + sign * other.constant,
-            count=self.count + round(sign) * other.count,
-        )
+    def plus(self, other: Self) -> Self:
+        """Return what both say."""
+        return self.sum((self, other))
 
     def chi_square(self, at: FloatArray) -> float:
         """Return chi-square of the residuals at some parameters."""

@@ -298,9 +298,7 @@ def advice_on_oil(shifts: Sequence[Event]) -> str:
 
 def _gathered(used: Sequence[_Seen], at: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return what all balances say: the information matrix and the gradient; docs/model.md eqs. (30) and (31)."""
-    total = Evidence.none()
-    for one in used:
-        total = total.plus(one.balance).plus(one.zeros)
+    total = Evidence.sum([part for one in used for part in (one.balance, one.zeros)])
     return total.matrix, total.vector - total.matrix @ at
 
 

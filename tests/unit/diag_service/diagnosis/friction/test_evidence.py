@@ -51,16 +51,6 @@ def test_fusing_is_least_squares(seed: int) -> None:
     assert fused.chi_square == pytest.approx(float(rest[0]), rel=1e-6)
 
 
-def test_what_is_taken_out_again_leaves_what_was() -> None:
-    rng = np.random.default_rng(1)
-    known = knowledge(rng)
-    first, second = (Evidence.of([measurement(rng, known.mean, known.mean)], known.mean) for _ in range(2))
-    alone, again = fuse(known, first), fuse(known, first.plus(second).plus(second, -1.0))
-    assert again.knowledge.mean / SCALES == pytest.approx(alone.knowledge.mean / SCALES, abs=1e-9)
-    assert again.chi_square == pytest.approx(alone.chi_square, rel=1e-9)
-    assert first.plus(second).plus(second, -1.0).count == first.count
-
-
 def test_what_is_certain_stays() -> None:
     rng = np.random.default_rng(2)
     known = knowledge(rng)
