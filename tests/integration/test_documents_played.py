@@ -146,7 +146,6 @@ BLOCKS = {
     ("docs/fleet.md", "sql"): "tests/integration/test_fleet_backup.py",
     ("docs/howto.md", "python"): "tests/integration/test_howto.py",
     ("docs/lake.md", "sql"): "tests/integration/test_lake.py",
-    ("docs/page.md", "toml"): "tests/integration/test_fleet_access.py",
     ("docs/prognosis.md", "python"): "tests/integration/test_prognosis_page.py",
     ("docs/decode.md", "sql"): "tests/integration/test_decode_formats.py",
     ("docs/python.md", "python"): "tests/integration/test_python_page.py",

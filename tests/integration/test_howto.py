@@ -1,7 +1,8 @@
-"""The Python that docs/howto.md shows does what the page says."""
+"""The Python that docs/howto.md shows and names does what the page says."""
 
 import asyncio
 import re
+import runpy
 import textwrap
 from contextlib import closing
 from pathlib import Path
@@ -16,7 +17,7 @@ from diag_service.delivery import Outbox
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Channel, read_message
 from tests.support.builders import shift_result
-from tests.support.documents import page_text
+from tests.support.documents import ROOT, page_text
 
 BLOCK = re.compile(r"^( *)```python\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 STATE = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
@@ -48,7 +49,9 @@ async def test_the_link_takes_what_the_outbox_holds(tmp_path: Path, monkeypatch:
     with closing(ResultStore.in_memory()) as store:
         for seq in (1, 2):
             store.add(shift_result(seq), STATE)
-        outbox = Outbox(store, "car1", names_of("SpoolLink")["connect"], "spool.jsonl")
+        outbox = Outbox(
+            store, "car1", runpy.run_path(str(ROOT / "examples" / "spool_link.py"))["connect"], "spool.jsonl"
+        )
         sender = asyncio.create_task(outbox.run())
         assert await outbox.close(sender) == 0
         assert store.unpublished_count("car1") == 0

@@ -128,13 +128,17 @@ def test_a_lake_is_made_once_and_then_kept(logs: Path, filled: Path, tmp_path: P
     assert disagreement(lake_place) == Disagreement(missing=(), unknown=(), twice=())
 
 
-def test_the_questions_of_the_page_have_answers(filled: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_questions_of_page_and_example_have_answers(filled: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(filled.parent)
-    questions = re.findall(r"```sql\n(.*?)```", page_text("docs/lake.md"), re.DOTALL)
-    assert len(questions) == 1 + 10
+    (shown,) = re.findall(r"```sql\n(.*?)```", page_text("docs/lake.md"), re.DOTALL)
+    views, *questions = re.split(r"^-- .*\?\n", page_text("examples/lake.sql"), flags=re.MULTILINE)
+    assert len(questions) == 10
     with duckdb.connect() as lake_engine:
-        lake_engine.execute(questions[0])
-        tables = [lake_engine.sql(question).to_arrow_table() for question in questions[1:]]
+        attention = lake_engine.sql(shown).to_arrow_table().to_pylist()
+    with duckdb.connect() as lake_engine:
+        lake_engine.execute(views)
+        tables = [lake_engine.sql(question).to_arrow_table() for question in questions]
+    assert tables[2].to_pylist() == attention
     answers = [[tuple(row.values()) for row in table.to_pylist()] for table in tables]
     overview, failed, _, trend, _, minutes, _, warm, versions, signals = answers
     assert [(row[0], row[3], row[4]) for row in overview] == [("car1", 2, 2 * SHIFT_COUNT), ("car2", 1, SHIFT_COUNT)]

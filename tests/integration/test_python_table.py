@@ -22,7 +22,6 @@ SECTION = page_text("docs/python.md").partition("## Command by command\n")[2].pa
 SPAN = re.compile(r"`([^`]+)`")
 OPTION = re.compile(r"--[a-z0-9-]+$|\[?[A-Z]{3,}[\]A-Z.|]*$")
 PACKAGES = {"diag-service": diag_service, "ecu-emulator": ecu_emulator}
-SAME = "of the same name"
 CHOICES = {"Delivery", "Poll", "Answers"}  # that stand for an argument called like them
 
 
@@ -95,11 +94,17 @@ def arguments() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for left, right in table("options"):
         options = [span for span in spans(left) if OPTION.match(span)]
-        words = [option.removeprefix("--").replace("-", "_") for option in options] if right == SAME else spans(right)
+        words = spans(right)
         assert len(options) == len(words), left
         for option, word in zip(options, words, strict=True):
             found.setdefault(option, []).append(word)
     return found
+
+
+def words_for(option: str) -> list[str]:
+    """Return what may stand for an option: what the table says, or by the page's rule its own name."""
+    name = option.removeprefix("--").replace("-", "_")
+    return [*arguments().get(option, []), name, f"is_{name}"]
 
 
 def at_a_terminal() -> set[str]:
@@ -138,7 +143,7 @@ def test_every_option_is_an_argument_or_belongs_to_a_terminal(name: str, command
     missing = [
         option
         for option in options_of(command)
-        if option not in at_a_terminal() and not any(offer.has(word) for word in arguments().get(option, []))
+        if option not in at_a_terminal() and not any(offer.has(word) for word in words_for(option))
     ]
     assert missing == [], f"docs/python.md has nothing of {name} for these options"
 
@@ -148,7 +153,7 @@ def test_every_argument_is_an_option_or_belongs_to_python() -> None:
     reached: dict[Callable[..., Any], set[str]] = {}
     for name, command in ALL:
         if name not in at_a_terminal():
-            words = {word.partition(".")[0] for option in options_of(command) for word in arguments().get(option, [])}
+            words = {word.partition(".")[0] for option in options_of(command) for word in words_for(option)}
             for function in offers()[name].functions.values():
                 reached.setdefault(function, set()).update(one.lower() if one in CHOICES else one for one in words)
     for function, words in reached.items():
