@@ -8,8 +8,15 @@ from typing import Any, Final
 from sqlalchemy import Connection, RowMapping, select
 
 from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT
-from fleet_contract.fills import distinct
-from fleet_contract.orders import NO_VERDICT, UNKNOWN_FLUID, Finding, is_of_earlier_fluid, order_of, unseen_since_new
+from fleet_contract.orders import (
+    NO_VERDICT,
+    UNKNOWN_FLUID,
+    Finding,
+    distinct,
+    is_of_earlier_fluid,
+    order_of,
+    unseen_since_new,
+)
 
 Row = Mapping[str, Any] | RowMapping
 # What a row keeps of a clutch whose fluid was changed since: all else is of the earlier one.

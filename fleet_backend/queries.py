@@ -26,7 +26,7 @@ from fleet_backend.schema import (
     VEHICLE,
     WITHDRAWN_FILL,
 )
-from fleet_contract.fills import SAME_WITHIN, distinct, odometer_complaint
+from fleet_contract.orders import SAME_WITHIN, distinct, odometer_complaint
 
 Record = Mapping[str, object]
 SEVERITIES: Final = ("no_verdict", "good", "watch", "change_fluid")

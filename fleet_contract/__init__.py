@@ -1,6 +1,5 @@
 """What vehicle and fleet backend agree on: topics, envelope, schemas, receipts. Neither application is known here."""
 
-from fleet_contract.broker_url import BrokerUrl, exposure, is_this_machine, parse_broker_url
 from fleet_contract.errors import (
     BrokerUrlError,
     ContractError,
@@ -37,9 +36,18 @@ from fleet_contract.messages import (
     takes_bundles,
 )
 from fleet_contract.schema_check import ASYNCAPI_PATH, SCHEMA_FOLDER, VSS_OVERLAY_PATH, schema
+from fleet_contract.settings import (
+    BACKEND_VARIABLES,
+    PREFIX,
+    SERVICE_VARIABLES,
+    BrokerUrl,
+    check_variables,
+    exposure,
+    is_this_machine,
+    parse_broker_url,
+)
 from fleet_contract.strict_json import JsonObject, dump, parse_object
 from fleet_contract.topics import CLUTCHES, TOPIC_ROOT, Address, Channel, filter_of, is_vehicle, parse_topic, topic_of
-from fleet_contract.variables import BACKEND_VARIABLES, PREFIX, SERVICE_VARIABLES, check_variables
 
 __all__ = [
     "ASYNCAPI_PATH",

@@ -1,11 +1,10 @@
 """The way to a broker, for vehicles and backends: address, certificates, secrets, and one MQTT connection at a time."""
 
-from fleet_link.address import BrokerAddress, parse_broker
+from fleet_link.address import BrokerAddress, TlsFiles, check_secret_mode, parse_broker, read_secret
 from fleet_link.arrivals import Message
 from fleet_link.connection import Connection, Terms
 from fleet_link.errors import AddressError, LinkDownError, LinkError, MessageRefusedError, VersionRefusedError
 from fleet_link.jetstream import JetStream
-from fleet_link.tls import TlsFiles, check_secret_mode, read_secret
 
 __all__ = [
     "AddressError",

@@ -1,11 +1,135 @@
-"""Where a broker is and who we are to it."""
+"""Where a broker is and who we are to it; files of TLS are read anew for every connection, and so renewed as it runs."""
 
+import errno
+import os
+import select
+import ssl
 from dataclasses import dataclass, field
+from io import FileIO
 from pathlib import Path
+from typing import Final
 
+from canlog.files import check_plain_file, read_small_file
 from fleet_contract import BrokerUrlError, exposure, parse_broker_url
 from fleet_link.errors import AddressError
-from fleet_link.tls import TlsFiles, read_secret
+
+MAX_SECRET_BYTES: Final = 64 * 1024
+PIPE_WAIT_S: Final = 5.0  # for whoever writes a secret into a pipe
+_OTHERS: Final = 0o077  # permission bits of group and world
+
+
+def check_secret_mode(path: Path) -> None:
+    """Raise AddressError if a file that holds a secret is missing or open to others than its owner."""
+    try:
+        mode = path.stat().st_mode
+    except OSError as exc:
+        raise AddressError(f"cannot read {path}: {exc.strerror}") from exc
+    if mode & _OTHERS:
+        raise AddressError(f"{path} holds a secret and may be read by others: chmod 600 {path}")
+
+
+def read_secret(path: Path, pipe_wait_s: float = PIPE_WAIT_S) -> str:
+    """Return the secret in a file, without the end of its line; raises AddressError."""
+    check_secret_mode(path)
+    try:
+        return _read_secret(path, pipe_wait_s).decode("utf-8").rstrip("\r\n")
+    except OSError as exc:
+        raise AddressError(f"cannot read {path}: {exc.strerror or exc}") from exc
+    except UnicodeDecodeError as exc:
+        raise AddressError(f"cannot read {path}: it is not UTF-8 text") from exc
+
+
+def _read_secret(path: Path, pipe_wait_s: float) -> bytes:
+    """Return what a file holds, or what a command writes into the pipe that a shell makes of ``<(command)``."""
+    if not path.is_fifo():
+        return read_small_file(path, MAX_SECRET_BYTES)
+    content, poll = bytearray(), select.poll()
+    with FileIO(str(path), opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+        poll.register(file, select.POLLIN)
+        while len(content) <= MAX_SECRET_BYTES:
+            if not poll.poll(pipe_wait_s * 1_000):
+                raise OSError(errno.ETIMEDOUT, f"nobody has written into this pipe for {pipe_wait_s:g} s")
+            piece = file.read(MAX_SECRET_BYTES)
+            if not piece:
+                return bytes(content)
+            content += piece
+    raise OSError(errno.EFBIG, "a secret cannot be so long")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TlsFiles:
+    """Where the certificates are; without ``authority`` the system's own count."""
+
+    authority: Path | None = None
+    certificate: Path | None = None
+    key: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Check that certificate and key come together."""
+        if (self.certificate is None) is not (self.key is None):
+            raise AddressError("a certificate needs its key, and a key its certificate")
+
+    def context(self, *, is_key_private: bool = True) -> ssl.SSLContext:
+        """Return a context for one connection: TLS 1.2 or newer, the broker's name checked.
+
+        Parameters
+        ----------
+        is_key_private :
+            Whether a key that others may read is refused.
+
+        Raises
+        ------
+        AddressError
+            If a file is missing, unreadable, no certificate, or a key that others may read.
+        """
+        try:
+            if self.authority is not None:
+                check_plain_file(self.authority)
+            context = ssl.create_default_context(cafile=self.authority)
+            context.minimum_version = ssl.TLSVersion.TLSv1_2
+            context.sslsocket_class = _ClosingSocket
+            if self.certificate is not None and self.key is not None:
+                if is_key_private:
+                    check_secret_mode(self.key)
+                check_plain_file(self.key)
+                check_plain_file(self.certificate)
+                context.load_cert_chain(self.certificate, self.key)
+        except ssl.SSLError as exc:
+            raise AddressError(f"certificate or key cannot be used: {exc.reason or exc} ({self._names})") from exc
+        except OSError as exc:
+            raise AddressError(f"certificate or key cannot be read: {exc.strerror} ({self._names})") from exc
+        return context
+
+    def fingerprint(self) -> tuple[tuple[int, int, int] | None, ...]:
+        """Return what changes when a file is replaced."""
+        return tuple(_stamp(path) for path in self._paths)
+
+    @property
+    def _paths(self) -> list[Path]:
+        return [path for path in (self.authority, self.certificate, self.key) if path is not None]
+
+    @property
+    def _names(self) -> str:
+        return ", ".join(map(str, self._paths))
+
+
+class _ClosingSocket(ssl.SSLSocket):
+    """A socket that is not left open when the peer turns out to be another; paho-mqtt forgets about it."""
+
+    def do_handshake(self, block: bool = False) -> None:  # noqa: FBT001, FBT002 - signature of ssl
+        try:
+            super().do_handshake(block)
+        except BaseException:
+            self.close()
+            raise
+
+
+def _stamp(path: Path) -> tuple[int, int, int] | None:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_ino, status.st_mtime_ns, status.st_size
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,8 +14,7 @@ from wsgiref.types import StartResponse, WSGIEnvironment
 
 from jinja2 import Environment
 
-from clutchdiag_io.pages.content import NONE, Advice, Cell, Section, Table, number
-from clutchdiag_io.pages.environment import SAFE_HEADERS, host_of, templates_of
+from clutchdiag_io.pages.content import NONE, SAFE_HEADERS, Advice, Cell, Section, Table, host_of, number, templates_of
 from clutchdiag_io.program import legible
 from diag_service.diagnosis.summary import frames_line
 from diag_service.report.findings import Findings

@@ -11,8 +11,7 @@ import numpy as np
 
 from canlog.files import replacing
 from clutch_model.units import NS_PER_S, degc_from_k
-from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Key, Section, Table, number, spread
-from clutchdiag_io.pages.environment import templates_of
+from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Key, Section, Table, number, spread, templates_of
 from clutchdiag_io.program import legible, legible_record
 from diag_service.delivery.console import condition_words, gear_words, kind_words, part_words, reason_words
 from diag_service.diagnosis.condition.shift_course import (

@@ -11,7 +11,7 @@ from typing import Final
 from diag_service.diagnosis.records import FluidFill, iso_utc
 from diag_service.errors import ConfigError, StoreError
 from diag_service.store.file import connect, translated
-from fleet_contract.fills import SAME_WITHIN, distinct, odometer_complaint
+from fleet_contract.orders import SAME_WITHIN, distinct, odometer_complaint
 
 _NEXT: Final = timedelta(microseconds=1)
 _READING: Final = (

@@ -3,6 +3,6 @@
 ``fleet_backend.certificates.authority`` makes them; it needs the extra ``security``, so nothing here loads it.
 """
 
-from fleet_backend.certificates.errors import CertificateError
+from fleet_backend.errors import CertificateError
 
 __all__ = ["CertificateError"]

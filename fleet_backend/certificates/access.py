@@ -14,7 +14,7 @@ from typing import Final
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from fleet_backend.certificates.errors import CertificateError
+from fleet_backend.errors import CertificateError
 from fleet_contract import TOPIC_ROOT, Channel
 
 OFFICE: Final = "fleet-"  # what the names of the backend's programs begin with; no vehicle's does

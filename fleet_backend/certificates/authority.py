@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from fleet_backend.certificates.errors import CertificateError
+from fleet_backend.errors import CertificateError
 
 AUTHORITY: Final = "ca"
 _CLOCK_SKEW: Final = timedelta(minutes=5)  # a vehicle's clock may be behind

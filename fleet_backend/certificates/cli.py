@@ -10,7 +10,7 @@ import click
 
 from clutchdiag_io.command_line import FILE, FLOAT, Command, Option, Program
 from clutchdiag_io.program import complain
-from fleet_backend.certificates.errors import CertificateError
+from fleet_backend.errors import CertificateError
 
 PROGRAM: Final = "fleet-certificates"
 EXIT_OK, EXIT_USAGE = 0, 2

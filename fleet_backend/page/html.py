@@ -6,8 +6,7 @@ from typing import Final
 from jinja2 import Environment
 from markupsafe import Markup
 
-from clutchdiag_io.pages.content import Link
-from clutchdiag_io.pages.environment import templates_of
+from clutchdiag_io.pages.content import Link, templates_of
 from fleet_backend.page.access import NOBODY, Role, Viewer
 from fleet_backend.page.files import Format
 from fleet_backend.page.view import Drawn, Shown, View

@@ -17,7 +17,7 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from clutchdiag_io.pages.environment import SAFE_HEADERS, host_of
+from clutchdiag_io.pages.content import SAFE_HEADERS, host_of
 from fleet_backend.errors import DatabaseError, FleetBackendError
 from fleet_backend.page import (
     alarms_view,

@@ -11,7 +11,7 @@ from fleet_backend.months import CLUTCH_STREAM, has_partitions
 from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT, POPULATION
 from fleet_backend.page.records import Fill
 from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, VEHICLE
-from fleet_contract.fills import distinct
+from fleet_contract.orders import distinct
 
 _OWN: Final[Any] = bindparam("vehicle")
 _NOTED: Final = ALARM_ACKNOWLEDGEMENT.c

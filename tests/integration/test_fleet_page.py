@@ -18,7 +18,7 @@ from icalendar import Calendar
 from jsonschema import Draft202012Validator
 from playwright.sync_api import Browser, Page
 
-from clutchdiag_io.pages.environment import SAFE_HEADERS as HEADERS
+from clutchdiag_io.pages.content import SAFE_HEADERS as HEADERS
 from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database

@@ -294,7 +294,7 @@ READERS: Mapping[str, str] = {
     ".profile": "diag_service.mapping.profile:load_profile",
     ".calibration": "clutch_model.calibration:read_calibration",
     ".config": "diag_service.settings.options:read_settings",
-    ".password": "fleet_link.tls:read_secret",
+    ".password": "fleet_link.address:read_secret",
     ".plant": "ecu_emulator.plant.parameters:read_parameters",
     ".scenario": "ecu_emulator.scenario.scenario_file:load_scenario",
     ".truth": "ecu_emulator.truth:read_truth",

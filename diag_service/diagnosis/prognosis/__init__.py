@@ -1,21 +1,26 @@
 """Prognosis: from the past results of one clutch to how far its fluid will go, with how sure that is."""
 
 from diag_service.diagnosis.prognosis.channels import ChannelName
-from diag_service.diagnosis.prognosis.common import Common, Monthly, common_course, common_of, monthly, without
 from diag_service.diagnosis.prognosis.history import History, history_of, history_of_estimates
 from diag_service.diagnosis.prognosis.lots import Lot, LotStanding, lot_standings
 from diag_service.diagnosis.prognosis.past_lives import ageings, hindsights
 from diag_service.diagnosis.prognosis.population import (
     Ageing,
+    Common,
     Hindsight,
+    Monthly,
     PeerGroup,
     Peers,
     Population,
     Usual,
+    common_course,
+    common_of,
     learn,
+    monthly,
     population_from,
     population_record,
     with_bends,
+    without,
 )
 from diag_service.diagnosis.prognosis.prognosis import Outlook, Prognosis, prognose
 from diag_service.diagnosis.prognosis.trend import Passage

@@ -1,7 +1,6 @@
 """Cells of tables: what they hold is escaped, whatever it is."""
 
-from clutchdiag_io.pages.content import NONE, Badge, Link, Number, TimeCell
-from clutchdiag_io.pages.environment import rows_markup
+from clutchdiag_io.pages.content import NONE, Badge, Link, Number, TimeCell, rows_markup
 
 EVIL = "<img src=x onerror=alert(1)>\"'&"
 SAFE = "&lt;img src=x onerror=alert(1)&gt;&#34;&#39;&amp;"

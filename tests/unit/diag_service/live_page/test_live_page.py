@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from clutchdiag_io.pages.environment import SAFE_HEADERS
+from clutchdiag_io.pages.content import SAFE_HEADERS
 from diag_service.delivery import MemoryReporter
 from diag_service.errors import ConfigError
 from diag_service.live_page import opened_page

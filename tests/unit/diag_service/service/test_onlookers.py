@@ -19,8 +19,8 @@ from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.condition.verdict import Cause, advice
 from diag_service.diagnosis.records import Condition
 from diag_service.errors import ConfigError
+from diag_service.service.bus_run import Monitor, screen
 from diag_service.service.metrics import serving
-from diag_service.service.monitor import Monitor, screen
 from diag_service.service.session import Stage, Stuck
 from diag_service.service.snapshot import SILENT_S, STALE_S, Board, RateMeter, Snapshot, SnapshotTaker
 from diag_service.settings.config import ListenAddress, parse_listen_address

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from diag_service.diagnosis.prognosis import Common, History, common_course, common_of, monthly, without
-from diag_service.diagnosis.prognosis.common import PERIOD_S
+from diag_service.diagnosis.prognosis.population import PERIOD_S
 from tests.support.pasts import ageing, past
 
 UPDATE = 6  # month in which a software reads mu_S by two percent more

@@ -1,11 +1,61 @@
-"""How a broker is written where people name one: ``mqtt[s]://[user[:password]@]host[:port]``."""
+"""What people set for both sides: a broker, ``mqtt[s]://[user[:password]@]host[:port]``, and environment variables.
 
+Both programs may share a shell: neither takes the other's variables for a mistake.
+"""
+
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from ipaddress import ip_address
 from typing import Final
 from urllib.parse import unquote, urlsplit
 
-from fleet_contract.errors import BrokerUrlError
+from fleet_contract.errors import BrokerUrlError, VariableError
+
+PREFIX: Final = "CLUTCHDIAG_"
+SERVICE_VARIABLES: Final = frozenset(
+    PREFIX + name
+    for name in (
+        *("ACKNOWLEDGE", "BITRATE", "BROKER", "CA", "CALIBRATION", "CERT", "CHANNEL", "CONFIG", "DBC"),
+        *(
+            "DURATION",
+            "FD",
+            "INTERFACE",
+            "KEY",
+            "LENIENT",
+            "METRICS",
+            "ONLY_MAPPED",
+            "PAGE",
+            "PARSER_TIME",
+            "PASSWORD_FILE",
+            "PROFILE",
+        ),
+        *(
+            "STORE",
+            "STORE_BUDGET",
+            "VEHICLE",
+            "VEHICLE_FILE",
+            "ACTIVE",
+            "ADAPTER",
+            "DESCRIPTION",
+            "ECU",
+            "POLL",
+            "REPLY",
+        ),
+    )
+)
+BACKEND_VARIABLES: Final = frozenset({f"{PREFIX}BROKER", f"{PREFIX}DATABASE"})
+
+
+def check_variables(environment: Mapping[str, str]) -> None:
+    """Raise VariableError if a variable that is set has our prefix and is known to neither program."""
+    known = SERVICE_VARIABLES | BACKEND_VARIABLES
+    for name in sorted(environment):
+        if not name.startswith(PREFIX) or name in known or not environment[name]:
+            continue
+        nearest = get_close_matches(name, sorted(known), n=1, cutoff=0.0)
+        raise VariableError(f"the environment sets {name}, which nothing reads; the nearest known name is {nearest[0]}")
+
 
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 _NATS_PORTS: Final = {"nats": 4222, "nats+tls": 4222}
