@@ -1,4 +1,4 @@
-"""Where a broker is and who we are to it; files of TLS are read anew for every connection, and so renewed as it runs."""
+"""Where a broker is and who we are to it; files of TLS are read anew for every connection: no restart renews them."""
 
 import errno
 import os

@@ -1,7 +1,7 @@
 """Messages longer than a frame, put together from recorded or live frames: ISO-TP, J1939 transport, fast packet."""
 
-from canlog.transport.reassembly import LongMessage, LongMessages, Reassembler
-from canlog.transport.transfers import Exchange, Exchanges, Fault, Protocol, Transfer, TransferCounts
+from canlog.transport.reassembly import Exchange, Exchanges, LongMessage, LongMessages, Reassembler
+from canlog.transport.transfers import Fault, Protocol, Transfer, TransferCounts
 
 __all__ = [
     "Exchange",
