@@ -117,7 +117,6 @@ class TrafficMeter:
         self._peak_bits = 0.0
 
     def add(self, batch: FrameBatch) -> None:
-        """Count a batch."""
         if not len(batch):
             return
         first_ns, last_ns = int(batch.t_ns.min()), int(batch.t_ns.max())

@@ -338,7 +338,6 @@ class TorqueSource(StrEnum):
 
     @property
     def is_modelled(self) -> bool:
-        """Whether something goes with the torque."""
         return self in {TorqueSource.MODELLED, TorqueSource.WITHOUT_CUT}
 
 

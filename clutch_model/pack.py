@@ -78,7 +78,6 @@ class FrictionLaw(NamedTuple):
 
 
 def friction_law(curve: FrictionCurve) -> FrictionLaw:
-    """Return the kernel form of a friction curve."""
     return FrictionLaw(
         mu_c=float(curve.mu_c),
         mu_s=float(curve.mu_s),

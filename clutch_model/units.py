@@ -26,7 +26,6 @@ def rpm_from_rad_s(speed_rad_s: Quantity) -> Quantity:
 
 
 def pa_from_bar(pressure_bar: Quantity) -> Quantity:
-    """Return a pressure [Pa]."""
     return pressure_bar * _PA_PER_BAR
 
 
@@ -40,12 +39,10 @@ def k_from_degc(temperature_degc: Quantity) -> Quantity:
 
 
 def degc_from_k(temperature_k: Quantity) -> Quantity:
-    """Return a temperature in degrees Celsius."""
     return temperature_k - _ICE_POINT_K
 
 
 def m_s_from_km_h(speed_km_h: Quantity) -> Quantity:
-    """Return a speed [m/s]."""
     return speed_km_h / _KM_H_PER_M_S
 
 

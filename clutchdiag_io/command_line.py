@@ -26,7 +26,6 @@ class FileName(click.Path[Path]):
     """The name of a file; ``-`` alone stands for standard input or output, ``./-`` for a file of that name."""
 
     def convert(self, value: str | os.PathLike[str], param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Return what a text stands for."""
         path = super().convert(value, param, ctx)
         return path.absolute() if path == STANDARD_STREAM and os.fspath(value) != str(path) else path
 
@@ -42,7 +41,6 @@ class FileOrStore(click.ParamType["Path | str"]):
     def convert(
         self, value: str | os.PathLike[str], param: click.Parameter | None, ctx: click.Context | None
     ) -> Path | str:
-        """Return what a text stands for."""
         return value if isinstance(value, str) and "://" in value else FILE.convert(value, param, ctx)
 
 
@@ -58,7 +56,6 @@ class Number(click.ParamType[float]):
         self._kind = kind
 
     def convert(self, value: str | float, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return what a text stands for."""
         try:
             return self._kind(value)
         except ValueError:
@@ -69,7 +66,6 @@ class Choice(click.Choice[_Word]):
     """One of a few words; another one is told as ``invalid choice``."""
 
     def get_invalid_choice_message(self, value: object, ctx: click.Context | None) -> str:
-        """Return the complaint."""
         del ctx
         return _invalid_choice(value, self.choices)
 
@@ -178,7 +174,6 @@ class Command(_Page):
         return rest
 
     def invoke(self, ctx: click.Context) -> SimpleNamespace:
-        """Return the words."""
         command = ctx.command_path.split()[1]
         given = {name for name in ctx.params if ctx.get_parameter_source(name) is click.ParameterSource.COMMANDLINE}
         return SimpleNamespace(**{"command": command, "action": self.name, "given": frozenset(given), **ctx.params})

@@ -209,7 +209,6 @@ def attached(group: str) -> list[Any]:
 
 
 def is_attached(group: str, name: str) -> bool:
-    """Return whether something attaches to a group by this name."""
     return name in _found(group)
 
 

@@ -138,7 +138,6 @@ class ReadingLine:
             self._due_s = self._now_s() + PERIOD_S
 
     def clear(self) -> None:
-        """Take the line away."""
         if self._is_shown:
             self._stream.write(CLEAR)
             self._stream.flush()

@@ -85,7 +85,6 @@ class TruthMemory:
         self._drive = drive
 
     def write(self, truths: Iterable[Happened]) -> None:
-        """Keep what has happened."""
         self._happened.extend(truths)
 
     def totals(self, totals: Totals) -> None:
@@ -111,13 +110,11 @@ class SharedTruth:
             sink.drive(drive)
 
     def write(self, truths: Iterable[Happened]) -> None:
-        """Tell all what has happened."""
         kept = tuple(truths)
         for sink in self._sinks:
             sink.write(kept)
 
     def totals(self, totals: Totals) -> None:
-        """Tell all what the drive amounted to."""
         for sink in self._sinks:
             sink.totals(totals)
 

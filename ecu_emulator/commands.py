@@ -153,7 +153,6 @@ def with_mass(truth: Truth, mass_kg: float) -> Truth:
 
 
 def list_scenarios() -> None:
-    """Print the shipped scenarios."""
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     for name in shipped_scenarios():
         sys.stdout.write(hanging(f"{name:<12} ", load_scenario(name).description, width) + "\n")

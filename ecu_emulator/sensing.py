@@ -74,7 +74,6 @@ class SensorFaults:
 
     @property
     def faults(self) -> tuple[SensorFault, ...]:
-        """All faults asked for."""
         return tuple(self._faults)
 
     def add(self, fault: SensorFault, origin_s: float = 0.0) -> None:

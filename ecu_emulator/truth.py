@@ -204,7 +204,6 @@ class TruthWriter:
         self.close()
 
     def drive(self, drive: DriveTruth) -> None:
-        """Write the first line."""
         self._drive = drive
         self._line(_DRIVE, asdict(drive))
 
@@ -216,11 +215,9 @@ class TruthWriter:
             self._line(_KINDS[type(truth)], asdict(truth))
 
     def totals(self, totals: Totals) -> None:
-        """Write the last line."""
         self._line(_TOTALS, asdict(totals))
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     def _begin_anew(self) -> None:

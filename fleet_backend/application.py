@@ -59,7 +59,6 @@ async def give_signs(path: Path, worker: Worker, engine: Engine, period_s: float
 
 
 def answers(engine: Engine) -> bool:
-    """Return whether the database answers."""
     try:
         with engine.connect() as connection:
             connection.execute(select(1))

@@ -12,6 +12,5 @@ COMMAND_LINE: Final = "command line"  # the role of who has a shell where the da
 
 
 def note_change(connection: Connection, *, at: datetime, who: str, role: str, action: str, subject: str) -> None:
-    """Write who changed what."""
     values = {"audit_id": str(uuid.uuid4()), "at": at, "who": who, "role": role, "action": action, "subject": subject}
     connection.execute(insert(AUDIT).values(**values))

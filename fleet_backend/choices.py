@@ -38,7 +38,6 @@ class Part:
         return self.count == 1 or crc32(topic.split("/")[2].encode()) % self.count == self.number - 1
 
     def group(self, name: str) -> str:
-        """Return the name of its group of workers."""
         return name if self.count == 1 else f"{name}-{self.number}-of-{self.count}"
 
 

@@ -64,7 +64,6 @@ class Follower:
         self._is_json = is_json
 
     async def run_until_stopped(self) -> None:
-        """Follow until a signal comes."""
         task = asyncio.ensure_future(self.run())
         with stopping(task.cancel), suppress(asyncio.CancelledError):
             await task
@@ -123,7 +122,6 @@ def _events(topic: str, payload: bytes) -> Iterator[Incoming]:
 
 
 def line_of(event: Incoming) -> str:
-    """Return what an event says, for people."""
     data, vehicle = event.data, event.address.vehicle
     if event.address.channel is Channel.STATUS:
         return f"{event.time} {vehicle}: {data['status']}"

@@ -93,7 +93,6 @@ def revisions() -> list[str]:
 
 
 def newest_revision() -> str:
-    """Return the revision that this program works with."""
     return revisions()[-1]
 
 

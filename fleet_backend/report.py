@@ -86,7 +86,6 @@ def alarm_table(clutches: Sequence[Record], identities: Sequence[Record]) -> She
 
 
 def quarantine_table(records: Sequence[Record]) -> Sheet:
-    """Return what was kept aside."""
     return _sheet(
         f"Quarantine: the latest {len(records)}",
         records,
@@ -119,7 +118,6 @@ def seen_table(records: Sequence[Record]) -> Sheet:
 
 
 def partition_table(records: Sequence[Record]) -> Sheet:
-    """Return the partitions of the results."""
     return _sheet(
         f"Partitions: {len(records)}",
         records,
@@ -173,7 +171,6 @@ def lot_standings_table(records: Sequence[Record]) -> Sheet:
 
 
 def lots_table(records: Sequence[Record]) -> Sheet:
-    """Return what vehicles have in common."""
     return _sheet(
         f"Properties of {len({record['vehicle'] for record in records})} vehicles",
         records,
@@ -183,7 +180,6 @@ def lots_table(records: Sequence[Record]) -> Sheet:
 
 
 def codes_table(records: Sequence[Record]) -> Sheet:
-    """Return the trouble codes that controllers tell."""
     count = sum(record["code"] is not None for record in records)
     return _sheet(
         f"Trouble codes: {count} of {len({record['vehicle'] for record in records})} vehicles",

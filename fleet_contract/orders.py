@@ -105,7 +105,6 @@ class Order:
 
     @property
     def text(self) -> str:
-        """All of it, as one paragraph."""
         return " ".join((self.sentence, *self.reasons))
 
 

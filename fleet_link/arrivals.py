@@ -33,7 +33,6 @@ class Arrivals:
         return len(self._messages)
 
     def append(self, message: Message) -> None:
-        """Let a message wait."""
         self._messages.append(message)
         self._bytes += len(message.payload)
 

@@ -146,7 +146,6 @@ class SocketLoop:
                 self._loop.remove_reader(sock.fileno())
 
     def resume(self) -> None:
-        """Read on."""
         if self._is_paused:
             self._is_paused = False
             self._judged_after_s = self._loop.time() + self._client.keepalive  # its answers wait behind what it sent

@@ -67,7 +67,6 @@ class DatabaseFormat(StrEnum):
 
     @property
     def in_words(self) -> str:
-        """What a file of it is called."""
         return f"{'an' if self is DatabaseFormat.ARXML else 'a'} {self.name} file"
 
 

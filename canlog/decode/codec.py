@@ -407,7 +407,6 @@ def message_table(
 
 
 def _labelled(signals: Sequence[Signal]) -> dict[str, Signal]:
-    """Return signals by names that differ."""
     taken = {signal.name for signal in signals}
     found: dict[str, Signal] = {}
     for signal in signals:

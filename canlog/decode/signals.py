@@ -307,7 +307,6 @@ class InvalidCounts(NamedTuple):
 
     @property
     def total(self) -> int:
-        """All of them."""
         return sum(self)
 
     def plus(self, more: "InvalidCounts") -> "InvalidCounts":

@@ -73,7 +73,6 @@ class E2eMemory(NamedTuple):
 
 @array_kernel
 def count_ones(bits: int) -> int:
-    """Return how many bits are set."""
     count = 0
     while bits:
         bits &= bits - 1
@@ -189,7 +188,6 @@ class E2eStates:
 
     @property
     def states(self) -> tuple[E2eState, ...]:
-        """State of each message."""
         return tuple(E2eState(state) for state in self._memory.state.tolist())
 
     @property

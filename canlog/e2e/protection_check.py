@@ -163,7 +163,6 @@ def identify(book: AddressBook, origins: Origins, frames: FrameColumns, row: int
 
 @array_kernel
 def soundness(rules: Rules, frames: FrameColumns, row: int, slot: int) -> int:
-    """Return whether a frame is whole and unharmed."""
     if frames.length[row] < rules.min_length[slot]:
         return _SHORT
     if rules.is_protected[slot]:
@@ -270,7 +269,6 @@ class LinkMonitor:
 
 
 def _rules_of(messages: Sequence[Message]) -> Rules:
-    """Return what the database demands of its messages."""
     contracts = [message_contract(message) for message in messages]
     for message, contract in zip(messages, contracts, strict=True):
         if contract.data_id is not None and message.length != PAYLOAD_BYTES:

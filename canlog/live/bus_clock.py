@@ -54,7 +54,6 @@ class ClockAlarm:
             raise OSError(number, os.strerror(number))
 
     def fileno(self) -> int:
-        """Return the descriptor to wait for."""
         return self._descriptor
 
     def acknowledge(self) -> bool:

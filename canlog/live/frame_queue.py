@@ -38,7 +38,6 @@ class FrameQueue:
 
     @property
     def dropped(self) -> int:
-        """Frames that did not fit."""
         return self._dropped
 
     def offer(self, batch: FrameBatch) -> None:

@@ -67,7 +67,6 @@ class PythonCanSource:
         return SourceCounts(received=self._received, queue_dropped=self._queue.dropped)
 
     def __aiter__(self) -> AsyncIterator[FrameBatch | Silence]:
-        """Iterate over batches and silences."""
         return aiter(self._queue)
 
     async def aclose(self) -> None:
@@ -149,7 +148,6 @@ def _is_of_now(message: can.Message) -> bool:
 
 
 def to_batch(messages: Sequence[can.Message]) -> FrameBatch:
-    """Return python-can messages as columns."""
     width = FD_PAYLOAD_BYTES if any(message.is_fd for message in messages) else PAYLOAD_BYTES
     t_us = np.rint(np.array([message.timestamp for message in messages]) * US_PER_S).astype(np.int64)
     capacity = np.array([FD_PAYLOAD_BYTES if message.is_fd else PAYLOAD_BYTES for message in messages], np.uint8)

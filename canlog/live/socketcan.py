@@ -103,7 +103,6 @@ class SocketCanSource:
         )
 
     def __aiter__(self) -> AsyncIterator[FrameBatch | Silence]:
-        """Iterate over batches and silences."""
         return aiter(self._queue)
 
     async def aclose(self) -> None:

@@ -63,7 +63,6 @@ class TarContents:
         self._at = 0
 
     def tell(self) -> int:
-        """Return the position."""
         return self._at
 
     def seek(self, position: int) -> None:
@@ -330,7 +329,6 @@ class MemberStream(io.RawIOBase):
 
     @property
     def name(self) -> str:
-        """What it is, for people."""
         return f"{self._member.name} in the {self._member.kind} archive"
 
     def restart(self, counts: LogCounts) -> None:
@@ -343,7 +341,6 @@ class MemberStream(io.RawIOBase):
             raise SourceError(f"{self.name} is damaged: {exc}") from exc
 
     def readable(self) -> bool:
-        """Return True."""
         return True
 
     def readinto(self, buffer: "memoryview | bytearray") -> int:  # type: ignore[override]  # any buffer will do

@@ -107,7 +107,6 @@ def new_rows(count: int, width: int) -> FrameRows:
 
 
 def rows_of(batch: FrameBatch) -> FrameRows:
-    """Return frames as kernels take them."""
     plain = batch.plain()
     flags, words = np.require(plain.flags, np.uint8, ("C", "W")), plain.data.view(np.uint64)
     return FrameRows(plain.t_ns, plain.can_id, plain.length, flags, plain.channel, plain.data, words)

@@ -128,7 +128,6 @@ class BoundedStream:
 
     @property
     def name(self) -> str:
-        """The name of the file."""
         return str(self._stream.name)
 
     @property
@@ -149,7 +148,6 @@ class BoundedStream:
         return got
 
     def seek(self, position: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a position and return it."""
         return self._stream.seek(position, whence)
 
     def _is_at_end(self) -> bool:

@@ -141,7 +141,6 @@ class _Server:
                 raise SourceError(f"no process can be started to read it: {exc.strerror or exc}") from exc
 
     def stop(self) -> None:
-        """End the process."""
         if self._control is not None and self._process is not None:
             self._control.close()
             self._process.wait()

@@ -155,7 +155,6 @@ class Mf4File:
         return MeasuredGroup(group.at, tuple(channels), has_times, is_bus, tuple(others))
 
     def _is_number(self, conversion_at: int) -> bool:
-        """Return whether a conversion makes a number of a number."""
         if not conversion_at:
             return True
         block = self._need(conversion_at, b"##CC")

@@ -173,7 +173,6 @@ def read_group(
 def frames_of(
     samples: Records, elapsed_s: npt.NDArray[np.float64], kind: str, start_ns: int
 ) -> tuple[FrameBatch, npt.NDArray[np.bool_]]:
-    """Return records as frames, and which of them are such."""
     number = column(samples, kind, "ID").astype(np.uint32) & np.uint32(MAX_ID)
     is_extended = column(samples, kind, "IDE") != 0
     is_fd = column(samples, kind, "EDL") != 0

@@ -117,7 +117,6 @@ def time_ns(time_s: object) -> int | None:
 
 
 def batch_of(frames: list[Frame]) -> FrameBatch:
-    """Return frames as columns."""
     t_ns, can_id, length, flags, payload = zip(*frames, strict=True)
     width = FD_PAYLOAD_BYTES if any(flags) else PAYLOAD_BYTES
     return FrameBatch(

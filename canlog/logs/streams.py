@@ -170,7 +170,6 @@ class InflatedStream(io.RawIOBase):
 
     @property
     def name(self) -> str:
-        """What it is, for people."""
         return f"the {self.kind} file"
 
     def restart(self, counts: LogCounts) -> None:
@@ -182,7 +181,6 @@ class InflatedStream(io.RawIOBase):
         self._given_bytes = 0
 
     def readable(self) -> bool:
-        """Return True."""
         return True
 
     def readinto(self, buffer: "memoryview | bytearray") -> int:  # type: ignore[override]  # any buffer will do
@@ -196,7 +194,6 @@ class InflatedStream(io.RawIOBase):
         return 0
 
     def close(self) -> None:
-        """Close the file."""
         self._stream.close()
         super().close()
 
@@ -295,7 +292,6 @@ class PipeStream(io.RawIOBase):
         self.was_left = False  # before its end
 
     def readable(self) -> bool:
-        """Return True."""
         return True
 
     def close(self) -> None:

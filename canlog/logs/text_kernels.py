@@ -138,7 +138,6 @@ def skip_word(text: UInt8Array, at: int) -> int:
 
 @array_kernel
 def skip_line(text: UInt8Array, at: int) -> int:
-    """Return the position behind the line."""
     while text[at] != NEWLINE:
         at += 1
     return at + 1

@@ -96,7 +96,6 @@ class DecodeAccount:
             self.of_signal(found.slot, name).cut_off += count
 
     def leave_out(self, count: int) -> None:
-        """Count frames that were not asked for."""
         self.counts[-1, FrameFate.LEFT_OUT] += count
 
     def of_signal(self, slot: int, name: str) -> SignalCounts:
@@ -108,13 +107,11 @@ class DecodeAccount:
 
     @property
     def fates(self) -> dict[FrameFate, int]:
-        """What became of all frames."""
         total = self.counts.sum(axis=0).tolist()
         return {fate: total[fate] for fate in FrameFate}
 
     @property
     def is_balanced(self) -> bool:
-        """Whether every frame is accounted for."""
         return sum(self.fates.values()) == self.log.frames
 
     def of_message(self, slot: int) -> dict[FrameFate, int]:

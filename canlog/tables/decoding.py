@@ -161,7 +161,6 @@ def stretches(
 def groups(
     found: Iterable[Stretch], codec: Codec, size: GroupSize, origins: Origins | None = None
 ) -> Iterator[FrameGroup]:
-    """Yield the frames that have signals, in groups."""
     stock = FrameStock.of(codec, origins, size.frames, size.values)
     for stretch in found:
         yield from stock.add(stretch)
@@ -206,11 +205,9 @@ class ColumnRows:
             self._columns.write_columns(columns)
 
     def close(self) -> None:
-        """Write the end."""
         self._columns.close()
 
     def discard(self) -> None:
-        """Leave it as it is."""
         self._columns.discard()
 
 
@@ -233,7 +230,6 @@ class MessageRows:
         self._open: dict[int, tuple[WideLayout, ColumnSink]] = {}
 
     def write_group(self, group: FrameGroup) -> None:
-        """Write some frames, message by message."""
         found = sorted(self._account.values_of(group), key=lambda one: one.slot)
         for slot, parts in groupby(found, key=lambda one: one.slot):
             layout, sink = self._table(slot)
@@ -242,12 +238,10 @@ class MessageRows:
             sink.write_columns(columns)
 
     def close(self) -> None:
-        """Write the ends."""
         for _, sink in self._open.values():
             sink.close()
 
     def discard(self) -> None:
-        """Leave them as they are."""
         for _, sink in self._open.values():
             sink.discard()
 

@@ -344,7 +344,6 @@ class FrameStock:
                 yield self._taken()
 
     def rest(self) -> Iterator[FrameGroup]:
-        """Yield what is left."""
         if self._frame_count:
             yield self._taken()
 

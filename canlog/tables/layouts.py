@@ -224,7 +224,6 @@ class WideLayout(TableLayout):
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """What is to be known of columns."""
         units = ((place, self._tables[place[0]].definitions[place[1]].unit) for place in self._places)
         return {self.names.columns[place]: {UNIT: unit} for place, unit in units if unit}
 
@@ -285,7 +284,6 @@ class LongLayout(TableLayout):
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """What is to be known of columns."""
         return {}
 
     def columns(self, group: FrameGroup, found: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
@@ -375,7 +373,6 @@ class _Cells:
         return found
 
     def texts(self, place: Place, names: Sequence[str]) -> Column:
-        """Return the texts of a signal."""
         return _name_column(names, self._codes.get(place, np.full(self._count, NAMELESS, np.int32)))
 
 

@@ -56,7 +56,6 @@ class Mf4Table:
             self._write_message(slot, parts, group)
 
     def close(self) -> None:
-        """Write the file."""
         try:
             self._file.save(self._output, compression=TRANSPOSED_AND_DEFLATED)
         finally:

@@ -61,7 +61,6 @@ class BriefFile(io.RawIOBase):
         self._held = bytearray()
 
     def writable(self) -> bool:
-        """Return True."""
         return True
 
     def write(self, content: WriteBuffer) -> int:  # type: ignore[override]  # any buffer will do
@@ -73,7 +72,6 @@ class BriefFile(io.RawIOBase):
         return size
 
     def flush(self) -> None:
-        """Add what is held to the file."""
         if self._held:
             with self._path.open("ab") as file:
                 file.write(self._held)
@@ -94,7 +92,6 @@ class TableFolder:
         self._files: dict[int, BriefFile] = {}
 
     def file(self, slot: int) -> BinaryIO:
-        """Return the file of a message."""
         if slot not in self._files:
             self._files[slot] = BriefFile(self._part / self._names[slot])
         return cast("BinaryIO", self._files[slot])
@@ -155,7 +152,6 @@ def table_folder(folder: Path, names: Mapping[int, str]) -> Iterator[TableFolder
 
 
 def message_files(names: TableNames, table_format: TableFormat) -> dict[int, str]:
-    """Return the names of the files of all messages, by slot."""
     suffix = SUFFIX_OF_FORMAT[table_format]
     return {slot: f"{name}{suffix}" for slot, name in enumerate(file_names(names.messages))}
 

@@ -120,7 +120,6 @@ def path_list(paths: AnyPaths) -> list[Path]:
 
 
 def optional_path(path: AnyPath | None) -> Path | None:
-    """Return a path that may be missing."""
     return None if path is None else Path(path)
 
 

@@ -174,7 +174,6 @@ class FolderLines:
         self._left_out = 0
 
     def add(self, drive: Drive, entry: Entry) -> None:
-        """Write what one drive said."""
         if self._as_json:
             for record in (*entry.shifts, entry.drive):
                 self._write(dump(record))
@@ -190,7 +189,6 @@ class FolderLines:
                 self._write(dump(left_out_record(one)))
 
     def end(self, totals: Mapping[str, int], entries: Iterable[Entry]) -> None:  # noqa: ARG002 - all were told before
-        """Tell of all of them."""
         if not self._as_json:
             left_out = f", {self._left_out} files left out" if self._left_out else ""
             cut = f", {totals['cut']} are cut off and have no verdict" if totals["cut"] else ""
@@ -203,7 +201,6 @@ class FolderLines:
 
 
 def drive_line(entry: Entry) -> str:
-    """Return what a drive said, on one line."""
     summary = entry.drive["summary"]
     if not isinstance(summary, dict):
         return f"not read: {entry.drive['error']}"

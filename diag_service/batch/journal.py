@@ -73,7 +73,6 @@ class Journal:
         self.done[entry.key] = end
 
     def entry(self, key: str) -> Entry:
-        """Return a drive that is done."""
         with self.path.open("rb") as file:
             file.seek(self.done[key])
             table = json.loads(file.readline())

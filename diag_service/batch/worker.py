@@ -80,5 +80,4 @@ def leave_to_parent(is_shown: bool) -> None:  # noqa: FBT001 - likewise
 
 
 def analyse_drive(drive: Drive) -> Entry:
-    """Analyse one drive in a prepared process."""
     return _ANALYSTS[0].analyse(drive)

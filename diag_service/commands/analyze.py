@@ -22,7 +22,6 @@ _LOG = logging.getLogger(__name__)
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
-    """Diagnose what was named."""
     if options.lake is not None:
         _fill_lake(options, controls)
         return

@@ -131,7 +131,6 @@ def _record(options: SimpleNamespace, decoded: Decoded) -> JsonObject:
 
 
 def _show(options: SimpleNamespace, decoded: Decoded, console: PeopleConsole) -> None:
-    """Say the same to people."""
     account = decoded.account
     fates = ", ".join(frame_texts(account))
     lines = list[str]()

@@ -96,13 +96,11 @@ _WRITERS: list[TableWriter] = []  # of this process: one, made when it starts
 
 
 def begin_tables(messages: Sequence[Message], choice: TableChoice, table_format: TableFormat) -> None:
-    """Prepare a process for tables."""
     follow_parent()
     _WRITERS.append(TableWriter(messages=messages, choice=choice, table_format=table_format))
 
 
 def write_own_table(task: TableTask) -> TableDone:
-    """Write one table in a prepared process."""
     return _WRITERS[0].write(task)
 
 

@@ -83,7 +83,6 @@ class TableValues:
                 self._of_id[can_id].add(values[rows])
 
     def of(self, can_id: int) -> ColumnValues:
-        """Return what the column with an identifier holds."""
         return self._of_id[can_id]
 
 
@@ -207,7 +206,6 @@ def inspect_log(
 
 
 def inspection_record(inspection: Inspection) -> JsonObject:
-    """Return the inspection as one JSON object."""
     counts = inspection.reader.counts
     table = asdict(inspection.traffic)
     for one in table["ids"]:

@@ -29,7 +29,6 @@ _LOG = logging.getLogger(__name__)
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
-    """Do what is asked with a lake."""
     del controls
     lake = Place(str(options.lake))
     if options.action == "forget":

@@ -132,7 +132,6 @@ def _lag_said(learned: LearnedVehicle, clutch: int) -> str:
 
 
 def record(learned: LearnedVehicle) -> dict[str, object]:
-    """Return all of it as one JSON object."""
     clutches = {
         name: {str(clutch): {"value": one.value, "std": one.std, "origin": one.origin} for clutch, one in found.items()}
         for name, found in (

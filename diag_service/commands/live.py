@@ -117,7 +117,6 @@ class _Heard:
 
 
 async def _look_again(talks: Conversations, heard: _Heard, show: Show) -> None:
-    """Show what is settled by silence."""
     while True:
         await asyncio.sleep(LOOK_PERIOD_S)
         _show_news(talks, heard.now_ns, show)
@@ -157,6 +156,5 @@ def _line(name: str, value: str | float | Path | None) -> str:
 
 
 def _masked(url: str) -> str:
-    """Return a URL without its password."""
     password = urlsplit(url).password
     return url if password is None else url.replace(f":{password}@", ":***@")

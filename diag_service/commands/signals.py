@@ -50,7 +50,6 @@ class Survey:
 
     @property
     def unknown(self) -> int:
-        """Frames not in the database."""
         return self.frames - self._counts.total()
 
     def add(self, path: Path, stop: Trigger, watch: Watch | None = None, columns: str = "") -> None:
@@ -74,7 +73,6 @@ class Survey:
         self.is_cut = reader.counts.truncated
 
     def statistics(self) -> list[SignalStatistics]:
-        """Return the signals that came."""
         return [one for _, seen in sorted(self._signals.items()) for _, one in sorted(seen.items())]
 
     def listing(self) -> Iterator[str]:

@@ -57,7 +57,6 @@ def _population(path: Path) -> Population:
 
 
 def show(options: SimpleNamespace, controls: Controls) -> None:
-    """Tell of a shift."""
     del controls
     with StoreReader.open(options.store) as store:
         record = store.record(options.shift)

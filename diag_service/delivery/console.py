@@ -33,12 +33,10 @@ from fleet_contract.orders import SHOWN_AS, Order
 
 
 def condition_words(condition: Condition) -> str:
-    """Return the word of a verdict."""
     return condition.name.lower().replace("_", " ")
 
 
 def kind_words(estimate: ShiftEstimate) -> str:
-    """Return what kind of event it was."""
     return estimate.kind.value.replace("_", " ")
 
 
@@ -143,7 +141,6 @@ def order_lines(order: Order) -> list[Text]:
 
 
 def shift_head(*, is_detailed: bool = True) -> Text:
-    """Return the head over lines of shifts."""
     return Text(f"{_HEAD}{_DETAIL_HEAD if is_detailed else ''}{_HEAD_END}", style="bold")
 
 

@@ -97,7 +97,6 @@ class MqttLink:
             await asyncio.wait((self._reader,))
 
     async def end(self) -> None:
-        """Hear no more."""
         self._reader.cancel()
         await asyncio.gather(self._reader, return_exceptions=True)
 

@@ -143,7 +143,6 @@ class FrictionSlope:
 
     @classmethod
     def of(cls, free: ScaleFreeFriction, torque: TorqueSource) -> Self:
-        """Return what friction up to a scale says of it."""
         ratio = free.mu_s / free.mu_c
         part_c, part_s = free.std_mu_c / free.mu_c, free.std_mu_s / free.mu_s
         std = ratio * math.sqrt(max(part_c**2 + part_s**2 - 2.0 * free.correlation * part_c * part_s, 1e-12))

@@ -76,12 +76,10 @@ class FrameCounts:
 
     @property
     def rejected_count(self) -> int:
-        """Frames rejected for whatever reason."""
         return sum(self.rejected.values())
 
     @property
     def is_balanced(self) -> bool:
-        """Whether every frame is accounted for."""
         dropped = self.kernel_dropped + self.queue_dropped
         return self.on_bus == self.decoded + self.ignored + self.unsupported + self.rejected_count + dropped
 

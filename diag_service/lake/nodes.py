@@ -69,7 +69,6 @@ class ClusterAddress:
 
     @property
     def url(self) -> str:
-        """The address as Dask writes it."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{SCHEME}://{host}:{self.port}"
 

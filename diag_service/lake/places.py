@@ -93,7 +93,6 @@ class Place:
         return _patiently("look into", self.address, found)
 
     def read(self, name: str) -> bytes:
-        """Return the content of a file."""
         content: bytes = _patiently("read", self._shown(name), lambda: self._files.cat_file(self._full(name)))
         return content
 

@@ -82,7 +82,6 @@ class LocalPool:
         self._executor.shutdown(wait=True, cancel_futures=True)
 
     def submit(self, log: LakeLog, attempts: int) -> None:
-        """Hand out a log."""
         try:
             future = self._executor.submit(make_in_worker, self._job, log, attempts)
         except BrokenProcessPool:
@@ -152,7 +151,6 @@ class ClusterPool:
             self._client.close(timeout=CLOSE_TIMEOUT_S)
 
     def submit(self, log: LakeLog, attempts: int) -> None:
-        """Hand out a log."""
         future = self._client.submit(make_in_worker, self._job, log, attempts, key=next(self._names), pure=False)
         self._running[future] = log
 

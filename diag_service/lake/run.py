@@ -122,7 +122,6 @@ def fill_lake(
 
 
 def line_of(row: LogRow) -> str:
-    """Return what became of a log, on one line."""
     said = f"{row.shifts} shifts" if row.outcome == DONE else "not analysed"
     return f"{row.source}: {said}{f'; {row.reason}' if row.reason else ''}"
 

@@ -60,7 +60,6 @@ class LakeLog:
 
     @property
     def source(self) -> str:
-        """The address of the log."""
         return f"{self.place}/{self.held.name}"
 
     @property
@@ -82,7 +81,6 @@ class Job:
 
     @property
     def digest(self) -> tuple[object, ...]:
-        """What tells this job from others."""
         return self.lake, self.settings, self.signal_settings, self.time_limit_s
 
     @classmethod

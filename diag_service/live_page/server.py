@@ -72,7 +72,6 @@ def shown(run: LiveRun) -> Shown:
 
 
 def bus_section(run: LiveRun, snapshot: Snapshot) -> Section:
-    """Return how the bus is, and what comes from it."""
     bus = snapshot.bus
     texts = [] if run.board.is_live else ["The service does not answer: what is shown may be old."]
     if snapshot.stuck is not None:
@@ -193,7 +192,6 @@ class _Site:
 
 
 def page_text(run: LiveRun) -> str:
-    """Return the page of a run as HTML."""
     return _templates().get_template("live.html").render(page=shown(run))
 
 

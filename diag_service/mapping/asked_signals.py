@@ -88,11 +88,9 @@ class AskedField:
 
     @property
     def data_id(self) -> "DatumId":
-        """The datum that it is a part of."""
         return DatumId(self.request_id, self.service, self.number)
 
     def value(self, data: bytes) -> int:
-        """Return the field of a datum."""
         count = (self.bit + self.length + 7) // 8
         number = int.from_bytes(data[self.byte : self.byte + count], "little" if self.is_little else "big")
         raw = number >> self.bit & (1 << self.length) - 1
@@ -108,7 +106,6 @@ class DatumId:
     number: int
 
     def __str__(self) -> str:
-        """Return it for people."""
         return f"{self.number:0{4 if self.service == READ_DATA else 2}X} at {self.request_id:03X}"
 
 

@@ -239,7 +239,6 @@ class Decoder:
 
     @property
     def mandatory_messages(self) -> frozenset[str]:
-        """The messages without which there is no estimate."""
         return frozenset(
             mapped.message.name
             for mapped in self._messages
@@ -427,7 +426,6 @@ class Decoder:
 
 
 def _rejected(row: Int64Array) -> dict[FrameReason, int]:
-    """Return the rejections of one row of counts."""
     return {reason: int(row[reason]) for reason in REJECTIONS if row[reason]}
 
 

@@ -81,7 +81,6 @@ class Interpretation:
     files: tuple[Path, ...]  # with them the same log is another stream; none for what is built in
 
     def decoder(self) -> Decoder:
-        """Return a fresh decoder."""
         return Decoder(self.database, self.profile)
 
     def with_gears(self, gears: GearRatios | None, *files: Path) -> Self:
@@ -149,7 +148,6 @@ class Fit:
 
 
 def fit_of(database: Database, profile: Profile) -> Fit:
-    """Return how well a profile fits a database."""
     mapped, problems = fitting(database, profile)
     signals = frozenset(column.signal for message in mapped for column in message.columns)
     tier = tier_of(signals, knows_gears=profile.gears is not None)

@@ -135,7 +135,6 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
 
 
 def _column(message: Message, signal: Signal, source: SignalSource, *, is_j1939: bool) -> SignalColumn:
-    """Return one compiled signal."""
     found = message.get_signal_by_name(signal_name(message, source))
     convert = to_si(signal, source, found.unit)
     is_plain = source.check_range and source.less is None and source.times is None

@@ -214,7 +214,6 @@ class SignalSource:
 
 
 def _identifier(text: str, what: str) -> int:
-    """Return an identifier that was written in hexadecimal."""
     try:
         can_id = int(text, 16)
     except ValueError:
@@ -295,7 +294,6 @@ def find_profile(name: Path) -> Profile:
 
 
 def load_shipped(name: str) -> Profile:
-    """Return a profile that ships with the service."""
     profile = load_profile(PROFILE_FOLDER / f"{name}.toml")
     return replace(profile, is_lenient=True)
 
@@ -364,7 +362,6 @@ def to_si(signal: Signal, source: SignalSource, database_unit: str | None) -> Co
 
 
 def _canonical(key: str) -> Signal:
-    """Return the canonical signal of a key."""
     try:
         return Signal(key)
     except ValueError as error:

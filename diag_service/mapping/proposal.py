@@ -112,7 +112,6 @@ class SignalStatistics:
 
     @property
     def source(self) -> SignalSource:
-        """Where a profile finds it."""
         if self.is_column:
             return SignalSource(column=self.signal)
         return SignalSource(message=self.message, signal=self.signal)

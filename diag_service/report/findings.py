@@ -38,12 +38,10 @@ class Findings:
 
     @property
     def results(self) -> tuple[ShiftResult, ...]:
-        """All results."""
         return tuple(row.result for row in self.rows)
 
     @property
     def order(self) -> Order:
-        """What the vehicle is told."""
         return order_by(self.latest, self.fills[-1] if self.fills else None)
 
 
@@ -64,7 +62,6 @@ class Album:
 
     @property
     def examples(self) -> tuple[Example, ...]:
-        """What was kept."""
         return tuple(one for one in (self._used, self._rejected) if one is not None)
 
 

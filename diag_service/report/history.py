@@ -50,7 +50,6 @@ class FluidPeriod:
 
     @property
     def last_verdict(self) -> ClutchVerdict | None:
-        """What was last said of the clutch with this fluid."""
         return self.rows[-1].result.verdict if self.rows else None
 
     @property

@@ -109,7 +109,6 @@ def record_of(found: Findings) -> JsonObject:
 
 
 def html_of(page: Page) -> str:
-    """Return a page as HTML."""
     return templates_of(_PACKAGE).get_template("report.html").render(page=page)
 
 
@@ -368,7 +367,6 @@ def _trend_cells(place: int, result: ShiftResult) -> tuple[Cell, ...]:
 
 
 def shift_figures(example: Example) -> Iterator[Figure]:
-    """Yield the pictures of one shift."""
     estimate = example.result.estimate
     reasons = reason_words(estimate)
     what = f"{estimate.status.value}{f' ({reasons})' if reasons else ''}"

@@ -182,7 +182,6 @@ PANELS: Final = (
 
 
 def present_curves(panel: Panel, event: Event) -> tuple[Curve, ...]:
-    """Return what of a panel an event has signals for."""
     return tuple(one for one in panel.curves if one.signal in event.columns and len(event.columns[one.signal].t_ns))
 
 

@@ -306,7 +306,6 @@ class ServiceManager:
         self._address = address
 
     def ready(self) -> None:
-        """Say that the bus is open."""
         self._notify("READY=1")
 
     def alive(self, status: str) -> None:
@@ -318,7 +317,6 @@ class ServiceManager:
         self._notify(f"STATUS={status}")
 
     def stopping(self) -> None:
-        """Say that the end has begun."""
         self._notify("STOPPING=1")
 
     def _notify(self, text: str) -> None:

@@ -171,7 +171,6 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
 
 
 def show(found: SelfCalibration, start: Calibration, path: Path, console: PeopleConsole, gaps: Sequence[Gap]) -> None:
-    """Print what was found, for people."""
     for gap in gaps:
         console.print(f"{GAP_TEXT[gap]}: calibrated from what there is", style="bold red")
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))

@@ -33,7 +33,6 @@ class LastShifts:
 
     @property
     def examples(self) -> Sequence[Example]:
-        """What is kept."""
         return tuple(self._kept)
 
     def add(self, event: Event, result: ShiftResult) -> None:

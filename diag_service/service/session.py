@@ -309,7 +309,6 @@ class SenderWatch:
     _is_said: bool = False
 
     def warn(self, frames: FrameCounts) -> None:
-        """Warn of what there is to be said."""
         if (text := self.look(frames)) is not None:
             _LOG.warning("%s", text)
 

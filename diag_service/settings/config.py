@@ -102,7 +102,6 @@ class BusConfig:
     adapter: str | None = None  # through which, in place of a bus; what is said there is said on the named one as well
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         if self.bitrate is not None and self.bitrate <= 0:
             raise ConfigError(f"the bit rate must be > 0, got {self.bitrate}")
         if self.duration_s is not None and not 0.0 < self.duration_s < float("inf"):

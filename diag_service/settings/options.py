@@ -38,7 +38,6 @@ class Setting(Option):
 
     @property
     def demand(self) -> str:
-        """What a value must be."""
         if isinstance(self.type, Choice):
             return f"must be {' or '.join(self.type.choices)}"
         return f"must be {_KINDS[self.type.name]}"

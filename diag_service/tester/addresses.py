@@ -44,7 +44,6 @@ class CanAddress:
             raise ConfigError("request and response must both have 11 bits or both 29")
 
     def __str__(self) -> str:
-        """Return it for people."""
         more = "" if self.target_byte is None else f", address {self.target_byte:02X}"
         return f"{id_text(self.request_id)} (answers {id_text(self.response_id)}{more})"
 

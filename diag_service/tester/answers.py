@@ -108,7 +108,6 @@ def refusal_text(code: int) -> str:
 
 
 def request_text(request: bytes) -> str:
-    """Return a request as people write it."""
     return request.hex(" ").upper()
 
 

@@ -54,7 +54,6 @@ class Traffic:
     error_count: int = 0  # frames that tell of trouble on the bus
 
     def __str__(self) -> str:
-        """Return it for people."""
         if not self.frame_count:
             return f"nothing was heard in {self.duration_s:g} s"
         rate_hz = self.frame_count / self.duration_s
@@ -123,7 +122,6 @@ class DoipPlace:
     logical_address: int
 
     def __str__(self) -> str:
-        """Return it for people."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.logical_address:04X} at DoIP {host}:{self.port}"
 
@@ -289,7 +287,6 @@ class AskingThread(ABC):
 
     @property
     def goes_on(self) -> bool:
-        """Whether it was not told to end."""
         return not self._is_over.is_set()
 
     def __enter__(self) -> Self:

@@ -96,7 +96,6 @@ class CanConnection(BaseConnection):
         )
 
     def open(self) -> "CanConnection":
-        """Begin."""
         self._is_open = True
         return self
 
@@ -105,7 +104,6 @@ class CanConnection(BaseConnection):
         self._is_open = False
 
     def is_open(self) -> bool:
-        """Return whether it has begun and not ended."""
         return self._is_open
 
     def empty_rxqueue(self) -> None:

@@ -282,7 +282,6 @@ def timing_of(options: SimpleNamespace) -> Timing:
 
 
 def bus_name(options: SimpleNamespace) -> BusName:
-    """Return which bus to open."""
     return BusName(
         interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=bool(options.fd)
     )
@@ -335,7 +334,6 @@ def data_record(answer: DataAnswer) -> Record:
 
 
 def routine_record(answer: RoutineAnswer) -> Record:
-    """Return what a controller said of a routine."""
     return {
         "number": f"{answer.number:04X}",
         "name": answer.name,
@@ -356,7 +354,6 @@ def cleared_record(cleared: Clearing) -> Record:
 
 
 def cleared_lines(cleared: Clearing) -> Iterator[str]:
-    """Yield what was cleared, and what is left."""
     if not cleared.groups:
         yield "nothing was cleared"
         return
@@ -382,12 +379,10 @@ def found_record(found: Found) -> Record:
 
 
 def dialogue_record(counts: DialogueCounts) -> Record:
-    """Return what the dialogue went through."""
     return asdict(counts)
 
 
 def data_lines(answers: Sequence[DataAnswer]) -> Iterator[str]:
-    """Yield a line for each datum."""
     rows = [
         (f"{one.number:04X}", one.name, one.trouble if one.values is None else values_text(one.values))
         for one in answers
@@ -396,7 +391,6 @@ def data_lines(answers: Sequence[DataAnswer]) -> Iterator[str]:
 
 
 def routine_lines(answer: RoutineAnswer) -> Iterator[str]:
-    """Yield what a controller said of a routine."""
     name = f" {answer.name}" if answer.name else ""
     bytes_text = answer.data.hex(" ").upper() or "nothing more"
     yield f"routine {answer.number:04X}{name}, {answer.action}: {bytes_text}"
@@ -405,7 +399,6 @@ def routine_lines(answer: RoutineAnswer) -> Iterator[str]:
 
 
 def found_lines(controllers: Sequence[Found]) -> Iterator[str]:
-    """Yield what was found."""
     yield f"{len(controllers)} controllers answer" if len(controllers) != 1 else "1 controller answers"
     for found in controllers:
         codes = "" if found.code_count is None else f", trouble codes: {found.code_count}"
@@ -433,5 +426,4 @@ def would_lines(traffic: Traffic | None, wishes: Sequence[str]) -> Iterator[str]
 
 
 def outcome(schema: str, *, is_asked: bool, **more: object) -> Mapping[str, object]:
-    """Return the JSON object of one command."""
     return {"schema": f"clutchdiag/{schema}/v1", "asked": is_asked, **more}

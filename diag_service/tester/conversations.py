@@ -81,7 +81,6 @@ class Conversations:
                 self._show(line)
 
     def close(self) -> None:
-        """End."""
         self._take(self._long.close())
 
     def news(self, now_ns: int) -> Iterator[str]:
@@ -110,7 +109,6 @@ class Conversations:
             yield f"  and {len(found) - SHOWN_EXCHANGES} more requests; --json tells all"
 
     def record(self) -> JsonObject:
-        """Return all of it for programs."""
         counts = self._long.counts
         return {
             "whole": {protocol.value: count for protocol, count in counts.whole.items()},

@@ -61,12 +61,10 @@ class Field:
 
     @property
     def label(self) -> str:
-        """Its name with its unit."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     @property
     def numbered_meanings(self) -> dict[int, str]:
-        """The texts that numbers stand for."""
         return {int(number, 0): text for number, text in self.meanings.items()}
 
 
@@ -368,7 +366,6 @@ def shipped_names() -> tuple[str, ...]:
 
 
 def shipped() -> list[DescriptionFile]:
-    """Return the descriptions that ship with the service."""
     return [load_file(FOLDER / f"{name}.toml") for name in shipped_names()]
 
 

@@ -201,7 +201,6 @@ class Clearing:
 
     @property
     def gone(self) -> tuple[TroubleCode, ...]:
-        """The codes that it does not tell any more."""
         left = {code.number for code in self.after}
         return tuple(code for code in self.before if code.number not in left)
 
@@ -222,7 +221,6 @@ def parse_group(text: str, name: str = "--clear") -> Group:
 
 
 def clear_request(number: int) -> bytes:
-    """Return the request to forget a group."""
     return bytes([CLEAR]) + number.to_bytes(CODE_BYTES, "big")
 
 
@@ -258,7 +256,6 @@ class TroubleQuestion:
             raise ConfigError("ask for a readiness group or for a record, not for both")
 
     def requests(self, description: Description) -> list[str]:
-        """Return what would be sent."""
         del description
         details = ["19 04 and 19 06: what was kept of each code"] if self.has_details else []
         return [f"{request_text(self._request)}: the codes", *details]
@@ -291,7 +288,6 @@ class ClearQuestion:
         check_number("session", self.session, LARGEST_SESSION)
 
     def requests(self, description: Description) -> list[str]:
-        """Return what would be sent."""
         del description
         group, reading = self.group, request_text(trouble_request(self.mask))
         clearing = f"{CLEAR:02X}: {group.word}" if group.number is None else request_text(clear_request(group.number))
@@ -323,7 +319,6 @@ class DataQuestion:
         check_number("session", self.session, LARGEST_SESSION)
 
     def requests(self, description: Description) -> list[str]:
-        """Return what would be sent."""
         if self.words and description is UNKNOWN:
             return [*_entering(self.session), *(f"22: {word}" for word in self.words)]
         questions = (bytes([READ_DATA]) + number.to_bytes(2, "big") for number in self._numbers(description))
@@ -369,7 +364,6 @@ class RoutineQuestion:
             raise ConfigError("options are for the start of a routine")
 
     def requests(self, description: Description) -> list[str]:
-        """Return what would be sent."""
         unlocking = [] if self.lock is None else [f"{request_text(bytes([SECURITY, self.lock.level]))} and the key"]
         asked = bytes([ROUTINE, ACTIONS[self.action]])
         if description is UNKNOWN:

@@ -93,7 +93,6 @@ class ServiceAnswer:
 
     @property
     def name(self) -> str:
-        """What the standard calls it."""
         return SERVICE_NAMES.get(self.number, "")
 
 

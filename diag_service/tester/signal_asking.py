@@ -92,7 +92,6 @@ OpenLine = Callable[[], AbstractContextManager[Line]]
 
 
 def address_of(asked: AskedField) -> CanAddress:
-    """Return where a datum is asked for."""
     return CanAddress(request_id=asked.request_id, response_id=asked.reply_id)
 
 
@@ -105,17 +104,14 @@ class Question:
 
     @property
     def can_id(self) -> int:
-        """The identifier of its request."""
         return self.address.request_id
 
     @property
     def request(self) -> bytes:
-        """What is sent."""
         width = 2 if self.data[0].service == READ_DATA else 1
         return bytes([self.data[0].service]) + b"".join(one.number.to_bytes(width) for one in self.data)
 
     def __str__(self) -> str:
-        """Return it for people."""
         return ", ".join(map(str, self.data))
 
 
@@ -145,16 +141,13 @@ class GroupQuestion:
 
     @property
     def can_id(self) -> int:
-        """The identifier of its request."""
         return REQUEST_PRIORITY << 26 | GROUP_REQUEST << 16 | TO_ALL << 8 | TOOLS[0]
 
     @property
     def request(self) -> bytes:
-        """What is sent."""
         return self.pgn.to_bytes(3, "little")
 
     def __str__(self) -> str:
-        """Return it for people."""
         return f"PGN {self.pgn}"
 
 
@@ -174,14 +167,12 @@ class Plan:
 
     @property
     def addresses(self) -> set[CanAddress | GroupQuestion]:
-        """Who is asked."""
         return {GroupQuestion(one) for one in self.groups} | {
             address_of(one) for one in self.fields.values() if one.data_id not in self.refused
         }
 
     @property
     def fast(self) -> list[Question]:
-        """The questions of a round."""
         parts = {part for one in self.defined.values() for part in one.parts}
         return [
             *(Question(one.address, (datum,)) for datum, one in self.defined.items()),
@@ -463,7 +454,6 @@ class WatchedBus:
                 raise OtherTesterError(f"another tester asks (requests on {id_text(can_id)})")
 
     def send(self, message: can.Message, timeout: float | None = None) -> None:
-        """Put a frame on the bus."""
         self._bus.send(message, timeout)
 
     def listen(self, duration_s: float, goes_on: Callable[[], bool]) -> None:

@@ -59,7 +59,6 @@ class TroubleCode:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the controller is sure."""
         return bool(self.status & CONFIRMED_BIT)
 
     @property
@@ -145,7 +144,6 @@ def code_words(code: TroubleCode) -> str:
 
 
 def trouble_record(code: TroubleCode) -> Record:
-    """Return a trouble code with what was kept of it."""
     return {
         "code": code.code,
         "failure_type": code.failure_type,

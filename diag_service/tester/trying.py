@@ -176,7 +176,6 @@ class InOrder(can.Listener):
         """Say nothing: who records looks at what the notifier keeps."""
 
     def stop(self) -> None:
-        """Write what is left."""
         while self._held:
             self._log.on_message_received(heappop(self._held)[2])
         self._log.stop()
@@ -242,7 +241,6 @@ def _check_adapter(options: SimpleNamespace) -> None:
 
 
 def _place_words(options: SimpleNamespace) -> list[str]:
-    """Return the words that say where to ask."""
     words = ["--adapter", options.adapter] if options.adapter is not None else []
     for option, value in (("-i", options.interface), ("-c", options.channel)):
         words += [] if value is None else [option, str(value)]
@@ -250,7 +248,6 @@ def _place_words(options: SimpleNamespace) -> list[str]:
 
 
 def _database_words(options: SimpleNamespace) -> list[str]:
-    """Return the words that say what is broadcast."""
     return [] if options.dbc is None else ["--dbc", str(options.dbc), *(["--lenient"] if options.lenient else [])]
 
 

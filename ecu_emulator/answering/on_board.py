@@ -177,7 +177,6 @@ class OnBoardService:
 
     @property
     def _kept_in(self) -> Path:
-        """Where the service keeps what it has learned."""
         return self._store or self._folder / "on-board.sqlite"
 
     def __enter__(self) -> Self:

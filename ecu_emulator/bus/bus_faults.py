@@ -26,7 +26,6 @@ FOREIGN_IDS: Final = (0x500, 0x5FF)  # none of the wire contract's, and below al
 
 
 def chosen(frames: EncodedFrames, rows: Rows | npt.NDArray[np.bool_]) -> EncodedFrames:
-    """Return some of the frames."""
     return EncodedFrames(
         t_s=frames.t_s[rows], can_id=frames.can_id[rows], length=frames.length[rows], data=frames.data[rows]
     )
@@ -43,7 +42,6 @@ def joined(first: EncodedFrames, second: EncodedFrames) -> EncodedFrames:
 
 
 def without(frames: EncodedFrames, rows: Rows) -> EncodedFrames:
-    """Return the frames that are left."""
     return chosen(frames, np.delete(np.arange(len(frames)), rows))
 
 
@@ -88,7 +86,6 @@ def counters(frames: EncodedFrames, rows: Rows) -> Rows:
 
 
 def error_frames(t_s: FloatArray) -> EncodedFrames:
-    """Return error frames at these times."""
     count = len(t_s)
     return EncodedFrames(
         t_s=t_s,
@@ -314,7 +311,6 @@ class BusFaults:
 
     @property
     def faults(self) -> tuple[BusFault, ...]:
-        """All faults asked for."""
         return tuple(self._faults)
 
     @property
@@ -359,7 +355,6 @@ class BusFaults:
 
 
 def _targets(fault: BusFault, contracts: Mapping[int, MessageContract]) -> list[int]:
-    """Return the identifiers that a fault strikes."""
     if not fault.message:
         return list(contracts)
     named = [contract for contract in contracts.values() if contract.name == fault.message]

@@ -70,7 +70,6 @@ class SendLateness:
 
     @property
     def max_s(self) -> float:
-        """Return the greatest lateness."""
         return self._max_s
 
     @property
@@ -149,7 +148,6 @@ class _Transmitter:
                 self._send(message)
 
     def report(self, duration_s: float, *, is_complete: bool) -> TransmitReport:
-        """Return what has been measured."""
         return TransmitReport(
             frames_sent=self.sent,
             frames_given_up=self.given_up,

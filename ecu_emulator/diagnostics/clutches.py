@@ -26,7 +26,6 @@ class Adaptation:
 
     @property
     def is_done(self) -> bool:
-        """Whether both clutches are adapted."""
         return set(self.touch_points) == set(CLUTCHES)
 
     def pressures_pa(self, nominal_pa: tuple[float, float]) -> tuple[float, float]:

@@ -80,7 +80,6 @@ class Controller:
 
     @property
     def state(self) -> ServerState:
-        """What it remembers now."""
         return self._state
 
     @property

@@ -71,7 +71,6 @@ class TroubleMemory:
 
 
 def empty_memory(numbers: Iterable[int]) -> TroubleMemory:
-    """Return the memory of a new controller."""
     return TroubleMemory(records={number: TroubleRecord() for number in numbers})
 
 

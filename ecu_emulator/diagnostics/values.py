@@ -124,7 +124,6 @@ def _is_available(entry: Field, raw: bytes) -> bool:
 
 
 def decode_number(entry: Field, raw: bytes) -> float:
-    """Return a number in the field's unit."""
     if entry.kind is Coding.FLOAT:
         return float(struct.unpack(_FORMATS[entry.size_bytes], raw)[0])
     steps = int.from_bytes(raw, "big", signed=entry.kind is Coding.SIGNED)

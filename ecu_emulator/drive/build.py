@@ -273,7 +273,6 @@ def drive_settings(scenario: Scenario) -> DriveSettings:
 
 
 def installation(scenario: Scenario, vehicle: BuiltVehicle) -> Installation:
-    """Return how the sensors are built into the vehicle."""
     return Installation(
         crank_segment_rad=vehicle.calibration.input_side.crank_segment_rad,
         output_ratio=vehicle.parameters.gearbox.final_drive_ratios[0],
@@ -306,7 +305,6 @@ def drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
 
 
 def scenario_trips(scenario: Scenario) -> Iterator[PlannedTrip]:
-    """Yield the trips that a scenario names."""
     return trips(scenario.drive, scenario.seed_of_drive, None if scenario.endless else scenario.cycles)
 
 
@@ -355,7 +353,6 @@ def friction_factors(scenario: Scenario, trip_number: int) -> FrictionFactors:
 
 
 def trip_truth(departure: Departure, scenario: Scenario, calibration: Calibration) -> TripTruth:
-    """Return the truth of a trip that begins."""
     factors = friction_factors(scenario, departure.number)
     first, second = (clutch.friction for clutch in calibration.clutches)
     return TripTruth(

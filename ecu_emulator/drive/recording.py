@@ -63,7 +63,6 @@ class Stretch:
 
     @property
     def shifts(self) -> tuple[ShiftTruth, ...]:
-        """The shifts that ended."""
         return tuple(truth for truth in self.truths if isinstance(truth, ShiftTruth))
 
 
@@ -121,7 +120,6 @@ class Drive:
 
     @property
     def totals(self) -> Totals:
-        """What has been driven so far."""
         return Totals(
             shifts=self._counts[ShiftTruth],
             events=self._counts[EventTruth],
@@ -134,7 +132,6 @@ class Drive:
 
     @property
     def finished(self) -> bool:
-        """Whether all that was to be driven has been."""
         return self._plant.finished
 
     def add_fault(self, fault: SensorFault | BusFault) -> None:
@@ -173,7 +170,6 @@ class Drive:
 
     @property
     def transmission(self) -> str:
-        """Type of the transmission."""
         return self._scenario.transmission
 
     @property

@@ -41,7 +41,6 @@ def kind_of_change(memory: FloatArray, wanted: int, law: DrivingLaw) -> int:
 
 @array_kernel
 def begin_change(memory: FloatArray, sense: FloatArray, wanted: int, law: DrivingLaw) -> None:
-    """Begin a change of gear."""
     gear = int(memory[tcu_data.CURRENT_GEAR])
     begin_event(memory, kind_of_change(memory, wanted, law))
     enter_state(memory, DriveState.CHANGING.value)

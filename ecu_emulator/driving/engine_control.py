@@ -87,7 +87,6 @@ def idle_torque_nm(memory: FloatArray, sense: FloatArray, wish_nm: float, law: D
 
 @array_kernel
 def enter_engine_state(memory: FloatArray, state: int) -> None:
-    """Begin a state of the engine."""
     memory[at.ENGINE_STATE] = state
     memory[at.ENGINE_TIME] = 0.0
 

@@ -25,7 +25,6 @@ def low_rad_s(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> float:
 
 @array_kernel
 def is_highest(gear: int, law: DrivingLaw) -> bool:
-    """Tell whether there is no gear above this one."""
     return bool(law.drive.overall_ratios[gear + 1] == 0.0)
 
 

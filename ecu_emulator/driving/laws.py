@@ -47,7 +47,6 @@ def gear_speed_rad_s(sense: FloatArray, gear: int, law: DrivingLaw) -> float:
 
 @array_kernel
 def enter_state(memory: FloatArray, state: int) -> None:
-    """Begin a state."""
     memory[at.STATE] = state
     memory[at.STATE_TIME] = 0.0
     memory[tcu_data.PHASE] = tcu_data.HOLD
@@ -65,7 +64,6 @@ def begin_event(memory: FloatArray, kind: int) -> None:
 
 @array_kernel
 def end_event(memory: FloatArray) -> None:
-    """End the event."""
     memory[at.EVENT_KIND] = EventKind.NONE.value
     memory[at.EVENT_NUMBER] = 0.0
     memory[at.IS_ABORTED] = 0.0

@@ -35,7 +35,6 @@ class Road(NamedTuple):
 
 @array_kernel
 def sense_drive(machine: Machine, road: Road, law: DrivingLaw) -> None:
-    """Fill what the controllers sense."""
     sense_plant(machine, law.drive.plant)
     y, sense = machine.y, machine.sense
     sense[indices.VEHICLE_SPEED] = y[at.V]

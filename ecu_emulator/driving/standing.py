@@ -41,7 +41,6 @@ _RATE_LAG_S = 0.05
 
 @array_kernel
 def open_both(memory: FloatArray, commands: FloatArray) -> None:
-    """Empty both clutches."""
     tcu.command_pressure(commands, 0, 0.0)
     tcu.command_pressure(commands, 1, 0.0)
     memory[at.LAUNCH_TORQUE] = 0.0
@@ -50,7 +49,6 @@ def open_both(memory: FloatArray, commands: FloatArray) -> None:
 
 @array_kernel
 def has_foot_on_pedal(memory: FloatArray, law: DrivingLaw) -> bool:
-    """Tell whether the driver asks for force."""
     return bool(memory[at.PEDAL] > law.driving.pedal.overrun_ratio)
 
 

@@ -120,16 +120,13 @@ class _Profile:
 
     @property
     def t_s(self) -> float:
-        """Time reached."""
         return PERIOD_S * (len(self._speeds_m_s) - 1)
 
     @property
     def speed_m_s(self) -> float:
-        """Speed reached."""
         return self._speeds_m_s[-1]
 
     def hold(self, duration_s: float) -> None:
-        """Keep the speed."""
         for _ in range(round(duration_s / PERIOD_S)):
             self._append(self.speed_m_s)
 
@@ -157,7 +154,6 @@ class _Profile:
 
 
 def _drive_leg(profile: _Profile, traffic: Traffic, rng: np.random.Generator) -> None:
-    """Drive from one stop to the next."""
     start_m, length_m = profile.distance_m, _log_uniform(traffic.leg_m, rng)
     cruise_m_s = min(rng.uniform(*traffic.cruise_m_s), math.sqrt(length_m * traffic.accelerate_m_s2[1]))
     profile.change(cruise_m_s, rng.uniform(*traffic.accelerate_m_s2))

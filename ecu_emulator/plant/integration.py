@@ -69,7 +69,6 @@ def advance_lags(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> No
 
 @array_kernel
 def copy(source: FloatArray, into: FloatArray) -> None:
-    """Copy a state."""
     for i in range(at.STATE_COUNT):
         into[i] = source[i]
 

@@ -58,7 +58,6 @@ def modelled_torque_nm(machine: Machine, law: PlantLaw) -> float:
 
 @array_kernel
 def sense_plant(machine: Machine, law: PlantLaw) -> None:
-    """Fill what the control senses."""
     y, modes, sense = machine.y, machine.modes, machine.sense
     sense[tcu_data.ENGINE_SPEED] = y[at.W_E]
     sense[tcu_data.ENGINE_TORQUE] = modelled_torque_nm(machine, law)

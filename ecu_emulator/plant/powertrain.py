@@ -64,7 +64,6 @@ class Powertrain(Course):
 
     @property
     def finished(self) -> bool:
-        """Whether all cycles have been driven."""
         return bool(self._machine.memory[tcu_data.IS_FINISHED])
 
     @property

@@ -36,7 +36,6 @@ def command_pressure(commands: FloatArray, clutch: int, pressure_pa: float) -> N
 
 @array_kernel
 def enter_phase(memory: FloatArray, phase: int) -> None:
-    """Start a phase."""
     memory[at.PHASE] = phase
     memory[at.PHASE_TIME] = 0.0
 

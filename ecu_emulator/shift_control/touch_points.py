@@ -40,7 +40,6 @@ class PressureSteps:
     count: int
 
     def pressure_pa(self, step: int) -> float:
-        """Return the pressure of a step, counted from 0."""
         return self.top_pa - step * self.down_pa
 
 

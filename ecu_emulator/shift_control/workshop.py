@@ -17,7 +17,6 @@ STANDING_BRAKE_M_S2 = 0.5  # [C] about 5 bar, what holds a car on level ground
 
 @array_kernel
 def enter_stage(memory: FloatArray, stage: int) -> None:
-    """Start a stage of the routine."""
     memory[at.ROUTINE] = stage
     memory[at.REV] = 0.0
     memory[at.REV_TIME] = 0.0
@@ -113,7 +112,6 @@ def engage(
 def fill(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, actuation: ClutchActuation, control: ControlParameters
 ) -> None:
-    """Fill the clutch of 1st gear."""
     tcu.fill_clutch(memory, sense, commands, 0, actuation, control)
     if memory[at.PHASE_TIME] >= control.prefill_time_s:
         memory[at.LOCKED_TIME] = 0.0

@@ -209,7 +209,6 @@ class Watch:
             return not is_alarming_since(connection, one.vehicle, one.clutch, one.fluid_since)
 
     def _judge(self, vehicle: str, clutches: Sequence[ClutchNow], kept: Kept | None) -> Iterator[Finding]:
-        """Yield what the past of the clutches of a vehicle says."""
         limits, fills, founds, readings = self._orders.limits, fills_of(self._engine, vehicle), [], []
         for one in clutches:
             rows = past.results_of(self._engine, vehicle, one.clutch)

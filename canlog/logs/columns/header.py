@@ -107,7 +107,6 @@ class Proposal:
     has_unit: bool
 
     def has(self, role: Role) -> bool:
-        """Return whether a column is taken for this."""
         return any(column.role is role for column in self.columns)
 
     def in_words(self) -> str:
@@ -228,7 +227,6 @@ def are_numbers(choice: str) -> bool:
 
 
 def in_unit(columns: Sequence[Column], unit: int) -> tuple[Column, ...]:
-    """Return columns with their times in another unit."""
     return tuple(replace(column, parameter=unit) if column.role is Role.TIME else column for column in columns)
 
 

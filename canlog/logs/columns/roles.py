@@ -120,7 +120,6 @@ class Layout:
         return any(column.role is role for column in self.columns)
 
     def program(self) -> Program:
-        """Return the layout as numbers."""
         is_comment = np.zeros(256, np.bool_)
         is_comment[list(self.comment_starts)] = True
         return Program(

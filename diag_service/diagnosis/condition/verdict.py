@@ -154,7 +154,6 @@ class Launches:
 
     @property
     def text(self) -> str:
-        """What they say, for people."""
         return f"{sum(self.juddered)} of {len(self.juddered)} launches juddered"
 
     def probability_negative(self, by_friction: float) -> float:

@@ -57,7 +57,6 @@ class History:
             raise ValueError("random deviations must be > 0")
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return len(self.odometer_m)
 
     def first(self, count: int) -> Self:

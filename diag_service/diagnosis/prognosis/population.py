@@ -118,7 +118,6 @@ def common_course(period: Int64Array, clutch: Int64Array, value: FloatArray) -> 
 
 
 def _middle(value: FloatArray) -> tuple[float, float]:
-    """Return the median and its deviation."""
     if not len(value):
         return 0.0, 0.0
     middle = float(np.median(value))

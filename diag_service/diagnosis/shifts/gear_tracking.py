@@ -87,7 +87,6 @@ class LaunchTracker:
 
     @property
     def open_ns(self) -> int | None:
-        """When the launch began that may be on."""
         is_on = self._slowest is not None and self._now_ns <= self._slowest[0] + MAX_LAUNCH_NS
         return self._slowest[0] if is_on and self._slowest is not None else None
 

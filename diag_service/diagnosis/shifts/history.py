@@ -30,7 +30,6 @@ class History:
 
     @property
     def sample_count(self) -> int:
-        """Samples held of all signals."""
         return self._rings.sample_count
 
     def append(self, batch: ColumnBatch) -> None:

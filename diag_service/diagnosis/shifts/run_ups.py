@@ -69,7 +69,6 @@ class RunUpTracker:
 
     @property
     def open_ns(self) -> int | None:
-        """When the open run-up began, if there is one."""
         return None if self._open is None else self._open.start_ns
 
     def track(self, history: History, until_ns: int) -> list[Bounds]:

@@ -26,7 +26,6 @@ class SampleRings:
 
     @property
     def sample_count(self) -> int:
-        """Samples held of all signals."""
         return int((self._samples.filled - self._first).sum())
 
     def append(self, columns: Mapping[Signal, Series]) -> None:
@@ -79,7 +78,6 @@ class SampleRings:
         drop_before(self._samples, self._first, keep_ns)
 
     def clear(self) -> None:
-        """Forget all samples and signals."""
         self._rows: dict[Signal, int] = {}
         self._period_ns: list[int] = []
         self._first = np.zeros(0, np.int64)

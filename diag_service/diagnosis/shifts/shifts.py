@@ -152,7 +152,6 @@ class EventTracker:
         return self._walk(history, until_ns if open_ns is None else min(until_ns, open_ns))
 
     def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
-        """Return what is open as interrupted."""
         self._changes += self._gears.interrupt(history, now_ns)
         found = self._walk(history, now_ns + 1)
         found += self._end_tail(history)
@@ -321,7 +320,6 @@ class SideBySide:
         return sorted((bounds for one in self._both for bounds in one.track(history, until_ns)), key=_end_ns)
 
     def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
-        """Return what is open as interrupted."""
         return sorted((bounds for one in self._both for bounds in one.interrupt(history, now_ns)), key=_end_ns)
 
 

@@ -82,7 +82,6 @@ class Place:
     tls: TlsNode | None = None  # likewise by TLS, on a port of its own
 
     def __str__(self) -> str:
-        """Return it as on the command line."""
         return f"{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
 
 

@@ -155,7 +155,6 @@ def _has_pattern(header: Header, known: Mapping[int, range]) -> bool:
 
 
 def message(version: int, payload_type: PayloadType, payload: bytes = b"") -> bytes:
-    """Return a message with its header."""
     return _HEADER.pack(version, version ^ 0xFF, payload_type, len(payload)) + payload
 
 

@@ -197,7 +197,6 @@ class DoipServer:
 
     @property
     def counts(self) -> dict[str, int]:
-        """What came and went."""
         return asdict(self._counts) | asdict(self._datagrams.counts)
 
     def __enter__(self) -> Self:
@@ -303,7 +302,6 @@ class DoipServer:
             self._pool.submit(self._controller.leave, number)
 
     def _do(self, step: Step) -> None:
-        """Do what a step says."""
         self._step = step.done()
         for action in step.actions:
             match action:
@@ -325,7 +323,6 @@ class DoipServer:
         asyncio.get_running_loop().call_later(LINGER_S, writer.transport.abort)
 
     async def _advance(self, group: asyncio.TaskGroup) -> None:
-        """Let time do what time does."""
         while True:
             await asyncio.sleep(TICK_S)
             self._note_reset(group)

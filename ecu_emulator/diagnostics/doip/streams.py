@@ -98,7 +98,6 @@ class Step:
         return replace(self.changed(ask.number, waiting_count=more), actions=(*self.actions, ask))
 
     def closing(self, number: int) -> "Step":
-        """Return the step without one connection."""
         return replace(self.forgetting(number), actions=(*self.actions, Close(number=number)))
 
     def forgetting(self, number: int) -> "Step":
@@ -116,7 +115,6 @@ def active_count(sockets: Mapping[int, Socket]) -> int:
 
 
 def most_connections(entity: DoipEntity) -> int:
-    """Return how many connections are accepted at all."""
     return entity.most_sockets + MORE_CONNECTIONS
 
 
@@ -184,7 +182,6 @@ def _said(entity: DoipEntity, step: Step, number: int, wish: Wish, code: Activat
 
 
 def opened(step: Step, number: int, t_s: float) -> Step:
-    """Return the step with a new connection."""
     return Step(sockets={**step.sockets, number: Socket(opened_s=t_s, used_s=t_s)}, actions=step.actions)
 
 

@@ -441,7 +441,6 @@ class Interpreter:
         return Shown(lines=self.lines(response), awaited=payload[0] if is_pending else None)
 
     def lines(self, response: bytes) -> tuple[str, ...]:
-        """Return what is shown of a response."""
         frames = framed(response, self._transport.padding)
         if len(frames) > 1 and not self._lets_go_on():
             self._held = frames[1:]

@@ -73,7 +73,6 @@ class Client:
         self._thread = threading.Thread(target=self._run, name="ELM327 client", daemon=True)
 
     def start(self) -> None:
-        """Begin to serve."""
         self._thread.start()
 
     def end(self) -> None:
@@ -267,7 +266,6 @@ class ElmServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens."""
         host, port, *_ = self._listener.getsockname()
         return str(host), int(port)
 

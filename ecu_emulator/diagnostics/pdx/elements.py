@@ -205,7 +205,6 @@ def worded(meanings: Mapping[int, str], bits: int = 8, *, has_others: bool = Fal
 
 
 def raw(size_bytes: int) -> DataObjectProperty:
-    """Return the coding of so many bytes."""
     return _coding(coded(BYTES, 8 * size_bytes), BYTES)
 
 
@@ -314,12 +313,10 @@ class Dictionary(Document):
         self._units: dict[str, Unit] = {}
 
     def spec(self) -> DiagDataDictionarySpec:
-        """Return all of it."""
         units = UnitSpec(units=NamedItemList(self._units.values())) if self._units else None
         return DiagDataDictionarySpec(unit_spec=units, **self._parts)
 
     def simple(self, name: str, coding: DataObjectProperty, text: str = "", unit: str = "") -> OdxLinkRef:
-        """Describe one value."""
         unit_ref = self._unit(unit) if unit else None
         short = self._names.new(name)
         return self._add(

@@ -89,7 +89,6 @@ _DEFAULTS: Final = {  # of each parameter: its class, and its value where a cont
 
 
 def specification() -> ComparamSpec:
-    """Return the stack of protocols."""
     stack = ProtStack(
         **SPECIFICATION.named("STACK", STACK),
         pdu_protocol_type=STACK,
@@ -115,7 +114,6 @@ def subsets(table: DiagnosticTable) -> list[ComparamSubset]:
 
 
 def communication_values(table: DiagnosticTable, protocol: str) -> list[ComparamInstance]:
-    """Return the values of a controller."""
     transport, timing = table.transport, table.timing
     values: dict[str, dict[str, str | list[str]]] = {
         _TRANSPORT: {
@@ -365,7 +363,6 @@ class _Layer:
         return [*(self._sessions[number] for number in sessions), *(self._levels[number] for number in access.levels)]
 
     def _changes(self, service: Service) -> list[tuple[str, str]]:
-        """Return what a service makes of the states."""
         changes = list[tuple[str, str]]()
         session = DEFAULT_SESSION if service.resets else service.enters
         if session is not None:

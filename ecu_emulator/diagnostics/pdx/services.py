@@ -538,5 +538,4 @@ class ObdServices(_Services):
 
 
 def _bitmaps(known: Mapping[int, object]) -> Iterator[int]:
-    """Yield the numbers of the bitmaps that there are."""
     return (first for first in range(0, 0x100, BLOCK) if supported(known, first) is not None)

@@ -85,7 +85,6 @@ def read_refusal(call: Call, pieces: Iterable[Piece]) -> Nrc | None:
 
 
 def data_in(table: DiagnosticTable, state: ServerState, moment: Instant, pieces: Iterable[Piece]) -> bytes:
-    """Return what pieces of data hold now."""
     return b"".join(
         data_of(table.data[piece.source], state, moment)[piece.start : piece.start + piece.size_bytes]
         for piece in pieces

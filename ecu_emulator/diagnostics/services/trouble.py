@@ -90,7 +90,6 @@ def _masked(call: Call) -> list[int]:
 
 
 def _listed(call: Call, numbers: Iterable[int]) -> bytes:
-    """Return codes with their status."""
     return b"".join(_code(number) + bytes([call.state.memory.records[number].status]) for number in numbers)
 
 
