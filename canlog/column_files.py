@@ -20,13 +20,7 @@ NAME_TYPE = "name"  # a text of few different values
 
 
 def load_pyarrow() -> Any:  # noqa: ANN401 - an untyped library
-    """Return pyarrow.
-
-    Raises
-    ------
-    ExtraMissingError
-        If it is not installed.
-    """
+    """Return pyarrow; raises ExtraMissingError if it is not installed."""
     load_extra("pyarrow.parquet", "Parquet needs pyarrow", "parquet")
     return import_module("pyarrow")
 
@@ -181,10 +175,7 @@ def open_columns(
 ) -> ColumnSink:
     """Begin a table of columns, named with their types as of ``ParquetTable``.
 
-    Raises
-    ------
-    ExtraMissingError
-        If pyarrow is not installed.
+    Raises ExtraMissingError if pyarrow is not installed.
     """
     match table_format:
         case TableFormat.PARQUET:

@@ -45,13 +45,9 @@ def kernel_key(function: types.FunctionType) -> str:
     """Return a text that changes with the code of a kernel, of whatever it calls, and with every constant in them.
 
     Comments, docstrings, places of lines and other functions of the same files change nothing; a kernel that moves to
-    another module changes, since what is kept of it names its module. To be asked when the
-    kernel is first called: only then all names that it uses have a value.
-
-    Raises
-    ------
-    UnknownIngredientError
-        If a global name of the kernel stands for something of no known kind.
+    another module changes, since what is kept of it names its module. To be asked when the kernel is first called: only
+    then all names that it uses have a value. Raises UnknownIngredientError if a global name of the kernel stands for
+    something of no known kind.
     """
     digest = sha256()
     for piece in _of_function(function, set()):

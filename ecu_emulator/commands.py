@@ -123,10 +123,7 @@ def choose_scenario(options: DriveOptions) -> Scenario:
 def odometer_from(said: str | None) -> float | None:
     """Return the odometer at the start [m]: from kilometres, or from the end of the drive before by its truth file.
 
-    Raises
-    ------
-    ConfigError, RecordError
-        If the drive before did not end in order; if there is no such file.
+    Raises ConfigError, RecordError if the drive before did not end in order; if there is no such file.
     """
     if said is None:
         return None
@@ -252,10 +249,8 @@ def write_log(
 
     ``show`` is called now and then with what has been driven, and how long that took [s].
 
-    Raises
-    ------
-    ConfigError, RecordError
-        If the scenario waits for a tester or its truth is not possible, or a file cannot be written.
+    Raises ConfigError, RecordError if the scenario waits for a tester or its truth is not possible, or a file cannot be
+    written.
     """
     if scenario.routine.on_request:
         raise ConfigError("a log has no tester who would start the routine: give the number of revs instead")

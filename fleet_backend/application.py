@@ -33,13 +33,7 @@ RETRY_S: Final = 0.5  # how soon it is told that all is well again
 
 
 def prepare(path: Path) -> None:
-    """Make the file, from 1970: nothing is well yet.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be made.
-    """
+    """Make the file, from 1970: nothing is well yet; raises ConfigError if it cannot be made."""
     try:
         make_sign(path)
     except OSError as exc:

@@ -40,10 +40,7 @@ class BrokerInbox:
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
         """Return the next messages: those of our part; until ``patience_s`` after the first, ``limit`` at most.
 
-        Raises
-        ------
-        BrokerError
-            If the connection is lost; messages that were not taken come again.
+        Raises BrokerError if the connection is lost; messages that were not taken come again.
         """
         try:
             found = await self._connection.collect(limit, patience_s)
@@ -68,14 +65,8 @@ async def connected(
     """Connect and subscribe for as long as the block lasts.
 
     The broker keeps no session for us: what it had sent and we had not stored is sent again by the vehicles, to
-    whichever worker is there.
-
-    Raises
-    ------
-    BrokerError
-        If the broker is absent, silent or refuses us.
-    ConfigError
-        If a certificate cannot be read.
+    whichever worker is there. Raises BrokerError if the broker is absent, silent or refuses us, ConfigError if a
+    certificate cannot be read.
     """
     terms = Terms(
         keepalive_s=KEEPALIVE_S,

@@ -96,10 +96,7 @@ class Place:
 def parse_listen(text: str, *, has_login: bool = False, option: str = "--listen") -> Place:
     """Return the place in ``HOST:PORT`` or ``[HOST]:PORT``, without a login one of this machine's loopback.
 
-    Raises
-    ------
-    ConfigError
-        If the text is none, or others could reach it: nobody has to log in.
+    Raises ConfigError if the text is none, or others could reach it: nobody has to log in.
     """
     found = re.fullmatch(r"\[?([0-9A-Za-z.:-]+?)\]?:([0-9]{1,5})", text)
     if found is None or int(found[2]) > _MAX_PORT:
@@ -118,10 +115,7 @@ def parse_listen(text: str, *, has_login: bool = False, option: str = "--listen"
 def parse_moment(text: str) -> datetime:
     """Return an ISO 8601 moment; without a zone it is UTC.
 
-    Raises
-    ------
-    ConfigError
-        If the text is none.
+    Raises ConfigError if the text is none.
     """
     try:
         moment = datetime.fromisoformat(text)

@@ -42,10 +42,7 @@ class Imported:
 def read_lots(path: Path) -> list[LotRow]:
     """Return the rows of a CSV table: a column ``vehicle``, and one for each property.
 
-    Raises
-    ------
-    ConfigError
-        If it cannot be read, or is no such table.
+    Raises ConfigError if it cannot be read, or is no such table.
     """
     try:
         if path.stat().st_size > MOST_BYTES:

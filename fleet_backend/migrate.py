@@ -74,12 +74,8 @@ def check_schema(engine: Engine) -> None:
 def make_ready(engine: Engine) -> None:
     """Make sure of the schema; an SQLite database of an earlier one, which is ours alone, is upgraded.
 
-    Raises
-    ------
-    DatabaseAwayError
-        If the database does not answer.
-    DatabaseError
-        If it has no schema of ours, or one that it may not be brought from to the present one.
+    Raises DatabaseAwayError if the database does not answer, DatabaseError if it has no schema of ours, or one that it
+    may not be brought from to the present one.
     """
     if engine.dialect.name == "sqlite" and _has_schema(engine):
         migrate(engine)

@@ -125,14 +125,9 @@ def partitions(engine: Engine) -> list[Partition]:
 def keep_months(engine: Engine, now: datetime, ahead: int = AHEAD_MONTHS, back: int = 0) -> list[date]:
     """Make the months from ``back`` months ago until ``ahead`` months from now that are missing; return them.
 
-    Results that waited in the first or last partition move into their months.
-
-    Raises
-    ------
-    ConfigError
-        If the database has no partitions, or so many months make no sense.
-    DatabaseAwayError
-        If somebody reads too long: try again, nothing was changed.
+    Results that waited in the first or last partition move into their months. Raises ConfigError if the database has no
+    partitions, or so many months make no sense, DatabaseAwayError if somebody reads too long: try again, nothing was
+    changed.
     """
     if not has_partitions(engine):
         raise ConfigError("only a PostgreSQL database has partitions; SQLite keeps all results in one table")

@@ -177,10 +177,7 @@ class Writer:
     def fills(self, vehicles: Sequence[str]) -> dict[str, list[JsonObject]]:
         """Return the fluid fills of those vehicles that have any, the earliest first, as messages carry them.
 
-        Raises
-        ------
-        DatabaseAwayError
-            If the database does not answer now.
+        Raises DatabaseAwayError if the database does not answer now.
         """
         found: dict[str, list[JsonObject]] = {}
         with transaction(self._engine) as connection:

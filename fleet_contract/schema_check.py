@@ -30,10 +30,7 @@ _MOST_SAID: Final = 3  # mistakes of one record
 def compile_schema(schema: Mapping[str, object]) -> Check:
     """Return a function that raises SchemaError for a value which the schema does not describe.
 
-    Raises
-    ------
-    SchemaError
-        If the schema is none, refers to nothing or names a format that is not known.
+    Raises SchemaError if the schema is none, refers to nothing or names a format that is not known.
     """
     try:
         validator = Draft202012Validator(

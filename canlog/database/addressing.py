@@ -94,12 +94,8 @@ def address_book(addresses: Sequence[MessageAddress]) -> AddressBook:
     """Return the tables of some addresses.
 
     Of messages of one parameter group that several senders have each to themselves, each is known by group and source
-    address, as the database writes it; the null address stands for all the others.
-
-    Raises
-    ------
-    DefinitionError
-        If two messages cannot be told apart.
+    address, as the database writes it; the null address stands for all the others. Raises DefinitionError if two
+    messages cannot be told apart.
     """
     slots: dict[_Table, dict[int, int]] = {table: {} for table in _Table}
     for slot, (table, key) in enumerate(_places(addresses)):

@@ -139,10 +139,7 @@ class BitField:
 def place_signal(message: Message, signal: Signal, most_bytes: int = FD_PAYLOAD_BYTES) -> BitField:
     """Return where a signal of a message lies; a payload has ``most_bytes`` at most.
 
-    Raises
-    ------
-    DefinitionError
-        If it lies outside its message or outside the payload, or has more than 64 bits.
+    Raises DefinitionError if it lies outside its message or outside the payload, or has more than 64 bits.
     """
     where = f"{message.name}.{signal.name}"
     is_big = signal.byte_order == "big_endian"

@@ -55,10 +55,7 @@ _BYTE_ROWS: Final = np.arange(2, PAYLOAD_BYTES + 1)
 def data_id_remainder(data_id: int) -> int:
     """Return the part of the CRC that comes from a data id, 0..255.
 
-    Raises
-    ------
-    ValueError
-        If the data id does not fit 16 bits.
+    Raises ValueError if the data id does not fit 16 bits.
     """
     if not 0 <= data_id <= 0xFFFF:
         raise ValueError(f"a data id has 16 bits, got {data_id:#x}")

@@ -96,10 +96,7 @@ async def open_source(
 def complete_settings(interface: str | None, channel: str | None, bitrate: int | None, *, fd: bool) -> BusSettings:
     """Return the settings with what the user left out taken from environment and configuration files.
 
-    Raises
-    ------
-    SourceError
-        If no interface is named anywhere, or one that python-can does not know.
+    Raises SourceError if no interface is named anywhere, or one that python-can does not know.
     """
     if interface == SOCKETCAN and channel is not None:
         return BusSettings(interface=interface, channel=channel, bitrate=bitrate, fd=fd)

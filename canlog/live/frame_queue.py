@@ -86,10 +86,7 @@ class FrameQueue:
     async def next_batch(self) -> FrameBatch | None:
         """Return everything that has gathered, or None at the end.
 
-        Raises
-        ------
-        SourceError
-            If the queue was closed with one, after the frames before it were taken.
+        Raises SourceError if the queue was closed with one, after the frames before it were taken.
         """
         await self._has_frames.wait()
         if self._linger_s > 0.0:

@@ -64,10 +64,7 @@ class Medium:
     def open(self) -> "can.BusABC":
         """Return an end of the bus; it does not hear itself.
 
-        Raises
-        ------
-        SourceError
-            If it cannot be opened.
+        Raises SourceError if it cannot be opened.
         """
         from canlog.live import pythoncan  # noqa: PLC0415 - python-can, which whoever only asks for a name does not need
 
@@ -101,10 +98,7 @@ def open_medium() -> Iterator[Medium]:
 def open_vcan() -> Iterator[Medium]:
     """Return a vcan interface, made for this run or found.
 
-    Raises
-    ------
-    SourceError
-        If this kernel has no CAN, or there is no vcan interface and none may be made.
+    Raises SourceError if this kernel has no CAN, or there is no vcan interface and none may be made.
     """
     with open_medium() as medium:
         if medium.interface != SOCKETCAN:

@@ -189,10 +189,7 @@ def open_bus(
 ) -> can.BusABC:
     """Open a python-can bus; ``udp_multicast`` keeps to this machine unless ``hop_limit`` is configured.
 
-    Raises
-    ------
-    SourceError
-        If the interface is unknown, its driver is missing, or the channel cannot be opened.
+    Raises SourceError if the interface is unknown, its driver is missing, or the channel cannot be opened.
     """
     try:
         return opening.open_bus(interface, channel, bitrate, fd=fd, options=options)

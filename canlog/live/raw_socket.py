@@ -24,10 +24,7 @@ def open_socket(
 ) -> socket.socket:
     """Return a raw CAN socket, bound, stamping and non-blocking.
 
-    Raises
-    ------
-    SourceError
-        If this kernel has no CAN, or the interface is not there, not CAN, or down.
+    Raises SourceError if this kernel has no CAN, or the interface is not there, not CAN, or down.
     """
     try:
         raw = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)

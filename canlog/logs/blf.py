@@ -169,10 +169,7 @@ class ObjectStream:
 def read_blf(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     """Yield the frames of a BLF file, one batch for several containers.
 
-    Raises
-    ------
-    SourceError
-        If the file ends inside its own header.
+    Raises SourceError if the file ends inside its own header.
     """
     header = stream.read(FILE_HEADER.size)
     if len(header) < FILE_HEADER.size:

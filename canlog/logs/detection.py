@@ -174,13 +174,7 @@ class Detected:
 
 
 def detect(probe: bytes) -> Detected:
-    """Return the format of a file that begins so.
-
-    Raises
-    ------
-    SourceError
-        If the file is empty or of no known format.
-    """
+    """Return the format of a file that begins so; raises SourceError if the file is empty or of no known format."""
     if not probe.strip():
         raise SourceError("the file is empty")
     if probe.startswith(BLF_MAGIC):
@@ -202,12 +196,8 @@ def detect(probe: bytes) -> Detected:
 def detect_as_columns(probe: bytes, choice: str) -> Detected:
     """Return the format of a file of which somebody says what its columns are.
 
-    A table if that fits; else whatever it is taken for without.
-
-    Raises
-    ------
-    SourceError
-        If it is neither; then the complaint is about the columns.
+    A table if that fits; else whatever it is taken for without. Raises SourceError if it is neither; then the complaint
+    is about the columns.
     """
     text, complaint = probe.removeprefix(BYTE_ORDER_MARK), SourceError("--columns: no line of it is a frame by that")
     try:
@@ -226,10 +216,7 @@ def detect_as_columns(probe: bytes, choice: str) -> Detected:
 def detect_text(probe: bytes) -> Detected:
     """Return the format of a text: the one that a first line names, else the one that most of its first lines are in.
 
-    Raises
-    ------
-    SourceError
-        If it is of no known format.
+    Raises SourceError if it is of no known format.
     """
     if is_utf_16(probe):
         raise SourceError("a text in UTF-16: convert it to UTF-8, for example by iconv -f UTF-16 -t UTF-8")

@@ -42,11 +42,8 @@ GAVE_UP = "reading it takes more time or memory than any intact file of its size
 def read_mf4(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     """Yield the frames of an MDF 4 file, as `mf4_frames.mf4_batches` does in the child.
 
-    Raises
-    ------
-    SourceError
-        If asammdf is not installed, or the file is damaged, not of version 4, or takes more time or memory than any
-        sound file of its size does.
+    Raises SourceError if asammdf is not installed, or the file is damaged, not of version 4, or takes more time or
+    memory than any sound file of its size does.
     """
     if PathFinder.find_spec("asammdf") is None:  # whether or not this process keeps itself from importing it
         raise extra_missing(NEEDS_ASAMMDF, "mf4")
@@ -126,10 +123,7 @@ class _Server:
     def ask(self, request: bytes, reply_to: int) -> None:
         """Have a child do what the request says and write to this pipe.
 
-        Raises
-        ------
-        SourceError
-            If no process can be started.
+        Raises SourceError if no process can be started.
         """
         with self._lock:
             try:

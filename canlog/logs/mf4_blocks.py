@@ -119,10 +119,7 @@ class Mf4File:
     def data_groups(self) -> list[DataGroup]:
         """Return all groups of the file.
 
-        Raises
-        ------
-        UnknownStructureError
-            If one is missing, or stored in a way that is not understood here.
+        Raises UnknownStructureError if one is missing, or stored in a way that is not understood here.
         """
         return [self._data_group(block) for block in self._chain(self._need(FIRST_BLOCK, b"##HD").links[0], b"##DG")]
 
@@ -181,10 +178,7 @@ class Mf4File:
     def stored(self, group: DataGroup) -> Stored:
         """Return the blocks with a group's records.
 
-        Raises
-        ------
-        UnknownStructureError
-            If they are stored in a way that is not understood here.
+        Raises UnknownStructureError if they are stored in a way that is not understood here.
         """
         if not group.data_at:
             return Stored(blocks=(), is_cut=False)

@@ -58,10 +58,7 @@ DAMAGE = (OSError, ValueError, LookupError, TypeError, AttributeError, Arithmeti
 def mf4_batches(path: Path, folder: Path, counts: LogCounts) -> Iterator[FrameBatch]:
     """Yield the frames of all CAN groups of an MDF 4 file, else its measured channels, merged by time; for the child.
 
-    Raises
-    ------
-    SourceError
-        If asammdf is not installed, or the file is damaged or not of version 4.
+    Raises SourceError if asammdf is not installed, or the file is damaged or not of version 4.
     """
     asammdf, errors = quiet_asammdf()
     mdf: Any = None
@@ -93,10 +90,7 @@ def mf4_batches(path: Path, folder: Path, counts: LogCounts) -> Iterator[FrameBa
 def quiet_asammdf() -> tuple[Any, tuple[type[Exception], ...]]:
     """Return asammdf, made to keep to raising errors, and what it raises of a damaged file.
 
-    Raises
-    ------
-    ExtraMissingError
-        If it is not installed.
+    Raises ExtraMissingError if it is not installed.
     """
     asammdf = load_extra("asammdf", NEEDS_ASAMMDF, "mf4")
     # Of a damaged file it logs tracebacks, and leaves a half-made object whose end prints one more.

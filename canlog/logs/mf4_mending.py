@@ -48,10 +48,7 @@ class Mended:
 def mended(path: Path, folder: Path) -> Mended:
     """Return a file that is whole: this one, or a copy in a folder with what is there of it.
 
-    Raises
-    ------
-    SourceError
-        If its records are packed so that they cannot be a log's.
+    Raises SourceError if its records are packed so that they cannot be a log's.
     """
     size_bytes = path.stat().st_size
     with path.open("rb") as stream:

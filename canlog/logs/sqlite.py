@@ -33,10 +33,7 @@ Frame = tuple[int, int, int, int, bytes]  # time [ns], identifier with flags, le
 def read_sqlite(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     """Yield the frames of a database in the order of its rows.
 
-    Raises
-    ------
-    SourceError
-        If it has no table of messages that can be read.
+    Raises SourceError if it has no table of messages that can be read.
     """
     most_rows = Path(stream.name).stat().st_size // LEAST_ROW_BYTES
     try:

@@ -381,12 +381,7 @@ class KeptFile(io.BufferedReader):
 def kept(stream: PipeStream, is_stopped: Callable[[], bool] = never) -> KeptFile:
     """Return a file with all that comes through a pipe.
 
-    Raises
-    ------
-    InputLeftError
-        If the pipe was left before its end.
-    OSError
-        If the disk does not take it.
+    Raises InputLeftError if the pipe was left before its end, OSError if the disk does not take it.
     """
     folder = TemporaryDirectory(prefix="clutchdiag-")
     try:

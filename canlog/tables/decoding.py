@@ -46,10 +46,7 @@ _LEAST, _MOST = -(2**63), 2**63 - 1
 def chosen_places(columns: Mapping[Place, str], patterns: Sequence[str]) -> frozenset[Place]:
     """Return the signals that patterns name: ``Message.Signal``, a signal alone, or with ``*``, ``?`` and ``[...]``.
 
-    Raises
-    ------
-    DefinitionError
-        If a pattern names none.
+    Raises DefinitionError if a pattern names none.
     """
     found: set[Place] = set()
     for pattern in patterns:
@@ -74,10 +71,7 @@ class TimeLimit:
     def of(cls, text: str) -> "TimeLimit":
         """Return the moment that a text names: ``12.5`` seconds, or ISO 8601, in UTC unless it says otherwise.
 
-        Raises
-        ------
-        SourceError
-            If it names none.
+        Raises SourceError if it names none.
         """
         try:
             return cls(round(float(text) * _NS_PER_S), is_elapsed=True)
@@ -309,12 +303,7 @@ class Plan:
     def part(self, signals: Sequence[str], begin: str | float | None, end: str | float | None) -> "Plan":
         """Return the plan for some signals, all if none is named, and for the stretch between two times.
 
-        Raises
-        ------
-        DefinitionError
-            If a pattern names no signal.
-        SourceError
-            If a text is no time.
+        Raises DefinitionError if a pattern names no signal, SourceError if a text is no time.
         """
         span, signals = Span.of(begin, end), [signals] if isinstance(signals, str) else signals
         if not signals:

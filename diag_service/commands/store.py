@@ -123,10 +123,7 @@ def undone_fill(path: Path, vehicle: str | None, *, at: str | None) -> FluidFill
 def moment_of(text: str | None, now: datetime) -> str:
     """Return the moment of a fill: what was said, in UTC unless it has a zone, or now.
 
-    Raises
-    ------
-    ConfigError
-        If the text is no moment, or one that is still to come.
+    Raises ConfigError if the text is no moment, or one that is still to come.
     """
     if text is None:
         return iso_utc(now)

@@ -61,10 +61,7 @@ def id_text(can_id: int) -> str:
 def hexadecimal(text: str, what: str, most: int) -> int:
     """Return a number that was written in hexadecimal, with or without 0x.
 
-    Raises
-    ------
-    ConfigError
-        If it is none, or more than ``most``.
+    Raises ConfigError if it is none, or more than ``most``.
     """
     if not _HEXADECIMAL.fullmatch(text) or int(text, 16) > most:
         raise ConfigError(f"{what} must be hexadecimal, 0 to {most:X}, got {text!r}")
@@ -74,12 +71,8 @@ def hexadecimal(text: str, what: str, most: int) -> int:
 def usual_response_id(request_id: int) -> int:
     """Return the identifier of the answers to a request, by the rules that most controllers keep.
 
-    With 29 bits and normal fixed addressing target and source change places; with 11 bits the answer is 8 above.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such rule for this identifier.
+    With 29 bits and normal fixed addressing target and source change places; with 11 bits the answer is 8 above. Raises
+    ConfigError if there is no such rule for this identifier.
     """
     if is_extended(request_id):
         if request_id >> 16 != FIXED_PHYSICAL >> 16:
@@ -94,10 +87,7 @@ def usual_response_id(request_id: int) -> int:
 def parse_address(request: str | None, response: str | None, target: str | None = None) -> CanAddress | None:
     """Return the address that the words of a command line name; None if none does.
 
-    Raises
-    ------
-    ConfigError
-        If a word is no identifier, or they do not go together.
+    Raises ConfigError if a word is no identifier, or they do not go together.
     """
     if request is None:
         if response is not None or target is not None:

@@ -68,12 +68,7 @@ class Traffic:
 def listen(bus: can.BusABC, duration_s: float = LISTEN_S, goes_on: Callable[[], bool] = lambda: True) -> Traffic:
     """Return what is heard on a bus for so long.
 
-    Raises
-    ------
-    ControllerError
-        If it cannot be read.
-    StoppedError
-        If it shall not go on.
+    Raises ControllerError if it cannot be read, StoppedError if it shall not go on.
     """
     until_s = time.monotonic() + duration_s
     frame_count = error_count = 0
@@ -129,12 +124,7 @@ class DoipPlace:
 def parse_doip(text: str, logical_address: int, authority: Path | None = None) -> DoipPlace:
     """Return the place that ``HOST[:PORT]`` names, an address of IPv4 or, in brackets, of IPv6.
 
-    With an authority it is asked by TLS.
-
-    Raises
-    ------
-    ConfigError
-        If it is none.
+    With an authority it is asked by TLS. Raises ConfigError if it is none.
     """
     host, colon, port = text, "", ""
     if not text.startswith("[") or "]:" in text:
@@ -352,10 +342,7 @@ def heard(
 ) -> Traffic | None:
     """Return what is heard where something would be asked; None: over IP there is nothing to hear.
 
-    Raises
-    ------
-    SourceError, ControllerError
-        If the bus cannot be used.
+    Raises SourceError, ControllerError if the bus cannot be used.
     """
     if isinstance(place, DoipPlace):
         return None

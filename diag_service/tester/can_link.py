@@ -18,13 +18,7 @@ PADDING: Final = 0xCC  # ISO 15765-2: the bits stuffed least
 
 
 def send(bus: can.BusABC, message: can.Message) -> None:
-    """Put a frame on a bus.
-
-    Raises
-    ------
-    ControllerError
-        If the bus does not take it.
-    """
+    """Put a frame on a bus; raises ControllerError if the bus does not take it."""
     try:
         bus.send(message, timeout=1.0)
     except (can.CanError, OSError, ValueError) as exc:
@@ -116,12 +110,8 @@ class CanConnection(BaseConnection):
     def specific_send(self, payload: bytes, timeout: float | None = None) -> None:
         """Send a request, in as many frames as it takes.
 
-        Raises
-        ------
-        SilentError
-            If the controller does not say in time that it goes on receiving.
-        ControllerError
-            If the bus does not take it.
+        Raises SilentError if the controller does not say in time that it goes on receiving, ControllerError if the bus
+        does not take it.
         """
         del timeout  # the transport layer has its own
         self._is_sent_in_part = False

@@ -340,12 +340,8 @@ class DescriptionFile:
 def find_description(name: Path | None) -> Description:
     """Return a description by its path or by the name of one that ships; without one, what all controllers have.
 
-    Raises
-    ------
-    ConfigError
-        If there is none, or it cannot be used.
-    ExtraMissingError
-        If it is a PDX and odxtools is not installed.
+    Raises ConfigError if there is none, or it cannot be used, ExtraMissingError if it is a PDX and odxtools is not
+    installed.
     """
     if name is None:
         return UNKNOWN

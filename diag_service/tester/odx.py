@@ -32,12 +32,8 @@ _HEAD_BYTES: Final = 3  # of a response to service 22: the service and the numbe
 def load_odx(path: Path) -> Description:
     """Return the controller that a PDX package or an ODX file describes: its first base or controller variant.
 
-    Raises
-    ------
-    ConfigError
-        If the file cannot be read, or describes no controller.
-    ExtraMissingError
-        If odxtools is not installed.
+    Raises ConfigError if the file cannot be read, or describes no controller, ExtraMissingError if odxtools is not
+    installed.
     """
     odxtools = load_extra("odxtools", "PDX files need odxtools", "odx" if find_spec("udsoncan") else "odx,uds")
     try:

@@ -156,12 +156,8 @@ def read_once(
 ) -> ControllerReport:
     """Listen, ask one controller for its trouble codes, and return what it said.
 
-    Raises
-    ------
-    SourceError, ControllerError
-        If the bus cannot be used, another tester is at work, or the controller does not answer or will not.
-    StoppedError
-        If it shall not go on.
+    Raises SourceError, ControllerError if the bus cannot be used, another tester is at work, or the controller does not
+    answer or will not, StoppedError if it shall not go on.
     """
     with asking(target, Timing(), goes_on=goes_on) as (tester, _):
         known = recognised(tester, description)

@@ -177,10 +177,7 @@ class Group:
     def numbers(self, codes: Sequence[TroubleCode]) -> tuple[int, ...]:
         """Return the groups to clear, by the codes that the controller tells.
 
-        Raises
-        ------
-        ConfigError
-            If there is no such code.
+        Raises ConfigError if there is no such code.
         """
         if self.number is not None:
             return (self.number,)

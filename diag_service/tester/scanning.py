@@ -278,10 +278,7 @@ class Scan:
 def request_ids(first: int | None, last: int | None, *, is_extended: bool) -> list[int]:
     """Return the identifiers to try, or of 29 bits those of the addresses; None: from the first one, to the last.
 
-    Raises
-    ------
-    ConfigError
-        If there is none.
+    Raises ConfigError if there is none.
     """
     low = (0 if is_extended else FIRST_STANDARD_ID) if first is None else first
     high = largest_id(is_extended=is_extended) if last is None else last
@@ -299,12 +296,8 @@ def largest_id(*, is_extended: bool) -> int:
 def scan(plan: ScanPlan, *, goes_on: Callable[[], bool] = lambda: True) -> Scan:
     """Listen, look for controllers and ask each what it can be asked; what was found until it was stopped is returned.
 
-    Raises
-    ------
-    SourceError, ControllerError
-        If the bus cannot be used, another tester is at work, or a node is not there.
-    ExtraMissingError
-        If a library is missing.
+    Raises SourceError, ControllerError if the bus cannot be used, another tester is at work, or a node is not there,
+    ExtraMissingError if a library is missing.
     """
     if isinstance(plan.place, DoipPlace):
         with dialogue_over_ip(plan.place, plan.timing, goes_on=goes_on) as tester:

@@ -120,10 +120,7 @@ class Answers:
 def chosen(options: SimpleNamespace) -> Answers | None:
     """Return what a command line says of it, None if nobody is to answer.
 
-    Raises
-    ------
-    ConfigError
-        If there is a memory or an address and nobody who uses it, or the address is none.
+    Raises ConfigError if there is a memory or an address and nobody who uses it, or the address is none.
     """
     given = {
         "--diagnostic-memory": options.diagnostic_memory, "--doip": options.doip, "--elm327": options.elm327,

@@ -27,12 +27,8 @@ def execute(options: SimpleNamespace) -> None:
 def save_pdx(table: Path | None, path: Path, *, is_forced: bool) -> tuple[DiagnosticTable, int]:
     """Write a PDX package of a table, or of the one that ships; return what it describes, and its size [bytes].
 
-    Raises
-    ------
-    ConfigError, RecordError
-        If the table cannot be used, or the file is there already or cannot be written.
-    ExtraMissingError
-        If odxtools is not installed.
+    Raises ConfigError, RecordError if the table cannot be used, or the file is there already or cannot be written,
+    ExtraMissingError if odxtools is not installed.
     """
     try:
         from ecu_emulator.diagnostics.pdx.package import pdx_package  # noqa: PLC0415 - an extra

@@ -325,12 +325,7 @@ def open_bus(
     """Open a bus; what is not given comes from CAN_INTERFACE, CAN_CHANNEL and can.conf, as with python-can's tools.
 
     ``udp_multicast`` keeps to this machine unless ``hop_limit`` is configured; ``options`` are more arguments of the
-    driver, such as its port.
-
-    Raises
-    ------
-    BusError
-        If no bus is named, or it cannot be opened; the text says what to do.
+    driver, such as its port. Raises BusError if no bus is named, or it cannot be opened; the text says what to do.
     """
     name = " ".join(part for part in (interface, channel) if part) or "from the configuration"
     try:
@@ -348,10 +343,7 @@ def open_bus(
 def probe_socketcan(channel: str) -> None:
     """Find out what is wrong with an interface before python-can does, which would leave a socket open.
 
-    Raises
-    ------
-    OSError
-        If this kernel has no CAN, or the interface is not there, not CAN, or down.
+    Raises OSError if this kernel has no CAN, or the interface is not there, not CAN, or down.
     """
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw:
         raw.bind((channel,))

@@ -159,13 +159,7 @@ class Controller:
             self._lock.release()
 
     def report(self, number: int, result: TestResult) -> None:
-        """Take the result of a monitor.
-
-        Raises
-        ------
-        RecordError
-            If it cannot be kept.
-        """
+        """Take the result of a monitor; raises RecordError if it cannot be kept."""
         self._change(lambda state: tested(self.table, state, number, result, self._moment()))
 
     def warm_up(self) -> None:

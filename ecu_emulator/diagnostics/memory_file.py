@@ -81,10 +81,7 @@ class MemoryFile:
     def load(self) -> ServerState | None:
         """Return what was kept, None if there is no file yet.
 
-        Raises
-        ------
-        RecordError
-            If the file cannot be read, is damaged, or holds what the table does not describe.
+        Raises RecordError if the file cannot be read, is damaged, or holds what the table does not describe.
         """
         try:
             document = json.loads(read_small_file(self._path))
@@ -109,10 +106,7 @@ class MemoryFile:
     def save(self, state: ServerState) -> None:
         """Write what is to be kept, if it has changed; it is on the disk when this returns.
 
-        Raises
-        ------
-        RecordError
-            If the disk is full or cannot be written; the file is as it was before.
+        Raises RecordError if the disk is full or cannot be written; the file is as it was before.
         """
         document = _document(state)
         if document == self._saved:

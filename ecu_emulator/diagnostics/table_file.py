@@ -78,10 +78,7 @@ def personalities() -> tuple[str, ...]:
 def table_like(name: str) -> DiagnosticTable:
     """Return the shipped table with the data that another controller has besides, and with its times to answer.
 
-    Raises
-    ------
-    ConfigError
-        If there is no such personality.
+    Raises ConfigError if there is no such personality.
     """
     if name not in personalities():
         raise ConfigError(f"nobody answers like {name}: there are {', '.join(personalities())}")

@@ -39,10 +39,7 @@ def affected_calibration(calibration: Calibration, effects: Effects) -> Calibrat
 def affected_parameters(parameters: PlantParameters, effects: Effects) -> PlantParameters:
     """Return the plant's parameters as the effects make them.
 
-    Raises
-    ------
-    CalibrationError
-        If an effect leads outside a physical range.
+    Raises CalibrationError if an effect leads outside a physical range.
     """
     damping = effects.driveline_damping_ratio
     first, second = (shaft._replace(damping_nms_rad=shaft.damping_nms_rad * damping) for shaft in parameters.shafts)
@@ -103,10 +100,7 @@ class BuiltVehicle:
 def build_vehicle(scenario: Scenario) -> BuiltVehicle:
     """Return the vehicle of a scenario; the same scenario and vehicle seed always give the same one.
 
-    Raises
-    ------
-    ConfigError
-        If a truth override names an unknown key or leads outside a physical range.
+    Raises ConfigError if a truth override names an unknown key or leads outside a physical range.
     """
     drawn = _draw(scenario.scatter, scenario.seed_of_vehicle)
     try:
@@ -317,12 +311,8 @@ def journey(
 ) -> Journey:
     """Return a drive on the road; a parked car is silent for at most ``longest_stay_s`` [s].
 
-    ``believed`` is asked, as each trip begins, for the touch points that the control believes in.
-
-    Raises
-    ------
-    ConfigError
-        If the car cannot be driven under the scenario's conditions.
+    ``believed`` is asked, as each trip begins, for the touch points that the control believes in. Raises ConfigError if
+    the car cannot be driven under the scenario's conditions.
     """
     ambient = scenario.ambient
     warmth = Warmth(oil_k=ambient.oil_temperature_k, coolant_k=ambient.coolant_temperature_k)

@@ -137,10 +137,7 @@ class Drive:
     def add_fault(self, fault: SensorFault | BusFault) -> None:
         """Have a fault happen; its time counts from the next stretch on. Any thread may call.
 
-        Raises
-        ------
-        ConfigError
-            If it names a message that is not on the bus.
+        Raises ConfigError if it names a message that is not on the bus.
         """
         if isinstance(fault, BusFault):
             self._bus_faults.check(fault)

@@ -160,10 +160,7 @@ def nominal_driving() -> DrivingParameters:
 def driving_parameters(table: Mapping[str, object]) -> DrivingParameters:
     """Return the numbers of nested tables.
 
-    Raises
-    ------
-    CalibrationError
-        If a number is missing, unknown or not above zero.
+    Raises CalibrationError if a number is missing, unknown or not above zero.
     """
     driving = record_from(DrivingParameters, table)
     for name, record in driving._asdict().items():

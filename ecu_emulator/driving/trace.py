@@ -57,13 +57,7 @@ class SpeedTrace:
 
 
 def public_trace(name: str) -> SpeedTrace:
-    """Return one of the public test cycles, on level ground.
-
-    Raises
-    ------
-    ConfigError
-        If there is none of that name.
-    """
+    """Return one of the public test cycles, on level ground; raises ConfigError if there is none of that name."""
     if name not in PUBLIC_TRACES:
         raise ConfigError(f"no speed trace {str(name)!r}: use one of {', '.join(PUBLIC_TRACES)}")
     with files("ecu_emulator").joinpath(f"driving/traces/{name}.csv").open(encoding="utf-8") as lines:

@@ -217,10 +217,8 @@ def run(
 ) -> None:
     """Stream a drive onto a bus in real time and report how punctual it was; a request to stop ends it in order.
 
-    Raises
-    ------
-    ConfigError, BusError, RecordError
-        If the scenario's truth is not possible, the bus cannot be used, or a file cannot be written.
+    Raises ConfigError, BusError, RecordError if the scenario's truth is not possible, the bus cannot be used, or a file
+    cannot be written.
     """
     logging.getLogger("can").setLevel(logging.CRITICAL)  # python-can logs what it raises, and more when a bus goes
     console = people()
@@ -266,12 +264,9 @@ def send(
 ) -> dict[str, object]:
     """Send a drive in real time and return how that went, as ``--json`` prints it.
 
-    ``say`` gets lines for people, ``show`` five times a second the scenario time [s] and the frames sent.
-
-    Raises
-    ------
-    ConfigError, BusError, RecordError
-        If the controller that answers testers cannot be used, the bus goes away, or a file cannot be written.
+    ``say`` gets lines for people, ``show`` five times a second the scenario time [s] and the frames sent. Raises
+    ConfigError, BusError, RecordError if the controller that answers testers cannot be used, the bus goes away, or a
+    file cannot be written.
     """
     with (
         _answering(bus, answers, choice, scenario, sent.drive) as answering,

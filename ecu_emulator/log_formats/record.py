@@ -82,10 +82,7 @@ class LogFile:
     def write(self, frames: EncodedFrames) -> None:
         """Append frames; their times are rounded to whole microseconds.
 
-        Raises
-        ------
-        RecordError
-            If the disk is full or no longer takes data, or the format has no error frames.
+        Raises RecordError if the disk is full or no longer takes data, or the format has no error frames.
         """
         _check_error_frames(frames, self._format, str(self._path))
         t_us = _t_us(frames, self._header)

@@ -26,13 +26,9 @@ ROWS_PER_S = 1000
 def as_record(law: LawT) -> LawT:
     """Return the numpy record with the members of a nested named tuple of numbers.
 
-    It reads like the tuple it was made of, hence the type. A kernel that gets the tuple itself copies every number
-    at every call; the record costs one pointer, and equal members can be indexed (``law.shafts[k]``).
-
-    Raises
-    ------
-    DomainError
-        If a member is neither a number nor a tuple of members of one type.
+    It reads like the tuple it was made of, hence the type. A kernel that gets the tuple itself copies every number at
+    every call; the record costs one pointer, and equal members can be indexed (``law.shafts[k]``). Raises DomainError
+    if a member is neither a number nor a tuple of members of one type.
     """
     record = np.array([_plain(law)], dtype=_dtype_of(law)).view(np.recarray)[0]
     return cast("LawT", record)
@@ -156,13 +152,7 @@ class Course:
 
     @property
     def power_balance(self) -> PowerBalance:
-        """Energies since the start.
-
-        Raises
-        ------
-        DomainError
-            If no account is kept.
-        """
+        """Energies since the start; raises DomainError if no account is kept."""
         if self._machine.work.account.size == 0:
             raise DomainError("there is a power balance only of what was audited from its start")
         return power_balance(self._machine.work.account, self._start, self._machine.y, self._plant)

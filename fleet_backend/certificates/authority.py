@@ -48,10 +48,7 @@ class Authority:
     def make(cls, folder: Path, lifetime: Lifetime) -> Self:
         """Make an authority in a folder that has none.
 
-        Raises
-        ------
-        CertificateError
-            If there is one already, or the folder cannot be written.
+        Raises CertificateError if there is one already, or the folder cannot be written.
         """
         if (folder / f"{AUTHORITY}.key").exists():
             raise CertificateError(f"{folder} has an authority already; a new one would make its certificates invalid")

@@ -88,10 +88,7 @@ class Retained:
 def roll_up(engine: Engine, until: datetime) -> int:
     """Sum up all results before a moment by clutch and month; return how many clutch-months there are now.
 
-    Raises
-    ------
-    DatabaseAwayError
-        If the database does not answer.
+    Raises DatabaseAwayError if the database does not answer.
     """
     with transaction(engine) as connection:
         _roll_up(connection, until)
@@ -101,14 +98,9 @@ def roll_up(engine: Engine, until: datetime) -> int:
 def retain(engine: Engine, kept_months: int, *, now: datetime, by: str) -> Retained:
     """Sum up and forget the results of all months but the last ``kept_months`` and this one.
 
-    The last result of a clutch is never forgotten: a vehicle that has been silent for long keeps its condition.
-
-    Raises
-    ------
-    ConfigError
-        If the count makes no sense.
-    DatabaseAwayError
-        If somebody reads too long: try again, nothing was changed.
+    The last result of a clutch is never forgotten: a vehicle that has been silent for long keeps its condition. Raises
+    ConfigError if the count makes no sense, DatabaseAwayError if somebody reads too long: try again, nothing was
+    changed.
     """
     if not 1 <= kept_months <= MOST_KEPT:
         raise ConfigError(f"months to keep must be 1 to {MOST_KEPT}, got {kept_months}")
@@ -184,12 +176,7 @@ class Forgotten:
 def forget_vehicle(engine: Engine, vehicle: str, *, now: datetime, by: str) -> Forgotten:
     """Delete all rows about a vehicle; lines of the audit stay without its name.
 
-    Raises
-    ------
-    UnknownVehicleError
-        If nothing ever came from it.
-    DatabaseError
-        If anything would be left; then all stays.
+    Raises UnknownVehicleError if nothing ever came from it, DatabaseError if anything would be left; then all stays.
     """
     check_vehicle(engine, vehicle)
     digest = sha256(vehicle.encode()).hexdigest()

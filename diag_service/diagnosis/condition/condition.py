@@ -193,10 +193,7 @@ class ConditionMemory:
     def from_json(cls, table: Mapping[str, object]) -> Self:
         """Rebuild a memory saved by `to_json`; stores of earlier versions know of no fits.
 
-        Raises
-        ------
-        ValueError
-            If the table is not such a memory.
+        Raises ValueError if the table is not such a memory.
         """
         if table.get("format") != MEMORY_FORMAT:
             raise ValueError(f"condition memory of format {table.get('format')!r}, expected {MEMORY_FORMAT}")

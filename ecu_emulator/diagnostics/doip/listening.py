@@ -25,10 +25,7 @@ class TlsNode:
     def context(self) -> ssl.SSLContext:
         """Return what connections are made with: TLS 1.2 or newer, as the standard has it.
 
-        Raises
-        ------
-        ConfigError
-            If a file cannot be read, or is no certificate or the wrong key.
+        Raises ConfigError if a file cannot be read, or is no certificate or the wrong key.
         """
         files = ", ".join(str(path) for path in (self.certificate, self.key) if path is not None)
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -48,10 +45,7 @@ class TlsNode:
 def tls_node(certificate: Path | None, key: Path | None, port: int) -> TlsNode | None:
     """Return how TLS is spoken, as the command line says; None if it is not.
 
-    Raises
-    ------
-    ConfigError
-        If there is a key without a certificate, or the port is none.
+    Raises ConfigError if there is a key without a certificate, or the port is none.
     """
     if certificate is None:
         if key is not None:
@@ -103,10 +97,7 @@ class Listening:
 def parse_place(text: str) -> Place:
     """Return what ``[HOST:]PORT`` says; without a host this machine alone is meant. IPv6 stands in brackets.
 
-    Raises
-    ------
-    ConfigError
-        If it says no such thing.
+    Raises ConfigError if it says no such thing.
     """
     host, _, port = text.rpartition(":")
     is_bracketed = host.startswith("[") and host.endswith("]")
@@ -119,12 +110,8 @@ def parse_place(text: str) -> Place:
 def listen(place: Place) -> Listening:
     """Return the sockets of a place; requests to everybody on its network come in as well.
 
-    By IPv6 they come in only where all addresses are listened on (``::``).
-
-    Raises
-    ------
-    BusError
-        If it is no address of this machine, or somebody else listens there.
+    By IPv6 they come in only where all addresses are listened on (``::``). Raises BusError if it is no address of this
+    machine, or somebody else listens there.
     """
     with ExitStack() as stack:
         try:

@@ -215,10 +215,7 @@ _LARGEST_PORT: Final = 65535
 def parse_place(text: str) -> tuple[str, int]:
     """Return host and port of ``[HOST:]PORT``; without a host it is this machine alone.
 
-    Raises
-    ------
-    ConfigError
-        If it is no such thing.
+    Raises ConfigError if it is no such thing.
     """
     host, colon, port = text.rpartition(":")
     if not (port.isascii() and port.isdecimal() and 0 <= int(port) <= _LARGEST_PORT) or (colon and not host):
