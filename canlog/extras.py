@@ -17,7 +17,7 @@ TESTER: Final = "cantools.tester"  # a live bus for cantools, which takes all of
 
 
 def load_extra(module: str, what: str, extra: str = "") -> Any:  # noqa: ANN401 - a module of any library
-    """Return a module of an optional library.
+    """Return a module of an optional library; raises ExtraMissingError if it is not installed.
 
     Parameters
     ----------
@@ -27,11 +27,6 @@ def load_extra(module: str, what: str, extra: str = "") -> Any:  # noqa: ANN401 
         Who needs it, for people: ``Parquet needs pyarrow``.
     extra : str
         Which extra brings it; empty: it is installed by its own name.
-
-    Raises
-    ------
-    ExtraMissingError
-        If it is not installed.
     """
     try:
         return import_module(module)

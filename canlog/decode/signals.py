@@ -413,6 +413,9 @@ def compile_signal(
 ) -> SignalTable:
     """Return the table of one signal.
 
+    Raises DefinitionError if the signal cannot be decoded: outside its message or the 64 bytes of a frame, of a width
+    that its type does not have, or multiplexed by something that is no multiplexer.
+
     Parameters
     ----------
     message : Message
@@ -425,12 +428,6 @@ def compile_signal(
         Raw values of an integer that are no measurements, as ranges that do not overlap.
     most_bytes : int
         Of a payload: those of a CAN FD frame, more for messages that are put together.
-
-    Raises
-    ------
-    DefinitionError
-        If the signal cannot be decoded: outside its message or the 64 bytes of a frame, of a width that its type
-        does not have, or multiplexed by something that is no multiplexer.
     """
     where = f"{message.name}.{signal.name}"
     field = place_signal(message, signal, most_bytes)

@@ -386,6 +386,8 @@ class Contents:
 def contents_of(stream: BinaryIO, member: str = "", columns: str = "") -> Contents:
     """Return the log that an open file is or holds.
 
+    Raises SourceError if there is no log, more than one, or one that is packed twice; the reason is in words.
+
     Parameters
     ----------
     stream
@@ -394,11 +396,6 @@ def contents_of(stream: BinaryIO, member: str = "", columns: str = "") -> Conten
         What is meant of an archive; without it the archive has to hold one log only.
     columns
         What the columns of a text are; empty if its contents shall say.
-
-    Raises
-    ------
-    SourceError
-        If there is no log, more than one, or one that is packed twice; the reason is in words.
     """
     probe = stream.read(PROBE_BYTES)
     stream.seek(0)

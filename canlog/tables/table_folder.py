@@ -120,17 +120,14 @@ class TableFolder:
 def table_folder(folder: Path, names: Mapping[int, str]) -> Iterator[TableFolder]:
     """Give the folder in which the tables of messages are written, made if need be, and leave nothing unfinished.
 
+    Raises OutputError if it cannot be written to.
+
     Parameters
     ----------
     folder
         Where they shall be.
     names
         Of the files of messages, by slot.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written to.
     """
     part = folder / f".{os.getpid()}-{next(_NUMBERS)}.part"
     is_new = not folder.exists()

@@ -314,17 +314,13 @@ def asking(
 ) -> "Iterator[tuple[Dialogue, Traffic | None]]":
     """Listen, then be ready to ask for the time of the block; yield the tester, and what it heard on a bus before.
 
+    Raises SourceError, ControllerError if the bus cannot be used, another tester is at work, or a node is not there,
+    ExtraMissingError if a library is missing.
+
     Parameters
     ----------
     goes_on
         Asked while an answer is waited for; False ends that with StoppedError.
-
-    Raises
-    ------
-    SourceError, ControllerError
-        If the bus cannot be used, another tester is at work, or a node is not there.
-    ExtraMissingError
-        If a library is missing.
     """
     if isinstance(target, DoipPlace):
         with dialogue_over_ip(target, timing, goes_on=goes_on) as tester:

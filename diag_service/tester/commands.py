@@ -198,19 +198,15 @@ def ask_one(
 ) -> _AnswerT | None:
     """Listen, ask one controller, show and return the answer; without ``--active`` say what it would be asked.
 
+    Raises ConfigError, ExtraMissingError, SourceError, ControllerError if something cannot be used, or the controller
+    does not answer or will not, StoppedError if it was stopped.
+
     Parameters
     ----------
     show
         Returns an answer as JSON, and as lines for people.
     stop
         Ends it early.
-
-    Raises
-    ------
-    ConfigError, ExtraMissingError, SourceError, ControllerError
-        If something cannot be used, or the controller does not answer or will not.
-    StoppedError
-        If it was stopped.
     """
     timing = timing_of(options)
     description = find_description(options.description)

@@ -127,6 +127,8 @@ def find_addresses(
 ) -> list[CanAddress]:
     """Return who answers "tester present", by the identifier of the request.
 
+    Raises ControllerError if the bus cannot be used, or another tester begins to ask.
+
     Parameters
     ----------
     busy_ids
@@ -135,11 +137,6 @@ def find_addresses(
         How long one may take to answer.
     goes_on
         Asked before each request; False ends the search.
-
-    Raises
-    ------
-    ControllerError
-        If the bus cannot be used, or another tester begins to ask.
     """
     found: dict[int, CanAddress] = {}  # by the identifier of the answers
     recent: deque[int] = deque(maxlen=SUSPECTS)

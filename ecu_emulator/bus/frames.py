@@ -151,15 +151,12 @@ class FrameEncoder:
     def encode(self, readings: Readings) -> EncodedFrames:
         """Return the frames of one message, one per reading.
 
+        Raises ValueError if the message is unknown or the quantities are not those that it carries.
+
         Parameters
         ----------
         readings : Readings
             Exactly the quantities that ``quantities`` names, in SI units; NaN says not available.
-
-        Raises
-        ------
-        ValueError
-            If the message is unknown or the quantities are not those that it carries.
         """
         code = self._codes.get(readings.message)
         if code is None:

@@ -258,6 +258,8 @@ def transmit(
 ) -> TransmitReport:
     """Send frames at the times they carry, from now on, until they end or ``stop`` is set.
 
+    Raises BusError if the bus goes away.
+
     Parameters
     ----------
     bus : FrameSender
@@ -270,11 +272,6 @@ def transmit(
         Time [s] between the first computed chunk and scenario time 0.
     on_progress : callable
         Called with scenario time [s] and frames sent, about five times a second.
-
-    Raises
-    ------
-    BusError
-        If the bus goes away.
     """
     transmitter, producer = _Transmitter(bus, stop), _Producer(chunks, stop)
     try:

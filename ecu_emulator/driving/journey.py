@@ -52,17 +52,14 @@ _DAY: Final[Mapping[_DayTrip, float]] = MappingProxyType({  # and how often each
 def trips(name: DriveName, seed: int, rounds: int | None = 1) -> Iterator[PlannedTrip]:
     """Yield the trips of a drive on the road; the first ones are the same however many there are.
 
+    Raises ConfigError if the drive is none on the road.
+
     Parameters
     ----------
     seed : int
         Of traffic and stays; the public cycles are always the same.
     rounds : int
         How many cycles, trips through the city or days; None: without end.
-
-    Raises
-    ------
-    ConfigError
-        If the drive is none on the road.
     """
     for number in count() if rounds is None else range(rounds):
         if name == DriveName.DAY:

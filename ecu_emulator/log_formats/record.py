@@ -151,6 +151,8 @@ def open_log(
 ) -> LogFile:
     """Begin a log file.
 
+    Raises RecordError if the format is not known, asammdf is missing for MF4, or the file cannot be created.
+
     Parameters
     ----------
     path : Path
@@ -161,11 +163,6 @@ def open_log(
         Time since the epoch [ns] of scenario time 0; the same drive gives the same file.
     channel : str
         The interface's name, for the formats that keep it (candump).
-
-    Raises
-    ------
-    RecordError
-        If the format is not known, asammdf is missing for MF4, or the file cannot be created.
     """
     if log_format is None and (log_format := format_of(path)) is None:
         known = ", ".join(f"{suffix} ({name})" for suffix, name in FORMAT_OF_SUFFIX.items())

@@ -87,17 +87,14 @@ class Watch:
     def round(self, judging_s: float = JUDGING_S, *, is_drawn: bool = False) -> list[Transition]:
         """Look at everything once; return what was raised and cleared.
 
+        Raises DatabaseError if the database does not answer; what is written stays, the rest follows in the next round.
+
         Parameters
         ----------
         judging_s :
             How long pasts are judged; then one vehicle is done with, and the others wait.
         is_drawn :
             Whether chance decides who is judged first; else the worst that never was.
-
-        Raises
-        ------
-        DatabaseError
-            If the database does not answer; what is written stays, the rest follows in the next round.
         """
         began_s = time.monotonic()
         if not self._is_sharing:
