@@ -154,11 +154,6 @@ def kernel_count() -> int:
     return len(_names)
 
 
-def has_cache() -> bool:
-    """Return whether machine code outlives this process."""
-    return cache_folder(_config.CACHE_DIR) is not None
-
-
 def cache_folder(configured: str) -> Path | None:
     """Return where machine code is kept, None where that is nowhere.
 
@@ -193,7 +188,7 @@ def announce_compiling(say: Callable[[str], object]) -> Callable[[], None]:
 
 
 def _how_often() -> str:
-    if has_cache():
+    if cache_folder(_config.CACHE_DIR) is not None:
         return "as at every first start"
     return "as at every start, since no folder can be written for them (NUMBA_CACHE_DIR names one)"
 

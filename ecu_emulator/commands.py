@@ -24,7 +24,7 @@ from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFile, LogFormat
 from ecu_emulator.log_formats.table import TableOptions, write_table
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.scenario.drive_names import DriveName
-from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Routine, Scenario, Truth
+from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Routine, Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
 from ecu_emulator.truth import Totals, TruthWriter, read_truth, truth_path
 
@@ -111,7 +111,8 @@ def choose_scenario(options: DriveOptions) -> Scenario:
     if options.oil_degc is not None:
         given["ambient"] = started_at(scenario.ambient, float(k_from_degc(options.oil_degc)))
     if options.mass_kg is not None:
-        given["truth"] = with_mass(scenario.truth, options.mass_kg)
+        plant = {**scenario.truth.plant, "vehicle.mass_kg": options.mass_kg}
+        given["truth"] = replace(scenario.truth, plant=plant)
     scenario = replace(scenario, endless=scenario.endless or options.is_endless, **given)
     if options.routine is not None:
         scenario = replace(scenario, routine=Routine(open_revs=options.routine[0], closed_revs=options.routine[1]))
@@ -142,11 +143,6 @@ def started_at(ambient: Ambient, oil_k: float) -> Ambient:
         oil_temperature_k=oil_k,
         coolant_temperature_k=min(ambient.coolant_temperature_k, oil_k),
     )
-
-
-def with_mass(truth: Truth, mass_kg: float) -> Truth:
-    """Return what is true of the vehicle, with another mass."""
-    return replace(truth, plant={**truth.plant, "vehicle.mass_kg": mass_kg})
 
 
 def list_scenarios() -> None:

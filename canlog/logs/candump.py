@@ -9,7 +9,7 @@ import numpy as np
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.jit import array_kernel, inlined_kernel
-from canlog.logs.frame_buffer import ChannelNames, FrameRows, NameWords
+from canlog.logs.frame_buffer import ChannelNames, FrameRows, NameWords, channel_number
 from canlog.logs.text_kernels import (
     BLANK,
     DECIMAL_PAIR,
@@ -49,7 +49,6 @@ ERROR_OR_ABOVE = 0x2000_0000  # written with eight digits, yet not an extended i
 MAX_SECONDS_DIGITS, NS_DIGITS = 10, 9
 NS_PER_S, NS_PER_US = 1_000_000_000, 1_000
 FD_DIGIT_BITS = 0x03  # of the digit behind "##": bit rate switch and error state, as in ``flags``
-NAME_SEED, NAME_FACTOR = -3750763034362895579, 1099511628211  # FNV-1a, 64 bits
 
 UNUSUAL = -1  # in place of the position behind a line
 USUAL_TIME_BYTES = 20  # "(1767225600.000000) "
@@ -183,22 +182,9 @@ def _parse_line(text: UInt8Array, at: int, rows: FrameRows, row: int, names: Nam
         at = _parse_tail(text, at, rows, row)
     if at < 0:
         return MALFORMED, skip_line(text, -at)
-    number = _channel_number(text, name_at, names, known)
+    number = channel_number(text, name_at, names, known)
     rows.channel[row] = max(number, 0)
     return (FRAME if number >= 0 else NEW_CHANNEL), at
-
-
-@array_kernel
-def _channel_number(text: UInt8Array, at: int, names: NameWords, known: int) -> int:
-    """Return the number of the channel whose name stands here, -1 if it is new."""
-    name = NAME_SEED
-    while text[at] > BLANK:
-        name = (name ^ text[at]) * NAME_FACTOR
-        at += 1
-    for index in range(known):
-        if names.hashes[index] == name:
-            return int(names.numbers[index])
-    return -1
 
 
 @array_kernel

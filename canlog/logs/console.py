@@ -21,7 +21,7 @@ from canlog.frames import (
 )
 from canlog.jit import array_kernel
 from canlog.logs.asc import date_us
-from canlog.logs.frame_buffer import ChannelNames, FrameRows, NameWords
+from canlog.logs.frame_buffer import ChannelNames, FrameRows, NameWords, channel_number
 from canlog.logs.text_kernels import (
     BLANK,
     FRAME,
@@ -59,7 +59,6 @@ LAST_S = 9_200_000_000  # the year 2261: nanoseconds must fit 64 bits
 STANDARD_DIGITS, EXTENDED_DIGITS = 3, 8
 MAX_STANDARD_ID, MAX_ID = 0x7FF, 0x3FFF_FFFF
 BRS, ESI = 1, 2  # as ``flags`` has them
-NAME_SEED, NAME_FACTOR = -3750763034362895579, 1099511628211  # FNV-1a, 64 bits
 
 # Characters of the grammar.
 ESCAPE, POINT = 27, ord(".")
@@ -124,7 +123,7 @@ def _parse_line(  # noqa: PLR0911 - one for each outcome
     at = _read_payload(text, at, rows, row, length)
     if at < 0:
         return MALFORMED, skip_line(text, -at)
-    number = _channel_number(text, name_at, names, known)
+    number = channel_number(text, name_at, names, known)
     rows.channel[row] = max(number, 0)
     return (FRAME if number >= 0 else NEW_CHANNEL), at
 
@@ -270,19 +269,6 @@ def _end(text: UInt8Array, at: int) -> int:
     """Return the position behind a line that ends here, negative if something else follows."""
     at = _skip_shown(text, at)
     return at + 1 if text[at] == NEWLINE else -at
-
-
-@array_kernel
-def _channel_number(text: UInt8Array, at: int, names: NameWords, known: int) -> int:
-    """Return the number of the channel whose name stands here, -1 if it is new."""
-    name = NAME_SEED
-    while text[at] > BLANK:
-        name = (name ^ text[at]) * NAME_FACTOR
-        at += 1
-    for index in range(known):
-        if names.hashes[index] == name:
-            return int(names.numbers[index])
-    return -1
 
 
 @array_kernel

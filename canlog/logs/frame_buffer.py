@@ -8,11 +8,13 @@ import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array, UInt32Array
 from canlog.frames import FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
-from canlog.logs.text_kernels import WORD_BYTES, UInt64Array
+from canlog.jit import array_kernel
+from canlog.logs.text_kernels import BLANK, WORD_BYTES, UInt64Array
 
 MOST_CHANNELS = 256
 FNV_SEED = 0xCBF2_9CE4_8422_2325
 FNV_FACTOR = 0x100_0000_01B3
+NAME_SEED, NAME_FACTOR = -3750763034362895579, 1099511628211  # the same for compiled code: FNV-1a, 64 bits
 NO_NAME = 0xFFFF_FFFF_FFFF_FFFF  # as a word: eight bytes that no text has
 DIGITS_AT_END = re.compile(rb"\d{1,3}$")
 
@@ -157,3 +159,16 @@ class FrameBuffer:
             flags=np.array(rows.flags[:count], copy=is_copied),
             channel=np.array(rows.channel[:count], copy=is_copied),
         )
+
+
+@array_kernel
+def channel_number(text: UInt8Array, at: int, names: NameWords, known: int) -> int:
+    """Return the number of the channel whose name stands here, -1 if it is new."""
+    name = NAME_SEED
+    while text[at] > BLANK:
+        name = (name ^ text[at]) * NAME_FACTOR
+        at += 1
+    for index in range(known):
+        if names.hashes[index] == name:
+            return int(names.numbers[index])
+    return -1

@@ -146,7 +146,9 @@ class Mf4File:
             elif block.links[COMPOSITION] or kind not in NUMBERS or not self._is_number(block.links[CONVERSION]):
                 others.append(name)
             else:
-                unit = self._text(block.links[UNIT]) or self._unit_of_conversion(block.links[CONVERSION])
+                unit, at = self._text(block.links[UNIT]), block.links[CONVERSION]
+                if not unit and at:
+                    unit = self._text(self._need(at, b"##CC").links[UNIT_OF_CONVERSION])
                 channels.append(Channel(block.at, name, unit))
         is_bus = bool(flags & BUS_EVENTS) or any(BUS_FRAMES.fullmatch(one) for one in others)
         return MeasuredGroup(group.at, tuple(channels), has_times, is_bus, tuple(others))
@@ -159,9 +161,6 @@ class Mf4File:
         if kind == FORMULA:
             return SAFE_FORMULA.fullmatch(self._text(block.links[FIRST_REFERENCE])) is not None
         return kind in TO_NUMBERS
-
-    def _unit_of_conversion(self, at: int) -> str:
-        return self._text(self._need(at, b"##CC").links[UNIT_OF_CONVERSION]) if at else ""
 
     def _text(self, at: int) -> str:
         """Return the text of a block of text, or the first one in its XML."""

@@ -315,7 +315,8 @@ class Plan:
     ) -> WideLayout | LongLayout:
         """Return the columns; for wide rows all frames are looked at, for the messages that occur are the columns."""
         if self.shape is TableShape.LONG:
-            return LongLayout(self.codec.tables, self.names, self.values, origins, is_measured=self.is_measured)
+            slots = range(len(self.codec.tables))
+            return LongLayout(self.codec.tables, self.names, self.values, slots, origins, is_measured=self.is_measured)
         seen: set[int] = set()
         together = LongRows(self.codec, self.pairs)
         for stretch in together.stretches(batches()):
@@ -372,14 +373,11 @@ def decode_logs(
         If the library that writes the format is not installed.
     """
     check_libraries(table_format, paths)
-    is_read_twice = _is_read_twice(plan, table_format)
+    is_read_twice = (
+        table_format is not TableFormat.MF4 and plan.shape is TableShape.WIDE
+    )  # columns depend on all frames
     with LogSet(paths, is_stopped, is_read_twice=is_read_twice, watch=watch, columns=columns) as logs:
         return _Writing(logs, plan, table_format, is_stopped).write(output)
-
-
-def _is_read_twice(plan: Plan, table_format: TableFormat) -> bool:
-    """Return whether the columns depend on all of the frames."""
-    return table_format is not TableFormat.MF4 and plan.shape is TableShape.WIDE
 
 
 @dataclass(frozen=True, slots=True)

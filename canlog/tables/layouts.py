@@ -166,6 +166,7 @@ class TableLayout:
         self.values = values
         self._origins = origins
         self.frame_kinds = frame_kinds(origins)
+        self._places = [(slot, name) for slot in slots for name in tables[slot].signals]
         self.texts: dict[Place, ValueTexts] = {}
         if values is not Values.NUMBERS:
             self.texts = {
@@ -198,19 +199,6 @@ class TableLayout:
 
 class WideLayout(TableLayout):
     """A row per frame, and a column per signal of the messages in ``slots``."""
-
-    def __init__(
-        self,
-        tables: Sequence[MessageTable],
-        names: TableNames,
-        values: Values,
-        slots: Sequence[int],
-        origins: Origins | None = None,
-        *,
-        is_measured: bool = False,
-    ) -> None:
-        super().__init__(tables, names, values, slots, origins, is_measured=is_measured)
-        self._places = [(slot, name) for slot in slots for name in tables[slot].signals]
 
     @property
     def kinds(self) -> dict[str, str]:
@@ -264,17 +252,6 @@ class WideLayout(TableLayout):
 
 class LongLayout(TableLayout):
     """A row per value."""
-
-    def __init__(
-        self,
-        tables: Sequence[MessageTable],
-        names: TableNames,
-        values: Values,
-        origins: Origins | None = None,
-        *,
-        is_measured: bool = False,
-    ) -> None:
-        super().__init__(tables, names, values, range(len(tables)), origins, is_measured=is_measured)
 
     @property
     def kinds(self) -> dict[str, str]:

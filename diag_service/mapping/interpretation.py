@@ -110,7 +110,8 @@ def interpret(
         return Interpretation(database=database, profile=named, files=_files(None, named, profile))
     database = open_database(dbc or named.database, is_lenient=is_lenient, parser_time_s=parser_time_s)
     if named.asked:
-        asked = columns_database(one for one in named.columns if one.name in _asked_names(named)).messages
+        names = {one.name for one in named.asked.values()}
+        asked = columns_database(one for one in named.columns if one.name in names).messages
         database = Database(messages=[*database.messages, *asked], dbc_specifics=database.dbc)
     if named.is_lenient:
         fit = fit_of(database, named)
@@ -118,10 +119,6 @@ def interpret(
             raise ConfigError(f"profile {named.name} does not fit the database: {'; '.join(fit.problems)}")
         _LOG.log(NOTICE, "%s", fit.said)
     return Interpretation(database=database, profile=named, files=_files(dbc, named, profile))
-
-
-def _asked_names(profile: Profile) -> frozenset[str]:
-    return frozenset(one.name for one in profile.asked.values())
 
 
 def _files(dbc: Path | None, profile: Profile, named: Path | None) -> tuple[Path, ...]:

@@ -142,7 +142,8 @@ def _day(t_ns: int) -> str:
 
 def _unseen_section(found: Findings) -> Section:
     """Return what was not seen and why, and what became of the frames."""
-    texts = [f"Clutch {clutch}: no event engaged it." for clutch in CLUTCHES if clutch not in _engaged(found)]
+    engaged = {result.estimate.clutch for result in found.results}
+    texts = [f"Clutch {clutch}: no event engaged it." for clutch in CLUTCHES if clutch not in engaged]
     if found.left_out_count:
         texts.append(f"{found.left_out_count} results of other algorithms or calibrations are left out.")
     summary = found.summary
@@ -155,10 +156,6 @@ def _unseen_section(found: Findings) -> Section:
     else:
         texts.append("A store keeps only results. The report of a log tells what happened to its frames.")
     return Section(name="unseen", title="What was not seen, and why", texts=tuple(texts))
-
-
-def _engaged(found: Findings) -> set[int]:
-    return {result.estimate.clutch for result in found.results}
 
 
 def _versions_section(found: Findings, made_at: str) -> Section:

@@ -4,9 +4,9 @@ import asyncio
 import logging
 import sys
 import uuid
-from collections.abc import Callable, Coroutine, Iterator, Mapping
+from collections.abc import Coroutine, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractAsyncContextManager, closing, contextmanager
+from contextlib import closing, contextmanager
 from contextvars import copy_context
 from dataclasses import asdict
 from importlib.metadata import version
@@ -21,7 +21,6 @@ from diag_service.delivery import (
     Acknowledge,
     ConsoleReporter,
     JsonLinesReporter,
-    Link,
     MqttConnector,
     Outbox,
     PipeReporter,
@@ -98,7 +97,7 @@ def outbox_of(config: DiagnosisConfig, store: ResultStore, session: Session, *, 
     return Outbox(
         store,
         config.vehicle,
-        _connect_now(connector),
+        lambda: connector.connect(utc_now()),
         str(config.broker),
         acknowledge=config.acknowledge,
         greetings=[_greeting(config, status)] if is_live else (),
@@ -146,10 +145,6 @@ def _metrics_of(store: ResultStore, session: Session) -> MetricsMessage:
         return metrics_message(session.vehicle, utc_now(), {**numbers, **own})
 
     return message
-
-
-def _connect_now(connector: MqttConnector) -> Callable[[], AbstractAsyncContextManager[Link]]:
-    return lambda: connector.connect(utc_now())
 
 
 ResultT = TypeVar("ResultT")

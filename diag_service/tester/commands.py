@@ -12,7 +12,7 @@ from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.service.stopping import Controls, Trigger
 from diag_service.tester.addresses import hexadecimal, id_text, parse_address
-from diag_service.tester.answers import DialogueCounts, Timing
+from diag_service.tester.answers import Timing
 from diag_service.tester.asking import (
     LARGEST_LOGICAL,
     SHORTEST_ANSWER_S,
@@ -225,7 +225,7 @@ def ask_one(
         record, lines = show(answer)
         line.clear()
         head: Record = {"controller": tester.where, "description": known.name}
-        more: Record = {"dialogue": dialogue_record(tester.counts)}
+        more: Record = {"dialogue": asdict(tester.counts)}
         write(outcome(options.command, is_asked=True, **head, **record, **more), lines, is_json=options.json)
         return answer
 
@@ -372,10 +372,6 @@ def found_record(found: Found) -> Record:
         "data": [data_record(one) for one in found.data],
         "trouble_codes": found.code_count,
     }
-
-
-def dialogue_record(counts: DialogueCounts) -> Record:
-    return asdict(counts)
 
 
 def data_lines(answers: Sequence[DataAnswer]) -> Iterator[str]:

@@ -97,7 +97,8 @@ def try_car(options: SimpleNamespace, controls: Controls) -> None:
         _measure(asker, options.listen, controls, show)
         if options.record is not None and not controls.stop.is_set:
             _record(asker, bus, options, controls, show)
-    words = ["--profile", str(options.profile or profile.name), *_database_words(options)]
+    dbc = [] if options.dbc is None else ["--dbc", str(options.dbc), *(["--lenient"] if options.lenient else [])]
+    words = ["--profile", str(options.profile or profile.name), *dbc]
     if options.record is not None:
         words += _judged(options.record, words, controls, show)
     show(f"go on with: {PROGRAM} run {shlex.join([*_place_words(options), *words])} --active")
@@ -245,10 +246,6 @@ def _place_words(options: SimpleNamespace) -> list[str]:
     for option, value in (("-i", options.interface), ("-c", options.channel)):
         words += [] if value is None else [option, str(value)]
     return words
-
-
-def _database_words(options: SimpleNamespace) -> list[str]:
-    return [] if options.dbc is None else ["--dbc", str(options.dbc), *(["--lenient"] if options.lenient else [])]
 
 
 def _profiles(named: Path | None) -> list[Profile]:

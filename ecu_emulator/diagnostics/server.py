@@ -310,11 +310,7 @@ def _is_kept_back(request: Request, response: bytes | Nrc) -> bool:
     """Return whether a response stays off the bus: its client did not want it, or others were meant."""
     if isinstance(response, Nrc):
         return request.is_functional and response in SILENT_WHEN_FUNCTIONAL
-    return _is_suppressed(request.payload)
-
-
-def _is_suppressed(payload: bytes) -> bool:
-    """Return whether a request says that it wants no positive response."""
+    payload = request.payload
     return _has_sub_function(payload[0]) and len(payload) > 1 and bool(payload[1] & SUPPRESS)
 
 

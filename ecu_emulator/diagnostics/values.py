@@ -102,10 +102,6 @@ def _in_unit(entry: Field, value: float) -> float:
     return _conversion(entry)[0](value)
 
 
-def _in_si(entry: Field, value: float) -> float:
-    return _conversion(entry)[1](value)
-
-
 def decoded(fields: tuple[Field, ...], raw: bytes) -> dict[str, float]:
     """Return the numbers in bytes by source, in SI; those that are not available are missing."""
     found, place = dict[str, float](), 0
@@ -113,7 +109,7 @@ def decoded(fields: tuple[Field, ...], raw: bytes) -> dict[str, float]:
         piece = raw[place : place + entry.size_bytes]
         place += entry.size_bytes
         if _is_available(entry, piece):
-            found[entry.source] = _in_si(entry, decode_number(entry, piece))
+            found[entry.source] = _conversion(entry)[1](decode_number(entry, piece))
     return found
 
 

@@ -272,7 +272,7 @@ def send(
         _answering(bus, answers, choice, scenario, sent.drive) as answering,
         OtherSenders(
             bus,
-            own_ids(),
+            [contract.can_id for contract in message_contracts(load_contract()).values()],
             lambda can_id: say(_mixed_bus_text(can_id)),
             wanted_ids=answering.link.can_ids if answering is not None else (),
             pass_on=answering.link.feed if answering is not None else lambda _: None,
@@ -280,7 +280,8 @@ def send(
     ):
         for line in answering.places if answering is not None else ():
             say(line)
-        say(f"{_drive_text(scenario)}, {_seeds_text(scenario)}: sending on {choice.name or bus.channel_info}")
+        drive = f"{scenario.name}, {scenario.drive}" if scenario.is_on_the_road else scenario.name
+        say(f"{drive}, {_seeds_text(scenario)}: sending on {choice.name or bus.channel_info}")
 
         def progress(sent_s: float, frame_count: int) -> None:
             sent.sent_until(sent_s)
@@ -317,18 +318,9 @@ def _answering(
     return nullcontext()
 
 
-def _drive_text(scenario: Scenario) -> str:
-    return f"{scenario.name}, {scenario.drive}" if scenario.is_on_the_road else scenario.name
-
-
 def _seeds_text(scenario: Scenario) -> str:
     vehicle, drive = scenario.seed_of_vehicle, scenario.seed_of_drive
     return f"seed {drive}" if vehicle == drive else f"vehicle seed {vehicle}, drive seed {drive}"
-
-
-def own_ids() -> list[int]:
-    """Return the identifiers of the wire contract, which on one bus only one emulator may send."""
-    return [contract.can_id for contract in message_contracts(load_contract()).values()]
 
 
 def _mixed_bus_text(can_id: int) -> str:

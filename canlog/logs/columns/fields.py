@@ -7,6 +7,7 @@ from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import EXTENDED_FLAG, FD_PAYLOAD_BYTES
 from canlog.jit import array_kernel, inlined_kernel
 from canlog.logs.columns.roles import BLANKS, HEXADECIMAL, Role, packed_word
+from canlog.logs.frame_buffer import NAME_FACTOR, NAME_SEED
 from canlog.logs.text_kernels import BLANK, HEX_VALUE, LONGEST_NUMBER, NEWLINE, RETURN, TAB, day_number, decimal
 
 NO_TIME = -(1 << 62)  # a time may be negative
@@ -14,7 +15,6 @@ NO_TIME = -(1 << 62)  # a time may be negative
 QUOTE, COMMA, POINT, COLON, MINUS, PLUS, ZERO = ord('"'), ord(","), ord("."), ord(":"), ord("-"), ord("+"), ord("0")
 LETTER_E, LETTER_H, LETTER_X, LETTER_Z = ord("e"), ord("h"), ord("x"), ord("z")
 SQUARE, SQUARE_END, SLASH = ord("["), ord("]"), ord("/")
-NAME_SEED, NAME_FACTOR = -3750763034362895579, 1099511628211  # FNV-1a, 64 bits
 REST = -1  # in place of a parameter: what stands behind the last column is passed over
 MOST_ID_DIGITS = 10
 LARGEST_ID = 0x1FFF_FFFF

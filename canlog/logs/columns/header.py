@@ -171,7 +171,8 @@ def chosen(choice: str, names: Sequence[str]) -> Proposal:
 
     Raises SourceError if a role or a column is not known, or the identifier or the bytes are missing.
     """
-    columns, has_unit = [Column()] * max(len(names), _most_number(choice)), False
+    most = max((int(word) for word in re.findall(r"\d+", choice) if int(word) <= MOST_COLUMNS), default=0)  # no header
+    columns, has_unit = [Column()] * max(len(names), most), False
     for part in filter(None, map(str.strip, choice.split(","))):
         word, _, rest = part.partition("=")
         role = ROLE_OF_NAME.get(word.strip().lower())
@@ -315,11 +316,6 @@ def _place(text: str, names: Sequence[str]) -> int | None:
         return folded.index(wanted)
     is_number = wanted.isascii() and wanted.isdigit() and 0 < int(wanted) <= MOST_COLUMNS
     return int(wanted) - 1 if is_number and (not names or int(wanted) <= len(names)) else None
-
-
-def _most_number(choice: str) -> int:
-    """Return the highest number that may be meant as that of a column, of a table without a header."""
-    return max((int(word) for word in re.findall(r"\d+", choice) if int(word) <= MOST_COLUMNS), default=0)
 
 
 def _name_at(names: Sequence[str], place: int) -> str:

@@ -109,11 +109,6 @@ class Step:
         return replace(self, actions=())
 
 
-def active_count(sockets: Mapping[int, Socket]) -> int:
-    """Return how many connections have their routing activated."""
-    return sum(socket.tester is not None for socket in sockets.values())
-
-
 def most_connections(entity: DoipEntity) -> int:
     return entity.most_sockets + MORE_CONNECTIONS
 
@@ -169,7 +164,8 @@ def _rivals(entity: DoipEntity, step: Step, number: int, tester: int) -> list[in
     same = [key for key, socket in others.items() if socket.tester == tester]
     if same:
         return same
-    return list(others) if active_count(others) >= entity.most_sockets else []
+    active_count = sum(socket.tester is not None for socket in others.values())
+    return list(others) if active_count >= entity.most_sockets else []
 
 
 def _refused(entity: DoipEntity, step: Step, number: int, wish: Wish, code: Activation, t_s: float) -> Step:

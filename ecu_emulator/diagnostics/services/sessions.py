@@ -7,7 +7,7 @@ from ecu_emulator.diagnostics.codes import DEFAULT_SESSION, Nrc
 from ecu_emulator.diagnostics.descriptions import SecurityLevel
 from ecu_emulator.diagnostics.memory import after_cycle, begin_cycle
 from ecu_emulator.diagnostics.services.call import Call, Result, locked, unmet_by_service
-from ecu_emulator.diagnostics.state import Communication, RoutineRun, ServerState
+from ecu_emulator.diagnostics.state import Communication, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 
 HARD_RESET: Final = 0x01
@@ -46,7 +46,10 @@ def in_session(state: ServerState, table: DiagnosticTable, session: int) -> Serv
     state = replace(locked(state, table), session=session)
     if session != DEFAULT_SESSION:
         return state
-    routines = {number: _stopped(run) for number, run in state.routines.items()}
+    routines = {
+        number: replace(run, is_running=False, was_stopped=True) if run.is_running else run
+        for number, run in state.routines.items()
+    }
     return replace(
         state,
         controlled={},
@@ -76,10 +79,6 @@ def after_guest(before: ServerState, after: ServerState) -> ServerState:
         seed_level=before.seed_level,
         seed=before.seed,
     )
-
-
-def _stopped(run: RoutineRun) -> RoutineRun:
-    return replace(run, is_running=False, was_stopped=True) if run.is_running else run
 
 
 def ecu_reset(call: Call) -> Result:
