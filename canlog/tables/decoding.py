@@ -315,8 +315,8 @@ class Plan:
     ) -> WideLayout | LongLayout:
         """Return the columns; for wide rows all frames are looked at, for the messages that occur are the columns."""
         if self.shape is TableShape.LONG:
-            slots = range(len(self.codec.tables))
-            return LongLayout(self.codec.tables, self.names, self.values, slots, origins, is_measured=self.is_measured)
+            every = range(len(self.codec.tables))
+            return LongLayout(self.codec.tables, self.names, self.values, every, origins, is_measured=self.is_measured)
         seen: set[int] = set()
         together = LongRows(self.codec, self.pairs)
         for stretch in together.stretches(batches()):
