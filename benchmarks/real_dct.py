@@ -18,14 +18,13 @@ from benchmarks.scan_tool import written
 from diag_service.commands.predict import (
     OURS,
     Shown,
-    Standing,
     left_out_one_by_one,
     scores,
     second_half_from_first,
     slip_phases,
 )
 from diag_service.commands.signals import proposed_profile
-from diag_service.diagnosis.prediction import SlipPhase
+from diag_service.diagnosis.prediction import SlipPhase, Standing
 from diag_service.mapping.interpretation import Interpretation, interpret
 from diag_service.service.stopping import Trigger
 from ecu_emulator.cli import main as emulator

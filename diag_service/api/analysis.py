@@ -17,6 +17,7 @@ from diag_service.diagnosis.records import ClutchVerdict, ShiftResult, dump, shi
 from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged
 from diag_service.errors import ConfigError
 from diag_service.service.drive import insist
+from diag_service.service.drive_survey import DriveSurvey
 from diag_service.service.recorded import run_recorded
 from diag_service.service.stopping import Trigger
 from fleet_contract import Channel
@@ -276,7 +277,7 @@ def analyze(
     with collected_notices() as notices:
         config = configuration(is_strict=is_strict, delivery=delivery, store_budget_mib=store_budget_mib, **meaning)
         reporter = MemoryReporter()
-        summary = run_recorded(config, named, optional_path(store), reporter, Trigger()).summary
+        summary = run_recorded(config, named, optional_path(store), reporter, Trigger(), survey=DriveSurvey).summary
     if is_strict:
         insist(summary.gaps, summary.contributions, is_strict=True)
     return Analysis.of(named, reporter.results, summary, notices)

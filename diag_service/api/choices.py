@@ -12,7 +12,7 @@ from diag_service.delivery import Acknowledge
 from diag_service.diagnosis.columns import GearRatios
 from diag_service.errors import ConfigError
 from diag_service.mapping.vehicle_file import read_description
-from diag_service.settings.config import DiagnosisConfig, PollConfig, broker_of, vehicle_of
+from diag_service.settings.config import DiagnosisConfig, PollConfig, as_profiled, broker_of, vehicle_of
 
 if TYPE_CHECKING:
     import can
@@ -97,7 +97,7 @@ def configuration(
     chosen, gears = _described(calibration)
     return DiagnosisConfig(
         vehicle=vehicle_of(meaning.get("vehicle"), chosen),
-        calibration=chosen,
+        calibration=as_profiled(chosen, optional_path(meaning.get("profile"))),
         gears=gears,
         vehicle_file=None if gears is None or isinstance(calibration, Calibration) else optional_path(calibration),
         dbc=optional_path(meaning.get("dbc")),

@@ -14,6 +14,7 @@ from diag_service.errors import ConfigError
 from diag_service.service import paper_run
 from diag_service.service.application import reporter_of
 from diag_service.service.drive import insist
+from diag_service.service.drive_survey import DriveSurvey
 from diag_service.service.recorded import run_recorded
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import DiagnosisConfig, diagnosis_config
@@ -72,7 +73,9 @@ def _analyse_by_paper(options: SimpleNamespace, diagnosis: DiagnosisConfig, cont
 def _analyse_drive(options: SimpleNamespace, diagnosis: DiagnosisConfig, controls: Controls) -> None:
     with ReadingLine() as line:
         reporter = AllReporters(line, reporter_of(controls.stop, as_json=options.json, is_detailed=options.verbose > 0))
-        run = run_recorded(diagnosis, options.logs, options.store, reporter, controls.stop, watch=line.watch)
+        run = run_recorded(
+            diagnosis, options.logs, options.store, reporter, controls.stop, survey=DriveSurvey, watch=line.watch
+        )
     insist(run.summary.gaps, run.summary.contributions, is_strict=diagnosis.is_strict)
 
 
@@ -90,7 +93,9 @@ def _analyse_drive_into_file(options: SimpleNamespace, diagnosis: DiagnosisConfi
         reporter = AllReporters(
             line, reporter_of(controls.stop, as_json=options.json, is_detailed=options.verbose > 0), heard
         )
-        run = run_recorded(diagnosis, options.logs, options.store, reporter, controls.stop, watch=line.watch)
+        run = run_recorded(
+            diagnosis, options.logs, options.store, reporter, controls.stop, survey=DriveSurvey, watch=line.watch
+        )
     if Gap.STOPPED not in run.summary.gaps:
         write_results(options.output, [drive_entry("", options.logs, run, heard.results, notices)])
         _LOG.log(NOTICE, "%d shifts of 1 drives in %s", len(heard.results), options.output)

@@ -12,10 +12,10 @@ from canlog.logs import read_log
 from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
 from clutchdiag_io.program import legible, replacement_refusal
-from diag_service.commands.predict import Standing, slip_phases
+from diag_service.commands.predict import slip_phases
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.prediction import SlipPhase
+from diag_service.diagnosis.prediction import SlipPhase, Standing
 from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation, interpret

@@ -12,7 +12,7 @@ import numpy as np
 from canlog.logs import read_log
 from canlog.logs.reading import Watch
 from diag_service.console import PeopleConsole, ReadingLine
-from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.prediction import (
     LEAST_EVENTS,
     PRESSURES,
@@ -20,6 +20,7 @@ from diag_service.diagnosis.prediction import (
     NoPhase,
     Prediction,
     SlipPhase,
+    Standing,
     fitted,
     predicted,
     predicted_simply,
@@ -35,13 +36,10 @@ from diag_service.mapping.tiers import missing_for_next
 from diag_service.service.stopping import Controls, Trigger
 
 if TYPE_CHECKING:
-    from canlog.arrays import FloatArray
     from diag_service.diagnosis.events import Event
 
 SCHEMA: Final = "clutchdiag/predict/v1"
 OURS: Final = "friction"
-STANDING_RAD_S: Final = 0.5
-HELD_PA: Final = 0.3e5  # what is less is an empty piston, not a clutch that is held at its touch point
 AFTER_NS: Final = NS_PER_S // 2  # behind a gear change: its slip is nearly closed there
 PA_PER_KPA: Final = 1e3
 QUANTILES: Final = (np.arange(400) + 0.5) / 400.0
@@ -54,27 +52,6 @@ class Shown:
     log: str
     phase: SlipPhase
     predictions: dict[str, Prediction]
-
-
-class Standing:
-    """The pressure of a clutch in gear while the car stands: where it begins to carry."""
-
-    def __init__(self) -> None:
-        self._found: list[FloatArray] = []
-
-    def add(self, batch: ColumnBatch) -> None:
-        """Take up the pressures of one batch."""
-        output, pressure = (batch.columns.get(one) for one in (Signal.OUTPUT_SPEED, PRESSURES[1]))
-        if output is None or pressure is None or not len(output.t_ns):
-            return
-        is_standing = np.interp(pressure.t_ns, output.t_ns, output.value) < STANDING_RAD_S
-        self._found.append(pressure.value[is_standing & (pressure.value > HELD_PA)])
-
-    @property
-    def touch_pa(self) -> float | None:
-        """The middle of them; None if the car never stood."""
-        found = np.concatenate([np.empty(0), *self._found])
-        return float(np.median(found)) if len(found) else None
 
 
 def slip_phases(

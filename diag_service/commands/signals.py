@@ -134,7 +134,8 @@ def _shown_ratios(
 ) -> tuple[Signal, Mapping[int, GearRatio]]:
     """Return over which speed a log shows the ratios of which gears; none where they are not needed."""
     over = next((one for one in (Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED) if one in best), None)
-    if log == STANDARD_INPUT or over is None or tier_of(best.keys()) is not None:
+    knows_slip = tier_of(best.keys()) is not None and best.keys() & {Signal.INPUT1_SPEED, Signal.INPUT_SPEED}
+    if log == STANDARD_INPUT or over is None or knows_slip:
         return Signal.OUTPUT_SPEED, {}
     profile = Profile(name="proposed", sources={signal: found[0].source for signal, found in best.items()})
     decoder = Decoder(database, profile)

@@ -112,6 +112,8 @@ class ConsoleReporter:
         for result in summary.latest:
             if line := slope_line(result.verdict):
                 self._line(Text(f"clutch {result.verdict.clutch}: {line}"))
+        for one in summary.relative:
+            self._line(Text(str(one)))
         if self._is_detailed:
             self._show_for_specialists(summary)
         self._line(Text(shifts_line(summary)))

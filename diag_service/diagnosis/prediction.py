@@ -9,7 +9,8 @@ slip; a clutch that sticks carries what keeps it so, up to its capacity. Inertia
 drawing is needed, and no engine torque. Pressures are read ``delay_s`` apart from speeds, which is found, too.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product, starmap
 from typing import Final, NamedTuple
@@ -20,13 +21,19 @@ from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.jit import array_kernel
 from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import NS_PER_S
-from diag_service.diagnosis.columns import GearRatios, Signal
+from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.events import Event
 
 STEP_S: Final = 0.002  # of the integration
+STEP_RATIO: Final = 0.02  # of a difference quotient
 LEFT_OLD_GEAR: Final = 0.08  # of the step between the gears: by so much the engine has left the old one
 LEAST_ROWS: Final = 2  # samples of engine speed in a slip phase, its first included
 LEAST_EVENTS: Final = 4  # to find parameters from
+LEAST_OF_CLUTCH: Final = 2  # to hold one against the other
+MOST_EVENTS: Final = 100  # that are held against each other
+SLIP_RAD_S: Final = 100.0  # that slopes are counted in
+PERCENT: Final = 100.0
+LAW_STD, LAW_STD_SLOPE = 0.04, 0.1  # what the law leaves out in emulated cars: of a shift, of a slope over that slip
 OPEN_RATIO: Final = 0.05  # of throttle, pedal: beyond it the engine drives
 TORQUE_SOURCES: Final = (Signal.ENGINE_TORQUE, Signal.INJECTION_TIME)
 PEDALS: Final = (Signal.PEDAL, Signal.THROTTLE)
@@ -38,6 +45,8 @@ GAIN_RATIOS: Final = (0.0, 0.02, 0.04, 0.07, 0.1, 0.15, 0.2)
 FREEDOM: Final = 4.0  # of Student's t
 MOST_LEVERAGE: Final = 0.8
 TOUCH_STD_PA, DELAY_STD_S = 1.5e4, 0.015
+STANDING_RAD_S: Final = 0.5
+HELD_PA: Final = 0.3e5  # what is less is an empty piston, not a clutch that is held at its touch point
 MARGIN_S: Final = 0.15  # around a slip phase: pressures are read a little earlier or later
 
 
@@ -151,6 +160,27 @@ def _input_speeds(event: Event, t_ns: Int64Array, gears: GearRatios | None) -> t
     return None
 
 
+class Standing:
+    """The pressure of a clutch in gear while the car stands: where it begins to carry."""
+
+    def __init__(self) -> None:
+        self._found: list[FloatArray] = []
+
+    def add(self, batch: ColumnBatch | Event) -> None:
+        """Take up the pressures of one batch."""
+        output, pressure = (batch.columns.get(one) for one in (Signal.OUTPUT_SPEED, PRESSURES[1]))
+        if output is None or pressure is None or not len(output.t_ns):
+            return
+        is_standing = np.interp(pressure.t_ns, output.t_ns, output.value) < STANDING_RAD_S
+        self._found.append(pressure.value[is_standing & (pressure.value > HELD_PA)])
+
+    @property
+    def touch_pa(self) -> float | None:
+        """The middle of them; None if the car never stood."""
+        found = np.concatenate([np.empty(0), *self._found])
+        return float(np.median(found)) if len(found) else None
+
+
 def _around(series: Series, start_ns: int) -> FloatArray:
     return np.column_stack([(series.t_ns - start_ns) / NS_PER_S, series.value])
 
@@ -247,20 +277,26 @@ def fitted(phases: Sequence[SlipPhase], touch_pa: float | None = None) -> Model:
 
 def predicted(model: Model, phase: SlipPhase) -> Prediction:
     """Return what a model says of a slip phase, given its pressures and its first speeds."""
-    mean = simulated(model.parameters, model.scales, phase)
-    slopes = np.empty((len(mean), len(PARAMETERS)))
-    for one in range(len(PARAMETERS)):
-        step = np.zeros(len(PARAMETERS))
-        step[one] = 0.02
-        ahead = simulated(model.parameters + step, model.scales, phase)
-        slopes[:, one] = (ahead - simulated(model.parameters - step, model.scales, phase)) / 0.04
+    mean, slopes = simulated(model.parameters, model.scales, phase), _slopes(model, phase)
     variance = np.einsum("ij,jk,ik->i", slopes, model.covariance, slopes)
     variance += model.scatter.scales_rad_s(mean) ** 2
     return Prediction(mean_rad_s=mean, scale_rad_s=np.sqrt(variance), freedom=FREEDOM)
 
 
-def simulated(parameters: FloatArray, scales: Scales, phase: SlipPhase) -> FloatArray:
-    """Return the change of engine speed at every sample of a slip phase after its first, (n - 1,) [rad/s]."""
+def _slopes(model: Model, phase: SlipPhase) -> FloatArray:
+    """Return how the predicted change goes with each parameter, (n - 1, 6)."""
+    steps = STEP_RATIO * np.eye(len(PARAMETERS))
+    both = [[simulated(model.parameters + sign * one, model.scales, phase) for one in steps] for sign in (1.0, -1.0)]
+    return (np.transpose(both[0]) - np.transpose(both[1])) / (2.0 * STEP_RATIO)
+
+
+def simulated(
+    parameters: FloatArray, scales: Scales, phase: SlipPhase, friction_ratio: FloatArray | None = None
+) -> FloatArray:
+    """Return the change of engine speed at every sample of a slip phase after its first, (n - 1,) [rad/s].
+
+    ``friction_ratio`` is that of the on-coming clutch over its own mean at every sample; without it 1.
+    """
     drive, drag, gain_1, gain_2, touch, delay = parameters
     t_s = np.arange(0.0, float(phase.t_s[-1]) + STEP_S, STEP_S)
     read_s = t_s + delay * DELAY_STD_S
@@ -269,6 +305,8 @@ def simulated(parameters: FloatArray, scales: Scales, phase: SlipPhase) -> Float
         np.maximum(np.interp(read_s, *one.T) - touch_pa, 0.0) / scales.pressure_pa
         for one in (phase.on_pa, phase.off_pa)
     ]
+    if friction_ratio is not None:
+        above[0] *= np.interp(t_s, phase.t_s, friction_ratio)
     gains = (gain_1, gain_2) if phase.clutch == 1 else (gain_2, gain_1)
     engine = drive * np.interp(t_s, *phase.drive.T) / scales.drive - drag
     change = np.empty(len(t_s))
@@ -328,6 +366,141 @@ def _likeliest(means: FloatArray, left: FloatArray, ends: Int64Array) -> Scatter
         if cost < best:
             best, found = cost, scatter
     return found
+
+
+# --- friction up to a scale -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Relative:
+    """A number that needs no scale, with its standard deviation."""
+
+    value: float
+    std: float
+
+    def __mul__(self, factor: float) -> "Relative":
+        return Relative(factor * self.value, factor * self.std)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RelativeFriction:
+    """What power upshifts tell of the friction of a clutch whose level nobody knows.
+
+    ``shifts`` has the friction of each, by the number of its event, over what the others of the clutch let expect. The
+    other two are changes over the clutch's mean.
+    """
+
+    clutch: int
+    shifts: Mapping[int, Relative]
+    slope_s_rad: Relative  # against slip
+    trend: Relative  # from the first of these shifts to the last
+
+    def __str__(self) -> str:
+        """Return the same as one line for people."""
+        ratios = ", ".join(
+            f"event {number} {ratio.value:.2f} ± {ratio.std:.2f}" for number, ratio in self.shifts.items()
+        )
+        slope, trend = self.slope_s_rad * (PERCENT * SLIP_RAD_S), self.trend * PERCENT
+        return (
+            f"clutch {self.clutch}, friction of each power upshift over its others: {ratios}; "
+            f"{slope.value:+.1f} ± {slope.std:.1f} % over {SLIP_RAD_S:.0f} rad/s of slip; "
+            f"{trend.value:+.1f} ± {trend.std:.1f} % from the first to the last"
+        )
+
+
+class RelativeSurvey:
+    """Takes up the events of a drive whose signals tell no level of friction; keeps its last power upshifts."""
+
+    def __init__(self) -> None:
+        self._standing, self._phases = Standing(), deque[SlipPhase](maxlen=MOST_EVENTS)
+
+    def take(self, event: Event, gears: GearRatios | None) -> None:
+        """Take up an event."""
+        self._standing.add(event)
+        phase = slip_phase(event, gears)
+        if isinstance(phase, SlipPhase) and phase.is_powered and phase.sign > 0.0:
+            self._phases.append(phase)
+
+    def found(self) -> tuple[RelativeFriction, ...]:
+        """Return what they tell of each clutch; nothing if they are too few."""
+        if len(self._phases) < LEAST_EVENTS:
+            return ()
+        return tuple(relative_friction(self._phases, self._standing.touch_pa))
+
+
+def relative_friction(phases: Sequence[SlipPhase], touch_pa: float | None = None) -> Iterator[RelativeFriction]:
+    """Yield what slip phases of power upshifts tell of each clutch up to a scale; of one with a single shift nothing.
+
+    Each number is found beside all parameters of the model: its deviation holds what these leave open.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than four of them.
+    """
+    model = fitted(phases, touch_pa)
+    looks = [_look(model, phase) for phase in phases]
+    for clutch in (1, 2):
+        own = [one for one in phases if one.clutch == clutch]
+        if len(own) < LEAST_OF_CLUTCH:
+            continue
+        middle = float(np.mean(np.concatenate([one.slip_rad_s for one in own])))
+        slopes = {one.number: (one.slip_rad_s - middle) / SLIP_RAD_S for one in own}
+        shares = np.linspace(-0.5, 0.5, len(own))
+        yield RelativeFriction(
+            clutch=clutch,
+            shifts={one.number: _beside(model, looks, {one.number: np.ones(len(one.t_s))}, start=1.0) for one in own},
+            slope_s_rad=_beside(model, looks, slopes, LAW_STD_SLOPE) * (1.0 / SLIP_RAD_S),
+            trend=_beside(
+                model, looks, {one.number: np.full(len(one.t_s), at) for one, at in zip(own, shares, strict=True)}
+            ),
+        )
+
+
+class _Look(NamedTuple):
+    phase: SlipPhase
+    slopes: FloatArray
+    left_rad_s: FloatArray  # of what was measured, by the model
+    covariance: FloatArray
+    outlying: FloatArray  # by how much each sample counts less, as the tails of Student's t have it
+
+
+def _look(model: Model, phase: SlipPhase) -> _Look:
+    mean, scatter = simulated(model.parameters, model.scales, phase), model.scatter
+    left = phase.change_rad_s - mean
+    covariance = np.diag(np.full(len(mean), scatter.speed_rad_s**2)) + scatter.gain_ratio**2 * np.outer(mean, mean)
+    outlying = np.sqrt((FREEDOM + (left / scatter.scales_rad_s(mean)) ** 2) / (FREEDOM + 1.0))
+    return _Look(phase, _slopes(model, phase), left, FREEDOM / (FREEDOM - 2.0) * covariance, np.maximum(outlying, 1.0))
+
+
+def _beside(
+    model: Model,
+    looks: Sequence[_Look],
+    courses: Mapping[int, FloatArray],
+    law_std: float = LAW_STD,
+    start: float = 0.0,
+) -> Relative:
+    """Return how much of a course friction follows beside the parameters, by least squares; a course for each event."""
+    step, count = STEP_RATIO, len(PARAMETERS)
+    priors = [[_priors(model.parameters + sign * one) for one in step * np.eye(count)] for sign in (1.0, -1.0)]
+    slopes = (np.transpose(priors[0]) - np.transpose(priors[1])) / (2.0 * step)
+    information, pull = np.eye(count + 1), np.zeros(count + 1)  # a course of 100 % is its own weak prior
+    information[:-1, :-1], pull[:-1] = slopes.T @ slopes, -slopes.T @ _priors(model.parameters)
+    for phase, own, left, covariance, outlying in looks:
+        design, spread = np.column_stack([own, np.zeros(len(left))]), outlying
+        if (course := courses.get(phase.number)) is not None:
+            both = [
+                simulated(model.parameters, model.scales, phase, 1.0 + sign * step * course) for sign in (1.0, -1.0)
+            ]
+            design[:, -1] = (both[0] - both[1]) / (2.0 * step)
+            spread = (
+                outlying if len(courses) > 1 else np.ones(len(left))
+            )  # a shift that is asked of itself counts whole
+        certainty = np.linalg.inv(covariance * np.outer(spread, spread))
+        information += design.T @ certainty @ design
+        pull += design.T @ certainty @ left
+    found = np.linalg.inv(information)
+    return Relative(start + float(found[-1] @ pull), float(np.hypot(np.sqrt(found[-1, -1]), law_std)))
 
 
 # --- what is simpler --------------------------------------------------------------------------------------------------

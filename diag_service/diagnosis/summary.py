@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from clutch_model.calibration import TorqueSource
 from diag_service.diagnosis.condition.verdict import Silence, advice
@@ -24,6 +25,9 @@ from diag_service.diagnosis.records import (
 )
 from fleet_contract import JsonObject
 from fleet_contract.orders import UNKNOWN_FLUID, Finding, Order, is_of_earlier_fluid, order_of, unseen_since_new
+
+if TYPE_CHECKING:  # a live service tells no friction up to a scale
+    from diag_service.diagnosis.prediction import RelativeFriction
 
 SUMMARY_SCHEMA = "clutchdiag/summary/v1"
 NAMED_SIGNALS = 3  # of those that lost values
@@ -111,6 +115,7 @@ class Summary:
     contributions: Contributions = NO_LOGS
     earlier: Mapping[int, ShiftResult] = field(default_factory=dict)  # the last of each clutch, of earlier runs
     fluid: FluidFill | None = None  # that is in, if its fill is known
+    relative: "tuple[RelativeFriction, ...]" = ()  # of a log whose signals tell friction up to a scale
 
     @property
     def latest(self) -> tuple[ShiftResult, ...]:
@@ -208,6 +213,7 @@ def summary_record(summary: Summary) -> JsonObject:
         **order_record(summary.order),
         "clutches": [clutch_record(shift_record(result), summary.order) for result in summary.latest],
         "capability": capability,
+        **({"relative_friction": [to_plain(one) for one in summary.relative]} if summary.relative else {}),
         "logs": [log_record(log) for log in summary.contributions.logs],
         "idle": list(summary.contributions.idle),
     }

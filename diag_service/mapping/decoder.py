@@ -199,7 +199,7 @@ class Decoder:
             [mapped.message for mapped in self._messages], [mapped.address for mapped in self._messages]
         )
         self.gears: GearRatios | None = profile.gears
-        self.profile_name = profile.name
+        self.profile_name, self.profile_sources = profile.name, profile.sources
         self.named_channel = profile.channel
         self._e2e = E2eStates(
             [mapped.message.name for mapped in self._messages], [mapped.period_ns for mapped in self._messages]

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -11,6 +11,7 @@ import numpy as np
 from canlog.arrays import FloatArray, Series
 from canlog.decode.signals import NO_INVALID, Decoded, InvalidCounts
 from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.diagnosis.events import Event
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import SignalSource, to_si
 
@@ -163,11 +164,11 @@ class Assumed(NamedTuple):
 
 MARKS: Final = re.compile(r"\W+")
 ASSUMED: Final = {
-    "rad_s": Assumed(re.compile("spe+d|spd|rpm|dreh", re.IGNORECASE), ("rpm",)),
-    "m_s": Assumed(re.compile("spe+d|spd|geschw", re.IGNORECASE), ("km/h",)),
+    "rad_s": Assumed(re.compile("spe+d|spd|rpm|dreh", re.IGNORECASE), ("rpm", "rad/s")),
+    "m_s": Assumed(re.compile("spe+d|spd|geschw", re.IGNORECASE), ("km/h", "m/s")),
     "pa": Assumed(re.compile("press|prs|druck", re.IGNORECASE), ("kPa", "bar", "Pa"), 1e5),
     "nm": Assumed(re.compile("torque|trq|tq|mom", re.IGNORECASE), ("Nm",)),
-    "k": Assumed(re.compile("temp", re.IGNORECASE), ("degC",)),
+    "k": Assumed(re.compile("temp", re.IGNORECASE), ("degC", "K")),
     "m": Assumed(re.compile("odo|kilom|dist", re.IGNORECASE), ("km",)),
     "s": Assumed(re.compile("pulse|width|time|pw|zeit|dauer", re.IGNORECASE), ("ms",)),
     "ratio": Assumed(re.compile("ped|throt|tps|dross|accel", re.IGNORECASE), ("%",)),
@@ -310,11 +311,49 @@ def _is_possible(signal: Signal, stat: SignalStatistics, unit: str) -> bool:
         convert = to_si(signal, stat.source, unit)
     except ConfigError:
         return False
-    lowest, highest = convert(np.array([stat.lowest, stat.highest])).tolist()
-    is_large_enough = unit == stat.unit or all(
-        highest >= one.least for quantity, one in ASSUMED.items() if signal.value.endswith(f"_{quantity}")
-    )
-    return bool(KINDS[signal].lowest <= lowest <= highest <= KINDS[signal].highest and is_large_enough)
+    return _can_be(signal, convert(np.array([stat.lowest, stat.highest])), is_sure=unit == stat.unit)
+
+
+def _can_be(signal: Signal, ends: FloatArray, *, is_sure: bool = False) -> bool:
+    """Return whether a canonical signal can have this range [SI]; ``is_sure`` that of a unit that nobody assumed."""
+    least = (one.least for quantity, one in ASSUMED.items() if signal.value.endswith(f"_{quantity}"))
+    lowest, highest = ends.tolist()
+    is_within = KINDS[signal].lowest <= lowest <= highest <= KINDS[signal].highest
+    return is_within and (is_sure or all(highest >= one for one in least))
+
+
+class Ranges:
+    """Notes what the columns of a table reach around events, and says which units of a profile cannot be right."""
+
+    def __init__(self, sources: Mapping[Signal, SignalSource]) -> None:
+        self._sources = {signal: one for signal, one in sources.items() if one.column and signal in KINDS}
+        self._ends: dict[Signal, FloatArray] = {}
+
+    def add(self, event: Event) -> None:
+        """Take up the values around an event."""
+        for signal in self._sources.keys() & event.columns.keys():
+            values = event.columns[signal].value
+            if len(values):
+                ends = np.append(self._ends.get(signal, values[:1]), [values.min(), values.max()])
+                self._ends[signal] = np.array([ends.min(), ends.max()])
+
+    def doubts(self) -> Iterator[str]:
+        """Yield a sentence for each column whose values can hardly be in its unit."""
+        for signal, ends in self._ends.items():
+            if _can_be(signal, ends):
+                continue
+            source = self._sources[signal]
+            said = to_si(signal, source, None)
+            own = (ends - said.offset) / said.factor
+            units = (one.units for quantity, one in ASSUMED.items() if signal.value.endswith(f"_{quantity}"))
+            fitting = [
+                unit
+                for unit in next(units, ())
+                if _can_be(signal, to_si(signal, replace(source, unit=None), unit)(own))
+            ]
+            hint = f", but in {' or '.join(map(repr, fitting))}" if fitting else "; is it another column?"
+            place = f"values from {own[0]:g} to {own[1]:g} of column {source.column!r}"
+            yield f"{signal.value}: {place} can hardly be in {source.unit!r}{hint}"
 
 
 def _said(one: Candidate) -> str:

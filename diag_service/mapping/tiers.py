@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from collections.abc import Set as AbstractSet
 from typing import Final
 
+from clutch_model.calibration import TorqueSource
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.records import Tier
 
@@ -74,9 +75,9 @@ def missing_for_next(signals: AbstractSet[Signal], *, knows_gears: bool = False)
     return f"{PURPOSE[wanted]} needs {', '.join(missing_signals(wanted, signals, knows_gears=knows_gears))}"
 
 
-def why_no_friction(signals: AbstractSet[Signal], *, knows_gears: bool = False) -> str:
+def why_no_friction(signals: AbstractSet[Signal], torque: TorqueSource, *, knows_gears: bool = False) -> str:
     """Return one sentence: why there is no verdict on friction; empty at the first tier."""
-    if Signal.ENGINE_TORQUE not in signals and signals >= PRESSURES:
+    if (Signal.ENGINE_TORQUE not in signals or torque.is_modelled) and signals >= PRESSURES:
         return "engine torque is not measured, and without it the level of friction is known up to a scale at best"
     return missing_for_next(signals, knows_gears=knows_gears)
 

@@ -12,6 +12,7 @@ from diag_service.diagnosis.records import FluidFill, ShiftResult, Status, with_
 from diag_service.diagnosis.summary import Gap, Summary, of_present_fluid, order_by
 from diag_service.errors import StoppedError
 from diag_service.service.drive import open_drive, stream_of_drive
+from diag_service.service.drive_survey import DriveSurvey
 from diag_service.service.onlookers import Example, own_samples
 from diag_service.service.recorded import STOPPED_TEXT, replay, warn_of_slow_messages
 from diag_service.service.session import Session, versions_for
@@ -75,7 +76,7 @@ def findings_of_logs(
     meaning, reporter, album = config.interpretation(), MemoryReporter(), Album()
     with open_drive(paths, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns) as logs:
         stream = stream_of_drive((log.path for log in logs), meaning.files)
-        session = Session(config, meaning.decoder(), NoStore(), stream, reporter)
+        session = Session(config, meaning.decoder(), NoStore(), stream, reporter, survey=DriveSurvey)
 
         def process(event: Event) -> None:
             session.process(event)

@@ -21,6 +21,7 @@ from diag_service.diagnosis.condition.shift_course import (
     courses,
     loads,
 )
+from diag_service.diagnosis.prediction import SLIP_RAD_S, RelativeFriction
 from diag_service.diagnosis.records import (
     SHIFT_SCHEMA,
     ClutchVerdict,
@@ -32,7 +33,13 @@ from diag_service.diagnosis.records import (
     shift_record,
     utc_from_bus_ns,
 )
-from diag_service.diagnosis.summary import capability_line, frames_line, gaps_line, summary_record, values_line
+from diag_service.diagnosis.summary import (
+    capability_line,
+    frames_line,
+    gaps_line,
+    summary_record,
+    values_line,
+)
 from diag_service.errors import StoreError
 from diag_service.report.findings import Findings
 from diag_service.report.pictures import (
@@ -184,6 +191,7 @@ def friction_section(found: Findings) -> Section:
         if calibration is not None and verdict.friction is not None:
             figures.append(curve_figure(clutch, verdict.friction, calibration.clutches[clutch - 1].friction))
     tables = [_numbers_table(result.verdict) for result in found.latest]
+    tables += [] if found.summary is None else [_relative_table(one) for one in found.summary.relative]
     return Section(name="friction", title="Friction", texts=tuple(texts), tables=tuple(tables), figures=tuple(figures))
 
 
@@ -302,6 +310,17 @@ def _numbers_table(verdict: ClutchVerdict) -> Table:
         caption=f"Clutch {verdict.clutch}: running estimate from {count} {'shift' if count == 1 else 'shifts'}",
         head=("quantity", "value", "standard deviation"),
         rows=tuple(_number_rows(verdict)),
+    )
+
+
+def _relative_table(found: RelativeFriction) -> Table:
+    numbers = {f"event {number} over the others": one for number, one in found.shifts.items()}
+    numbers[f"change over {SLIP_RAD_S:.0f} rad/s of slip"] = found.slope_s_rad * SLIP_RAD_S
+    numbers["change from the first to the last"] = found.trend
+    return Table(
+        caption=f"Clutch {found.clutch}: friction in power upshifts, up to a scale that is not known",
+        head=("quantity", "value", "standard deviation"),
+        rows=tuple((name, number(one.value, "{:.3f}"), number(one.std, "{:.3f}")) for name, one in numbers.items()),
     )
 
 

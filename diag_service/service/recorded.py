@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from canlog.errors import InputLeftError
 from canlog.logs.reading import Watch
@@ -24,6 +25,9 @@ from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import NoStore
 
 NS_PER_MS = 1_000_000
+if TYPE_CHECKING:  # a live service has none
+    from diag_service.service.drive_survey import DriveSurvey
+
 STOPPED_TEXT = "stopped early"
 _LOG = logging.getLogger(__name__)
 
@@ -145,6 +149,7 @@ def run_recorded(
     stop: Trigger,
     *,
     watch: Watch | None = None,  # of how far the reading is
+    survey: "type[DriveSurvey] | None" = None,
     meaning: Interpretation | None = None,  # of the frames, where it is at hand: that of the configuration
 ) -> RecordedRun:
     """Diagnose the logs of a drive.
@@ -158,10 +163,10 @@ def run_recorded(
     ) as logs:
         stream = stream_of_drive((log.path for log in logs), meaning.files)
         if store_path is None and config.broker is None:
-            session = Session(config, decoder, NoStore(), stream, reporter)
+            session = Session(config, decoder, NoStore(), stream, reporter, survey=survey)
             return RecordedRun(stream=stream, summary=run_logs(logs, session, stop=stop))
         with opened_store(config, store_path, keeps_results=False) as store:
-            session = Session(config, decoder, store, stream, reporter)
+            session = Session(config, decoder, store, stream, reporter, survey=survey)
             outbox = outbox_of(config, store, session, is_live=False)
             if outbox is None:
                 return RecordedRun(stream=stream, summary=run_logs(logs, session, stop=stop))

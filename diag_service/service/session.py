@@ -9,10 +9,10 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from enum import StrEnum
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from canlog.errors import NOTICE
 from clutch_model.calibration import Calibration
@@ -29,6 +29,9 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Diagnosis, Stages
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import SessionStore, VehicleState, Versions
+
+if TYPE_CHECKING:  # a live service has none
+    from diag_service.service.drive_survey import DriveSurvey
 
 STUCK_AFTER_S = 30.0  # a shift takes a fraction of a second, a slow disk a few
 
@@ -110,11 +113,13 @@ class Session:
         *,
         utc_now: Callable[[], str] = utc_now,  # the clock of a live stream
         max_pending_count: int = MAX_PENDING_COUNT,  # results in memory while the disk is full
+        survey: "type[DriveSurvey] | None" = None,
         witness: Callable[[Event, ShiftResult], None] = lambda *_: None,  # sees signals that nobody stores
     ) -> None:
         self.vehicle, self._versions = config.vehicle, versions_for(config.calibration)
         state, memory = resume(store, self.vehicle, self._versions, config.calibration)
         self.stages = Stages(decoder, config.calibration, state, memory)
+        self.survey = None if survey is None else survey(self.stages)
         self.progress = Progress()
         self._store = store
         self.reporter = reporter
@@ -142,6 +147,8 @@ class Session:
         A live bus does not wait for a full disk: what cannot be stored now is told when it can be.
         """
         stream = self._stream
+        if self.survey is not None:
+            self.survey.take(event)
         known = None if stream is None else self._store.find(self.vehicle, stream, event.number, self._versions)
         if known is not None:
             self._report(known, is_new=False)
@@ -221,6 +228,8 @@ class Session:
         if not frames.is_balanced:
             _LOG.error("frame counts do not add up: %s", frames_line(frames))
         summary = self.summary(frames, unpublished_count, gaps, contributions)
+        if self.survey is not None:
+            summary = replace(summary, relative=self.survey.found())
         self.reporter.report(summary)
         if frames.on_bus and not frames.decoded and not frames.rejected_count:
             _LOG.log(NOTICE, "%s", NOTHING_KNOWN)

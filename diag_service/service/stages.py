@@ -8,6 +8,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
 from diag_service.diagnosis.condition.indices import compile_indices, measure
 from diag_service.diagnosis.condition.shift_quality import ShiftScorer
+from diag_service.diagnosis.condition.verdict import Silence
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
@@ -17,7 +18,7 @@ from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate,
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.diagnosis.summary import Capability
 from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.tiers import missing_for_next, tier_of, why_no_friction
+from diag_service.mapping.tiers import PRESSURES, missing_for_next, tier_of, why_no_friction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +39,10 @@ class Stages:
         self._finder = DriveFinder(decoder.signals, calibration, decoder.gears)
         unknown = {Signal.ENGINE_TORQUE} if calibration.torque is TorqueSource.UNKNOWN else frozenset[Signal]()
         self.tier = tier_of(decoder.signals - unknown, knows_gears=knows_gears(decoder))
-        self._missing = why_no_friction(decoder.signals - unknown, knows_gears=knows_gears(decoder))
+        self._missing = why_no_friction(decoder.signals - unknown, calibration.torque, knows_gears=knows_gears(decoder))
+        lacks_torque = calibration.torque is not TorqueSource.MEASURED or Signal.ENGINE_TORQUE not in decoder.signals
+        tells_ratios = lacks_torque and decoder.signals >= PRESSURES | {Signal.ENGINE_SPEED}
+        self.is_relative = self.tier is not Tier.FRICTION and tells_ratios  # friction is known up to a scale at best
         self._estimator = Estimator(calibration)
         compile_data_quality()
         compile_indices()
@@ -119,7 +123,8 @@ class Stages:
         else:
             self._memory = self._memory.with_launch(estimate)  # a witness that needs no torque
             launches = self._memory.launches[estimate.clutch - 1]
-            verdict = replace(no_verdict(estimate.clutch, self._missing), stick_slip=launches.reported)
+            silence = Silence.LEVEL_UNKNOWN if self.is_relative else Silence.SIGNALS_MISSING
+            verdict = replace(no_verdict(estimate.clutch, self._missing, silence), stick_slip=launches.reported)
         self._state = state
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory)
 

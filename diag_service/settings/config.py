@@ -120,6 +120,12 @@ def check_vehicle(vehicle: str) -> str:
     return vehicle
 
 
+def as_profiled(calibration: Calibration, profile: Path | None) -> Calibration:
+    """Return a calibration that knows where the engine's torque comes from; raises ConfigError."""
+    told = TorqueSource.MEASURED if profile is None else find_profile(profile).torque
+    return calibration.with_torque(told if told.is_modelled else calibration.torque)
+
+
 def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
     """Return how frames become results; names the vehicle in the options. Raises ConfigError or CalibrationError."""
     if options.vehicle_file is not None and options.calibration is not None:
@@ -127,8 +133,6 @@ def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
     described_in = options.vehicle_file or options.calibration
     calibration, gears = (nominal_calibration(), None) if described_in is None else read_description(described_in)
     options.vehicle = vehicle_of(options.vehicle, calibration)
-    told = TorqueSource.MEASURED if options.profile is None else find_profile(options.profile).torque
-    calibration = calibration.with_torque(told if told.is_modelled else calibration.torque)
     config = DiagnosisConfig(
         vehicle=options.vehicle,
         dbc=options.dbc,
@@ -137,7 +141,7 @@ def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
         profile=options.profile,
         vehicle_file=described_in,
         gears=gears,
-        calibration=calibration,
+        calibration=as_profiled(calibration, options.profile),
         is_strict=getattr(options, "strict", False),
         columns=getattr(options, "columns", None) or "",
     )

@@ -99,6 +99,25 @@ def test_a_profile_is_proposed_with_the_ratios_that_the_table_shows(tmp_path: Pa
     assert {one["status"] for one in found} == {"unobserved"}
 
 
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        ("kPa", "bar", "clutch1_pressure_pa: values from 200 to 250 of column 'Clutch 1 Pressure'"),
+        ("kPa", "Pa", "clutch1_pressure_pa: values from 200 to 250 of column 'Clutch 1 Pressure'"),
+        ("rpm", "rad/s", "of column 'Output Shaft Speed'"),
+    ],
+)
+def test_a_unit_that_the_values_cannot_have_is_told(tmp_path: Path, right: str, wrong: str, said: str) -> None:
+    table, profile = tmp_path / "drive.csv", tmp_path / "drive.toml"
+    road(table)
+    proposed = ended("signals", table).out
+    for unit, is_told in ((right, False), (wrong, True)):
+        profile.write_text(proposed.replace(f'unit = "{right}"', f'unit = "{unit}"'), encoding="utf-8")
+        run = ended("analyze", table, "--profile", profile)
+        assert ("can hardly be in" in run.err) == is_told, run.err
+    assert f"{said} can hardly be in '{wrong}', but in '{right}'" in run.err
+
+
 def test_inspect_tells_rates_steps_and_ranges(tmp_path: Path) -> None:
     table = tmp_path / "drive.csv"
     road(table)
@@ -175,6 +194,7 @@ def test_injected_fuel_tells_friction_up_to_a_scale(tmp_path: Path, origin: str)
     assert "engine torque is modelled, not measured" in shown
     assert {one["verdict"]["condition"] for one in found} == {"no_verdict"}
     assert all(one["friction"] is one["verdict"]["friction"] is one["verdict"]["level_ratio"] is None for one in found)
+    assert all(one.estimate.friction is None for one in diag_service.analyze(table, profile=profile).results)
     if origin == "without_cut":
         assert [one["reasons"] for one in found] == len(found) * [["torque_unknown"]]
         assert "[torque unknown]" in shown
@@ -240,6 +260,31 @@ def test_without_torque_the_level_is_withheld_with_that_reason(tmp_path: Path) -
     found = analysed(table, "--profile", profile)
     assert {one["verdict"]["condition"] for one in found} == {"no_verdict"}
     assert all("engine torque is not measured" in one["verdict"]["reason"] for one in found)
+
+
+def test_without_torque_the_shifts_of_a_clutch_are_held_against_each_other(tmp_path: Path) -> None:
+    log, table, profile, page = (tmp_path / f"car.{suffix}" for suffix in ("log", "csv", "toml", "html"))
+    assert emulator(["record", str(log), "--seed", "5", "--cycles", "2"]) == 0
+    rng, inputs = np.random.default_rng(5), {"Input Shaft 1 Speed", "Input Shaft 2 Speed"}
+    written(log, table, rng, left_out=OF_FRICTION | inputs)
+    with_fuel(table, rng)
+    profile.write_text(ended("signals", table).out, encoding="utf-8")
+    found = diag_service.analyze(table, profile=profile)
+    clutches = {one["clutch"]: one for one in found.summary["relative_friction"]}
+    assert {clutch: len(one["shifts"]) for clutch, one in clutches.items()} == {
+        1: 4,
+        2: 6,
+    }  # power upshifts of two cycles
+    for one in clutches.values():  # the fluid was the same
+        assert all(abs(shift["value"] - 1.0) < 3.0 * shift["std"] < 0.6 for shift in one["shifts"].values())
+        assert abs(one["trend"]["value"]) < 3.0 * one["trend"]["std"]
+    verdicts = found.verdicts.values()
+    assert {one.condition.name for one in verdicts} == {"NO_VERDICT"}
+    assert all("the torque of the engine is not measured" in (one.advice or "") for one in verdicts)
+    shown = ended("analyze", table, "--profile", profile).out
+    assert "clutch 2, friction of each power upshift over its others: event " in shown
+    assert ended("report", table, "--profile", profile, "-o", page).status == 0
+    assert "Clutch 2: friction in power upshifts, up to a scale that is not known" in page.read_text(encoding="utf-8")
 
 
 def test_what_a_prediction_needs_is_said(tmp_path: Path) -> None:

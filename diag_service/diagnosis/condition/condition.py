@@ -267,7 +267,7 @@ def _lining(state: Posterior, clutch: int) -> LiningBaseline | None:
     return None if since is None else LiningBaseline.of(scale_free(state, clutch), since)
 
 
-def no_verdict(clutch: int, missing: str) -> ClutchVerdict:
+def no_verdict(clutch: int, missing: str, silence: Silence = Silence.SIGNALS_MISSING) -> ClutchVerdict:
     """Return what is said of a clutch whose friction cannot be known: nothing, and what is missing for more."""
     return ClutchVerdict(
         clutch=clutch,
@@ -276,5 +276,5 @@ def no_verdict(clutch: int, missing: str) -> ClutchVerdict:
         level_ratio=None,
         friction=None,
         shift_count=0,
-        advice=advice(clutch, Condition.NO_VERDICT, Silence.SIGNALS_MISSING),
+        advice=advice(clutch, Condition.NO_VERDICT, silence),
     )

@@ -71,7 +71,7 @@ class Silence(StrEnum):
     CALIBRATION_MISFIT = "the calibration does not fit this vehicle; diag-service calibrate makes one that does"
     SIGNALS_MISSING = "the signals of this vehicle do not tell its friction"
     LEVEL_UNKNOWN = (
-        "the torque of the engine is not measured: its friction is known up to a scale and cannot be called sound"
+        "the torque of the engine is not measured: friction is known up to a scale at best and cannot be called sound"
     )
     PART_OF_DRIVE = "only a part of the drive was seen; measure again on a whole one"
 

@@ -16,6 +16,7 @@ from diag_service.diagnosis.prediction import (
     fitted,
     predicted,
     predicted_simply,
+    relative_friction,
     simulated,
     slip_phase,
 )
@@ -43,7 +44,7 @@ def phase(rng: np.random.Generator, to_gear: int = 2, *, noise_rad_s: float = 0.
     fine_s = np.arange(0.0, made.t_s[-1] + 1e-3, 1e-3)
     speed = 600.0 + np.cumsum(np.minimum(np.interp(fine_s, t_s, rate), 0.0)) * 1e-3
     speeds = np.interp(made.t_s, fine_s, speed) + rng.normal(0.0, noise_rad_s, count)
-    return replace(made, speed_rad_s=speeds)
+    return replace(made, speed_rad_s=speeds, slip_rad_s=speeds - 400.0)
 
 
 def test_what_the_law_made_is_predicted() -> None:
@@ -134,3 +135,42 @@ def test_what_cannot_be_predicted_says_why(event: Event, gears: GearRatios | Non
     found = slip_phase(event, gears)
     assert isinstance(found, NoPhase)
     assert reason in found.reason
+
+
+def with_friction(ratios: FloatArray, rng: np.random.Generator) -> list[SlipPhase]:
+    """Make shifts 2-3 and 3-4 by turns, whose friction has these ratios; none in which the engine hardly slows down."""
+    made: list[SlipPhase] = []
+    while len(made) < len(ratios):
+        place = len(made)
+        one = phase(rng, 3 + place % 2, noise_rad_s=2.0, gain=float(ratios[place]))
+        made += [replace(one, number=place)] if one.change_rad_s[-1] < -20.0 else []
+    return made
+
+
+def test_the_shift_whose_friction_was_lower_is_told_up_to_a_scale() -> None:
+    wrong, inside = 5, []
+    ratios = np.where(np.arange(12) == wrong, 0.8, 1.0)
+    for seed in range(12):
+        phases = with_friction(ratios, np.random.default_rng(seed))
+        found = {one.clutch: one.shifts for one in relative_friction(phases, TOUCH_PA)}
+        low = found[2][wrong]
+        assert low.value + 2.0 * low.std < 1.0
+        shifts = [pair for clutch in found.values() for pair in clutch.items()]
+        inside += [abs(one.value - ratios[number]) < 2.0 * one.std for number, one in shifts]
+    assert len(inside) == 12 * len(ratios)
+    assert np.mean(inside) >= 0.9
+
+
+def test_friction_that_falls_from_shift_to_shift_has_a_trend_and_one_that_stays_has_none() -> None:
+    for fall in (0.0, 0.2):
+        ratios = 1.0 - fall * np.linspace(-0.5, 0.5, 16)
+        for one in relative_friction(with_friction(ratios, np.random.default_rng(2)), TOUCH_PA):
+            assert one.trend.value == pytest.approx(-fall, abs=2.0 * one.trend.std)
+            assert (one.trend.value < -0.1) == (fall > 0.0)
+            assert abs(one.slope_s_rad.value) < 2.0 * one.slope_s_rad.std  # the law has none
+
+
+def test_of_a_clutch_with_one_shift_nothing_is_told() -> None:
+    rng = np.random.default_rng(6)
+    phases = [replace(phase(rng, 3 if place else 2, noise_rad_s=2.0), number=place) for place in range(6)]
+    assert [one.clutch for one in relative_friction(phases, TOUCH_PA)] == [1]
