@@ -15,7 +15,7 @@ from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.prediction import LEAST_EVENTS, SlipPhase, fitted
-from diag_service.mapping.proposal import LEAST_SAMPLES, LEAST_SPEED, WINDOW, GearRatio, densest
+from diag_service.mapping.proposal import LEAST_SAMPLES, LEAST_SPEED, GearRatio, densest
 
 MOST_ROWS: Final = 400_000  # that are kept of all drives: beyond, every second one goes
 STRETCH_S: Final = 1.0  # samples that are further apart are of another stretch, whose error is its own
@@ -36,9 +36,10 @@ SURE: Final = 0.9  # share of the samples
 PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
 COMMANDS: Final = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
 GEARS: Final = (Signal.TARGET_GEAR, Signal.CURRENT_GEAR)
+BAND: Final = 0.03  # of ratios around a gear's: a speed that grows moves them by up to this
 GROWTH_S: Final = 0.3  # over which the gain of speed is a mean
 OUTLYING: Final = 4.0
-OWN_SKEW_S: Final = 0.01  # by which the skew of a gear differs from that of all: a driveline winds up
+OWN_SKEW_S: Final = 0.007  # by which the skew of a gear differs from that of all: a driveline winds up
 _TIME, _GEAR, _ENGINE, _OVER, _GROWTH, _FIRST = range(6)  # the columns that are kept; clutch pressures are the last
 
 
@@ -207,13 +208,13 @@ def _gears_of(rows: FloatArray, *, are_named: bool) -> Mapping[int, LearnedGear]
             own = driven[:, _GEAR] == gear
             ratio = densest(ratios[own]) if np.count_nonzero(own) >= LEAST_SAMPLES else None
             if ratio is not None:
-                bands[int(gear)] = own & (np.abs(ratios / ratio.ratio - 1.0) < WINDOW)
+                bands[int(gear)] = own & (np.abs(ratios / ratio.ratio - 1.0) < BAND)
     else:
         rest, middles = np.ones(len(ratios), np.bool_), dict[float, BoolArray]()
         while (ratio := densest(ratios[rest], 0.0)) is not None:
             if ratio.sample_count < max(LEAST_SAMPLES, LEAST_CLUSTER * len(ratios)):
                 break
-            middles[ratio.ratio] = rest & (np.abs(ratios / ratio.ratio - 1.0) < WINDOW)
+            middles[ratio.ratio] = rest & (np.abs(ratios / ratio.ratio - 1.0) < BAND)
             rest &= np.abs(ratios / ratio.ratio - 1.0) > APART_RATIO
         bands = {gear: middles[one] for gear, one in enumerate(sorted(middles, reverse=True), 1)}
     return {
@@ -242,9 +243,14 @@ def _at_constant_speed(rows: FloatArray, ratios: FloatArray, bands: Mapping[int,
         left = measured - design @ found
         kept = np.abs(left) <= OUTLYING * 1.4826 * np.median(np.abs(left[kept])) + 1e-9
     starts = np.concatenate(([True], (np.diff(rows[places, _TIME]) > STRETCH_S) | (np.diff(gears) != 0)))
-    lengths = np.bincount(np.cumsum(starts))[np.cumsum(starts)]
+    stretches = np.cumsum(starts)
+    lengths = np.bincount(stretches)[stretches]
     scaled = (design / np.sqrt(lengths)[:, None])[kept]
-    covariance = float(np.var(left[kept])) * np.linalg.pinv(scaled.T @ scaled)
+    counts = np.bincount(stretches[kept])
+    means = np.bincount(stretches[kept], left[kept])[counts > 0] / counts[counts > 0]
+    freedom = len(means) - len(order)  # too few stretches tell nothing of their own errors
+    variance = float(means @ means) / freedom if freedom >= len(order) else float(np.var(left[kept]))
+    covariance = variance * np.linalg.pinv(scaled.T @ scaled)
     result = {}
     for place, gear in enumerate(order):
         value, own = float(np.exp(found[place])), kept & (gears == gear)

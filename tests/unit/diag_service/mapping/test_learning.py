@@ -70,6 +70,13 @@ def test_ratios_and_clutches_are_found_whatever_columns_are_apart(skew_s: float)
         assert abs(one.ratio - ratio) < 3.0 * one.std
 
 
+def test_a_deviation_is_what_stretches_differ_by_not_their_samples() -> None:
+    found = learned(drive(np.tile(EVERY_GEAR, 6), skew_s=0.03))
+    for gear, ratio in enumerate(RATIOS, 1):
+        one = found.gears[gear].ratio
+        assert abs(one.ratio - ratio) < 2.0 * one.std < 2e-4 * ratio
+
+
 def test_gears_that_no_signal_names_are_numbered_from_the_highest_ratio() -> None:
     found = learned(without(drive(EVERY_GEAR), Signal.TARGET_GEAR))
     assert not found.are_named
