@@ -18,6 +18,7 @@ from fleet_backend.errors import BrokerError, ConfigError
 from fleet_backend.options import BROKER_VARIABLE
 from fleet_backend.stopping import stopping
 from fleet_contract import (
+    NEVER,
     TOPIC_ROOT,
     Channel,
     ContractError,
@@ -123,6 +124,8 @@ def _events(topic: str, payload: bytes) -> Iterator[Incoming]:
 
 def line_of(event: Incoming) -> str:
     data, vehicle = event.data, event.address.vehicle
+    if event.address.channel is Channel.STATUS and data["connected_at"] == NEVER:
+        return f"{event.time} {vehicle}: results of logs"
     if event.address.channel is Channel.STATUS:
         return f"{event.time} {vehicle}: {data['status']}"
     verdict = data["verdict"]

@@ -14,6 +14,7 @@ from fleet_backend.rows import (
     controller_row,
     fill_rows,
     metrics_row,
+    moment,
     quarantine_row,
     revision_rows,
     shift_row,
@@ -21,6 +22,7 @@ from fleet_backend.rows import (
 )
 from fleet_backend.writer import Batch
 from fleet_contract import (
+    NEVER,
     Address,
     Channel,
     ContractError,
@@ -152,7 +154,7 @@ def batch_of(taken: Sequence[Taken]) -> Batch:
         rows[item.kind].append(item.row)
     return Batch(
         shifts=rows[MessageKind.SHIFT],
-        statuses=rows[MessageKind.STATUS],
+        statuses=[row for row in rows[MessageKind.STATUS] if row["connected_at"] != moment(NEVER)],
         calibrations=[row for item in taken for row in item.calibrations],
         revisions=[row for item in taken for row in item.revisions],
         metrics=rows[MessageKind.METRICS],

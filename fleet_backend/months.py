@@ -14,7 +14,7 @@ from sqlalchemy import Connection, Engine, and_, column, func, select, table, te
 
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError
-from fleet_backend.schema import BLOCK, UtcDateTime
+from fleet_backend.schema import BLOCK, HAPPENED_AT, UtcDateTime
 
 __all__ = [
     "AHEAD_MONTHS",
@@ -220,7 +220,7 @@ def _streams(source: str, count: str = "count(*) OVER w") -> str:
     """Return the statement for the rows of ``clutch_stream`` that results make."""
     return (
         f"SELECT DISTINCT ON (n.vehicle, n.clutch, n.stream) n.vehicle, n.clutch, n.stream, {count},"  # noqa: S608
-        " max(least(n.produced_at, n.stored_at)) OVER w,"  # a clock that is ahead orders nothing
+        f" max(least(n.produced_at, n.stored_at, {HAPPENED_AT.format('n.')})) OVER w,"  # clocks ahead, late analyses
         " max(n.stored_at) OVER w, n.seq, n.version_rank, n.produced_at, n.content_digest"
         f" FROM {source} AS n WINDOW w AS (PARTITION BY n.vehicle, n.clutch, n.stream)"
         " ORDER BY n.vehicle, n.clutch, n.stream, n.seq DESC, n.version_rank DESC, n.content_digest"

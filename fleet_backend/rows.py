@@ -127,14 +127,9 @@ def content_digest(row: Row) -> int:
 
 def status_row(data: Mapping[str, object]) -> Row:
     """Return what the status of a service says about its vehicle."""
-    return {
-        "vehicle": data["vehicle"],
-        "is_online": data["status"] == "online",
-        "connected_at": moment(data["connected_at"]),
-        "service_version": data["service_version"],
-        "algorithm_version": data["algorithm_version"],
-        "calibration_version": data["calibration_version"],
-    }
+    names = ("vehicle", "service_version", "algorithm_version", "calibration_version")
+    told = {"is_online": data["status"] == "online", "connected_at": moment(data["connected_at"])}
+    return {**{name: data[name] for name in names}, **told}
 
 
 def calibration_rows(data: Mapping[str, object]) -> list[Row]:
@@ -195,21 +190,15 @@ def told_fill(row: Mapping[str, object]) -> dict[str, object]:
 
 def metrics_row(data: Mapping[str, object]) -> Row:
     """Return the last numbers of a service."""
-    return {
-        "vehicle": data["vehicle"],
-        "metrics": json.dumps(data["metrics"], sort_keys=True),
-        "metrics_at": moment(data["produced_at"]),
-    }
+    told = json.dumps(data["metrics"], sort_keys=True)
+    return {"vehicle": data["vehicle"], "metrics": told, "metrics_at": moment(data["produced_at"])}
 
 
 def controller_row(data: Mapping[str, object]) -> Row:
     """Return the row of what a controller said of its trouble codes, that kept the contract."""
     said = {key: data[key] for key in ("controller", "description", "codes")}
-    return {
-        "vehicle": data["vehicle"],
-        "controller": json.dumps(said, sort_keys=True),
-        "controller_at": moment(data["produced_at"]),
-    }
+    told = json.dumps(said, sort_keys=True)
+    return {"vehicle": data["vehicle"], "controller": told, "controller_at": moment(data["produced_at"])}
 
 
 def quarantine_row(poison: Poison, received_at: datetime) -> Row:

@@ -21,6 +21,7 @@ from fleet_contract.strict_json import JsonObject, dump, parse_object, shown
 from fleet_contract.topics import Address, Channel, parse_topic, topic_of
 
 MAX_RECEIPTS: Final = 100  # in one message
+NEVER: Final = "1970-01-01T00:00:00.000000Z"  # of a status: of no connection, a log tells what it was judged by
 _MAX_REASON: Final = 100
 
 

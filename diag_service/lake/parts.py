@@ -7,6 +7,7 @@ files tell of is in the lake once.
 
 import hashlib
 import io
+import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -14,7 +15,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Any, Final
 
 from canlog.column_files import TIME_TYPE, ParquetTable, TableFormat, load_pyarrow
 from canlog.errors import DefinitionError, SourceError
@@ -28,6 +29,7 @@ from fleet_contract import JsonObject
 
 FOLDER: Final = "manifest"
 DONE, FAILED = "done", "failed"
+FULL_ROWS: Final = 50_000  # of a file of the manifest that nothing is put into any more
 _SEPARATOR: Final = ";"
 _TYPES: Final = {"size_bytes": "int64", "shifts": "int64", "attempts": "int64", "made_at": TIME_TYPE}
 
@@ -56,18 +58,24 @@ class LogRow:
 class Manifest:
     """The rows of a lake, as they were when it was opened and as they became since.
 
+    What logs said of themselves, by far the most of a row, stays in the files: ``account`` is empty here. A file that
+    is full is left as it is, so that a run writes anew no more than the last.
+
     Raises StoreError if a file of it is none.
     """
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: Place, full_rows: int = FULL_ROWS) -> None:
         self._place = place
+        self._full_rows = full_rows
         self._rows: dict[str, LogRow] = {}
-        self._files: list[str] = []
+        self._files: dict[str, int] = {}  # how many rows each has
+        self._file_of: dict[str, str] = {}  # of the row that holds
         self._generation = 0
         for name in place.held(FOLDER):
-            self._files.append(name)
             self._generation = max(self._generation, _generation_of(name))
-            self._rows |= {row.source: row for row in _parsed(place.read(name), name)}
+            self._files[name] = 0
+            for rows in _parsed(place.read(name), name, [one for one in manifest_columns() if one != "account"]):
+                self._take(rows, name)
         self.file_count = len(self._files)
 
     @property
@@ -82,20 +90,20 @@ class Manifest:
     def add(self, rows: Sequence[LogRow]) -> None:
         """Write rows as one more file; those of the same logs hold no longer."""
         if rows:
-            self._rows |= {row.source: row for row in rows}
-            self._write(rows)
+            self._write([rows])
 
     def put_together(self, *, without: Iterable[str] = ()) -> None:
-        """Write one file in place of all that were read or written, without the rows of some logs."""
-        gone = set(without)
-        if len(self._files) <= 1 and not gone & self._rows.keys():
-            return
-        self._rows = {source: row for source, row in self._rows.items() if source not in gone}
-        files = list(self._files)
-        if self._rows:
-            self._write(sorted(self._rows.values(), key=lambda row: (row.vehicle, row.source)))
-        self._place.remove(files)
-        self._files = [name for name in self._files if name not in files]
+        """Write one file in place of those that are not full; without the rows of some logs, wherever they are."""
+        gone = self._rows.keys() & set(without)
+        small = [name for name, count in self._files.items() if count < self._full_rows]
+        batches = [[name] for name in self._files if name not in small] if gone else []
+        batches += [small] if len(small) > 1 or gone else []
+        for source in gone:
+            del self._rows[source], self._file_of[source]
+        for names in batches:
+            self._write(self._holding(names))
+            self._place.remove(names)
+            self._files = {name: count for name, count in self._files.items() if name not in names}
 
     def superseded(self, rows: Sequence[LogRow]) -> list[str]:
         """Return the parts that rows make superfluous: those of the rows that hold, unless another one has them."""
@@ -109,18 +117,33 @@ class Manifest:
         own = Counter(part for source in sources for part in self._rows[source].parts)
         return sorted(part for part, count in own.items() if uses[part] == count)
 
-    def _write(self, rows: Sequence[LogRow]) -> None:
+    def _take(self, rows: Sequence[LogRow], name: str) -> None:
+        self._rows |= {row.source: replace(row, account="") for row in rows}
+        self._file_of |= dict.fromkeys((row.source for row in rows), name)
+        self._files[name] += len(rows)
+
+    def _holding(self, names: Sequence[str]) -> Iterator[list[LogRow]]:
+        """Yield the rows of some files that hold, whole."""
+        for name in names:
+            for rows in _parsed(self._place.read(name), name, list(manifest_columns())):
+                yield [row for row in rows if self._file_of.get(row.source) == name]
+
+    def _write(self, groups: Iterable[Sequence[LogRow]]) -> None:
         self._generation += 1
-        stream = io.BytesIO()
-        with ParquetTable(stream, manifest_columns()) as table:
-            table.write_rows([{**asdict(row), "parts": _SEPARATOR.join(row.parts)} for row in rows])
-        content = stream.getvalue()
-        name = f"{FOLDER}/{self._generation:010}-{hashlib.sha256(content).hexdigest()[:16]}.parquet"
+        taken = list[Sequence[LogRow]]()
         with TemporaryDirectory(prefix="clutchdiag-") as folder:
             path = Path(folder) / "rows"
-            path.write_bytes(content)
+            with path.open("wb") as stream, ParquetTable(stream, manifest_columns()) as table:
+                for rows in filter(None, groups):
+                    table.write_rows([{**asdict(row), "parts": _SEPARATOR.join(row.parts)} for row in rows])
+                    taken.append([replace(row, account="") for row in rows])
+            if not taken:
+                return
+            name = f"{FOLDER}/{self._generation:010}-{content_digest(path)[:16]}.parquet"
             self._place.put(name, path)
-        self._files.append(name)
+        self._files[name] = 0
+        for rows in taken:
+            self._take(rows, name)
 
 
 def manifest_columns() -> dict[str, str]:
@@ -135,23 +158,22 @@ def _generation_of(name: str) -> int:
     return int(number)
 
 
-def _parsed(content: bytes, name: str) -> list[LogRow]:
+def _parsed(content: bytes, name: str, wanted: list[str]) -> Iterator[list[LogRow]]:
+    """Yield the rows of a file, some at a time; a column that is not wanted is empty."""
     arrow = load_pyarrow()
     try:
         # By this thread alone: threads of Arrow that outlive a short program abort it.
-        table = arrow.parquet.ParquetFile(io.BytesIO(content)).read(list(manifest_columns()), use_threads=False)
-        return [
-            LogRow(
-                **{
-                    **row,
-                    "parts": tuple(filter(None, row["parts"].split(_SEPARATOR))),
-                    "made_at": iso_utc(row["made_at"]),
-                }
-            )
-            for row in table.to_pylist()
-        ]
+        file = arrow.parquet.ParquetFile(io.BytesIO(content))
+        for batch in file.iter_batches(BATCH_ROWS, columns=wanted, use_threads=False):
+            yield [_row(row) for row in batch.to_pylist()]
     except (arrow.ArrowException, KeyError, TypeError) as exc:
         raise StoreError(f"{name} is not a file of a manifest: {exc}") from exc
+
+
+def _row(row: dict[str, Any]) -> LogRow:
+    same = {name: sys.intern(row[name]) for name in ("vehicle", "settings", "signals", "algorithm_version", "outcome")}
+    parts = tuple(filter(None, row["parts"].split(_SEPARATOR)))
+    return LogRow(**{"account": "", **row, **same, "parts": parts, "made_at": iso_utc(row["made_at"])})
 
 
 SHIFTS, SIGNALS = "shifts", "signals"

@@ -8,7 +8,7 @@ from collections.abc import Coroutine, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from contextvars import copy_context
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final, TypeVar
@@ -27,13 +27,13 @@ from diag_service.delivery import (
     Reporter,
 )
 from diag_service.delivery.outbox import MetricsMessage
-from diag_service.diagnosis.records import ServiceStatus
+from diag_service.diagnosis.records import ServiceStatus, status_record
 from diag_service.errors import StoreError
 from diag_service.service.session import Session, utc_now, versions_for
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore, remove_store
-from fleet_contract import Outgoing, config_message, metrics_message
+from fleet_contract import NEVER, Outgoing, config_message, metrics_message, status_message
 
 MOST_TYPE_NAME: Final = 128  # characters, as the contract has it
 _LOG = logging.getLogger(__name__)
@@ -88,6 +88,7 @@ def outbox_of(config: DiagnosisConfig, store: ResultStore, session: Session, *, 
             "new_friction": [asdict(one.friction) for one in config.calibration.clutches],
         },
     )
+    told = status_message(status_record(replace(status, is_online=False, connected_at=NEVER)))
     connector = MqttConnector(
         config.broker,
         f"clutchdiag-{config.vehicle}-{_secret_of(store)}" if is_live else f"clutchdiag-{uuid.uuid4()}",
@@ -100,7 +101,7 @@ def outbox_of(config: DiagnosisConfig, store: ResultStore, session: Session, *, 
         lambda: connector.connect(utc_now()),
         str(config.broker),
         acknowledge=config.acknowledge,
-        greetings=[_greeting(config, status)] if is_live else (),
+        greetings=[_greeting(config, status) if is_live else replace(told, is_retained=False)],
         holds_states=not is_live,
         shares_fluid=is_live,
         metrics=_metrics_of(store, session) if is_live else None,
@@ -119,9 +120,7 @@ def _secret_of(store: ResultStore) -> str:
 def _greeting(config: DiagnosisConfig, status: ServiceStatus) -> Outgoing:
     """Return what a live service says of itself at birth; nothing secret is among it."""
     settings: dict[str, str | float | bool | None] = {
-        "service_version": status.service_version,
-        "algorithm_version": status.algorithm_version,
-        "calibration_version": status.calibration_version,
+        **{f"{name}_version": getattr(status, f"{name}_version") for name in ("service", "algorithm", "calibration")},
         "broker": str(config.broker),
         "broker_is_encrypted": config.broker is not None and config.broker.tls is not None,
         "acknowledge": config.acknowledge.value,

@@ -16,6 +16,7 @@ from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchAlarm, Quarantined, ShiftAnswer
 from fleet_backend.schema import (
     BLOCK,
+    DATED_NS,
     FRICTION_COLUMNS,
     QUARANTINE,
     REVISION,
@@ -25,7 +26,6 @@ from fleet_backend.schema import (
     SHIFT_RESULT,
 )
 
-DATED_NS: Final = 10**18  # since 1970: in 2001; what has no date lies before
 SAME_RATIO: Final = 0.5
 MOST_RESULTS: Final = 4000  # of one clutch, the newest; two years of a taxi
 _NEAR: Final = literal(timedelta(days=31), Interval())
@@ -85,7 +85,8 @@ def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
         remember(connection, {(row["vehicle"], row["calibration_version"]) for row in rows})
     last: dict[str, datetime] = {}
     for row in rows:
-        at = min(row["produced_at"], row["stored_at"])  # a clock that is ahead orders nothing
+        happened_at = row["end_at"] if row["end_bus_ns"] >= DATED_NS else row["produced_at"]
+        at = min(row["produced_at"], row["stored_at"], happened_at)  # as the databases rank
         last[row["stream"]] = max(at, last.get(row["stream"], at))
     return sorted(_once(rows), key=lambda row: (last[row["stream"]], row["stream"], row["seq"]))
 

@@ -13,7 +13,7 @@ from fleet_backend.months import CLUTCH_STREAM, has_partitions
 from fleet_backend.orders import PresentFluid, present_fluids, with_orders
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchNow
-from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, WITHDRAWN_FILL, UtcDateTime
+from fleet_backend.schema import FLUID_FILL, HAPPENED_AT, SHIFT_RESULT, WITHDRAWN_FILL, UtcDateTime
 
 _MOST_NAMES: Final = 500  # of vehicles in one statement
 # The view running_condition for some vehicles alone: a database does not carry a list of names into a view by itself.
@@ -36,7 +36,7 @@ _IN_ONE_TABLE: Final = """(
     SELECT k.vehicle, k.clutch, (
       SELECT l.stream FROM shift_result AS l
       WHERE l.vehicle = k.vehicle AND l.clutch = k.clutch
-      ORDER BY l.vehicle DESC, l.clutch DESC, min(l.produced_at, l.stored_at) DESC, l.stream DESC LIMIT 1
+      ORDER BY l.vehicle DESC, l.clutch DESC, min(l.produced_at, l.stored_at, {happened_at}) DESC, l.stream DESC LIMIT 1
     ) AS stream
     FROM clutch AS k {where}
   ) AS q
@@ -69,7 +69,7 @@ class FillsSeen:
 
 
 def _statement(source: str, where: str) -> TextClause:
-    made = text(_RUNNING.format(source=source.format(where=where)))
+    made = text(_RUNNING.format(source=source.format(where=where, happened_at=HAPPENED_AT.format("l."))))
     return made.bindparams(bindparam("vehicles", expanding=True)) if where else made
 
 

@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -13,21 +14,26 @@ import paho.mqtt.client as mqtt
 import psutil
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion
-from sqlalchemy import Engine
+from sqlalchemy import Engine, select
 
+from clutch_model.calibration import nominal_calibration
 from demo.fleet.servers import PostgresServer
 from diag_service.diagnosis.records import shift_record
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
+from fleet_backend.schema import CALIBRATION
 from fleet_backend.writer import Batch, Writer
 from fleet_contract import Outgoing, shift_message
 from tests.plugins.broker import Mosquitto
+from tests.plugins.drives import SHIFT_COUNT
 from tests.support.fleet import fleet_result, row_of
 from tests.support.fleet_worker import Step, worker
+from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 from tests.support.poison import poison_messages
 from tests.support.resending_edge import ResendingEdge
+from tests.support.subscriber import Subscriber
 
 pytestmark = pytest.mark.broker
 
@@ -223,3 +229,28 @@ def test_a_worker_ends_well_when_it_is_told_to(tmp_path: Path, broker: Mosquitto
     log = (tmp_path / "worker-0.log").read_text(encoding="utf-8")
     assert "results committed" in log.splitlines()[-1]
     assert "Traceback" not in log
+
+
+def test_results_of_logs_tell_their_calibration_and_nothing_of_a_connection(
+    drive_log: Path, tmp_path: Path, broker: Mosquitto, engine: Engine
+) -> None:
+    at = datetime(2026, 1, 5, tzinfo=UTC)
+    live = {"service_version": "1", "algorithm_version": "a", "calibration_version": "live"}
+    Writer(engine).store(Batch(statuses=[{"vehicle": "car1", "is_online": True, "connected_at": at, **live}]))
+    with worker(tmp_path, broker.url, engine.url.render_as_string(hide_password=False)):
+        for name in ("car1", "car2"):
+            assert ended("analyze", drive_log, "--json", "--vehicle", name, "--broker", broker.url).status == 0
+        told = select(CALIBRATION.c.vehicle, CALIBRATION.c.content)
+        deadline_s = time.monotonic() + HANG_S
+        found: dict[str, str] = {}
+        while len(found) < 2 or queries.result_count(engine) < 2 * SHIFT_COUNT:
+            assert time.monotonic() < deadline_s
+            with engine.connect() as connection:
+                found = {str(vehicle): str(content) for vehicle, content in connection.execute(told)}
+    assert {json.loads(content)["vehicle_type"] for content in found.values()} == {nominal_calibration().name}
+    seen = {str(row["vehicle"]): row for row in queries.last_seen(engine)}
+    assert (bool(seen["car1"]["is_online"]), seen["car1"]["service_version"]) == (True, "1")
+    assert (seen["car2"]["is_online"], seen["car2"]["connected_at"]) == (None, None)
+    with Subscriber(broker.port) as late:
+        late.wait(lambda heard: bool(heard.payloads("car2/clutch/1")))
+        assert not late.payloads("car2/status")

@@ -191,6 +191,24 @@ def test_a_clock_that_was_ahead_hides_no_newer_results(engine: Engine) -> None:
     assert str(seen["last_result_at"]) < "2038"
 
 
+@pytest.mark.parametrize("is_first", [False, True])
+def test_an_old_log_that_is_analysed_now_hides_no_newer_results(engine: Engine, is_first: bool) -> None:
+    live = [row_of(fleet_result(seq, stream="b", produced_at="2026-01-05T00:00:00.000000Z")) for seq in range(1, 40)]
+    at = datetime(2024, 1, 1, tzinfo=UTC)
+    times = {"start_at": at, "end_at": at, "start_bus_ns": 1_704_067_200 * 10**9, "end_bus_ns": 1_704_067_201 * 10**9}
+    old = fleet_result(7, stream="a", condition=Condition.CHANGE_FLUID, produced_at="2026-01-07T00:00:00.000000Z")
+    batches = [[row_of(old) | times], live]
+    for rows in batches if is_first else batches[::-1]:
+        Writer(engine).store(Batch(shifts=rows))
+    assert [(one["stream"], one["seq"], one["condition"]) for one in queries.worst_first(engine)] == [("b", 39, "good")]
+    assert [(one.stream, one.condition) for one in all_clutches(engine)] == [("b", "good")]
+    assert [(one.stream, one.condition) for one in clutches_of(engine, ["car1"])] == [("b", "good")]
+    assert [row["stream"] for row in results_of(engine, "car1", 2)] == ["a", *["b"] * 39]
+    assert [row["stream"] for row in queries.trend(engine, "car1", 2, Axis.SHIFT)] == ["a", *["b"] * 39]
+    (seen,) = queries.last_seen(engine)
+    assert str(seen["last_result_at"]).startswith("2026-01-01")  # as the bus had it
+
+
 def told_by(vehicle: str, calibration_version: str) -> Batch:
     """Return what is stored of the status of a service whose vehicle was calibrated."""
     status = ServiceStatus(

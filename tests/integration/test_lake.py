@@ -4,6 +4,7 @@ import io
 import json
 import re
 import shutil
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -81,6 +82,62 @@ def _filled(logs: Path) -> Path:
 
 def files_in(place: Path) -> dict[str, int]:
     return {str(path.relative_to(place)): path.stat().st_mtime_ns for path in place.rglob("*") if path.is_file()}
+
+
+def manifest_row(number: int, account: str, **other: str) -> LogRow:
+    """Return the row of a log of which shifts are known."""
+    texts = {
+        "key": f"{'k' * 100}{number}",
+        "content": f"{number:064x}",
+        "settings": "s" * 64,
+        "signals": "",
+        "reason": "",
+    }
+    part = f"shifts/date=2026-01-01/vehicle=car{number % 10}/{number:032x}-{'s' * 16}.parquet"
+    return LogRow(
+        source=f"/logs/car{number % 10}/{number:06}.log",
+        size_bytes=1,
+        vehicle=f"car{number % 10}",
+        algorithm_version="a",
+        outcome=DONE,
+        shifts=3,
+        attempts=1,
+        parts=(part,),
+        account=account,
+        made_at="2026-01-01T00:00:00.000000Z",
+        **{"signals": "", "reason": ""} | texts | other,
+    )
+
+
+def test_a_manifest_holds_little_of_each_log_and_leaves_full_files_alone(tmp_path: Path) -> None:
+    """A year of 10,000 vehicles is 3.65 million logs."""
+    place, count = Place(str(tmp_path / "lake")), 2000
+    for first in range(0, count, 500):
+        rows = [manifest_row(number, "x" * 13_000) for number in range(first, first + 500)]
+        Manifest(place, 1000).add(rows)
+    Manifest(place, 1000).put_together()
+    assert len(files_in(tmp_path / "lake")) == 1
+    (whole,) = files_in(tmp_path / "lake")
+    tracemalloc.start()
+    manifest = Manifest(place, 1000)
+    held_bytes = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert held_bytes / count < 2000.0
+    manifest.add([manifest_row(7, "y", reason="again")])
+    manifest.add([manifest_row(count, "z")])
+    manifest.put_together()
+    assert len(files_in(tmp_path / "lake")) == 2
+    assert whole in files_in(tmp_path / "lake")
+    accounts = pq.read_table(tmp_path / "lake" / "manifest", columns=["source", "account"]).to_pylist()
+    assert [row["account"] for row in accounts if row["source"].endswith("000007.log")] == ["x" * 13_000, "y"]
+    again = Manifest(place, 1000)
+    assert {row.source: row.reason for row in again.rows if row.reason} == {"/logs/car7/000007.log": "again"}
+    assert len(again.rows) == count + 1
+    forget(place, "car7")
+    assert whole not in files_in(tmp_path / "lake")
+    left = pq.read_table(tmp_path / "lake" / "manifest").to_pylist()
+    assert (len(left), {row["vehicle"] for row in left}) == (count + 1 - 200, {f"car{n}" for n in range(10) if n != 7})
+    assert sum(len(row["account"]) for row in left) == 13_000 * (count - 200) + 1
 
 
 def test_a_part_depends_on_the_content_of_its_log_alone(logs: Path, tmp_path: Path) -> None:
