@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final
 
-from sqlalchemy import BigInteger, Connection, Engine, Select, bindparam, cast, func, select
+from sqlalchemy import BigInteger, Connection, Engine, Select, bindparam, cast, func, literal_column, select
 
 from fleet_backend.database import transaction
 from fleet_backend.months import CLUTCH_STREAM, has_partitions
 from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT, POPULATION
 from fleet_backend.page.records import Fill
-from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT, VEHICLE
+from fleet_backend.schema import FLUID_FILL, HAPPENED_AT, SHIFT_RESULT, VEHICLE, UtcDateTime
 from fleet_contract.orders import distinct
 
 _OWN: Final[Any] = bindparam("vehicle")
@@ -28,7 +28,7 @@ _STORED: Final = (
         SHIFT_RESULT.c.clutch,
         func.count(),
         func.max(SHIFT_RESULT.c.stored_at),
-        func.max(SHIFT_RESULT.c.produced_at),
+        func.max(literal_column(f"min(produced_at, stored_at, {HAPPENED_AT.format('')})", UtcDateTime())),
     )
     .where(SHIFT_RESULT.c.vehicle == _OWN)
     .group_by(SHIFT_RESULT.c.clutch)
@@ -60,7 +60,7 @@ class Stored:
     clutch: int
     result_count: int
     stored_at: datetime | None  # the last of them
-    produced_at: datetime | None  # the newest of them
+    produced_at: datetime | None  # the newest of them, or when it happened if that is earlier
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

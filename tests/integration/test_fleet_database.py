@@ -96,13 +96,14 @@ def test_a_newer_algorithm_supersedes_and_nothing_is_lost(engine: Engine) -> Non
 
 def test_the_running_condition_is_that_of_the_last_shift_of_the_newest_stream(engine: Engine) -> None:
     old = [row_of(fleet_result(seq, condition=WORN)) for seq in (1, 2)]
+    undated = {"start_bus_ns": 1, "end_bus_ns": 2}  # the bus has no date: it is ranked by when it was analysed
     new = [
         row_of(
             fleet_result(1, stream="stream-0", produced_at="2026-02-01T00:00:00.000000Z", condition=Condition.WATCH)
         ),
         row_of(fleet_result(2, stream="stream-0", produced_at="2026-01-31T00:00:00.000000Z")),  # the clock jumped
     ]
-    for row in (new[1], old[1], new[0], old[0]):
+    for row in (new[1] | undated, old[1], new[0] | undated, old[0]):
         Writer(engine).store(Batch(shifts=[row]))
     (record,) = queries.worst_first(engine)
     assert (record["stream"], record["seq"], record["condition"]) == ("stream-0", 2, "good")
@@ -247,7 +248,9 @@ def test_when_a_vehicle_was_last_heard_of_is_its_latest_result(engine: Engine) -
     results(engine)
     records = queries.last_seen(engine)
     assert [record["vehicle"] for record in records] == ["car0", "car1", "car2"]
-    assert {record["last_result_at"] for record in records} == {START + timedelta(seconds=80)}
+    assert {record["last_result_at"] for record in records} == {
+        START + timedelta(seconds=77.023456)
+    }  # bus
 
 
 def test_a_row_that_does_not_fit_takes_the_whole_batch_back(engine: Engine) -> None:
