@@ -248,9 +248,7 @@ def test_when_a_vehicle_was_last_heard_of_is_its_latest_result(engine: Engine) -
     results(engine)
     records = queries.last_seen(engine)
     assert [record["vehicle"] for record in records] == ["car0", "car1", "car2"]
-    assert {record["last_result_at"] for record in records} == {
-        START + timedelta(seconds=77.023456)
-    }  # bus
+    assert {record["last_result_at"] for record in records} == {START + timedelta(seconds=77.023456)}  # bus
 
 
 def test_a_row_that_does_not_fit_takes_the_whole_batch_back(engine: Engine) -> None:
