@@ -60,7 +60,7 @@ _EARLIER: Final = re.compile(
 _EARLIER_WORDS: Final = {
     "its fluid is sound": "its friction is sound",
     "its fluid lets it shudder": "it can shudder",
-    "50 % of its margin against shudder are gone": "half of its margin against shudder is gone",
+    "50 % of its margin against shudder are gone": "more than half of its margin against shudder is gone",
 }
 
 

@@ -80,7 +80,7 @@ _WHAT: Final = {
     Cause.SHUDDER: "it can shudder",
     Cause.LEVEL_LOW: f"its friction is below {_PERCENT * CHANGE_LEVEL_RATIO:.0f} % of new",
     Cause.LOSS_LARGE: f"it has lost more than {_PERCENT * (1.0 - CHANGE_LEVEL_RATIO):.0f} % of its own friction",
-    Cause.MARGIN_THIN: "half of its margin against shudder is gone",
+    Cause.MARGIN_THIN: "more than half of its margin against shudder is gone",
     Cause.LEVEL_FALLING: f"its friction is below {_PERCENT * WATCH_LEVEL_RATIO:.0f} % of new",
     Cause.LOSS_BEGUN: f"it has lost more than {_PERCENT * (1.0 - WATCH_LEVEL_RATIO):.0f} % of its own friction",
 }

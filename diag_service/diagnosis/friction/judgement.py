@@ -6,7 +6,7 @@ least is believed.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -205,8 +205,11 @@ def _saved(joint: FloatArray) -> float:
 
 STEP_COST: Final = 55.0  # more than two events that are left out, less than three
 SMALL_STEP_COST: Final = 24.0  # of a change for which none is left out: by chance two numbers more save 24 in 6e-6
+LEAST_SCATTER: Final = 0.18  # of the variance that events are granted: they count as differing by no less
+SCATTER_COUNT: Final = 8  # of events that show by how much they differ
+PLAIN_STEP_RATIO: Final = 0.04  # of mu_C: a smaller change, against the scatter of a few events, is none
 STEP_COUNT: Final = 3  # of the newest events of a clutch, which agree that it has changed
-STEP_COUNTS: Final = (3, 4)  # of events since a change that is too small for any of them to be left out
+STEP_COUNTS: Final = (3, 4, 5, 6)  # of events since a change that is too small for any of them to be left out
 _PRIOR: Final = np.eye(2) / FRICTION_PRIOR_STD**2  # information on a step
 
 
@@ -232,25 +235,18 @@ class Judgement:
 def judge(base: Knowledge, events: Sequence[JudgedEvent]) -> Judgement:
     """Return what is believed of events, the oldest first, given what was known before them."""
     best = selected(base, [event.evidence for event in events])
-    judged = _believed(base, events, best)
-    known = judged.fusion.knowledge
-    for first in _where_changed(events, best.is_used):
-        judged = min(judged, _with_change(base, events, first, STEP_COST), key=lambda one: one.cost)
-    for first in _where_stepped(events, best, known):
-        judged = min(judged, _with_change(base, events, first, SMALL_STEP_COST), key=lambda one: one.cost)
+    fusion = fuse(base, together(events, best.is_used))
+    judged = Judgement(fusion=fusion, is_used=best.is_used, cost=best.cost)
+    for first, cost in (*_where_changed(events, best.is_used), *_where_stepped(events, best, fusion.knowledge)):
+        judged = min(judged, _with_change(base, events, first, cost), key=lambda one: one.cost)
     return judged
 
 
-def _believed(base: Knowledge, events: Sequence[JudgedEvent], selection: Selection) -> Judgement:
-    """Return what a selection of the events and what was known before say together."""
-    fusion = fuse(base, together(events, selection.is_used))
-    return Judgement(fusion=fusion, is_used=selection.is_used, cost=selection.cost)
-
-
-def _where_stepped(events: Sequence[JudgedEvent], best: Selection, known: Knowledge) -> Iterator[int]:
+def _where_stepped(events: Sequence[JudgedEvent], best: Selection, known: Knowledge) -> Iterator[tuple[int, float]]:
     """Yield events of the clutch of the newest one from where on another friction explains what is used much better.
 
-    ``known`` is what the used events say together with what was known before.
+    Beside each stands what such a change costs: less where events differ by less than they are granted, as in cool oil.
+    ``known`` is what is believed without one.
     """
     if not events:
         return
@@ -258,23 +254,37 @@ def _where_stepped(events: Sequence[JudgedEvent], best: Selection, known: Knowle
     rows = [row for row, event in enumerate(events) if event.clutch == clutch and best.is_used[row]]
     for count in STEP_COUNTS:
         if len(rows) >= count:
-            first = rows[-count]
-            since = together(events[first:], best.is_used[first:])
-            if saved_by_step(known, since, clutch) > SMALL_STEP_COST:
-                yield first
+            first, cost = rows[-count], SMALL_STEP_COST
+            saved, ratio = step_since(known, together(events[first:], best.is_used[first:]), clutch)
+            if LEAST_SCATTER * cost < saved < cost and abs(ratio) > PLAIN_STEP_RATIO:
+                cost *= _scatter(events, best, known, saved)
+            if saved > cost:
+                yield first, cost
 
 
-def saved_by_step(known: Knowledge, since: Evidence, clutch: int) -> float:
+def _scatter(events: Sequence[JudgedEvent], best: Selection, known: Knowledge, saved: float) -> float:
+    """Return by which part of the variance that they are granted the used events differ, but for a step."""
+    used = [event for event, is_used in zip(events, best.is_used, strict=True) if is_used]
+    if len(used) < SCATTER_COUNT:
+        return 1.0
+    apart = sum(step_since(known, event.evidence, event.clutch)[0] for event in used)
+    return min(max((apart - saved) / (2 * len(used) - 2), LEAST_SCATTER), 1.0)
+
+
+def step_since(known: Knowledge, since: Evidence, clutch: int) -> tuple[float, float]:
     """Return what chi-square would lose if the friction of a clutch had changed right before some of the events.
 
-    The least over that step and all parameters, by Schur's complement of the parameters: chi-square is quadratic.
+    The least over that step and all parameters, by Schur's complement of the parameters: chi-square is quadratic. The
+    second number is the part of mu_C by which it would have changed.
     """
     rows = FRICTION_ROWS[clutch - 1]
     by_step = since.matrix[rows]
     gradient = since.vector[rows] - by_step @ known.mean
     (a, b), (c, d) = (by_step[:, rows] - by_step @ known.covariance @ by_step.T + _PRIOR).tolist()
     first, second = gradient.tolist()
-    return float((d * first**2 - (b + c) * first * second + a * second**2) / (a * d - b * c))
+    determinant = a * d - b * c
+    saved = (d * first**2 - (b + c) * first * second + a * second**2) / determinant
+    return saved, (d * first - b * second) / determinant / float(known.mean[rows.start])
 
 
 def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int, step_cost: float) -> Judgement:
@@ -284,8 +294,8 @@ def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int, ste
     before = fuse(base, together(older, until.is_used)).knowledge
     known = after_change(before, newer[0].clutch)
     since = selected(known, [event.evidence for event in newer])
-    return replace(
-        _believed(known, newer, since),
+    return Judgement(
+        fusion=fuse(known, together(newer, since.is_used)),
         is_used=(*until.is_used, *since.is_used),
         cost=until.cost + since.cost + step_cost,
         first_changed=first,
@@ -298,22 +308,17 @@ def together(events: Sequence[JudgedEvent], is_used: Sequence[bool]) -> Evidence
 
 def after_change(known: Knowledge, clutch: int) -> Knowledge:
     """Return what is known once the friction of a clutch has changed by nobody knows how much."""
-    return known.less_sure(friction_variance(clutch, FRICTION_PRIOR_STD**2))
-
-
-def friction_variance(clutch: int, variance: float) -> FloatArray:
-    """Return a variance for the friction of one clutch, none for all else, shape (PARAMETER_COUNT,)."""
     added = np.zeros(PARAMETER_COUNT)
-    added[FRICTION_ROWS[clutch - 1]] = variance
-    return added
+    added[FRICTION_ROWS[clutch - 1]] = FRICTION_PRIOR_STD**2
+    return known.less_sure(added)
 
 
-def _where_changed(events: Sequence[JudgedEvent], is_used: Sequence[bool]) -> Iterator[int]:
+def _where_changed(events: Sequence[JudgedEvent], is_used: Sequence[bool]) -> Iterator[tuple[int, float]]:
     """Yield events before which their clutch may have changed: its newest are all left out, or all before them are."""
     for clutch in (1, 2):
         rows = [row for row, event in enumerate(events) if event.clutch == clutch]
         used = [is_used[row] for row in rows]
         if not any(used[-STEP_COUNT:]) and len(rows) >= STEP_COUNT:
-            yield rows[max((place + 1 for place, is_in in enumerate(used) if is_in), default=0)]
+            yield rows[max((place + 1 for place, is_in in enumerate(used) if is_in), default=0)], STEP_COST
         if not any(used[:STEP_COUNT]) and all(used[-STEP_COUNT:]) and len(rows) >= 2 * STEP_COUNT:
-            yield rows[used.index(True)]
+            yield rows[used.index(True)], STEP_COST

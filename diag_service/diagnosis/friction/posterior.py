@@ -588,11 +588,12 @@ _LEARNT: Final = np.array((
 ))  # fmt: skip
 """What ordinary shifts tell; gain of torque and piston areas they do not."""
 _AMONG_NUISANCES: Final = (_LEARNT - FRICTION_COUNT).tolist()
+_KNOWN_STDS: Final = (0.8, 2.4e3, 2.4e3, 500.0, 500.0, 0.03, 8e-4, 1.4e-3)  # a type that is known like this is known
 
 
 def calibration_ratio(state: Posterior, calibration: Calibration) -> float:
     """Return by how much the deviations of sensors, oil and latencies have shrunk from those of the type, 0 to 1."""
     variances, stds = state.fusion.knowledge.covariance[_LEARNT, _LEARNT].tolist(), type_std(calibration)
-    of_type = [stds[row] for row in _AMONG_NUISANCES]
-    left = [math.sqrt(now) / std if std else 0.0 for now, std in zip(variances, of_type, strict=True)]
+    rows = zip(variances, (stds[row] for row in _AMONG_NUISANCES), _KNOWN_STDS, strict=True)
+    left = [math.sqrt(now) / std if std > known else 0.0 for now, std, known in rows]
     return sum(1.0 - min(one, 1.0) for one in left) / len(left)

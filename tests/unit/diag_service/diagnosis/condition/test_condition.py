@@ -1,6 +1,6 @@
 """The verdict, its thresholds and its hysteresis."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -340,6 +340,14 @@ def test_what_all_vehicles_of_a_type_have_alike_is_known() -> None:
     )
     state = replace(Posterior.fresh(alike), folded_counts=(5, 5))
     assert judge(ConditionMemory.fresh(), state, 1, alike)[1].calibration_ratio == pytest.approx(2.0 / 8.0)
+
+
+def test_a_calibration_that_knows_all_that_driving_tells_is_not_called_calibrating() -> None:
+    scatter = {one.name: 0.03 * getattr(CALIBRATION.uncertainty, one.name) for one in fields(CALIBRATION.uncertainty)}
+    known = replace(CALIBRATION, uncertainty=replace(CALIBRATION.uncertainty, **scatter))
+    _, verdict = judge(ConditionMemory.fresh(), replace(Posterior.fresh(known), folded_counts=(5, 5)), 1, known)
+    assert verdict.calibration_ratio == 1.0
+    assert "calibrating" not in verdict.reason
 
 
 def modelled(state: Posterior) -> ClutchVerdict:

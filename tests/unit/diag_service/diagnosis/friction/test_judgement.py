@@ -21,7 +21,7 @@ from diag_service.diagnosis.friction.evidence import (
     prior_covariance,
     prior_mean,
 )
-from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, judge, saved_by_step
+from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, judge, step_since
 
 STD = 0.001  # of friction seen in one event
 MU = np.array([0.140, 0.120])
@@ -40,13 +40,13 @@ def base() -> Knowledge:
     return Knowledge(mean=mean, covariance=prior_covariance(calibration))
 
 
-def event(number: int, clutch: int, mu: FloatArray, rng: np.random.Generator) -> JudgedEvent:
+def event(number: int, clutch: int, mu: FloatArray, rng: np.random.Generator, std: float = STD) -> JudgedEvent:
     """Return an event that saw friction ten times over and nothing else."""
     slope = np.zeros((20, PARAMETER_COUNT))
     slope[:, FRICTION_ROWS[clutch - 1]] = np.tile(np.eye(2), (10, 1))
-    noise = np.eye(20) * (10.0 * STD**2)
+    noise = np.eye(20) * (10.0 * std**2)
     at = base().mean
-    seen = np.tile(mu, 10) + rng.normal(size=20) * np.sqrt(10.0) * STD
+    seen = np.tile(mu, 10) + rng.normal(size=20) * np.sqrt(10.0) * std
     residual = seen - slope @ at
     measured = Measurement(residual=residual, slope=slope, noise=noise)
     return JudgedEvent(clutch=clutch, end_ns=number, evidence=Evidence.of([measured], at))
@@ -107,6 +107,25 @@ def test_a_change_too_small_for_any_event_to_be_left_out_is_followed_as_well(lev
     assert changed.fusion.knowledge.mean[:2] == pytest.approx(level * MU, abs=4.0 * STD)
 
 
+@pytest.mark.parametrize(
+    ("level", "scatter", "changed"),
+    [(1.06, 0.2, 8), (0.94, 0.2, 8), (1.06, 1.0, None), (1.03, 0.2, None), (1.0, 0.2, None)],
+)
+def test_where_events_differ_by_less_than_they_are_granted_a_plain_change_costs_less(
+    level: float, scatter: float, changed: int | None
+) -> None:
+    rng = np.random.default_rng(2)
+    granted = (0.6 * abs(level - 1.0) + 0.001) * MU[0]
+    quiet = cast("np.random.Generator", Quiet())
+    seen = [
+        event(number, 1, (level if number > 8 else 1.0) * MU + scatter * granted * rng.normal(size=2), quiet, granted)
+        for number in range(1, 13)
+    ]
+    judged = judge(base(), seen)
+    assert judged.first_changed == changed
+    assert all(judged.is_used)
+
+
 @pytest.mark.parametrize("clutch", [1, 2])
 def test_what_a_step_saves_is_what_knowledge_before_and_after_it_says(clutch: int) -> None:
     rng = np.random.default_rng(clutch)
@@ -127,7 +146,7 @@ def test_what_a_step_saves_is_what_knowledge_before_and_after_it_says(clutch: in
     before, since = Evidence.sum(evidences[:4]), Evidence.sum(evidences[4:])
     together, first = fuse(base(), before.plus(since)), fuse(base(), before)
     changed = fuse(after_change(first.knowledge, clutch), since)
-    saved = saved_by_step(together.knowledge, since, clutch)
+    saved, _ = step_since(together.knowledge, since, clutch)
     assert saved == pytest.approx(together.chi_square - first.chi_square - changed.chi_square, rel=1e-6)
 
 
