@@ -248,14 +248,11 @@ def _where_stepped(events: Sequence[JudgedEvent], best: Selection, known: Knowle
     Beside each stands what such a change costs: less where events differ by less than they are granted, as in cool oil.
     ``known`` is what is believed without one.
     """
-    if not events:
-        return
-    clutch = events[-1].clutch
-    rows = [row for row, event in enumerate(events) if event.clutch == clutch and best.is_used[row]]
+    rows = [row for row, event in enumerate(events) if event.clutch == events[-1].clutch and best.is_used[row]]
     for count in STEP_COUNTS:
         if len(rows) >= count:
             first, cost = rows[-count], SMALL_STEP_COST
-            saved, ratio = step_since(known, together(events[first:], best.is_used[first:]), clutch)
+            saved, ratio = step_since(known, together(events[first:], best.is_used[first:]), events[-1].clutch)
             if LEAST_SCATTER * cost < saved < cost and abs(ratio) > PLAIN_STEP_RATIO:
                 cost *= _scatter(events, best, known, saved)
             if saved > cost:
