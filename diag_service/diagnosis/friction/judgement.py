@@ -243,11 +243,7 @@ def judge(base: Knowledge, events: Sequence[JudgedEvent]) -> Judgement:
 
 
 def _where_stepped(events: Sequence[JudgedEvent], best: Selection, known: Knowledge) -> Iterator[tuple[int, float]]:
-    """Yield events of the clutch of the newest one from where on another friction explains what is used much better.
-
-    Beside each stands what such a change costs: less where events differ by less than they are granted, as in cool oil.
-    ``known`` is what is believed without one.
-    """
+    """Yield from where on the newest one's clutch may have another friction than is ``known``, and what that costs."""
     rows = [row for row, event in enumerate(events) if event.clutch == events[-1].clutch and best.is_used[row]]
     for count in STEP_COUNTS:
         if len(rows) >= count:
