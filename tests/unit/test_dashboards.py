@@ -12,6 +12,7 @@ from tests.support.grafana import DASHBOARDS, FOLDER, ROOT, Query, Table
 from tests.support.histories import history
 from tests.support.image.compose import read_compose
 from tests.support.prometheus import RULES, Samples, recorded
+from tests.tools import metrics_page
 from tests.unit.diag_service.service.test_metrics import FILL, families, snapshot
 
 SOURCES = {one["uid"]: one for one in grafana.yaml(FOLDER / "provisioning/datasources/clutchdiag.yml")["datasources"]}
@@ -125,6 +126,7 @@ def test_the_page_lists_every_metric(last: Samples) -> None:
     listed = set(re.findall(r"^\| `(clutchdiag_\w+)`", page, re.MULTILINE))
     listed = {name for name in listed if not name.startswith(OF_THE_FLEET)}
     assert listed == {name for name, _ in last} | OFTEN_NONE
+    assert metrics_page.written(page) == page
 
 
 def test_macros_and_variables_are_filled_in_as_grafana_does() -> None:
