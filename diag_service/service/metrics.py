@@ -88,6 +88,10 @@ def _of_shifts(snapshot: Snapshot) -> Iterator[Metric]:
     qualities = [result.estimate.data_quality for result in snapshot.recent if result.estimate.data_quality is not None]
     if qualities:
         yield gauge("last_shift_trust", "Trust in the last shift, 0..1.", qualities[-1].score)
+    kept = [result.estimate.shift_quality for result in snapshot.recent]
+    scores = [quality.score for quality in kept if quality is not None and quality.score is not None]
+    if scores:
+        yield gauge("last_shift_score", "How well the last gear change went, 0..100.", scores[-1])
 
 
 def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:

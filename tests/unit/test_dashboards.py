@@ -1,12 +1,14 @@
 """The shipped dashboards, data sources and alert rules fit each other, docker-compose.yml, metrics and their page."""
 
 import re
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
 
 import pytest
 
+from diag_service.diagnosis.records import ShiftQuality
 from tests.support import grafana
 from tests.support.grafana import DASHBOARDS, FOLDER, ROOT, Query, Table
 from tests.support.histories import history
@@ -111,9 +113,11 @@ def test_every_metric_that_is_asked_for_is_served(last: Samples) -> None:
 
 
 def test_the_recording_is_of_todays_metrics(last: Samples) -> None:
+    *earlier, last_one = history(60)
+    scored = replace(last_one, estimate=replace(last_one.estimate, shift_quality=ShiftQuality(score=80.0)))
     served = {
         (sample.name, *sorted(sample.labels))
-        for family in families(snapshot(*history(60), fluid=FILL))
+        for family in families(snapshot(*earlier, scored, fluid=FILL))
         for sample in family.samples
     }
     known = {(name, *sorted(label for label, _ in labels)) for name, labels in last}

@@ -17,10 +17,10 @@ from canlog.frames import BusTrouble, FrameBatch
 from canlog.live import BusState, BusStatus, SourceCounts
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.condition.verdict import Cause, advice
-from diag_service.diagnosis.records import Condition
+from diag_service.diagnosis.records import Condition, ShiftQuality
 from diag_service.errors import ConfigError
 from diag_service.service.bus_run import Monitor, screen
-from diag_service.service.metrics import serving
+from diag_service.service.metrics import families, serving
 from diag_service.service.session import Stage, Stuck
 from diag_service.service.snapshot import SILENT_S, STALE_S, Board, RateMeter, Snapshot, SnapshotTaker
 from diag_service.settings.config import ListenAddress, parse_listen_address
@@ -159,6 +159,20 @@ def test_metrics_carry_the_snapshot(url: str) -> None:
     assert samples["clutchdiag_shifts_total", "rejected"] == 2.0
     assert samples["clutchdiag_shift_reasons_total", "signal_missing"] == 2.0
     assert samples["clutchdiag_last_shift_trust",] == 0.0
+
+
+def test_the_score_of_the_last_gear_change_is_told(snapshot: Snapshot) -> None:
+    def told(*qualities: ShiftQuality | None) -> list[float]:
+        results = [shift_result(seq) for seq in range(len(qualities))]
+        recent = tuple(
+            replace(result, estimate=replace(result.estimate, shift_quality=quality))
+            for result, quality in zip(results, qualities, strict=True)
+        )
+        found = families(replace(snapshot, recent=recent))
+        return [one.value for family in found if family.name == "clutchdiag_last_shift_score" for one in family.samples]
+
+    assert told(ShiftQuality(score=20.0), ShiftQuality(score=80.0), ShiftQuality(score=None), None) == [80.0]
+    assert told(ShiftQuality(score=None)) == told(None) == told() == []
 
 
 def test_health_follows_the_snapshot(snapshot: Snapshot) -> None:
