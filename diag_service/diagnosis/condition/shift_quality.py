@@ -302,19 +302,21 @@ def _speeds_told(
 ) -> tuple[float, float, float]:
     """Return flare [rad/s], when slip ended [s], and how fast it did [rad/s2]."""
     engine, on, off = rows[_ENGINE], rows[_ON], rows[_OFF]
-    flare, peak, at = np.nan, 0.0, -1
+    flare, peak, at, skew = np.nan, 0.0, -1, round(skew_s / GRID_S)
     for row in range(first, stop):
         slip = abs(engine[row] - on[row])
         if slip > peak:
             peak, at = slip, row
         if is_handover:
-            beyond, within = 0.0, row - 1
-            for place in range(within, within + 3):
-                low, high = min(on[place], off[place]), max(on[place], off[place])
-                beyond += max(engine[place] - high, low - engine[place], 0.0) / 3.0
-            beyond -= skew_s * abs(engine[row + 1] - engine[row - 1]) / (2.0 * GRID_S)
-            beyond = max(beyond, 0.0) if not math.isnan(beyond) else beyond
-            flare = beyond if beyond >= 0.0 and not flare > beyond else flare
+            least = np.inf
+            for apart in range(-skew, skew + 1):
+                beyond = 0.0
+                for place in range(row - 1, row + 2):
+                    low, high = min(on[place], off[place]), max(on[place], off[place])
+                    one = engine[min(max(place + apart, 0), len(engine) - 1)]
+                    beyond += max(one - high, low - one, 0.0) / 3.0
+                least = min(least, beyond)
+            flare = least if least < np.inf and not flare > least else flare
     if at < 0 or peak < SLIP_RAD_S:
         return flare, np.nan, np.nan
     row, sign = at, 1.0 if engine[at] > on[at] else -1.0

@@ -154,6 +154,27 @@ def test_ratios_stand_in_for_shafts_that_no_signal_tells() -> None:
     assert quality(given).flare_rad_s is None
 
 
+def test_columns_that_are_a_row_apart_make_no_flare() -> None:
+    gears = GearRatios(over=Signal.OUTPUT_SPEED, ratios=(3.0, 2.4))
+    swing = 15.0 * np.sin(50.0 * T_S) * (T_S > LOCKED_S)  # of a locked driveline, 8 Hz
+    given = event(INPUT1_SPEED=None, INPUT2_SPEED=None, ENGINE_SPEED=ENGINE + swing)
+    rows = slice(None, None, 4)  # a row takes 0.04 s, and the output speed is asked for 0.03 s after the engine's
+    times_s = T_S[rows]
+    late = Series(
+        t_ns=START_NS + np.rint(times_s * 1e9).astype(np.int64),
+        sequence=np.arange(len(times_s)),
+        value=(NEW_RAD_S + 15.0 * np.sin(50.0 * (times_s - 0.03)) * (times_s > LOCKED_S)) / 2.4,
+    )
+    found = quality(replace(given, columns={**given.columns, Signal.OUTPUT_SPEED: late}), gears)
+    assert found.flare_rad_s is not None
+    assert found.flare_rad_s < 6.0  # 20 as the columns stand
+    runs_away = ENGINE + 30.0 * np.exp(-(((T_S - 0.4) / 0.1) ** 2))
+    flaring = event(INPUT1_SPEED=None, INPUT2_SPEED=None, ENGINE_SPEED=runs_away)
+    found = quality(replace(flaring, columns={**flaring.columns, Signal.OUTPUT_SPEED: late}), gears)
+    assert found.flare_rad_s is not None
+    assert found.flare_rad_s > 20.0
+
+
 def test_what_is_no_gear_change_has_no_score_and_what_was_broken_off_nothing() -> None:
     launch = replace(event(), kind=EventKind.LAUNCH, from_gear=2)
     found = quality(launch)

@@ -1,0 +1,70 @@
+"""A control that has something wrong shifts worse, is told what, and shifts as before once that is adapted."""
+
+from statistics import fmean
+
+import pytest
+
+from benchmarks.shift_quality import Case, driven, scenario_of, scored, true_fills_s
+from clutch_model.calibration import clutch_of_gear
+from diag_service.diagnosis.records import ShiftEstimate
+from ecu_emulator.drive.build import build_vehicle
+from ecu_emulator.scenario.scenario import Scenario
+
+SEED = 7
+SOUND = scenario_of(Case(kind="none", step=0.0, seed=SEED))
+
+
+def touch_pa(scenario: Scenario) -> tuple[float, float]:
+    first, second = build_vehicle(scenario).calibration.clutches
+    return first.touch_pressure_pa, second.touch_pressure_pa
+
+
+def mean_score(estimates: list[ShiftEstimate]) -> float:
+    return fmean(score for *_, score in scored(estimates))
+
+
+@pytest.fixture(scope="module", name="sound")
+def _sound() -> float:
+    return mean_score(driven(SOUND, touch_pa(SOUND)))
+
+
+@pytest.mark.parametrize("error_pa", [-0.25e5, 0.25e5])
+def test_a_wrong_touch_point_is_named_and_adapted(sound: float, error_pa: float) -> None:
+    true_pa = touch_pa(SOUND)
+    believed_pa = true_pa[0] + error_pa, true_pa[1] + error_pa
+    estimates = driven(SOUND, believed_pa)
+    found = {clutch_of_gear(one.to_gear): quality for one, quality, _ in scored(estimates)}
+    named = []
+    for clutch in (1, 2):
+        error, std = found[clutch].touch_error_pa, found[clutch].std_touch_error_pa
+        assert error is not None
+        assert std is not None
+        assert abs(error + error_pa) < 3.0 * std < 0.2e5
+        assert "touch_error_pa" in found[clutch].corrections
+        named.append(error)
+    assert mean_score(estimates) < sound - 8.0
+    adapted = driven(SOUND, (believed_pa[0] + named[0], believed_pa[1] + named[1]))
+    assert mean_score(adapted) > sound - 3.0
+
+
+def test_a_clutch_that_is_filled_too_little_is_told_by_how_much(sound: float) -> None:
+    scenario = scenario_of(Case(kind="filled too little, share", step=-0.4, seed=SEED))
+    estimates = driven(scenario, touch_pa(scenario))
+    assert mean_score(estimates) < sound - 8.0
+    truths = true_fills_s(scenario, touch_pa(scenario))
+    pairs = [
+        (quality.fill_error_s, quality.std_fill_error_s, truth)
+        for (_, quality, _), truth in zip(scored(estimates), truths, strict=True)
+    ]
+    assert max(truths) > 0.05
+    for error_s, std_s, truth_s in pairs:
+        assert error_s is not None
+        assert std_s is not None
+        assert abs(error_s - truth_s) < 3.0 * std_s
+
+
+def test_clutches_that_overlap_too_far_work_against_each_other(sound: float) -> None:
+    scenario = scenario_of(Case(kind="overlap too large, Nm", step=60.0, seed=SEED))
+    found = scored(driven(scenario, touch_pa(scenario)))
+    assert fmean(score for *_, score in found) < sound - 8.0
+    assert sum("tie_up_nm" in quality.reasons for _, quality, _ in found) >= 8  # of ten
