@@ -35,7 +35,7 @@ MAP_PA = 0.05e5  # rms: beyond it the command is no straight line of the torque
 PULSE_PA = 1.0e5  # above the touch point, with no torque asked for: the clutch is being filled
 FILLED_ROWS = 4  # before torque is asked for, whose mean pressure tells how full the cavity is
 PRESSURE_PA = 5.0e3  # of a reading, one deviation
-FLOW_STD_RATIO = 0.1  # how well the mean flow of a pulse stands for that of its last milliseconds
+FLOW_STD_RATIO = 0.2  # how well the flow of a pulse is known: of readings, and for its last milliseconds
 LEAST_CHANGE: Final = {"touch_error_pa": 2.0e3, "fill_error_s": 0.04}  # a smaller one mends nothing that is felt
 USUAL_S = 1.2  # from the request to the end of slip [C]
 INTENDED_S: Final = {EventKind.COAST_SKIP: 1.8, EventKind.POWER_ON_SKIP: 1.8, EventKind.KICKDOWN: 1.5}  # other kinds
@@ -117,7 +117,7 @@ class _Found(NamedTuple):
     believed_pa: float = math.nan  # the touch point by which the control commands pressures
     believed_std_pa: float = math.nan
     share: float = math.nan  # of the cavity that is full as torque is asked for; above 1: it was too early
-    pulse_s: float = math.nan  # for how long it was being filled
+    fill_s: float = math.nan  # that a whole filling takes at the flow of this one
     early_s: float = math.nan  # by which it was full before the pulse ended; 0: it was not
 
 
@@ -207,7 +207,7 @@ class ShiftScorer:
         if math.isfinite(found.believed_pa):
             adaptable["touch_error_pa"] = touch_pa - found.believed_pa, math.hypot(std_pa, found.believed_std_pa)
         if math.isfinite(found.share):
-            s_per_share = found.pulse_s / max(found.share, 0.1)
+            s_per_share = found.fill_s
             longer_s = -found.early_s if found.share >= 1.0 else (1.0 - found.share) * s_per_share
             read_std = math.hypot(std_pa, PRESSURE_PA / math.sqrt(FILLED_ROWS)) / self._packs[on].stroke_pa
             adaptable["fill_error_s"] = longer_s, math.hypot(read_std * s_per_share, FLOW_STD_RATIO * longer_s, GRID_S)
@@ -399,7 +399,7 @@ def _map_told(rows: FloatArray, stop: int) -> tuple[float, float]:
 def _fill_told(
     rows: FloatArray, first: int, stop: int, touch_pa: float, stroke_pa: float
 ) -> tuple[float, float, float]:
-    """Return how full the cavity is as torque is asked for, for how long it was filled, and how much too long [s]."""
+    """Return how full the cavity is as torque is asked for, how long all of it takes, and how much was too long [s]."""
     command, asked, pressure = rows[_COMMAND], rows[_ASKED], rows[_PRESSURE_ON]
     row, pulse, ended, full = first, 0, first, -1
     while row < stop and not (asked[row] >= ASKED_NM and pulse > 0):
@@ -412,8 +412,10 @@ def _fill_told(
         return np.nan, np.nan, np.nan
     if full >= 0:
         return 1.0, pulse * GRID_S, max((ended - full) * GRID_S, 0.0)
+    last = min(ended + 1 + FILLED_ROWS, row)  # a valve goes on for a moment
+    at_end = 1.0 - max(touch_pa - _mean(pressure, last - FILLED_ROWS, last), 0.0) / stroke_pa
     short_pa = touch_pa - _mean(pressure, row - FILLED_ROWS, row)
-    return 1.0 - max(short_pa, 0.0) / stroke_pa, pulse * GRID_S, 0.0
+    return 1.0 - max(short_pa, 0.0) / stroke_pa, pulse * GRID_S / max(at_end, 0.1), 0.0
 
 
 @array_kernel
@@ -433,8 +435,8 @@ def _measure(
     hole, jerk = _car_told(rows[_SLOPE], first, stop)
     tie_up, energy_on, energy_off = _loads_told(rows, first, stop, is_handover, touch_pa, torque_nm_pa)
     believed, believed_std = _map_told(rows, stop)
-    share, pulse_s, early_s = _fill_told(rows, first, stop, touch_pa[0], stroke_pa)
+    share, fill_s, early_s = _fill_told(rows, first, stop, touch_pa[0], stroke_pa)
     return (
-        flare, locked_s, lock_rate, hole, jerk, tie_up, energy_on, energy_off, believed, believed_std, share, pulse_s,
+        flare, locked_s, lock_rate, hole, jerk, tie_up, energy_on, energy_off, believed, believed_std, share, fill_s,
         early_s,
     )  # fmt: skip
