@@ -1,6 +1,6 @@
 """A live run for machines: Prometheus metrics and health checks over HTTP, in threads of their own."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
 from http import HTTPStatus
@@ -90,8 +90,8 @@ def _of_shifts(snapshot: Snapshot) -> Iterator[Metric]:
         yield gauge("last_shift_trust", "Trust in the last shift, 0..1.", qualities[-1].score)
     kept = [result.estimate.shift_quality for result in snapshot.recent]
     scores = [quality.score for quality in kept if quality is not None and quality.score is not None]
-    if scores:
-        yield gauge("last_shift_score", "How well the last gear change went, 0..100.", scores[-1])
+    last: Mapping[tuple[str, ...], float] = {(): scores[-1]} if scores else {}
+    yield gauge("last_shift_score", "How well the last gear change went, 0..100.", last)
 
 
 def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
