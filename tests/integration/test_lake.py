@@ -195,7 +195,7 @@ def test_the_questions_of_page_and_example_have_answers(filled: Path, monkeypatc
     with duckdb.connect() as lake_engine:
         lake_engine.execute(views)
         tables = [lake_engine.sql(question).to_arrow_table() for question in questions]
-    assert tables[2].to_pylist() == attention
+    assert sorted(tables[2].to_pylist(), key=str) == sorted(attention, key=str)  # equal ratios have no order
     answers = [[tuple(row.values()) for row in table.to_pylist()] for table in tables]
     overview, failed, _, trend, _, minutes, _, warm, versions, signals = answers
     assert [(row[0], row[3], row[4]) for row in overview] == [("car1", 2, 2 * SHIFT_COUNT), ("car2", 1, SHIFT_COUNT)]
