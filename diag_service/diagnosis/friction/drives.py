@@ -424,7 +424,9 @@ def slip_window(
 def _sure_slip(signals: AlignedSignals, slip_rad_s: FloatArray) -> FloatArray:
     """Return slips, zero where speeds of one row may be apart by as much as they change until the next."""
     engine_rad_s = signals.engine_speed.on_grid
-    both_rad_s = np.concatenate((engine_rad_s[None], engine_rad_s - slip_rad_s))  # the shafts, too
+    both_rad_s = engine_rad_s[None]
+    if signals.engine_speed.curve is not None:  # one table: columns of one row are up to a row apart, the shafts', too
+        both_rad_s = np.concatenate((both_rad_s, engine_rad_s - slip_rad_s))
     changing_rad_s = np.abs(np.gradient(both_rad_s, GRID_S, axis=1)).max(axis=0) * signals.row_s
     return np.where(np.abs(slip_rad_s) > changing_rad_s + SLIP_MIN_RAD_S, slip_rad_s, 0.0)
 
