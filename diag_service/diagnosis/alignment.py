@@ -1,7 +1,7 @@
 """The signals of one event on one clock and one even grid: when samples were taken, and what they read in between."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from canlog.jit import array_kernel, kernel
 from clutch_model.calibration import Calibration, SensorNoise
-from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
 from diag_service.diagnosis.events import Event
 
 NS_TO_S = 1e-9
@@ -384,6 +384,17 @@ def _expected_pa(event: Event, command: Signal, grid_s: FloatArray) -> FloatArra
     _free_of_jitter(series.t_ns, series.sequence, event.start_ns, series.period_ns * NS_TO_S, times_s)
     _lag_behind(times_s, series.value, grid_s, GRID_S / COMMAND_LAG_S, expected_pa)
     return expected_pa
+
+
+def readings(columns: Columns, signals: Iterable[Signal], origin_ns: int, at_s: FloatArray) -> dict[Signal, FloatArray]:
+    """Return what signals read at rising times after a moment, without those of fewer than two samples."""
+    found = {}
+    for signal in signals:
+        series = columns.get(signal)
+        if series is not None and len(series.t_ns) > 1:
+            found[signal] = np.empty(len(at_s))
+            read_samples(series.t_ns, series.value, origin_ns, 1e9, at_s, found[signal])
+    return found
 
 
 @array_kernel

@@ -4,14 +4,14 @@ None of it is friction. Definitions and limits: docs/model.md, indices of a shif
 """
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration, clutch_of_gear
-from diag_service.diagnosis.alignment import read_samples
+from diag_service.diagnosis.alignment import readings
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.records import ShiftIndices
@@ -31,29 +31,28 @@ CORRELATION_S = 0.1  # residuals are alike for about as long as torque lags
 INERTIA_STD_RATIO = 0.2  # of the engine inertia: below the first tier nobody has calibrated it for the vehicle
 
 
-@dataclass(frozen=True, slots=True)
-class _Grid:
+_SPEEDS = (Signal.HUB_SPEED, Signal.ENGINE_SPEED, Signal.INPUT1_SPEED, Signal.INPUT2_SPEED, Signal.INPUT_SPEED)
+_PRESSURES = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
+_COMMANDS = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
+_SIGNALS = (*_SPEEDS, Signal.CLUTCH_SLIP, *_PRESSURES, *_COMMANDS, Signal.CLUTCH_TORQUE, Signal.ENGINE_TORQUE)
+
+
+class _Grid(NamedTuple):
     """The signals of a shift on one even grid from its start to its end."""
 
     t_s: FloatArray  # (n,) since the start of the shift
+    values: dict[Signal, FloatArray]  # (n,) each, linear between samples; without those that are not there
     event: Event
     clutch: int  # that of the gear
-
-    def value(self, signal: Signal) -> FloatArray | None:
-        """Return a signal on the grid, linear between samples, shape (n,); None if it is not there."""
-        series = self.event.columns.get(signal)
-        if series is None or len(series.t_ns) < 2:
-            return None
-        reading = np.empty(len(self.t_s))
-        read_samples(series.t_ns, series.value, self.event.start_ns, NS_PER_S, self.t_s, reading)
-        return reading
 
 
 def measure(event: Event, calibration: Calibration) -> ShiftIndices:
     """Return the indices of a shift as far as its signals go."""
     is_complete = event.end_reason is EndReason.COMPLETE and event.end_ns > event.start_ns
     shift_time_s = (event.end_ns - event.start_ns) / NS_PER_S
-    grid = _Grid(np.arange(0.0, max(shift_time_s, GRID_S), GRID_S), event, clutch_of_gear(event.to_gear))
+    t_s = np.arange(0.0, max(shift_time_s, GRID_S), GRID_S)
+    values = readings(event.columns, _SIGNALS, event.start_ns, t_s)
+    grid = _Grid(t_s, values, event, clutch_of_gear(event.to_gear))
     slip_rad_s = _slip(grid) if is_complete else None
     if slip_rad_s is None:
         return ShiftIndices(
@@ -131,24 +130,23 @@ def _largest_swing(slip_rad_s: FloatArray, pressed_rad_s: FloatArray) -> float:
 
 def _pressed(grid: _Grid, calibration: Calibration) -> BoolArray:
     """Return where the clutch of the gear carries load, shape (n,); everywhere if nothing tells."""
-    clutch, is_first = grid.clutch, grid.clutch == 1
-    pressure_pa = grid.value(Signal.CLUTCH1_PRESSURE if is_first else Signal.CLUTCH2_PRESSURE)
+    pressure_pa = grid.values.get(_PRESSURES[grid.clutch - 1])
     if pressure_pa is not None:
-        return pressure_pa > calibration.clutches[clutch - 1].touch_pressure_pa + LOADED_PA
-    asked_nm = grid.value(Signal.CLUTCH1_TORQUE_COMMAND if is_first else Signal.CLUTCH2_TORQUE_COMMAND)
+        return pressure_pa > calibration.clutches[grid.clutch - 1].touch_pressure_pa + LOADED_PA
+    asked_nm = grid.values.get(_COMMANDS[grid.clutch - 1])
     return np.ones(len(grid.t_s), np.bool_) if asked_nm is None else asked_nm > LOADED_NM
 
 
 def _slip(grid: _Grid) -> FloatArray | None:
     """Return the slip of the on-coming clutch: its input side less the shaft of the gear that engages."""
-    hub = grid.value(Signal.HUB_SPEED)
-    engine = hub if hub is not None else grid.value(Signal.ENGINE_SPEED)
+    hub = grid.values.get(Signal.HUB_SPEED)
+    engine = hub if hub is not None else grid.values.get(Signal.ENGINE_SPEED)
     is_first = grid.clutch == 1
-    shaft = grid.value(Signal.INPUT1_SPEED if is_first else Signal.INPUT2_SPEED)
-    shaft = shaft if shaft is not None else grid.value(Signal.INPUT_SPEED)
+    shaft = grid.values.get(Signal.INPUT1_SPEED if is_first else Signal.INPUT2_SPEED)
+    shaft = shaft if shaft is not None else grid.values.get(Signal.INPUT_SPEED)
     if engine is None:
         return None
-    stated = None if shaft is not None else grid.value(Signal.CLUTCH_SLIP)
+    stated = None if shaft is not None else grid.values.get(Signal.CLUTCH_SLIP)
     return engine * stated if stated is not None else None if shaft is None else engine - shaft
 
 
@@ -159,7 +157,7 @@ def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibrati
     engine torque, and the inertia.
     """
     asked = _asked(grid)
-    engine_nm = grid.value(Signal.ENGINE_TORQUE)
+    engine_nm = grid.values.get(Signal.ENGINE_TORQUE)
     if asked is None or engine_nm is None or Signal.ENGINE_SPEED not in grid.event.columns:
         return None
     asked_nm, rows = np.empty(len(slip_rad_s)), np.empty(len(slip_rad_s), np.int64)
@@ -200,12 +198,10 @@ def _fit_ratio(
 
 def _asked(grid: _Grid) -> tuple[FloatArray, FloatArray, bool] | None:
     """Return the torques asked of the on-coming and of the off-going clutch, and whether their signs are the slip's."""
-    commands = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
-    is_first = grid.clutch == 1
-    on, off = (grid.value(signal) for signal in (commands if is_first else commands[::-1]))
+    on, off = grid.values.get(_COMMANDS[grid.clutch - 1]), grid.values.get(_COMMANDS[2 - grid.clutch])
     if on is not None and off is not None:
         return on, off, False
-    total = grid.value(Signal.CLUTCH_TORQUE)
+    total = grid.values.get(Signal.CLUTCH_TORQUE)
     return None if total is None else (total, np.zeros(len(total)), True)
 
 

@@ -15,8 +15,8 @@ from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration, ClutchCalibration, clutch_of_gear
 from clutch_model.pack import film_law
-from diag_service.diagnosis.alignment import read_samples
-from diag_service.diagnosis.columns import Columns, GearRatios, Signal
+from diag_service.diagnosis.alignment import readings
+from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.friction.evidence import Knowledge, State
 from diag_service.diagnosis.records import ShiftQuality, from_plain
@@ -100,6 +100,8 @@ _PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
 _SHAFTS: Final = (Signal.INPUT1_SPEED, Signal.INPUT2_SPEED)
 _COMMANDS: Final = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
 _ASKINGS: Final = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
+_SPEEDS: Final = (Signal.ENGINE_SPEED, Signal.HUB_SPEED, Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED)
+_SIGNALS: Final = (*_SPEEDS, *_SHAFTS, *_PRESSURES, *_COMMANDS, *_ASKINGS, Signal.ENGINE_TORQUE)
 _ENGINE, _ON, _OFF, _CAR, _PRESSURE_ON, _PRESSURE_OFF, _COMMAND, _ASKED, _TORQUE, _SLOPE, _ROW_COUNT = range(11)
 
 
@@ -149,10 +151,21 @@ class ShiftScorer:
         on, off = clutch_of_gear(event.to_gear) - 1, clutch_of_gear(event.from_gear) - 1
         grid_s = np.arange(-BEFORE_S, duration_s + AFTER_S, GRID_S)
         rows, packs = np.full((_ROW_COUNT, len(grid_s)), np.nan), (self._packs[on], self._packs[off])
-        skew_s = self._read_speeds(event, (on, off), grid_s, rows)
+        values = readings(
+            event.columns, _SIGNALS if self._gears is None else (*_SIGNALS, self._gears.over), event.start_ns, grid_s
+        )
+        skew_s = self._fill_speeds(event, (on, off), values, rows)
         touch_pa = packs[0].touch_pa, packs[1].touch_pa
         if known is not None:
-            self._read_pressures(event, (on, off), grid_s, rows, known)
+            for row, signal, zero_pa in (
+                (_PRESSURE_ON, _PRESSURES[on], known.mean[State.ZERO1 + on]),
+                (_PRESSURE_OFF, _PRESSURES[off], known.mean[State.ZERO1 + off]),
+                (_COMMAND, _COMMANDS[on], 0.0),
+                (_ASKED, _ASKINGS[on], 0.0),
+                (_TORQUE, Signal.ENGINE_TORQUE, 0.0),
+            ):
+                if signal in values:
+                    rows[row] = values[signal] - zero_pa
             touch_pa = (
                 touch_pa[0] + float(known.mean[State.TOUCH1 + on]),
                 touch_pa[1] + float(known.mean[State.TOUCH1 + off]),
@@ -163,42 +176,31 @@ class ShiftScorer:
         adaptable = {} if known is None else self._adaptable(on, found, touch_pa[0], known)
         return _judged(event, found, adaptable, packs, is_second=on == 1)
 
-    def _read_speeds(self, event: Event, clutches: tuple[int, int], grid_s: FloatArray, rows: FloatArray) -> float:
+    def _fill_speeds(
+        self, event: Event, clutches: tuple[int, int], values: Mapping[Signal, FloatArray], rows: FloatArray
+    ) -> float:
         """Fill in the speeds of engine, both shafts and the car; return by how much they may be apart [s]."""
-        columns, start_ns, skew_s = event.columns, event.start_ns, 0.0
-        if not _read(columns, Signal.HUB_SPEED, start_ns, grid_s, rows[_ENGINE]):
-            _read(columns, Signal.ENGINE_SPEED, start_ns, grid_s, rows[_ENGINE])
-        gears, over = self._gears, None
+        skew_s, gears = 0.0, self._gears
+        for signal in (Signal.ENGINE_SPEED, Signal.HUB_SPEED):
+            if signal in values:
+                rows[_ENGINE] = values[signal]
         for row, clutch, gear in zip((_ON, _OFF), clutches, (event.to_gear, event.from_gear), strict=True):
-            if _read(columns, _SHAFTS[clutch], start_ns, grid_s, rows[row]) or gears is None:
-                continue
-            if over is None:
-                over = np.full(len(grid_s), np.nan)
-                if _read(columns, gears.over, start_ns, grid_s, over):  # asked for after the engine's speed
-                    t_ns = columns[gears.over].t_ns
-                    skew_s = float(t_ns[-1] - t_ns[0]) / NS_PER_S / (len(t_ns) - 1)
-            if 1 <= gear <= len(gears.ratios):
-                rows[row] = gears.ratios[gear - 1] * over
-        speed = columns.get(Signal.VEHICLE_SPEED)
-        if speed is None or not len(speed.value):
-            return skew_s
-        if _read(columns, Signal.OUTPUT_SPEED, start_ns, grid_s, rows[_CAR]):  # finer than the car's own
-            turning = float(rows[_CAR].mean())
-            rows[_CAR] *= float(speed.value.mean()) / turning if turning > 1.0 else math.nan
-        else:
-            _read(columns, Signal.VEHICLE_SPEED, start_ns, grid_s, rows[_CAR])
+            if _SHAFTS[clutch] in values:
+                rows[row] = values[_SHAFTS[clutch]]
+            elif gears is not None and gears.over in values:  # asked for after the engine's speed
+                t_ns = event.columns[gears.over].t_ns
+                skew_s = float(t_ns[-1] - t_ns[0]) / NS_PER_S / (len(t_ns) - 1)
+                if 1 <= gear <= len(gears.ratios):
+                    rows[row] = gears.ratios[gear - 1] * values[gears.over]
+        speed = event.columns.get(Signal.VEHICLE_SPEED)
+        if speed is not None and len(speed.value):
+            turning = values.get(Signal.OUTPUT_SPEED)  # finer than the car's own
+            if turning is not None:
+                mean = float(turning.mean())
+                rows[_CAR] = turning * (float(speed.value.mean()) / mean if mean > 1.0 else math.nan)
+            elif Signal.VEHICLE_SPEED in values:
+                rows[_CAR] = values[Signal.VEHICLE_SPEED]
         return skew_s
-
-    def _read_pressures(
-        self, event: Event, clutches: tuple[int, int], grid_s: FloatArray, rows: FloatArray, known: Knowledge
-    ) -> None:
-        """Fill in pressures, freed of their sensors' zeros, commands and the engine's torque."""
-        for row, clutch in zip((_PRESSURE_ON, _PRESSURE_OFF), clutches, strict=True):
-            if _read(event.columns, _PRESSURES[clutch], event.start_ns, grid_s, rows[row]):
-                rows[row] -= known.mean[State.ZERO1 + clutch]
-        for row, signal in ((_COMMAND, _COMMANDS[clutches[0]]), (_ASKED, _ASKINGS[clutches[0]]),
-                            (_TORQUE, Signal.ENGINE_TORQUE)):  # fmt: skip
-            _read(event.columns, signal, event.start_ns, grid_s, rows[row])
 
     def _adaptable(self, on: int, found: _Found, touch_pa: float, known: Knowledge) -> dict[str, tuple[float, float]]:
         """Return what could be adapted of the on-coming clutch, by part: value and deviation."""
@@ -212,15 +214,6 @@ class ShiftScorer:
             read_std = math.hypot(std_pa, PRESSURE_PA / math.sqrt(FILLED_ROWS)) / self._packs[on].stroke_pa
             adaptable["fill_error_s"] = longer_s, math.hypot(read_std * s_per_share, FLOW_STD_RATIO * longer_s, GRID_S)
         return adaptable
-
-
-def _read(columns: Columns, signal: Signal, start_ns: int, grid_s: FloatArray, row: FloatArray) -> bool:
-    """Fill in a signal on the grid, and tell whether it is there."""
-    series = columns.get(signal)
-    if series is None or len(series.t_ns) < 2:
-        return False
-    read_samples(series.t_ns, series.value, start_ns, NS_PER_S, grid_s, row)
-    return True
 
 
 def _judged(

@@ -227,10 +227,10 @@ class Estimator:
         packs = PackTemperatures(clutch_k=seen.balance.final_clutch_k, at_ns=event.end_ns)
         is_misfit = _is_misfit(self._type, fuse(self._type, seen.evidence), seen.evidence.count)
         if is_misfit or against:
-            state = state.warmed(packs) if is_misfit else state
+            state = replace(state, packs=packs) if is_misfit else state
             estimate = self._described(event, seen, state, seen.alone())
             return state, _rejected(estimate, *((Reason.MISFIT,) if is_misfit else against))
-        return self._judged(event, seen, room, judged.warmed(packs))
+        return self._judged(event, seen, room, replace(judged, packs=packs))
 
     def _of_rows(self, state: Posterior) -> Posterior:
         """Return what is known before the first event of a table, whose columns are apart by nobody knows how much."""

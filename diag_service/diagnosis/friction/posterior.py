@@ -155,10 +155,6 @@ class Posterior:
         used = [event.clutch for event, is_used in zip(self.recent, self.is_used, strict=True) if is_used]
         return self.folded_counts[0] + used.count(1), self.folded_counts[1] + used.count(2)
 
-    def warmed(self, packs: PackTemperatures) -> Self:
-        """Return the same with the temperatures of both packs."""
-        return replace(self, packs=packs)
-
     def with_event(self, event: JudgedEvent, room: "Posterior | None" = None) -> "Posterior":
         """Return what is known after an event, which all recent ones are judged with.
 
@@ -194,9 +190,9 @@ class Posterior:
 
     def later_count(self, clutch: int) -> int:
         """Return how many events have been used since the baseline of a clutch."""
-        baseline = self.baselines[clutch - 1]
-        recent_count = self.shift_counts[clutch - 1] - self.folded_counts[clutch - 1]
-        return 0 if baseline is None else baseline.later_count + recent_count
+        if (baseline := self.baselines[clutch - 1]) is None:
+            return 0
+        return baseline.later_count + self.shift_counts[clutch - 1] - self.folded_counts[clutch - 1]
 
     def cross(self, clutch: int) -> FloatArray:
         """Return the covariance between what is known now and the baseline of a clutch, which must have one."""

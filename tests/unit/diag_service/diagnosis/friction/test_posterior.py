@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -135,7 +136,7 @@ def test_what_the_type_does_not_tell_is_never_averaged_away() -> None:
 def test_a_saved_state_goes_on_bit_by_bit() -> None:
     rng = np.random.default_rng(9)
     state = driven(2 * BASELINE_SHIFT_COUNT + RECENT_COUNT + 3, mu=lambda number: MU * (1.2 if number == 38 else 1.0))
-    state = state.warmed(PackTemperatures(clutch_k=(360.0, 351.5), at_ns=12))
+    state = replace(state, packs=PackTemperatures(clutch_k=(360.0, 351.5), at_ns=12))
     back = Posterior.from_json(json.loads(json.dumps(state.to_json())), CALIBRATION)
     assert back.to_json() == state.to_json()
     news = event(99, 1, MU, rng)
