@@ -11,19 +11,8 @@ from canlog.live.pythoncan import one_line
 from diag_service.errors import ControllerError, SilentError, StoppedError
 from diag_service.tester.addresses import CanAddress, is_extended
 from diag_service.tester.answers import STOPPED, request_text
+from diag_service.tester.frames import CLASSIC_BYTES, PADDING, send
 from diag_service.tester.libraries import BaseConnection, TimeoutException, isotp
-
-CLASSIC_BYTES: Final = 8
-PADDING: Final = 0xCC  # ISO 15765-2: the bits stuffed least
-
-
-def send(bus: can.BusABC, message: can.Message) -> None:
-    """Put a frame on a bus; raises ControllerError if the bus does not take it."""
-    try:
-        bus.send(message, timeout=1.0)
-    except (can.CanError, OSError, ValueError) as exc:
-        raise ControllerError(f"the bus does not take a request: {one_line(exc)}") from exc
-
 
 LONGEST_MESSAGE: Final = 65_535
 TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr

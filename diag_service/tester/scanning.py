@@ -55,8 +55,8 @@ from diag_service.tester.asking import (
     listen,
     opened_bus,
 )
-from diag_service.tester.can_link import CLASSIC_BYTES, PADDING, send
 from diag_service.tester.description import STANDARD_DATA, UNKNOWN, Description
+from diag_service.tester.frames import CLASSIC_BYTES, PADDING, send
 from diag_service.tester.questions import FAILED_MASK, DataAnswer, read_data, recognised
 
 if TYPE_CHECKING:

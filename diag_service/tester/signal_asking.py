@@ -54,7 +54,8 @@ from diag_service.tester.addresses import (
 )
 from diag_service.tester.answers import refusal_text
 from diag_service.tester.asking import LISTEN_S, AskingThread, BusName, opened_bus
-from diag_service.tester.can_link import CanConnection, send
+from diag_service.tester.can_link import CanConnection
+from diag_service.tester.frames import send
 from diag_service.tester.libraries import TimeoutException
 
 MOST_LOAD: Final = 0.05  # of the bus, by requests and answers together

@@ -115,7 +115,7 @@ def test_what_commands_change_is_in_the_audit(
 
 
 def test_vehicles_are_listed_with_their_last_result(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
-    assert "2026-01-01 00:00:12" in told(capsys, filled, "seen")
+    assert "2026-01-01 00:00:09" in told(capsys, filled, "seen")
     assert {record["vehicle"] for record in told_json(capsys, filled, "seen")} == {"good", "worn"}
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration, ClutchCalibration, clutch_of_gear
-from clutch_model.pack import film_law
+from clutch_model.pack import contact_torque_nm, film_law
 from diag_service.diagnosis.alignment import readings
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
@@ -90,7 +90,9 @@ class _Pack:
         film, piston = film_law(clutch), clutch.piston
         return cls(
             touch_pa=clutch.touch_pressure_pa,
-            torque_nm_pa=clutch.friction.mu_c * film.contact_factor_m3 * film.piston_area_m2 / film.lining_area_m2,
+            torque_nm_pa=contact_torque_nm(
+                1.0, clutch.friction.mu_c, film.piston_area_m2 / film.lining_area_m2, film.contact_factor_m3
+            ),
             stroke_pa=piston.spring_rate_n_m * piston.fill_stroke_m / film.piston_area_m2,
             heat_j_k=clutch.thermal.heat_capacity_j_k,
         )
