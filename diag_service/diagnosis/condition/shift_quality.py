@@ -88,11 +88,10 @@ class _Pack:
     @classmethod
     def of(cls, clutch: ClutchCalibration) -> Self:
         film, piston = film_law(clutch), clutch.piston
+        by_piston = film.piston_area_m2 / film.lining_area_m2
         return cls(
             touch_pa=clutch.touch_pressure_pa,
-            torque_nm_pa=contact_torque_nm(
-                1.0, clutch.friction.mu_c, film.piston_area_m2 / film.lining_area_m2, film.contact_factor_m3
-            ),
+            torque_nm_pa=contact_torque_nm(1.0, clutch.friction.mu_c, by_piston, film.contact_factor_m3),
             stroke_pa=piston.spring_rate_n_m * piston.fill_stroke_m / film.piston_area_m2,
             heat_j_k=clutch.thermal.heat_capacity_j_k,
         )
@@ -198,8 +197,7 @@ class ShiftScorer:
         if speed is not None and len(speed.value):
             turning = values.get(Signal.OUTPUT_SPEED)  # finer than the car's own
             if turning is not None:
-                mean = float(turning.mean())
-                rows[_CAR] = turning * (float(speed.value.mean()) / mean if mean > 1.0 else math.nan)
+                rows[_CAR] = turning * (speed.value.mean() / mean if (mean := turning.mean()) > 1.0 else math.nan)
             elif Signal.VEHICLE_SPEED in values:
                 rows[_CAR] = values[Signal.VEHICLE_SPEED]
         return skew_s
