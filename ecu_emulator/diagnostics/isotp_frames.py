@@ -1,0 +1,85 @@
+"""Frames of ISO 15765-2 as they arrive: what the standard says to ignore, and what it says to read as something else.
+
+The transport library gives up a message in progress for a frame that it does not know; the standard lets it pass.
+"""
+
+from enum import IntEnum
+from typing import Final
+
+SHORT: Final = 8  # bytes of a classic frame
+LONGEST_SHORT_LENGTH: Final = 0xFFF  # of a message whose length has 12 bits
+LONGEST_PAUSE: Final = 0x7F  # 127 ms: what a reserved separation time means
+ABORT: Final = 0x32  # flow control: overflow
+
+
+class FrameType(IntEnum):
+    """The upper half of the first byte."""
+
+    SINGLE = 0
+    FIRST = 1
+    CONSECUTIVE = 2
+    FLOW_CONTROL = 3
+
+
+def usable(data: bytes, prefix_bytes: int, missing_bytes: int) -> bytes | None:
+    """Return a frame as the transport layer shall see it, None if it is to be ignored.
+
+    Parameters
+    ----------
+    data
+        All bytes of the frame.
+    prefix_bytes
+        1 if an address comes first (extended and mixed addressing).
+    missing_bytes
+        What the message being received still lacks.
+    """
+    body = data[prefix_bytes:]
+    if not body or body[0] >> 4 not in set(FrameType):
+        return None
+    match FrameType(body[0] >> 4):
+        case FrameType.SINGLE:
+            return data if single_payload(data, prefix_bytes) is not None else None
+        case FrameType.FIRST:
+            return data if _is_first(data, prefix_bytes) else None
+        case FrameType.CONSECUTIVE:
+            is_whole = len(data) >= SHORT or len(body) - 1 >= missing_bytes
+            return data if is_whole and len(body) > 1 else None
+        case FrameType.FLOW_CONTROL:
+            return _flow_control(data, prefix_bytes)
+
+
+def single_payload(data: bytes, prefix_bytes: int) -> bytes | None:
+    """Return the message that a single frame holds, None if it is no valid one."""
+    body = data[prefix_bytes:]
+    if len(body) < 2 or body[0] >> 4 != FrameType.SINGLE:
+        return None
+    if len(data) <= SHORT:
+        length, start, least = body[0], 1, 1
+    else:
+        if body[0]:
+            return None
+        length, start, least = body[1], 2, SHORT - prefix_bytes
+    return body[start : start + length] if least <= length <= len(body) - start else None
+
+
+def _is_first(data: bytes, prefix_bytes: int) -> bool:
+    """Return whether a first frame is full and its message too long for a single one."""
+    body = data[prefix_bytes:]
+    if len(data) < SHORT:
+        return False
+    length = (body[0] & 0x0F) << 8 | body[1]
+    if length:
+        least = SHORT if len(data) == SHORT else len(data) - 1
+        return length >= least - prefix_bytes
+    return int.from_bytes(body[2:6], "big") > LONGEST_SHORT_LENGTH
+
+
+def _flow_control(data: bytes, prefix_bytes: int) -> bytes | None:
+    """Return flow control with an unknown status as an abort, with a reserved separation time as the longest."""
+    prefix, body = data[:prefix_bytes], data[prefix_bytes:]
+    if len(body) < 3:
+        return None
+    if body[0] & 0x0F > 2:
+        return prefix + bytes([ABORT]) + body[1:]
+    is_reserved = not (body[2] <= LONGEST_PAUSE or 0xF1 <= body[2] <= 0xF9)
+    return prefix + body[:2] + bytes([LONGEST_PAUSE]) + body[3:] if is_reserved else data
