@@ -136,6 +136,8 @@ class Emulator:
         More arguments of python-can's driver, such as ``{"port": 43113}``.
     fluid : {"ideal", "case1", "case2", "ageing"}, optional
         How far the fluid has gone.
+    cause : str, optional
+        What is wrong with the car, such as ``"glazed-lining:2"``, commas between several.
     seed, vehicle_seed, drive_seed : int, optional
         From which car and drive are drawn; of both, or of one.
     drive : {"cycle", "wltc", "udds", "hwfet", "us06", "city", "day"}, optional
@@ -180,6 +182,7 @@ class Emulator:
         is_fd: bool = False,
         options: Mapping[str, Any] | None = None,
         fluid: str | None = None,
+        cause: str | None = None,
         seed: int | None = None,
         vehicle_seed: int | None = None,
         drive_seed: int | None = None,
@@ -205,9 +208,9 @@ class Emulator:
         check_word("drive", drive, [one.value for one in DriveName])
         driven = DriveOptions(
             scenario=scenario if isinstance(scenario, Scenario) else os.fspath(scenario),
-            fluid=fluid, seed=seed, vehicle_seed=vehicle_seed, drive_seed=drive_seed, drive=drive, cycles=cycles,
-            is_endless=is_endless, oil_degc=oil_degc, mass_kg=mass_kg, odometer_m=odometer_m, routine=routine,
-            is_in_workshop=is_in_workshop,
+            fluid=fluid, cause=cause, seed=seed, vehicle_seed=vehicle_seed, drive_seed=drive_seed, drive=drive,
+            cycles=cycles, is_endless=is_endless, oil_degc=oil_degc, mass_kg=mass_kg, odometer_m=odometer_m,
+            routine=routine, is_in_workshop=is_in_workshop,
         )  # fmt: skip
         chosen = choose_scenario(driven)
         self.scenario: Final = with_faults(chosen, faults)

@@ -82,6 +82,11 @@ _DRIVE: Final = (
     Option("--vehicle-seed N", "draw the car from this seed, not from --seed", INT),
     Option("--drive-seed N", "draw driver and noise from this one", INT),
     Option(
+        "--cause NAME[:STRENGTH[:CLUTCH]]",
+        "give the car a fault, such as glazed-lining:2, or several with commas between them; 1 is the smallest that "
+        "matters; docs/causes.md",
+    ),
+    Option(
         "--drive NAME",
         "what is driven: the shift cycle of a test bench (the default), a public cycle, city traffic by the seed, or a "
         "day of trips with the car parked in between",

@@ -24,6 +24,7 @@ from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFile, LogFormat
 from ecu_emulator.log_formats.table import TableOptions, write_table
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.faults import Cause, CauseKind
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Routine, Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
 from ecu_emulator.truth import Totals, TruthWriter, read_truth, truth_path
@@ -35,6 +36,7 @@ class DriveOptions:
 
     scenario: str | Scenario  # its name or file, unless it is one
     fluid: str | None = None
+    cause: str | None = None  # faults of the car: NAME:STRENGTH:CLUTCH, commas between them
     seed: int | None = None
     vehicle_seed: int | None = None
     drive_seed: int | None = None
@@ -81,6 +83,7 @@ def drive_options(options: SimpleNamespace) -> DriveOptions:
     return DriveOptions(
         scenario=options.scenario,
         fluid=options.fluid,
+        cause=options.cause,
         seed=options.seed,
         vehicle_seed=options.vehicle_seed,
         drive_seed=options.drive_seed,
@@ -106,6 +109,8 @@ def choose_scenario(options: DriveOptions) -> Scenario:
     }
     if options.fluid is not None:
         given["fluid"] = replace(scenario.fluid, condition=FluidCondition(options.fluid))
+    if options.cause is not None:
+        given["causes"] = (*scenario.causes, *(_cause(one.strip()) for one in options.cause.split(",")))
     if options.drive is not None:
         given["drive"] = DriveName(options.drive)
     if options.oil_degc is not None:
@@ -119,6 +124,17 @@ def choose_scenario(options: DriveOptions) -> Scenario:
     if options.is_in_workshop:
         scenario = replace(scenario, routine=replace(scenario.routine, on_request=True))
     return scenario
+
+
+def _cause(said: str) -> Cause:
+    """Return a cause from NAME, NAME:STRENGTH or NAME:STRENGTH:CLUTCH; raises ConfigError."""
+    kind, strength, clutch, *more = [*said.split(":"), "", ""]
+    if any(more) or kind not in list(CauseKind):
+        raise ConfigError(f"no cause {said!r}: NAME[:STRENGTH[:CLUTCH]], NAME one of {', '.join(CauseKind)}")
+    try:
+        return Cause(kind=CauseKind(kind), strength=float(strength or 1.0), clutch=int(clutch or 0))
+    except ValueError as exc:
+        raise ConfigError(f"no cause {said!r}: strength and clutch must be numbers") from exc
 
 
 def odometer_from(said: str | None) -> float | None:

@@ -34,6 +34,16 @@ _TOTALS: Final = "totals"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CauseTruth:
+    """Something that is wrong with the car throughout a drive."""
+
+    kind: str
+    strength: float  # 1: the smallest that matters
+    clutch: int | None  # 1 or 2; None: it is of no single clutch
+    changes: Mapping[str, float]  # what it makes of the car: factors, of names in *_pa, *_n and *_nm what it adds
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DriveTruth:
     """What is true for the whole drive."""
 
@@ -50,6 +60,7 @@ class DriveTruth:
     effects: Mapping[str, float] = field(default_factory=dict)  # unknown to the service's model, if switched on
     drive: str = "cycle"
     odometer_m: float | None = None  # at its start; None in older files
+    causes: tuple[CauseTruth, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,6 +9,7 @@ from canlog.e2e.message_contract import MessageContract
 from clutch_model.calibration import Calibration, ClutchCalibration, shipped_table
 from clutch_model.errors import CalibrationError
 from ecu_emulator.bus.frames import FrameEncoder
+from ecu_emulator.drive.causes import CausedChanges
 from ecu_emulator.driving.journey import Departure, Journey, MovingCar, PlannedTrip, Warmth, trips
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.errors import ConfigError
@@ -17,7 +18,7 @@ from ecu_emulator.plant.parameters import PlantParameters, plant_table
 from ecu_emulator.scenario.scenario import MAX_CYCLES, Effects, FluidCondition, Overrides, Scatter, Scenario
 from ecu_emulator.scenario.signals import Sensors, generator, split_unit
 from ecu_emulator.sensing import Installation, Schedule
-from ecu_emulator.truth import DriveTruth, TripTruth
+from ecu_emulator.truth import CauseTruth, DriveTruth, TripTruth
 
 _FRESH: Final = (1.0, 1.0)
 _CLUTCH_NAMES: Final = ("clutch1", "clutch2")
@@ -95,6 +96,7 @@ class BuiltVehicle:
     parameters: PlantParameters
     sensors: Sensors
     drawn: Mapping[str, float]  # deviation from the type by name; ratios are relative deviations
+    causes: tuple[CauseTruth, ...] = ()
 
 
 def build_vehicle(scenario: Scenario) -> BuiltVehicle:
@@ -102,7 +104,7 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
 
     Raises ConfigError if a truth override names an unknown key or leads outside a physical range.
     """
-    drawn = _draw(scenario.scatter, scenario.seed_of_vehicle)
+    drawn, faulty = _draw(scenario.scatter, scenario.seed_of_vehicle), CausedChanges.of(scenario)
     try:
         calibration = affected_calibration(
             Calibration.from_mapping(
@@ -117,23 +119,28 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
         inertia_kg_m2 = calibration.input_side.engine_inertia_kg_m2 * (1.0 + drawn["engine_inertia_ratio"])
         viscosity_a_pa_s = calibration.viscosity.a_pa_s * (1.0 + drawn["viscosity_ratio"])
         return BuiltVehicle(
-            calibration=replace(
-                calibration,
-                clutches=(clutches[0], clutches[1]),
-                viscosity=replace(calibration.viscosity, a_pa_s=viscosity_a_pa_s),
-                input_side=replace(calibration.input_side, engine_inertia_kg_m2=inertia_kg_m2),
+            calibration=faulty.calibration(
+                replace(
+                    calibration,
+                    clutches=(clutches[0], clutches[1]),
+                    viscosity=replace(calibration.viscosity, a_pa_s=viscosity_a_pa_s),
+                    input_side=replace(calibration.input_side, engine_inertia_kg_m2=inertia_kg_m2),
+                )
             ),
-            parameters=_scattered_plant(
-                affected_parameters(
-                    PlantParameters.from_mapping(
-                        _overridden(plant_table(scenario.transmission), scenario.truth.plant, "truth.plant")
+            parameters=faulty.parameters(
+                _scattered_plant(
+                    affected_parameters(
+                        PlantParameters.from_mapping(
+                            _overridden(plant_table(scenario.transmission), scenario.truth.plant, "truth.plant")
+                        ),
+                        scenario.effects,
                     ),
-                    scenario.effects,
-                ),
-                drawn,
+                    drawn,
+                )
             ),
-            sensors=_scattered_sensors(scenario.sensors, drawn),
+            sensors=faulty.sensors(_scattered_sensors(scenario.sensors, drawn)),
             drawn=drawn,
+            causes=faulty.truths,
         )
     except CalibrationError as exc:
         raise ConfigError(f"scenario {scenario.name}: truth is not possible: {exc}") from exc
@@ -295,6 +302,7 @@ def drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
         mu_s=(first.mu_s, second.mu_s),
         drawn=vehicle.drawn,
         effects=scenario.effects.switched_on(),
+        causes=vehicle.causes,
     )
 
 

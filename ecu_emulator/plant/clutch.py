@@ -22,6 +22,7 @@ _EMPTY_M3 = 1.0e-13  # a cavity below this is empty: keeps denormal numbers out 
 _NO_PRESSURE_PA = 1.0e-3
 _OPEN_TOLERANCE_M = 1.0e-12
 _JUST_BELOW = 1.0 - 1.0e-12
+_WAYS_M = (13.0, 37.0, 101.0)  # of erratic friction: no two events are alike, and one event is alike throughout
 
 
 class LiningParameters(NamedTuple):
@@ -32,12 +33,14 @@ class LiningParameters(NamedTuple):
     film_mobility_ratio: float  # on the squeeze rate of the film
     open_drag_ratio: float  # on the drag of open packs
     open_drag_limit_nm: float  # above 0 an open pack drags by the film law, but no more than this
+    erratic_ratio: float = 0.0  # standard deviation of friction along the way, of what comes and goes on the lining
 
 
 @kernel
-def friction_ratio(clutch_k: float, p: LiningParameters) -> float:
-    """Return the factor on mu_C and mu_S at a pack temperature; docs/model.md eq. (X1)."""
-    return 1.0 - p.fade_per_k * (clutch_k - p.fade_reference_k)
+def friction_ratio(clutch_k: float, p: LiningParameters, way_m: float = 0.0) -> float:
+    """Return the factor on mu_C and mu_S at a pack temperature, eq. (X1), where the car has come this far."""
+    way = math.sin(way_m / _WAYS_M[0]) + math.sin(way_m / _WAYS_M[1]) + math.sin(way_m / _WAYS_M[2])
+    return (1.0 - p.fade_per_k * (clutch_k - p.fade_reference_k)) * (1.0 + p.erratic_ratio * math.sqrt(2.0 / 3.0) * way)
 
 
 def grooved(law: FilmLaw, p: LiningParameters) -> FilmLaw:

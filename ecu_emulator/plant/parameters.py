@@ -3,7 +3,7 @@
 import math
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from importlib.resources import files
 from pathlib import Path
 from typing import Final, NamedTuple, Self
@@ -29,6 +29,7 @@ _MAY_BE_ZERO = frozenset(
         "friction_nms_rad",
         "ripple_ratio",
         "fade_per_k",
+        "erratic_ratio",
         "open_drag_limit_nm",
         "damping_nms_rad",
         "clutch_damping_nms_rad",
@@ -76,6 +77,13 @@ class GearboxParameters(NamedTuple):
         return tuple(ratio * final / self.final_drive_ratios[0] for ratio, final in pairs)
 
 
+class OpenDrags(NamedTuple):
+    """Factors on the drag of each open pack, beside that of both."""
+
+    first_ratio: float = 1.0
+    second_ratio: float = 1.0
+
+
 class SumpParameters(NamedTuple):
     """Lumped oil in the sump."""
 
@@ -105,6 +113,7 @@ class PlantParameters:
     lining: LiningParameters
     control: ControlParameters
     workshop: WorkshopParameters
+    open_drags: OpenDrags = field(default_factory=OpenDrags)
 
     def __post_init__(self) -> None:
         """Check every number against its range."""
@@ -125,12 +134,12 @@ class PlantParameters:
         require(self.engine.closed_throttle_rad < 0.5 * math.pi, "engine.closed_throttle_rad must be < pi/2")
 
     def _numbers(self) -> Iterator[tuple[str, float]]:
-        for field in fields(self):
-            member = getattr(self, field.name)
-            for record in member if field.name == "shafts" else (member,):
+        for part in fields(self):
+            member = getattr(self, part.name)
+            for record in member if part.name == "shafts" else (member,):
                 for key, value in record._asdict().items():
                     for single in value if isinstance(value, tuple) else (value,):
-                        yield f"{field.name}.{key}", single
+                        yield f"{part.name}.{key}", single
 
     @classmethod
     def from_mapping(cls, table: Mapping[str, object]) -> Self:

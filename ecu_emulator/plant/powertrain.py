@@ -111,7 +111,7 @@ class Powertrain(Course):
         return rows[: run(self._machine, self._law, rows)]
 
 
-def _clutch_law(clutch: ClutchCalibration, parameters: PlantParameters) -> ClutchLaw:
+def _clutch_law(clutch: ClutchCalibration, parameters: PlantParameters, open_drag_ratio: float) -> ClutchLaw:
     return ClutchLaw(
         film=grooved(film_law(clutch), parameters.lining),
         friction=friction_law(clutch.friction),
@@ -120,13 +120,16 @@ def _clutch_law(clutch: ClutchCalibration, parameters: PlantParameters) -> Clutc
         heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
         convection_w_k=float(clutch.thermal.convection_w_k),
         open_drag=OPEN_DRAG._replace(
-            ratio=parameters.lining.open_drag_ratio, limit_nm=parameters.lining.open_drag_limit_nm
+            ratio=parameters.lining.open_drag_ratio * open_drag_ratio, limit_nm=parameters.lining.open_drag_limit_nm
         ),
     )
 
 
 def _plant_law(truth: Calibration, parameters: PlantParameters, drive: DriveSettings) -> PlantLaw:
-    first, second = (_clutch_law(clutch, parameters) for clutch in truth.clutches)
+    first, second = (
+        _clutch_law(clutch, parameters, ratio)
+        for clutch, ratio in zip(truth.clutches, parameters.open_drags, strict=True)
+    )
     return PlantLaw(
         engine=parameters.engine,
         flywheel=parameters.flywheel,

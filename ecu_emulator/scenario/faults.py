@@ -86,6 +86,60 @@ class SensorFault(Scheduled):
             raise ConfigError(f"a fault of kind {self.kind} needs {needed}, got {self.size}")
 
 
+class CauseKind(StrEnum):
+    """What can be wrong with a transmission for good; what each does: `ecu_emulator.drive.causes`."""
+
+    AGED_FLUID = "aged-fluid"
+    WATER = "water"
+    WRONG_FLUID = "wrong-fluid"
+    AIR = "air"
+    WEAK_PUMP = "weak-pump"
+    TORQUE_SENSOR = "torque-sensor"
+    SYNCHRONISER = "synchroniser"
+    GLAZED_LINING = "glazed-lining"  # this and what follows: of one clutch
+    WORN_LINING = "worn-lining"
+    RETURN_SPRING = "return-spring"
+    PRESSURE_SENSOR = "pressure-sensor"
+    DRAGGING_CLUTCH = "dragging-clutch"
+
+    @property
+    def is_of_one_clutch(self) -> bool:
+        return list(CauseKind).index(self) >= list(CauseKind).index(CauseKind.GLAZED_LINING)
+
+
+MAX_STRENGTH: Final = 4.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cause:
+    """Something that is wrong with a car, and grows from drive to drive by the odometer as a drive begins.
+
+    A strength of 1 is the smallest that matters; at ``begins_m`` it is none, ``grows_over_m`` later all of it.
+    """
+
+    kind: CauseKind
+    strength: float = 1.0
+    clutch: int = 0  # 1 or 2; 0: drawn with the vehicle
+    begins_m: float = 0.0
+    grows_over_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check that it can be."""
+        if not 0.0 <= self.strength <= MAX_STRENGTH:
+            raise ConfigError(f"strength must be 0..{MAX_STRENGTH:g}, got {self.strength}")
+        if self.clutch not in ((0, 1, 2) if self.kind.is_of_one_clutch else (0,)):
+            raise ConfigError(f"clutch of {self.kind} must be {'0..2' if self.kind.is_of_one_clutch else 0}")
+        if not (0.0 <= self.begins_m < math.inf and 0.0 <= self.grows_over_m < math.inf):
+            raise ConfigError("begins_m and grows_over_m must be >= 0")
+
+    def strength_at(self, odometer_m: float) -> float:
+        """Return how strong it is in a drive that begins here."""
+        if odometer_m < self.begins_m:
+            return 0.0
+        grown_m = odometer_m - self.begins_m
+        return self.strength * (min(grown_m / self.grows_over_m, 1.0) if self.grows_over_m else 1.0)
+
+
 class BusFaultKind(StrEnum):
     """What can happen to frames between controller and receiver, or inside the controller that sends them."""
 

@@ -10,7 +10,7 @@ from typing import Final
 from clutch_model.calibration import SHIPPED, nominal_calibration
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.drive_names import DriveName
-from ecu_emulator.scenario.faults import BusFault, SensorFault
+from ecu_emulator.scenario.faults import BusFault, Cause, SensorFault
 from ecu_emulator.scenario.signals import NOMINAL_SENSORS, Sensors
 
 Overrides = Mapping[str, object]  # dotted key -> TOML value
@@ -241,6 +241,7 @@ class Scenario(_Ranged):
     on_board: OnBoard = field(default_factory=OnBoard)
     sensor_faults: tuple[SensorFault, ...] = ()
     bus_faults: tuple[BusFault, ...] = ()
+    causes: tuple[Cause, ...] = ()  # of what is wrong with the car
 
     def __post_init__(self) -> None:
         """Check ranges and the vehicle's name."""

@@ -1,0 +1,117 @@
+"""What each cause does to a car, how it grows, and that the truth names it."""
+
+from dataclasses import replace
+
+import pytest
+
+from ecu_emulator.commands import DriveOptions, choose_scenario
+from ecu_emulator.drive.build import BuiltVehicle, build_vehicle, drive_truth
+from ecu_emulator.drive.causes import PER_STRENGTH
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.scenario.faults import Cause, CauseKind
+from ecu_emulator.scenario.scenario import Scenario
+from ecu_emulator.scenario.scenario_file import load_scenario, parse_scenario
+
+IDEAL = load_scenario("ideal")
+SOUND = build_vehicle(IDEAL)
+
+
+def built(said: str, seed: int = 1) -> BuiltVehicle:
+    return build_vehicle(replace(choose_scenario(DriveOptions(scenario=IDEAL, cause=said)), vehicle_seed=seed))
+
+
+def ratio(vehicle: BuiltVehicle, clutch: int, group: str, name: str) -> float:
+    return float(
+        getattr(getattr(vehicle.calibration.clutches[clutch], group), name)
+        / getattr(getattr(SOUND.calibration.clutches[clutch], group), name)
+    )
+
+
+def test_aged_fluid_is_in_both_clutches_and_takes_the_slope() -> None:
+    aged = built("aged-fluid:2")
+    for clutch in (0, 1):
+        assert ratio(aged, clutch, "friction", "mu_c") < 0.96
+        assert ratio(aged, clutch, "friction", "mu_s") > 1.04
+    assert aged.calibration.viscosity.a_pa_s < SOUND.calibration.viscosity.a_pa_s
+
+
+@pytest.mark.parametrize(
+    ("kind", "group", "name", "is_more"),
+    [
+        ("glazed-lining", "film", "permeability_m2", False),
+        ("glazed-lining", "friction", "mu_s", False),
+        ("worn-lining", "piston", "fill_stroke_m", True),
+        ("return-spring", "piston", "spring_preload_n", False),
+        ("dragging-clutch", "film", "open_gap_m", False),
+    ],
+)
+def test_some_causes_are_in_one_clutch(kind: str, group: str, name: str, is_more: bool) -> None:
+    faulty = built(f"{kind}:2:2")
+    assert ratio(faulty, 0, group, name) == 1.0
+    assert (ratio(faulty, 1, group, name) > 1.0) is is_more
+
+
+def test_worn_lining_leaves_friction_alone_and_moves_the_touch_point() -> None:
+    first, second = (built("worn-lining:2:1").calibration.clutches, SOUND.calibration.clutches)
+    assert first[0].friction == second[0].friction
+    assert first[0].touch_pressure_pa > second[0].touch_pressure_pa + 5e3
+
+
+def test_hydraulics_and_sensors_err() -> None:
+    soft, weak = built("air:2").parameters.hydraulics, built("weak-pump:2").parameters.hydraulics
+    assert soft.pack_compliance_m3_pa > 2.0 * SOUND.parameters.hydraulics.pack_compliance_m3_pa
+    assert weak.line_pressure_pa < 0.8 * SOUND.parameters.hydraulics.line_pressure_pa
+    gains = [built("pressure-sensor:2:1", seed).sensors["clutch1_pressure_pa"].gain_ratio for seed in range(8)]
+    assert min(gains) < 1.0 < max(gains)  # either way
+    drifted = built("torque-sensor:2").sensors["engine_torque_nm"]
+    assert abs(drifted.gain_ratio / SOUND.sensors["engine_torque_nm"].gain_ratio - 1.0) > 0.03
+
+
+def test_water_makes_friction_erratic_from_shift_to_shift() -> None:
+    def spread(cause: str | None) -> float:
+        _, truth = frames_of(replace(choose_scenario(DriveOptions(scenario=IDEAL, cause=cause)), cycles=1))
+        levels = [shift.mu_c / truth.drive.mu_c[shift.clutch - 1] for shift in truth.shifts]
+        return max(levels) - min(levels)
+
+    assert spread(None) == 0.0
+    assert spread("water:2") > 0.05
+
+
+def test_a_cause_grows_by_the_odometer_and_the_truth_names_it() -> None:
+    growing = Cause(kind=CauseKind.GLAZED_LINING, strength=2.0, clutch=1, begins_m=1e6, grows_over_m=2e6)
+    assert [growing.strength_at(km * 1e6) for km in (0.5, 1.0, 2.0, 3.0, 9.0)] == [0.0, 0.0, 1.0, 2.0, 2.0]
+    for odometer_m, strengths in ((5e5, []), (2e6, [1.0]), (4e6, [2.0])):
+        scenario = replace(IDEAL, causes=(growing,), odometer_m=odometer_m)
+        truth = drive_truth(scenario, build_vehicle(scenario))
+        assert [(one.kind, one.clutch) for one in truth.causes] == [("glazed-lining", 1)] * len(strengths)
+        assert [one.strength for one in truth.causes] == strengths
+
+
+def test_two_causes_come_together_and_each_car_has_its_own_size() -> None:
+    both = built("glazed-lining:2:1,weak-pump:1")
+    assert [one.kind for one in both.causes] == ["glazed-lining", "weak-pump"]
+    assert both.parameters.hydraulics == built("weak-pump:1").parameters.hydraulics
+    assert len({ratio(built("glazed-lining:1:1", seed), 0, "friction", "mu_c") for seed in range(5)}) == 5
+
+
+def test_every_cause_changes_the_car() -> None:
+    assert set(PER_STRENGTH) == set(CauseKind)
+    for kind in CauseKind:
+        faulty = built(kind.value)
+        assert (faulty.calibration, faulty.parameters, faulty.sensors) != (
+            SOUND.calibration,
+            SOUND.parameters,
+            SOUND.sensors,
+        )
+
+
+def test_a_scenario_file_has_causes() -> None:
+    text = 'name = "x"\n[[causes]]\nkind = "air"\nstrength = 1.5\ngrows_over_m = 5e6\n'
+    assert parse_scenario(text, "x").causes == (Cause(kind=CauseKind.AIR, strength=1.5, grows_over_m=5e6),)
+
+
+@pytest.mark.parametrize("said", ["rust", "air:much", "air:9", "air:1:2", "worn-lining:1:3", "air:1:0:4", "air,"])
+def test_what_is_no_cause_is_refused(said: str) -> None:
+    with pytest.raises(ConfigError):
+        choose_scenario(DriveOptions(scenario=Scenario(name="x"), cause=said))
