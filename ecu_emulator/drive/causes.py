@@ -51,7 +51,7 @@ PER_STRENGTH: Final[Mapping[CauseKind, Mapping[str, float]]] = {  # natural loga
                       "solenoid_lag": 0.25},
     CauseKind.WRONG_FLUID: {"mu_c": -0.04, "mu_s": 0.04, "viscosity": 0.15},
     CauseKind.AIR: {"pack_compliance": 0.5, "solenoid_lag": 0.15, "open_drag": -0.2},
-    CauseKind.WEAK_PUMP: {"line_pressure": -0.2, "orifice": -0.12},
+    CauseKind.WEAK_PUMP: {"supply": -0.2, "orifice": -0.12},
     CauseKind.TORQUE_SENSOR: {"torque_gain": 0.04, "torque_zero_nm": 1.0},
     CauseKind.SYNCHRONISER: {"synchroniser_torque": -0.25},
     CauseKind.GLAZED_LINING: {"mu_c": -0.06, "mu_s": -0.05, "permeability": -0.5, "roughness": -0.05},
@@ -106,7 +106,7 @@ class CausedChanges:
         return replace(
             sound,
             hydraulics=valves._replace(
-                line_pressure_pa=valves.line_pressure_pa * _ratio(both, "line_pressure"),
+                supply_ratio=valves.supply_ratio * _ratio(both, "supply"),
                 solenoid_lag_s=valves.solenoid_lag_s * _ratio(both, "solenoid_lag"),
                 pack_compliance_m3_pa=valves.pack_compliance_m3_pa * _ratio(both, "pack_compliance"),
                 orifice_m3_s_sqrt_pa=valves.orifice_m3_s_sqrt_pa * _ratio(both, "orifice"),

@@ -136,7 +136,8 @@ def fluid_step(
 @array_kernel
 def advance_clutch(y: FloatArray, u: FloatArray, clutch: int, dt_s: float, law: ClutchLaw) -> None:
     """Advance solenoid, cavity and film of one clutch in place, in two steps where the cavity fills or empties."""
-    command_pa, viscosity = u[at.P_COMMAND + clutch], u[at.VISCOSITY + clutch]
+    supply_pa = law.valve.supply_ratio * law.valve.line_pressure_pa
+    command_pa, viscosity = min(u[at.P_COMMAND + clutch], supply_pa), u[at.VISCOSITY + clutch]
     start = (y[at.P_V + clutch], y[at.VOLUME + clutch], y[at.FILM + clutch])
     if command_pa == 0.0 and start[0] == 0.0 and start[1] == 0.0 and start[2] == law.film.open_gap_m:
         return

@@ -17,6 +17,7 @@ class HydraulicsParameters(NamedTuple):
     pack_compliance_m3_pa: float  # C_pack
     orifice_m3_s_sqrt_pa: float  # k_or
     laminar_pressure_pa: float  # dP_lam
+    supply_ratio: float = 1.0  # of the line pressure that the pump reaches; the control does not know of less
 
 
 class CavityLaw(NamedTuple):
