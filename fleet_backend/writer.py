@@ -73,6 +73,7 @@ _RIVALS: Final = (
     " AND r.produced_at >= m.month::timestamp AT TIME ZONE 'UTC'"
     " AND r.produced_at < (m.month + interval '1 month') AT TIME ZONE 'UTC' OFFSET 0) AS r"
 )
+_HAS_RIVALS: Final = f"SELECT EXISTS (SELECT FROM {_RIVALS})"  # noqa: S608
 _DROP: Final = (
     f"DELETE FROM {SHIFT_RESULT.name} AS t USING {_RIVALS} WHERE s.content_digest < r.content_digest"  # noqa: S608
     f" AND (t.{', t.'.join(_KEY)}) = (r.{', r.'.join(_KEY)})"
@@ -110,7 +111,8 @@ def copy_results(connection: Connection, rows: Sequence[Row]) -> None:
                 copy.set_types(_TYPES)
                 for row in rows:
                     copy.write_row(_VALUES_OF(row))
-            for statement in (_DROP, _YIELD, _TAKE):
+            has_rivals = cursor.execute(_HAS_RIVALS).fetchone()[0]
+            for statement in (_DROP, _YIELD, _TAKE) if has_rivals else (_TAKE,):
                 cursor.execute(statement)
     except base as error:
         is_gone = dialect.is_disconnect(error, driver, None)
