@@ -13,6 +13,7 @@ from datetime import date
 from enum import StrEnum
 from functools import lru_cache
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Final, NamedTuple, Self, TypeVar
@@ -293,7 +294,31 @@ class ClutchCalibration:
         return self.piston.closed_spring_force_n / self.geometry.piston_area_m2
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Converter(Ranged):
+    """A torque converter by its characteristic over the speed ratio, turbine over engine; its lock-up is clutch 1."""
+
+    ABOVE_ZERO = ("capacity_ratio",)
+
+    speed_ratios: tuple[float, ...]  # rising from 0 to 1
+    capacities_nm_s2: tuple[float, ...]  # torque of the impeller over the square of its speed [N m s2/rad2], there
+    torque_ratios: tuple[float, ...]  # turbine over impeller, there
+    impeller_inertia_kg_m2: float
+    turbine_inertia_kg_m2: float
+    capacity_ratio: float  # one standard deviation of production scatter of the capacities
+
+    def __post_init__(self) -> None:
+        """Check that it is a curve from stall to coupling."""
+        Ranged.__post_init__(self)
+        sizes = {len(self.speed_ratios), len(self.capacities_nm_s2), len(self.torque_ratios)}
+        require(len(sizes) == 1, "a converter needs as many capacities and torque ratios as speed ratios")
+        rises = all(low < high for low, high in pairwise(self.speed_ratios))
+        ends = (self.speed_ratios[0], self.speed_ratios[-1]) if self.speed_ratios else ()
+        require(rises and ends == (0.0, 1.0), "speed_ratios must rise from 0 to 1")
+
+
 CLUTCH_COUNT: Final = 2
+ELEMENTS: Final = ("clutch 1", "clutch 2")
 _TEXTS: Final = ("name", "version")  # a number will do
 _ELSEWHERE: Final = ("clutch", "transmission")  # read above, and by clutch_model.transmission
 
@@ -357,6 +382,8 @@ class Calibration:
     joint: JointUncertainty | None = None
     vehicle: str | None = field(default=None, repr=False)  # whose it is; None: of every vehicle of the type
     torque: TorqueSource = TorqueSource.MEASURED
+    converter: Converter | None = None  # its lock-up clutch is clutch 1, and there is no other
+    elements: tuple[str, ...] = ELEMENTS  # names of the clutches
 
     @classmethod
     def from_mapping(cls, table: Mapping[str, Any]) -> Self:
@@ -372,10 +399,15 @@ class Calibration:
         require(made_on is None or type(made_on) is date, f"made_on must be a day (2026-01-31), got {made_on!r}")
         is_name = isinstance(vehicle, str) and vehicle.isprintable() and vehicle != ""
         require(vehicle is None or is_name, f"vehicle must be a text that can be printed, got {vehicle!r}")
+        if isinstance(clutches, list) and len(clutches) == 1 and "converter" in table:
+            clutches = clutches * CLUTCH_COUNT  # nobody asks for the second
         if not isinstance(clutches, list) or len(clutches) != CLUTCH_COUNT:
             raise CalibrationError(f"calibration needs exactly {CLUTCH_COUNT} [[clutch]] tables")
         both = tuple(record_from(ClutchCalibration, one, f"clutch {m} ") for m, one in enumerate(clutches, 1))
         rest = {key: str(value) if key in _TEXTS else value for key, value in table.items() if key not in _ELSEWHERE}
+        if named := table.get("transmission", {}).get("elements"):
+            count = 1 if "converter" in table else CLUTCH_COUNT
+            rest["elements"] = [str(one.get("name")) for one in named[:count]]
         return record_from(cls, rest, clutches=both)
 
     def with_torque(self, source: TorqueSource) -> Self:
@@ -419,10 +451,13 @@ def calibration_toml(calibration: Calibration) -> str:
     table["clutch"] = table.pop("clutches")
     if calibration.torque is TorqueSource.MEASURED:
         del table["torque"]
+    if calibration.elements == ELEMENTS:
+        del table["elements"]
     return tomli_w.dumps({key: value for key, value in table.items() if value is not None})
 
 
-SHIPPED: Final = ("nominal", "gs7")  # types of transmissions that can be driven and diagnosed
+SHIPPED: Final = ("nominal", "gs7", "lockup")  # types of transmissions that can be driven and diagnosed
+CONVERTERS: Final = frozenset({"lockup"})  # of them, with a torque converter
 DESCRIBED: Final = (*SHIPPED, "8hp70")
 
 

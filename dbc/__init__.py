@@ -1,5 +1,5 @@
 """The wire contract: the project's own database."""
 
-from dbc.contract import DBC_PATH, load_contract
+from dbc.contract import DBC_PATH, dbc_path, load_contract
 
-__all__ = ["DBC_PATH", "load_contract"]
+__all__ = ["DBC_PATH", "dbc_path", "load_contract"]

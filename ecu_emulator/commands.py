@@ -291,7 +291,7 @@ def write_log(
             truth_file.unlink()  # nobody needs the truth of a log that is not there
         raise
     if options.table is not None:
-        write_table(path, options.table, scenario.seed_of_drive)
+        write_table(path, options.table, scenario.seed_of_drive, scenario.transmission)
     return Recording(
         path=path,
         truth=truth_file,

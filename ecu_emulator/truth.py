@@ -22,7 +22,7 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray
 from canlog.files import read_small_file
 from clutch_model.calibration import clutch_of_gear
-from ecu_emulator.driving.indices import EventKind
+from ecu_emulator.driving.indices import EventKind, LockUpState
 from ecu_emulator.errors import RecordError
 from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control.tcu_data import CLOSED_REVS
@@ -60,6 +60,7 @@ class DriveTruth:
     effects: Mapping[str, float] = field(default_factory=dict)  # unknown to the service's model, if switched on
     drive: str = "cycle"
     odometer_m: float | None = None  # at its start; None in older files
+    mu_at_slip_rpm: Mapping[int, float] = field(default_factory=dict)  # of a lock-up clutch, as the drive begins
     causes: tuple[CauseTruth, ...] = ()
 
 
@@ -118,6 +119,18 @@ class EventTruth:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ShudderTruth:
+    """One stretch of shudder of a lock-up clutch that slips under control."""
+
+    number: int  # 1, 2, ... within the drive
+    t_start_s: float
+    t_end_s: float
+    gear: int
+    frequency_hz: float
+    amplitude_rad_s: float  # of the slip, the largest one
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FaultTruth:
     """One scripted fault that has begun."""
 
@@ -146,6 +159,7 @@ class Totals:
     shifts: int
     events: int = 0
     duration_s: float  # of scenario time
+    slipping_s: float = 0.0  # of a lock-up clutch, under control
     driven_s: float = 0.0  # without the time for which the car was parked
     frames: int
     faults: tuple[FaultTruth, ...] = ()
@@ -162,11 +176,12 @@ class TruthLog:
     revs: tuple[RevTruth, ...] = ()
     trips: tuple[TripTruth, ...] = ()
     events: tuple[EventTruth, ...] = ()
+    shudders: tuple[ShudderTruth, ...] = ()
 
 
-Happened = ShiftTruth | RevTruth | EventTruth | TripTruth
+Happened = ShiftTruth | RevTruth | EventTruth | TripTruth | ShudderTruth
 _KINDS: Final[Mapping[type[Happened], str]] = {
-    ShiftTruth: "shift", RevTruth: "rev", EventTruth: "event", TripTruth: "trip"
+    ShiftTruth: "shift", RevTruth: "rev", EventTruth: "event", TripTruth: "trip", ShudderTruth: "shudder",
 }  # fmt: skip
 
 
@@ -270,6 +285,7 @@ def truth_log(drive: DriveTruth, truths: Iterable[Happened], totals: Totals | No
         revs=tuple(kept[RevTruth]),
         trips=tuple(kept[TripTruth]),
         events=tuple(kept[EventTruth]),
+        shudders=tuple(kept[ShudderTruth]),
     )
 
 
@@ -495,3 +511,66 @@ def _is_locked(row: FloatArray, clutch: int) -> bool:
     is_pressed = abs(row[_TORQUE[clutch]] - row[_DRAG[clutch]]) > PRESSED_NM
     slip_rad_s = abs(row[Col.HUB_SPEED] - row[_SHAFT_SPEED[clutch]])
     return bool(row[_STICK[clutch]]) or bool(is_pressed and slip_rad_s < STOPPED_SLIP_RAD_S)
+
+
+BLOCK_ROWS: Final = 500  # in which shudder is looked for
+SHUDDER_HZ: Final = (5.0, 20.0)
+SHUDDER_RAD_S: Final = 1.0  # 10 rpm: less is not felt
+
+
+class ShudderWatcher:
+    """Finds shudder in plant rows of a lock-up clutch: its slip, while it is under control, swings in the band."""
+
+    def __init__(self) -> None:
+        self._block = np.empty((0, len(Col)))  # rows of the block that has begun
+        self._running: list[tuple[float, float, float]] = []  # begin [s], frequency, amplitude of each block
+        self._gear = 0
+        self._count = 0
+        self.slipping_s = 0.0
+
+    def feed(self, rows: FloatArray) -> list[ShudderTruth]:
+        """Return the shudder that ends within these rows, shape (n, len(Col)), following those of the call before."""
+        rows, ended = np.concatenate((self._block, rows)), []
+        whole = len(rows) // BLOCK_ROWS * BLOCK_ROWS
+        for start in range(0, whole, BLOCK_ROWS):
+            ended += self._look(rows[start : start + BLOCK_ROWS])
+        self._block = rows[whole:].copy()
+        return ended
+
+    def finish(self) -> list[ShudderTruth]:
+        """Return the shudder that a trip's end cuts off, if there is one."""
+        self._block = self._block[:0]
+        return self._ended()
+
+    def _look(self, block: FloatArray) -> list[ShudderTruth]:
+        is_slipping = block[:, Col.LOCKUP_STATE] == LockUpState.SLIPPING
+        self.slipping_s += float(is_slipping.sum()) * _ROW_S
+        place = np.linspace(-1.0, 1.0, BLOCK_ROWS)
+        slip_rad_s = block[:, Col.HUB_SPEED] - block[:, Col.INPUT1_SPEED]
+        swing = slip_rad_s - np.polyval(np.polyfit(place, slip_rad_s, 2), place)
+        amplitude_rad_s = math.sqrt(2.0) * float(swing.std())
+        frequency_hz = np.count_nonzero(np.diff(np.signbit(swing))) / (2.0 * BLOCK_ROWS * _ROW_S)
+        is_in_band = SHUDDER_HZ[0] <= frequency_hz <= SHUDDER_HZ[1]
+        if not (is_slipping.all() and is_in_band and amplitude_rad_s > SHUDDER_RAD_S):
+            return self._ended()
+        ended = self._ended() if self._gear != block[0, Col.CURRENT_GEAR] else []
+        self._gear = int(block[0, Col.CURRENT_GEAR])
+        self._running.append((round(float(block[0, Col.T_S]), 3), frequency_hz, amplitude_rad_s))
+        return ended
+
+    def _ended(self) -> list[ShudderTruth]:
+        running, self._running = self._running, []
+        if not running:
+            return []
+        self._count += 1
+        starts_s, frequencies_hz, amplitudes_rad_s = zip(*running, strict=True)
+        return [
+            ShudderTruth(
+                number=self._count,
+                t_start_s=starts_s[0],
+                t_end_s=round(starts_s[-1] + BLOCK_ROWS * _ROW_S, 3),
+                gear=self._gear,
+                frequency_hz=float(np.mean(frequencies_hz)),
+                amplitude_rad_s=max(amplitudes_rad_s),
+            )
+        ]

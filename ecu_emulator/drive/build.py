@@ -6,8 +6,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 from canlog.e2e.message_contract import MessageContract
-from clutch_model.calibration import Calibration, ClutchCalibration, shipped_table
+from clutch_model.calibration import CONVERTERS, Calibration, ClutchCalibration, Converter, shipped_table
 from clutch_model.errors import CalibrationError
+from clutch_model.pack import friction_law, kinetic_friction
+from clutch_model.units import rad_s_from_rpm
 from ecu_emulator.bus.frames import FrameEncoder
 from ecu_emulator.drive.causes import CausedChanges
 from ecu_emulator.driving.journey import Departure, Journey, MovingCar, PlannedTrip, Warmth, trips
@@ -22,6 +24,8 @@ from ecu_emulator.truth import CauseTruth, DriveTruth, TripTruth
 
 _FRESH: Final = (1.0, 1.0)
 _CLUTCH_NAMES: Final = ("clutch1", "clutch2")
+_MEASURED_PACKS: Final = {**{f"{name}_pressure_pa": name for name in _CLUTCH_NAMES}, "lockup_pressure_pa": "clutch1"}
+TOLD_SLIPS_RPM: Final = (10, 20, 40, 60, 100, 200)
 _PER_CLUTCH: Final = frozenset({"piston_area_ratio", "touch_pressure_pa", "pressure_zero_pa"})
 _DELAYED_UNITS: Final = frozenset({"rad_s"})  # the speeds that torque and pressure are compared with
 
@@ -104,7 +108,8 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
 
     Raises ConfigError if a truth override names an unknown key or leads outside a physical range.
     """
-    drawn, faulty = _draw(scenario.scatter, scenario.seed_of_vehicle), CausedChanges.of(scenario)
+    faulty = CausedChanges.of(scenario)
+    drawn = _draw(scenario.scatter, scenario.seed_of_vehicle, has_converter=scenario.transmission in CONVERTERS)
     try:
         calibration = affected_calibration(
             Calibration.from_mapping(
@@ -125,6 +130,7 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
                     clutches=(clutches[0], clutches[1]),
                     viscosity=replace(calibration.viscosity, a_pa_s=viscosity_a_pa_s),
                     input_side=replace(calibration.input_side, engine_inertia_kg_m2=inertia_kg_m2),
+                    converter=_scattered_converter(calibration.converter, drawn),
                 )
             ),
             parameters=faulty.parameters(
@@ -146,10 +152,10 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
         raise ConfigError(f"scenario {scenario.name}: truth is not possible: {exc}") from exc
 
 
-def _draw(scatter: Scatter, seed: int) -> dict[str, float]:
+def _draw(scatter: Scatter, seed: int, *, has_converter: bool) -> dict[str, float]:
     """Draw every deviation from a generator of its own, so that one more does not change the others."""
     drawn: dict[str, float] = {}
-    for name in (member.name for member in fields(scatter)):
+    for name in (one.name for one in fields(scatter) if has_converter or not one.name.startswith("converter")):
         keys = [f"{clutch}_{name}" for clutch in _CLUTCH_NAMES] if name in _PER_CLUTCH else [name]
         std = getattr(scatter, name)
         drawn |= {key: 0.0 + std * float(generator(seed, f"scatter {key}").standard_normal()) for key in keys}
@@ -169,6 +175,15 @@ def _scattered_clutch(
             clutch.friction, mu_c=clutch.friction.mu_c * factors[0], mu_s=clutch.friction.mu_s * factors[1]
         ),
     )
+
+
+def _scattered_converter(converter: Converter | None, drawn: Mapping[str, float]) -> Converter | None:
+    if converter is None:
+        return None
+    level, rise = drawn["converter_capacity_ratio"], drawn["converter_shape_ratio"]
+    places = zip(converter.speed_ratios, converter.capacities_nm_s2, strict=True)
+    capacities = tuple(value * (1.0 + level + rise * (2.0 * place - 1.0)) for place, value in places)
+    return replace(converter, capacities_nm_s2=capacities)
 
 
 def _scattered_plant(parameters: PlantParameters, drawn: Mapping[str, float]) -> PlantParameters:
@@ -196,10 +211,10 @@ def _scattered_sensors(sensors: Sensors, drawn: Mapping[str, float]) -> Sensors:
                 offset=sensor.offset + drawn["torque_offset_nm"],
                 latency_s=sensor.latency_s + base_s + latency_s["torque"],
             )
-        elif quantity in {f"{clutch}_pressure_pa" for clutch in _CLUTCH_NAMES}:
+        elif (clutch := _MEASURED_PACKS.get(quantity)) is not None:
             scattered[quantity] = replace(
                 sensor,
-                offset=sensor.offset + drawn[f"{quantity.partition('_')[0]}_pressure_zero_pa"],
+                offset=sensor.offset + drawn[f"{clutch}_pressure_zero_pa"],
                 latency_s=sensor.latency_s + base_s + latency_s["pressure"],
             )
         elif split_unit(quantity)[1] in _DELAYED_UNITS:
@@ -303,7 +318,14 @@ def drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
         drawn=vehicle.drawn,
         effects=scenario.effects.switched_on(),
         causes=vehicle.causes,
+        mu_at_slip_rpm=_mu_at_slip_rpm(vehicle.calibration) if vehicle.calibration.converter else {},
     )
+
+
+def _mu_at_slip_rpm(calibration: Calibration) -> dict[int, float]:
+    """Return the friction of a lock-up clutch at the slips in which it is driven, as the drive begins."""
+    law = friction_law(calibration.clutches[0].friction)
+    return {rpm: float(kinetic_friction(float(rad_s_from_rpm(rpm)), law)) for rpm in TOLD_SLIPS_RPM}
 
 
 def scenario_trips(scenario: Scenario) -> Iterator[PlannedTrip]:

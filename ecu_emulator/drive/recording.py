@@ -40,6 +40,7 @@ from ecu_emulator.truth import (
     RevWatcher,
     ShiftTruth,
     ShiftWatcher,
+    ShudderWatcher,
     Totals,
     TripTruth,
     TruthLog,
@@ -93,12 +94,14 @@ class Drive:
     ) -> None:
         self._scenario = scenario
         self._vehicle = vehicle = build_vehicle(scenario)
-        database = load_contract()
+        database = load_contract(scenario.transmission)
         self._encoder = FrameEncoder(database)
         self._touch_pa = None if scenario.adapted else nominal_touch_pressures_pa(scenario.transmission)
         self._plant = self._made_plant(longest_stay_s, planned)
         self._departure: Departure | None = None
-        self._watchers = (ShiftWatcher(), RevWatcher(), EventWatcher())
+        has_converter = vehicle.calibration.converter is not None  # where changes of gear tell nothing
+        self._shudder = ShudderWatcher()
+        self._watchers = (self._shudder,) if has_converter else (ShiftWatcher(), RevWatcher(), EventWatcher())
         self._sensors = SensorSuite(
             schedules=schedules(scenario, message_contracts(database), self._encoder),
             sensors=vehicle.sensors,
@@ -124,6 +127,7 @@ class Drive:
             shifts=self._counts[ShiftTruth],
             events=self._counts[EventTruth],
             duration_s=self._end_s,
+            slipping_s=self._shudder.slipping_s,
             driven_s=self._driven_ms / MS_PER_S,
             frames=self._frame_count,
             faults=self._fault_truths(),

@@ -16,14 +16,19 @@ MANIFOLD = HUB_SPEED + 1  # [Pa]
 GRADE = MANIFOLD + 1
 OIL = GRADE + 1  # [K]
 COOLANT = OIL + 1  # [K]
-SENSE_COUNT = COOLANT + 1
+TURBINE_SPEED = COOLANT + 1  # behind a converter
+TURBINE_TORQUE = TURBINE_SPEED + 1
+IMPELLER_TORQUE = TURBINE_TORQUE + 1
+GEAR_RATIO = IMPELLER_TORQUE + 1  # of an automatic gearbox, final drive included
+SENSE_COUNT = GEAR_RATIO + 1
 
 # What they command beyond `tcu_data`.
 STARTER = tcu_data.COMMAND_COUNT  # torque of the starter [N m]
 REQUEST = STARTER + 1  # how the transmission intervenes in the engine's torque
 REQUESTED_TORQUE = REQUEST + 1  # [N m]
 HILL_BRAKE = REQUESTED_TORQUE + 1  # least deceleration the brakes hold for the driver [m/s^2]
-COMMAND_COUNT = HILL_BRAKE + 1
+RATIO_RATE = HILL_BRAKE + 1  # at which an automatic gearbox changes its ratio [1/s]
+COMMAND_COUNT = RATIO_RATE + 1
 
 # How the transmission intervenes.
 NO_REQUEST = 0
@@ -60,7 +65,11 @@ WHIM_TIME = LIFT_TIME + 1  # left of a driver's whim
 WHIM_PEDAL = WHIM_TIME + 1  # what it adds to the pedal
 SHAFT_AHEAD = WHIM_PEDAL + 1  # what the launched shaft turns faster than the rolling car turns it, smoothed [rad/s]
 LAUNCH_RATE = SHAFT_AHEAD + 1  # at which the engine is to become faster in a launch, smoothed [rad/s^2]
-MEMORY_COUNT = LAUNCH_RATE + 1
+LOCKUP_STATE = LAUNCH_RATE + 1  # a LockUpState
+LOCKUP_TIME = LOCKUP_STATE + 1  # in this state
+LOCKUP_SLIP = LOCKUP_TIME + 1  # engine less turbine, smoothed [rad/s]
+START_RATIO = LOCKUP_SLIP + 1  # of the gearbox, as a change of gear begins
+MEMORY_COUNT = START_RATIO + 1
 
 # Columns of the table of whims, one row per event.
 WHIM_DELAY = 0  # after the begin of the event [s]; negative: none
@@ -80,6 +89,17 @@ class DriveState(IntEnum):
     CREEPING = 3  # clutch 1 carries little, the driver's feet rest
     LAUNCHING = 4  # a clutch slips until the car is as fast as the engine
     COASTING_OPEN = 5  # rolling with both clutches open
+
+
+@unique
+class LockUpState(IntEnum):
+    """What the control does with the lock-up clutch of a converter, as on the bus."""
+
+    OPEN = 0
+    APPLYING = 1
+    SLIPPING = 2  # under control
+    LOCKED = 3
+    RELEASING = 4
 
 
 @unique

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
-from ecu_emulator.driving import indices
+from ecu_emulator.driving import automatic, indices
 from ecu_emulator.driving.control import control, have_whim
 from ecu_emulator.driving.engine_control import control_engine
 from ecu_emulator.driving.indices import DriveState, EngineState
@@ -45,6 +45,10 @@ def sense_drive(machine: Machine, road: Road, law: DrivingLaw) -> None:
     sense[indices.MANIFOLD] = y[at.P_M]
     sense[indices.OIL] = y[at.T_OIL]
     sense[indices.COOLANT] = machine.u[at.COOLANT]
+    sense[indices.TURBINE_SPEED] = y[at.W_G]
+    sense[indices.TURBINE_TORQUE] = machine.work.slope1[at.T_TURBINE]
+    sense[indices.IMPELLER_TORQUE] = machine.work.slope1[at.T_IMPELLER]
+    sense[indices.GEAR_RATIO] = y[at.GEAR_RATIO]
     sense[indices.GRADE] = seen(road.grades, machine.clock[0] * tcu_data.PERIOD_S)
 
 
@@ -66,6 +70,7 @@ def obey_drive(machine: Machine, law: DrivingLaw) -> None:
     u[at.PEDAL] = machine.memory[indices.PEDAL]
     u[at.GRADE] = machine.sense[indices.GRADE]
     u[at.STARTER] = machine.commands[indices.STARTER]
+    u[at.RATIO_RATE] = machine.commands[indices.RATIO_RATE]
     p = law.driving.surroundings
     for k in range(2):
         share = u[at.VISCOSITY + k] / p.open_drag_viscosity_pa_s
@@ -91,6 +96,10 @@ def record_drive(machine: Machine, road: Road, row: FloatArray) -> None:
     row[Col.ENGINE_STATE] = memory[indices.ENGINE_STATE]
     row[Col.COOLANT_TEMPERATURE] = u[at.COOLANT]
     row[Col.GRADE] = u[at.GRADE]
+    row[Col.TURBINE_SPEED] = machine.y[at.W_G]
+    row[Col.IMPELLER_TORQUE] = machine.work.slope1[at.T_IMPELLER]
+    row[Col.TURBINE_TORQUE] = machine.work.slope1[at.T_TURBINE]
+    row[Col.LOCKUP_STATE] = memory[indices.LOCKUP_STATE]
     row[Col.WANTED_SPEED] = seen(road.speeds, machine.clock[0] * tcu_data.PERIOD_S)
 
 
@@ -104,7 +113,10 @@ def run(machine: Machine, road: Road, law: DrivingLaw, rows: FloatArray) -> int:
         sense_drive(machine, road, law)
         have_whim(machine.memory, road.whims)
         drive(machine.memory, machine.sense, road.speeds, machine.clock[0] * tcu_data.PERIOD_S, law)
-        control(machine.memory, machine.sense, machine.commands, law)
+        if plant.converter.is_there == 0:
+            control(machine.memory, machine.sense, machine.commands, law)
+        else:
+            automatic.control(machine.memory, machine.sense, machine.commands, law)
         control_engine(machine.memory, machine.sense, machine.commands, law)
         warm(machine, law)
         obey_drive(machine, law)

@@ -126,6 +126,32 @@ class ChangeParameters(NamedTuple):
     longest_s: float
 
 
+class LockUpParameters(NamedTuple):
+    """The lock-up clutch of a converter and the changes of gear before it."""
+
+    least_gear: float
+    least_oil_k: float
+    on_rad_s: float
+    off_rad_s: float
+    locked_rad_s: float
+    hysteresis_rad_s: float
+    most_pedal_ratio: float
+    settle_s: float
+    apply_s: float
+    least_slip_rad_s: float
+    most_slip_rad_s: float
+    most_slip_nm: float
+    gain_nms_rad: float
+    integral_gain_nm_rad: float
+    slip_lag_s: float
+    coast_nm: float
+    hold_ratio: float
+    hold_nm: float
+    release_s: float
+    change_s: float
+    spark_reduction_ratio: float
+
+
 class SurroundingsParameters(NamedTuple):
     """Warming of the coolant, drag of open packs, brakes at rest, synchronisers in the cold."""
 
@@ -148,6 +174,7 @@ class DrivingParameters(NamedTuple):
     choice: ChoiceParameters
     launch: LaunchParameters
     change: ChangeParameters
+    lock_up: LockUpParameters
     surroundings: SurroundingsParameters
 
 

@@ -19,7 +19,7 @@ from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import refresh_contact
 from ecu_emulator.plant.course import ROWS_PER_S, Course, as_record, blank_machine, check_step
 from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
-from ecu_emulator.plant.driveline import ENGAGED
+from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL
 from ecu_emulator.plant.engine import throttle_flow_kg_s
 from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
@@ -208,11 +208,16 @@ def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited
     machine.u[at.COOLANT] = machine.sense[indices.COOLANT] = conditions.coolant_k
     machine.u[at.DIRECTION : at.DIRECTION + 2] = 1.0
     machine.u[at.AIR_FLOW] = throttle_flow_kg_s(0.0, law.drive.plant.engine)
+    gears = (1, 2)
     machine.modes[at.LINK : at.LINK + 2] = ENGAGED
-    machine.modes[at.GEAR : at.GEAR + 2] = (1, 2)
+    if law.drive.plant.converter.is_there:  # behind one shaft, which is in some gear at any time
+        gears = (1, 0)
+        machine.modes[at.LINK + 1] = NEUTRAL
+        machine.y[at.GEAR_RATIO] = law.drive.overall_ratios[1]
+    machine.modes[at.GEAR : at.GEAR + 2] = gears
     machine.modes[at.HELD] = 1
-    machine.u[at.RATIO : at.RATIO + 2] = law.drive.overall_ratios[1:3]
-    machine.commands[tcu_data.WANTED_GEAR : tcu_data.WANTED_GEAR + 2] = (1, 2)
+    machine.u[at.RATIO : at.RATIO + 2] = [law.drive.overall_ratios[gear] for gear in gears]
+    machine.commands[tcu_data.WANTED_GEAR : tcu_data.WANTED_GEAR + 2] = gears
     machine.commands[tcu_data.SPARK] = 1.0
     machine.memory[tcu_data.CURRENT_GEAR] = machine.memory[tcu_data.TARGET_GEAR] = 1
     machine.memory[indices.STATE] = DriveState.STANDSTILL

@@ -272,7 +272,7 @@ def send(
         _answering(bus, answers, choice, scenario, sent.drive) as answering,
         OtherSenders(
             bus,
-            [contract.can_id for contract in message_contracts(load_contract()).values()],
+            [contract.can_id for contract in message_contracts(load_contract(scenario.transmission)).values()],
             lambda can_id: say(_mixed_bus_text(can_id)),
             wanted_ids=answering.link.can_ids if answering is not None else (),
             pass_on=answering.link.feed if answering is not None else lambda _: None,

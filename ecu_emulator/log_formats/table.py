@@ -68,7 +68,9 @@ class TableOptions:
             raise ConfigError("a table without columns tells nothing")
 
 
-def write_table(log: Path, options: TableOptions, seed: int | np.random.Generator) -> int:
+def write_table(
+    log: Path, options: TableOptions, seed: int | np.random.Generator, transmission: str = "nominal"
+) -> int:
     """Write a table of a log, and return how many rows it has; the same seed makes the same table.
 
     Raises
@@ -78,7 +80,7 @@ def write_table(log: Path, options: TableOptions, seed: int | np.random.Generato
     """
     rng = np.random.default_rng(seed)
     try:
-        signals = canlog.read([log], load_contract()).signals()
+        signals = canlog.read([log], load_contract(transmission)).signals()
     except CanlogError as exc:
         raise RecordError(f"{log} cannot be made a table: {exc}") from exc
     names = [name for name in COLUMNS if name not in options.left_out]

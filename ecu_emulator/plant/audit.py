@@ -21,7 +21,8 @@ TYRES = 7
 BRAKES = 8
 ROAD = 9
 COOLANT = 10
-ACCOUNT_COUNT = 11
+CONVERTER = 11
+ACCOUNT_COUNT = 12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,12 +42,13 @@ class PowerBalance:
     stored_j: float  # change of kinetic and spring energy
     heated_j: float  # change of the heat in clutches and sump
     coolant_j: float
+    converter_j: float = 0.0
 
     @property
     def residual_j(self) -> float:
         """Energy that appeared from nowhere [J]."""
         lost_j = self.clutch_j + self.bearing_j + self.damper_j + self.gear_j
-        lost_j += self.synchroniser_j + self.tyre_j + self.brake_j + self.road_j
+        lost_j += self.synchroniser_j + self.tyre_j + self.brake_j + self.road_j + self.converter_j
         return self.stored_j + lost_j - self.engine_j
 
     @property
@@ -56,8 +58,9 @@ class PowerBalance:
 
     @property
     def heat_residual_ratio(self) -> float:
-        """Part of the clutch heat that is neither stored nor carried away."""
-        return (self.clutch_j - self.heated_j - self.coolant_j) / self.clutch_j
+        """Part of the heat of clutches and converter that is neither stored nor carried away."""
+        made_j = self.clutch_j + self.converter_j
+        return (made_j - self.heated_j - self.coolant_j) / made_j
 
 
 @array_kernel
@@ -109,8 +112,8 @@ def shaft_powers(y: FloatArray, modes: Int64Array, out: FloatArray, powers: Floa
         powers[BEARINGS] += bearing_nms
         if modes[at.LINK + k] == ENGAGED:
             efficiency = law.synchroniser.efficiency_ratio
-            passed_nm = geared_torque_nm(out[at.T_SI + k], gear_rad_s, efficiency, 0.0)
-            powers[GEARS] += (out[at.T_SI + k] - passed_nm) * gear_rad_s
+            shaft_nm = out[at.T_SI + k] + out[at.T_TURBINE + k]
+            powers[GEARS] += (shaft_nm - geared_torque_nm(shaft_nm, gear_rad_s, efficiency, 0.0)) * gear_rad_s
 
 
 @array_kernel
@@ -145,6 +148,7 @@ def add_powers(
     share = vehicle.driven_brake_ratio
     powers[BRAKES] = brake_n * (share * rim_m_s + (1.0 - share) * y[at.V])
     powers[ROAD] = road_load_n(y[at.V], u[at.GRADE], vehicle) * y[at.V]
+    powers[CONVERTER] = out[at.T_IMPELLER] * y[at.W_H] - out[at.T_TURBINE] * y[at.W_G]
     powers[COOLANT] = convected_w(y[at.T_OIL], u[at.COOLANT], law.sump_convection_w_k)
     for entry in range(ACCOUNT_COUNT):
         account[entry] += weight_s * powers[entry]
@@ -166,4 +170,5 @@ def power_balance(account: FloatArray, before: FloatArray, after: FloatArray, la
         stored_j=stored_energy_j(after, law) - stored_energy_j(before, law),
         heated_j=stored_heat_j(after, law) - stored_heat_j(before, law),
         coolant_j=float(account[COOLANT]),
+        converter_j=float(account[CONVERTER]),
     )

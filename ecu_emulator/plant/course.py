@@ -63,7 +63,7 @@ def check_step(dt_s: float, law: PlantLaw, overall_ratios: Sequence[float], *, s
         Naming the motion that is too fast and the longest step it allows.
     """
     rates = dict(fastest_rates_rad_s(law, overall_ratios))
-    if starts_in_neutral:
+    if starts_in_neutral and not law.converter.is_there:
         rates["synchroniser of gear 2 from neutral"] = _synchroniser_rate(law, overall_ratios, 2, 0)
     name = max(rates, key=lambda key: rates[key])
     longest_s = _STABILITY_LIMIT / rates[name]
@@ -88,7 +88,7 @@ def fastest_rates_rad_s(law: PlantLaw, overall_ratios: Sequence[float]) -> Mappi
         rates[f"input shaft {number}"] = _shaft_rate(
             shaft.stiffness_nm_rad, shaft.damping_nms_rad, shaft.clutch_inertia_kg_m2, shaft.gear_inertia_kg_m2
         )
-    for gear in range(1, len(overall_ratios)):
+    for gear in range(1, 0 if law.converter.is_there else len(overall_ratios)):
         neighbours = [current for current in (gear - 1, gear + 1) if 1 <= current < len(overall_ratios)]
         rates[f"synchroniser of gear {gear}"] = max(
             _synchroniser_rate(law, overall_ratios, gear, current) for current in neighbours

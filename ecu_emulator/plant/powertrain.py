@@ -7,6 +7,7 @@ from clutch_model.calibration import Calibration, ClutchCalibration
 from clutch_model.pack import applied_pressure_pa, contact_torque_nm, equilibrium_film_m, film_law, friction_law
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import ClutchLaw, OpenDragLaw, grooved, refresh_contact
+from ecu_emulator.plant.converter import converter_law
 from ecu_emulator.plant.course import ROWS_PER_S, Course, as_record, blank_machine, check_step
 from ecu_emulator.plant.drive import DriveSettings, cycle_table
 from ecu_emulator.plant.driveline import ENGAGED
@@ -130,6 +131,11 @@ def _plant_law(truth: Calibration, parameters: PlantParameters, drive: DriveSett
         _clutch_law(clutch, parameters, ratio)
         for clutch, ratio in zip(truth.clutches, parameters.open_drags, strict=True)
     )
+    hub_inertia_kg_m2 = truth.input_side.hub_inertia_kg_m2
+    if truth.converter is not None:  # there is no second clutch, and the hub is the impeller
+        drag = second.open_drag._replace(ratio=0.0, limit_nm=0.0)
+        second = second._replace(film=second.film._replace(viscous_factor_m4=0.0), open_drag=drag)
+        hub_inertia_kg_m2 = truth.converter.impeller_inertia_kg_m2
     return PlantLaw(
         engine=parameters.engine,
         flywheel=parameters.flywheel,
@@ -141,13 +147,14 @@ def _plant_law(truth: Calibration, parameters: PlantParameters, drive: DriveSett
         fluid=FluidLaw(float(truth.viscosity.a_pa_s), float(truth.viscosity.b_k), float(truth.viscosity.pole_k)),
         lining=parameters.lining,
         engine_inertia_kg_m2=float(truth.input_side.engine_inertia_kg_m2),
-        hub_inertia_kg_m2=float(truth.input_side.hub_inertia_kg_m2),
+        hub_inertia_kg_m2=float(hub_inertia_kg_m2),
         hub_damping_nms_rad=float(truth.input_side.hub_damping_nms_rad),
         sump_heat_capacity_j_k=parameters.sump.heat_capacity_j_k,
         sump_convection_w_k=parameters.sump.convection_w_k,
         air_k=float(drive.ambient_k),
         coolant_k=float(drive.coolant_k),
         grade_ratio=float(drive.grade_ratio),
+        converter=converter_law(truth.converter),
         full_brake_m_s=_FULL_BRAKE_M_S,
     )
 

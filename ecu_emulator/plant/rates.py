@@ -7,6 +7,7 @@ from canlog.jit import array_kernel
 from clutch_model.pack import clutch_heating_rate_k_s, convected_w, sump_heating_rate_k_s
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import ClutchLaw, LiningParameters, capacity_nm, contact_nm, viscous_nm
+from ecu_emulator.plant.converter import ConverterLaw, impeller_torque_nm, torque_ratio
 from ecu_emulator.plant.driveline import (
     ENGAGED,
     SYNCHRONISING,
@@ -69,13 +70,14 @@ class PlantLaw(NamedTuple):
     air_k: float  # intake air
     coolant_k: float
     grade_ratio: float
+    converter: ConverterLaw
     full_brake_m_s: float  # speed from which the brakes act with their full force
 
 
 @array_kernel
 def hub_pull(y: FloatArray, out: FloatArray, law: PlantLaw) -> float:
     """Return the acceleration that flywheel and drag alone would give the hub [rad/s^2]."""
-    return float((out[at.T_FW] - law.hub_damping_nms_rad * y[at.W_H]) / law.hub_inertia_kg_m2)
+    return float((out[at.T_FW] - out[at.T_IMPELLER] - law.hub_damping_nms_rad * y[at.W_H]) / law.hub_inertia_kg_m2)
 
 
 @array_kernel
@@ -142,6 +144,20 @@ def clutch_torques(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatAr
 
 
 @array_kernel
+def converter_rates(y: FloatArray, u: FloatArray, out: FloatArray, law: PlantLaw) -> None:
+    """Fill ``out`` with the torques of the converter and what they and the gearbox's ratio change; eqs. (C1)-(C3)."""
+    out[at.T_IMPELLER] = out[at.T_TURBINE] = out[at.T_TURBINE + 1] = 0.0
+    out[at.CONVERTER] = out[at.GEAR_RATIO] = 0.0
+    if law.converter.is_there == 0:
+        return
+    out[at.T_IMPELLER] = y[at.CONVERTER]
+    out[at.T_TURBINE] = y[at.CONVERTER] * torque_ratio(y[at.W_H], y[at.W_G], law.converter)
+    map_nm = impeller_torque_nm(y[at.W_H], y[at.W_G], law.converter)
+    out[at.CONVERTER] = (map_nm - y[at.CONVERTER]) / law.converter.lag_s
+    out[at.GEAR_RATIO] = u[at.RATIO_RATE]
+
+
+@array_kernel
 def input_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Fill ``out`` from the engine to the input shafts; docs/model.md eqs. (1)-(3)."""
     engine_nm = indicated_torque_nm(y[at.P_M], y[at.SPARK], y[at.CRANK], law.air_k, law.engine)
@@ -152,6 +168,7 @@ def input_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray
     out[at.T_FW] = twist_torque_nm(
         y[at.PHI_FW], twist_rate, law.flywheel.stiffness_nm_rad, law.flywheel.damping_nms_rad
     )
+    converter_rates(y, u, out, law)
     for k in range(2):
         shaft = law.shafts.first if k == 0 else law.shafts.second
         shaft_rate = y[at.W_L + k] - y[at.W_G + k]
@@ -162,7 +179,7 @@ def input_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray
         shaft = law.shafts.first if k == 0 else law.shafts.second
         net_nm = out[at.T_F + k] - out[at.T_SI + k] - shaft.clutch_damping_nms_rad * y[at.W_L + k]
         out[at.W_L + k] = net_nm / shaft.clutch_inertia_kg_m2
-    hub_nm = out[at.T_FW] - out[at.T_F] - out[at.T_F + 1] - law.hub_damping_nms_rad * y[at.W_H]
+    hub_nm = out[at.T_FW] - out[at.T_IMPELLER] - out[at.T_F] - out[at.T_F + 1] - law.hub_damping_nms_rad * y[at.W_H]
     out[at.W_E] = (engine_nm - out[at.T_FW]) / law.engine_inertia_kg_m2
     out[at.W_H] = hub_nm / law.hub_inertia_kg_m2
     out[at.PHI_FW] = twist_rate
@@ -174,16 +191,20 @@ def input_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray
 def output_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Fill ``out`` from the gears to the road."""
     output, vehicle = law.output, law.vehicle
+    is_automatic = law.converter.is_there != 0
     inertia_kg_m2 = output.inertia_kg_m2
     net_nm = -output.damping_nms_rad * y[at.W_D]
     for k in range(2):
         shaft = law.shafts.first if k == 0 else law.shafts.second
-        ratio, gear_rad_s, shaft_nm = u[at.RATIO + k], y[at.W_G + k], out[at.T_SI + k]
+        ratio = y[at.GEAR_RATIO] if is_automatic and k == 0 else u[at.RATIO + k]
+        gear_rad_s, shaft_nm = y[at.W_G + k], out[at.T_SI + k] + out[at.T_TURBINE + k]
         out[at.T_SY + k] = 0.0
         if modes[at.LINK + k] == ENGAGED:
             inertia_kg_m2 += ratio * ratio * shaft.gear_inertia_kg_m2
             efficiency = law.synchroniser.efficiency_ratio
             net_nm += ratio * geared_torque_nm(shaft_nm, gear_rad_s, efficiency, shaft.gear_damping_nms_rad)
+            if is_automatic and k == 0:  # what the changing ratio makes the turbine faster
+                net_nm -= ratio * shaft.gear_inertia_kg_m2 * u[at.RATIO_RATE] * y[at.W_D]
             continue
         if modes[at.LINK + k] == SYNCHRONISING:
             out[at.T_SY + k] = synchroniser_torque_nm(ratio * y[at.W_D] - gear_rad_s, law.synchroniser)
@@ -197,6 +218,8 @@ def output_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArra
     for k in range(2):
         if modes[at.LINK + k] == ENGAGED:
             out[at.W_G + k] = u[at.RATIO + k] * out[at.W_D]
+    if is_automatic:
+        out[at.W_G] = y[at.GEAR_RATIO] * out[at.W_D] + u[at.RATIO_RATE] * y[at.W_D]
     traction_n = tyre_force_n(y[at.W_W], y[at.V], vehicle)
     brake_n = brake_force_n(u[at.BRAKE], y[at.V], law.full_brake_m_s, vehicle)
     wheel_brake_nm = vehicle.driven_brake_ratio * brake_n * vehicle.wheel_radius_m
@@ -213,7 +236,7 @@ def output_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArra
 @array_kernel
 def heat_rates(y: FloatArray, u: FloatArray, out: FloatArray, law: PlantLaw) -> None:
     """Fill ``out`` with the warming of clutches and sump."""
-    to_oil_w = 0.0
+    to_oil_w = out[at.T_IMPELLER] * y[at.W_H] - out[at.T_TURBINE] * y[at.W_G]
     for k in range(2):
         clutch = law.clutches.first if k == 0 else law.clutches.second
         power_w = abs(out[at.T_F + k] * (y[at.W_H] - y[at.W_L + k]))

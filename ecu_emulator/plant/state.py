@@ -18,31 +18,35 @@ T_C = 14  # and 15
 T_OIL = 16
 CRANK = 17
 DISTANCE = 18
-RATE_COUNT = 19
+CONVERTER = 19  # torque of the impeller, which follows its map late
+GEAR_RATIO = 20  # of an automatic gearbox, turbine over differential
+RATE_COUNT = 21
 
 # Integrated apart, because nothing mechanical acts back on them: lags, oil volume, film.
-THROTTLE = 19
-SPARK = 20
-P_V = 21  # and 22
-VOLUME = 23  # and 24
-FILM = 25  # and 26
+THROTTLE = 21
+SPARK = 22
+P_V = 23  # and 24
+VOLUME = 25  # and 26
+FILM = 27  # and 28
 
 # Functions of the film, kept with it.
-P_C = 27  # and 28, contact pressure
-SHEAR = 29  # and 30, phi_f - phi_fs
-OPENNESS = 31  # and 32, how far the pack drags like an open one: 0 film law, 1 open
-STATE_COUNT = 33
+P_C = 29  # and 30, contact pressure
+SHEAR = 31  # and 32, phi_f - phi_fs
+OPENNESS = 33  # and 34, how far the pack drags like an open one: 0 film law, 1 open
+STATE_COUNT = 35
 
 # Torques behind the rates in the output of `rates.evaluate`.
-T_FW = 19
-T_F = 20  # and 21
-T_V = 22  # and 23
-T_SI = 24  # and 25
-T_E = 26
-T_OS = 27
-T_SY = 28  # and 29
-F_X = 30
-OUTPUT_COUNT = 31
+T_FW = 21
+T_F = 22  # and 23
+T_V = 24  # and 25
+T_SI = 26  # and 27
+T_E = 28
+T_OS = 29
+T_SY = 30  # and 31
+F_X = 32
+T_IMPELLER = 33  # of the converter, on the hub
+T_TURBINE = 34  # and 35, on the gearbox side of each shaft; the second has none
+OUTPUT_COUNT = 36
 
 # Inputs held over a millisecond (direction: until the slip reverses).
 DIRECTION = 0  # and 1
@@ -61,7 +65,8 @@ GRADE = 19
 COOLANT = 20  # [K]
 STARTER = 21  # torque of the starter on the crankshaft [N m]
 OPEN_DRAG = 22  # and 23, greatest drag of the open pack [N m]; 0: the film law holds for open packs too
-INPUT_COUNT = 24
+RATIO_RATE = 24  # at which an automatic gearbox changes its ratio [1/s]
+INPUT_COUNT = 25
 
 # Modes.
 STICK = 0  # and 1
@@ -130,3 +135,7 @@ class Col(IntEnum):
     COOLANT_TEMPERATURE = 52  # [K]
     GRADE = 53  # rise over way, positive uphill
     WANTED_SPEED = 54  # what the trace asks for now [m/s]; 0 on the shift cycles
+    TURBINE_SPEED = 55  # w_G of shaft 1 [rad/s]: behind a converter the turbine
+    IMPELLER_TORQUE = 56  # of the converter [N m]
+    TURBINE_TORQUE = 57
+    LOCKUP_STATE = 58  # `ecu_emulator.driving.indices.LockUpState`; 0 without a converter

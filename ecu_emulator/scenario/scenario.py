@@ -7,7 +7,7 @@ from dataclasses import Field, dataclass, field, fields
 from enum import StrEnum
 from typing import Final
 
-from clutch_model.calibration import SHIPPED, nominal_calibration
+from clutch_model.calibration import CONVERTERS, SHIPPED, nominal_calibration
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.faults import BusFault, Cause, SensorFault
@@ -19,6 +19,7 @@ _VEHICLE_ID: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")  # safe in a file name a
 _MACHINED: Final = frozenset({"input_shaft_inertia_ratio"})
 MAX_CYCLES: Final = 100_000  # fifty days of shift cycles
 MAX_REVS: Final = 20  # of the workshop routine, with open and with closed clutches each
+_CASTINGS: Final = {"converter_capacity_ratio": 0.05, "converter_shape_ratio": 0.025}  # castings differ
 _SCATTER_SHARE: Final = 0.5  # of the belief's standard deviations: a careful production
 
 
@@ -122,6 +123,8 @@ class Scatter(_Ranged):
     torque_offset_nm: float = ranged(0.0, 0.0, 20.0)
     touch_pressure_pa: float = ranged(0.0, 0.0, 2.0e4)
     pressure_zero_pa: float = ranged(0.0, 0.0, 2.0e4)
+    converter_capacity_ratio: float = ranged(0.0, 0.0, 0.2)
+    converter_shape_ratio: float = ranged(0.0, 0.0, 0.1)  # rise of the capacity from stall to coupling, to both sides
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,8 +165,8 @@ def production_scatter() -> Scatter:
     Machined parts are all alike unless a scenario scatters them.
     """
     believed = nominal_calibration().uncertainty
-    scattered = {member.name for member in fields(Scatter)} - _MACHINED
-    return Scatter(**{name: _SCATTER_SHARE * getattr(believed, name) for name in scattered})
+    scattered = {member.name for member in fields(Scatter)} - _MACHINED - _CASTINGS.keys()
+    return Scatter(**{name: _SCATTER_SHARE * getattr(believed, name) for name in scattered}, **_CASTINGS)
 
 
 class EstimateFrom(StrEnum):
@@ -250,6 +253,8 @@ class Scenario(_Ranged):
             raise ConfigError(f"vehicle must be 1..64 letters, digits, '-' or '_', got {self.vehicle!r}")
         if self.transmission not in SHIPPED:
             raise ConfigError(f"transmission must be one of {', '.join(SHIPPED)}, got {self.transmission!r}")
+        if self.transmission in CONVERTERS and not self.is_on_the_road:
+            raise ConfigError("a car with a torque converter is driven on the road: its drive cannot be cycle")
         for name in ("seed", "vehicle_seed", "drive_seed"):
             seed = getattr(self, name)
             if seed is not None and not 0 <= seed < 2**63:

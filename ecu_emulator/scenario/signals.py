@@ -65,6 +65,9 @@ _NOISE_STD: Final = {
     "clutch2_pressure_pa": _PRESSURE_NOISE_PA,
     "clutch1_pressure_command_pa": 0.0,
     "clutch2_pressure_command_pa": 0.0,
+    "turbine_speed_rad_s": _SPEED_NOISE_RAD_S,
+    "lockup_pressure_pa": _PRESSURE_NOISE_PA,
+    "lockup_pressure_command_pa": 0.0,
     "output_speed_rad_s": _SPEED_NOISE_RAD_S,
     "clutch1_torque_command_nm": 0.0,
     "clutch2_torque_command_nm": 0.0,
@@ -85,7 +88,7 @@ NOMINAL_SENSORS: Final[Sensors] = MappingProxyType(
 )
 STATES: Final = frozenset({
     "current_gear", "target_gear", "preselected_gear", "shift_phase", "brake_light",
-    "input1_gear", "input2_gear", "drive_state", "engine_state",
+    "input1_gear", "input2_gear", "drive_state", "engine_state", "lockup_state",
 })  # fmt: skip
 """Quantities that a controller knows without measuring: they have no sensor errors and are never interpolated."""
 SILENCE: Final = "is_silent_"  # begins the name of what says whether a sender has fallen silent; its node follows

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import msgspec
 
-from clutch_model.calibration import DESCRIBED, Calibration, Ranged
+from clutch_model.calibration import CLUTCH_COUNT, DESCRIBED, Calibration, Ranged
 from clutch_model.transmission import FORMAT, Transmission
 
 SCHEMA: Final = Path(__file__).parents[2] / "clutch_model/calibrations/schema.json"
@@ -29,6 +29,7 @@ def schema() -> dict[str, Any]:
     transmission["required"].append("format")
     properties = root["properties"]
     properties["clutch"] = properties.pop("clutches")
+    properties["clutch"]["minItems"] = 1  # behind a converter there may be one, see below
     properties |= {name: {"type": ["string", "number"]} for name in ("name", "version")}
     properties["transmission"] = {"$ref": "#/$defs/Transmission"}
     numbers = ["clutch" if name == "clutches" else name for name in root["required"]]
@@ -45,6 +46,7 @@ def schema() -> dict[str, Any]:
         "if": {"required": ["like"]},
         "then": part,
         "else": whole,
+        "anyOf": [{"required": ["converter"]}, {"properties": {"clutch": {"minItems": CLUTCH_COUNT}}}],
         "propertyNames": {"enum": ["like", *properties]},
         "$defs": dict(sorted((found | _parts(found)).items())),
     }

@@ -9,8 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canlog.arrays import FloatArray
+from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
 from clutch_model.units import rad_s_from_rpm
+from dbc.contract import load_contract
 from ecu_emulator.bus.frames import SIGNAL_OF, EncodedFrames, FrameEncoder, merge
 from ecu_emulator.sensing import Readings
 from tests.support.wire import CONTRACTS, DATABASE, drive, readings
@@ -135,9 +137,13 @@ def test_merge_of_nothing() -> None:
 
 
 def test_every_quantity_belongs_to_one_message() -> None:
-    encoder = FrameEncoder(DATABASE)
-    carried = [quantity for name in CONTRACTS for quantity in encoder.quantities(name)]
-    assert sorted(carried) == sorted(SIGNAL_OF)
+    found: set[str] = set()
+    for database in (DATABASE, load_contract("lockup")):
+        encoder = FrameEncoder(database)
+        carried = [quantity for name in message_contracts(database) for quantity in encoder.quantities(name)]
+        assert len(carried) == len(set(carried))
+        found |= set(carried)
+    assert found == set(SIGNAL_OF)
 
 
 def test_unknown_message_is_refused() -> None:

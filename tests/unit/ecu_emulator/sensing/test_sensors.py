@@ -194,6 +194,7 @@ def test_only_measurable_columns_reach_the_readings() -> None:
         Col.VISCOUS1_TORQUE, Col.VISCOUS2_TORQUE, Col.FLYWHEEL_TORQUE, Col.SHAFT1_TORQUE, Col.SHAFT2_TORQUE,
         Col.ROUTINE, Col.REV,
         Col.EVENT_KIND, Col.EVENT_NUMBER, Col.IS_ABORTED, Col.GRADE, Col.WANTED_SPEED,
+        Col.IMPELLER_TORQUE, Col.TURBINE_TORQUE,
     } == HIDDEN  # fmt: skip
     rows = made_up_rows(500)
     blind = rows.copy()
