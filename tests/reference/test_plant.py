@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.converter_picture import PUBLIC, characteristic, public_capacity
 from ecu_emulator.plant import Col, DriveSettings
 from tests.support.cycles import CYCLE_SHIFTS, drive_rows, powertrain, shifts
 
@@ -33,3 +34,9 @@ def test_halving_the_step_changes_little_in_the_workshop() -> None:
     assert coarse[-1, Col.CURRENT_GEAR] == 1
     assert change[:, Col.HUB_SPEED].max() < 0.02
     assert change[:, [Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE]].max() < 0.3
+
+
+def test_the_torque_converter_is_like_a_public_one() -> None:
+    place, capacity, ratio = characteristic().T
+    assert np.interp(PUBLIC[:, 0], place, capacity) == pytest.approx(public_capacity(), abs=0.1)
+    assert np.interp(PUBLIC[:, 0], place, ratio) == pytest.approx(PUBLIC[:, 2], abs=0.25)
