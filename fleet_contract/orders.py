@@ -89,6 +89,7 @@ class Finding:
     """What the last result of a clutch says of it."""
 
     clutch: int
+    element: str | None = None  # its name, where it is neither clutch 1 nor clutch 2 of a pair
     condition: str  # the verdict, as messages write it
     text: str | None  # the advice of the verdict; None in results of older programs
     reason: str  # of the verdict
@@ -113,22 +114,37 @@ def is_of_earlier_fluid(end_at: datetime, filled_at: datetime | None) -> bool:
     return filled_at is not None and end_at <= filled_at
 
 
-def unseen_since_new(clutch: int) -> str:
+def name_of(clutch: int, element: str | None) -> str:
+    """Return the name of a clutch: its own, or its number."""
+    return element or f"clutch {clutch}"
+
+
+def title_of(clutch: int, element: str | None) -> str:
+    """Return the name of a clutch at the beginning of a sentence: its own, or its number."""
+    name = name_of(clutch, element)
+    return name[0].upper() + name[1:]
+
+
+def unseen_since_new(clutch: int, element: str | None = None) -> str:
     """Return what is said of a clutch that no event has engaged since the fluid was changed."""
-    return f"Clutch {clutch}: {_UNSEEN_SINCE}."
+    return f"{title_of(clutch, element)}: {_UNSEEN_SINCE}."
 
 
 def order_of(findings: Iterable[Finding], filled_at: datetime | None) -> Order:
     """Return the order for a vehicle from the last result of each clutch, and when the fluid that is in was filled."""
-    known = {one.clutch: one for one in findings if not is_of_earlier_fluid(one.end_at, filled_at)}
-    conditions = [known[clutch].condition if clutch in known else NO_VERDICT for clutch in CLUTCHES]
+    found = list(findings)
+    known = {one.clutch: one for one in found if not is_of_earlier_fluid(one.end_at, filled_at)}
+    names = {one.clutch: one.element for one in found if one.element}
+    clutches = tuple(names) or CLUTCHES  # elements with names are all that there are
+    conditions = [known[clutch].condition if clutch in known else NO_VERDICT for clutch in clutches]
     unseen = "no event engaged it yet" if filled_at is None else _UNSEEN_SINCE
-    texts = [_ground(known[clutch]) if clutch in known else unseen for clutch in CLUTCHES]
+    texts = [_ground(known[clutch]) if clutch in known else unseen for clutch in clutches]
     action, sentence = _decide(conditions, texts)
     if filled_at is not None and not known:
         action = Action.NEW_FLUID
         sentence = f"New fluid since {filled_at:%Y-%m-%d %H:%M} UTC: nothing is known of it yet."
-    reasons = tuple(f"Clutch {clutch}: {text}." for clutch, text in zip(CLUTCHES, texts, strict=True))
+    titles = (title_of(clutch, names.get(clutch)) for clutch in clutches)
+    reasons = tuple(f"{title}: {text}." for title, text in zip(titles, texts, strict=True))
     return Order(action=action, sentence=sentence, reasons=reasons)
 
 
@@ -153,7 +169,7 @@ def _percent(text: str) -> int:
 def _ground(finding: Finding) -> str:
     """Return what a result says of its clutch, without any order and without the full stop."""
     said = finding.text or f"{finding.condition.replace('_', ' ')}: {finding.reason}"
-    said = _EARLIER.sub("", said.removeprefix(f"Clutch {finding.clutch}: ")).removesuffix(".")
+    said = _EARLIER.sub("", said.removeprefix(f"{title_of(finding.clutch, finding.element)}: ")).removesuffix(".")
     for earlier, word in _EARLIER_WORDS.items():
         said = said.replace(earlier, word)
     return said

@@ -29,7 +29,7 @@ from diag_service.diagnosis.summary import (
     slope_line,
     values_line,
 )
-from fleet_contract.orders import SHOWN_AS, Order
+from fleet_contract.orders import SHOWN_AS, Order, name_of
 
 
 def condition_words(condition: Condition) -> str:
@@ -111,7 +111,7 @@ class ConsoleReporter:
             self._console.print(_clutch_table(summary, is_detailed=self._is_detailed))
         for result in summary.latest:
             if line := slope_line(result.verdict):
-                self._line(Text(f"clutch {result.verdict.clutch}: {line}"))
+                self._line(Text(f"{name_of(result.verdict.clutch, result.verdict.element)}: {line}"))
         for one in summary.relative:
             self._line(Text(str(one)))
         if self._is_detailed:
@@ -125,7 +125,7 @@ class ConsoleReporter:
 
     def _show_for_specialists(self, summary: Summary) -> None:
         for result in summary.latest:
-            self._line(Text(f"clutch {result.verdict.clutch}: {result.verdict.reason}"))
+            self._line(Text(f"{name_of(result.verdict.clutch, result.verdict.element)}: {result.verdict.reason}"))
             for line in scale_free_lines(result.verdict):
                 self._line(Text(f"  {line}"))
         if ratio := latest_ratio(summary):
@@ -206,7 +206,7 @@ def _clutch_table(summary: Summary, *, is_detailed: bool) -> Table:
     for result in summary.latest:
         verdict, friction = result.verdict, result.verdict.friction
         cells: list[str | Text] = [
-            str(verdict.clutch),
+            verdict.element or str(verdict.clutch),
             Text(condition_words(verdict.condition), _CONDITION_STYLE[verdict.condition]),
             "-" if friction is None else f"{friction.mu_c:.4f} ± {friction.std_mu_c:.4f}",
             "-" if verdict.level_ratio is None else f"{100.0 * verdict.level_ratio:.1f} %",

@@ -27,9 +27,11 @@ class Signal(StrEnum):
     INPUT1_SPEED = "input1_speed_rad_s"
     INPUT2_SPEED = "input2_speed_rad_s"
     INPUT_SPEED = "input_speed_rad_s"  # of the shaft that carries the gear, where the bus has one for both clutches
+    TURBINE_SPEED = "turbine_speed_rad_s"  # behind a torque converter
     OUTPUT_SPEED = "output_speed_rad_s"
     CLUTCH1_PRESSURE = "clutch1_pressure_pa"
     CLUTCH2_PRESSURE = "clutch2_pressure_pa"
+    LOCKUP_PRESSURE = "lockup_pressure_pa"
     CLUTCH1_PRESSURE_COMMAND = "clutch1_pressure_command_pa"
     CLUTCH2_PRESSURE_COMMAND = "clutch2_pressure_command_pa"
     CLUTCH1_TORQUE_COMMAND = "clutch1_torque_command_nm"

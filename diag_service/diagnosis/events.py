@@ -36,6 +36,7 @@ class EventKind(StrEnum):
     CREEP = "creep"  # the same without a foot on the pedal and without an end in lock
     CLOSING = "closing"  # a clutch closes onto a car that rolls by itself
     SLIP = "slip"  # a clutch that was locked slips in gear
+    MICRO_SLIP = "micro_slip"  # about a minute in which a lock-up clutch was let slip, and what lay between
     RUN_UP_OPEN = "run_up_open"  # in neutral the engine ran from low speed to high and back, both clutches empty
     RUN_UP_CLOSED = "run_up_closed"  # the same, both clutches closed
 

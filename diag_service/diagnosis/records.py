@@ -276,6 +276,32 @@ class ShiftQuality:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Shudder:
+    """Slip that swings by itself while a clutch is let slip, as speeds show it, of the windows that were looked at."""
+
+    window_count: int  # of 2.56 s, in which the clutch slipped all along
+    seen_count: int  # in which slip swung in one narrow line, of neither engine nor road
+    frequency_hz: float | None  # of the line; None: none was seen
+    amplitude_rad_s: float  # index: root mean square of slip between 5 and 20 Hz, over all windows
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MicroSlip:
+    """Friction of a clutch that is held at small slip, there; ``slip_rad_s`` is 40 rpm."""
+
+    slip_rad_s: float
+    mu: float
+    std_mu: float
+    scale_free_mu: float  # times gain of the torque reading and piston area, as in `ScaleFreeFriction`
+    std_scale_free_mu: float
+    slope_s_rad: float  # of friction over slip, there
+    std_slope_s_rad: float
+    slip_s: float  # that it rests on
+    blocks_as_one: float  # half seconds that tell as much as one without correlation
+    shudder: Shudder | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ShiftEstimate:
     """What one shift says about the clutch that engaged."""
 
@@ -306,6 +332,8 @@ class ShiftEstimate:
     slope: FrictionSlope | None = None  # in place of friction where the torque is modelled
     revisions: tuple[Revision, ...] = ()  # of earlier events
     shift_quality: ShiftQuality | None = None  # None in results of older versions, and of what was broken off
+    micro_slip: MicroSlip | None = None  # of a lock-up clutch
+    element: str | None = None  # name in the description of the transmission; None: clutch 1 or clutch 2
 
 
 class Condition(IntEnum):
@@ -337,6 +365,8 @@ class ClutchVerdict:
     calibration_ratio: float | None = None  # how much of what driving tells of the vehicle is known, 0 to 1
     advice: str | None = None  # what to do, by when, how sure: one sentence for a workshop
     slope: FrictionSlope | None = None  # in place of friction where the torque is modelled
+    micro_slip: MicroSlip | None = None  # of a lock-up clutch, all events combined
+    element: str | None = None  # as in an estimate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -370,7 +400,7 @@ _EPOCH: Final = datetime(1970, 1, 1)  # noqa: DTZ001 - UTC, which the text says
 _NS_PER_US: Final = 1000
 _RESULT_KEYS: Final = ("vehicle", "stream", "seq", "produced_at", "algorithm_version", "calibration_version")
 REVISIONS: Final = "revisions"
-_ONLY_WHERE_THERE: Final = frozenset({"slope", REVISIONS, "shift_quality"})  # keys of a record
+_ONLY_WHERE_THERE: Final = frozenset({"slope", REVISIONS, "shift_quality", "micro_slip", "element"})  # keys of a record
 _PUBLIC_NAMES: Final = {"start_ns": "start_bus_ns", "end_ns": "end_bus_ns", "data_quality": "trust"}
 
 
@@ -448,8 +478,7 @@ def shift_record(result: ShiftResult) -> JsonObject:
     record = estimate | {public: estimate[name] for name, public in _PUBLIC_NAMES.items()}
     record |= {key: getattr(result, key) for key in _RESULT_KEYS}
     verdict = to_plain(result.verdict) | {"condition": result.verdict.condition.name.lower()}
-    if verdict["slope"] is None:  # as by programs that knew none
-        del verdict["slope"]
+    verdict = {key: value for key, value in verdict.items() if key not in _ONLY_WHERE_THERE or value}
     record |= {"schema": SHIFT_SCHEMA, "verdict": verdict}
     record["start_utc"] = utc_from_bus_ns(result.estimate.start_ns)
     record["end_utc"] = utc_from_bus_ns(result.estimate.end_ns)

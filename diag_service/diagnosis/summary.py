@@ -138,7 +138,9 @@ def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
         result.verdict,
         condition=Condition.NO_VERDICT,
         reason=gaps_line(gaps),
-        advice=advice(result.verdict.clutch, Condition.NO_VERDICT, Silence.PART_OF_DRIVE),
+        advice=advice(
+            result.verdict.clutch, Condition.NO_VERDICT, Silence.PART_OF_DRIVE, element=result.verdict.element
+        ),
     )
     return replace(result, verdict=verdict)
 
@@ -160,7 +162,8 @@ def _unknown(verdict: ClutchVerdict) -> ClutchVerdict:
         level_ratio=None,
         friction=None,
         shift_count=0,
-        advice=unseen_since_new(verdict.clutch),
+        advice=unseen_since_new(verdict.clutch, verdict.element),
+        element=verdict.element,
     )
 
 
@@ -173,6 +176,7 @@ def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None) -> Order:
     findings = [
         Finding(
             clutch=one.verdict.clutch,
+            element=one.verdict.element,
             condition=one.verdict.condition.name.lower(),
             text=one.verdict.advice,
             reason=one.verdict.reason,

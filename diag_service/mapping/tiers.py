@@ -24,6 +24,11 @@ PRESSURES: Final = frozenset({Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE})
 MANDATORY: Final = frozenset({*BALANCE_SIGNALS, Signal.CURRENT_GEAR, Signal.TARGET_GEAR, Signal.SUMP_TEMPERATURE})
 """Without these there is no friction to estimate."""
 
+LOCKUP: Final = frozenset({
+    Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE, Signal.TURBINE_SPEED, Signal.LOCKUP_PRESSURE
+})  # fmt: skip
+"""What the friction of the lock-up clutch of a converter needs; nothing less tells anything of it."""
+
 _SPEED: Final[Requirement] = (frozenset({Signal.ENGINE_SPEED}),)
 _GEARS: Final[Requirement] = (
     GEAR_PAIR,
@@ -50,11 +55,14 @@ PURPOSE: Final[dict[Tier, str]] = {
 """What each tier yields, for people."""
 
 
-def tier_of(signals: AbstractSet[Signal], *, knows_gears: bool = False) -> Tier | None:
+def tier_of(signals: AbstractSet[Signal], *, knows_gears: bool = False, has_converter: bool = False) -> Tier | None:
     """Return the best tier that the signals suffice for, or None if not even shifts can be found.
 
-    ``knows_gears`` says that gears can be told from the ratio of speeds instead of gear signals.
+    ``knows_gears`` says that gears can be told from the ratio of speeds instead of gear signals; ``has_converter`` that
+    it is about a lock-up clutch.
     """
+    if has_converter:
+        return Tier.FRICTION if signals >= LOCKUP else None
     return next((tier for tier in Tier if not any(_unmet(tier, signals, knows_gears=knows_gears))), None)
 
 
@@ -66,8 +74,11 @@ def missing_signals(tier: Tier, signals: AbstractSet[Signal], *, knows_gears: bo
     )
 
 
-def missing_for_next(signals: AbstractSet[Signal], *, knows_gears: bool = False) -> str:
+def missing_for_next(signals: AbstractSet[Signal], *, knows_gears: bool = False, has_converter: bool = False) -> str:
     """Return one sentence: what the next better tier is and lacks; empty at the first tier."""
+    if has_converter:
+        lacking = LOCKUP - signals
+        return f"{PURPOSE[Tier.FRICTION]} of a lock-up clutch needs {_joined(lacking)}" if lacking else ""
     tier = tier_of(signals, knows_gears=knows_gears)
     if tier is Tier.FRICTION:
         return ""
@@ -75,8 +86,12 @@ def missing_for_next(signals: AbstractSet[Signal], *, knows_gears: bool = False)
     return f"{PURPOSE[wanted]} needs {', '.join(missing_signals(wanted, signals, knows_gears=knows_gears))}"
 
 
-def why_no_friction(signals: AbstractSet[Signal], torque: TorqueSource, *, knows_gears: bool = False) -> str:
+def why_no_friction(
+    signals: AbstractSet[Signal], torque: TorqueSource, *, knows_gears: bool = False, has_converter: bool = False
+) -> str:
     """Return one sentence: why there is no verdict on friction; empty at the first tier."""
+    if has_converter:
+        return missing_for_next(signals, has_converter=True)
     if (Signal.ENGINE_TORQUE not in signals or torque.is_modelled) and signals >= PRESSURES:
         return "engine torque is not measured, and without it the level of friction is known up to a scale at best"
     return missing_for_next(signals, knows_gears=knows_gears)

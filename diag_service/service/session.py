@@ -22,6 +22,7 @@ from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, Posterior
+from diag_service.diagnosis.lockup import state as lockup
 from diag_service.diagnosis.records import ShiftResult, ShiftStatistics, iso_utc, parse_shift, utc_from_bus_ns
 from diag_service.diagnosis.summary import FrameCounts, Gap, Summary, frames_line, of_present_fluid
 from diag_service.errors import ResultError, StoreFullError
@@ -269,26 +270,28 @@ class Session:
 
     def _state_after(self, diagnosis: Diagnosis) -> VehicleState:
         return VehicleState(
-            filter_state=diagnosis.state.to_json(), condition=diagnosis.memory.to_json(), versions=self._versions
+            filter_state=diagnosis.running.to_json(), condition=diagnosis.memory.to_json(), versions=self._versions
         )
 
 
 def versions_for(calibration: Calibration) -> Versions:
     """Return the versions that results of this program and calibration carry; its fingerprint tells copies apart."""
-    return Versions(algorithm=ALGORITHM_VERSION, calibration=f"{calibration.version}+{fingerprint(calibration)}")
+    algorithm = ALGORITHM_VERSION if calibration.converter is None else lockup.ALGORITHM_VERSION
+    return Versions(algorithm=algorithm, calibration=f"{calibration.version}+{fingerprint(calibration)}")
 
 
 def resume(
     store: SessionStore, vehicle: str, versions: Versions, calibration: Calibration
-) -> tuple[Posterior, ConditionMemory]:
+) -> tuple[Posterior | lockup.LockupState, ConditionMemory]:
     """Return the running state of a vehicle, or a fresh one if what is stored was made in another way."""
-    fresh = Posterior.fresh(calibration), ConditionMemory.fresh()
+    kind: type[Posterior | lockup.LockupState] = Posterior if calibration.converter is None else lockup.LockupState
+    fresh = kind.fresh(calibration), ConditionMemory.fresh()
     state = store.state(vehicle)
     if state is None:
         return fresh
     try:
         if state.versions == versions:
-            return Posterior.from_json(state.filter_state, calibration), ConditionMemory.from_json(state.condition)
+            return kind.from_json(state.filter_state, calibration), ConditionMemory.from_json(state.condition)
         made_by = f"was made by algorithm {state.versions.algorithm} with calibration {state.versions.calibration}"
     except ValueError as exc:
         made_by = f"cannot be used ({exc})"

@@ -5,18 +5,21 @@ from dataclasses import dataclass, replace
 from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration, TorqueSource
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
+from diag_service.diagnosis.condition.condition import ConditionMemory, judge, judge_lockup, no_verdict
 from diag_service.diagnosis.condition.indices import compile_indices, measure
 from diag_service.diagnosis.condition.shift_quality import ShiftScorer
 from diag_service.diagnosis.condition.verdict import Silence
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
+from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
+from diag_service.diagnosis.lockup.state import LockupState
 from diag_service.diagnosis.quality.data_quality import QualityBasis, compile_data_quality, gate
 from diag_service.diagnosis.quality.plausibility import MeaningCheck
 from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.diagnosis.summary import Capability
+from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.tiers import PRESSURES, missing_for_next, tier_of, why_no_friction
 
@@ -29,24 +32,39 @@ class Diagnosis:
     verdict: ClutchVerdict
     state: Posterior
     memory: ConditionMemory
+    slip: LockupState | None = None  # of a lock-up clutch, which has no other state
+
+    @property
+    def running(self) -> Posterior | LockupState:
+        """What goes on from here, and is to be stored."""
+        return self.state if self.slip is None else self.slip
 
 
 class Stages:
     """Frames in, diagnoses out: no clock, no socket, no file; the same results for any cutting of the stream."""
 
-    def __init__(self, decoder: Decoder, calibration: Calibration, state: Posterior, memory: ConditionMemory) -> None:
+    def __init__(
+        self, decoder: Decoder, calibration: Calibration, state: Posterior | LockupState, memory: ConditionMemory
+    ) -> None:
         self.decoder = decoder
-        self._finder = DriveFinder(decoder.signals, calibration, decoder.gears)
+        self._slip = state if isinstance(state, LockupState) else None
+        self._lockup = None if calibration.converter is None else LockupEstimator(calibration, calibration.converter)
+        self._finder = (
+            DriveFinder(decoder.signals, calibration, decoder.gears)
+            if self._lockup is None
+            else SlipFinder(calibration)
+        )
         unknown = {Signal.ENGINE_TORQUE} if calibration.torque is TorqueSource.UNKNOWN else frozenset[Signal]()
-        self.tier = tier_of(decoder.signals - unknown, knows_gears=knows_gears(decoder))
-        self._missing = why_no_friction(decoder.signals - unknown, calibration.torque, knows_gears=knows_gears(decoder))
+        self._tells = {"knows_gears": knows_gears(decoder), "has_converter": self._lockup is not None}
+        self.tier = tier_of(decoder.signals - unknown, **self._tells)
+        self._missing = why_no_friction(decoder.signals - unknown, calibration.torque, **self._tells)
         lacks_torque = calibration.torque is not TorqueSource.MEASURED or Signal.ENGINE_TORQUE not in decoder.signals
         tells_ratios = lacks_torque and decoder.signals >= PRESSURES | {Signal.ENGINE_SPEED}
         self.is_relative = self.tier is not Tier.FRICTION and tells_ratios  # friction is known up to a scale at best
         self._estimator = Estimator(calibration)
         compile_data_quality()
         compile_indices()
-        if self.tier is Tier.FRICTION:
+        if self.tier is Tier.FRICTION and self._lockup is None:
             self._estimator.prepare()
         self._scorer = ShiftScorer(calibration, decoder.gears)
         self._calibration = calibration
@@ -56,7 +74,7 @@ class Stages:
             calibration_date=calibration.made_on,
             torque=calibration.torque,
         )
-        self._state = state
+        self._state = state if isinstance(state, Posterior) else Posterior.fresh(calibration)
         self._memory = memory
         self.doubt = ""  # why signals that were asked for cannot be what the profile says
         self._meaning = MeaningCheck([one.friction.mu_c for one in calibration.clutches]) if decoder.asked else None
@@ -90,6 +108,8 @@ class Stages:
 
         Below the first tier nothing is said of friction, and the running state stays as it is.
         """
+        if self._slip is not None:
+            return self._conclude_slip(event, self._slip)
         data = gate(event, self._basis, tells_friction=self.tier is Tier.FRICTION)
         state = self._state
         if data.samples is not None:
@@ -128,6 +148,19 @@ class Stages:
         self._state = state
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory)
 
+    def _conclude_slip(self, event: Event, state: LockupState) -> Diagnosis:
+        """Judge the data of a stretch of slip, estimate, judge the lock-up clutch."""
+        data = gate(event, self._basis, tells_friction=False)
+        if self._lockup is None or self.tier is not Tier.FRICTION:
+            raise ConfigError(f"a lock-up clutch cannot be estimated: {self._missing}")
+        self._slip, estimate, swings = self._lockup.estimate(event, state, data.against)
+        estimate = replace(estimate, data_quality=data.quality, tier=self.tier)
+        memory = self._memory.with_fit(estimate)
+        if swings is not None:
+            memory = memory.with_shudder(swings)
+        self._memory, verdict = judge_lockup(memory, self._slip, self._calibration, swings)
+        return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory, slip=self._slip)
+
     def note_fluid(self, filled_at: str) -> bool:
         """Take note of the fluid that the vehicle has, by the moment of its fill; return whether it is new.
 
@@ -139,17 +172,17 @@ class Stages:
             return False
         self._memory = self._memory.with_new_fluid(filled_at, self._state)
         self._state = self._state.with_new_fluid()
+        self._slip = self._slip and self._slip.with_new_fluid()
         return True
 
     def capability(self) -> Capability:
         """Return what the signals that came suffice for."""
         seen = self.decoder.seen
-        has_gears = knows_gears(self.decoder)
         expected = self.decoder.signals - self.decoder.optional_signals
         return Capability(
             profile=self.decoder.profile_name,
-            tier=tier_of(seen, knows_gears=has_gears),
-            missing=missing_for_next(seen, knows_gears=has_gears),
+            tier=tier_of(seen, **self._tells),
+            missing=missing_for_next(seen, **self._tells),
             torque=self._basis.torque if Signal.ENGINE_TORQUE in seen else TorqueSource.UNKNOWN,
             unseen=tuple(signal.value for signal in Signal if signal in expected - seen),
         )

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from math import hypot
-from typing import Self
+from statistics import NormalDist
+from typing import Final, Self
 
 from clutch_model.calibration import Calibration, TorqueSource, both_clutches, with_clutch
 from diag_service.diagnosis.condition.verdict import (
@@ -33,6 +34,7 @@ from diag_service.diagnosis.friction.posterior import (
     scale_free,
     trend,
 )
+from diag_service.diagnosis.lockup.state import LockupState
 from diag_service.diagnosis.records import (
     ClutchVerdict,
     Condition,
@@ -42,6 +44,7 @@ from diag_service.diagnosis.records import (
     Reason,
     ScaleFreeFriction,
     ShiftEstimate,
+    Shudder,
     Status,
     from_plain,
     to_plain,
@@ -146,6 +149,12 @@ class ConditionMemory:
         """Return the memory after an event, which is of interest if it was a launch."""
         launches = self.launches[estimate.clutch - 1].with_event(estimate)
         return replace(self, launches=with_clutch(self.launches, estimate.clutch, launches))
+
+    def with_shudder(self, shudder: Shudder | None) -> Self:
+        """Return the memory after a stretch of slip, which is a witness if swings would have shown in it."""
+        if shudder is None:
+            return self
+        return replace(self, launches=with_clutch(self.launches, 1, self.launches[0].with_swings(shudder)))
 
     def with_changed_friction(self, clutch: int) -> Self:
         """Return the memory after the friction of a clutch has changed: what it did before is no witness of it now."""
@@ -260,6 +269,43 @@ def judge(
         slope=slope if known else None,
     )
     return replace(memory, conditions=with_clutch(memory.conditions, clutch, finding.condition)), verdict
+
+
+SLIP_MINUTES: Final = "minutes of slip"
+
+
+def judge_lockup(
+    memory: ConditionMemory, state: LockupState, calibration: Calibration, shudder: Shudder | None
+) -> tuple[ConditionMemory, ClutchVerdict]:
+    """Return the verdict on a lock-up clutch from its running state, and the memory with it, by the rules of `judge`.
+
+    Stretches in which its slip swung by itself are the witness that launches are for others.
+    """
+    reference, element = calibration.clutches[0].friction, calibration.elements[0]
+    known = bool(state.shift_count)
+    now, since, launches = state.friction(), state.trend(), memory.launches[0]
+    left = NormalDist(now.mu_c - now.mu_s, now.std_slope_s_rad * reference.stribeck_speed_rad_s)
+    margin = left / (reference.mu_c - reference.mu_s)
+    finding = decide(
+        now, since, reference, state.shift_count, memory.conditions[0], launches, margin, counted=SLIP_MINUTES
+    )
+    if memory.misfit_text:
+        finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
+    verdict = ClutchVerdict(
+        clutch=1,
+        condition=finding.condition,
+        reason=finding.reason,
+        level_ratio=now.mu_c / reference.mu_c if known else None,
+        friction=now if known else None,
+        shift_count=state.shift_count,
+        scale_free=state.scale_free() if known else None,
+        common_scale_std_ratio=state.scale_ratio() if known else None,
+        trend=since,
+        advice=advice(1, finding.condition, finding.ground, finding.probability, element),
+        micro_slip=state.micro_slip(shudder) if known else None,
+        element=element,
+    )
+    return replace(memory, conditions=with_clutch(memory.conditions, 1, finding.condition)), verdict
 
 
 def _lining(state: Posterior, clutch: int) -> LiningBaseline | None:

@@ -22,8 +22,10 @@ from diag_service.diagnosis.records import (
     FrictionTrend,
     ShiftEstimate,
     ShiftScatter,
+    Shudder,
     StickSlip,
 )
+from fleet_contract.orders import title_of
 
 MIN_SHIFT_COUNT = 3  # of two that disagree nobody knows which is wrong
 MAX_MARGIN_STD_RATIO = 0.25  # of the reference margin: beyond it the slope is anyone's guess
@@ -86,8 +88,14 @@ _WHAT: Final = {
 }
 
 
-def advice(clutch: int, condition: Condition, ground: Cause | Silence | None, probability: float = 0.0) -> str:
-    """Return the sentence on clutch 1 or 2.
+def advice(
+    clutch: int,
+    condition: Condition,
+    ground: Cause | Silence | None,
+    probability: float = 0.0,
+    element: str | None = None,
+) -> str:
+    """Return the sentence on a clutch, by its name if it has one of its own.
 
     Parameters
     ----------
@@ -96,12 +104,13 @@ def advice(clutch: int, condition: Condition, ground: Cause | Silence | None, pr
     probability :
         That the cause is there; of a good fluid, that none of them is.
     """
+    title = title_of(clutch, element) if element else f"Clutch {clutch}"
     if isinstance(ground, Silence):
-        return f"Clutch {clutch}: {ground}."
+        return f"{title}: {ground}."
     if ground is None:
-        return f"Clutch {clutch}: its friction is sound ({_percent(probability)} sure)."
+        return f"{title}: its friction is sound ({_percent(probability)} sure)."
     given_at = CHANGE_PROBABILITY if condition is Condition.CHANGE_FLUID else WATCH_PROBABILITY
-    return f"Clutch {clutch}: {_WHAT[ground]} ({_until_called_off(probability, given_at)})."
+    return f"{title}: {_WHAT[ground]} ({_until_called_off(probability, given_at)})."
 
 
 def _until_called_off(probability: float, given_at: float) -> str:
@@ -119,8 +128,11 @@ def _percent(probability: float) -> str:
 
 
 JUDDER_RAD_S: Final = 5.2  # slip after the clutch had stuck: 5, and a little of what the noise of its speeds adds
+SHIFTS: Final = "shifts"  # what friction of a clutch is told by, where its kind has no word of its own
 LAUNCH_WINDOW: Final = 20  # launches of a clutch that are remembered
 LEAST_COUNT: Final = 2  # a single one may be a load that pulled the clutch open
+LEAST_SWUNG_COUNT: Final = 3  # windows of a stretch of slip: one may be a hole in the road
+LEAST_SWUNG_SHARE: Final = 0.05  # of its windows
 EVIDENCE_RATIO: Final = 10.0  # for each beyond the first: half of the launches of aged fluid, none of 102 of others
 MOST_EVIDENCE_RATIO: Final = 20.0  # drivelines differ: a witness that nobody has calibrated does not decide alone
 
@@ -140,6 +152,11 @@ class Launches:
             return self
         return replace(self, juddered=(*self.juddered, indices.reslip_rad_s > JUDDER_RAD_S)[-LAUNCH_WINDOW:])
 
+    def with_swings(self, shudder: Shudder) -> Self:
+        """Return what is remembered after a stretch in which a clutch was let slip."""
+        swung = shudder.seen_count >= max(LEAST_SWUNG_COUNT, LEAST_SWUNG_SHARE * shudder.window_count)
+        return replace(self, juddered=(*self.juddered, swung)[-LAUNCH_WINDOW:])
+
     @property
     def reported(self) -> StickSlip | None:
         """What is said of them; None before there is one."""
@@ -152,9 +169,9 @@ class Launches:
         """Whether enough of them juddered to say something of the slope."""
         return sum(self.juddered) >= LEAST_COUNT
 
-    @property
-    def text(self) -> str:
-        return f"{sum(self.juddered)} of {len(self.juddered)} launches juddered"
+    def text(self, counted: str) -> str:
+        what = "launches juddered" if counted == SHIFTS else f"{counted} shuddered"
+        return f"{sum(self.juddered)} of {len(self.juddered)} {what}"
 
     def probability_negative(self, by_friction: float) -> float:
         """Return the probability of a negative slope, given what friction alone says of it."""
@@ -255,6 +272,7 @@ def decide(
     common: NormalDist,
     *,
     is_cold: bool = False,
+    counted: str = SHIFTS,
 ) -> Finding:
     """Return the verdict on a clutch.
 
@@ -274,11 +292,13 @@ def decide(
         Which part of the new fluid's margin is left by both clutches together.
     is_cold
         Whether the pack is colder than ``COLD_K``: a bad verdict then takes more to be given.
+    counted
+        What the events are, in many; launches are then such events, too.
     """
     change_at = COLD_CHANGE_PROBABILITY if is_cold else CHANGE_PROBABILITY
     watch_at = COLD_WATCH_PROBABILITY if is_cold else WATCH_PROBABILITY
     if shift_count < MIN_SHIFT_COUNT:
-        return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
+        return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable {_few(counted)}, {MIN_SHIFT_COUNT} needed")
     reference_margin = reference.mu_c - reference.mu_s
     margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
     level = NormalDist(friction.mu_c / reference.mu_c, friction.std_mu_c / reference.mu_c)
@@ -286,7 +306,8 @@ def decide(
     negative, thin = friction.probability_negative_slope, own_thin
     if margin.stdev > EARLY_MARGIN_STD_RATIO * reference_margin:  # one clutch may be misread; both rarely are
         negative, thin = min(negative, common.cdf(0.0)), min(own_thin, common_thin)
-    facts = _facts(friction, level, since, shift_count) + (f", {launches.text}" if launches.speak else "")
+    facts = _facts(friction, level, since, f"{shift_count} {counted}")
+    facts += f", {launches.text(counted)}" if launches.speak else ""
     change = {
         Cause.SHUDDER: launches.probability_negative(negative),
         Cause.LEVEL_LOW: level.cdf(CHANGE_LEVEL_RATIO),
@@ -335,7 +356,7 @@ def decide_up_to_scale(
         f"mu_S {100.0 * slope.mu_s_ratio:.0f} +- {100.0 * slope.std_mu_s_ratio:.0f} % of mu_C",
         *(() if since is None else (_changed(since),)),
         f"{shift_count} shifts",
-        *((launches.text,) if launches.speak else ()),
+        *((launches.text(SHIFTS),) if launches.speak else ()),
     ))  # fmt: skip
     change = {
         Cause.SHUDDER: launches.probability_negative(slope.probability_negative),
@@ -355,6 +376,10 @@ def decide_up_to_scale(
     return nothing(Silence.LEVEL_UNKNOWN, f"engine torque is {slope.torque.replace('_', ' ')}, not measured: {facts}")
 
 
+def _few(counted: str) -> str:
+    return "shift(s)" if counted == SHIFTS else counted
+
+
 def _may_be_thin(thin: float, common_thin: float, previous: Condition) -> bool:
     """Return whether a margin is too likely thin to be called good, by its own clutch or by both together."""
     if previous is Condition.GOOD:
@@ -368,14 +393,14 @@ def _unless_they_judder(launches: Launches, probability: float, facts: str) -> F
     return Finding(condition=Condition.GOOD, reason=facts, ground=None, probability=probability)
 
 
-def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend | None, shift_count: int) -> str:
+def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend | None, told_by: str) -> str:
     facts = (
         f"a negative mu-v slope is {_likely(friction.probability_negative_slope)}, "
         f"mu_C {100.0 * level.mean:.0f} +- {100.0 * level.stdev:.0f} % of new"
     )
     if since is not None:
         facts += f", {_changed(since)}"
-    return f"{facts}, {shift_count} shifts"
+    return f"{facts}, {told_by}"
 
 
 def _changed(since: FrictionTrend) -> str:

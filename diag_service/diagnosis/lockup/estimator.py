@@ -1,0 +1,160 @@
+"""Stretches of a drive with about a minute of slip of the lock-up clutch: where they lie, and what each says."""
+
+from collections.abc import Set as AbstractSet
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from clutch_model.calibration import Calibration, Converter
+from clutch_model.units import NS_PER_S
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.friction.estimator import without_friction
+from diag_service.diagnosis.lockup.blocks import NEEDED, Blocks, cut, is_slipping, samples_of
+from diag_service.diagnosis.lockup.shudder import shudder
+from diag_service.diagnosis.lockup.state import MISFIT_RATIO, LockupState
+from diag_service.diagnosis.records import Reason, ShiftEstimate, Shudder, Status
+from diag_service.diagnosis.shifts.history import History
+from diag_service.diagnosis.shifts.tracking import Bounds, EventFinder, held_values
+
+ENOUGH_SLIP_S: Final = 60.0
+LEAST_SLIP_S: Final = 5.0  # of a stretch that is worth a result
+LONGEST_S: Final = 300.0  # of a stretch, and of what is kept in memory
+CHANGED_COUNT: Final = 3  # stretches in a row that contradict: the clutch or its fluid is another
+
+
+class SlipTracker:
+    """Finds stretches in whole seconds of bus time, each by its own samples alone, however the stream is cut."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        self._touch_pa = calibration.clutches[0].touch_pressure_pa
+        self._forget()
+
+    def _forget(self) -> None:
+        self.open_ns: int | None = None
+        self._next_ns = 0
+        self._slip_s = 0.0
+
+    def track(self, history: History, until_ns: int) -> list[Bounds]:
+        """Walk the seconds that end before ``until_ns``."""
+        if self.open_ns is None:
+            ahead = history.ahead(Signal.ENGINE_SPEED, until_ns).t_ns
+            if not len(ahead):
+                return []
+            self.open_ns = int(ahead[0])
+            self._next_ns = (self.open_ns // NS_PER_S + 1) * NS_PER_S
+        found: list[Bounds] = []
+        while self._next_ns < until_ns:
+            self._slip_s += self._slipped_s(history, self._next_ns - NS_PER_S, self._next_ns)
+            lasts_s = (self._next_ns - self.open_ns) / NS_PER_S
+            if self._slip_s >= ENOUGH_SLIP_S or lasts_s >= LONGEST_S:
+                found += self._ended(history, self._next_ns)
+                self.open_ns, self._slip_s = self._next_ns, 0.0
+            self._next_ns += NS_PER_S
+        return found
+
+    def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
+        """End the stretch, whose slip counts however long it lasted, and forget everything."""
+        found = [] if self.open_ns is None else self._ended(history, now_ns)
+        self._forget()
+        return found
+
+    def _ended(self, history: History, end_ns: int) -> list[Bounds]:
+        if self._slip_s < LEAST_SLIP_S or self.open_ns is None:
+            return []
+        gears = history.samples(Signal.CURRENT_GEAR, self.open_ns, end_ns).value
+        gear = max(int(gears[-1]), 0) if len(gears) else 0
+        return [Bounds(gear, gear, self.open_ns, end_ns, EndReason.COMPLETE, EventKind.MICRO_SLIP)]
+
+    def _slipped_s(self, history: History, start_ns: int, stop_ns: int) -> float:
+        """Return for how much of a second the clutch slipped while it carried."""
+        engine, turbine, pressure = (
+            history.samples(signal, start_ns, stop_ns)
+            for signal in (Signal.ENGINE_SPEED, Signal.TURBINE_SPEED, Signal.LOCKUP_PRESSURE)
+        )
+        if not (len(engine.t_ns) and len(turbine.t_ns) and len(pressure.t_ns)):
+            return 0.0
+        slip = engine.value - held_values(turbine, engine.t_ns, float(turbine.value[0]))
+        pressed_pa = held_values(pressure, engine.t_ns, float(pressure.value[0])) - self._touch_pa
+        return float(np.mean(is_slipping(pressed_pa, slip))) * (stop_ns - start_ns) / NS_PER_S
+
+
+class SlipFinder(EventFinder):
+    """Finds the stretches of a drive in which the lock-up clutch slips."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        super().__init__(SlipTracker(calibration), 0, 0)
+
+    @property
+    def is_expecting(self) -> bool:
+        """Whether a result is about to come: a stretch is always open, and nobody waits for its end."""
+        return self.due_ns is not None
+
+
+def tells_lockup(signals: AbstractSet[Signal]) -> bool:
+    """Return whether signals suffice for the friction of a lock-up clutch."""
+    return signals >= set(NEEDED)
+
+
+class LockupEstimator:
+    """Estimates friction of a lock-up clutch from stretches of slip; holds nothing but the calibration."""
+
+    def __init__(self, calibration: Calibration, converter: Converter) -> None:
+        self._calibration = calibration
+        self._converter = converter
+
+    def estimate(
+        self, event: Event, state: LockupState, against: tuple[Reason, ...] = ()
+    ) -> tuple[LockupState, ShiftEstimate, Shudder | None]:
+        """Return what is known after a stretch, what it says alone, and whether its slip swung by itself.
+
+        Alone it uses what is known of everything but friction. A stretch of which nothing can be believed is rejected;
+        one that contradicts the others is kept apart until a third in a row says that the clutch has changed.
+        """
+        samples = samples_of(event.columns)
+        if samples is None:
+            return state, self._named(without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)), None
+        if against:
+            return state, self._named(without_friction(event, Status.REJECTED, *against)), None
+        swings = shudder(samples, self._calibration)
+        blocks = cut(samples, self._calibration, self._converter)
+        estimate = self._named(without_friction(event, Status.UNOBSERVED, Reason.NO_SLIP_WINDOW))
+        if blocks.slip_s < LEAST_SLIP_S:
+            return state, estimate, swings
+        alone = state.with_unknown_friction().fused(blocks)
+        if (misfit := alone.misfit(blocks)) > MISFIT_RATIO:
+            return state, replace(estimate, status=Status.REJECTED, reasons=(Reason.MISFIT,)), swings
+        alone = replace(alone, slip_s=blocks.slip_s)
+        reasons: tuple[Reason, ...] = ()
+        if state.shift_count and state.contradicts(alone):
+            state = replace(state, contradiction_count=state.contradiction_count + 1)
+            reasons = (Reason.NOT_UPDATED,)
+            if state.contradiction_count == CHANGED_COUNT:
+                state, reasons = state.with_new_fluid(), ()
+        if not reasons:
+            state = self._used(state, blocks, event.end_ns)
+        estimate = replace(
+            estimate,
+            status=Status.VALID,
+            reasons=reasons,
+            friction=alone.friction(),
+            scale_free=alone.scale_free(),
+            sample_count=len(blocks.place),
+            window_s=blocks.slip_s,
+            chi_square_ratio=misfit,
+            quality=min(1.0, blocks.slip_s / ENOUGH_SLIP_S) / (1.0 + event.bad_frame_count / len(samples.t_ns)),
+            slip_energy_j=blocks.energy_j,
+            micro_slip=alone.micro_slip(swings),
+        )
+        return state, estimate, swings
+
+    def _used(self, state: LockupState, blocks: Blocks, end_ns: int) -> LockupState:
+        after = state.fused(blocks).with_lags(blocks)
+        after = replace(
+            after, shift_count=state.shift_count + 1, slip_s=state.slip_s + blocks.slip_s, contradiction_count=0
+        )
+        return after.aged().with_baseline(end_ns)
+
+    def _named(self, estimate: ShiftEstimate) -> ShiftEstimate:
+        return replace(estimate, clutch=1, element=self._calibration.elements[0])

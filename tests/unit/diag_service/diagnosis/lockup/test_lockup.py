@@ -1,0 +1,218 @@
+"""The friction of a lock-up clutch, told by a drive that was simulated from first principles."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from clutch_model.calibration import shipped_calibration
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.condition.condition import ConditionMemory, judge_lockup
+from diag_service.diagnosis.events import Event, EventKind
+from diag_service.diagnosis.lockup.blocks import BLOCK_NS, MICRO_SLIP_RAD_S, cut, samples_of
+from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
+from diag_service.diagnosis.lockup.shudder import shudder
+from diag_service.diagnosis.lockup.state import LAG_COUNT, LockupState
+from diag_service.diagnosis.records import (
+    ClutchVerdict,
+    Condition,
+    Reason,
+    ShiftEstimate,
+    ShiftResult,
+    Shudder,
+    Status,
+    clutch_record,
+    dump,
+    parse_shift,
+    shift_record,
+    verdict_from,
+)
+from diag_service.diagnosis.summary import order_by
+from fleet_contract import clutch_message, read_message, shift_message
+from tests.support.converter_drive import FLUIDS, ConverterCar, Driven, batches, drawn_car, drive
+
+CALIBRATION = shipped_calibration("lockup")
+CONVERTER = CALIBRATION.converter
+assert CONVERTER is not None
+ESTIMATOR = LockupEstimator(CALIBRATION, CONVERTER)
+
+
+@cache
+def driven(fluid: str, seed: int = 900, minutes: float = 15.0) -> tuple[ConverterCar, Driven]:
+    rng = np.random.default_rng(seed)
+    car = drawn_car(rng, fluid, CALIBRATION)
+    return car, drive(car, rng, minutes, CALIBRATION)
+
+
+@cache
+def stretches(fluid: str, seed: int = 900) -> list[Event]:
+    finder = SlipFinder(CALIBRATION)
+    return [one for batch in batches(driven(fluid, seed)[1].columns) for one in finder.feed(batch)] + finder.flush()
+
+
+@cache
+def diagnosed(fluid: str, seed: int = 900) -> tuple[LockupState, list[tuple[ShiftEstimate, ClutchVerdict]]]:
+    state, memory, told = LockupState.fresh(CALIBRATION), ConditionMemory.fresh(), []
+    for event in stretches(fluid, seed):
+        state, estimate, swings = ESTIMATOR.estimate(event, state)
+        memory, verdict = judge_lockup(memory.with_fit(estimate).with_shudder(swings), state, CALIBRATION, swings)
+        told.append((estimate, verdict))
+    return state, told
+
+
+@pytest.mark.parametrize("seed", [900, 901, 902])
+@pytest.mark.parametrize("fluid", FLUIDS)
+def test_friction_and_slope_of_a_car_that_nobody_knows(fluid: str, seed: int) -> None:
+    car, _ = driven(fluid, seed)
+    micro = diagnosed(fluid, seed)[0].micro_slip(None)
+    true = car.friction_at(MICRO_SLIP_RAD_S)
+    shown = true * car.torque_gain * car.area_ratio
+    slope = (car.mu_c - car.mu_s) / car.stribeck_speed_rad_s * np.exp(-MICRO_SLIP_RAD_S / car.stribeck_speed_rad_s)
+    assert abs(micro.mu - true) < 3.0 * micro.std_mu
+    assert abs(micro.scale_free_mu - shown) < 3.0 * micro.std_scale_free_mu
+    assert micro.std_scale_free_mu < 0.02 * true
+    assert abs(micro.slope_s_rad - slope) < 3.0 * micro.std_slope_s_rad
+    assert micro.slip_s > 120.0
+
+
+@pytest.mark.parametrize(("fluid", "wrong"), [
+    ("new", {Condition.WATCH, Condition.CHANGE_FLUID}),
+    ("aged", {Condition.GOOD, Condition.CHANGE_FLUID}),
+    ("worn", {Condition.GOOD, Condition.WATCH}),
+])  # fmt: skip
+def test_no_verdict_is_wrong_at_any_moment(fluid: str, wrong: set[Condition]) -> None:
+    assert not wrong & {verdict.condition for _, verdict in diagnosed(fluid)[1]}
+    if fluid == "worn":
+        assert diagnosed(fluid)[1][-1][1].condition is Condition.CHANGE_FLUID
+
+
+def test_worn_fluid_shudders_and_a_rough_road_or_a_weak_cylinder_do_not() -> None:
+    car, found = driven("worn")
+    assert found.true_shudder_s > 10.0
+    samples = samples_of(found.columns)
+    assert samples is not None
+    seen = shudder(samples, CALIBRATION)
+    assert seen is not None
+    assert seen.seen_count > 5
+    assert seen.frequency_hz == pytest.approx(car.driveline_hz, abs=2.5)
+    rough = ConverterCar(road_nm=15.0, firing_nm=8.0, driveline_damping=0.02)
+    quiet = samples_of(drive(rough, np.random.default_rng(3), 8.0, CALIBRATION).columns)
+    assert quiet is not None
+    told = shudder(quiet, CALIBRATION)
+    assert told is not None
+    assert told.window_count > 20
+    assert told.seen_count == 0
+    assert told.amplitude_rad_s > 0.2  # it does swing
+
+
+def test_stretches_do_not_depend_on_how_the_stream_was_cut() -> None:
+    columns = driven("new")[1].columns
+    finder = SlipFinder(CALIBRATION)
+    pieces = [one for batch in batches(columns, 0.37) for one in finder.feed(batch)] + finder.flush()
+    assert [(one.start_ns, one.end_ns, one.kind) for one in pieces] == [
+        (one.start_ns, one.end_ns, one.kind) for one in stretches("new")
+    ]
+    assert {one.kind for one in pieces} == {EventKind.MICRO_SLIP}
+    assert not finder.is_expecting
+    first = samples_of(pieces[0].columns), samples_of(stretches("new")[0].columns)
+    assert first[0] is not None
+    assert first[1] is not None
+    assert np.array_equal(first[0].slip_rad_s, first[1].slip_rad_s)
+
+
+def test_correlated_residuals_make_blocks_tell_less() -> None:
+    state = LockupState.fresh(CALIBRATION)
+    white = replace(state, lag_sums=np.eye(1, LAG_COUNT)[0] * 100.0, lag_counts=np.full(LAG_COUNT, 100.0))
+    assert white.blocks_as_one == 1.0
+    assert state.blocks_as_one > 4.0
+    assert diagnosed("new")[0].blocks_as_one > 3.0  # a torque model that errs for five seconds
+
+
+def test_a_state_survives_its_store() -> None:
+    state = diagnosed("aged")[0]
+    again = LockupState.from_json(state.to_json(), CALIBRATION)
+    assert again.to_json() == state.to_json()
+    assert again.friction() == state.friction()
+    with pytest.raises(ValueError, match="format"):
+        LockupState.from_json({"format": 0}, CALIBRATION)
+    with pytest.raises(ValueError, match="bad mean"):
+        LockupState.from_json({**state.to_json(), "mean": [1.0]}, CALIBRATION)
+
+
+def test_new_fluid_forgets_friction_and_keeps_the_converter() -> None:
+    state = diagnosed("new")[0]
+    fresh = state.with_new_fluid()
+    assert fresh.shift_count == 0
+    assert fresh.covariance[0, 0] > 100.0 * state.covariance[0, 0]
+    assert np.array_equal(fresh.mean[6:], state.mean[6:])
+    assert np.array_equal(fresh.covariance[6:, 6:], state.covariance[6:, 6:])
+
+
+def test_other_friction_is_kept_apart_until_the_third_stretch_says_so() -> None:
+    state, reasons = diagnosed("new")[0], []
+    car = ConverterCar(mu_c=0.105, mu_s=0.089)
+    finder = SlipFinder(CALIBRATION)
+    found = [one for batch in batches(drive(car, np.random.default_rng(4), 10.0).columns) for one in finder.feed(batch)]
+    for event in found:
+        state, estimate, _ = ESTIMATOR.estimate(event, state)
+        reasons.append(estimate.reasons)
+    assert reasons[:3] == [(Reason.NOT_UPDATED,), (Reason.NOT_UPDATED,), ()]
+    assert reasons[-1] == ()
+    assert state.friction().mu_c == pytest.approx(0.105, rel=0.1)
+
+
+def test_signals_that_are_missing_tell_nothing() -> None:
+    state, event = LockupState.fresh(CALIBRATION), stretches("new")[0]
+    columns = dict(event.columns)
+    del columns[Signal.TURBINE_SPEED]
+    after, estimate, swings = ESTIMATOR.estimate(replace(event, columns=columns), state)
+    assert after is state
+    assert (estimate.status, estimate.reasons, swings) == (Status.UNOBSERVED, (Reason.SIGNAL_MISSING,), None)
+    _, refused, _ = ESTIMATOR.estimate(event, state, (Reason.LOW_DATA_QUALITY,))
+    assert refused.status is Status.REJECTED
+
+
+def test_frames_that_are_missing_cost_their_blocks() -> None:
+    event = stretches("new")[0]
+    whole = samples_of(event.columns)
+    torque = event.columns[Signal.ENGINE_TORQUE]
+    assert whole is not None
+    assert CONVERTER is not None
+    known = cut(whole, CALIBRATION, CONVERTER)
+    first_ns, stop_ns = known.place[10] * BLOCK_NS, known.place[40] * BLOCK_NS
+    is_kept = (torque.t_ns < first_ns) | (torque.t_ns >= stop_ns)
+    holed = replace(torque, t_ns=torque.t_ns[is_kept], sequence=torque.sequence[is_kept], value=torque.value[is_kept])
+    part = samples_of({**event.columns, Signal.ENGINE_TORQUE: holed})
+    assert part is not None
+    left = cut(part, CALIBRATION, CONVERTER).place
+    assert set(known.place) - set(left) >= set(known.place[10:40])
+    assert len(known.place) - len(left) <= 32
+
+
+def test_results_carry_the_name_of_the_element_in_the_contract_of_before() -> None:
+    estimate, verdict = diagnosed("worn")[1][-2]
+    result = ShiftResult(
+        vehicle="car1",
+        stream="0" * 8,
+        seq=1,
+        estimate=estimate,
+        verdict=verdict,
+        algorithm_version="lockup-balance-1",
+        calibration_version="1+0",
+        produced_at="2026-01-01T00:00:00.000000Z",
+    )
+    record = shift_record(result)
+    assert record["element"] == "lock-up clutch"
+    assert parse_shift(dump(record)) == result
+    message = shift_message(record)
+    assert read_message(message.topic, message.payload).data["micro_slip"] == record["micro_slip"]
+    order = order_by([result], None)
+    assert order.reasons == (verdict.advice,)
+    assert verdict.advice is not None
+    assert verdict.advice.startswith("Lock-up clutch: it can shudder")
+    state = clutch_message(clutch_record(record, order))
+    told = read_message(state.topic, state.payload).data
+    assert (told["element"], told["clutch"]) == ("lock-up clutch", 1)
+    assert verdict_from(told).micro_slip == verdict.micro_slip
+    assert isinstance(verdict.micro_slip and verdict.micro_slip.shudder, Shudder)
