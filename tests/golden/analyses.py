@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import llvmlite.binding as llvm
 import numpy as np
 from scipy import linalg
 
@@ -30,11 +31,15 @@ RELATIVE = 1e-9  # where the arithmetic is another machine's
 
 
 def arithmetic() -> str:
-    """Return a digest of what this machine and its libraries make of some sums: equal digests, equal last digits."""
+    """Return a digest of what this machine and its libraries make of some sums: equal digests, equal last digits.
+
+    The processor is part of it: kernels are compiled for it, and the order of their sums follows its registers.
+    """
     grid = np.linspace(0.1, 3.0, 36).reshape(6, 6)
     matrix = np.exp(-np.abs(grid - grid.T)) + 6.0 * np.eye(6)
     parts = (linalg.cho_factor(matrix)[0], linalg.inv(matrix), matrix @ grid, np.tanh(grid), np.log(grid))
-    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()
+    sums = b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
+    return hashlib.sha256(sums + llvm.get_host_cpu_name().encode()).hexdigest()
 
 
 def analysis(name: str) -> str:
