@@ -1,4 +1,4 @@
-"""Gear changes, launches and free engine run-ups with the signals around them: what is cut out of the columns.
+"""Gear changes, launches, run-ups, stretches of slip with the signals around them: what is cut out of the columns.
 
 SI units, radians, kelvin and pascal throughout. Times are bus times in integer nanoseconds since the epoch.
 """
@@ -60,3 +60,29 @@ class Event:
     def are_clutches_closed(self) -> bool:
         """Whether it is a run-up with both clutches closed all along."""
         return self.kind is EventKind.RUN_UP_CLOSED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shudder:
+    """Slip that swings by itself while a clutch is let slip, as speeds show it, of the windows that were looked at."""
+
+    window_count: int  # of 2.56 s, in which the clutch slipped all along
+    seen_count: int  # in which slip swung in one narrow line, of neither engine nor road
+    frequency_hz: float | None  # of the line; None: none was seen
+    amplitude_rad_s: float  # index: root mean square of slip between 5 and 20 Hz, over all windows
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MicroSlip:
+    """Friction of a clutch that is held at small slip, there; ``slip_rad_s`` is 40 rpm."""
+
+    slip_rad_s: float
+    mu: float
+    std_mu: float
+    scale_free_mu: float  # times gain of the torque reading and piston area, as of an estimate
+    std_scale_free_mu: float
+    slope_s_rad: float  # of friction over slip, there
+    std_slope_s_rad: float
+    slip_s: float  # that it rests on
+    blocks_as_one: float  # half seconds that tell as much as one without correlation
+    shudder: Shudder | None = None

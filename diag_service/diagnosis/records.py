@@ -22,7 +22,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import TorqueSource
 from clutchdiag_io.program import legible_record
-from diag_service.diagnosis.events import EndReason, EventKind
+from diag_service.diagnosis.events import EndReason, EventKind, MicroSlip
 from diag_service.errors import ResultError
 from fleet_contract import Channel, JsonObject, ResultKey, schema
 from fleet_contract.orders import Order
@@ -273,32 +273,6 @@ class ShiftQuality:
     std_touch_error_pa: float | None = None
     slip_energy1_j: float | None = None  # of clutch 1
     slip_energy2_j: float | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shudder:
-    """Slip that swings by itself while a clutch is let slip, as speeds show it, of the windows that were looked at."""
-
-    window_count: int  # of 2.56 s, in which the clutch slipped all along
-    seen_count: int  # in which slip swung in one narrow line, of neither engine nor road
-    frequency_hz: float | None  # of the line; None: none was seen
-    amplitude_rad_s: float  # index: root mean square of slip between 5 and 20 Hz, over all windows
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MicroSlip:
-    """Friction of a clutch that is held at small slip, there; ``slip_rad_s`` is 40 rpm."""
-
-    slip_rad_s: float
-    mu: float
-    std_mu: float
-    scale_free_mu: float  # times gain of the torque reading and piston area, as in `ScaleFreeFriction`
-    std_scale_free_mu: float
-    slope_s_rad: float  # of friction over slip, there
-    std_slope_s_rad: float
-    slip_s: float  # that it rests on
-    blocks_as_one: float  # half seconds that tell as much as one without correlation
-    shudder: Shudder | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

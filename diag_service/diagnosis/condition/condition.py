@@ -23,6 +23,7 @@ from diag_service.diagnosis.condition.verdict import (
     decide_up_to_scale,
     nothing,
 )
+from diag_service.diagnosis.events import Shudder
 from diag_service.diagnosis.friction.posterior import (
     Posterior,
     both_frictions,
@@ -44,7 +45,6 @@ from diag_service.diagnosis.records import (
     Reason,
     ScaleFreeFriction,
     ShiftEstimate,
-    Shudder,
     Status,
     from_plain,
     to_plain,

@@ -14,7 +14,7 @@ from statistics import NormalDist
 from typing import Final, Self
 
 from clutch_model.calibration import FrictionCurve
-from diag_service.diagnosis.events import EndReason, EventKind
+from diag_service.diagnosis.events import EndReason, EventKind, Shudder
 from diag_service.diagnosis.records import (
     Condition,
     FrictionEstimate,
@@ -22,7 +22,6 @@ from diag_service.diagnosis.records import (
     FrictionTrend,
     ShiftEstimate,
     ShiftScatter,
-    Shudder,
     StickSlip,
 )
 from fleet_contract.orders import title_of

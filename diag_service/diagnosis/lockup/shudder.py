@@ -11,6 +11,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.units import NS_PER_S
+from diag_service.diagnosis.events import Shudder
 from diag_service.diagnosis.lockup.blocks import (
     LEAST_PRESSURE_PA,
     LEAST_SLIP_RAD_S,
@@ -18,7 +19,6 @@ from diag_service.diagnosis.lockup.blocks import (
     MOST_SLIP_RATE_RAD_S2,
     Samples,
 )
-from diag_service.diagnosis.records import Shudder
 
 BAND_HZ: Final = (5.0, 20.0)
 STEP_S: Final = 0.01

@@ -14,6 +14,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
+from diag_service.diagnosis.events import MicroSlip, Shudder
 from diag_service.diagnosis.lockup.blocks import (
     FRICTION_COUNT,
     MICRO_SLIP_RAD_S,
@@ -24,9 +25,7 @@ from diag_service.diagnosis.lockup.blocks import (
 from diag_service.diagnosis.records import (
     FrictionEstimate,
     FrictionTrend,
-    MicroSlip,
     ScaleFreeFriction,
-    Shudder,
     from_plain,
     to_plain,
 )

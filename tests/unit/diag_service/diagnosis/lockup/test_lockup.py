@@ -9,7 +9,7 @@ import pytest
 from clutch_model.calibration import shipped_calibration
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge_lockup
-from diag_service.diagnosis.events import Event, EventKind
+from diag_service.diagnosis.events import Event, EventKind, Shudder
 from diag_service.diagnosis.lockup.blocks import BLOCK_NS, MICRO_SLIP_RAD_S, cut, samples_of
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
 from diag_service.diagnosis.lockup.shudder import shudder
@@ -20,7 +20,6 @@ from diag_service.diagnosis.records import (
     Reason,
     ShiftEstimate,
     ShiftResult,
-    Shudder,
     Status,
     clutch_record,
     dump,
