@@ -4,8 +4,8 @@
 CREATE VIEW shifts AS
 SELECT * FROM read_parquet('lake/shifts/*/*/*.parquet', hive_partitioning = true, hive_types = {'date': DATE, 'vehicle': VARCHAR});
 CREATE VIEW logs AS
-SELECT * FROM read_parquet('lake/manifest/*.parquet', filename = true)
-QUALIFY row_number() OVER (PARTITION BY source ORDER BY filename DESC) = 1;
+SELECT * FROM read_parquet('lake/manifest/**/*.parquet', filename = true)
+QUALIFY row_number() OVER (PARTITION BY source ORDER BY parse_filename(filename) DESC) = 1;
 
 -- What is in it?
 SELECT vehicle, min(date) AS first, max(date) AS last, count(DISTINCT stream) AS logs, count(*) AS shifts FROM shifts GROUP BY vehicle ORDER BY vehicle;

@@ -13,8 +13,8 @@ from canlog.logs import STANDARD_INPUT
 from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoreError
 from diag_service.lake.nodes import ClusterAddress, run_scheduler, run_workers
-from diag_service.lake.parts import DONE, Manifest, disagreement, forget, parts_of
-from diag_service.lake.places import Place
+from diag_service.lake.parts import disagreement, forget, partitions, parts_of
+from diag_service.lake.places import UNFINISHED, Place
 from diag_service.lake.run import LakeTotals, fill_lake, find_logs
 from diag_service.lake.work import Job
 from diag_service.service.stopping import Controls
@@ -41,7 +41,7 @@ def _forget(options: SimpleNamespace, lake: Place) -> None:
     """Forget a vehicle; raises StoreError if the lake had nothing of it."""
     gone = forget(lake, check_vehicle(options.vehicle))
     if not gone.parts and not gone.rows:
-        known = sorted({row.vehicle for row in Manifest(lake).rows})
+        known = sorted({row.vehicle for rows in partitions(lake) for row in rows})
         shown = get_close_matches(gone.vehicle, known, n=SHOWN) or known[:SHOWN]
         others = f"; it has {', '.join(shown)}{'' if len(shown) == len(known) else ' and others'}" if known else ""
         raise StoreError(f"lake {lake.address} has nothing of {gone.vehicle}{others}")
@@ -59,15 +59,10 @@ def _check(options: SimpleNamespace, lake: Place) -> None:
     """Show what is in a lake; raises IncompleteError if manifest and parts disagree."""
     found = disagreement(lake)
     if options.repair:
-        unfinished = parts_of(lake, with_unfinished=True).keys() - parts_of(lake).keys()
-        lake.remove([*found.unknown, *sorted(unfinished)])
+        every = (part.name for part in parts_of(lake, with_unfinished=True))
+        lake.remove([*found.unknown, *(name for name in every if name.endswith(UNFINISHED))])
         found = disagreement(lake)
-    rows = Manifest(lake).rows
-    done = [row for row in rows if row.outcome == DONE]
-    sys.stdout.write(
-        f"{len(rows)} logs, {len(rows) - len(done)} of them not analysed, {sum(row.shifts for row in done)} shifts of "
-        f"{len({row.vehicle for row in rows})} vehicles in {len(parts_of(lake))} parts\n"
-    )
+    sys.stdout.write(found.told + "\n")
     wrong = {"missing": found.missing, "of no log": found.unknown, "of a log that is there in two states": found.twice}
     for what, names in wrong.items():
         if names:

@@ -1,21 +1,24 @@
 """The files of a lake: parts by date and vehicle, and a manifest of what was made of which log.
 
-Rows of the manifest are only ever added, and now and then put together. A file of rows has a generation in its name,
-and of a log the row of the latest generation holds. So nothing is written over, whoever was killed, and a log that two
-files tell of is in the lake once.
+Rows of the manifest are only ever added, and now and then put together; many are shared out to partitions by vehicle,
+so that a lake of millions of logs is read in parts. A file of rows has a generation in its name, and of a log the row
+of the latest generation holds. So nothing is written over, whoever was killed, and a log that two files tell of is
+there once.
 """
 
 import hashlib
 import io
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
-from dataclasses import asdict, dataclass, fields, replace
-from itertools import islice
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
+from itertools import chain, islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
+from zlib import crc32
 
 from canlog.column_files import TIME_TYPE, ParquetTable, TableFormat, load_pyarrow
 from canlog.errors import DefinitionError, SourceError
@@ -29,7 +32,9 @@ from fleet_contract import JsonObject
 
 FOLDER: Final = "manifest"
 DONE, FAILED = "done", "failed"
-FULL_ROWS: Final = 50_000  # of a file of the manifest that nothing is put into any more
+FULL_ROWS: Final = 50_000  # of the manifest that are of any vehicle; more are shared out
+PARTITIONS: Final = 64  # of a manifest: a year of 10,000 vehicles has 57,000 rows in each
+GROUP_ROWS: Final = 128  # with all that logs said of themselves, held for each partition while rows are shared out
 _SEPARATOR: Final = ";"
 _TYPES: Final = {"size_bytes": "int64", "shifts": "int64", "attempts": "int64", "made_at": TIME_TYPE}
 
@@ -56,27 +61,28 @@ class LogRow:
 
 
 class Manifest:
-    """The rows of a lake, as they were when it was opened and as they became since.
+    """The rows of a lake, or of the partitions that some vehicles are in, as they were and as they became since.
 
-    What logs said of themselves, by far the most of a row, stays in the files: ``account`` is empty here. A file that
-    is full is left as it is, so that a run writes anew no more than the last.
+    What logs said of themselves, by far the most of a row, stays in the files: ``account`` is empty here. Rows of many
+    vehicles are added in files of their own; when those are full, their rows go into partitions by vehicle, which stay
+    as they are. A file that is written anew keeps its generation.
 
     Raises StoreError if a file of it is none.
     """
 
-    def __init__(self, place: Place, full_rows: int = FULL_ROWS) -> None:
+    def __init__(self, place: Place, partitions: Collection[str] | None = None, full_rows: int = FULL_ROWS) -> None:
         self._place = place
         self._full_rows = full_rows
         self._rows: dict[str, LogRow] = {}
-        self._files: dict[str, int] = {}  # how many rows each has
         self._file_of: dict[str, str] = {}  # of the row that holds
-        self._generation = 0
-        for name in place.held(FOLDER):
-            self._generation = max(self._generation, _generation_of(name))
-            self._files[name] = 0
-            for rows in _parsed(place.read(name), name, [one for one in manifest_columns() if one != "account"]):
+        self._left: dict[str, set[str]] = {}  # logs that are of a vehicle of another partition now, by file
+        names = _files_of(place)
+        self._generation = max(map(_generation_of, names), default=0)
+        self._files = [name for name in names if partitions is None or _partition_in(name) in {"", *partitions}]
+        narrow = [one for one in manifest_columns() if one != "account"]
+        for name in self._files:
+            for rows in _parsed(place, name, narrow, None if _partition_in(name) else partitions):
                 self._take(rows, name)
-        self.file_count = len(self._files)
 
     @property
     def rows(self) -> tuple[LogRow, ...]:
@@ -90,20 +96,40 @@ class Manifest:
     def add(self, rows: Sequence[LogRow]) -> None:
         """Write rows as one more file; those of the same logs hold no longer."""
         if rows:
-            self._write([rows])
+            self._generation += 1
+            (name,) = self._write([rows], lambda _row: "", self._generation)
+            self._files.append(name)
+            self._take(rows, name)
 
-    def put_together(self, *, without: Iterable[str] = ()) -> None:
-        """Write one file in place of those that are not full; without the rows of some logs, wherever they are."""
-        gone = self._rows.keys() & set(without)
-        small = [name for name, count in self._files.items() if count < self._full_rows]
-        batches = [[name] for name in self._files if name not in small] if gone else []
-        batches += [small] if len(small) > 1 or gone else []
-        for source in gone:
-            del self._rows[source], self._file_of[source]
-        for names in batches:
-            self._write(self._holding(names))
-            self._place.remove(names)
-            self._files = {name: count for name, count in self._files.items() if name not in names}
+    def forget(self, vehicle: str) -> None:
+        """Write the files anew in which a vehicle is, without it."""
+        for name in self._files:
+            if any(vehicle in batch["vehicle"].to_pylist() for batch in _batches(self._place, name, ["vehicle"])):
+                self._write_anew(name, vehicle=vehicle)
+
+    def put_together(self) -> None:
+        """Write one file in place of those that were added, or, once they are full, one in each partition."""
+        for name, sources in self._left.items():
+            self._write_anew(name, sources=sources)
+        self._left = {}
+        added = [name for name in _files_of(self._place) if not _partition_in(name)]
+        holding = {
+            source: name
+            for name in added
+            for batch in _batches(self._place, name, ["source"])
+            for source in batch["source"].to_pylist()
+        }
+        is_full = len(holding) >= self._full_rows
+        if len(added) <= 1 and not is_full:
+            return
+        self._generation += 1
+        kept = (
+            [row for row in rows if holding[row.source] == name]
+            for name in added
+            for rows in _parsed(self._place, name, list(manifest_columns()))
+        )
+        self._write(kept, lambda row: partition_of(row.vehicle) if is_full else "", self._generation)
+        self._place.remove(added)
 
     def superseded(self, rows: Sequence[LogRow]) -> list[str]:
         """Return the parts that rows make superfluous: those of the rows that hold, unless another one has them."""
@@ -118,55 +144,125 @@ class Manifest:
         return sorted(part for part, count in own.items() if uses[part] == count)
 
     def _take(self, rows: Sequence[LogRow], name: str) -> None:
-        self._rows |= {row.source: replace(row, account="") for row in rows}
-        self._file_of |= dict.fromkeys((row.source for row in rows), name)
-        self._files[name] += len(rows)
+        for row in rows:
+            before = self._file_of.get(row.source, "")
+            if _partition_in(before) not in {"", partition_of(row.vehicle)}:
+                self._left.setdefault(before, set()).add(row.source)
+            self._rows[row.source], self._file_of[row.source] = replace(row, account="") if row.account else row, name
 
-    def _holding(self, names: Sequence[str]) -> Iterator[list[LogRow]]:
-        """Yield the rows of some files that hold, whole."""
-        for name in names:
-            for rows in _parsed(self._place.read(name), name, list(manifest_columns())):
-                yield [row for row in rows if self._file_of.get(row.source) == name]
+    def _write_anew(self, name: str, *, vehicle: str = "", sources: Collection[str] = ()) -> None:
+        """Write a file anew without the rows of a vehicle and of some logs."""
+        whole = _parsed(self._place, name, list(manifest_columns()))
+        kept = ([row for row in rows if row.vehicle != vehicle and row.source not in sources] for rows in whole)
+        written = self._write(kept, lambda _row: _partition_in(name), _generation_of(name))
+        self._place.remove({name}.difference(written))
 
-    def _write(self, groups: Iterable[Sequence[LogRow]]) -> None:
-        self._generation += 1
-        taken = list[Sequence[LogRow]]()
-        with TemporaryDirectory(prefix="clutchdiag-") as folder:
-            path = Path(folder) / "rows"
-            with path.open("wb") as stream, ParquetTable(stream, manifest_columns()) as table:
-                for rows in filter(None, groups):
-                    table.write_rows([{**asdict(row), "parts": _SEPARATOR.join(row.parts)} for row in rows])
-                    taken.append([replace(row, account="") for row in rows])
-            if not taken:
-                return
-            name = f"{FOLDER}/{self._generation:010}-{content_digest(path)[:16]}.parquet"
-            self._place.put(name, path)
-        self._files[name] = 0
-        for rows in taken:
-            self._take(rows, name)
+    def _write(
+        self, groups: Iterable[Sequence[LogRow]], partition: Callable[[LogRow], str], generation: int
+    ) -> list[str]:
+        """Write rows as a file in each of their partitions; return the names."""
+        names = []
+        with TemporaryDirectory(prefix="clutchdiag-") as folder, ExitStack() as stack:
+            tables: dict[str, ParquetTable] = {}
+            waiting: dict[str, list[LogRow]] = defaultdict(list)
+
+            def write(where: str) -> None:
+                if where not in tables:
+                    stream = stack.enter_context((Path(folder) / (where or "rows")).open("wb"))
+                    tables[where] = stack.enter_context(ParquetTable(stream, manifest_columns()))
+                rows = waiting.pop(where)
+                told = ({name: getattr(row, name) for name in manifest_columns()} for row in rows)
+                tables[where].write_rows([{**row, "parts": _SEPARATOR.join(row["parts"])} for row in told])
+
+            for row in chain.from_iterable(groups):
+                waiting[where := partition(row)].append(row)
+                if len(waiting[where]) >= GROUP_ROWS:
+                    write(where)
+            for where in list(waiting):
+                write(where)
+            stack.close()
+            for where in tables:
+                path = Path(folder) / (where or "rows")
+                name = f"{generation:010}-{content_digest(path)[:16]}.parquet"
+                names.append("/".join(filter(None, (FOLDER, where, name))))
+                self._place.put(names[-1], path)
+        return names
 
 
+@cache
 def manifest_columns() -> dict[str, str]:
     """Return the columns of the manifest and their types; ``parts`` are names, separated by semicolons."""
     return {field.name: _TYPES.get(field.name, "string") for field in fields(LogRow)}
 
 
+def partition_of(vehicle: str) -> str:
+    """Return the folder of the manifest in which the rows of a vehicle are once they are many."""
+    return f"{crc32(vehicle.encode(errors='surrogateescape')) % PARTITIONS:02}"
+
+
+def partitions(place: Place) -> Iterator[tuple[LogRow, ...]]:
+    """Yield the rows of a lake that hold, a partition at a time; two of one vehicle are in the same one."""
+    names = _files_of(place)
+    if not any(map(_partition_in, names)):
+        yield Manifest(place).rows
+        return
+    for number in range(PARTITIONS):
+        yield Manifest(place, partitions=[f"{number:02}"]).rows
+
+
+def strayed(place: Place, vehicles: Mapping[str, str]) -> dict[str, set[str]]:
+    """Return of which other vehicles logs were before, by the one that they are of now; given by source."""
+    found: dict[str, set[str]] = defaultdict(set)
+    for name in filter(_partition_in, _files_of(place)):
+        for batch in _batches(place, name, ["source", "vehicle"]):
+            for source, before in zip(batch["source"].to_pylist(), batch["vehicle"].to_pylist(), strict=True):
+                if (own := vehicles.get(source, before)) != before:
+                    found[own].add(before)
+    return found
+
+
+def _files_of(place: Place) -> list[str]:
+    """Return the files of a manifest, the oldest first."""
+    return sorted(place.held(FOLDER), key=_generation_of)
+
+
+def _partition_in(name: str) -> str:
+    """Return the partition that a file of the manifest is of; empty: of any."""
+    return name.removeprefix(f"{FOLDER}/").rpartition("/")[0]
+
+
 def _generation_of(name: str) -> int:
-    number = name.removeprefix(f"{FOLDER}/").partition("-")[0]
+    number = name.rpartition("/")[2].partition("-")[0]
     if not number.isdecimal():
         raise StoreError(f"{name} is not a file of a manifest")
     return int(number)
 
 
-def _parsed(content: bytes, name: str, wanted: list[str]) -> Iterator[list[LogRow]]:
-    """Yield the rows of a file, some at a time; a column that is not wanted is empty."""
+def _parsed(place: Place, name: str, wanted: list[str], among: Collection[str] | None = None) -> Iterator[list[LogRow]]:
+    """Yield the rows of a file, of some partitions, some at a time; a column that is not wanted is empty."""
     arrow = load_pyarrow()
-    try:
+    with _understood(name):
+        for batch in _batches(place, name, wanted):
+            if among is None:
+                yield [_row(row) for row in batch.to_pylist()]
+            else:
+                is_of = [partition_of(one) in among for one in batch["vehicle"].to_pylist()]
+                yield [_row(row) for row in batch.filter(arrow.array(is_of, arrow.bool_())).to_pylist()]
+
+
+def _batches(place: Place, name: str, wanted: list[str]) -> Iterator[Any]:
+    """Yield columns of a file of the manifest, some rows at a time."""
+    with _understood(name):
         # By this thread alone: threads of Arrow that outlive a short program abort it.
-        file = arrow.parquet.ParquetFile(io.BytesIO(content))
-        for batch in file.iter_batches(BATCH_ROWS, columns=wanted, use_threads=False):
-            yield [_row(row) for row in batch.to_pylist()]
-    except (arrow.ArrowException, KeyError, TypeError) as exc:
+        file = load_pyarrow().parquet.ParquetFile(place.path(name) or io.BytesIO(place.read(name)))
+        yield from file.iter_batches(BATCH_ROWS, columns=wanted, use_threads=False)
+
+
+@contextmanager
+def _understood(name: str) -> Iterator[None]:
+    try:
+        yield
+    except (load_pyarrow().ArrowException, KeyError, TypeError, OSError) as exc:
         raise StoreError(f"{name} is not a file of a manifest: {exc}") from exc
 
 
@@ -200,12 +296,15 @@ class Disagreement:
     missing: tuple[str, ...]  # parts that a row speaks of
     unknown: tuple[str, ...]  # parts that no row speaks of
     twice: tuple[str, ...]  # logs whose shifts are in more than one state
+    told: str = field(default="", compare=False)  # what there is
 
 
-def parts_of(lake: Place, *, with_unfinished: bool = False) -> dict[str, Held]:
-    """Return all parts of a lake, if asked for with those that a killed process has not finished."""
-    shifts, signals = (lake.held(kind, with_unfinished=with_unfinished) for kind in (SHIFTS, SIGNALS))
-    return shifts | signals
+def parts_of(lake: Place, vehicle: str = "*", *, with_unfinished: bool = False) -> Iterator[Held]:
+    """Yield all parts of a lake, or of a vehicle, if asked for with those that a killed process has not finished."""
+    for kind in (SHIFTS, SIGNALS):
+        for day in lake.folders(kind):
+            own = day if vehicle == "*" else f"{day}/{_folder(vehicle)}"
+            yield from lake.held(own, with_unfinished=with_unfinished).values()
 
 
 def forget(lake: Place, vehicle: str) -> Forgotten:
@@ -215,13 +314,14 @@ def forget(lake: Place, vehicle: str) -> Forgotten:
 
     Raises StoreError if anything of the vehicle is still there afterwards.
     """
-    manifest = Manifest(lake)
+    manifest = Manifest(lake, [partition_of(vehicle)])
     rows = [row for row in manifest.rows if row.vehicle == vehicle]
-    found = _of(vehicle, lake)
+    found = {part.name: part for part in parts_of(lake, vehicle, with_unfinished=True)}
     lake.remove(found)
-    manifest.put_together(without=[row.source for row in rows])
+    manifest.forget(vehicle)
     folders = [name for kind in (SHIFTS, SIGNALS) for name in lake.remove_folders(f"{kind}/*/{_folder(vehicle)}")]
-    left = [*_of(vehicle, lake), *folders, *(row.source for row in Manifest(lake).rows if row.vehicle == vehicle)]
+    again = (row.source for row in Manifest(lake, [partition_of(vehicle)]).rows if row.vehicle == vehicle)
+    left = [*(part.name for part in parts_of(lake, vehicle, with_unfinished=True)), *folders, *again]
     if left:
         raise StoreError(f"{len(left)} things of {vehicle} are still in {lake.address}, the first: {left[0]}")
     return Forgotten(
@@ -235,19 +335,27 @@ def forget(lake: Place, vehicle: str) -> Forgotten:
 
 def disagreement(lake: Place) -> Disagreement:
     """Return in what manifest and parts disagree."""
-    rows, there = Manifest(lake).rows, set(parts_of(lake))
-    known = {part for row in rows for part in row.parts}
-    shifts: dict[tuple[str, str], set[str]] = {}
-    for row in rows:
-        if row.outcome == DONE:
-            shifts.setdefault((row.content, row.vehicle), set()).add(row.settings)
-    twice = sorted({content for (content, _), settings in shifts.items() if len(settings) > 1})
-    return Disagreement(missing=tuple(sorted(known - there)), unknown=tuple(sorted(there - known)), twice=tuple(twice))
-
-
-def _of(vehicle: str, lake: Place) -> dict[str, Held]:
-    parts = parts_of(lake, with_unfinished=True)
-    return {name: one for name, one in parts.items() if f"/{_folder(vehicle)}/" in name}
+    unknown = {part.name for part in parts_of(lake)}
+    found, part_count = Counter[str](), len(unknown)
+    missing, twice = set[str](), set[str]()
+    for rows in partitions(lake):
+        known = {part for row in rows for part in row.parts}
+        missing |= known - unknown
+        unknown -= known
+        shifts: dict[tuple[str, str], set[str]] = defaultdict(set)
+        for row in rows:
+            found.update({row.outcome: 1, "shifts": row.shifts})
+            if row.outcome == DONE:
+                shifts[row.content, row.vehicle].add(row.settings)
+        twice |= {content for (content, _), settings in shifts.items() if len(settings) > 1}
+        found["vehicles"] += len({row.vehicle for row in rows})
+    told = (
+        f"{found[DONE] + found[FAILED]} logs, {found[FAILED]} of them not analysed, {found['shifts']} shifts of "
+        f"{found['vehicles']} vehicles in {part_count} parts"
+    )
+    return Disagreement(
+        missing=tuple(sorted(missing)), unknown=tuple(sorted(unknown)), twice=tuple(sorted(twice)), told=told
+    )
 
 
 def _folder(vehicle: str) -> str:

@@ -92,6 +92,19 @@ class Place:
 
         return _patiently("look into", self.address, found)
 
+    def folders(self, under: str) -> list[str]:
+        """Return the folders right below, by name; none where there is no such folder."""
+
+        def found() -> list[str]:
+            try:
+                listed = self._files.ls(self._full(under), detail=True)
+            except FileNotFoundError:
+                return []
+            paths = (str(one["name"]).rstrip("/") for one in listed if one["type"] == "directory")
+            return sorted(path.removeprefix(self._root).lstrip("/") for path in paths)
+
+        return _patiently("look into", self._shown(under), found)
+
     def read(self, name: str) -> bytes:
         content: bytes = _patiently("read", self._shown(name), lambda: self._files.cat_file(self._full(name)))
         return content

@@ -6,13 +6,14 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Final, Self, TextIO
 
 from canlog.errors import NOTICE
 from diag_service.batch.processes import progress_bar
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.lake.nodes import ClusterAddress
-from diag_service.lake.parts import DONE, FAILED, SIGNALS, LogRow, Manifest
+from diag_service.lake.parts import DONE, FAILED, SIGNALS, LogRow, Manifest, partition_of, strayed
 from diag_service.lake.places import Place
 from diag_service.lake.pools import ClusterPool, LocalPool, Pool
 from diag_service.lake.work import Job, LakeLog, row_of
@@ -25,7 +26,7 @@ MOST_DEATHS: Final = 2  # of a log's process with nothing beside it: then it is 
 MOST_REFUSALS: Final = 3  # of a store, each after its own attempts
 ROWS_PER_FILE: Final = 256
 FILE_EVERY_S: Final = 5.0
-MOST_FILES: Final = 1  # of a manifest that nobody puts together
+GROUP_LOGS: Final = 50_000  # whose rows of the manifest are held together, and those of their vehicles
 _LOG = logging.getLogger(__name__)
 
 
@@ -93,32 +94,56 @@ def fill_lake(
     was stopped before everything was done.
     """
     lake = Place(job.lake)
-    manifest = Manifest(lake)
-    missing = to_do(job, logs, manifest, is_retried=is_retried)
-    before = len(logs) - len(missing)
-    if before:
-        _LOG.log(NOTICE, "%d of %d logs were done before", before, len(logs))
-    counts: Counter[str] = Counter()
-    if missing:
-        pool: Pool = (
-            ClusterPool(job, scheduler) if scheduler else LocalPool(job, min(jobs, len(missing)), is_shown=is_shown)
-        )
-        with closing(pool), Ledger(manifest, lake) as ledger, progress_bar(is_shown=is_shown) as bar:
-            task = bar.add_task("analysing", total=sum(log.held.size_bytes for log in missing), done=0, of=len(missing))
-            for row in Dispatch(job, pool, missing, stop).rows():
-                ledger.add(row)
-                counts.update({row.outcome: 1, "shifts": row.shifts})
-                bar.update(task, advance=row.size_bytes, done=counts[DONE] + counts[FAILED])
-                stream.write(line_of(row) + "\n")
-                stream.flush()
-    if manifest.file_count > MOST_FILES or missing:
+    before, counts = 0, Counter[str]()
+    for group, partitions in _groups(logs, lake):
+        manifest = Manifest(lake, partitions)
+        missing = to_do(job, group, manifest, is_retried=is_retried)
+        before += len(group) - len(missing)
+        if len(missing) < len(group):
+            _LOG.log(NOTICE, "%d of %d logs were done before", len(group) - len(missing), len(group))
+        if missing:
+            pool: Pool = (
+                ClusterPool(job, scheduler) if scheduler else LocalPool(job, min(jobs, len(missing)), is_shown=is_shown)
+            )
+            size_bytes = sum(log.held.size_bytes for log in missing)
+            with closing(pool), Ledger(manifest, lake) as ledger, progress_bar(is_shown=is_shown) as bar:
+                task = bar.add_task("analysing", total=size_bytes, done=0, of=len(missing))
+                for row in Dispatch(job, pool, missing, stop).rows():
+                    ledger.add(row)
+                    counts.update({row.outcome: 1, "shifts": row.shifts})
+                    bar.update(task, advance=row.size_bytes, done=counts[DONE] + counts[FAILED])
+                    stream.write(line_of(row) + "\n")
+                    stream.flush()
         manifest.put_together()
-    finished = counts[DONE] + counts[FAILED]
-    if finished < len(missing):
+        if stop.is_set:
+            break
+    finished = before + counts[DONE] + counts[FAILED]
+    if finished < len(logs):
         raise StoppedError(
-            f"stopped early: {before + finished} of {len(logs)} logs are done; run the same command again to continue"
+            f"stopped early: {finished} of {len(logs)} logs are done; run the same command again to continue"
         )
     return LakeTotals(found=len(logs), before=before, done=counts[DONE], failed=counts[FAILED], shifts=counts["shifts"])
+
+
+def _groups(logs: Sequence[LakeLog], lake: Place) -> Iterator[tuple[list[LakeLog], set[str]]]:
+    """Yield logs that are worked on together, with the partitions of the manifest that know of them."""
+    others = strayed(lake, {log.source: log.vehicle for log in logs})
+    group, known = list[LakeLog](), set[str]()
+    for partition, own in groupby(sorted(logs, key=_partition), _partition):
+        group += own
+        known.add(partition)
+        known.update(
+            partition_of(one) for now, before in others.items() if partition_of(now) == partition for one in before
+        )
+        if len(group) >= GROUP_LOGS:
+            yield group, known
+            group, known = [], set()
+    if group:
+        yield group, known
+
+
+def _partition(log: LakeLog) -> str:
+    return partition_of(log.vehicle)
 
 
 def line_of(row: LogRow) -> str:

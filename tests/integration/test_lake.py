@@ -17,7 +17,19 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.commands import analyze, lake
 from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import ConfigError, IncompleteError, StoreError
-from diag_service.lake.parts import DONE, FAILED, Disagreement, LogRow, Manifest, disagreement, forget
+from diag_service.lake.parts import (
+    DONE,
+    FAILED,
+    PARTITIONS,
+    Disagreement,
+    LogRow,
+    Manifest,
+    disagreement,
+    forget,
+    partition_of,
+    partitions,
+    strayed,
+)
 from diag_service.lake.places import Place
 from diag_service.lake.run import Ledger, find_logs, to_do
 from diag_service.lake.work import EXIT_OVERDUE, Job, LakeLog, Maker
@@ -94,50 +106,75 @@ def manifest_row(number: int, account: str, **other: str) -> LogRow:
         "reason": "",
     }
     part = f"shifts/date=2026-01-01/vehicle=car{number % 10}/{number:032x}-{'s' * 16}.parquet"
+    texts |= {"vehicle": f"car{number % 10}"} | other
     return LogRow(
         source=f"/logs/car{number % 10}/{number:06}.log",
         size_bytes=1,
-        vehicle=f"car{number % 10}",
         algorithm_version="a",
         outcome=DONE,
         shifts=3,
         attempts=1,
-        parts=(part,),
+        parts=(texts.pop("part", part),),
         account=account,
         made_at="2026-01-01T00:00:00.000000Z",
-        **{"signals": "", "reason": ""} | texts | other,
+        **texts,
     )
 
 
-def test_a_manifest_holds_little_of_each_log_and_leaves_full_files_alone(tmp_path: Path) -> None:
+def test_a_manifest_is_read_by_partition_and_holds_little_of_each_log(tmp_path: Path) -> None:
     """A year of 10,000 vehicles is 3.65 million logs."""
     place, count = Place(str(tmp_path / "lake")), 2000
     for first in range(0, count, 500):
         rows = [manifest_row(number, "x" * 13_000) for number in range(first, first + 500)]
-        Manifest(place, 1000).add(rows)
-    Manifest(place, 1000).put_together()
-    assert len(files_in(tmp_path / "lake")) == 1
-    (whole,) = files_in(tmp_path / "lake")
+        Manifest(place).add(rows)
     tracemalloc.start()
-    manifest = Manifest(place, 1000)
+    manifest = Manifest(place, full_rows=count + 1)
     held_bytes = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
     assert held_bytes / count < 2000.0
-    manifest.add([manifest_row(7, "y", reason="again")])
-    manifest.add([manifest_row(count, "z")])
     manifest.put_together()
-    assert len(files_in(tmp_path / "lake")) == 2
-    assert whole in files_in(tmp_path / "lake")
+    assert len(files_in(tmp_path / "lake")) == 1
+    Manifest(place, full_rows=count).put_together()
+    shared_out = files_in(tmp_path / "lake")
+    assert {Path(name).parent.name for name in shared_out} == {partition_of(f"car{number}") for number in range(10)}
+    tracemalloc.start()
+    manifest = Manifest(place, [partition_of("car7")])
+    own_bytes = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert own_bytes < held_bytes / 5
+    assert {row.vehicle for row in manifest.rows} == {"car7"}
+    manifest.add([manifest_row(7, "y", reason="again"), manifest_row(count, "z")])
+    manifest.put_together()
+    assert shared_out.items() < files_in(tmp_path / "lake").items()
     accounts = pq.read_table(tmp_path / "lake" / "manifest", columns=["source", "account"]).to_pylist()
-    assert [row["account"] for row in accounts if row["source"].endswith("000007.log")] == ["x" * 13_000, "y"]
-    again = Manifest(place, 1000)
-    assert {row.source: row.reason for row in again.rows if row.reason} == {"/logs/car7/000007.log": "again"}
-    assert len(again.rows) == count + 1
+    told = [row["account"] for row in accounts if row["source"].endswith("000007.log")]
+    assert sorted(told) == ["x" * 13_000, "y"]
+    assert {row.source: row.reason for row in Manifest(place).rows if row.reason} == {"/logs/car7/000007.log": "again"}
+    assert sorted(len(rows) for rows in partitions(place)) == [0] * (PARTITIONS - 10) + [200] * 9 + [201]
+    assert len(Manifest(place).rows) == count + 1
     forget(place, "car7")
-    assert whole not in files_in(tmp_path / "lake")
     left = pq.read_table(tmp_path / "lake" / "manifest").to_pylist()
     assert (len(left), {row["vehicle"] for row in left}) == (count + 1 - 200, {f"car{n}" for n in range(10) if n != 7})
     assert sum(len(row["account"]) for row in left) == 13_000 * (count - 200) + 1
+
+
+def test_a_log_that_is_of_another_vehicle_leaves_its_partition(tmp_path: Path) -> None:
+    place = Place(str(tmp_path / "lake"))
+    Manifest(place).add([manifest_row(number, "x") for number in range(100)])
+    Manifest(place, full_rows=100).put_together()
+    source = manifest_row(7, "x").source
+    others = strayed(place, {source: "other"})
+    assert others == {"other": {"car7"}}
+    manifest = Manifest(place, [partition_of("car7"), partition_of("other")])
+    row = manifest_row(7, "y", vehicle="other", part="shifts/date=2026-01-01/vehicle=other/0.parquet")
+    assert manifest.superseded([row]) == list(manifest_row(7, "x").parts)
+    manifest.add([row])
+    manifest.put_together()
+    assert source not in {one.source for one in Manifest(place, [partition_of("car7")]).rows}
+    Manifest(place, full_rows=1).put_together()
+    found = [one for rows in partitions(place) for one in rows if one.source == source]
+    assert [one.vehicle for one in found] == ["other"]
+    assert len(pq.read_table(tmp_path / "lake" / "manifest")) == 100
 
 
 def test_a_part_depends_on_the_content_of_its_log_alone(logs: Path, tmp_path: Path) -> None:
