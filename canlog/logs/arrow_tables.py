@@ -197,7 +197,7 @@ def _planned(schema: Any, batch: Any) -> _Plan:  # noqa: ANN401 - of pyarrow
 def _times_us(column: Any, us_per_unit: float | None) -> FloatArray:  # noqa: ANN401 - of pyarrow
     """Return times [us], NaN where there is none."""
     if us_per_unit is not None:
-        with np.errstate(over="ignore"):  # a damaged number
+        with np.errstate(over="ignore", invalid="ignore"):  # a damaged number
             return np.rint(_numbers(column) * us_per_unit)
     arrow = load_pyarrow()
     nanoseconds = column.cast(arrow.timestamp("ns", column.type.tz), safe=False).cast(arrow.int64())

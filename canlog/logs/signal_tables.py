@@ -39,6 +39,7 @@ TIME_OF_DAY: Final = re.compile(r"(?:(\d+)\s+)?(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\
 GERMAN_DATE: Final = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]+(.*)")
 US_PER_S: Final = 1_000_000.0
 DAY_US: Final = 86_400 * US_PER_S
+MOST_VALUE: Final = 1e30  # beyond, a cell is no measurement, in any unit
 MOST_US: Final = 2.0**53  # beyond, a time is not told to the microsecond
 
 
@@ -190,7 +191,7 @@ def frames_of_rows(
         Identifier of each column, with its flag.
     """
     has_time = np.abs(time_us) < MOST_US
-    has_value = np.isfinite(values) & has_time[:, np.newaxis]
+    has_value = (np.abs(values) < MOST_VALUE) & has_time[:, np.newaxis]
     rows, slots = np.nonzero(has_value)
     time_ns: Int64Array = np.where(has_time, time_us, 0.0).astype(np.int64) * 1000
     payload = np.ascontiguousarray(values[rows, slots], "<f8")
@@ -205,9 +206,9 @@ def frames_of_rows(
 def checked_rows(
     time_us: FloatArray, values: FloatArray, ids: np.ndarray[tuple[int], np.dtype[np.uint32]], counts: LogCounts
 ) -> FrameBatch:
-    """Return rows of a binary table as `frames_of_rows` does; those without a time and infinite values are counted."""
+    """Return rows of a binary table as `frames_of_rows` does; impossible values and rows without a time are counted."""
     counts.reject(LogReject.MALFORMED, "a row without a time", int(np.count_nonzero(~(np.abs(time_us) < MOST_US))))
-    counts.reject(LogReject.MALFORMED, "an infinite value", int(np.count_nonzero(np.isinf(values))))
+    counts.reject(LogReject.MALFORMED, "a value beyond all measurements", int((np.abs(values) >= MOST_VALUE).sum()))
     return frames_of_rows(time_us, values, ids)
 
 
@@ -304,7 +305,9 @@ def time_places(names: Sequence[str]) -> list[int]:
 
 def _rises(cells: Sequence[str]) -> bool:
     """Return whether cells are times: numbers or clocks that mostly rise and never all stand still."""
-    times = [found for cell in cells if cell and np.isfinite(found := _time_of(cell))]
+    numbers = ((_number(cell), cell) for cell in cells if cell)
+    moments = (number if np.isfinite(number) else _moment_us(cell)[0] for number, cell in numbers)
+    times = [one for one in moments if np.isfinite(one)]
     return len(times) >= LEAST_RISING * len(cells) and is_rising(times)
 
 
@@ -316,11 +319,6 @@ def is_rising(times: Sequence[float]) -> bool:
     return sum(step >= 0 for step in steps) >= LEAST_RISING * len(steps) and any(step > 0 for step in steps)
 
 
-def _time_of(cell: str) -> float:
-    number = _number(cell)
-    return number if np.isfinite(number) else _moment_us(cell)[0]
-
-
 def _is_numeric(cells: Sequence[str]) -> bool:
     """Return whether a column may hold numbers: most cells that are not blank are, or all are blank."""
     found = np.array([_number(cell) for cell in cells])
@@ -330,16 +328,17 @@ def _is_numeric(cells: Sequence[str]) -> bool:
 def _is_payload(cells: Sequence[str]) -> bool:
     """Return whether a column holds bytes of frames, some of them with letters as digits."""
     filled = [cell for cell in cells if cell]
-    are_bytes = sum(bool(PAYLOAD.fullmatch(cell)) for cell in filled) > len(filled) / 2
-    return are_bytes and any(LETTERS.search(cell.removeprefix("0x")) and not NUMBER.fullmatch(cell) for cell in filled)
+    of_bytes = [cell for cell in filled if PAYLOAD.fullmatch(cell)]
+    has_letters = any(LETTERS.search(cell.removeprefix("0x")) and not NUMBER.fullmatch(cell) for cell in of_bytes)
+    return has_letters and len(of_bytes) > len(filled) / 2
 
 
 def _number(cell: str) -> float:
-    """Return the number in a cell, NaN for a blank one, infinity for anything else."""
+    """Return the number in a cell, NaN for a blank one, infinity for anything that is no measurement."""
     text = cell.strip()
     if NUMBER.fullmatch(text):
         value = float(text.replace(",", "."))
-        return value if np.isfinite(value) else np.inf
+        return value if abs(value) < MOST_VALUE else np.inf
     folded = text.casefold()
     return np.nan if folded in BLANKS else WORDS.get(folded, np.inf)
 

@@ -21,13 +21,13 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.errors import StoppedError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.interpretation import open_database
+from diag_service.mapping.learning import VehicleSurvey
 from diag_service.mapping.profile import Profile
 from diag_service.mapping.proposal import (
     Candidate,
     GearRatio,
     SignalStatistics,
     candidates,
-    gear_ratios,
     gears_text,
     is_complete,
     profile_text,
@@ -138,9 +138,13 @@ def _shown_ratios(
     if log == STANDARD_INPUT or over is None or knows_slip:
         return Signal.OUTPUT_SPEED, {}
     profile = Profile(name="proposed", sources={signal: found[0].source for signal, found in best.items()})
-    decoder = Decoder(database, profile)
+    decoder, survey = Decoder(database, profile), VehicleSurvey(over)
     with closing(read_log(log, columns=columns)) as reader:
-        return over, gear_ratios((one for batch in reader for one in decoder.stream(batch)), over)
+        for batch in reader:
+            for one in decoder.stream(batch):
+                survey.add(one)
+    learned = survey.learned()
+    return over, {gear: one.ratio for gear, one in learned.gears.items() if learned.are_named}
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:

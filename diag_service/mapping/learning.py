@@ -30,7 +30,11 @@ STANDING: Final = 0.5  # rad/s or m/s
 HOLD_STD_PA: Final = 1.0e4  # controllers hold a clutch that near to its touch point
 TYPE_STD_PA: Final = 1.5e4  # by which the touch points of both clutches differ
 MOST_LAG_S: Final = 0.12
-LAG_STEP_S: Final = 0.002
+AGE_RATIO: Final = 0.65  # of a period: deviation of the age of a pressure, up to two old, beside that of a command
+RATE_S: Final = 0.02  # before and after a sample: its rate is that between them
+COMMAND_STEP_S: Final = 0.08  # over which the step of a command is taken
+GAIN_LAW_RATIO: Final = 0.15  # by which gains of emulated cars are off: where torque is cut, they look like inertia
+LEAST_CLOSED_PA: Final = 2.5e5  # beyond the touch point of any type
 MOVING_PA: Final = 0.5e5  # a command that moves by less tells no lag
 SURE: Final = 0.9  # share of the samples
 PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
@@ -38,6 +42,7 @@ COMMANDS: Final = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMM
 GEARS: Final = (Signal.TARGET_GEAR, Signal.CURRENT_GEAR)
 BAND: Final = 0.03  # of ratios around a gear's: a speed that grows moves them by up to this
 GROWTH_S: Final = 0.3  # over which the gain of speed is a mean
+MOST_GROWTH: Final = 0.5  # in that time, as a part of the speed
 OUTLYING: Final = 4.0
 OWN_SKEW_S: Final = 0.007  # by which the skew of a gear differs from that of all: a driveline winds up
 _TIME, _GEAR, _ENGINE, _OVER, _GROWTH, _FIRST = range(6)  # the columns that are kept; clutch pressures are the last
@@ -155,14 +160,15 @@ class VehicleSurvey:
         held = {clutch: found for clutch in (1, 2) if (found := _held(rows, gears, clutch)) is not None}
         gains = _gains(phases, held)
         lags = {clutch: np.array(found) for clutch, found in self._lags.items() if len(found) >= LEAST_EVENTS}
+        rates_hz = {one: 1.0 / float(np.median(found)) for one, found in self._periods_s.items() if min(found) > 0.0}
         return LearnedVehicle(
             over=self._over,
             gears=gears,
             are_named=self._has_gear,
             touch_pa=held,
-            lag_s={clutch: _middle(found, "pressure behind its command") for clutch, found in lags.items()},
+            lag_s={one: _middle(lag_s, 1.0 / rates_hz.get(PRESSURES[one - 1], np.inf)) for one, lag_s in lags.items()},
             gain_rad_s2_pa=gains,
-            rates_hz={one: 1.0 / float(np.median(found)) for one, found in self._periods_s.items() if min(found) > 0.0},
+            rates_hz=rates_hz,
         )
 
 
@@ -180,27 +186,37 @@ def _growth_1_s(t_s: FloatArray, speed: FloatArray) -> FloatArray:
     return growth
 
 
-def _middle(found: FloatArray, origin: str) -> Found:
-    spread = 1.4826 * float(np.median(np.abs(found - np.median(found))))
-    least = 0.5 * LAG_STEP_S
-    return Found(value=float(np.median(found)), std=max(least, spread / float(np.sqrt(len(found)))), origin=origin)
-
-
 def _lag_s(pressure: Series, command: Series) -> list[float]:
-    """Return by how much a pressure is behind its command, if that moves: where both differ least."""
-    if float(np.ptp(command.value)) < MOVING_PA:
-        return []
-    lags_s = np.arange(0.0, MOST_LAG_S, LAG_STEP_S)
-    t_s = (command.t_ns - command.t_ns[0]) / NS_PER_S
+    """Return by how much the pressure of a closed pack is behind its command, if that moves.
+
+    For a lag of first order ``command - pressure = lag * d(pressure)/dt``; the command's own steps weigh both sides,
+    because they hold no noise of the pressure. A pack that is being filled is behind by its oil.
+    """
+    t_s, wanted_pa = (command.t_ns - command.t_ns[0]) / NS_PER_S, command.value
     own_s = (pressure.t_ns - command.t_ns[0]) / NS_PER_S
-    costs = np.array([np.mean((np.interp(t_s + lag, own_s, pressure.value) - command.value) ** 2) for lag in lags_s])
-    best = int(costs.argmin())
-    return [float(lags_s[best])] if 0 < best < len(lags_s) - 1 else []
+    before_pa, read_pa, after_pa = (np.interp(t_s + late_s, own_s, pressure.value) for late_s in (-RATE_S, 0.0, RATE_S))
+    open_count = np.concatenate(([0], np.cumsum(np.minimum(read_pa, wanted_pa) < LEAST_CLOSED_PA)))
+    is_closed = open_count[t_s.searchsorted(t_s + MOST_LAG_S)] == open_count[t_s.searchsorted(t_s - MOST_LAG_S)]
+    if np.count_nonzero(is_closed) < LEAST_SAMPLES or float(np.ptp(wanted_pa[is_closed])) < MOVING_PA:
+        return []
+    steps_pa = (wanted_pa - np.interp(t_s - COMMAND_STEP_S, t_s, wanted_pa))[is_closed]
+    steps_pa -= steps_pa.mean()
+    rate_pa_s = (after_pa - before_pa)[is_closed] / (2.0 * RATE_S)
+    moved_pa2_s, behind_pa2 = float(steps_pa @ rate_pa_s), float(steps_pa @ (wanted_pa - read_pa)[is_closed])
+    return [behind_pa2 / moved_pa2_s] if 0.0 < behind_pa2 < MOST_LAG_S * moved_pa2_s else []
+
+
+def _middle(found: FloatArray, age_s: float) -> Found:
+    """Return the lag of many commands; when the values of a message were read is unknown to two periods."""
+    spread = 1.4826 * float(np.median(np.abs(found - np.median(found))))
+    std = float(np.hypot(AGE_RATIO * age_s, spread / np.sqrt(len(found))))
+    return Found(value=float(np.median(found)), std=std, origin="closed pressure behind its command")
 
 
 def _gears_of(rows: FloatArray, *, are_named: bool) -> Mapping[int, LearnedGear]:
     is_fast = rows[:, _OVER] > LEAST_SPEED * float(np.nanmax(rows[:, _OVER], initial=0.0))
-    driven = rows[is_fast & (rows[:, _ENGINE] > 0.0)]
+    is_steady = np.abs(rows[:, _GROWTH]) * GROWTH_S < MOST_GROWTH  # a mean says nothing of a start from rest
+    driven = rows[is_fast & is_steady & (rows[:, _ENGINE] > 0.0)]
     ratios = driven[:, _ENGINE] / driven[:, _OVER] if len(driven) else np.empty(0)
     bands = dict[int, BoolArray]()
     if are_named:
@@ -227,7 +243,8 @@ def _at_constant_speed(rows: FloatArray, ratios: FloatArray, bands: Mapping[int,
     """Return the ratios of gears, freed of what both speeds are apart in time while the car gains speed.
 
     ln(ratio) = ln(ratio of the gear) + skew * d ln(speed)/dt, with a skew that is nearly one for all gears. The samples
-    of a stretch have one error.
+    of a stretch have one error. Nothing is extrapolated: a gear that was driven only while the car gained speed is told
+    at the least gain, as its speeds are recorded there, and what the skew makes of it is a part of the deviation.
     """
     if not bands:
         return {}
@@ -253,8 +270,11 @@ def _at_constant_speed(rows: FloatArray, ratios: FloatArray, bands: Mapping[int,
     covariance = variance * np.linalg.pinv(scaled.T @ scaled)
     result = {}
     for place, gear in enumerate(order):
-        value, own = float(np.exp(found[place])), kept & (gears == gear)
-        skewed = OWN_SKEW_S * abs(float(np.mean(growth_1_s[own]))) if own.any() else 0.0
+        own = kept & (gears == gear)
+        low_1_s, middle_1_s, high_1_s = np.quantile(growth_1_s[own], (0.1, 0.5, 0.9)) if own.any() else np.zeros(3)
+        told_1_s = min(max(0.0, low_1_s), high_1_s)
+        value = float(np.exp(found[place] + found[-1] * told_1_s))
+        skewed = np.hypot(OWN_SKEW_S * middle_1_s, found[-1] * told_1_s)
         std = value * float(np.hypot(np.sqrt(covariance[place, place]), skewed))
         result[gear] = GearRatio(value, std, int(np.count_nonzero(own)))
     return result
@@ -293,5 +313,6 @@ def _gains(phases: Sequence[SlipPhase], held: Mapping[int, Found]) -> dict[int, 
         model = fitted(own, None if known is None else known.value)
         unit, place = model.scales.rate_rad_s2 / model.scales.pressure_pa, 1 + clutch
         value, std = abs(float(model.parameters[place])), float(np.sqrt(model.covariance[place, place]))
+        std = float(np.hypot(std, GAIN_LAW_RATIO * value))
         gains[clutch] = Found(value=unit * value, std=unit * std, origin=f"slip of {len(own)} upshifts")
     return gains

@@ -91,7 +91,7 @@ def test_infinite_values_are_counted_and_cost_no_other_value(tmp_path: Path) -> 
     reader, found = values(path)
     assert (len(found["A"][0]), len(found["B"][0])) == (49, 50)
     assert sum(reader.counts.rejected.values()) == 1
-    assert "an infinite value" in reader.counts.first_rejected
+    assert "a value beyond all measurements" in reader.counts.first_rejected
 
 
 def test_times_that_go_back_are_counted(tmp_path: Path) -> None:

@@ -129,6 +129,7 @@ NEAR_STEP = 0.5  # standard deviations of the type: up to there derivatives are 
 LONGEST_STEP = 2.0  # standard deviations of the type: farther off, the balance is not linear
 MAX_MISFIT = 4.0  # chi-square per degree of freedom; a clean shift stays below 2.5
 MAX_EXCESS = 48.0  # of chi-square over its expectation: an error adds as much to few numbers as to many
+SURE_STD, LEAST_FRICTION = 3.0, 0.07  # that no wet lining falls below, in any oil
 SCORE_GATE = 5.5  # standard deviations that one parameter is displaced: of sound drives one event in 340 reaches 4.7
 LEAST_LEARNT = 0.03  # of a standard deviation: what an event tells less of, it cannot contradict
 FULL_WINDOW_S = 0.25  # the shortest slip window that every regular shift offers
@@ -412,14 +413,15 @@ class Estimator:
 
 
 def _is_misfit(before: Knowledge, alone: Fusion, count: int) -> bool:
-    """Return whether an event of ``count`` residuals is not explained, or only by a parameter that nobody has."""
+    """Return whether an event of ``count`` residuals is not explained, or only by what no vehicle and lining has."""
     if alone.chi_square / count > misfit_gate(count):
         return True
     after = alone.knowledge
     variance = before.covariance.diagonal()
     learnt = np.sqrt(np.maximum(variance - after.covariance.diagonal(), LEAST_LEARNT**2 * variance))
     score = np.abs(after.mean - before.mean) / np.where(learnt > 0.0, learnt, np.inf)
-    return bool(score[FRICTION_COUNT:].max() > SCORE_GATE)
+    most = (after.mean + SURE_STD * np.sqrt(after.covariance.diagonal()))[:FRICTION_COUNT]
+    return bool(score[FRICTION_COUNT:].max() > SCORE_GATE or most.min() < LEAST_FRICTION)
 
 
 def _untold(event: Event, why: Reason | _TooFew, against: tuple[Reason, ...]) -> ShiftEstimate:

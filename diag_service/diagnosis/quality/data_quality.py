@@ -110,6 +110,7 @@ LIMITS: Final = QualityLimits()
 
 MAY_BE_CUT: Final = frozenset(EventKind) - {EventKind.LAUNCH, EventKind.CREEP, EventKind.CLOSING, EventKind.SLIP}
 UNSCHEDULED_PERIODS: Final = 1.5  # of the nominal one: what comes more seldom without schedule was asked for
+MOST_NOISES: Final = 3e4  # of its sensor: no speed, torque or pressure is larger
 SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
 _LAG_NS: Final = round(COMMAND_LAG_S / NS_TO_S)
 _NEVER: Final = np.empty(0, np.int64)
@@ -306,14 +307,9 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
     oil_k = float(oil.value.mean())
     if not limits.oil_range_k[0] <= oil_k <= limits.oil_range_k[1]:
         return Reason.OUT_OF_RANGE
-    skew_s = min(row_s, ANSWER_S) if row_s and not is_of_one_time(event) else row_s
+    of_torque, of_pressure = (event.columns[one].t_ns for one in (Signal.ENGINE_TORQUE, Signal.CLUTCH1_PRESSURE))
+    skew_s = row_s if np.array_equal(of_torque, of_pressure) else min(row_s, ANSWER_S)  # asked values have own times
     return Samples(event=event, times=sampled, oil_k=oil_k, row_s=row_s, skew_s=skew_s)
-
-
-def is_of_one_time(event: Event) -> bool:
-    """Return whether torque and pressures have the times of rows; values that are asked for have their own."""
-    torque, pressure = event.columns[Signal.ENGINE_TORQUE], event.columns[Signal.CLUTCH1_PRESSURE]
-    return len(torque.t_ns) == len(pressure.t_ns) and bool(np.all(torque.t_ns == pressure.t_ns))
 
 
 def _row_s(event: Event, limits: QualityLimits) -> float:
@@ -361,11 +357,14 @@ def aligned(
         return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock cannot be believed
     gaps, rows = gaps_s(times, samples.event, limits, samples.row_s), NO_ROWS
     if samples.row_s:
+        noise_std = noise_of_signals(calibration.noise)
+        if any(np.abs(samples.event.columns[one].value).max() > MOST_NOISES * noise_std[one] for one in times):
+            return Reason.OUT_OF_RANGE  # a cell may hold any number
         rows = Rows(
             period_s=samples.row_s,
             skew_s=samples.skew_s,
             own_age_std_s=FRAME_AGE_STD_S if samples.skew_s >= samples.row_s else samples.skew_s / math.sqrt(12.0),
-            noise_std=noise_of_signals(calibration.noise),
+            noise_std=noise_std,
         )
     return align(times, samples.event, samples.oil_k, gaps, other, rows)
 

@@ -307,11 +307,16 @@ MOST_JUMP_MS: Mapping[str, float] = MappingProxyType(
 )  # that a clock of one minute can tell
 
 
-def analyse(path: Path) -> Outcome:
+def frame_decoder() -> Decoder:
+    """Return a decoder of the frames of our own bus."""
+    return Decoder(load_contract(), load_profile())
+
+
+def analyse(path: Path, decoder: Callable[[], Decoder] = frame_decoder) -> Outcome:
     """Read and diagnose a recording."""
     calibration = nominal_calibration()
     stages = Stages(
-        Decoder(load_contract(), load_profile()),
+        decoder(),
         calibration,
         Posterior.fresh(calibration),
         ConditionMemory.fresh(),

@@ -10,7 +10,8 @@ import numpy as np
 
 from tests.tools.damage.expected import faults, is_noticed
 from tests.tools.damage.kinds import DAMAGES, Recording
-from tests.tools.damage.recordings import SUFFIXES, WRITERS, analyse, short_drive
+from tests.tools.damage.recordings import SUFFIXES, WRITERS, analyse, frame_decoder, short_drive
+from tests.tools.damage.tables import GRAMMARS, TABLE_DAMAGES, decoder_of, short_table
 
 LIMIT_S = 10.0  # of processor time, for one damaged recording
 HANG_S = 120.0  # of any time: the trial ends here, with a traceback
@@ -41,24 +42,29 @@ class Tally:
 
 def run(log_format: str, count: int, seed: int, folder: Path) -> Tally:
     """Damage a recording so often; return how it went."""
-    suffix = SUFFIXES[log_format]
-    path = folder / f"sound{suffix}"
-    WRITERS[log_format](path, short_drive())
+    is_table = log_format in GRAMMARS
+    suffix = GRAMMARS[log_format][0] if is_table else SUFFIXES[log_format]
+    path, decoder, damages = folder / f"sound{suffix}", frame_decoder, DAMAGES
+    if is_table:
+        GRAMMARS[log_format][1](path, short_table())
+        decoder, damages = decoder_of(path), TABLE_DAMAGES
+    else:
+        WRITERS[log_format](path, short_drive())
     recording = Recording(
         log_format=log_format, path=path, contents=path.read_bytes(), target=folder / f"damaged{suffix}"
     )
-    sound = analyse(path)
+    sound = analyse(path, decoder)
     tally = Tally(log_format=log_format)
     if sound.error or not sound.estimates:
         tally.wrong.append(f"the sound recording: {sound.error or 'no shift'}")
         return tally
     for number in range(count):
-        name, damage = list(DAMAGES.items())[number % len(DAMAGES)]
+        name, damage = list(damages.items())[number % len(damages)]
         print(f"\r{log_format} {number + 1} of {count}: {name:16}", end="", file=sys.stderr, flush=True)
         faulthandler.dump_traceback_later(HANG_S, exit=True)
         expected = damage(recording, np.random.default_rng([seed, number]))
         began_s = time.process_time()
-        outcome = analyse(recording.target)
+        outcome = analyse(recording.target, decoder)
         took_s = time.process_time() - began_s
         faulthandler.cancel_dump_traceback_later()
         problems = [*faults(expected, outcome, sound)]

@@ -103,6 +103,13 @@ def test_blank_cells_are_no_values_and_bad_ones_are_counted_with_their_place() -
     assert counts.first_rejected.startswith("line ")
 
 
+def test_a_bad_cell_among_numbers_of_two_digits_makes_no_bytes_of_them() -> None:
+    text = b"Time [s],Oil [degC]\n" + b"".join(b"%d,%s\n" % (row, b"?bad" if row == 5 else b"80") for row in range(40))
+    batch, counts = read(text)
+    assert values(batch, "Oil") == [80.0] * 39
+    assert counts.rejected == {LogReject.MALFORMED: 1}
+
+
 def test_switches_in_words_are_numbers_and_columns_of_words_are_left_out_and_named() -> None:
     text = b"Time [s],Cut,Mode\n1,On,sport\n2,OFF,sport\n3,on,eco\n4,off,eco\n"
     batch, counts = read(text)
