@@ -3,9 +3,10 @@
 A car of the type is drawn (torque gain 3 %, offset, inertia, piston area, pressure zero, touch point, capacities of the
 converter 5 % and their shape, Stribeck speed, temperature, driveline; half with a rough road, half with a weak
 cylinder) and driven once with each of three fluids, cold at first. Its plant is one of first principles beside the
-emulator's. A verdict is wrong that the drawn friction contradicts.
+emulator's; or it is the emulator's, frames and all, on a UDDS. A verdict is wrong that the drawn friction contradicts.
 
     python -m benchmarks.lockup --vehicles 100 --seed 410000
+    python -m benchmarks.lockup --emulator --vehicles 10
     python -m benchmarks.lockup --vehicles 10 --minutes 60
 """
 
@@ -13,26 +14,38 @@ import argparse
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.accuracy import FLUIDS as CONDITIONS
+from benchmarks.accuracy import to_batch
 from benchmarks.drive_accuracy import coverage
 from benchmarks.study import over_drives, root_mean_square
 from clutch_model.calibration import Calibration, shipped_calibration
+from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge_lockup
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from diag_service.diagnosis.events import MicroSlip
 from diag_service.diagnosis.lockup.blocks import MICRO_SLIP_RAD_S
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
 from diag_service.diagnosis.lockup.state import LockupState
-from diag_service.diagnosis.records import Condition
+from diag_service.diagnosis.records import ClutchVerdict, Condition
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import find_profile
+from diag_service.service.stages import Diagnosis, Stages
+from ecu_emulator.bus.frames import merge
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.scenario.scenario_file import load_scenario
+from ecu_emulator.truth import ShudderTruth
 from tests.support.converter_drive import FLUIDS, ConverterCar, batches, drawn_car, drive
 
+STRETCH_S: Final = 60.0
 FIRST_SEED: Final = 410_000  # seeds below 1,000 were looked at while the estimator was made
 MOMENTS_S: Final = (120.0, 300.0, 600.0)  # of slip
 END: Final = 0.0
@@ -46,6 +59,7 @@ class Case:
     seed: int
     fluid: str
     minutes: float
+    is_emulated: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,8 +85,36 @@ class Outcome:
     is_seen: bool
 
 
+def emulated(case: Case) -> list[Outcome]:
+    """Drive the emulated car along a UDDS, and diagnose its frames."""
+    base, calibration = load_scenario("lockup"), shipped_calibration("lockup")
+    scatter = replace(base.scatter, torque_gain_ratio=calibration.uncertainty.torque_gain_ratio)
+    fluid = replace(base.fluid, condition=dict(zip(FLUIDS, CONDITIONS, strict=True))[case.fluid])
+    emulator = Drive(replace(base, seed=case.seed, fluid=fluid, scatter=scatter))
+    decoder = Decoder(load_contract("lockup"), find_profile(Path("lockup")))
+    stages = Stages(decoder, calibration, LockupState.fresh(calibration), ConditionMemory.fresh())
+    diagnoses: list[Diagnosis] = []
+    shudder_s = 0.0
+    for stretch in emulator.stretches(STRETCH_S):
+        shudder_s += sum(one.t_end_s - one.t_start_s for one in stretch.truths if isinstance(one, ShudderTruth))
+        diagnoses += stages.feed(to_batch(merge([stretch.frames])))
+    diagnoses += [stages.conclude(event) for event in stages.flush()]
+    true = emulator.truth
+    car = ConverterCar(
+        mu_c=true.mu_c[0],
+        mu_s=true.mu_s[0],
+        torque_gain=1.0 + true.drawn["torque_gain_ratio"],
+        area_ratio=1.0 + true.drawn["clutch1_piston_area_ratio"],
+    )
+    told = [(one.slip, one.verdict) for one in diagnoses if one.slip is not None]
+    is_seen = bool(diagnoses) and any(diagnoses[-1].memory.launches[0].juddered)
+    return [outcome_of(case, car, calibration, told, shudder_s, is_seen=is_seen)]
+
+
 def driven(case: Case) -> list[Outcome]:
     """Drive and diagnose."""
+    if case.is_emulated:
+        return emulated(case)
     calibration = shipped_calibration("lockup")
     if calibration.converter is None:
         raise ValueError("no converter")
@@ -80,29 +122,43 @@ def driven(case: Case) -> list[Outcome]:
     car = drawn_car(rng, case.fluid, calibration)
     found = drive(car, rng, case.minutes, calibration)
     finder, estimator = SlipFinder(calibration), LockupEstimator(calibration, calibration.converter)
-    state, memory, final = LockupState.fresh(calibration), ConditionMemory.fresh(), Condition.NO_VERDICT
-    looks, wrong, waiting = list[Look](), list[str](), list(MOMENTS_S)
-    events = [one for batch in batches(found.columns) for one in finder.feed(batch)] + finder.flush()
-    for event in events:
+    state, memory = LockupState.fresh(calibration), ConditionMemory.fresh()
+    told = []
+    for event in [one for batch in batches(found.columns) for one in finder.feed(batch)] + finder.flush():
         state, estimate, swings = estimator.estimate(event, state)
         memory, verdict = judge_lockup(memory.with_fit(estimate).with_shudder(swings), state, calibration, swings)
+        told.append((state, verdict))
+    is_seen = any(memory.launches[0].juddered)
+    return [outcome_of(case, car, calibration, told, found.true_shudder_s, is_seen=is_seen)]
+
+
+def outcome_of(
+    case: Case,
+    car: ConverterCar,
+    calibration: Calibration,
+    told: Sequence[tuple[LockupState, ClutchVerdict]],
+    shudder_s: float,
+    *,
+    is_seen: bool,
+) -> Outcome:
+    """Return what states and verdicts of one drive are worth."""
+    looks, wrong, waiting, final = list[Look](), list[str](), list(MOMENTS_S), Condition.NO_VERDICT
+    for state, verdict in told:
         final = verdict.condition
         if is_wrong(verdict.condition, car, calibration):
             wrong.append(f"{final.name.lower()} after {state.slip_s:.0f} s: {verdict.reason}")
         while waiting and state.slip_s >= waiting[0]:
             looks.append(look(waiting.pop(0), state.micro_slip(None), car))
-    if state.shift_count:
-        looks.append(look(END, state.micro_slip(None), car))
-    return [
-        Outcome(
-            case=case,
-            looks=tuple(looks),
-            wrong=tuple(wrong),
-            final=final.name.lower(),
-            shudder_s=found.true_shudder_s,
-            is_seen=any(memory.launches[0].juddered),
-        )
-    ]
+    if told and told[-1][0].shift_count:
+        looks.append(look(END, told[-1][0].micro_slip(None), car))
+    return Outcome(
+        case=case,
+        looks=tuple(looks),
+        wrong=tuple(wrong),
+        final=final.name.lower(),
+        shudder_s=shudder_s,
+        is_seen=is_seen,
+    )
 
 
 def is_wrong(condition: Condition, car: ConverterCar, calibration: Calibration) -> bool:
@@ -169,9 +225,10 @@ def main() -> int:
     parser.add_argument("--vehicles", type=int, default=100)
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first vehicle")
     parser.add_argument("--minutes", type=float, default=30.0)
+    parser.add_argument("--emulator", action="store_true", help="the emulated car along a UDDS, frames and all")
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
-    case = partial(Case, minutes=options.minutes)
+    case = partial(Case, minutes=options.minutes, is_emulated=options.emulator)
     seeds = range(options.seed, options.seed + options.vehicles)
     cases = [case(seed=seed, fluid=fluid) for seed in seeds for fluid in FLUIDS]
     outcomes = over_drives(driven, cases, options.workers)

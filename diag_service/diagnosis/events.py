@@ -66,7 +66,7 @@ class Event:
 class Shudder:
     """Slip that swings by itself while a clutch is let slip, as speeds show it, of the windows that were looked at."""
 
-    window_count: int  # of 2.56 s, in which the clutch slipped all along
+    window_count: int  # of 1.28 s, in which the clutch slipped all along
     seen_count: int  # in which slip swung in one narrow line, of neither engine nor road
     frequency_hz: float | None  # of the line; None: none was seen
     amplitude_rad_s: float  # index: root mean square of slip between 5 and 20 Hz, over all windows

@@ -140,14 +140,19 @@ class Fit:
     def said(self) -> str:
         """The fit in words, with what the next better tier would need."""
         text = f"profile {self.profile.name}: {len(self.signals)} of {len(self.profile.sources)} signals"
-        missing = missing_for_next(self.signals, knows_gears=self.profile.gears is not None)
+        missing = missing_for_next(self.signals, **_tells(self.profile))
         return f"{text}, tier {self.tier or 'none'}{f'; {missing}' if missing else ''}"
+
+
+def _tells(profile: Profile) -> dict[str, bool]:
+    """Return what tiers ask of a profile besides its signals."""
+    return {"knows_gears": profile.gears is not None, "has_converter": Signal.LOCKUP_PRESSURE in profile.sources}
 
 
 def fit_of(database: Database, profile: Profile) -> Fit:
     mapped, problems = fitting(database, profile)
     signals = frozenset(column.signal for message in mapped for column in message.columns)
-    tier = tier_of(signals, knows_gears=profile.gears is not None)
+    tier = tier_of(signals, **_tells(profile))
     return Fit(profile=profile, tier=tier, signals=signals, problems=problems)
 
 

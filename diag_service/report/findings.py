@@ -19,7 +19,8 @@ from diag_service.service.session import Session, versions_for
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import NoStore, Row, StoreReader, Versions
-from fleet_contract.orders import Order
+from fleet_contract import CLUTCHES
+from fleet_contract.orders import Order, title_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,6 +45,16 @@ class Findings:
     @property
     def order(self) -> Order:
         return order_by(self.latest, self.fills[-1] if self.fills else None)
+
+    @property
+    def clutches(self) -> tuple[int, ...]:
+        """The clutches of the vehicle: those with names of their own, or a pair."""
+        return tuple(one.verdict.clutch for one in self.latest if one.verdict.element) or CLUTCHES
+
+    def title(self, clutch: int) -> str:
+        """Return the name of a clutch at the beginning of a sentence."""
+        named = (one.verdict.element for one in self.latest if one.verdict.clutch == clutch)
+        return title_of(clutch, next(named, None))
 
 
 class Album:

@@ -105,14 +105,14 @@ def history_lines(
     yield Text(f"{found.vehicle}: {len(found.rows)} events{left_out}")
     yield from order_lines(found.order)
     yield _outlook(found, population)
-    for clutch in clutches:
+    for clutch in (one for one in clutches if one in found.clutches):
         periods = periods_of(found, clutch)
         rows = [row for period in periods for row in period.rows]
         if not rows:
-            yield Text(f"Clutch {clutch}: no event engaged it.")
+            yield Text(f"{found.title(clutch)}: no event engaged it.")
             continue
-        yield _fluid_table(clutch, periods)
-        yield _event_table(clutch, rows, most_rows)
+        yield _fluid_table(found.title(clutch), periods)
+        yield _event_table(found.title(clutch), rows, most_rows)
     yield from _course(found)
 
 
@@ -213,8 +213,8 @@ def _event_record(row: Row, clutch: int, number: int, fill: FluidFill | None) ->
     }
 
 
-def _fluid_table(clutch: int, periods: Sequence[FluidPeriod]) -> Table:
-    table = _table(f"Clutch {clutch}, fluid by fluid")
+def _fluid_table(title: str, periods: Sequence[FluidPeriod]) -> Table:
+    table = _table(f"{title}, fluid by fluid")
     for name in ("fluid", "shifts", "mu_C at the end", "since its baseline", "against the first fluid", "verdict"):
         table.add_column(name, justify="left" if name in {"fluid", "verdict"} else "right", no_wrap=True)
     for period in periods:
@@ -230,9 +230,9 @@ def _fluid_table(clutch: int, periods: Sequence[FluidPeriod]) -> Table:
     return table
 
 
-def _event_table(clutch: int, rows: Sequence[Row], most_rows: int) -> Table:
+def _event_table(title: str, rows: Sequence[Row], most_rows: int) -> Table:
     places = spread(range(len(rows)), most_rows)
-    table = _table(f"Clutch {clutch}: {len(places)} of {len(rows)} events; shift is the number that 'show' takes")
+    table = _table(f"{title}: {len(places)} of {len(rows)} events; shift is the number that 'show' takes")
     for name in ("shift", "end (UTC)", "km", "data", "mu_C", "running mu_C", "verdict"):
         table.add_column(name, justify="left" if name in {"data", "verdict"} else "right", no_wrap=True)
     for place in places:

@@ -58,8 +58,8 @@ from diag_service.report.pictures import (
 )
 from diag_service.service.onlookers import Example
 from diag_service.store import Row
-from fleet_contract import CLUTCHES, JsonObject
-from fleet_contract.orders import SHOWN_AS, Order
+from fleet_contract import JsonObject
+from fleet_contract.orders import SHOWN_AS, Order, title_of
 
 REPORT_SCHEMA: Final = "clutchdiag/report/v1"
 _PACKAGE: Final = "diag_service.report"
@@ -150,7 +150,7 @@ def _day(t_ns: int) -> str:
 def _unseen_section(found: Findings) -> Section:
     """Return what was not seen and why, and what became of the frames."""
     engaged = {result.estimate.clutch for result in found.results}
-    texts = [f"Clutch {clutch}: no event engaged it." for clutch in CLUTCHES if clutch not in engaged]
+    texts = [f"{found.title(clutch)}: no event engaged it." for clutch in found.clutches if clutch not in engaged]
     if found.left_out_count:
         texts.append(f"{found.left_out_count} results of other algorithms or calibrations are left out.")
     summary = found.summary
@@ -189,7 +189,11 @@ def friction_section(found: Findings) -> Section:
     for result in found.latest:
         clutch, verdict = result.estimate.clutch, result.verdict
         if calibration is not None and verdict.friction is not None:
-            figures.append(curve_figure(clutch, verdict.friction, calibration.clutches[clutch - 1].friction))
+            figures.append(
+                curve_figure(
+                    clutch, verdict.friction, calibration.clutches[clutch - 1].friction, element=verdict.element
+                )
+            )
     tables = [_numbers_table(result.verdict) for result in found.latest]
     tables += [] if found.summary is None else [_relative_table(one) for one in found.summary.relative]
     return Section(name="friction", title="Friction", texts=tuple(texts), tables=tuple(tables), figures=tuple(figures))
@@ -198,7 +202,7 @@ def friction_section(found: Findings) -> Section:
 def trend_section(found: Findings) -> Section:
     """Return how the friction of each clutch went."""
     figures, texts = [], list[str]()
-    for clutch in CLUTCHES:
+    for clutch in found.clutches:
         results = [result for result in found.results if result.estimate.clutch == clutch]
         trend = Trend.of(clutch, results, [fill.filled_at for fill in found.fills])
         if not np.isfinite(trend.mu_c).any():
@@ -206,12 +210,12 @@ def trend_section(found: Findings) -> Section:
         figures.append(_trend_figure(trend, results))
         if len(results) > MOST_POINTS:
             texts.append(
-                f"Clutch {clutch}: {len(results)} events; of each stretch of about "
+                f"{found.title(clutch)}: {len(results)} events; of each stretch of about "
                 f"{2 * len(results) / MOST_POINTS:.0f} the lowest and the highest are drawn."
             )
         if len(trend.moments) > MOST_MOMENTS:
             texts.append(
-                f"Clutch {clutch}: the last {MOST_MOMENTS} of {len(trend.moments)} changes of verdict, fluid and "
+                f"{found.title(clutch)}: the last {MOST_MOMENTS} of {len(trend.moments)} changes of verdict, fluid and "
                 "baseline are marked."
             )
     if not figures:
@@ -305,9 +309,9 @@ def quality_section(found: Findings) -> Section:
 
 
 def _numbers_table(verdict: ClutchVerdict) -> Table:
-    count = verdict.shift_count
+    count, title = verdict.shift_count, title_of(verdict.clutch, verdict.element)
     return Table(
-        caption=f"Clutch {verdict.clutch}: running estimate from {count} {'shift' if count == 1 else 'shifts'}",
+        caption=f"{title}: running estimate from {count} {'shift' if count == 1 else 'shifts'}",
         head=("quantity", "value", "standard deviation"),
         rows=tuple(_number_rows(verdict)),
     )
@@ -341,6 +345,14 @@ def _number_rows(verdict: ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
     else:
         yield "friction", NONE, NONE
         return
+    if (micro := verdict.micro_slip) is not None:
+        rpm = f"{micro.slip_rad_s * 30.0 / np.pi:.0f} rpm"
+        yield f"mu at {rpm}", number(micro.mu), number(micro.std_mu)
+        yield f"slope at {rpm} [s/rad]", number(micro.slope_s_rad, "{:.5f}"), number(micro.std_slope_s_rad, "{:.5f}")
+        yield "slip that it rests on [min]", number(micro.slip_s / 60.0, "{:.0f}"), NONE
+        if (seen := micro.shudder) is not None:
+            swung = f"{seen.seen_count} of {seen.window_count} windows"
+            yield "slip that swings by itself, last event", swung, NONE
     for name, since in (("baseline", verdict.trend), ("first fluid", verdict.lining)):
         if since is not None:
             yield (
@@ -355,7 +367,7 @@ def _trend_figure(trend: Trend, results: list[ShiftResult]) -> Figure:
     clutch = trend.clutch
     return Figure(
         picture=trend_picture(trend),
-        caption=f"Clutch {clutch}: trend of mu_C",
+        caption=f"{trend.title}: trend of mu_C",
         keys=(
             Key(style=f"dots clutch{clutch}", text="single events"),
             Key(style=f"clutch{clutch}", text="estimate from all events so far"),
@@ -363,7 +375,7 @@ def _trend_figure(trend: Trend, results: list[ShiftResult]) -> Figure:
             *THRESHOLD_KEYS,
         ),
         table=Table(
-            caption=f"Clutch {clutch}: {len(rows)} of {len(results)} events, evenly spread",
+            caption=f"{trend.title}: {len(rows)} of {len(results)} events, evenly spread",
             head=("event", "end (UTC)", "km", "mu_C", BAND_WORDS, "verdict"),
             rows=rows,
         ),

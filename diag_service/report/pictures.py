@@ -17,6 +17,7 @@ from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_L
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.posterior import curve_band, new_curve
 from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult, utc_from_bus_ns
+from fleet_contract.orders import title_of
 
 BAND_STD: Final = 2.0
 MOST_POINTS: Final = 600  # of a trend; a screen shows no more
@@ -42,6 +43,7 @@ class Trend:
     std_mu_c: FloatArray  # (n,)
     new_mu_c: float | None  # of the calibration
     moments: tuple[tuple[int, str, str], ...]  # number of the event, kind, text
+    title: str  # name of the clutch
 
     @property
     def number(self) -> FloatArray:
@@ -60,17 +62,22 @@ class Trend:
             std_mu_c=np.array([np.nan if one is None else one.std_mu_c for one in running]),
             new_mu_c=new_mu_c_of(levels[-1]) if levels else None,
             moments=tuple(_moments(results, fills)),
+            title=title_of(clutch, results[-1].verdict.element if results else None),
         )
 
 
-def curve_picture(clutch: int, friction: FrictionEstimate, reference: FrictionCurve) -> Markup:
+def curve_picture(
+    clutch: int, friction: FrictionEstimate, reference: FrictionCurve, element: str | None = None
+) -> Markup:
     """Return the friction of one clutch over slip, beside that of new fluid and the thresholds of the verdict."""
     new = new_curve(_SLIP_RAD_S, reference)
     mean, std = curve_band(_SLIP_RAD_S, friction, reference)
     low, high = mean - BAND_STD * std, mean + BAND_STD * std
     levels = [ratio * reference.mu_c for ratio, _ in _THRESHOLDS]
     x = Axis(low=0.0, high=float(_SLIP_RAD_S[-1]), label="slip speed [rad/s]")
-    label = f"Clutch {clutch}: friction coefficient over slip speed, estimate with band, new fluid, thresholds"
+    label = (
+        f"{title_of(clutch, element)}: friction coefficient over slip speed, estimate with band, new fluid, thresholds"
+    )
     plot = Plot(label, x, Axis.around("friction coefficient", new, low, high, levels))
     _draw_thresholds(plot, reference.mu_c)
     plot.line(_SLIP_RAD_S, new, "line new dashed")
@@ -79,7 +86,13 @@ def curve_picture(clutch: int, friction: FrictionEstimate, reference: FrictionCu
     return plot.markup()
 
 
-def curve_figure(clutch: int, friction: FrictionEstimate, reference: FrictionCurve, what: str | None = None) -> Figure:
+def curve_figure(
+    clutch: int,
+    friction: FrictionEstimate,
+    reference: FrictionCurve,
+    what: str | None = None,
+    element: str | None = None,
+) -> Figure:
     """Return the friction of one clutch over slip with its numbers; ``what`` says of which events, if not of all."""
     new = new_curve(TABLE_SLIPS_RAD_S, reference)
     mean, std = curve_band(TABLE_SLIPS_RAD_S, friction, reference)
@@ -87,9 +100,9 @@ def curve_figure(clutch: int, friction: FrictionEstimate, reference: FrictionCur
         (number(slip, "{:g}"), number(value), number(BAND_STD * one), number(fresh))
         for slip, value, one, fresh in zip(TABLE_SLIPS_RAD_S, mean, std, new, strict=True)
     )
-    caption = f"Clutch {clutch}: friction over slip{f', {what}' if what else ''}"
+    caption = f"{title_of(clutch, element)}: friction over slip{f', {what}' if what else ''}"
     return Figure(
-        picture=curve_picture(clutch, friction, reference),
+        picture=curve_picture(clutch, friction, reference, element),
         caption=caption,
         keys=(
             Key(style=f"clutch{clutch}", text=what or "estimate, all shifts"),
@@ -107,7 +120,7 @@ def trend_picture(trend: Trend) -> Markup:
     levels = [] if trend.new_mu_c is None else [ratio * trend.new_mu_c for ratio, _ in _THRESHOLDS]
     y = Axis.around("mu_C", trend.single_mu_c, trend.mu_c - std, trend.mu_c + std, np.array(levels))
     x = Axis(low=0.0, high=len(number) + 1.0, label=f"event of clutch {trend.clutch}")
-    plot = Plot(f"Clutch {trend.clutch}: trend of mu_C, single events and running estimate with band", x, y)
+    plot = Plot(f"{trend.title}: trend of mu_C, single events and running estimate with band", x, y)
     if trend.new_mu_c is not None:
         _draw_thresholds(plot, trend.new_mu_c)
     single, running = thinned(trend.single_mu_c, MOST_POINTS), thinned(trend.mu_c, MOST_POINTS)

@@ -131,7 +131,7 @@ SHIFTS: Final = "shifts"  # what friction of a clutch is told by, where its kind
 LAUNCH_WINDOW: Final = 20  # launches of a clutch that are remembered
 LEAST_COUNT: Final = 2  # a single one may be a load that pulled the clutch open
 LEAST_SWUNG_COUNT: Final = 3  # windows of a stretch of slip: one may be a hole in the road
-LEAST_SWUNG_SHARE: Final = 0.05  # of its windows
+LEAST_SWUNG_SHARE: Final = 0.04  # of its windows
 EVIDENCE_RATIO: Final = 10.0  # for each beyond the first: half of the launches of aged fluid, none of 102 of others
 MOST_EVIDENCE_RATIO: Final = 20.0  # drivelines differ: a witness that nobody has calibrated does not decide alone
 

@@ -23,14 +23,14 @@ from diag_service.diagnosis.lockup.blocks import (
 BAND_HZ: Final = (5.0, 20.0)
 STEP_S: Final = 0.01
 SLOWEST_S: Final = 0.02  # from sample to sample: half of its rate is above the band
-WINDOW: Final = 256  # steps
-LINE_HZ: Final = 1.2  # to either side of a line: what a window of this length makes of it
+WINDOW: Final = 128  # steps
+LINE_HZ: Final = 2.0  # to either side of a line: what a window of this length makes of it
 LEAST_SHARE: Final = 0.6  # of what swings in the band
-LEAST_SWING_RATIO: Final = 0.4  # amplitude of the line over mean slip
-LEAST_SWING_RAD_S: Final = 0.6
+LEAST_SWING_RATIO: Final = 0.25  # amplitude of the line over mean slip
+LEAST_SWING_RAD_S: Final = 0.8
 ORDERS: Final = (0.5, 1.0)  # of the engine, that fall into the band
-ORDER_HZ: Final = 0.8
-MOST_MOVED_HZ: Final = 2.0  # between windows of one stretch: a driveline keeps its frequency in a gear
+ORDER_HZ: Final = 1.0
+ENGINE_SHARE: Final = 0.6  # engine's swing over the turbine's: it has several times the inertia, so it swings less
 
 
 def shudder(samples: Samples, calibration: Calibration) -> Shudder | None:
@@ -57,39 +57,40 @@ def shudder(samples: Samples, calibration: Calibration) -> Shudder | None:
     )
     if not held.any():
         return None
-    rest = (slips - mean[:, None] - rise[:, None] * trend)[held]
-    mean, turning_hz = mean[held], engine[rows][held].mean(axis=1) / (2.0 * np.pi)
+    mean, engine = mean[held], engine[rows][held]
+    turning_hz = engine.mean(axis=1) / (2.0 * np.pi)
     frequency_hz = np.fft.rfftfreq(WINDOW, STEP_S)
-    power = _power(rest)
+    power = _power(slips[held])
     in_band = (frequency_hz >= BAND_HZ[0]) & (frequency_hz <= BAND_HZ[1])
     noise = calibration.noise.engine_speed_rad_s**2 + calibration.noise.input_speed_rad_s**2
     floor = 2.0 * noise / WINDOW
     swing = np.maximum(power - floor, 0.0) * in_band
     line_hz = frequency_hz[swing.argmax(axis=1)]
-    line = (swing * (np.abs(frequency_hz - line_hz[:, None]) <= LINE_HZ)).sum(axis=1)
+    on_line = np.abs(frequency_hz - line_hz[:, None]) <= LINE_HZ
+    line = (swing * on_line).sum(axis=1)
     total = swing.sum(axis=1)
     amplitude = np.sqrt(2.0 * line)
-    by_engine = np.zeros(len(mean), np.bool_)
-    for order in ORDERS:
-        by_engine |= np.abs(line_hz - order * turning_hz) < ORDER_HZ
+    by_engine = np.abs(line_hz - np.outer(ORDERS, turning_hz)).min(axis=0) < ORDER_HZ
+    by_engine &= (_power(engine) * on_line).sum(axis=1) > ENGINE_SHARE**2 * (
+        _power(engine - slips[held]) * on_line
+    ).sum(axis=1)
     seen = (
         (line > LEAST_SHARE * total)
         & (amplitude > np.maximum(LEAST_SWING_RATIO * mean, LEAST_SWING_RAD_S))
         & ~by_engine
     )
-    own_hz = float(np.median(line_hz[seen])) if seen.any() else None
-    if own_hz is not None:
-        seen &= np.abs(line_hz - own_hz) < MOST_MOVED_HZ
     return Shudder(
         window_count=len(mean),
         seen_count=int(np.count_nonzero(seen)),
-        frequency_hz=own_hz,
+        frequency_hz=float(np.median(line_hz[seen])) if seen.any() else None,
         amplitude_rad_s=float(np.sqrt(total.mean())),
     )
 
 
 def _power(rows: FloatArray) -> FloatArray:
-    """Return by frequency what rows vary, so that the sum of a row is its variance."""
+    """Return by frequency how rows vary about a parabola, so that the sum of a row is that variance."""
     taper = np.hanning(WINDOW)
-    found: FloatArray = 2.0 * np.abs(np.fft.rfft(rows * taper)) ** 2 / (WINDOW * (taper @ taper))
+    slow, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, WINDOW), 3))
+    rest = rows - rows @ slow @ slow.T
+    found: FloatArray = 2.0 * np.abs(np.fft.rfft(rest * taper)) ** 2 / (WINDOW * (taper @ taper))
     return found

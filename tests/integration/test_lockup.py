@@ -1,0 +1,60 @@
+"""An automatic with a lock-up clutch, emulated and diagnosed from its log: friction, shudder, verdict, by its name."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+import diag_service
+from ecu_emulator import Emulator
+from tests.support.in_process import ended
+
+
+@pytest.fixture(name="log", scope="module")
+def _log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("lockup") / "old.log"
+    Emulator("lockup", fluid="case2", seed=11).record(path)
+    return path
+
+
+def told(log: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in Path(f"{log}.truth.jsonl").read_text(encoding="utf-8").splitlines()]
+
+
+def test_old_fluid_is_told_by_slip_and_by_shudder(log: Path) -> None:
+    found = diag_service.analyze(log, profile="lockup", calibration="lockup")
+    verdict = found.verdicts[1]
+    assert list(found.verdicts) == [1]
+    assert verdict.element == "lock-up clutch"
+    assert verdict.condition is diag_service.Condition.CHANGE_FLUID
+    micro = verdict.micro_slip
+    assert micro is not None
+    drive, *_ = told(log)
+    at_slip, drawn = drive["mu_at_slip_rpm"], drive["drawn"]
+    assert isinstance(at_slip, dict)
+    assert isinstance(drawn, dict)
+    shown = at_slip["40"] * (1.0 + drawn["torque_gain_ratio"]) * (1.0 + drawn["clutch1_piston_area_ratio"])
+    assert abs(micro.mu - at_slip["40"]) < 3.0 * micro.std_mu
+    assert abs(micro.scale_free_mu - shown) < 3.0 * micro.std_scale_free_mu
+    assert micro.slope_s_rad < 0.0
+
+
+def test_store_history_and_report_call_it_by_its_name(log: Path, tmp_path: Path) -> None:
+    store, page = tmp_path / "car.sqlite", tmp_path / "page.html"
+    words = ("--profile", "lockup", "--calibration", "lockup", "--vehicle", "at8")
+    run = ended("analyze", str(log), *words, "--store", str(store))
+    assert "Lock-up clutch: it can shudder" in run.out
+    again = ended("analyze", str(log), *words, "--store", str(store), "--json")
+    records = [json.loads(line) for line in again.out.splitlines()]
+    assert {one["element"] for one in records if one["schema"] == "clutchdiag/shift/v1"} == {"lock-up clutch"}
+    assert any(one["kind"] == "shudder" for one in told(log))
+    swings = [one["micro_slip"]["shudder"] for one in records if one.get("micro_slip")]
+    assert max(one["seen_count"] for one in swings) >= 3
+    history = ended("history", str(store), "--calibration", "lockup").out
+    assert "Lock-up clutch, fluid by fluid" in history
+    assert "lutch 2" not in history
+    ended("report", str(store), "--calibration", "lockup", "-o", str(page))
+    html = page.read_text(encoding="utf-8")
+    assert "Lock-up clutch: running estimate" in html
+    assert "slope at 40 rpm" in html
+    assert "lutch 2" not in html
