@@ -405,9 +405,9 @@ class Emulator:
             raise self._error
 
 
-def write_dbc(output: AnyPath) -> int:
-    """Write the DBC file of the emulated vehicle, as ``ecu-emulator dbc`` does; one that is there is replaced.
+def write_dbc(output: AnyPath, *, transmission: str = "nominal") -> int:
+    """Write the DBC file of the vehicle with a transmission, as ``ecu-emulator dbc``; one there is replaced.
 
     Returns its size [bytes]. Raises RecordError if it cannot be written.
     """
-    return save_dbc(Path(output), is_forced=True)
+    return save_dbc(Path(output), is_forced=True, transmission=transmission)

@@ -205,6 +205,7 @@ _DBC: Final = Command(
     "dbc",
     "write the database of the emulated vehicle, for every program that reads DBC files",
     Option("-o --output FILE", "DBC file to write (default: standard output)", FILE),
+    Option("--transmission NAME", "whose (default: nominal)", Choice(["nominal", "gs7", "lockup"]), default="nominal"),
     FORCE,
     _VERBOSE,
     examples=(f"{PROGRAM} dbc -o dct.dbc", f"{PROGRAM} dbc | cantools list -"),

@@ -52,7 +52,7 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
             part("ecu_emulator.commands", options.command)(options)
             return
         if options.command == "dbc":
-            commands.save_dbc(options.output, is_forced=options.force)
+            commands.save_dbc(options.output, is_forced=options.force, transmission=options.transmission)
             return
         scenario = commands.choose_scenario(commands.drive_options(options))
         if options.command == "record":

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from importlib import resources
 from pathlib import Path
 from threading import Event
 from types import SimpleNamespace
@@ -17,6 +16,7 @@ from typing import Any
 from clutch_model.units import k_from_degc
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.program import refusal
+from dbc.contract import dbc_path
 from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.errors import ConfigError, RecordError
@@ -167,12 +167,12 @@ def list_scenarios() -> None:
         sys.stdout.write(hanging(f"{name:<12} ", load_scenario(name).description, width) + "\n")
 
 
-def save_dbc(path: Path | None, *, is_forced: bool) -> int:
-    """Write the database of the emulated vehicle, to standard output without a path; return its size [bytes].
+def save_dbc(path: Path | None, *, is_forced: bool, transmission: str = "nominal") -> int:
+    """Write the database of the vehicle with a transmission, to standard output without a path; return its size.
 
     Raises ConfigError or RecordError if the file is there already or cannot be written.
     """
-    database = resources.files("dbc").joinpath("dct.dbc").read_bytes()
+    database = dbc_path(transmission).read_bytes()
     if path is None:
         sys.stdout.buffer.write(database)
     else:

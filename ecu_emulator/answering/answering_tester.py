@@ -16,6 +16,7 @@ from typing import Final, Protocol, Self
 import can
 
 from canlog.e2e.message_contract import message_contracts
+from clutch_model.calibration import CONVERTERS
 from clutch_model.units import NS_PER_S
 from dbc.contract import load_contract
 from ecu_emulator.answering.monitoring import MONITOR_PERIOD_S, Monitoring
@@ -37,8 +38,8 @@ from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.elm327.server import ElmServer, parse_place
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.monitors import SENSED
-from ecu_emulator.diagnostics.table_file import load_table, shipped_table, table_like
+from ecu_emulator.diagnostics.monitors import SENSED, SENSED_OF_CONVERTER
+from ecu_emulator.diagnostics.table_file import load_table, table_like, table_of
 from ecu_emulator.errors import ExtraMissingError
 
 RUNNING_RAD_S: Final = 30.0  # engine speed that no starter reaches
@@ -115,10 +116,13 @@ class Answering:
         self._is_new_cycle = self._is_restarted = False  # what the monitors have not been told yet
         self._reset_s = 0.0  # until when a tester's last reset takes, time of the clock
         self._counted_from: dict[int, int] | None = None  # alive counters as they went on after that reset
-        database = load_contract()
+        transmission = "nominal" if performer is None else performer.transmission
+        database = load_contract(transmission)
         self._sent = SentValues(database, clock)
-        self._shift_id = database.get_message_by_name("TCU_Shift").frame_id
-        self._pressure_id = database.get_message_by_name("TCU_Pressures").frame_id
+        is_converter = transmission in CONVERTERS
+        self._sensed = SENSED_OF_CONVERTER if is_converter else SENSED
+        self._shift_id = database.get_message_by_name("TCU_Gear" if is_converter else "TCU_Shift").frame_id
+        self._pressure_id = database.get_message_by_name("TCU_LockUp" if is_converter else "TCU_Pressures").frame_id
         contracts = message_contracts(database).values()
         self._own_ids = {one.can_id: one.data_id or 0 for one in contracts if one.sender == OWN_NODE}
         self._on_board: EstimateSource = on_board or FixedEstimate(None)
@@ -129,7 +133,7 @@ class Answering:
         self._is_over = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="monitors", daemon=True)
         self._error: BaseException | None = None
-        described = load_table(Path(table)) if table else table_like(like) if like else shipped_table()
+        described = load_table(Path(table)) if table else table_like(like) if like else table_of(transmission)
         least_s, most_s = described.timing.least_answer_s, described.timing.most_answer_s
         times = random.Random()  # noqa: S311 - no secret: how long an answer takes
         store = None if memory is None else self._stack.enter_context(MemoryFile(memory, described))
@@ -145,7 +149,7 @@ class Answering:
             self._monitoring = Monitoring(
                 self.controller,
                 was_adapted=performer is None or performer.is_adapted,
-                transmission="nominal" if performer is None else performer.transmission,
+                transmission=transmission,
             )
             self._routine = None if performer is None else RequestedRoutine(performer, self.controller)
             self._adaptation = None if performer is None else RequestedAdaptation(performer, self.controller)
@@ -250,7 +254,7 @@ class Answering:
             self._is_restarted, is_new_cycle, self._is_new_cycle = False, self._is_new_cycle, False
             self._engine_ran_s, self._looked_s = 0.0, -math.inf
             self._monitoring.restart(is_new_cycle=is_new_cycle)
-        if self._sent.has_all(SENSED) and not self.controller.is_asleep:
+        if self._sent.has_all(self._sensed) and not self.controller.is_asleep:
             self._look()
             self._monitoring.judge_clutches(self._on_board.estimates)
 

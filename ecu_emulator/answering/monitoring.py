@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Final
 
+from clutch_model.calibration import CONVERTERS
 from ecu_emulator.diagnostics.clutches import (
     ADAPTATION_CODE,
     FLUID_CODE,
@@ -49,6 +50,7 @@ class Monitoring:
             most_clutch_k=controller.table.clutches.most_temperature_k,
             input_output_ratios=nominal_parameters(transmission).gearbox.input_output_ratios,
             packs=packs_of(transmission),
+            has_converter=transmission in CONVERTERS,
         )
         self._judged: OnBoardEstimates | None = None
         self._adaptation = controller.state.adaptation

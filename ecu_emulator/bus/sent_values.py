@@ -39,6 +39,7 @@ _TO_SI: Final[Mapping[str, Callable[[float], float]]] = MappingProxyType(
 _DIFFERENCES: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
     {
         "clutch1_slip_rad_s": ("hub_speed_rad_s", "input1_speed_rad_s"),
+        "lockup_slip_rad_s": ("engine_speed_rad_s", "turbine_speed_rad_s"),
         "clutch2_slip_rad_s": ("hub_speed_rad_s", "input2_speed_rad_s"),
     }
 )

@@ -41,6 +41,12 @@ class MonitorLimits:
     least_fluid_change_k: float = 2.0
     most_speed_error_rad_s: float = 10.0  # between sensors of shafts that turn together
     longest_shift_s: float = 3.0
+    has_converter: bool = False  # with a lock-up clutch in place of two clutches
+    lockup_settled_s: float = 0.7  # since gear, state of the lock-up clutch, and engine that pulls or not are the same
+    tested_lockup_pa: float = 1.0e5
+    most_held_slip_rad_s: float = 15.0  # of one that shall be locked
+    most_led_slip_rad_s: float = 30.0  # of one that shall slip by 20 to 60 rpm; one that shudders stays below 20
+    least_open_slip_rad_s: float = 1.0  # of a converter that passes the tested torque
     most_clutch_k: float = 423.15  # 150 degC, of a pack as the controller computes it
 
 
@@ -83,6 +89,8 @@ class Watch:
     fluid_s: float = 0.0
     fluids_k: tuple[float, float] | None = None  # coldest and warmest in this operation cycle
     start_coolant_k: float | None = None  # as this operation cycle began
+    lockup_state: tuple[float | None, bool] = (None, False)  # and whether the engine pulls
+    lockup_since_s: float = 0.0  # when it became so
     clutches_k: tuple[float, float] | None = None  # as the controller computes them
     driven: Driven = field(default_factory=Driven)
 
@@ -90,9 +98,11 @@ class Watch:
 SENSED: Final = (
     "current_gear", "sump_temperature_k", "clutch1_pressure_pa", "hub_speed_rad_s", "output_speed_rad_s",
 )  # fmt: skip
+SENSED_OF_CONVERTER: Final = ("current_gear", "sump_temperature_k", "lockup_pressure_pa", "turbine_speed_rad_s")
 """One quantity of every message of the controller's own sensors: before all have come, missing is no fault."""
 
 NOMINAL_LIMITS: Final = MonitorLimits()
+LOCKUP_OPEN, LOCKUP_SLIPPING, LOCKUP_LOCKED = 0.0, 2.0, 3.0  # of the states of a lock-up clutch
 IN_GEAR: Final = 0.0  # of the drive states
 WARM_COOLANT_K: Final = 344.15  # 71 degC, where a warm-up cycle of OBD ends
 WARMED_BY_K: Final = 22.2  # 40 degF, that it has become warmer in it at least
@@ -122,16 +132,21 @@ def judge(
     known = {name: value for name, value in values.items() if isinstance(value, int | float)}
     gears = (known.get("current_gear", 0.0), known.get("target_gear", 0.0))
     since_s = watch.since_s if gears == watch.gears and watch.t_s is not None else t_s
+    is_pulling = known.get("engine_torque_nm", 0.0) > limits.tested_torque_nm
+    lockup_state = (known.get("lockup_state"), is_pulling)
+    lockup_since_s = watch.lockup_since_s if lockup_state == watch.lockup_state else t_s
     samples = (
         *_lost_samples(known),
         *_fluid_samples(watch, known, t_s, limits),
-        *_pressure_sensor_samples(known, limits),
-        _sample("P0715", is_failed=any(known.get(name) is None for name in _SHAFT_SPEEDS)),
         *_shift_samples(gears, t_s - since_s, limits),
-        *_gear_samples(gears, known, t_s - since_s, limits),
+        *(
+            _converter_samples(gears, known, (t_s - since_s, t_s - lockup_since_s), limits)
+            if limits.has_converter
+            else _clutch_samples(gears, known, t_s - since_s, limits)
+        ),
     )
     fluid_k = known.get("sump_temperature_k")
-    is_oil_believed = ("P0711", TestResult.PREPASSED) in samples
+    is_oil_believed = ("P0711", TestResult.PREPASSED) in samples and not limits.has_converter
     since_look_s = 0.0 if watch.t_s is None else max(0.0, t_s - watch.t_s)
     clutches_k = heated_k(watch.clutches_k, known, since_look_s, limits.packs) if is_oil_believed else watch.clutches_k
     after = Watch(
@@ -142,6 +157,8 @@ def judge(
         fluid_s=watch.fluid_s if fluid_k is None else t_s,
         fluids_k=_widened(watch.fluids_k, fluid_k),
         start_coolant_k=known.get("coolant_temperature_k") if watch.start_coolant_k is None else watch.start_coolant_k,
+        lockup_state=lockup_state,
+        lockup_since_s=lockup_since_s,
         clutches_k=clutches_k,
         driven=watch.driven.later(known, since_look_s),
     )
@@ -198,14 +215,45 @@ def _is_frozen(watch: Watch, known: Mapping[str, float], limits: MonitorLimits) 
     return has_warmed and fluids_k[1] - fluids_k[0] < limits.least_fluid_change_k
 
 
-def _pressure_sensor_samples(known: Mapping[str, float], limits: MonitorLimits) -> Iterator[Sample]:
+def _clutch_samples(
+    gears: tuple[float, float], known: Mapping[str, float], lasts_s: float, limits: MonitorLimits
+) -> Iterator[Sample]:
+    """Judge a dual clutch."""
     for clutch, code in PRESSURE_SENSOR_CODES.items():
         yield _sample(code, is_failed=_pressure_pa(known, clutch, limits) is None)
+    yield _sample("P0715", is_failed=any(known.get(name) is None for name in _SHAFT_SPEEDS))
+    yield from _gear_samples(gears, known, lasts_s, limits)
 
 
-def _pressure_pa(known: Mapping[str, float], clutch: int, limits: MonitorLimits) -> float | None:
+def _converter_samples(
+    gears: tuple[float, float], known: Mapping[str, float], last_s: tuple[float, float], limits: MonitorLimits
+) -> Iterator[Sample]:
+    """Judge a lock-up clutch, and the ratio behind its converter; ``last_s`` tells how long gear and clutch are so."""
+    state, pressure_pa = known.get("lockup_state"), _pressure_pa(known, "lockup", limits)
+    yield _sample("P0841", is_failed=pressure_pa is None)
+    yield _sample("P0715", is_failed=known.get("turbine_speed_rad_s") is None)
+    commanded_pa = known.get("lockup_pressure_command_pa")
+    if pressure_pa is not None and commanded_pa is not None and last_s[1] >= limits.lockup_settled_s:
+        yield _sample("P2758", is_failed=pressure_pa > commanded_pa + limits.most_pressure_excess_pa)
+        if commanded_pa > limits.tested_lockup_pa:
+            yield _sample("P2757", is_failed=pressure_pa < limits.stuck_off_ratio * commanded_pa)
+    slip, torque = known.get("lockup_slip_rad_s"), known.get("engine_torque_nm", 0.0)
+    if slip is not None and last_s[1] >= limits.lockup_settled_s:
+        if state in {LOCKUP_SLIPPING, LOCKUP_LOCKED}:
+            most = limits.most_held_slip_rad_s if state == LOCKUP_LOCKED else limits.most_led_slip_rad_s
+            yield _sample("P0741", is_failed=abs(slip) > most)
+        elif state == LOCKUP_OPEN and torque > limits.tested_torque_nm and last_s[0] >= limits.lockup_settled_s:
+            yield _sample("P0742", is_failed=abs(slip) < limits.least_open_slip_rad_s)
+    gear = int(gears[0])
+    is_held = gears[0] == gears[1] and last_s[0] >= limits.settled_s
+    is_fast = known.get("output_speed_rad_s", 0.0) > 2.0 * limits.tested_output_rad_s  # before the final drive
+    if is_held and is_fast and 1 <= gear <= len(limits.input_output_ratios):
+        yield from _ratio_samples(gear, "turbine", known, limits)
+
+
+def _pressure_pa(known: Mapping[str, float], clutch: int | str, limits: MonitorLimits) -> float | None:
     """Return a clutch pressure [Pa], None if its sensor says nothing or nonsense."""
-    pressure_pa = known.get(f"clutch{clutch}_pressure_pa")
+    pressure_pa = known.get(f"clutch{clutch}_pressure_pa" if isinstance(clutch, int) else f"{clutch}_pressure_pa")
     low_pa, high_pa = limits.pressures_pa
     return pressure_pa if pressure_pa is not None and low_pa <= pressure_pa <= high_pa else None
 
@@ -246,7 +294,7 @@ def _gear_samples(
     slip, torque = known.get(f"clutch{clutch}_slip_rad_s"), known.get("engine_torque_nm")
     if slip is not None and torque is not None and abs(torque) > limits.tested_torque_nm:
         yield _sample("P0811", is_failed=abs(slip) > limits.most_slip_rad_s)
-    yield from _ratio_samples(gear, clutch, known, limits)
+    yield from _ratio_samples(gear, f"input{clutch}", known, limits)
 
 
 def _is_speed_odd(clutch: int, expected_rad_s: float, known: Mapping[str, float], limits: MonitorLimits) -> bool | None:
@@ -274,8 +322,8 @@ def _pressure_samples(clutch: int, known: Mapping[str, float], limits: MonitorLi
         yield _sample(STUCK_ON_CODES[idle], is_failed=present > wanted + limits.most_pressure_excess_pa)
 
 
-def _ratio_samples(gear: int, clutch: int, known: Mapping[str, float], limits: MonitorLimits) -> Iterator[Sample]:
-    shaft, output = known.get(f"input{clutch}_speed_rad_s"), known.get("output_speed_rad_s")
+def _ratio_samples(gear: int, name: str, known: Mapping[str, float], limits: MonitorLimits) -> Iterator[Sample]:
+    shaft, output = known.get(f"{name}_speed_rad_s"), known.get("output_speed_rad_s")
     if shaft is None or output is None or output < limits.tested_output_rad_s:
         return
     error = shaft / output / limits.input_output_ratios[gear - 1] - 1.0

@@ -11,6 +11,7 @@ from types import NoneType, UnionType
 from typing import Any, Final, TypeVar, get_args, get_origin, get_type_hints
 
 from canlog.files import read_small_file
+from clutch_model.calibration import CONVERTERS
 from ecu_emulator.diagnostics.descriptions import (
     IN_USE,
     Access,
@@ -66,6 +67,23 @@ def shipped_table() -> DiagnosticTable:
     """Return the table of the emulated transmission controller."""
     text = files("ecu_emulator").joinpath("diagnostics/tcu.toml").read_text(encoding="utf-8")
     return parse_table(text, "tcu.toml")
+
+
+@cache
+def table_of(transmission: str) -> DiagnosticTable:
+    """Return the table of the controller of a transmission: one of a converter has data and codes of its own."""
+    shipped = shipped_table()
+    if transmission not in CONVERTERS:
+        return shipped
+    document = tomllib.loads(files("ecu_emulator").joinpath("diagnostics/converter.toml").read_text(encoding="utf-8"))
+    access = {"open": Access(sessions=tuple(shipped.sessions))}
+    own = _numbered(_records(Trouble, document, "trouble", {}), "trouble")
+    return replace(
+        shipped,
+        name=document["name"],
+        data={**shipped.data, **_numbered(_records(Datum, document, "data", access), "data")},
+        troubles={**shipped.troubles, **own},
+    )
 
 
 def personalities() -> tuple[str, ...]:

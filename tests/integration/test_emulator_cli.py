@@ -283,6 +283,8 @@ def test_the_database_of_the_car_is_printed_or_written(tmp_path: Path, capsys: p
     database = cantools.database.load_file(path)
     assert isinstance(database, cantools.database.can.Database)
     assert {one.name for one in database.messages} == {one.name for one in load_contract().messages}
+    assert main(["dbc", "--transmission", "lockup"]) == 0
+    assert "TurbineSpeed" in capsys.readouterr().out
     assert main(["dbc", "-o", str(path)]) == 2
     assert "--force" in capsys.readouterr().err
     assert main(["dbc", "-o", str(tmp_path), "--force"]) == 4

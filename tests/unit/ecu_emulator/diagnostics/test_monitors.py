@@ -10,11 +10,12 @@ from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.bus.sent_values import SentValues
 from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.monitors import Watch, is_warm, judge
-from ecu_emulator.diagnostics.table_file import shipped_table
+from ecu_emulator.diagnostics.monitors import NOMINAL_LIMITS, MonitorLimits, Watch, is_warm, judge
+from ecu_emulator.diagnostics.table_file import shipped_table, table_of
 from ecu_emulator.drive.recording import Drive, frames_of
+from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
-from ecu_emulator.scenario.scenario import Ambient
+from ecu_emulator.scenario.scenario import Ambient, Fluid, FluidCondition, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario
 from tests.support.road import road_scenario
 
@@ -178,8 +179,8 @@ def driven(fluid: str, *faults: SensorFault) -> Iterator[dict[str, float]]:
     yield from sensed(frames)
 
 
-def sensed(frames: EncodedFrames) -> Iterator[dict[str, float]]:
-    values, next_s = SentValues(load_contract()), STEP_S
+def sensed(frames: EncodedFrames, transmission: str = "nominal") -> Iterator[dict[str, float]]:
+    values, next_s = SentValues(load_contract(transmission)), STEP_S
     for t_s, can_id, data in zip(frames.t_s.tolist(), frames.can_id.tolist(), frames.data, strict=True):
         if t_s >= next_s:
             next_s += STEP_S
@@ -191,11 +192,11 @@ def failed_on_drive(fluid: str, *faults: SensorFault) -> dict[str, int]:
     return failures(driven(fluid, *faults))
 
 
-def failures(moments: Iterable[dict[str, float]]) -> dict[str, int]:
+def failures(moments: Iterable[dict[str, float]], limits: MonitorLimits = NOMINAL_LIMITS) -> dict[str, int]:
     """Return how often each code that was tested failed."""
     watch, count = Watch(), dict[str, int]()
     for number, values in enumerate(moments):
-        watch, samples = judge(watch, values, number * STEP_S)
+        watch, samples = judge(watch, values, number * STEP_S, limits)
         if number < 5:
             continue  # not all messages have been sent
         for code, result in samples:
@@ -253,3 +254,63 @@ def test_launches_creeps_and_stops_of_a_sound_car_fail_nothing(oil_k: float) -> 
 )
 def test_a_fault_of_a_drive_is_found(quantity: str, kind: SensorFaultKind, size: float, code: str) -> None:
     assert failed_on_drive("ideal", SensorFault(quantity=quantity, kind=kind, size=size, start_s=5.0))[code] >= 5
+
+
+CONVERTER_LIMITS = MonitorLimits(
+    has_converter=True, input_output_ratios=nominal_parameters("lockup").gearbox.input_output_ratios
+)
+
+
+def failed_with_converter(
+    *faults: SensorFault, fluid: FluidCondition = FluidCondition.IDEAL, mu: float | None = None, length_s: float = 110.0
+) -> dict[str, int]:
+    """Return how often each code failed in the beginning of an automatic's drive."""
+    friction = {} if mu is None else {"clutch1.friction.mu_c": mu, "clutch1.friction.mu_s": mu}
+    scenario = replace(
+        load_scenario("lockup"), sensor_faults=faults, fluid=Fluid(condition=fluid), truth=Truth(calibration=friction)
+    )
+    stretches = islice(Drive(scenario).stretches(10.0), round(length_s / 10.0))
+    return failures(sensed(merge([one.frames for one in stretches]), "lockup"), CONVERTER_LIMITS)
+
+
+@pytest.mark.parametrize("fluid", [FluidCondition.IDEAL, FluidCondition.CASE_2])
+def test_a_sound_automatic_fails_nothing_even_where_it_shudders(fluid: FluidCondition) -> None:
+    count = failed_with_converter(fluid=fluid, length_s=260.0)
+    assert set(count) >= {"P0741", "P0742", "P2757", "P2758", "P0841", "P0715", "P0731", "P0735", "P0780", "P0711"}
+    assert not {"P0811", "P0746", "P0846", "P2787"} & set(count)
+    assert {code: number for code, number in count.items() if number} == {}
+
+
+def test_a_lock_up_clutch_without_friction_slips_too_much() -> None:
+    assert failed_with_converter(mu=0.02)["P0741"] > 50
+
+
+@pytest.mark.parametrize(
+    ("quantity", "kind", "size", "code"),
+    [
+        ("lockup_pressure_pa", SensorFaultKind.NOT_AVAILABLE, 0.0, "P0841"),
+        ("lockup_pressure_pa", SensorFaultKind.OFFSET, 3e5, "P2758"),
+        ("lockup_pressure_pa", SensorFaultKind.FROZEN, 0.0, "P2757"),
+        ("turbine_speed_rad_s", SensorFaultKind.NOT_AVAILABLE, 0.0, "P0715"),
+        ("turbine_speed_rad_s", SensorFaultKind.OFFSET, 40.0, "P0741"),
+        ("output_speed_rad_s", SensorFaultKind.OFFSET, 15.0, "P0735"),
+    ],
+)
+def test_a_fault_of_an_automatics_drive_is_found(quantity: str, kind: SensorFaultKind, size: float, code: str) -> None:
+    assert failed_with_converter(SensorFault(quantity=quantity, kind=kind, size=size, start_s=5.0))[code] >= 5
+
+
+def test_an_open_converter_that_does_not_slip_is_stuck_on() -> None:
+    known = {"lockup_state": 0.0, "lockup_slip_rad_s": 0.2, "engine_torque_nm": 80.0, "current_gear": 3.0}
+    assert failures([known] * 20, CONVERTER_LIMITS)["P0742"] > 5
+    assert failures([known | {"lockup_slip_rad_s": 12.0}] * 20, CONVERTER_LIMITS)["P0742"] == 0
+
+
+def test_the_controller_of_an_automatic_has_its_codes_beside_the_shared_ones() -> None:
+    own, shared = ({one.code for one in table.troubles.values()} for table in (table_of("lockup"), shipped_table()))
+    assert own - shared == {"P0741", "P0742", "P2757", "P2758"}
+    assert table_of("gs7") is shipped_table()
+    assert {one.name for one in table_of("lockup").data.values()} >= {
+        "speed of the turbine",
+        "slip of the lock-up clutch",
+    }

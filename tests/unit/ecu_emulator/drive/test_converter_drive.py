@@ -1,0 +1,91 @@
+"""A car with a torque converter on the bus: its frames say what was driven, the same ones again, and its truth."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from canlog.e2e import profile1
+from canlog.e2e.message_contract import message_contracts
+from clutch_model.calibration import shipped_calibration
+from clutch_model.units import rad_s_from_rpm
+from dbc.contract import load_contract
+from ecu_emulator.bus.frames import EncodedFrames, merge
+from ecu_emulator.drive.build import build_vehicle
+from ecu_emulator.drive.recording import Drive, Stretch
+from ecu_emulator.scenario.scenario import Fluid, FluidCondition, Scenario
+from ecu_emulator.scenario.scenario_file import load_scenario
+from ecu_emulator.truth import ShudderTruth
+
+DATABASE = load_contract("lockup")
+SCENARIO = load_scenario("lockup")
+MOST_S = 100.0
+
+
+def stretches(scenario: Scenario, length_s: float, until_s: float) -> tuple[list[Stretch], Drive]:
+    drive, found = Drive(scenario), list[Stretch]()
+    for stretch in drive.stretches(length_s):
+        found.append(stretch)
+        if stretch.end_s >= until_s:
+            break
+    return found, drive
+
+
+def frames_of_all(found: Sequence[Stretch]) -> EncodedFrames:
+    return merge([one.frames for one in found])
+
+
+def column(frames: EncodedFrames, message: str, name: str) -> list[float]:
+    known = DATABASE.get_message_by_name(message)
+    payloads = frames.data[frames.can_id == known.frame_id]
+    decoded = [known.decode_simple(one.tobytes(), decode_choices=False) for one in payloads]
+    return [float(one[name]) for one in decoded]  # type: ignore[arg-type]  # numbers, without choices
+
+
+def test_frames_say_what_was_driven() -> None:
+    frames = frames_of_all(stretches(SCENARIO, 10.0, MOST_S)[0])
+    contracts = message_contracts(DATABASE)
+    assert set(frames.can_id.tolist()) == {one.can_id for one in contracts.values()}
+    for one in contracts.values():
+        payloads = frames.data[frames.can_id == one.can_id]
+        assert one.data_id is not None
+        assert profile1.crc_is_valid(payloads, profile1.data_id_remainder(one.data_id)).all()
+    engine, turbine = column(frames, "ECM_TorqueSpeed", "EngineSpeed"), column(frames, "TCU_Turbine", "TurbineSpeed")
+    state, pressure = column(frames, "TCU_LockUp", "LockUpState"), column(frames, "TCU_LockUp", "LockUpPressure")
+    slip_rpm = np.array([one - other for one, other, now in zip(engine, turbine, state, strict=False) if now == 2.0])
+    assert len(slip_rpm) > 1000
+    assert 20.0 < float(np.median(slip_rpm)) < 60.0
+    assert max(pressure[k] for k, now in enumerate(state) if now == 2.0) > 1.0
+    gear, output = np.array(column(frames, "TCU_Gear", "CurrentGear")), column(frames, "TCU_Turbine", "OutputSpeed")
+    is_fifth = (gear[: len(output)] == 5.0) & (np.array(column(frames, "TCU_Gear", "TargetGear"))[: len(output)] == 5.0)
+    assert np.median(np.array(turbine)[is_fifth] / np.array(output)[is_fifth]) == pytest.approx(1.285, rel=0.01)
+
+
+def test_the_same_scenario_makes_the_same_frames_however_it_is_cut() -> None:
+    one, other = (frames_of_all(stretches(SCENARIO, length_s, 40.0)[0]) for length_s in (10.0, 0.5))
+    count = min(len(one), len(other))  # a stretch ends where it is cut
+    assert count > 20_000
+    assert np.array_equal(one.data[:count], other.data[:count])
+    assert np.array_equal(one.t_s[:count], other.t_s[:count])
+
+
+def test_the_truth_has_shudder_and_the_friction_at_each_slip() -> None:
+    aged = replace(SCENARIO, fluid=Fluid(condition=FluidCondition.CASE_2))
+    found, drive = stretches(aged, 10.0, 250.0)
+    assert sum(isinstance(one, ShudderTruth) for part in found for one in part.truths) >= 1
+    assert drive.totals.slipping_s > 60.0
+    at_slip, law = drive.truth.mu_at_slip_rpm, build_vehicle(aged).calibration.clutches[0].friction
+    assert list(at_slip.values()) == sorted(at_slip.values(), reverse=True)
+    slip = float(rad_s_from_rpm(40.0)) - law.lock_band_rad_s
+    expected = law.mu_c + (law.mu_s - law.mu_c) * np.exp(-slip / law.stribeck_speed_rad_s)
+    assert at_slip[40] == pytest.approx(expected)
+
+
+def test_converters_differ_from_car_to_car_and_clutches_without_one_draw_none() -> None:
+    believed = shipped_calibration("lockup").converter
+    cars = [build_vehicle(replace(SCENARIO, vehicle_seed=seed)) for seed in range(40)]
+    stall = [car.calibration.converter.capacities_nm_s2[0] for car in cars if car.calibration.converter is not None]
+    assert believed is not None
+    assert np.std(stall) / believed.capacities_nm_s2[0] == pytest.approx(0.056, rel=0.4)
+    assert not any(name.startswith("converter") for name in build_vehicle(load_scenario("ideal")).drawn)
