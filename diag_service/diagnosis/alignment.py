@@ -240,7 +240,8 @@ def align(
             other, engine_speed=engine_speed, engine_torque=engine_torque, pressure=pressure, is_seen=is_seen
         )
     hub, first, second = (on_grid[one] for one in (Signal.HUB_SPEED, Signal.INPUT1_SPEED, Signal.INPUT2_SPEED))
-    if hub.curve is not None and engine_speed.curve is not None:
+    is_one = rows.period_s and np.array_equal(hub.value, engine_speed.value)
+    if is_one or (hub.curve is not None and engine_speed.curve is not None):
         hub = engine_speed  # nearer to it than two columns are, up to a row apart
     return AlignedSignals(
         grid_s=grid_s,

@@ -246,10 +246,7 @@ DOUBT_TIME_S = 0.1  # for which what is not known is wrong one way
 DOUBT_STEP = 2  # points of the grid: no test function turns in less than ten times that
 IDLE_RATIO = 0.1  # of the noise: a clutch that weighs less than this in the balance has no say in any derivative
 
-
-Blocks = tuple[FloatArray, ...]
-"""One array of each piece of a window."""
-
+Blocks = tuple[FloatArray, ...]  # one of each piece of a window
 
 COMMON_CAUSES = {  # what both clutches share
     Considered.VISCOSITY: FilmCause.VISCOSITY,
@@ -362,12 +359,8 @@ class Sensitivity:
         return [
             None
             if step < LEAST_SECANT
-            else np.stack(
-                [
-                    (was.contact_pa[rows] - now.contact_pa[rows]) / step,
-                    (was.viscous_nm[rows] - now.viscous_nm[rows]) / step,
-                ]
-            )
+            else np.stack((was.contact_pa[rows] - now.contact_pa[rows], was.viscous_nm[rows] - now.viscous_nm[rows]))
+            / step
             for was, now, step in zip(tracks, moved, steps, strict=True)
         ]
 
@@ -423,8 +416,13 @@ class Sensitivity:
         precisions = [np.asarray(np.linalg.inv(noise)) for noise in self.noises]
         if signals.row_s:
             precisions = [precisions[0][band, band] for band in weights.value.bands]
-            by_speeds = signals.engine_speed.shared(speed_slopes, self._spread.engine_rate, of_rows, is_followed=True)
-            by_hubs = signals.hub_speed.shared(hubs, hubs, of_rows, is_followed=True)
+            rates, with_rates = self._spread.engine_rate, hubs
+            if signals.hub_speed.value is signals.engine_speed.value:  # one noise is in both
+                inertia_kg_m2 = balance.calibration.input_side.engine_inertia_kg_m2
+                with_rates = tuple(inertia_kg_m2 * rate + hub for _, rate, hub in pairs)
+                rates = tuple(one / inertia_kg_m2 for one in with_rates)
+            by_speeds = signals.engine_speed.shared(speed_slopes, rates, of_rows, is_followed=True)
+            by_hubs = signals.hub_speed.shared(hubs, with_rates, of_rows, is_followed=True)
         motoring, by_friction = self._motoring_shares(), self._friction_shares() if signals.row_s else []
         overlaps = [np.zeros(PARAMETER_COUNT) for _ in precisions]
         for place, (precision, overlap) in enumerate(zip(precisions, overlaps, strict=True)):
@@ -522,7 +520,7 @@ class Sensitivity:
         )
         engine = rate * (gain * side.engine_inertia_kg_m2)
         parts = [(signals.engine_torque, value, sensors.engine_torque_nm)]
-        if signals.hub_speed.curve is not None and signals.engine_speed.curve is not None:  # both are one column
+        if signals.hub_speed.value is signals.engine_speed.value:
             parts.append((signals.engine_speed, engine + hub, sensors.engine_speed_rad_s))
         else:
             parts.append((signals.engine_speed, engine, sensors.engine_speed_rad_s))

@@ -11,6 +11,7 @@ from benchmarks.accuracy import to_batch
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
+from diag_service.diagnosis.alignment import Resampled
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction.balance import Balance, measured
 from diag_service.diagnosis.friction.drives import SlipWindow, measured_drives, slip_window
@@ -254,3 +255,22 @@ def test_drives_in_cold_oil_are_told_what_mends_them() -> None:
     warm, cold = first_shifts(), [in_oil(one, 20.0) for one in first_shifts()]
     assert advice_on_oil(cold) == "; half of the shifts were in oil below 20 degC: a drive with warm oil mends it"
     assert advice_on_oil(warm) == advice_on_oil(()) == ""
+
+
+def test_noise_of_one_signal_for_engine_and_hub_is_in_what_both_share_with_the_residual() -> None:
+    event, calibration = without_noise()[0][0], displaced(NOMINAL, AS_DRIVEN)
+    signals = usable_signals(event, calibration)
+    assert not isinstance(signals, Reason)
+    one = signals.engine_speed
+    overlaps = []
+    for hub in (one, Resampled(one.times_s, one.value.copy(), signals.grid_s)):
+        rows = replace(signals, hub_speed=hub, row_s=0.04)
+        drives = measured_drives(rows, AS_DRIVEN, None, event, calibration)
+        found = slip_window(rows, drives, pack_laws(calibration))
+        assert found is not None
+        (seen,) = measured(Balance(rows, found[0], drives, calibration, pack_laws(calibration), AS_DRIVEN))
+        assert seen.overlap is not None
+        overlaps.append(seen.overlap[STATE_COUNT + np.array([Considered.TORQUE_GAIN, Considered.ENGINE_INERTIA])])
+    (gain, inertia), (apart_gain, apart_inertia) = overlaps
+    assert gain < 1.5 * apart_gain < 0.0
+    assert inertia < 1.1 * apart_inertia < 0.0
