@@ -41,7 +41,7 @@ ResultT = TypeVar("ResultT")
 LIVES = 300
 FIRST_SEED = 240_000  # no number was chosen by seeds from here on
 FLEET_SEEDS = range(500, 700)  # whose lives the fleet's baseline knows
-WIDTH = 120
+WIDTH = 150
 
 
 def of_marks(forecasts: Sequence[Forecast], *marks: float) -> list[Forecast]:
