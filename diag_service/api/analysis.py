@@ -13,8 +13,8 @@ from diag_service.batch.tables import columns, drive_rows, flattened, record_col
 from diag_service.console import collected_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.delivery.console import condition_words
-from diag_service.diagnosis.records import ClutchVerdict, ShiftResult, dump, shift_record, verdict_from, with_revisions
-from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged
+from diag_service.diagnosis.records import ClutchVerdict, ShiftResult, dump, shift_record, verdict_from
+from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged, with_revisions
 from diag_service.errors import ConfigError
 from diag_service.service.drive import insist
 from diag_service.service.drive_survey import DriveSurvey

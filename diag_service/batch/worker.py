@@ -12,8 +12,8 @@ from diag_service.batch.journal import Entry
 from diag_service.batch.processes import follow_parent
 from diag_service.console import collected_notices, set_up_notices
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.records import ShiftResult, shift_record, with_revisions
-from diag_service.diagnosis.summary import summary_record, unjudged
+from diag_service.diagnosis.records import ShiftResult, shift_record
+from diag_service.diagnosis.summary import summary_record, unjudged, with_revisions
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.recorded import RecordedRun, run_recorded
 from diag_service.service.stopping import Trigger

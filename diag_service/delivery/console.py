@@ -20,9 +20,11 @@ from diag_service.diagnosis.records import (
 from diag_service.diagnosis.summary import (
     Summary,
     capability_line,
+    cause_lines,
     frames_line,
     gaps_line,
     latest_ratio,
+    newest_causes,
     ratio_line,
     scale_free_lines,
     shifts_line,
@@ -112,8 +114,8 @@ class ConsoleReporter:
         for result in summary.latest:
             if line := slope_line(result.verdict):
                 self._line(Text(f"{name_of(result.verdict.clutch, result.verdict.element)}: {line}"))
-        for one in summary.relative:
-            self._line(Text(str(one)))
+        for line in (*cause_lines(newest_causes(summary.latest)), *map(str, summary.relative)):
+            self._line(Text(line))
         if self._is_detailed:
             self._show_for_specialists(summary)
         self._line(Text(shifts_line(summary)))

@@ -8,7 +8,7 @@ Schemas (2020-12) and the envelope in which records travel. Keys keep one order,
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from enum import IntEnum, StrEnum
@@ -273,6 +273,11 @@ class ShiftQuality:
     std_touch_error_pa: float | None = None
     slip_energy1_j: float | None = None  # of clutch 1
     slip_energy2_j: float | None = None
+    believed_touch_pa: float | None = None  # of the on-coming clutch, by which the control commands pressures
+    fill_time_s: float | None = None  # that all of its filling takes at the flow of this one
+    pressure_lag_s: float | None = None  # of its pressure behind the command, the pack closed
+    pressure_reach_ratio: float | None = None  # of the command beyond the touch point that its pressure reaches
+    pressure_short_pa: float | None = None  # by which it stays below the highest command
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -310,6 +315,26 @@ class ShiftEstimate:
     element: str | None = None  # name in the description of the transmission; None: clutch 1 or clutch 2
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LikelyCause:
+    """Something that may be wrong, how likely it is, and what speaks for and against it; docs/causes.md."""
+
+    cause: str  # a word such as glazed-lining, "sound" or "something-else"
+    clutch: int | None  # 1 or 2; None: it is of no single clutch
+    probability: float  # that it is there, alone or with another
+    evidence: str  # one sentence
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Causes:
+    """Why a vehicle is as it is, by what changed since the beginning or the last fill: the likeliest first."""
+
+    event_count: int  # events that this rests on, those of the beginning not counted
+    likely: tuple[LikelyCause, ...]  # without those that are next to impossible
+    advice: str  # what to do, in which order, and what it costs to be wrong
+    test: str | None = None  # what would tell the likeliest two from each other; None: driving does
+
+
 class Condition(IntEnum):
     """Verdict on one clutch and its fluid, from best to worst; NO_VERDICT is below all."""
 
@@ -341,6 +366,7 @@ class ClutchVerdict:
     slope: FrictionSlope | None = None  # in place of friction where the torque is modelled
     micro_slip: MicroSlip | None = None  # of a lock-up clutch, all events combined
     element: str | None = None  # as in an estimate
+    causes: Causes | None = None  # of what is wrong with the vehicle; the same for both clutches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -374,7 +400,9 @@ _EPOCH: Final = datetime(1970, 1, 1)  # noqa: DTZ001 - UTC, which the text says
 _NS_PER_US: Final = 1000
 _RESULT_KEYS: Final = ("vehicle", "stream", "seq", "produced_at", "algorithm_version", "calibration_version")
 REVISIONS: Final = "revisions"
-_ONLY_WHERE_THERE: Final = frozenset({"slope", REVISIONS, "shift_quality", "micro_slip", "element"})  # keys of a record
+_ONLY_WHERE_THERE: Final = frozenset(
+    {"slope", REVISIONS, "shift_quality", "micro_slip", "element", "causes"}
+)  # keys of a record
 _PUBLIC_NAMES: Final = {"start_ns": "start_bus_ns", "end_ns": "end_bus_ns", "data_quality": "trust"}
 
 
@@ -457,25 +485,6 @@ def shift_record(result: ShiftResult) -> JsonObject:
     record["start_utc"] = utc_from_bus_ns(result.estimate.start_ns)
     record["end_utc"] = utc_from_bus_ns(result.estimate.end_ns)
     return {key: record[key] for key in _keys_of(Channel.SHIFT) if key not in _ONLY_WHERE_THERE or record[key]}
-
-
-def with_revisions(results: Iterable[ShiftResult]) -> list[ShiftResult]:
-    """Return results of one vehicle, the oldest first, each as later ones have judged it."""
-    revised, places = list(results), dict[tuple[int, int], int]()
-    for place, result in enumerate(revised):
-        for one in result.estimate.revisions:
-            if (earlier := places.get((one.clutch, one.end_bus_ns))) is not None:
-                estimate = replace(
-                    revised[earlier].estimate,
-                    status=one.status,
-                    reasons=one.reasons,
-                    friction=one.friction,
-                    scale_free=one.scale_free,
-                    slope=one.slope,
-                )
-                revised[earlier] = replace(revised[earlier], estimate=estimate)
-        places[result.estimate.clutch, result.estimate.end_ns] = place
-    return revised
 
 
 def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:

@@ -10,10 +10,12 @@ from clutch_model.calibration import TorqueSource
 from diag_service.diagnosis.condition.verdict import Silence, advice
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
 from diag_service.diagnosis.records import (
+    Causes,
     ClutchRatio,
     ClutchVerdict,
     Condition,
     FluidFill,
+    LikelyCause,
     ShiftResult,
     ShiftStatistics,
     Tier,
@@ -130,6 +132,25 @@ class Summary:
         return order_by(known.values(), self.fluid)
 
 
+def with_revisions(results: Iterable[ShiftResult]) -> list[ShiftResult]:
+    """Return results of one vehicle, the oldest first, each as later ones have judged it."""
+    revised, places = list(results), dict[tuple[int, int], int]()
+    for place, result in enumerate(revised):
+        for one in result.estimate.revisions:
+            if (earlier := places.get((one.clutch, one.end_bus_ns))) is not None:
+                estimate = replace(
+                    revised[earlier].estimate,
+                    status=one.status,
+                    reasons=one.reasons,
+                    friction=one.friction,
+                    scale_free=one.scale_free,
+                    slope=one.slope,
+                )
+                revised[earlier] = replace(revised[earlier], estimate=estimate)
+        places[result.estimate.clutch, result.estimate.end_ns] = place
+    return revised
+
+
 def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
     """Return a result without its verdict if there are gaps: a part of a drive may say the opposite of the whole."""
     if not gaps:
@@ -141,8 +162,29 @@ def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
         advice=advice(
             result.verdict.clutch, Condition.NO_VERDICT, Silence.PART_OF_DRIVE, element=result.verdict.element
         ),
+        causes=None,
     )
     return replace(result, verdict=verdict)
+
+
+def newest_causes(results: Iterable[ShiftResult]) -> Causes | None:
+    """Return what is known last of why a vehicle is as it is."""
+    known = [one.verdict.causes for one in results if one.verdict.causes is not None]
+    return max(known, key=lambda one: one.event_count, default=None)
+
+
+def cause_words(cause: LikelyCause) -> str:
+    """Return a cause for people."""
+    return cause.cause.replace("-", " ") + ("" if cause.clutch is None else f" of clutch {cause.clutch}")
+
+
+def cause_lines(causes: Causes | None) -> list[str]:
+    """Return for people why a vehicle is as it is, what that rests on, what to do, and what would tell more."""
+    if causes is None:
+        return []
+    told = ", ".join(f"{cause_words(one)} {100.0 * one.probability:.0f} %" for one in causes.likely[:3])
+    lines = [f"Why: {told} (by {causes.event_count} events).", f"  {causes.likely[0].evidence}", f"  {causes.advice}"]
+    return lines if causes.test is None else [*lines, f"  {causes.test}"]
 
 
 def of_present_fluid(results: Iterable[ShiftResult], fluid: FluidFill | None) -> tuple[ShiftResult, ...]:

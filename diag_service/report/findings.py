@@ -8,8 +8,8 @@ from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.records import FluidFill, ShiftResult, Status, with_revisions
-from diag_service.diagnosis.summary import Gap, Summary, of_present_fluid, order_by
+from diag_service.diagnosis.records import FluidFill, ShiftResult, Status
+from diag_service.diagnosis.summary import Gap, Summary, of_present_fluid, order_by, with_revisions
 from diag_service.errors import StoppedError
 from diag_service.service.drive import open_drive, stream_of_drive
 from diag_service.service.drive_survey import DriveSurvey

@@ -24,6 +24,7 @@ from diag_service.diagnosis.records import (
     order_record,
     utc_from_bus_ns,
 )
+from diag_service.diagnosis.summary import cause_lines, newest_causes
 from diag_service.report.findings import Findings
 from diag_service.store import Row
 from fleet_contract import JsonObject
@@ -104,6 +105,7 @@ def history_lines(
     left_out = f"; {found.left_out_count} of other versions are left out" if found.left_out_count else ""
     yield Text(f"{found.vehicle}: {len(found.rows)} events{left_out}")
     yield from order_lines(found.order)
+    yield from map(Text, cause_lines(newest_causes(found.latest)))
     yield _outlook(found, population)
     for clutch in (one for one in clutches if one in found.clutches):
         periods = periods_of(found, clutch)

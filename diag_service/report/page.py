@@ -35,8 +35,10 @@ from diag_service.diagnosis.records import (
 )
 from diag_service.diagnosis.summary import (
     capability_line,
+    cause_words,
     frames_line,
     gaps_line,
+    newest_causes,
     summary_record,
     values_line,
 )
@@ -89,6 +91,7 @@ def page_of(found: Findings, made_at: str) -> Page:
         friction_section(found),
         trend_section(found),
         shifts_section(found),
+        *causes_sections(found),
         *course_sections(found),
         quality_section(found),
         _unseen_section(found),
@@ -235,6 +238,19 @@ def shifts_section(found: Findings) -> Section:
         texts.append("No shift was rejected.")
     figures = [figure for example in found.examples for figure in shift_figures(example)]
     return Section(name="shifts", title="Single shifts", texts=tuple(texts), figures=tuple(figures))
+
+
+def causes_sections(found: Findings) -> Iterator[Section]:
+    """Yield why the vehicle is as it is, if that is known."""
+    causes = newest_causes(found.latest)
+    if causes is None:
+        return
+    rows = tuple((cause_words(one), number(one.probability, "{:.1%}"), one.evidence) for one in causes.likely)
+    table = Table(
+        caption=f"Causes, by {causes.event_count} events", head=("cause", "probability", "evidence"), rows=rows
+    )
+    texts = (causes.advice, *([] if causes.test is None else [causes.test]))
+    yield Section(name="causes", title="Why", texts=texts, tables=(table,))
 
 
 def course_sections(found: Findings) -> Iterator[Section]:

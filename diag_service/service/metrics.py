@@ -14,6 +14,7 @@ from canlog.e2e.e2e_state import E2eState
 from canlog.live import BusState
 from clutchdiag_io.metrics import Told, counter, gauge
 from diag_service.diagnosis.records import Condition, ShiftResult, Status
+from diag_service.diagnosis.summary import newest_causes
 from diag_service.service.session import Stage
 from diag_service.service.snapshot import Board, Snapshot
 from diag_service.service.web import serving_web
@@ -112,6 +113,13 @@ def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
     yield gauge("clutch_verdict", "1 for the verdict on the clutch and its fluid.", states, *_CLUTCH_LABELS, "verdict")
     told = {(*_key(result), snapshot.summary.order.text): 1.0 for result in snapshot.clutches}
     yield gauge("clutch_advice_info", "What the vehicle is told; the same for both.", told, *_CLUTCH_LABELS, "advice")
+    causes = newest_causes(snapshot.clutches)
+    likely = (
+        {}
+        if causes is None
+        else {(vehicle, one.cause, str(one.clutch or "")): one.probability for one in causes.likely}
+    )
+    yield gauge("cause_probability", "That this is wrong, alone or with another.", likely, "vehicle", "cause", "clutch")
     yield counter(
         "clutch_shifts", "Shifts of this run by what their estimate is worth.", counts, *_CLUTCH_LABELS, "status"
     )

@@ -5,7 +5,15 @@ from dataclasses import dataclass, replace
 from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration, TorqueSource
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.condition import ConditionMemory, judge, judge_lockup, no_verdict
+from diag_service.diagnosis.condition.causes import CauseJudge
+from diag_service.diagnosis.condition.condition import (
+    JUDGED_EVERY,
+    LEAST_COUNT,
+    ConditionMemory,
+    judge,
+    judge_lockup,
+    no_verdict,
+)
 from diag_service.diagnosis.condition.indices import compile_indices, measure
 from diag_service.diagnosis.condition.shift_quality import ShiftScorer
 from diag_service.diagnosis.condition.verdict import Silence
@@ -67,6 +75,7 @@ class Stages:
         if self.tier is Tier.FRICTION and self._lockup is None:
             self._estimator.prepare()
         self._scorer = ShiftScorer(calibration, decoder.gears)
+        self._causes = CauseJudge(calibration)
         self._calibration = calibration
         self._basis = QualityBasis(
             mandatory_messages=decoder.mandatory_messages,
@@ -138,7 +147,10 @@ class Stages:
                     state.folded_counts[clutch - 1] < self._state.folded_counts[clutch - 1]
                 ):  # they grow until it has changed
                     self._memory = self._memory.with_changed_friction(clutch)
-            memory = self._memory.with_fit(estimate).with_shift(estimate, self._state).with_launch(estimate)
+            course = self._memory.course.with_event(estimate, self._state, state)
+            if course.now.count >= LEAST_COUNT and course.event_count % JUDGED_EVERY == 0:
+                course = replace(course, found=self._causes.judge(course))
+            memory = self._memory.with_fit(estimate).with_shift(estimate, self._state).with_launch(estimate, course)
             self._memory, verdict = judge(memory, state, estimate.clutch, self._calibration)
         else:
             self._memory = self._memory.with_launch(estimate)  # a witness that needs no torque

@@ -16,8 +16,9 @@ from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.posterior import scale_free
 from diag_service.diagnosis.quality.data_quality import usable_samples
-from diag_service.diagnosis.records import Reason, ShiftEstimate, Status, shift_from, shift_record, with_revisions
+from diag_service.diagnosis.records import Reason, ShiftEstimate, Status, shift_from, shift_record
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
+from diag_service.diagnosis.summary import with_revisions
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from ecu_emulator.drive.recording import frames_of

@@ -25,7 +25,11 @@ QUERIES = list(grafana.queries())
 METRIC = re.compile(r"\bclutchdiag_\w+")
 SINCE, UNTIL = datetime(2026, 1, 1, tzinfo=UTC), datetime(2026, 1, 2, tzinfo=UTC)
 WIDTH = 24  # columns of Grafana's grid
-OFTEN_NONE = {"clutchdiag_bus_errors_total", "clutchdiag_shift_reasons_total"}  # where nothing went wrong
+OFTEN_NONE = {  # where nothing went wrong, or too little was seen
+    "clutchdiag_bus_errors_total",
+    "clutchdiag_cause_probability",
+    "clutchdiag_shift_reasons_total",
+}
 
 OF_THE_FLEET = tuple(f"clutchdiag_{name}_" for name in ("ingest", "fleet", "watch"))  # test_fleet_metrics.py
 

@@ -1,13 +1,16 @@
 """The verdict on a clutch and its fluid; docs/verdict.md justifies its rules."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from math import hypot
+from math import hypot, log, prod
 from statistics import NormalDist
 from typing import Final, Self
 
-from clutch_model.calibration import Calibration, TorqueSource, both_clutches, with_clutch
+import numpy as np
+
+from canlog.arrays import FloatArray
+from clutch_model.calibration import Calibration, TorqueSource, both_clutches, clutch_of_gear, with_clutch
 from diag_service.diagnosis.condition.verdict import (
     CALIBRATED_RATIO,
     COLD_K,
@@ -24,6 +27,7 @@ from diag_service.diagnosis.condition.verdict import (
     nothing,
 )
 from diag_service.diagnosis.events import Shudder
+from diag_service.diagnosis.friction.evidence import PARAMETER_COUNT, Evidence
 from diag_service.diagnosis.friction.posterior import (
     Posterior,
     both_frictions,
@@ -37,6 +41,7 @@ from diag_service.diagnosis.friction.posterior import (
 )
 from diag_service.diagnosis.lockup.state import LockupState
 from diag_service.diagnosis.records import (
+    Causes,
     ClutchVerdict,
     Condition,
     FrictionSlope,
@@ -106,6 +111,101 @@ class Fit(StrEnum):
     MISFITS = "MISFITS"  # it contradicts the calibration
 
 
+BEGIN_COUNT: Final = 40  # events of the first stretch: a few drives
+LEAST_COUNT: Final = 20.0  # of the last one, before anything is said of causes
+KEPT: Final = 0.97  # of an event's weight after each later one: some thirty count
+JUDGED_EVERY: Final = 10  # events: a cause does not come within one
+SENSORS: Final = frozenset({"torque-sensor", "pressure-sensor"})
+SENSOR_SHARE: Final = 0.5  # that a sensor drifts: more, and its clutch is not judged
+MEASURED: Final = ("pressure_lag_s", "pressure_reach_ratio", "pressure_short_pa", "fill_time_s", "believed_touch_pa")
+LOWER: Final = np.tril_indices(PARAMETER_COUNT)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stretch:
+    """What some events said, older ones faded."""
+
+    count: float = 0.0  # events, by their weights
+    lower: FloatArray = field(default_factory=lambda: np.zeros(len(LOWER[0])))  # half of the information
+    vector: FloatArray = field(default_factory=lambda: np.zeros(PARAMETER_COUNT))
+    sums: FloatArray = field(default_factory=lambda: np.zeros((2, len(MEASURED) + 1, 3)))  # weight, value, square
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether another one holds the same numbers."""
+        if not isinstance(other, Stretch):
+            return NotImplemented
+        mine, others = (np.concatenate((one.lower, one.vector, one.sums), axis=None) for one in (self, other))
+        return self.count == other.count and np.array_equal(mine, others)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def with_event(self, estimate: ShiftEstimate, evidence: Evidence | None, kept: float) -> Self:
+        """Return it after an event; ``evidence`` is None if nothing is said of the parameters."""
+        sums, quality, alone = kept * self.sums, estimate.shift_quality, estimate.scale_free
+        if quality is not None:
+            on_coming = clutch_of_gear(estimate.to_gear) - 1
+            for row, name in enumerate(MEASURED):
+                if (value := getattr(quality, name)) is not None:
+                    sums[on_coming, row] += (1.0, value, value * value)
+        if alone is not None:
+            value = log(max(alone.mu_c, 1e-3))
+            sums[estimate.clutch - 1, -1] += (1.0, value, value * value)
+        lower, vector = kept * self.lower, kept * self.vector
+        if evidence is not None:
+            lower += evidence.matrix[LOWER]
+            vector += evidence.vector
+        return type(self)(count=kept * self.count + 1.0, lower=lower, vector=vector, sums=sums)
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether a store can have kept such numbers."""
+        blank, own = Stretch(), (self.lower, self.vector, self.sums)
+        is_shaped = all(
+            one.shape == other.shape for one, other in zip(own, (blank.lower, blank.vector, blank.sums), strict=True)
+        )
+        return is_shaped and bool(np.isfinite(np.concatenate(own, axis=None)).all())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Course:
+    """How a vehicle went: its first events, its last, those after the last fill, and what was found."""
+
+    begun: Stretch = field(default_factory=Stretch)
+    now: Stretch = field(default_factory=Stretch)
+    filled: Stretch | None = None  # the first events with another fluid than the first; None: there is none
+    event_count: int = 0
+    found: Causes | None = None
+
+    def with_event(self, estimate: ShiftEstimate, before: Posterior, after: Posterior) -> Self:
+        """Return it after an event, by what was known before it and what is after it."""
+        newest, count = after.recent[-1] if after.recent else None, self.event_count + 1
+        is_new = newest is not None and not (before.recent and newest is before.recent[-1])
+        evidence = newest.evidence if newest is not None and is_new else None
+        if self.begun.count < BEGIN_COUNT:
+            return replace(self, begun=self.begun.with_event(estimate, evidence, 1.0), event_count=count)
+        filled = self.filled
+        if filled is not None and filled.count < LEAST_COUNT:
+            filled = filled.with_event(estimate, evidence, 1.0)
+        return replace(self, now=self.now.with_event(estimate, evidence, KEPT), filled=filled, event_count=count)
+
+    def with_new_fluid(self) -> Self:
+        """Return it after a fill: what was last is of the fluid before."""
+        if self.begun.count < BEGIN_COUNT:
+            return type(self)()
+        return replace(self, now=Stretch(), filled=Stretch(), found=None)
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether a store can have kept it."""
+        return all(one.is_possible for one in (self.begun, self.now, self.filled or self.now))
+
+    def sensor_share(self, clutch: int) -> float:
+        """Return how likely it is that a sensor by which a clutch is judged has drifted."""
+        found = () if self.found is None else self.found.likely
+        of_it = [one for one in found if one.cause in SENSORS and one.clutch in {None, clutch}]
+        return 1.0 - prod(1.0 - one.probability for one in of_it)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConditionMemory:
     """The last verdict on each clutch, at which hysteresis looks back, and the scatter of its single shifts."""
@@ -116,6 +216,7 @@ class ConditionMemory:
     fluid_since: str | None = None  # fill of the fluid that was last judged, ISO 8601 UTC; None: not known
     linings: tuple[LiningBaseline | None, LiningBaseline | None] = (None, None)  # of the first fluid, over all others
     launches: tuple[Launches, Launches] = (Launches(), Launches())  # with this fluid
+    course: Course = field(default_factory=Course)  # of all that causes are told by
 
     @classmethod
     def fresh(cls) -> Self:
@@ -132,7 +233,13 @@ class ConditionMemory:
         conditions = (Condition.NO_VERDICT, Condition.NO_VERDICT)
         launches = (Launches(), Launches())
         return replace(
-            self, conditions=conditions, fits=fits, fluid_since=filled_at, linings=linings, launches=launches
+            self,
+            conditions=conditions,
+            fits=fits,
+            fluid_since=filled_at,
+            linings=linings,
+            launches=launches,
+            course=self.course.with_new_fluid(),
         )
 
     def with_fit(self, estimate: ShiftEstimate) -> Self:
@@ -145,10 +252,11 @@ class ConditionMemory:
             fit = Fit.CONTRADICTS if Reason.NOT_UPDATED in estimate.reasons else Fit.AGREES
         return replace(self, fits=(*self.fits, fit)[-FIT_WINDOW:])
 
-    def with_launch(self, estimate: ShiftEstimate) -> Self:
-        """Return the memory after an event, which is of interest if it was a launch."""
+    def with_launch(self, estimate: ShiftEstimate, course: Course | None = None) -> Self:
+        """Return the memory after an event, which is of interest if it was a launch, and with the course after it."""
         launches = self.launches[estimate.clutch - 1].with_event(estimate)
-        return replace(self, launches=with_clutch(self.launches, estimate.clutch, launches))
+        known = with_clutch(self.launches, estimate.clutch, launches)
+        return replace(self, launches=known, course=course or self.course)
 
     def with_shudder(self, shudder: Shudder | None) -> Self:
         """Return the memory after a stretch of slip, which is a witness if swings would have shown in it."""
@@ -196,6 +304,8 @@ class ConditionMemory:
             del plain["fluid_since"], plain["linings"]
         if self.launches == (Launches(), Launches()):
             del plain["launches"]
+        if not self.course.event_count:
+            del plain["course"]
         return {"format": MEMORY_FORMAT} | plain | names
 
     @classmethod
@@ -212,6 +322,8 @@ class ConditionMemory:
             memory = from_plain({**table, "conditions": conditions, "scatters": scatters}, cls)
         except (KeyError, TypeError, ValueError) as exc:
             raise ValueError(f"not a condition memory: {exc}") from exc
+        if not memory.course.is_possible:
+            raise ValueError("impossible course")
         for lining in memory.linings:
             if lining is not None and not lining.is_possible:
                 raise ValueError(f"impossible lining {lining!r}")
@@ -235,7 +347,8 @@ def judge(
     known = bool(shift_count)
     (now, free), since = both_frictions(state, clutch), trend(state, clutch) if known else None
     launches = memory.launches[index]
-    common = common_margin(state, both_clutches(one.friction.mu_c - one.friction.mu_s for one in calibration.clutches))
+    first, second = (one.friction for one in calibration.clutches)
+    common = common_margin(state, (first.mu_c - first.mu_s, second.mu_c - second.mu_s))
     is_cold = state.packs is not None and state.packs.clutch_k[index] < COLD_K
     slope = None if state.torque is TorqueSource.MEASURED else FrictionSlope.of(free, state.torque)
     rest = since, reference, shift_count, memory.conditions[index], launches
@@ -247,6 +360,8 @@ def judge(
     progress = calibration_ratio(state, calibration)
     if memory.misfit_text:
         finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
+    elif memory.course.found is not None and (share := memory.course.sensor_share(clutch)) >= SENSOR_SHARE:
+        finding = nothing(Silence.SENSOR_DRIFTED, f"{Silence.SENSOR_DRIFTED} ({100.0 * share:.0f} % likely)")
     elif known and progress < CALIBRATED_RATIO:
         finding = replace(finding, reason=f"{finding.reason}, calibrating: {100.0 * progress:.0f} %")
     scatter, lining = memory.scatters[index], memory.linings[index]
@@ -263,10 +378,11 @@ def judge(
         trend=since,
         clutch_ratio=clutch_ratio(state),
         lining=lining.change(free) if lining is not None and known else None,
-        stick_slip=launches.reported,
+        stick_slip=launches.reported if launches.juddered else None,
         calibration_ratio=progress,
         advice=advice(clutch, finding.condition, finding.ground, finding.probability),
         slope=slope if known else None,
+        causes=memory.course.found,
     )
     return replace(memory, conditions=with_clutch(memory.conditions, clutch, finding.condition)), verdict
 

@@ -73,6 +73,11 @@ _PUBLIC: Final = (
     "std_touch_error_pa",
     "slip_energy1_j",
     "slip_energy2_j",
+    "believed_touch_pa",
+    "fill_time_s",
+    "pressure_lag_s",
+    "pressure_reach_ratio",
+    "pressure_short_pa",
 )
 
 
@@ -117,11 +122,14 @@ class _Found(NamedTuple):
     tie_up_nm: float = math.nan
     energy_on_j: float = math.nan
     energy_off_j: float = math.nan
-    believed_pa: float = math.nan  # the touch point by which the control commands pressures
+    believed_touch_pa: float = math.nan  # the touch point by which the control commands pressures
     believed_std_pa: float = math.nan
     share: float = math.nan  # of the cavity that is full as torque is asked for; above 1: it was too early
-    fill_s: float = math.nan  # that a whole filling takes at the flow of this one
+    fill_time_s: float = math.nan  # that a whole filling takes at the flow of this one
     early_s: float = math.nan  # by which it was full before the pulse ended; 0: it was not
+    pressure_lag_s: float = math.nan  # of the pressure behind its command, the clutch closed
+    pressure_reach_ratio: float = math.nan  # of the command that the pressure reaches beyond the touch point
+    pressure_short_pa: float = math.nan  # by which it stays below the highest command
 
 
 class ShiftScorer:
@@ -140,6 +148,7 @@ class ShiftScorer:
         self._gears = gears
         nothing = np.full((_ROW_COUNT, 30), np.nan)
         _measure(nothing, 15, 20, True, 0.0, (0.0, 0.0), (0.0, 0.0), 1.0)  # compiled before the first event
+        _response_told(nothing, 15, 20, 0.0)
 
     def score(self, event: Event, known: Knowledge | None) -> ShiftQuality | None:
         """Return how well an event went; None if the stream broke off.
@@ -173,7 +182,8 @@ class ShiftScorer:
             )
         first, stop = round(BEFORE_S / GRID_S), round((BEFORE_S + duration_s) / GRID_S)
         torque_nm_pa = packs[0].torque_nm_pa, packs[1].torque_nm_pa
-        found = _Found(*_measure(rows, first, stop, on != off, skew_s, touch_pa, torque_nm_pa, packs[0].stroke_pa))
+        parts = _measure(rows, first, stop, on != off, skew_s, touch_pa, torque_nm_pa, packs[0].stroke_pa)
+        found = _Found(*parts, *_response_told(rows, first, stop, touch_pa[0]))
         adaptable = {} if known is None else self._adaptable(on, found, touch_pa[0], known)
         return _judged(event, found, adaptable, packs, is_second=on == 1)
 
@@ -206,10 +216,10 @@ class ShiftScorer:
         """Return what could be adapted of the on-coming clutch, by part: value and deviation."""
         adaptable = {}
         std_pa = math.sqrt(known.covariance[State.TOUCH1 + on, State.TOUCH1 + on])
-        if math.isfinite(found.believed_pa):
-            adaptable["touch_error_pa"] = touch_pa - found.believed_pa, math.hypot(std_pa, found.believed_std_pa)
+        if math.isfinite(found.believed_touch_pa):
+            adaptable["touch_error_pa"] = touch_pa - found.believed_touch_pa, math.hypot(std_pa, found.believed_std_pa)
         if math.isfinite(found.share):
-            s_per_share = found.fill_s
+            s_per_share = found.fill_time_s
             longer_s = -found.early_s if found.share >= 1.0 else (1.0 - found.share) * s_per_share
             read_std = math.hypot(std_pa, PRESSURE_PA / math.sqrt(FILLED_ROWS)) / self._packs[on].stroke_pa
             adaptable["fill_error_s"] = longer_s, math.hypot(read_std * s_per_share, FLOW_STD_RATIO * longer_s, GRID_S)
@@ -409,6 +419,36 @@ def _fill_told(
     at_end = 1.0 - max(touch_pa - _mean(pressure, last - FILLED_ROWS, last), 0.0) / stroke_pa
     short_pa = touch_pa - _mean(pressure, row - FILLED_ROWS, row)
     return 1.0 - max(short_pa, 0.0) / stroke_pa, pulse * GRID_S / max(at_end, 0.1), 0.0
+
+
+@array_kernel
+def _response_told(rows: FloatArray, first: int, stop: int, touch_pa: float) -> tuple[float, float, float]:
+    """Return how the pressure of a closed clutch follows its command: lag [s], ratio, and what the highest lacks [Pa].
+
+    By least squares: the pressure is a part of the command and of its slope.
+    """
+    command, pressure = rows[_COMMAND], rows[_PRESSURE_ON]
+    n, c1, d1, cc, cd, dd, p1, pc, pd, top, top_row = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1
+    for row in range(first + 2, min(stop + 8, len(command) - 2)):
+        here = command[row] - touch_pa
+        least = min(command[row - 2], command[row + 2]) - touch_pa
+        if not (least > PULSE_PA and pressure[row - 2] > touch_pa + LOADED_PA and pressure[row] > touch_pa + LOADED_PA):
+            continue
+        slope, read = (command[row + 1] - command[row - 1]) / (2.0 * GRID_S), pressure[row] - touch_pa
+        n, c1, d1, p1 = n + 1, c1 + here, d1 + slope, p1 + read
+        cc, cd, dd = cc + here * here, cd + here * slope, dd + slope * slope
+        pc, pd = pc + read * here, pd + read * slope
+        if here > top:
+            top, top_row = here, row
+    if n < LEAST_PAIRS:
+        return np.nan, np.nan, np.nan
+    cc, cd, dd, pc, pd = cc - c1 * c1 / n, cd - c1 * d1 / n, dd - d1 * d1 / n, pc - p1 * c1 / n, pd - p1 * d1 / n
+    whole = cc * dd - cd * cd
+    if whole <= 0.0:
+        return np.nan, np.nan, np.nan
+    reach, by_slope = (pc * dd - pd * cd) / whole, (pd * cc - pc * cd) / whole
+    stays = min(top_row + 4, len(pressure) - 3)
+    return -by_slope / reach, reach, top - (_mean(pressure, stays - 2, stays + 3) - touch_pa)
 
 
 @array_kernel

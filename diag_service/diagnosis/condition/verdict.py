@@ -74,6 +74,7 @@ class Silence(StrEnum):
     LEVEL_UNKNOWN = (
         "the torque of the engine is not measured: friction is known up to a scale at best and cannot be called sound"
     )
+    SENSOR_DRIFTED = "a sensor by which it is judged has probably drifted; have that mended, then calibrate anew"
     PART_OF_DRIVE = "only a part of the drive was seen; measure again on a whole one"
 
 

@@ -400,7 +400,14 @@ def friction(state: Posterior, clutch: int) -> FrictionEstimate:
 def both_frictions(state: Posterior, clutch: int) -> tuple[FrictionEstimate, ScaleFreeFriction]:
     """Return the friction of clutch 1 or 2 as now estimated, and what `scale_free` says of it."""
     free = _without_scale(state, clutch)
-    return _with_scale(state, clutch, free), _scale_free(free)
+    told = ScaleFreeFriction(
+        mu_c=free.mu_c,
+        mu_s=free.mu_s,
+        std_mu_c=math.sqrt(free.variance_c),
+        std_mu_s=math.sqrt(free.variance_s),
+        correlation=free.correlation,
+    )
+    return _with_scale(state, clutch, free), told
 
 
 def _with_scale(state: Posterior, clutch: int, free: _Pair) -> FrictionEstimate:
@@ -428,17 +435,7 @@ def scale_free(state: Posterior, clutch: int) -> ScaleFreeFriction:
 
     The area counts as a ratio to what the calibration says.
     """
-    return _scale_free(_without_scale(state, clutch))
-
-
-def _scale_free(pair: _Pair) -> ScaleFreeFriction:
-    return ScaleFreeFriction(
-        mu_c=pair.mu_c,
-        mu_s=pair.mu_s,
-        std_mu_c=math.sqrt(pair.variance_c),
-        std_mu_s=math.sqrt(pair.variance_s),
-        correlation=pair.correlation,
-    )
+    return both_frictions(state, clutch)[1]
 
 
 def _without_scale(state: Posterior, clutch: int) -> _Pair:

@@ -1,0 +1,398 @@
+"""Why a vehicle is as it is: what moved with what since the beginning, held against what each cause moves.
+
+Two stretches of driving are kept: the first events, and the last, in which older ones fade. What each says of all
+parameters of the vehicle follows from the evidence of its events; how its pressures follow their commands is measured
+in each event. The difference of both stretches is one vector with its covariance. A cause is a small Gaussian in that
+space: what a strength of 1 changes, with how much that differs from car to car (`causes.toml`, fitted to simulated
+fleets by ``python -m benchmarks.causes --fit``). Bayes' rule does the rest, for each cause, for pairs of them, for none
+and for something else. docs/causes.md.
+"""
+
+import math
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from canlog.arrays import FloatArray
+from clutch_model.calibration import Calibration
+from diag_service.diagnosis.condition.condition import LEAST_COUNT, LOWER, MEASURED, Course, Stretch
+from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT, State
+from diag_service.diagnosis.friction.posterior import Posterior
+from diag_service.diagnosis.records import Causes, LikelyCause
+
+SURE: Final = 0.9
+SOUND, ELSE = "sound", "something-else"
+FEATURES: Final = (
+    "level1", "slope1", "level2", "slope2", *NAMES[FRICTION_COUNT:],
+    *(f"{name.rpartition('_')[0]}{clutch}" for clutch in (1, 2) for name in MEASURED), "scatter",
+)  # fmt: skip
+COUNT: Final = len(FEATURES)
+_PLACE: Final = {name: place for place, name in enumerate(FEATURES)}
+MIRRORED: Final = [_PLACE[name.translate({ord("1"): "2", ord("2"): "1"})] for name in FEATURES]
+_FIRST_MEASURED, _SCATTER = _PLACE["pressure_lag1"], _PLACE["scatter"]
+
+
+class Change(NamedTuple):
+    """What moved between two stretches."""
+
+    mean: FloatArray  # (COUNT,)
+    covariance: FloatArray  # (COUNT, COUNT)
+    told: FloatArray  # (COUNT,) which part of a true change shows, 0 to 1
+
+
+class Signature(NamedTuple):
+    """What a cause moves."""
+
+    cause: str
+    clutch: int | None
+    mean: FloatArray  # (COUNT,) by a strength of 1
+    spread: FloatArray  # (COUNT,) standard deviation of that from car to car
+    prior: float
+
+
+class Hypothesis(NamedTuple):
+    """What a change is held against: causes that are there together, with a mean strength."""
+
+    causes: tuple[tuple[str, int | None], ...]
+    mean: FloatArray  # (COUNT,) where all of a change shows
+    roots: FloatArray  # (COUNT, 2) of its covariance, by the strengths
+    spread: FloatArray  # (COUNT,) root of the rest of it, a diagonal
+    log_prior: float
+
+
+STRENGTHS: Final = ((1.0, 0.35), (2.0, 0.6), (3.5, 1.0))  # mean and deviation of what is expected
+PAIR_STRENGTH: Final = (2.0, 0.9)
+PAIR_SHARE: Final = 0.05  # of a second cause beside a first one
+MOST_PAIRED: Final = 3  # of the likeliest causes each is tried with all others
+MODEL_SHARE: Final = 0.12  # of a signature: laws that no simulated car has
+STRETCHED: Final = 0.8  # deviations of changes against those that are stated: sound cars move by half of them
+UNFILLED_COST: Final = 8.0  # of another fluid where nobody has noted a fill
+LEAST_SHOWN: Final = 0.2  # part of a change that shows: parameters of which events tell less are left out
+TAILS: Final = 8.0  # degrees of freedom: what is far off is not next to impossible
+LEAST_TOLD: Final = 0.005
+SHOWN_STD: Final = 1.5  # deviations from which on something is said to have moved
+_OF_FLUID: Final = frozenset({"aged-fluid", "water", "air"})
+_WHOLE_ELSE, _SINGLE_ELSE = 3.0, 8.0  # of what is usual of known causes; deviations of sound cars
+
+
+@cache
+def described() -> Mapping[str, Any]:
+    """Return the words of all causes, and what each moves."""
+    folder = files("diag_service").joinpath("diagnosis/condition")
+    words, numbers = (
+        tomllib.loads(folder.joinpath(name).read_text(encoding="utf-8")) for name in ("causes.toml", "signatures.toml")
+    )
+    return {**words, **numbers}
+
+
+def signatures(table: Mapping[str, Any]) -> list[Signature]:
+    """Return the signatures of all causes, of either clutch and either sign."""
+    found = []
+    for cause, told in table["cause"].items():
+        mean, spread = np.zeros(COUNT), np.zeros(COUNT)
+        for name, (size, its_spread) in table["moves"][cause].items():
+            mean[_PLACE[name]], spread[_PLACE[name]] = size, its_spread
+        signs = (1.0, -1.0) if told["is_either_way"] else (1.0,)
+        clutches = ((1, 0.5), (2, 0.5)) if told["is_of_one_clutch"] else ((None, 1.0),)
+        for sign in signs:
+            for clutch, share in clutches:
+                order = MIRRORED if clutch == 2 else slice(None)
+                prior = told["prior"] * share / len(signs)
+                found.append(Signature(cause, clutch, sign * mean[order], spread[order], prior))
+    return found
+
+
+class CauseJudge:
+    """Says why the vehicle of a calibration is as it is.
+
+    Parameters
+    ----------
+    calibration
+        Of the vehicle.
+    table
+        Words and signatures of causes; None: those that ship.
+    """
+
+    def __init__(self, calibration: Calibration, table: Mapping[str, Any] | None = None) -> None:
+        self._table = described() if table is None else table
+        fresh = Posterior.fresh(calibration).base
+        self._type_mean = fresh.mean
+        self._precision = np.linalg.inv(
+            fresh.covariance + 1e-12 * np.diag(np.maximum(fresh.covariance.diagonal(), 1.0))
+        )
+        self._floor = np.array([self._table["floor"].get(name, 1e-5) for name in FEATURES]) ** 2
+        self.signatures = signatures(self._table)
+        self._mean_prior = sum(one.prior for one in self.signatures)
+        self._singles = list(self._single())
+
+    def _single(self) -> Iterator[Hypothesis]:
+        """Yield what a change is held against at first: nothing, something else, each cause alone."""
+        none, (first, *others) = np.zeros((COUNT, 2)), STRENGTHS
+        usual = np.max([np.abs(one.mean) for one in self.signatures], axis=0)
+        prior_else = self._table["prior_else"]
+        known = sum(one.prior for one in self.signatures) + prior_else
+        yield Hypothesis(((SOUND, None),), none[:, 0], none, none[:, 0], math.log(1.0 - known))
+        other = ((ELSE, None),)
+        yield Hypothesis(other, none[:, 0], none, _WHOLE_ELSE * usual, math.log(0.5 * prior_else))
+        for place in range(COUNT):
+            spread = np.zeros(COUNT)
+            spread[place] = max(_SINGLE_ELSE * math.sqrt(self._floor[place]), _WHOLE_ELSE * usual[place])
+            yield Hypothesis(other, none[:, 0], none, spread, math.log(0.5 * prior_else / COUNT))
+        for one in self.signatures:
+            for strength, std in (first, *others):
+                yield _together((one,), (strength, std), math.log(one.prior / len(STRENGTHS)))
+
+    def change(self, begun: Stretch, now: Stretch) -> Change:
+        """Return what moved between two stretches.
+
+        Both start from what the type tells, and what no event tells stays so: the errors that both have cancel.
+        """
+        (first, first_std), (last, last_std) = self._known(begun), self._known(now)
+        shared = first_std @ self._precision @ last_std
+        covariance = first_std + last_std - shared - shared.T
+        turn = np.eye(PARAMETER_COUNT)
+        for mu_c in (State.MU_C1, State.MU_C2):
+            turn[mu_c, mu_c] = 1.0 / first[mu_c]
+            turn[mu_c + 1, mu_c], turn[mu_c + 1, mu_c + 1] = -1.0 / first[mu_c], 1.0 / first[mu_c + 1]
+        mean, whole, told = np.zeros(COUNT), np.zeros((COUNT, COUNT)), np.ones(COUNT)
+        mean[:PARAMETER_COUNT] = turn @ (last - first)
+        whole[:PARAMETER_COUNT, :PARAMETER_COUNT] = turn @ covariance @ turn.T
+        told[:PARAMETER_COUNT] -= np.clip(last_std.diagonal() * self._precision.diagonal(), 0.0, 1.0)
+        hidden = np.flatnonzero(told < LEAST_SHOWN)
+        mean[hidden], told[hidden], whole[hidden, :], whole[:, hidden] = 0.0, 0.0, 0.0, 0.0
+        whole[hidden, hidden] = 1.0
+        for clutch in (0, 1):
+            for row in range(len(MEASURED)):
+                place = _FIRST_MEASURED + len(MEASURED) * clutch + row
+                (value_1, variance_1), (value_2, variance_2) = (_mean(one.sums[clutch, row]) for one in (begun, now))
+                if math.isfinite(variance_1 + variance_2):
+                    mean[place], whole[place, place] = value_2 - value_1, variance_1 + variance_2
+                else:
+                    whole[place, place], told[place] = 1.0, 0.0
+        mean[_SCATTER], whole[_SCATTER, _SCATTER], told[_SCATTER] = _scattered(begun, now)
+        return Change(mean, STRETCHED**2 * whole + np.diag(self._floor), told)
+
+    def _known(self, stretch: Stretch) -> tuple[FloatArray, FloatArray]:
+        """Return what a stretch and the type tell of the parameters."""
+        matrix = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT))
+        matrix[LOWER] = stretch.lower
+        covariance: FloatArray = np.linalg.inv(self._precision + matrix + np.tril(matrix, -1).T)
+        return covariance @ (self._precision @ self._type_mean + stretch.vector), covariance
+
+    def probabilities(self, course: Course) -> tuple[dict[tuple[str, int | None], float], Change]:
+        """Return how likely each cause is, alone or with another, and what moved."""
+        change, filled = self.change(course.begun, course.now), course.filled
+        is_filled = filled is not None and filled.count >= LEAST_COUNT
+        early = self.change(course.begun, filled) if filled is not None and is_filled else None
+        singles = self._singles
+        logs = _logs(singles, change, early)
+        best: dict[int, float] = {}  # of each signature
+        for place, log in enumerate(logs[-len(STRENGTHS) * len(self.signatures) :].tolist()):
+            number = place // len(STRENGTHS)
+            best[number] = max(log, best.get(number, -math.inf))
+        ranked = [self.signatures[number] for number in sorted(best, key=lambda one: -best[one])]
+        pairs = [
+            _together((one, other), PAIR_STRENGTH, math.log(one.prior * other.prior * PAIR_SHARE / self._mean_prior))
+            for place, one in enumerate(ranked[:MOST_PAIRED])
+            for other in ranked[place + 1 :]
+            if one.cause != other.cause
+        ]
+        logs = np.concatenate((logs, _logs(pairs, change, early, singles[0])))
+        shares = np.exp(logs - logs.max())
+        shares /= shares.sum()
+        by_cause: dict[tuple[str, int | None], float] = {(SOUND, None): 0.0, (ELSE, None): 0.0}
+        for share, one in zip(shares.tolist(), (*singles, *pairs), strict=True):
+            for cause in one.causes:
+                by_cause[cause] = by_cause.get(cause, 0.0) + share
+        return by_cause, change
+
+    def judge(self, course: Course) -> Causes:
+        """Return the causes, the likeliest first."""
+        by_cause, change = self.probabilities(course)
+        likely = tuple(
+            LikelyCause(
+                cause=cause, clutch=clutch, probability=min(share, 1.0), evidence=self._evidence(cause, clutch, change)
+            )
+            for (cause, clutch), share in sorted(by_cause.items(), key=lambda item: -item[1])
+            if share >= LEAST_TOLD
+        )
+        return Causes(
+            event_count=course.event_count - round(course.begun.count),
+            likely=likely,
+            advice=self._advice(likely),
+            test=self.test_between(likely),
+        )
+
+    def _evidence(self, cause: str, clutch: int | None, change: Change) -> str:
+        """Return what speaks for a cause and what against it."""
+        std = np.sqrt(change.covariance.diagonal())
+        signature = max(
+            (one for one in self.signatures if (one.cause, one.clutch) == (cause, clutch)),
+            key=lambda one: float((one.mean * change.mean / std**2).sum()),
+            default=None,
+        )
+        expected, spread = np.zeros(COUNT), np.zeros(COUNT)
+        if signature is not None:
+            moves = signature.mean * change.told
+            strength = float((moves * change.mean / std**2).sum() / max((moves**2 / std**2).sum(), 1e-9))
+            strength = min(max(strength, 0.5), 4.0)
+            expected, spread = strength * moves, strength * (signature.spread + MODEL_SHARE * np.abs(moves))
+        away, moved = np.abs(change.mean - expected) / np.hypot(std, spread), np.abs(change.mean) / std
+        awaited = np.abs(expected) / std
+        told = change.told > 0.0
+        pro = told & (awaited > SHOWN_STD) & (moved > SHOWN_STD) & (expected * change.mean > 0.0)
+        contra = told & (away > 2.0) & ((awaited > SHOWN_STD) | (moved > 2.0 * SHOWN_STD))
+        if cause == ELSE:
+            pro, contra = contra, pro
+        for_it = _listed(change, std, expected, np.where(pro, moved, 0.0), 3)
+        against = _listed(change, std, expected, np.where(contra, away, 0.0), 2)
+        if cause == SOUND and not against:
+            for_it = "nothing moved by more than it does in sound cars"
+        return f"For it: {for_it or 'nothing by itself'}. Against it: {against or 'nothing'}."
+
+    def _advice(self, likely: Sequence[LikelyCause]) -> str:
+        """Return what to do, and what it costs to be wrong."""
+        first = likely[0]
+        told = self._table["cause"].get(first.cause)
+        if told is None:
+            return str(self._table["advice"][first.cause])
+        of = "" if first.clutch is None else f" of clutch {first.clutch}"
+        if first.probability < SURE:
+            return f"Do not renew anything yet: it may be {told['name']}{of} ({100.0 * first.probability:.0f} %)."
+        return f"{told['name'].capitalize()}{of}: {told['advice']} If that is wrong: {told['if_wrong']}"
+
+    def test_between(self, likely: Sequence[LikelyCause]) -> str | None:
+        """Return what would tell the likeliest two from each other, if driving does not."""
+        names = [one.cause for one in likely if one.cause != ELSE][:2]
+        if likely[0].probability >= SURE or len(names) < 2:
+            return None
+        first, second = (self._table["cause"].get(one, {"name": "a sound car"})["name"] for one in names)
+        for test in self._table["test"]:
+            outcomes = [test["outcome"].get(name, test["else"]) for name in names]
+            if outcomes[0] != outcomes[1]:
+                return (
+                    f"Cannot be told from driving; this would tell {first} from {second}: {test['name']} "
+                    f"({outcomes[0]}, or {outcomes[1]})."
+                )
+        return None
+
+
+def _together(some: Sequence[Signature], strength: tuple[float, float], log_prior: float) -> Hypothesis:
+    """Return that some causes are there, each of this strength."""
+    mean, roots, variance = np.zeros(COUNT), np.zeros((COUNT, 2)), np.zeros(COUNT)
+    for column, one in enumerate(some):
+        mean += strength[0] * one.mean
+        roots[:, column] = strength[1] * one.mean
+        variance += (strength[0] * one.spread) ** 2 + (strength[0] * MODEL_SHARE * one.mean) ** 2
+    return Hypothesis(tuple((one.cause, one.clutch) for one in some), mean, roots, np.sqrt(variance), log_prior)
+
+
+def _logs(
+    some: Sequence[Hypothesis], change: Change, early: Change | None, sound: Hypothesis | None = None
+) -> FloatArray:
+    """Return the logarithm of prior times likelihood of some hypotheses; the first is ``sound`` if that is not given.
+
+    ``early`` is what moved between the beginning and the first events after a fill: what is of the fluid is then gone,
+    another fluid is there at once, and what is of the clutch may have been there before.
+    """
+    logs: FloatArray = np.array([one.log_prior for one in some]) + _likelihoods(some, change)
+    if early is None:
+        return logs - np.array([UNFILLED_COST * any(cause == "wrong-fluid" for cause, _ in one.causes) for one in some])
+    own = _likelihoods(some, early)
+    new = float(_likelihoods([some[0] if sound is None else sound], early)[0])
+    for place, one in enumerate(some):
+        names = {cause for cause, _ in one.causes}
+        if "wrong-fluid" in names:
+            logs[place] += own[place]
+        elif names <= _OF_FLUID:
+            logs[place] += new
+        else:
+            logs[place] += float(np.logaddexp(new, own[place])) - math.log(2.0)
+    return logs
+
+
+def _likelihoods(some: Sequence[Hypothesis], change: Change) -> FloatArray:
+    """Return the logarithm of how likely a change is by each hypothesis, but for what all have."""
+    if not some:
+        return np.zeros(0)
+    told = change.told
+    roots = np.array([one.roots for one in some]) * told[:, None]
+    stack = change.covariance + roots @ roots.transpose(0, 2, 1)
+    stack[:, range(COUNT), range(COUNT)] += (np.array([one.spread for one in some]) * told) ** 2
+    away = change.mean - np.array([one.mean for one in some]) * told
+    factors = np.linalg.cholesky(stack)
+    away = np.linalg.solve(factors, away[:, :, None])[:, :, 0]
+    misfit = np.log1p((away**2).sum(axis=1) / TAILS)  # Student's law: no car is quite like a simulated one
+    logs: FloatArray = -0.5 * (TAILS + COUNT) * misfit - np.log(factors.diagonal(axis1=1, axis2=2)).sum(axis=1)
+    return logs
+
+
+def _mean(sums: FloatArray) -> tuple[float, float]:
+    """Return mean and variance of the mean; the latter is infinite where too few events tell."""
+    weight, total, square = sums.tolist()
+    if weight < LEAST_WEIGHT:
+        return 0.0, math.inf
+    mean = total / weight
+    return mean, max(square / weight - mean * mean, 0.0) / weight * weight / (weight - 1.0)
+
+
+def _scattered(begun: Stretch, now: Stretch) -> tuple[float, float, float]:
+    """Return by how much single events scatter more, as a logarithm, with its variance, and whether that is told."""
+    logs, variance = 0.0, 0.0
+    for stretch, sign in ((begun, -1.0), (now, 1.0)):
+        spread, count = 0.0, 0.0
+        for clutch in (0, 1):
+            weight, total, square = stretch.sums[clutch, -1].tolist()
+            if weight >= LEAST_WEIGHT:
+                spread, count = spread + square - total * total / weight, count + weight - 1.0
+        if count < LEAST_WEIGHT:
+            return 0.0, 1.0, 0.0
+        logs += sign * 0.5 * math.log(max(spread / count, 1e-8))
+        variance += 0.5 / count
+    return logs, variance, 1.0
+
+
+def _listed(change: Change, std: FloatArray, expected: FloatArray, weight: FloatArray, most: int) -> str:
+    """Return in words what moved most, of what has a weight."""
+    parts = []
+    for place in np.argsort(-weight)[:most].tolist():
+        if weight[place] > 0.0:
+            words, unit, factor = _WORDS[FEATURES[place].rstrip("12")]
+            clutch = f" of clutch {FEATURES[place][-1]}" if FEATURES[place][-1] in "12" else ""
+            moved, its_std, due = (factor * float(one[place]) for one in (change.mean, std, expected))
+            parts.append(f"{words}{clutch} {moved:+.2g} ± {abs(its_std):.1g} {unit} (expected {due:+.2g})")
+    return "; ".join(parts)
+
+
+LEAST_WEIGHT: Final = 4.0  # events that tell how a pressure follows
+_WORDS: Final = {  # in words, with a unit and what makes it of ours
+    "level": ("friction", "%", 100.0),
+    "slope": ("mu_S over mu_C", "%", 100.0),
+    "torque_offset": ("torque zero", "Nm", 1.0),
+    "touch": ("touch point", "bar", 1e-5),
+    "zero": ("pressure zero", "bar", 1e-5),
+    "torque_gain": ("torque scale", "%", 100.0),
+    "engine_inertia": ("engine inertia", "%", 100.0),
+    "piston_area": ("piston area", "%", 100.0),
+    "viscosity": ("viscosity", "%", 100.0),
+    "torque_latency": ("torque latency", "ms", 1e3),
+    "pressure_latency": ("pressure latency", "ms", 1e3),
+    "motoring_gain": ("coasting torque", "%", 100.0),
+    "stribeck_speed": ("width of the friction curve", "%", 100.0),
+    "contact_stiffness": ("lining stiffness", "%", 100.0),
+    "shaft_inertia": ("shaft inertia", "%", 100.0),
+    "film_mobility": ("speed of the film", "%", 100.0),
+    "stribeck_exponent": ("form of the friction curve", "%", 100.0),
+    "friction_temperature": ("friction over temperature", "%/K", 100.0),
+    "open_drag": ("drag of open clutches", "%", 100.0),
+    "pressure_lag": ("lag of the pressure", "ms", 1e3),
+    "pressure_reach": ("pressure per command", "%", 100.0),
+    "pressure_short": ("highest pressure below its command", "bar", 1e-5),
+    "fill_time": ("filling time", "ms", 1e3),
+    "believed_touch": ("touch point that the control uses", "bar", 1e-5),
+    "scatter": ("scatter of single events", "%", 100.0),
+}

@@ -1,0 +1,205 @@
+"""Which cause is named for what moved, why, and what would tell more; what is remembered, and when it is forgotten."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.condition.causes import ELSE, FEATURES, MIRRORED, SOUND, CauseJudge, described
+from diag_service.diagnosis.condition.condition import (
+    BEGIN_COUNT,
+    LEAST_COUNT,
+    LOWER,
+    MEASURED,
+    ConditionMemory,
+    Course,
+    Stretch,
+    judge,
+)
+from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT
+from diag_service.diagnosis.friction.posterior import Posterior
+from diag_service.diagnosis.records import Causes, Condition, LikelyCause
+
+CALIBRATION = nominal_calibration()
+JUDGE = CauseJudge(CALIBRATION)
+FRESH = Posterior.fresh(CALIBRATION)
+USUAL = {"pressure_lag_s": 0.026, "pressure_reach_ratio": 0.975, "pressure_short_pa": 6e3, "fill_time_s": 0.2,
+         "believed_touch_pa": 1.4e5}  # fmt: skip
+SCATTER = {"pressure_lag_s": 0.003, "pressure_reach_ratio": 0.015, "pressure_short_pa": 3e3, "fill_time_s": 0.01,
+           "believed_touch_pa": 200.0}  # fmt: skip
+
+
+def stretch(moved: dict[str, float] | None = None) -> Stretch:
+    """Return forty events of a car in which this has moved: parameters by name, measures with their clutch behind."""
+    moved, std = moved or {}, FRESH.base.std()
+    std[:FRICTION_COUNT] = 0.01
+    at = FRESH.base.mean.copy()
+    for name, size in moved.items():
+        if name in NAMES:
+            at[NAMES.index(name)] += size
+    information = np.diag(1.0 / np.maximum(0.1 * std, 1e-9) ** 2)
+    sums = np.zeros((2, len(MEASURED) + 1, 3))
+    for clutch in (0, 1):
+        for row, name in enumerate(MEASURED):
+            mean = USUAL[name] + moved.get(f"{name}{clutch + 1}", 0.0)
+            sums[clutch, row] = 20.0, 20.0 * mean, 20.0 * (mean**2 + SCATTER[name] ** 2)
+        sums[clutch, -1] = 20.0, 0.0, 20.0 * (0.015 * moved.get("scatter", 1.0)) ** 2
+    return Stretch(count=BEGIN_COUNT, lower=information[LOWER], vector=information @ at, sums=sums)
+
+
+def causes_of(moved: dict[str, float] | None = None, *, filled: bool = False) -> Causes:
+    now = stretch(moved)
+    return JUDGE.judge(Course(begun=stretch(), now=now, filled=now if filled else None, event_count=150))
+
+
+def first(causes: Causes) -> tuple[str, int | None]:
+    return causes.likely[0].cause, causes.likely[0].clutch
+
+
+def test_a_car_in_which_nothing_moved_is_sound() -> None:
+    causes = causes_of()
+    assert first(causes) == (SOUND, None)
+    assert causes.likely[0].probability > 0.9
+    assert causes.advice == "Nothing to do."
+    assert causes.test is None
+    assert causes.event_count == 150 - BEGIN_COUNT
+
+
+AGED = {"mu_c1": -0.014, "mu_s1": 0.012, "mu_c2": -0.014, "mu_s2": 0.012}
+GLAZED = {"mu_c{}": -0.0168, "mu_s{}": -0.012, "film_mobility": -0.6}
+WORN = {"touch{}": 1e4, "believed_touch_pa{}": 9e3, "fill_time_s{}": 0.05}
+SPRING = {"touch{}": -1.4e4, "believed_touch_pa{}": -1.45e4, "fill_time_s{}": 0.06}
+PRESSURE = {"pressure_reach_ratio{}": 0.08, "pressure_short_pa{}": -5.7e4, "fill_time_s{}": -0.036,
+            "stribeck_exponent": -0.4, "open_drag": 1.4, "torque_gain": 0.05}  # fmt: skip
+SCALE = {f"mu_{kind}{clutch}": 0.08 * level for kind, level in (("c", 0.14), ("s", 0.119)) for clutch in (1, 2)}
+
+
+@pytest.mark.parametrize(
+    ("cause", "clutch", "moved"),
+    [
+        ("aged-fluid", None, AGED),
+        ("torque-sensor", None, {**SCALE, "torque_gain": 0.02, "engine_inertia": 0.02}),
+        ("glazed-lining", 1, GLAZED),
+        ("glazed-lining", 2, GLAZED),
+        ("worn-lining", 1, WORN),
+        ("worn-lining", 2, WORN),
+        ("return-spring", 1, SPRING),
+        ("return-spring", 2, SPRING),
+        ("pressure-sensor", 1, {**PRESSURE, "mu_s2": -0.005}),
+        ("pressure-sensor", 2, {**PRESSURE, "mu_s1": -0.005}),
+    ],
+)
+def test_a_cause_is_named_with_its_clutch(cause: str, clutch: int | None, moved: dict[str, float]) -> None:
+    causes = causes_of({name.format(clutch): size for name, size in moved.items()})
+    assert first(causes) == (cause, clutch)
+    assert causes.likely[0].probability > 0.5
+    assert causes.likely[0].evidence.startswith("For it: ")
+    assert "nothing by itself" not in causes.likely[0].evidence
+
+
+def test_another_fluid_is_named_only_where_one_was_filled_in() -> None:
+    moved = {"mu_c1": -0.011, "mu_s1": 0.010, "mu_c2": -0.011, "mu_s2": 0.010, "viscosity": 0.3}
+    chance = [
+        sum(one.probability for one in causes_of(moved, filled=filled).likely if one.cause == "wrong-fluid")
+        for filled in (False, True)
+    ]
+    assert chance[1] > 0.5
+    assert chance[0] < chance[1]
+
+
+def test_two_causes_are_both_named() -> None:
+    causes = causes_of({**AGED, **{name.format(2): size for name, size in WORN.items()}})
+    assert {("aged-fluid", None), ("worn-lining", 2)} <= {(one.cause, one.clutch) for one in causes.likely[:3]}
+
+
+def test_what_fits_nothing_is_something_else() -> None:
+    causes = causes_of({"friction_temperature": 0.004})
+    assert first(causes) == (ELSE, None)
+    assert "friction over temperature" in causes.likely[0].evidence
+    assert causes.advice.startswith("Something has changed that fits no known cause")
+
+
+def test_evidence_is_for_and_against_with_what_was_expected() -> None:
+    causes = causes_of({name.format(1): size for name, size in WORN.items()})
+    assert "touch point that the control uses of clutch 1 +0.09" in causes.likely[0].evidence
+    causes = causes_of({"believed_touch_pa1": 9e3})  # no longer filling: half of the signs are missing
+    worn = next((one for one in causes.likely if one.cause == "worn-lining"), None)
+    assert worn is None or "filling time of clutch 1" in worn.evidence.partition("Against")[2]
+
+
+def test_a_test_is_named_that_tells_the_likeliest_two_apart() -> None:
+    likely = tuple(
+        LikelyCause(cause=cause, clutch=clutch, probability=0.5, evidence="For it: x.")
+        for cause, clutch in (("aged-fluid", None), ("glazed-lining", 1))
+    )
+    test = JUDGE.test_between(likely)
+    assert test is not None
+    assert "oil sample" in test
+    assert "additives are used up" in test
+    assert JUDGE.test_between((replace(likely[0], probability=0.95), likely[1])) is None
+
+
+def test_every_pair_of_causes_has_a_test_or_is_told_by_driving() -> None:
+    causes = list(described()["cause"])
+    untold = []
+    for one in causes:
+        for other in causes:
+            pair = tuple(LikelyCause(cause=k, clutch=None, probability=0.4, evidence="x") for k in (one, other))
+            if one < other and JUDGE.test_between(pair) is None:
+                untold.append((one, other))
+    assert untold == []
+
+
+def test_signatures_are_mirrored_for_the_other_clutch() -> None:
+    own, others = (
+        next(one for one in JUDGE.signatures if (one.cause, one.clutch) == ("worn-lining", clutch)) for clutch in (1, 2)
+    )
+    assert own.mean[FEATURES.index("believed_touch1")] == others.mean[FEATURES.index("believed_touch2")] > 0.0
+    assert np.array_equal(own.mean[MIRRORED], others.mean)
+
+
+def test_a_course_survives_its_store_and_damage_is_found() -> None:
+    found = causes_of({name.format(1): size for name, size in GLAZED.items()})
+    memory = ConditionMemory(course=Course(begun=stretch(), now=stretch(AGED), event_count=90, found=found))
+    again = ConditionMemory.from_json(memory.to_json())
+    assert again == memory
+    damaged = memory.to_json()
+    course = damaged["course"]
+    assert isinstance(course, dict)
+    assert isinstance(course["now"], dict)
+    course["now"]["vector"] = [0.0] * (PARAMETER_COUNT - 1)
+    with pytest.raises(ValueError, match="impossible course"):
+        ConditionMemory.from_json(damaged)
+
+
+def test_a_vehicle_without_events_is_stored_as_before() -> None:
+    assert "course" not in ConditionMemory.fresh().to_json()
+
+
+def test_new_fluid_begins_the_last_stretch_again() -> None:
+    memory = ConditionMemory(course=Course(begun=stretch(), now=stretch(), event_count=100, found=causes_of()))
+    course = memory.with_new_fluid("2026-01-01T00:00:00.000000Z", FRESH).course
+    assert course.begun == memory.course.begun
+    assert course.now == Stretch()
+    assert course.filled == Stretch()
+    assert course.found is None
+    early = ConditionMemory(course=Course(begun=replace(stretch(), count=LEAST_COUNT), event_count=20))
+    assert early.with_new_fluid("2026-01-01T00:00:00.000000Z", FRESH).course == Course()
+
+
+@pytest.mark.parametrize(("clutch", "is_held"), [(1, True), (2, False)])
+def test_a_drifted_sensor_holds_back_the_verdict_on_its_clutch(clutch: int, is_held: bool) -> None:
+    drifted = LikelyCause(cause="pressure-sensor", clutch=1, probability=0.8, evidence="For it: x.")
+    found = Causes(event_count=60, likely=(drifted,), advice="x")
+    memory = ConditionMemory(course=Course(begun=stretch(), now=stretch(), event_count=100, found=found))
+    _, verdict = judge(memory, FRESH, clutch, CALIBRATION)
+    assert verdict.condition is Condition.NO_VERDICT
+    assert ("has probably drifted" in verdict.reason) is is_held
+    assert verdict.causes == found
+
+
+def test_a_drifted_torque_holds_back_both() -> None:
+    drifted = LikelyCause(cause="torque-sensor", clutch=None, probability=0.8, evidence="For it: x.")
+    course = Course(found=Causes(event_count=60, likely=(drifted,), advice="x"))
+    assert course.sensor_share(1) == course.sensor_share(2) == pytest.approx(0.8)
