@@ -180,7 +180,7 @@ class CauseJudge:
         """Return what a stretch and the type tell of the parameters."""
         matrix = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT))
         matrix[LOWER] = stretch.lower
-        covariance: FloatArray = np.linalg.inv(self._precision + matrix + np.tril(matrix, -1).T)
+        covariance = np.linalg.inv(self._precision + matrix + np.tril(matrix, -1).T).astype(np.float64)
         return covariance @ (self._precision @ self._type_mean + stretch.vector), covariance
 
     def probabilities(self, course: Course) -> tuple[dict[tuple[str, int | None], float], Change]:
@@ -301,7 +301,8 @@ def _logs(
     """
     logs: FloatArray = np.array([one.log_prior for one in some]) + _likelihoods(some, change)
     if early is None:
-        return logs - np.array([UNFILLED_COST * any(cause == "wrong-fluid" for cause, _ in one.causes) for one in some])
+        logs -= np.array([UNFILLED_COST * any(cause == "wrong-fluid" for cause, _ in one.causes) for one in some])
+        return logs
     own = _likelihoods(some, early)
     new = float(_likelihoods([some[0] if sound is None else sound], early)[0])
     for place, one in enumerate(some):

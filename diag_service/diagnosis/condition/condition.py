@@ -26,7 +26,7 @@ from diag_service.diagnosis.condition.verdict import (
     decide_up_to_scale,
     nothing,
 )
-from diag_service.diagnosis.events import Shudder
+from diag_service.diagnosis.events import EventKind, Shudder
 from diag_service.diagnosis.friction.evidence import PARAMETER_COUNT, Evidence
 from diag_service.diagnosis.friction.posterior import (
     Posterior,
@@ -254,9 +254,10 @@ class ConditionMemory:
 
     def with_launch(self, estimate: ShiftEstimate, course: Course | None = None) -> Self:
         """Return the memory after an event, which is of interest if it was a launch, and with the course after it."""
-        launches = self.launches[estimate.clutch - 1].with_event(estimate)
-        known = with_clutch(self.launches, estimate.clutch, launches)
-        return replace(self, launches=known, course=course or self.course)
+        launches = self.launches
+        if estimate.kind is EventKind.LAUNCH:
+            launches = with_clutch(launches, estimate.clutch, launches[estimate.clutch - 1].with_event(estimate))
+        return replace(self, launches=launches, course=course or self.course)
 
     def with_shudder(self, shudder: Shudder | None) -> Self:
         """Return the memory after a stretch of slip, which is a witness if swings would have shown in it."""
