@@ -112,7 +112,7 @@ class Fit(StrEnum):
 
 
 BEGIN_COUNT: Final = 40  # events of the first stretch: a few drives
-LEAST_COUNT: Final = 20.0  # of the last one, before anything is said of causes
+LEAST_COUNT: Final = 15.0  # of the last one, which are twenty events, before anything is said of causes
 KEPT: Final = 0.97  # of an event's weight after each later one: some thirty count
 JUDGED_EVERY: Final = 10  # events: a cause does not come within one
 SENSORS: Final = frozenset({"torque-sensor", "pressure-sensor"})
