@@ -114,7 +114,7 @@ class Fit(StrEnum):
 BEGIN_COUNT: Final = 40  # events of the first stretch: a few drives
 LEAST_COUNT: Final = 15.0  # of the last one, which are twenty events, before anything is said of causes
 KEPT: Final = 0.97  # of an event's weight after each later one: some thirty count
-JUDGED_EVERY: Final = 10  # events: a cause does not come within one
+JUDGED_EVERY: Final = 20  # events: a cause does not come within one, and a judgement takes as long as an event
 SENSORS: Final = frozenset({"torque-sensor", "pressure-sensor"})
 SENSOR_SHARE: Final = 0.5  # that a sensor drifts: more, and its clutch is not judged
 MEASURED: Final = ("pressure_lag_s", "pressure_reach_ratio", "pressure_short_pa", "fill_time_s", "believed_touch_pa")
