@@ -147,7 +147,7 @@ warm: setup
 	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && { \
 	  $(PY) -m ecu_emulator record "$$folder/warm.log" --scenario noise_only --cycles 1 && \
 	  $(PY) -m diag_service analyze "$$folder/warm.log" --json && \
-	  $(PY) -c 'from canlog.live.recvmmsg import FrameReceiver; FrameReceiver(-1)'; } >"$$folder/said" 2>&1 || { \
+	  $(PY) -c 'from canlog.live.socketcan import FrameReceiver; FrameReceiver(-1)'; } >"$$folder/said" 2>&1 || { \
 	  cat "$$folder/said" >&2; exit 1; }
 
 # The guest has one processor and mostly waits for real time, so it runs beside; what it said follows.

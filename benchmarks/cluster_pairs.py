@@ -19,9 +19,8 @@ import psutil
 from benchmarks.cluster import Cost, cluster_of, make_logs
 from benchmarks.measuring import machine
 from clutch_model.calibration import nominal_calibration
-from diag_service.lake.nodes import ClusterAddress
 from diag_service.lake.places import Place
-from diag_service.lake.pools import ClusterPool, LocalPool, Pool
+from diag_service.lake.pools import ClusterAddress, ClusterPool, LocalPool, Pool
 from diag_service.lake.run import Dispatch, find_logs
 from diag_service.lake.work import Job, LakeLog
 from diag_service.service.stopping import Trigger

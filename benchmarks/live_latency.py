@@ -23,7 +23,7 @@ import numpy as np
 
 from canlog.frames import FrameBatch
 from canlog.live import ReadSchedule, SourceCounts
-from canlog.live.frame_queue import FrameQueue
+from canlog.live.sources import FrameQueue
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter, News

@@ -13,7 +13,7 @@ from typing import Final
 from sqlalchemy import Engine, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from clutchdiag_io.program import give_sign, make_sign
+from clutchdiag_io.files import give_sign, make_sign
 from fleet_backend.broker import BrokerInbox, connected
 from fleet_backend.choices import Pace, Part, Quotas
 from fleet_backend.config import Place

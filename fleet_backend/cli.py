@@ -16,9 +16,9 @@ from fleet_backend.arguments import (
     EXIT_DATABASE,
     EXIT_OK,
     EXIT_UNKNOWN,
+    PROGRAM,
 )
 from fleet_backend.errors import BrokerError, ConfigError, DatabaseError, ExtraMissingError, UnknownVehicleError
-from fleet_backend.options import PROGRAM
 from fleet_contract import VariableError, check_variables
 
 _STATUSES: Final = (

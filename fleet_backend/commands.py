@@ -14,6 +14,7 @@ from sqlalchemy import Engine
 from clutchdiag_io.program import part
 from fleet_backend import queries, report
 from fleet_backend.application import run_ingest
+from fleet_backend.arguments import BROKER_VARIABLE
 from fleet_backend.choices import Axis
 from fleet_backend.config import (
     Place,
@@ -30,7 +31,6 @@ from fleet_backend.errors import ConfigError
 from fleet_backend.layout import Sheet
 from fleet_backend.migrate import make_ready, migrate, newest_revision
 from fleet_backend.months import keep_months, partitions
-from fleet_backend.options import BROKER_VARIABLE
 from fleet_link import BrokerAddress
 
 Command = Callable[[SimpleNamespace, Engine], None]

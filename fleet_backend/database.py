@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, exc, make_url
 
-from clutchdiag_io.program import create_private, keep_private
+from clutchdiag_io.files import create_private, keep_private
 from fleet_backend.errors import ConfigError, DatabaseAwayError, DatabaseError, ExtraMissingError, RowRefusedError
 
 _NOT_OURS: Final = frozenset({SQLITE_ERROR, SQLITE_NOTADB, SQLITE_CORRUPT})  # no pause puts these right

@@ -9,10 +9,9 @@ from typing import Final
 
 from sqlalchemy import Connection, Engine, bindparam, delete, insert, select
 
-from fleet_backend.audit_trail import COMMAND_LINE, note_change
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError
-from fleet_backend.office_tables import VEHICLE_LOT
+from fleet_backend.office_tables import COMMAND_LINE, VEHICLE_LOT, note_change
 from fleet_backend.schema import VEHICLE
 
 VEHICLE_COLUMN: Final = "vehicle"

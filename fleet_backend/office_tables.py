@@ -1,8 +1,23 @@
 """The tables that no result needs: alarms and their messages, who changed what, quotas, what the office works out."""
 
+import uuid
+from datetime import datetime
 from typing import Final
 
-from sqlalchemy import BigInteger, Column, Date, Double, ForeignKey, Index, SmallInteger, Table, Text, text
+from sqlalchemy import (
+    BigInteger,
+    Column,
+    Connection,
+    Date,
+    Double,
+    ForeignKey,
+    Index,
+    SmallInteger,
+    Table,
+    Text,
+    insert,
+    text,
+)
 
 from fleet_backend.schema import METADATA, SORTED_BY_BYTES, UtcDateTime
 
@@ -135,3 +150,11 @@ AUDIT: Final = Table(
     Column("subject", Text, nullable=False),
     Index("audit_by_time", "at"),
 )
+
+
+COMMAND_LINE: Final = "command line"  # the role of who has a shell where the database is open to him
+
+
+def note_change(connection: Connection, *, at: datetime, who: str, role: str, action: str, subject: str) -> None:
+    values = {"audit_id": str(uuid.uuid4()), "at": at, "who": who, "role": role, "action": action, "subject": subject}
+    connection.execute(insert(AUDIT).values(**values))

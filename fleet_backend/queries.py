@@ -8,14 +8,12 @@ from difflib import get_close_matches
 from hashlib import sha256
 from typing import Final
 
-from sqlalchemy import Connection, Engine, Select, delete, func, insert, select, update
+from sqlalchemy import Connection, Engine, Select, TableClause, column, delete, func, insert, select, table, update
 
-from fleet_backend import views
-from fleet_backend.audit_trail import COMMAND_LINE, note_change
 from fleet_backend.choices import Axis
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, UnknownVehicleError
-from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT
+from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT, COMMAND_LINE, note_change
 from fleet_backend.orders import present_fluids, with_orders, without_old_fluid
 from fleet_backend.schema import (
     FLUID_FILL,
@@ -25,6 +23,7 @@ from fleet_backend.schema import (
     UNHASHED_COLUMNS,
     VEHICLE,
     WITHDRAWN_FILL,
+    UtcDateTime,
 )
 from fleet_contract.orders import SAME_WITHIN, distinct, odometer_complaint
 
@@ -32,6 +31,63 @@ Record = Mapping[str, object]
 SEVERITIES: Final = ("no_verdict", "good", "watch", "change_fluid")
 _ROWS_PER_READ: Final = 2000
 _CODE: Final = ("code", "failure_type", "text", "status", "states", "snapshots")
+
+
+# The documented views as tables to select from; migrations create them, docs/fleet.md describes them.
+_FRICTION: Final = ("mu_c", "mu_s", "std_mu_c", "std_mu_s")
+_MOMENTS: Final = frozenset(
+    {
+        "end_at",
+        "produced_at",
+        "connected_at",
+        "metrics_at",
+        "last_result_at",
+        "last_at",
+        "raised_at",
+        "cleared_at",
+        "acknowledged_at",
+    }
+)
+
+
+def _view(name: str, *columns: str) -> TableClause:
+    return table(name, *(column(text, UtcDateTime) if text in _MOMENTS else column(text) for text in columns))
+
+
+FLEET_WORST_FIRST: Final = _view(
+    "fleet_worst_first",
+    *("place", "vehicle", "clutch", "severity", "condition", "condition_reason", "advice"),
+    *("level_ratio", "shift_count"),
+    *_FRICTION,
+    *("mu_c_low", "mu_c_high", "mu_s_low", "mu_s_high", "slope_s_rad", "slope_low_s_rad", "slope_high_s_rad"),
+    *("probability_negative_slope", "odometer_m", "end_at", "fluid", "stream", "seq"),
+    *("algorithm_version", "calibration_version"),
+)
+
+CLUTCH_TREND: Final = _view(
+    "clutch_trend",
+    *("vehicle", "clutch", "shift_number", "odometer_m", "end_at"),
+    *_FRICTION,
+    *("random_std_mu_c", "random_std_mu_s", "covariance_mu_c_mu_s", "slope_s_rad", "std_slope_s_rad"),
+    *("probability_negative_slope", "quality", "clutch_temperature_k"),
+    *("running_mu_c", "running_std_mu_c", "running_mu_s", "running_std_mu_s"),
+    *("running_slope_s_rad", "running_std_slope_s_rad", "running_probability_negative_slope"),
+    *("condition", "level_ratio", "fluid", "stream", "seq", "algorithm_version", "calibration_version", "kind"),
+)
+
+CLUTCH_ALARM: Final = _view(
+    "clutch_alarm",
+    *("vehicle", "clutch", "alarm_number", "raised_at", "cleared_at", "shift_count", "reason", "stream", "seq"),
+    *("acknowledged_at", "acknowledged_by", "note"),
+)
+
+IDENTITY_ALARM: Final = _view("identity_alarm", "vehicle", "raised_at", "last_at", "message_count", "reason")
+
+LAST_SEEN: Final = _view(
+    "last_seen", "vehicle", "is_online", "connected_at", "service_version", "metrics_at", "last_result_at"
+)
+
+CURRENT_SHIFT: Final = _view("current_shift", "vehicle", "stream", "seq")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +101,7 @@ class TableHash:
 def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
     """Return the running condition of every clutch, the worst first, with the order for its vehicle."""
     with transaction(engine) as connection:
-        rows = connection.execute(select(views.FLEET).order_by(views.FLEET.c.place)).mappings()
+        rows = connection.execute(select(FLEET_WORST_FIRST).order_by(FLEET_WORST_FIRST.c.place)).mappings()
         told = sorted(
             with_orders(rows, present_fluids(connection)),
             key=lambda row: (-SEVERITIES.index(row["condition"]), row["place"]),
@@ -70,7 +126,7 @@ def check_vehicle(engine: Engine, vehicle: str) -> None:
 
 def trend(engine: Engine, vehicle: str, clutch: int, axis: Axis) -> Sequence[Record]:
     """Return the valid estimates of a clutch in the order of an axis; without an odometer none on that axis."""
-    table = views.TREND
+    table = CLUTCH_TREND
     along = table.c[axis.column]
     return _records(
         engine,
@@ -82,7 +138,7 @@ def trend(engine: Engine, vehicle: str, clutch: int, axis: Axis) -> Sequence[Rec
 
 def clutch_alarms(engine: Engine, *, is_open_only: bool) -> Sequence[Record]:
     """Return the alarms of all clutches, the latest first."""
-    table = views.CLUTCH_ALARM
+    table = CLUTCH_ALARM
     statement = select(table).order_by(table.c.raised_at.desc(), table.c.vehicle, table.c.clutch)
     statement = statement.where(table.c.cleared_at.is_(None)) if is_open_only else statement
     with transaction(engine) as connection:
@@ -92,12 +148,12 @@ def clutch_alarms(engine: Engine, *, is_open_only: bool) -> Sequence[Record]:
 
 def identity_alarms(engine: Engine) -> Sequence[Record]:
     """Return who is pretended to be, as long as nobody has acknowledged it."""
-    return _records(engine, select(views.IDENTITY_ALARM).order_by(views.IDENTITY_ALARM.c.last_at.desc()))
+    return _records(engine, select(IDENTITY_ALARM).order_by(IDENTITY_ALARM.c.last_at.desc()))
 
 
 def acknowledge_clutch(engine: Engine, vehicle: str, clutch: int, *, by: str, note: str | None, at: datetime) -> None:
     """Acknowledge the latest alarm of a clutch; raises ConfigError if there is none to acknowledge."""
-    table = views.CLUTCH_ALARM
+    table = CLUTCH_ALARM
     with transaction(engine) as connection:
         alarm = connection.execute(
             select(table.c.stream, table.c.seq)
@@ -143,7 +199,7 @@ def purge_quarantine(engine: Engine, before: datetime, *, by: str, at: datetime)
 
 def last_seen(engine: Engine) -> Sequence[Record]:
     """Return when each vehicle was heard of, the longest silence first."""
-    table = views.LAST_SEEN
+    table = LAST_SEEN
     return _records(engine, select(table).order_by(table.c.last_result_at, table.c.vehicle))
 
 

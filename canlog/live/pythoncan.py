@@ -23,8 +23,7 @@ from canlog.frames import (
     FrameBatch,
 )
 from canlog.live import opening
-from canlog.live.frame_queue import FrameQueue
-from canlog.live.sources import SILENCE_S, Silence, SourceCounts
+from canlog.live.sources import SILENCE_S, FrameQueue, Silence, SourceCounts
 
 POLL_S = 0.1  # how soon the thread notices that it shall stop
 MESSAGES_PER_BATCH = 256

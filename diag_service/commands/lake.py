@@ -12,9 +12,9 @@ from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT
 from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoreError
-from diag_service.lake.nodes import ClusterAddress, run_scheduler, run_workers
 from diag_service.lake.parts import disagreement, forget, partitions, parts_of
 from diag_service.lake.places import UNFINISHED, Place
+from diag_service.lake.pools import ClusterAddress, run_scheduler, run_workers
 from diag_service.lake.run import LakeTotals, fill_lake, find_logs
 from diag_service.lake.work import Job
 from diag_service.service.stopping import Controls

@@ -31,7 +31,7 @@ Show = Callable[[str], object]
 
 
 def _open_page(address: ListenAddress, run: LiveRun) -> AbstractContextManager[str]:
-    from diag_service.live_page import opened_page  # noqa: PLC0415 - templates and pictures, for few runs
+    from diag_service.report.live_page import opened_page  # noqa: PLC0415 - templates and pictures, for few runs
 
     return opened_page(address, run)
 

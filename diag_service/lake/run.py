@@ -12,10 +12,9 @@ from typing import Final, Self, TextIO
 from canlog.errors import NOTICE
 from diag_service.batch.processes import progress_bar
 from diag_service.errors import ConfigError, StoppedError
-from diag_service.lake.nodes import ClusterAddress
 from diag_service.lake.parts import DONE, FAILED, SIGNALS, LogRow, Manifest, partition_of, strayed
 from diag_service.lake.places import Place
-from diag_service.lake.pools import ClusterPool, LocalPool, Pool
+from diag_service.lake.pools import ClusterAddress, ClusterPool, LocalPool, Pool
 from diag_service.lake.work import Job, LakeLog, row_of
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import check_vehicle

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from clutchdiag_io.program import OPEN_FLAGS, PRIVATE_MODE, create_private, lock
+from clutchdiag_io.files import OPEN_FLAGS, PRIVATE_MODE, create_private, lock
 from diag_service.errors import StoreError, StoreFullError
 
 APPLICATION_ID: Final = 0x434C4449  # "CLDI", in the header of every store

@@ -15,7 +15,7 @@ from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Final, Self
 
-from clutchdiag_io.program import keep_private
+from clutchdiag_io.files import keep_private
 from diag_service.diagnosis.records import FluidFill, ShiftResult, StoredResult, dump, parse_shift, shift_record
 from diag_service.errors import ResultError, StoreError
 from diag_service.store.file import DELIVERED, QUARANTINED, WAITING, connect, connect_in_memory, own, store_error

@@ -15,7 +15,7 @@ import can
 import can.typechecking
 
 from canlog.e2e.message_contract import message_contracts
-from clutchdiag_io.program import give_sign, make_sign
+from clutchdiag_io.files import give_sign, make_sign
 from dbc.contract import load_contract
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
 from ecu_emulator.drive.recording import Drive

@@ -9,10 +9,9 @@ from typing import Any, Final
 from sqlalchemy import Connection, Engine, RowMapping, func, insert, or_, select, update
 
 from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
-from fleet_backend.audit_trail import note_change
 from fleet_backend.database import transaction
 from fleet_backend.errors import RowRefusedError
-from fleet_backend.office_tables import ALARM, ALARM_MESSAGE
+from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, note_change
 
 CLAIM: Final = timedelta(seconds=60)  # whoever takes a message has so long to deliver it
 _TOGETHER: Final = 500  # in one transaction

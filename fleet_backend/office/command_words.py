@@ -3,7 +3,7 @@
 from typing import Final
 
 from clutchdiag_io.command_line import FILE, FLOAT, Command, Option
-from fleet_backend.options import BROKER, CLUTCH, COMMON, MAIL_VARIABLE, METRICS, PROGRAM, QUESTION, VEHICLE, count
+from fleet_backend.arguments import BROKER, CLUTCH, COMMON, MAIL_VARIABLE, METRICS, PROGRAM, QUESTION, VEHICLE, count
 
 DEFAULT_SERVICE_KM: Final = 15_000
 DEFAULT_SILENCE_DAYS: Final = 14

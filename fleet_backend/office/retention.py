@@ -27,7 +27,6 @@ from sqlalchemy import (
     update,
 )
 
-from fleet_backend.audit_trail import COMMAND_LINE, note_change
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, DatabaseError
 from fleet_backend.months import (
@@ -46,7 +45,7 @@ from fleet_backend.months import (
     name_of,
     note_going,
 )
-from fleet_backend.office_tables import ALARM_MESSAGE, AUDIT, CLUTCH_MONTH, METADATA
+from fleet_backend.office_tables import ALARM_MESSAGE, AUDIT, CLUTCH_MONTH, COMMAND_LINE, METADATA, note_change
 from fleet_backend.queries import check_vehicle
 from fleet_backend.schema import QUARANTINE, SHIFT_RESULT, UtcDateTime
 

@@ -4,12 +4,13 @@ import asyncio
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from types import MappingProxyType
 from typing import Final, Protocol
 
+import numpy as np
 from prometheus_client.core import Metric
 from sqlalchemy import Engine
 
@@ -17,10 +18,9 @@ from clutchdiag_io.metrics import gauge
 from fleet_backend.errors import DatabaseError
 from fleet_backend.orders import PresentFluid
 from fleet_backend.page import running
-from fleet_backend.page.listing import choices_of, worst_first
+from fleet_backend.page.listing import choices_of, vehicle_type, worst_first
 from fleet_backend.page.records import ClutchNow, Severity, Usual
 from fleet_backend.page.running import FillsSeen
-from fleet_backend.page.usual import ClutchGroup, usual_of
 
 PERIOD_S: Final = 2.0
 REST_RATIO: Final = 19.0  # of the time that reading takes: a twentieth of a processor at most, while much arrives
@@ -28,6 +28,9 @@ LONGEST_REST_S: Final = 30.0  # however long it took: what arrives meanwhile has
 OVERLAP: Final = timedelta(seconds=10)  # a transaction that began before one looked may have ended after
 WHOLE_AFTER: Final = timedelta(minutes=15)  # what nobody foresaw is put right by then
 USUAL_FOR: Final = timedelta(minutes=1)  # what is usual changes slowly, and every vehicle's page shows it
+LEAST_CLUTCHES: Final = 20  # fewer say little of what is usual
+_SHARES: Final = (0.1, 0.5, 0.9)
+ClutchGroup = tuple[str, int, str | None]  # type, clutch, fluid
 ByVehicle = Mapping[str, tuple[ClutchNow, ...]]
 _NEVER: Final = datetime.min.replace(tzinfo=UTC)
 _LOG: Final = logging.getLogger(__name__)
@@ -205,3 +208,24 @@ def _by_vehicle(clutches: Sequence[ClutchNow]) -> ByVehicle:
     for one in clutches:
         found.setdefault(one.vehicle, []).append(one)
     return {name: tuple(sorted(some, key=lambda one: one.clutch)) for name, some in found.items()}
+
+
+def group_of(now: ClutchNow) -> ClutchGroup:
+    return vehicle_type(now), now.clutch, now.fluid
+
+
+def usual_of(clutches: Iterable[ClutchNow]) -> Mapping[ClutchGroup, Usual]:
+    levels: dict[ClutchGroup, list[float]] = {}
+    for now in clutches:
+        if now.mu_c is not None:
+            levels.setdefault(group_of(now), []).append(now.mu_c)
+    return MappingProxyType({
+        kind: Usual(clutch_count=len(some), **_quantiles(some))
+        for kind, some in levels.items()
+        if len(some) >= LEAST_CLUTCHES
+    })  # fmt: skip
+
+
+def _quantiles(levels: list[float]) -> dict[str, float]:
+    low, middle, high = np.quantile(levels, _SHARES).tolist()
+    return {"low_mu_c": low, "middle_mu_c": middle, "high_mu_c": high}

@@ -8,12 +8,12 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, Interval, Select, and_, func, literal, or_, select, tuple_
 
-from fleet_backend import views
 from fleet_backend.database import transaction
 from fleet_backend.months import CLUTCH_BLOCK, has_partitions, months_with
 from fleet_backend.orders import without_old_fluid
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchAlarm, Quarantined, ShiftAnswer
+from fleet_backend.queries import CLUTCH_ALARM
 from fleet_backend.schema import (
     BLOCK,
     DATED_NS,
@@ -126,7 +126,7 @@ def _is_same(one: Row, other: Row) -> bool:
 
 def alarms_of(engine: Engine, vehicle: str) -> tuple[ClutchAlarm, ...]:
     """Return the alarms of a vehicle's clutches, the latest first."""
-    table = views.CLUTCH_ALARM
+    table = CLUTCH_ALARM
     names = [field.name for field in fields(ClutchAlarm)]
     statement = select(table).where(table.c.vehicle == vehicle).order_by(table.c.raised_at.desc())
     with transaction(engine) as connection:

@@ -10,10 +10,9 @@ from typing import Final
 from sqlalchemy import Engine, func, insert, select
 
 from diag_service.diagnosis.prognosis import Population, population_from, population_record
-from fleet_backend.audit_trail import COMMAND_LINE, note_change
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, DatabaseError
-from fleet_backend.office_tables import POPULATION
+from fleet_backend.office_tables import COMMAND_LINE, POPULATION, note_change
 
 _KEPT_IN_MEMORY: Final = 4
 

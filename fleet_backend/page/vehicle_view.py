@@ -9,6 +9,7 @@ from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
 from fleet_backend.page.cache import Same
 from fleet_backend.page.errors import NotFoundError
+from fleet_backend.page.keeper import group_of
 from fleet_backend.page.listing import vehicle_type
 from fleet_backend.page.outlook import Past, outlook_text, read_past
 from fleet_backend.page.pictures import (
@@ -20,7 +21,6 @@ from fleet_backend.page.pictures import (
     course_picture,
 )
 from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, TrendPoint, Usual, VehicleAnswer
-from fleet_backend.page.usual import group_of
 from fleet_backend.page.vehicle_state import VehicleState, state_of
 from fleet_backend.page.view import Shown, Sources, View
 from fleet_contract.orders import Action

@@ -16,9 +16,16 @@ from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseAwayError, DatabaseError
 from fleet_backend.migrate import check_schema, migrate, newest_revision, revisions
 from fleet_backend.office_tables import METADATA
+from fleet_backend.queries import (
+    CLUTCH_ALARM,
+    CLUTCH_TREND,
+    CURRENT_SHIFT,
+    FLEET_WORST_FIRST,
+    IDENTITY_ALARM,
+    LAST_SEEN,
+)
 from fleet_backend.rows import moment
 from fleet_backend.schema import UtcDateTime
-from fleet_backend.views import CLUTCH_ALARM, CURRENT_SHIFT, FLEET, IDENTITY_ALARM, LAST_SEEN, TREND
 from fleet_backend.writer import Batch, Writer
 from tests.plugins.broker import free_port
 from tests.support.fleet import fleet_result, row_of
@@ -89,7 +96,7 @@ def test_the_migrations_make_what_the_program_uses(empty: Engine) -> None:
         context = MigrationContext.configure(connection, opts={"compare_type": True, "include_object": is_of_both})
         assert compare_metadata(context, METADATA) == []
         views = set(inspect(connection).get_view_names())
-        for view in (CLUTCH_ALARM, CURRENT_SHIFT, FLEET, IDENTITY_ALARM, LAST_SEEN, TREND):
+        for view in (CLUTCH_ALARM, CURRENT_SHIFT, FLEET_WORST_FIRST, IDENTITY_ALARM, LAST_SEEN, CLUTCH_TREND):
             assert view.name in views
             connection.execute(view.select())
 

@@ -24,14 +24,13 @@ from fleet_backend.office.watching import Watch as WatchOfOffice
 from fleet_backend.page import changes_view, fleet_view, maintenance_view, quarantine_view, shift_view, vehicle_view
 from fleet_backend.page.access import Access
 from fleet_backend.page.asking import Ask, read_words
-from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.keeper import LEAST_CLUTCHES, DatabaseSource, Keeper
 from fleet_backend.page.news import News
 from fleet_backend.page.past import results_of, shift_of
 from fleet_backend.page.peers import fleet_ageing
 from fleet_backend.page.records import Due
 from fleet_backend.page.running import all_clutches, clutches_of
 from fleet_backend.page.site import site
-from fleet_backend.page.usual import LEAST_CLUTCHES
 from fleet_backend.page.view import Sources, View
 from fleet_backend.rows import Poison, moment, quarantine_row
 from fleet_backend.writer import Batch, Writer

@@ -12,9 +12,8 @@ from canlog.errors import SourceError
 from canlog.frames import FrameBatch, join
 from canlog.live import FrameSource, Silence, open_source
 from canlog.live.bus_clock import ClockAlarm
-from canlog.live.frame_queue import FrameQueue
 from canlog.live.socketcan import SocketCanSource
-from canlog.live.sources import ReadSchedule
+from canlog.live.sources import FrameQueue, ReadSchedule
 from canlog.logs import read_log
 from tests.support.bus_end import candump
 from tests.support.patience import HANG_S

@@ -12,9 +12,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.lake.nodes import ClusterAddress, load_distributed, security
 from diag_service.lake.parts import Disagreement, Manifest, disagreement
 from diag_service.lake.places import Place
+from diag_service.lake.pools import ClusterAddress, load_distributed, security
 from diag_service.lake.run import LakeTotals, fill_lake, find_logs
 from diag_service.lake.work import Job
 from diag_service.service.stopping import Trigger

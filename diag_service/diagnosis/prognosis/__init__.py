@@ -1,9 +1,9 @@
 """Prognosis: from the past results of one clutch to how far its fluid will go, with how sure that is."""
 
 from diag_service.diagnosis.prognosis.channels import ChannelName
+from diag_service.diagnosis.prognosis.fluid_lives import ageings, hindsights
 from diag_service.diagnosis.prognosis.history import History, history_of, history_of_estimates
 from diag_service.diagnosis.prognosis.lots import Lot, LotStanding, lot_standings
-from diag_service.diagnosis.prognosis.past_lives import ageings, hindsights
 from diag_service.diagnosis.prognosis.population import (
     Ageing,
     Common,

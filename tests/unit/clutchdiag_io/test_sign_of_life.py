@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from clutchdiag_io.program import give_sign, make_sign
+from clutchdiag_io.files import give_sign, make_sign
 
 
 def test_a_new_sign_is_from_1970_until_something_is_done(tmp_path: Path) -> None:

@@ -11,8 +11,7 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.live.frame_queue import FrameQueue
-from canlog.live.sources import Silence
+from canlog.live.sources import FrameQueue, Silence
 from tests.support.patience import HANG_S
 from tests.support.traffic import as_received, assert_same, random_frames
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fleet_backend.page.usual import LEAST_CLUTCHES, group_of, usual_of
+from fleet_backend.page.keeper import LEAST_CLUTCHES, group_of, usual_of
 from tests.support.fleet_page import clutch_now
 
 

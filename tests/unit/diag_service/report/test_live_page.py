@@ -10,8 +10,7 @@ import pytest
 from clutchdiag_io.pages.content import SAFE_HEADERS
 from diag_service.delivery import MemoryReporter
 from diag_service.errors import ConfigError
-from diag_service.live_page import opened_page
-from diag_service.live_page.server import MOST_READERS
+from diag_service.report.live_page import MOST_READERS, opened_page
 from diag_service.service.onlookers import MOST_SHIFTS, LastShifts, LiveRun
 from diag_service.service.session import Session
 from diag_service.service.snapshot import Board, SnapshotTaker

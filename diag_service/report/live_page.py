@@ -1,4 +1,4 @@
-"""The page of a live run over HTTP: on this machine only, nothing can be changed by it."""
+"""The page of a live run: how the bus is, both clutches, the last shifts; for browsers on the same machine."""
 
 import threading
 import time
@@ -213,7 +213,7 @@ def _headers(kind: str, cache_control: str) -> list[tuple[str, str]]:
 
 @cache
 def _templates() -> Environment:
-    return templates_of("diag_service.live_page")
+    return templates_of("diag_service.report")
 
 
 @cache

@@ -6,7 +6,7 @@ import pytest
 from canlog.arrays import Series
 from canlog.frames import BEFORE_ALL_NS
 from diag_service.diagnosis.columns import BlockLayout, SampleBlock, Signal
-from diag_service.diagnosis.shifts.sample_rings import FIRST_CAPACITY, SampleRings
+from diag_service.diagnosis.shifts.history import FIRST_CAPACITY, SampleRings
 
 SIGNALS = (Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE, Signal.CURRENT_GEAR)
 

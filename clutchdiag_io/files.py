@@ -1,0 +1,93 @@
+"""Files that programs write: for their owner only, locked, none written over unasked, touched as signs of life."""
+
+import logging
+import os
+import stat
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+PRIVATE_MODE: Final = 0o600
+# What a system does not know it does without: Windows has no O_CLOEXEC, POSIX no O_BINARY.
+OPEN_FLAGS: Final = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+_OTHERS: Final = 0o077  # permission bits of group and world
+_COMPANIONS: Final = ("", "-wal", "-shm", "-journal")  # what SQLite puts beside a database
+_LOG: Final = logging.getLogger(__name__)
+
+
+def create_private(path: Path) -> None:
+    """Make an empty file for its owner only, unless there is one; SQLite gives its mode to what it puts beside it."""
+    with suppress(FileExistsError):
+        os.close(os.open(path, OPEN_FLAGS | os.O_EXCL, PRIVATE_MODE))
+
+
+def keep_private(path: Path) -> None:
+    """Close a file, and what SQLite put beside it, to others, and say so once; where that is not ours to do, warn.
+
+    A file that its owner made read-only is left as it is: nobody keeps results in it.
+    """
+    if os.name == "nt":  # there the mode of a file says nothing of others
+        return
+    told: list[str] = []
+    for file in (path.with_name(path.name + suffix) for suffix in _COMPANIONS):
+        try:
+            mode = file.stat().st_mode & 0o777
+        except OSError:
+            continue
+        if not mode & _OTHERS or not mode & stat.S_IWUSR:
+            continue
+        try:
+            file.chmod(mode & ~_OTHERS)
+        except OSError as exc:
+            told.append(f"{file} can be read by other users (mode {mode:03o}): {exc.strerror}")
+        else:
+            told.append(f"{file} could be read by other users (mode {mode:03o}) and is closed to them now")
+    if told:
+        _LOG.warning("%s", told[0])
+
+
+def lock(descriptor: int) -> None:
+    """Lock an open file until it is closed; raises BlockingIOError if another process has it, OSError else."""
+    try:
+        import fcntl  # noqa: PLC0415 - of POSIX
+    except ImportError:
+        _lock_first_byte(descriptor)
+    else:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _lock_first_byte(descriptor: int) -> None:
+    try:
+        import msvcrt  # noqa: PLC0415 - of Windows
+    except ImportError:  # neither of both: files cannot be locked here
+        return
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    try:
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]  # where it exists
+    except OSError as exc:
+        raise BlockingIOError(exc.errno, exc.strerror) from exc
+
+
+def refusal(*paths: Path | None, is_forced: bool) -> str:
+    """Return why these files must not be written; empty if they may be, as devices and pipes always may."""
+    there = next((path for path in paths if path is not None and not is_forced and path.is_file()), None)
+    return "" if there is None else f"{there} is there already; --force writes over it"
+
+
+def replacement_refusal(path: Path, *, is_forced: bool) -> str:
+    """Return why a new file must not take the place of this one; a device or a pipe would be gone for all others."""
+    if path.exists() and not path.is_file():
+        return f"{path} is not a plain file and cannot be replaced"
+    return refusal(path, is_forced=is_forced)
+
+
+def make_sign(path: Path) -> None:
+    """Make the file, from 1970: nothing has been done yet; raises OSError."""
+    path.touch()
+    os.utime(path, (0.0, 0.0))
+
+
+def give_sign(path: Path) -> None:
+    """Touch the file: something was done just now."""
+    with suppress(OSError):  # a file that cannot be touched any more grows old, which says enough
+        path.touch()
