@@ -1,4 +1,4 @@
-"""Files that programs write: for their owner only, locked, none written over unasked, touched as signs of life."""
+"""Files that programs keep: for their owner only, locked, touched as signs of life."""
 
 import logging
 import os
@@ -66,19 +66,6 @@ def _lock_first_byte(descriptor: int) -> None:
         msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]  # where it exists
     except OSError as exc:
         raise BlockingIOError(exc.errno, exc.strerror) from exc
-
-
-def refusal(*paths: Path | None, is_forced: bool) -> str:
-    """Return why these files must not be written; empty if they may be, as devices and pipes always may."""
-    there = next((path for path in paths if path is not None and not is_forced and path.is_file()), None)
-    return "" if there is None else f"{there} is there already; --force writes over it"
-
-
-def replacement_refusal(path: Path, *, is_forced: bool) -> str:
-    """Return why a new file must not take the place of this one; a device or a pipe would be gone for all others."""
-    if path.exists() and not path.is_file():
-        return f"{path} is not a plain file and cannot be replaced"
-    return refusal(path, is_forced=is_forced)
 
 
 def make_sign(path: Path) -> None:

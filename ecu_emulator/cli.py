@@ -10,8 +10,7 @@ from threading import Event
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Final
 
-from clutchdiag_io.files import refusal
-from clutchdiag_io.program import complain, is_attached, part, standard_output
+from clutchdiag_io.program import complain, is_attached, part, refusal, standard_output
 from ecu_emulator.arguments import COMMAND_LINE, PROGRAM
 from ecu_emulator.errors import BusError, ConfigError, ExtraMissingError, RecordError
 

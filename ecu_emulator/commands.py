@@ -15,7 +15,7 @@ from typing import Any
 
 from clutch_model.units import k_from_degc
 from clutchdiag_io.command_line import STANDARD_STREAM
-from clutchdiag_io.files import refusal
+from clutchdiag_io.program import refusal
 from dbc.contract import dbc_path
 from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Protocol, TextIO
 
 from canlog.errors import NOTICE, SourceError
-from clutchdiag_io.files import replacement_refusal
+from clutchdiag_io.program import replacement_refusal
 from diag_service.batch.drives import Drive, LeftOut, find_drives, left_out_record
 from diag_service.batch.journal import Entry, Journal
 from diag_service.batch.processes import job_count, progress_bar, shared_out

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT, is_folder
-from clutchdiag_io.files import replacement_refusal
+from clutchdiag_io.program import replacement_refusal
 from diag_service.console import ReadingLine
 from diag_service.delivery import AllReporters, MemoryReporter
 from diag_service.diagnosis.summary import Gap

@@ -15,7 +15,7 @@ from canlog.tables.account import account_record, frame_texts, losses, remarks, 
 from canlog.tables.decoding import Decoded, Plan, TableChoice, TableShape, decode_logs, default_shape
 from canlog.tables.table_folder import message_files, tables_there
 from clutchdiag_io.command_line import STANDARD_STREAM
-from clutchdiag_io.files import replacement_refusal
+from clutchdiag_io.program import replacement_refusal
 from diag_service.commands.talks import pairs_of
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.errors import ConfigError, IncompleteError, StoppedError

@@ -17,7 +17,7 @@ from canlog.errors import NOTICE, OutputError, SourceError
 from canlog.logs import STANDARD_INPUT, is_folder, table_columns
 from canlog.tables.account import account_record, frame_texts, losses
 from canlog.tables.decoding import Decoded, Plan, TableChoice, TableShape, decode_logs
-from clutchdiag_io.files import replacement_refusal
+from clutchdiag_io.program import replacement_refusal
 from diag_service.batch.drives import find_drives, left_out_record
 from diag_service.batch.processes import follow_parent, job_count, shared_out
 from diag_service.commands.decode import check_messages, choice_of, planned

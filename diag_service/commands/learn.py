@@ -11,8 +11,7 @@ from canlog.files import replacing
 from canlog.logs import read_log
 from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
-from clutchdiag_io.files import replacement_refusal
-from clutchdiag_io.program import legible
+from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.commands.predict import slip_phases
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.columns import Signal

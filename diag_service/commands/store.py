@@ -12,8 +12,7 @@ from typing import Final
 from canlog.logs import STANDARD_INPUT
 from canlog.logs.reading import Watch
 from clutch_model.calibration import nominal_calibration, read_calibration
-from clutchdiag_io.files import replacement_refusal
-from clutchdiag_io.program import legible
+from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.prognosis import Population, population_from
 from diag_service.diagnosis.records import FluidFill, dump, iso_utc

@@ -17,7 +17,7 @@ import numpy as np
 from cantools.database.can import Database
 
 from canlog.errors import OutputError, SourceError
-from clutchdiag_io.files import replacement_refusal
+from clutchdiag_io.program import replacement_refusal
 from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.console import PeopleConsole
 from diag_service.diagnosis.columns import Signal
