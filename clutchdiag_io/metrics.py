@@ -1,9 +1,10 @@
 """Metrics for Prometheus: families with their samples."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import accumulate
 from typing import Any
 
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 Value = float | Mapping[Any, float]
@@ -15,6 +16,21 @@ def gauge(name: str, text: str, value: Value, *labels: str) -> Metric:
 
 def counter(name: str, text: str, value: Value, *labels: str) -> Metric:
     return _filled(CounterMetricFamily(f"clutchdiag_{name}", text, labels=labels), value)
+
+
+def histogram(
+    name: str,
+    text: str,
+    bounds: Sequence[float],
+    values: Mapping[Any, tuple[Sequence[int], float]],  # by tuples of labels
+    *labels: str,
+) -> Metric:
+    """Return a family of counts between bounds, one more than these, and the sum of what was counted."""
+    family = HistogramMetricFamily(f"clutchdiag_{name}", text, labels=labels)
+    for key, (counts, total) in values.items():
+        edges = [*(f"{bound:.1f}" for bound in bounds), "+Inf"]
+        family.add_metric(key, list(zip(edges, accumulate(counts), strict=True)), total)
+    return family
 
 
 def _filled(family: GaugeMetricFamily | CounterMetricFamily, value: Value) -> Metric:

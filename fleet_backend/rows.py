@@ -111,6 +111,8 @@ def shift_row(data: Mapping[str, object]) -> Row:
     row["advice"] = verdict.get("advice")
     row.update(_scale_free(data.get("scale_free")))
     row.update(_trust(data.get("trust")))
+    quality = data.get("shift_quality")
+    row["shift_quality"] = None if quality is None else _JSON.encode(quality).decode()
     row["content_digest"] = content_digest(row)
     return row
 

@@ -133,6 +133,7 @@ SHIFT_RESULT: Final = Table(
     *(Column(SCALE_FREE + name, Double) for name in SCALE_FREE_COLUMNS),  # these and the next: null in older rows
     Column("trust", Double),  # how far the data can be believed, whatever the estimate
     Column("trust_parts", Text),  # JSON object of what that is made of
+    Column("shift_quality", Text),  # JSON object: how well the event went, as its message tells
     ForeignKeyConstraint(["vehicle", "clutch"], ["clutch.vehicle", "clutch.clutch"]),  # PostgreSQL: of clutch_stream
     Index("shift_by_time", "vehicle", "clutch", "produced_at", "stream"),
     Index("shift_by_arrival", "stored_at"),
@@ -203,5 +204,6 @@ KEY_COLUMNS: Final = tuple(column.name for column in SHIFT_RESULT.primary_key)
 # What two contents of one result may differ in: it is not in the digest, which must stay what it was.
 UNHASHED_COLUMNS: Final = frozenset({
     *("stored_at", "content_digest", "version_rank", "kind", "end_reason", "advice", "trust", "trust_parts"),
+    "shift_quality",
     *(SCALE_FREE + name for name in SCALE_FREE_COLUMNS),
 })  # fmt: skip

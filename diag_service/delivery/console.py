@@ -1,7 +1,5 @@
 """A line per shift and a closing table, for people."""
 
-import re
-
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -9,6 +7,7 @@ from rich.text import Text
 
 from clutch_model.units import degc_from_k
 from diag_service.delivery.reporters import ControllerNews, News
+from diag_service.diagnosis.condition.shift_course import load_line
 from diag_service.diagnosis.records import (
     LEAST_SLIP_ROWS,
     Condition,
@@ -53,18 +52,12 @@ def reason_words(estimate: ShiftEstimate) -> str:
     return ", ".join(_reason_word(reason, estimate) for reason in estimate.reasons)
 
 
-def part_words(name: str) -> str:
-    """Return the name of a part of a score for people: without its unit."""
-    return _UNIT.sub("", name).replace("_", " ")
-
-
 def _reason_word(reason: Reason, estimate: ShiftEstimate) -> str:
     if reason is Reason.FEW_SAMPLES:
         return f"not enough samples in the slip ({estimate.sample_count} of at least {LEAST_SLIP_ROWS})"
     return reason.value.replace("_", " ")
 
 
-_UNIT = re.compile(r"_(s|pa|nm|k|rad_s2?|m_s[23])$")
 _CONDITION_STYLE = {
     Condition.NO_VERDICT: "dim",
     Condition.GOOD: "green",
@@ -114,7 +107,9 @@ class ConsoleReporter:
         for result in summary.latest:
             if line := slope_line(result.verdict):
                 self._line(Text(f"{name_of(result.verdict.clutch, result.verdict.element)}: {line}"))
-        for line in (*cause_lines(newest_causes(summary.latest)), *map(str, summary.relative)):
+        loads = (load_line(load) for _, load in sorted(summary.loads.items()))
+        causes = cause_lines(newest_causes(summary.latest))
+        for line in (*causes, *loads, *map(str, summary.relative)):
             self._line(Text(line))
         if self._is_detailed:
             self._show_for_specialists(summary)

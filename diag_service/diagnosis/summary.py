@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from clutch_model.calibration import TorqueSource
+from diag_service.diagnosis.condition.shift_quality import Load
 from diag_service.diagnosis.condition.verdict import Silence, advice
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
 from diag_service.diagnosis.records import (
@@ -117,6 +118,7 @@ class Summary:
     contributions: Contributions = NO_LOGS
     earlier: Mapping[int, ShiftResult] = field(default_factory=dict)  # the last of each clutch, of earlier runs
     fluid: FluidFill | None = None  # that is in, if its fill is known
+    loads: Mapping[int, Load] = field(default_factory=dict)  # what each clutch had to bear
     relative: "tuple[RelativeFriction, ...]" = ()  # of a log whose signals tell friction up to a scale
 
     @property
@@ -259,6 +261,7 @@ def summary_record(summary: Summary) -> JsonObject:
         **order_record(summary.order),
         "clutches": [clutch_record(shift_record(result), summary.order) for result in summary.latest],
         "capability": capability,
+        **({"loads": [to_plain(load) for _, load in sorted(summary.loads.items())]} if summary.loads else {}),
         **({"relative_friction": [to_plain(one) for one in summary.relative]} if summary.relative else {}),
         "logs": [log_record(log) for log in summary.contributions.logs],
         "idle": list(summary.contributions.idle),

@@ -8,10 +8,17 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from clutch_model.units import degc_from_k
 from clutchdiag_io.pages.content import spread
-from diag_service.delivery.console import condition_words, order_lines, part_words
-from diag_service.diagnosis.condition.shift_course import COURSE_COUNT, correction_lines, courses, loads
+from diag_service.delivery.console import condition_words, order_lines
+from diag_service.diagnosis.condition.shift_course import (
+    COURSE_COUNT,
+    adapting_lines,
+    correction_lines,
+    courses,
+    load_line,
+    loads,
+    part_words,
+)
 from diag_service.diagnosis.prognosis import Population, history_of, prognose, without
 from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.records import (
@@ -120,7 +127,8 @@ def history_lines(
 
 def _course(found: Findings) -> Iterator[Text | Table]:
     """Yield how well the gear changes went, if that is known, and what a control should adapt."""
-    known = courses(found.results)
+    estimates = [result.estimate for result in found.results]
+    known = courses(estimates)
     if not known:
         return
     table = _table("How well it shifts: scores by kind, gears and oil; 100 is faultless")
@@ -141,13 +149,8 @@ def _course(found: Findings) -> Iterator[Text | Table]:
         kind, gears = one.kind.value.replace("_", " "), f"{one.from_gear}-{one.to_gear}"
         table.add_row(kind, gears, str(one.count), *scores, part_words(one.reason) or _NONE)
     yield table
-    yield from (Text(f"Adapt {line}.") for line in correction_lines(found.results))
-    for load in [] if found.calibration is None else loads(found.results, found.calibration):
-        hottest = "" if load.peak_k is None else f", at most {degc_from_k(load.peak_k):.0f} °C"
-        yield Text(
-            f"Clutch {load.clutch} turned {load.energy_j / 1e6:.2f} MJ into heat in {sum(load.counts)} events, "
-            f"{load.launch_count} of them launches{hottest}: {load.life_ratio:.4%} of its lining's life, as an index."
-        )
+    yield from map(Text, adapting_lines(known, correction_lines(estimates)))
+    yield from (Text(load_line(load)) for load in loads(estimates))
 
 
 def _outlook(found: Findings, population: Population | None) -> Text:

@@ -10,17 +10,11 @@ from typing import Final
 import numpy as np
 
 from canlog.files import replacing
-from clutch_model.units import NS_PER_S, degc_from_k
+from clutch_model.units import NS_PER_S
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Key, Section, Table, number, spread, templates_of
 from clutchdiag_io.program import legible, legible_record
-from diag_service.delivery.console import condition_words, gear_words, kind_words, part_words, reason_words
-from diag_service.diagnosis.condition.shift_course import (
-    COURSE_COUNT,
-    ENERGY_BOUNDS_J,
-    correction_lines,
-    courses,
-    loads,
-)
+from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
+from diag_service.diagnosis.condition.shift_course import adapting_lines, correction_lines, courses, loads
 from diag_service.diagnosis.prediction import SLIP_RAD_S, RelativeFriction
 from diag_service.diagnosis.records import (
     SHIFT_SCHEMA,
@@ -53,6 +47,7 @@ from diag_service.report.pictures import (
     THRESHOLD_KEYS,
     Panel,
     Trend,
+    course_tables,
     curve_figure,
     present_curves,
     shift_picture,
@@ -255,47 +250,11 @@ def causes_sections(found: Findings) -> Iterator[Section]:
 
 def course_sections(found: Findings) -> Iterator[Section]:
     """Yield how well the gear changes went and what the clutches had to bear, if that is known."""
-    rows = [
-        (
-            f"{one.kind.value.replace('_', ' ')} {one.from_gear}-{one.to_gear}",
-            str(one.count),
-            *(number(score, "{:.0f}") for score in (one.first, one.last, *one.by_oil)),
-            part_words(one.reason),
-        )
-        for one in courses(found.results)
-    ]
-    if not rows:
-        return
-    head = (
-        "change",
-        "count",
-        f"first {COURSE_COUNT}",
-        f"last {COURSE_COUNT}",
-        "cold oil",
-        "warm",
-        "hot",
-        "mostly costs",
-    )
-    tables = [Table(caption="Score of the gear changes, 100 is faultless", head=head, rows=tuple(rows))]
-    loaded = [] if found.calibration is None else loads(found.results, found.calibration)
-    if loaded:
-        bounds = [f"{bound_j / 1e3:g}" for bound_j in ENERGY_BOUNDS_J]
-        names = (f"up to {bounds[0]} kJ", *(f"to {bound}" for bound in bounds[1:]), "more")
-        load_rows = tuple(
-            (
-                str(one.clutch),
-                *map(str, one.counts),
-                number(one.energy_j / 1e6, "{:.2f}"),
-                number(None if one.peak_k is None else degc_from_k(one.peak_k), "{:.0f}"),
-                str(one.launch_count),
-                number(one.life_ratio, "{:.4%}"),
-            )
-            for one in loaded
-        )
-        load_head = ("clutch", *names, "all [MJ]", "hottest [°C]", "launches", "lining consumed")
-        tables.append(Table(caption="Events by slip energy, and what they sum up to", head=load_head, rows=load_rows))
-    texts = tuple(f"Adapt {line}." for line in correction_lines(found.results))
-    yield Section(name="course", title="How well it shifts", texts=texts, tables=tuple(tables))
+    estimates = [result.estimate for result in found.results]
+    if known := courses(estimates):
+        texts = adapting_lines(known, correction_lines(estimates))
+        tables = course_tables(known, loads(estimates))
+        yield Section(name="course", title="How well it shifts", texts=texts, tables=tables)
 
 
 def events_section(found: Findings) -> Section:

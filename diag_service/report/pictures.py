@@ -9,10 +9,12 @@ from markupsafe import Markup
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
-from clutch_model.units import NS_PER_S, bar_from_pa, rpm_from_rad_s
+from clutch_model.units import NS_PER_S, bar_from_pa, degc_from_k, rpm_from_rad_s
 from clutchdiag_io.pages.content import Figure, Key, Table, number
 from clutchdiag_io.pages.plot import Axis, Plot, thinned
 from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.condition.shift_course import COURSE_COUNT, Course, change_words, part_words
+from diag_service.diagnosis.condition.shift_quality import ENERGY_BOUNDS_J, Load
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.posterior import curve_band, new_curve
@@ -248,3 +250,43 @@ def new_mu_c_of(verdict: ClutchVerdict) -> float | None:
     if verdict.friction is None or not verdict.level_ratio:
         return None
     return verdict.friction.mu_c / verdict.level_ratio
+
+
+def course_tables(found: Sequence[Course], loaded: Sequence[Load]) -> tuple[Table, ...]:
+    """Return how well gear changes went, and what the clutches had to bear."""
+    rows = tuple(
+        (
+            change_words(one),
+            str(one.count),
+            *(number(score, "{:.0f}") for score in (one.first, one.last, *one.by_oil)),
+            part_words(one.reason),
+        )
+        for one in found
+    )
+    head = (
+        "change",
+        "count",
+        f"first {COURSE_COUNT}",
+        f"last {COURSE_COUNT}",
+        "cold oil",
+        "warm",
+        "hot",
+        "mostly costs",
+    )
+    scores = Table(caption="Score of the gear changes, 100 is faultless", head=head, rows=rows)
+    bounds = [f"{bound_j / 1e3:g}" for bound_j in ENERGY_BOUNDS_J]
+    names = (f"up to {bounds[0]} kJ", *(f"to {bound}" for bound in bounds[1:]), "more")
+    load_rows = tuple(
+        (
+            str(one.clutch),
+            *map(str, one.counts),
+            number(one.energy_j / 1e6, "{:.2f}"),
+            number(None if one.peak_k is None else degc_from_k(one.peak_k), "{:.0f}"),
+            str(one.launch_count),
+            number(one.life_ratio, "{:.4%}"),
+        )
+        for one in loaded
+    )
+    load_head = ("clutch", *names, "all [MJ]", "hottest [°C]", "launches", "lining consumed")
+    load = Table(caption="Events by slip energy, and what they sum up to", head=load_head, rows=load_rows)
+    return tuple(table for table in (scores, load) if table.rows)

@@ -12,7 +12,8 @@ from prometheus_client.core import Metric
 
 from canlog.e2e.e2e_state import E2eState
 from canlog.live import BusState
-from clutchdiag_io.metrics import Told, counter, gauge
+from clutchdiag_io.metrics import Told, counter, gauge, histogram
+from diag_service.diagnosis.condition.shift_quality import ENERGY_BOUNDS_J
 from diag_service.diagnosis.records import Condition, ShiftResult, Status
 from diag_service.diagnosis.summary import newest_causes
 from diag_service.service.session import Stage
@@ -31,6 +32,11 @@ _OF_ESTIMATES: Final = (  # name of the metric, part of the verdict, its field w
     ("mu_std", "friction", "std_{}", "Standard deviation of the friction coefficient, common scale included."),
     ("mu_change_ratio", "trend", "change_{}_ratio", "Change since the baseline of this fluid."),
     ("mu_change_std_ratio", "trend", "std_change_{}_ratio", "Standard deviation of that change."),
+)
+_OF_LOADS: Final = (
+    (counter, "clutch_launches", "launch_count", "Launches of this run."),
+    (counter, "clutch_life_ratio", "life_ratio", "Share of a lining's life that this slip consumes, as an index."),
+    (gauge, "clutch_peak_temperature_kelvin", "peak_k", "Highest temperature of the pack in this run."),
 )
 
 
@@ -125,6 +131,13 @@ def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
     )
     made = {_key(result): datetime.fromisoformat(result.produced_at).timestamp() for result in snapshot.clutches}
     yield gauge("clutch_last_result_timestamp_seconds", "When the last result was made.", made, *_CLUTCH_LABELS)
+    loads = {(vehicle, str(clutch)): load for clutch, load in snapshot.summary.loads.items()}
+    energies = {key: (load.counts, load.energy_j) for key, load in loads.items()}
+    text = "Slip energy of the events of this run."
+    yield histogram("clutch_slip_energy_joules", text, ENERGY_BOUNDS_J, energies, *_CLUTCH_LABELS)
+    for make, name, field, text in _OF_LOADS:
+        known = {key: getattr(load, field) for key, load in loads.items() if getattr(load, field) is not None}
+        yield make(name, text, known, *_CLUTCH_LABELS)
     filled = {} if snapshot.fluid is None else {vehicle: datetime.fromisoformat(snapshot.fluid.filled_at).timestamp()}
     yield gauge("fluid_fill_timestamp_seconds", "When the present fluid was filled in.", filled, "vehicle")
 

@@ -7,7 +7,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -19,6 +19,7 @@ from clutch_model.calibration import Calibration
 from clutch_model.fingerprint import fingerprint
 from diag_service.delivery import Reporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.condition.shift_quality import Load, borne
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, Posterior
@@ -128,6 +129,7 @@ class Session:
         self._witness = witness
         self._utc_now = utc_now
         self.statistics = ShiftStatistics()
+        self._loads: Mapping[int, Load] = {}
         self.fluid = store.fluid_at(self.vehicle, utc_now())  # that is in now, as far as its fill is known
         self._earlier = last_results(store, self.vehicle, self._versions)
         self._pending: deque[tuple[ShiftResult, VehicleState | None]] = deque()  # what a full disk did not take yet
@@ -192,6 +194,7 @@ class Session:
 
     def _report(self, result: ShiftResult, *, is_new: bool) -> None:
         self.statistics = self.statistics.with_shift(result, is_new=is_new)
+        self._loads = borne(self._loads, result.estimate)
         self.reporter.report(result)
 
     def summary(
@@ -212,6 +215,7 @@ class Session:
             contributions=contributions,
             earlier=self._earlier,
             fluid=self.fluid,
+            loads=self._loads,
         )
 
     def finish(

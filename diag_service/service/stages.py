@@ -139,7 +139,7 @@ class Stages:
             data_quality=data.quality,
             tier=self.tier or Tier.KINEMATIC,
             indices=measure(event, self._calibration) if is_believed else None,
-            shift_quality=self._scorer.score(event, known) if is_believed else None,
+            shift_quality=self._scorer.score(event, known, self._state.packs) if is_believed else None,
         )
         if self.tier is Tier.FRICTION:
             for clutch in (1, 2):

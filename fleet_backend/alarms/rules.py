@@ -27,6 +27,8 @@ class Rule(StrEnum):
     QUALITY = "quality"  # most events of a clutch cannot be used
     ODOMETER = "odometer"  # it went back or leapt
     SILENCE = "silence"  # nothing was heard of a vehicle
+    SCORE = "score"  # gears are changed worse than before
+    CORRECTION = "correction"  # the control should adapt something for sure
     QUOTA = "quota"  # it sends more than is taken of it in a day
 
 
@@ -47,6 +49,9 @@ class Limits:
     unused_until: float = 0.25
     unused_events: int = 50
     least_events: int = 20
+    fall_from: float = 15.0  # points of the score, means of the last twenty against the first of each kind
+    fall_until: float = 8.0
+    sure_changes: int = 3  # one after the other that name a correction, or none
     leap_m: float = 1.0e8  # between two results, which no vehicle drives
     silence_from: timedelta = timedelta(days=14)
     silence_until: timedelta = timedelta(days=1)
@@ -98,6 +103,26 @@ def quality_finding(vehicle: str, clutch: int, unused_count: int, event_count: i
     is_wrong = None if event_count < limits.least_events else _beyond(share, limits.unused_from, limits.unused_until)
     reason = f"{unused_count} of the last {event_count} events of clutch {clutch} could not be used"
     return Finding(subject=_subject(vehicle, clutch, Rule.QUALITY), is_wrong=is_wrong, reason=reason)
+
+
+def score_finding(vehicle: str, clutch: int, fall: float | None, limits: Limits) -> Finding:
+    """Return whether gears are changed worse than before; None: too few changes tell."""
+    is_wrong = None if fall is None else _beyond(fall, limits.fall_from, limits.fall_until)
+    reason = (
+        f"the last changes to gears of clutch {clutch} score {fall or 0.0:.0f} points less than the first of their kind"
+    )
+    return Finding(subject=_subject(vehicle, clutch, Rule.SCORE), is_wrong=is_wrong, reason=reason)
+
+
+def correction_finding(
+    vehicle: str, clutch: int, named: Sequence[bool], lines: Sequence[str], limits: Limits
+) -> Finding:
+    """Return whether the last changes of those that can tell named a correction."""
+    last = named[-limits.sure_changes :]
+    is_wrong = len(last) == limits.sure_changes and all(last)
+    reason = f"adapt {'; '.join(lines)}" if lines else f"nothing to adapt of clutch {clutch}"
+    is_open = None if any(last) and not is_wrong else is_wrong
+    return Finding(subject=_subject(vehicle, clutch, Rule.CORRECTION), is_wrong=is_open, reason=reason)
 
 
 def odometer_finding(vehicle: str, clutch: int, readings_m: Sequence[float], limits: Limits) -> Finding:

@@ -26,11 +26,13 @@ from fleet_backend.alarms.rules import (
     Rule,
     Subject,
     Transition,
+    correction_finding,
     due_finding,
     heard_last,
     odometer_finding,
     quality_finding,
     quota_findings,
+    score_finding,
     silence_finding,
     transitions,
     verdict_finding,
@@ -45,7 +47,7 @@ from fleet_backend.orders import is_alarming_since
 from fleet_backend.page import past
 from fleet_backend.page.keeper import DatabaseSource, Keeper, fleet_families
 from fleet_backend.page.maintenance_view import due_of, keep_due
-from fleet_backend.page.outlook import chance_of, outlook_of, outlook_text
+from fleet_backend.page.outlook import chance_of, outlook_of, outlook_text, shifting_of
 from fleet_backend.page.populations import Kept, latest
 from fleet_backend.page.records import ClutchNow, Severity
 from fleet_backend.page.running import last_arrivals
@@ -212,6 +214,9 @@ class Watch:
             last = rows[-limits.unused_events :]
             unused = sum(row["status"] == "rejected" for row in last)
             yield quality_finding(vehicle, one.clutch, unused, len(last), limits)
+            fall, named, lines = shifting_of(rows)
+            yield score_finding(vehicle, one.clutch, fall, limits)
+            yield correction_finding(vehicle, one.clutch, named, lines, limits)
             readings_m = [row["odometer_m"] for row in last if row["odometer_m"] is not None]
             yield odometer_finding(vehicle, one.clutch, readings_m, limits)
             readings.append([(row["end_at"], row["odometer_m"]) for row in rows])

@@ -3,7 +3,7 @@
 from typing import Final
 from urllib.parse import urlencode
 
-from clutchdiag_io.pages.content import Cell, Section, Table
+from clutchdiag_io.pages.content import Cell, Section, Table, number
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
 from fleet_backend.page.cache import Same
@@ -71,7 +71,19 @@ def next_of(path: str, ask: Ask, after: str | None) -> str | None:
 
 EMPTY: Final = "No vehicle has been heard from yet. fleet-backend ingest brings results into this database."
 _HEAD: Final = (
-    *("vehicle", "clutch", "verdict", "what to do", "mu_C", "std", "of new", "P(falling slope)", "shifts", "km"),
+    *(
+        "vehicle",
+        "clutch",
+        "verdict",
+        "what to do",
+        "mu_C",
+        "std",
+        "of new",
+        "P(falling slope)",
+        "shifts",
+        "score",
+        "km",
+    ),
     *("fluid", "last event (UTC)"),
 )
 
@@ -87,6 +99,7 @@ def _cells(now: ClutchNow) -> tuple[Cell, ...]:
         wording.share(now.level_ratio),
         wording.probability(now.probability_negative_slope),
         str(now.shift_count),
+        number(now.score, "{:.0f}"),
         wording.km(now.odometer_m),
         wording.plain(now.fluid),
         wording.minute(now.end_at),

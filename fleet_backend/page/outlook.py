@@ -6,6 +6,9 @@ from typing import Any, Final
 
 from sqlalchemy import Engine
 
+from diag_service.diagnosis.condition.shift_course import Course, correction_lines, courses, fall_of, loads
+from diag_service.diagnosis.condition.shift_quality import Load
+from diag_service.diagnosis.events import EventKind
 from diag_service.diagnosis.prognosis import Prognosis, history_of_estimates, prognose, without
 from diag_service.diagnosis.prognosis.sentence import outlook_line, soonest
 from diag_service.diagnosis.records import (
@@ -26,6 +29,7 @@ from fleet_backend.schema import RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
 from fleet_contract.orders import Action
 
 Row = Mapping[str, Any]
+_KINDS: Final = frozenset(EventKind)
 OTHER_CALIBRATION: Final = "No prognosis: its service has not told what calibration these results are of."
 
 
@@ -55,7 +59,17 @@ def estimate_of(row: Row) -> ShiftEstimate:
         duration_s=row["duration_s"],
         odometer_m=row["odometer_m"],
         scale_free=_scale_free(row),
+        kind=EventKind(row["kind"]) if row["kind"] in _KINDS else EventKind.SHIFT,  # newer programs may know more
+        shift_quality=past.quality_in(row),
     )
+
+
+def shifting_of(rows: Sequence[Row]) -> tuple[float | None, list[bool], list[str]]:
+    """Return by how much the score fell, of changes that can tell whether they name a correction, and the newest."""
+    estimates = list(map(estimate_of, rows))
+    told = (one.shift_quality for one in estimates)
+    named = [bool(one.corrections) for one in told if one is not None and one.std_touch_error_pa is not None]
+    return fall_of(estimates), named, correction_lines(estimates)
 
 
 def outlook_of(
@@ -162,6 +176,9 @@ class Past:
     prognosis: Prognosis | None
     outlook: OutlookAnswer | None  # the same, as it is told
     why_no_outlook: str | None
+    changes: tuple[Course, ...] = ()  # of gears
+    corrections: tuple[str, ...] = ()
+    loads: tuple[Load, ...] = ()
 
 
 def read_past(engine: Engine, vehicle: str, clutch: int, state: VehicleState, service_distance_m: float) -> Past:
@@ -169,16 +186,22 @@ def read_past(engine: Engine, vehicle: str, clutch: int, state: VehicleState, se
     rows = past.results_of(engine, vehicle, clutch)
     kept = None if state.population_version is None else latest(engine)
     found = outlook_of(clutch, rows, state.fills, service_distance_m, kept) if rows else None
+    estimates = list(map(estimate_of, rows))
     return Past(
-        trend=tuple(map(point_of, rows)),
+        trend=tuple(map(_point_of, rows, estimates)),
         prognosis=found,
         outlook=None if found is None else answer_of(found, rows),
         why_no_outlook=OTHER_CALIBRATION if found is None else None,
+        changes=tuple(courses(estimates)),
+        corrections=tuple(correction_lines(estimates)),
+        loads=tuple(loads(estimates)),
     )
 
 
-def point_of(row: past.Row) -> TrendPoint:
+def _point_of(row: past.Row, estimate: ShiftEstimate) -> TrendPoint:
     """Return one event of a trend."""
     made: dict[str, Any] = {name: row[name] for name in _POINT_NAMES}
+    quality = estimate.shift_quality
+    made["score"] = None if quality is None else quality.score
     made |= {f"running_{name}": row[RUNNING + name] for name in _RUNNING_NAMES}
     return TrendPoint(reasons=past.words_in(row), **made)

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, Final
 from urllib.parse import urlencode
 
-from clutchdiag_io.pages.content import Cell, Link, Section, Table
+from clutchdiag_io.pages.content import Cell, Link, Section, Table, number
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
 from fleet_backend.page.fleet_view import EMPTY, FILTERS, choices, next_of, subtitle, wanted
@@ -69,7 +69,14 @@ def answer_of(
 
 _SORT: Final = Parameter(name="sort", text="column to sort by, - for downwards; the worst first", choices=SORTS)
 _COLUMNS: Final = (
-    *(("vehicle", "vehicle"), ("verdict", ""), ("what to do", ""), ("of new", "level"), ("km", "km")),
+    *(
+        ("vehicle", "vehicle"),
+        ("verdict", ""),
+        ("what to do", ""),
+        ("of new", "level"),
+        ("last score", ""),
+        ("km", "km"),
+    ),
     *(("fluid", "fluid"), ("type", "type"), ("last event (UTC)", "last")),
 )
 _ORDERS: Final = (  # for screens that show no heads of columns
@@ -123,6 +130,7 @@ def _cells(one: ClutchNow) -> tuple[Cell, ...]:
         wording.badge(one.condition),
         one.order,
         wording.share(one.level_ratio),
+        number(one.score, "{:.0f}"),
         wording.km(one.odometer_m),
         wording.plain(one.fluid),
         vehicle_type(one),

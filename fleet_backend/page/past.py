@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, Interval, Select, and_, func, literal, or_, select, tuple_
 
+from diag_service.diagnosis.records import ShiftQuality, from_plain
 from fleet_backend.database import transaction
 from fleet_backend.months import CLUTCH_BLOCK, has_partitions, months_with
 from fleet_backend.orders import without_old_fluid
@@ -39,6 +40,7 @@ _TREND_COLUMNS: Final = (
     *("condition", "algorithm_version", "calibration_version", *FRICTION_COLUMNS),
     *(RUNNING + name for name in ("mu_c", "std_mu_c", "mu_s", "std_mu_s", "correlation")),
     *(SCALE_FREE + name for name in SCALE_FREE_COLUMNS),
+    "shift_quality",
 )
 _SHIFT_NAMES: Final = tuple(field.name for field in fields(ShiftAnswer))
 Row = Mapping[str, Any]  # of any table: what a column holds is the schema's matter
@@ -171,6 +173,16 @@ def friction_in(row: Row, prefix: str) -> dict[str, float] | None:
     return {name: row[prefix + name] for name in FRICTION_COLUMNS}
 
 
+def quality_in(row: Row) -> ShiftQuality | None:
+    """Return how well an event went; None: nobody told, or not as we understand it."""
+    if row["shift_quality"] is None:
+        return None
+    try:
+        return from_plain(json.loads(row["shift_quality"]), ShiftQuality)
+    except ValueError:
+        return None
+
+
 def words_in(row: Row) -> tuple[str, ...]:
     """Return the reasons in a row."""
     return tuple(str(row["reasons"]).split(",")) if row["reasons"] else ()
@@ -183,6 +195,7 @@ def _shift(row: Row, older: Sequence[Row]) -> ShiftAnswer:
         "friction": friction_in(row, ""),
         "running": friction_in(row, RUNNING),
         "trust_parts": parts,
+        "shift_quality": quality_in(row),
         "older_versions": tuple(_versions(older)),
     }
     made |= {name: row[name] for name in _SHIFT_NAMES if name not in made}

@@ -13,6 +13,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
 from clutchdiag_io.pages.content import Key
 from clutchdiag_io.pages.plot import Axis, Plot, thinned
+from diag_service.diagnosis.condition.shift_course import COURSE_COUNT
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from diag_service.report.pictures import MOST_MOMENTS, MOST_POINTS, THRESHOLD_KEYS
 from fleet_backend.page.calibrations import reference_of
@@ -30,6 +31,12 @@ class Quantity(StrEnum):
     MARGIN = "margin mu_C - mu_S"
     MU_C = "mu_C"
     MU_S = "mu_S"
+    SCORE = "score"  # of gear changes, 100 is faultless
+
+    @property
+    def form(self) -> str:
+        """How its numbers are written."""
+        return "{:.1f}" if self is Quantity.SCORE else "{:.4f}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,6 +84,8 @@ class Course:
 
 def _values(quantity: Quantity, points: Sequence[TrendPoint]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return what each event said alone, what was known after it, and the deviation of that; shape (n,) each."""
+    if quantity is Quantity.SCORE:
+        return _scores([one.score for one in points])
     mu_c, mu_s = _column([one.mu_c for one in points]), _column([one.mu_s for one in points])
     running_c, std_c = (_column([getattr(one, f"running_{name}mu_c") for one in points]) for name in ("", "std_"))
     running_s, std_s = (_column([getattr(one, f"running_{name}mu_s") for one in points]) for name in ("", "std_"))
@@ -88,6 +97,17 @@ def _values(quantity: Quantity, points: Sequence[TrendPoint]) -> tuple[FloatArra
     return mu_c - mu_s, running_c - running_s, np.sqrt(np.maximum(std_c**2 + std_s**2 - 2.0 * common, 0.0))
 
 
+def _scores(told: Sequence[float | None]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return scores, their mean over the last twenty, and how well that is known; shape (n,) each."""
+    single = _column(told)
+    known = np.flatnonzero(np.isfinite(single))
+    running, std = np.full((2, len(single)), np.nan)
+    for place, row in enumerate(known.tolist()):
+        last = single[known[max(place + 1 - COURSE_COUNT, 0) : place + 1]]
+        running[row], std[row] = last.mean(), last.std() / np.sqrt(len(last))
+    return single, _carried_on(running), _carried_on(std)
+
+
 def _levels(quantity: Quantity, points: Sequence[TrendPoint], new: FrictionCurve | None) -> tuple[Level, ...]:
     """Return new fluid and the thresholds, as far as they are known; that of mu_C the results themselves tell."""
     if quantity is Quantity.MU_C:
@@ -97,7 +117,7 @@ def _levels(quantity: Quantity, points: Sequence[TrendPoint], new: FrictionCurve
         new_mu_c = (told[-1].running_mu_c or 0.0) / (told[-1].level_ratio or 1.0)
         ratios = ((1.0, "new"), (WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change"))
         return tuple((ratio * new_mu_c, style, f"{style}: {100.0 * ratio:.0f} %") for ratio, style in ratios)
-    if new is None:
+    if new is None or quantity is Quantity.SCORE:
         return ()
     if quantity is Quantity.MU_S:
         return ((new.mu_s, "new", "new"),)
@@ -133,10 +153,13 @@ def course_picture(course: Course) -> Markup:
 def course_keys(course: Course) -> tuple[Key, ...]:
     """Return what the lines of a course stand for."""
     clutch = course.clutch
+    is_score = course.quantity is Quantity.SCORE
+    so_far = f"mean of the last {COURSE_COUNT}" if is_score else "estimate from all events so far"
     usual = Key(style="shade", text="80 % of the clutches of this type and fluid are in this range now")
     thresholds = {
         Quantity.MU_C: THRESHOLD_KEYS,
         Quantity.MU_S: (),
+        Quantity.SCORE: (),
         Quantity.MARGIN: (
             Key(style="watch", text=f"watch below {100.0 * WATCH_MARGIN_RATIO:.0f} % of new"),
             Key(style="change", text="change below 0: the clutch can shudder"),
@@ -144,7 +167,7 @@ def course_keys(course: Course) -> tuple[Key, ...]:
     }
     return (
         Key(style=f"dots clutch{clutch}", text="single events"),
-        Key(style=f"clutch{clutch}", text="estimate from all events so far"),
+        Key(style=f"clutch{clutch}", text=so_far),
         Key(style=f"band clutch{clutch}", text="likely range: 50 % (dark) and 90 %"),
         *(() if course.usual is None else (usual,)),
         *(thresholds[course.quantity] if course.levels else ()),

@@ -5,6 +5,10 @@ from dataclasses import dataclass
 from datetime import date, datetime
 from enum import StrEnum
 
+from diag_service.diagnosis.condition.shift_course import Course
+from diag_service.diagnosis.condition.shift_quality import Load
+from diag_service.diagnosis.records import ShiftQuality
+
 
 class Severity(StrEnum):
     """Verdicts as the database writes them."""
@@ -34,6 +38,7 @@ class ClutchNow:
     slope_s_rad: float | None
     std_slope_s_rad: float | None
     probability_negative_slope: float | None
+    score: float | None  # of the last gear change that engaged it, 100 is faultless
     odometer_m: float | None
     end_at: datetime
     stored_at: datetime
@@ -115,6 +120,7 @@ class TrendPoint:
     running_correlation: float | None  # of the errors of mu_C and mu_S
     level_ratio: float | None
     condition: str
+    score: float | None  # of a gear change, 100 is faultless
     stream: str
     seq: int
     algorithm_version: str
@@ -182,6 +188,9 @@ class VehicleAnswer:
     fills: tuple[Fill, ...]
     alarms: tuple[ClutchAlarm, ...]
     clutches: tuple[ClutchHistory, ...]
+    changes: tuple[Course, ...]  # of gears
+    corrections: tuple[str, ...]  # what a control should adapt
+    loads: tuple[Load, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,6 +213,7 @@ class ShiftAnswer:
     reasons: tuple[str, ...]
     trust: float | None
     trust_parts: Mapping[str, float] | None
+    shift_quality: ShiftQuality | None
     quality: float
     sample_count: int
     window_s: float

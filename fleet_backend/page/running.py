@@ -24,7 +24,8 @@ SELECT s.vehicle, s.clutch, s.condition, s.condition_reason, s.advice, s.level_r
   s.running_std_mu_c AS std_mu_c, s.running_std_mu_s AS std_mu_s, s.running_correlation AS correlation,
   s.running_slope_s_rad AS slope_s_rad, s.running_std_slope_s_rad AS std_slope_s_rad,
   s.running_probability_negative_slope AS probability_negative_slope,
-  s.odometer_m, s.end_at, s.stored_at, s.stream, s.seq, s.algorithm_version, s.calibration_version, NULL AS fluid
+  s.odometer_m, s.end_at, s.stored_at, s.stream, s.seq, s.algorithm_version, s.calibration_version, NULL AS fluid,
+  {score} AS score
 FROM {source}
 """
 _IN_ONE_TABLE: Final = """(
@@ -57,6 +58,7 @@ CROSS JOIN LATERAL (
   LIMIT 1
 ) AS s
 """
+_SCORE_OF_JSON: Final = "CAST(CAST(s.shift_quality AS json) ->> 'score' AS double precision)"
 _NAMES: Final = tuple(field.name for field in fields(ClutchNow))
 
 
@@ -69,16 +71,17 @@ class FillsSeen:
     withdrawn_count: int = 0
 
 
-def _statement(source: str, where: str) -> TextClause:
-    made = text(_RUNNING.format(source=source.format(where=where, happened_at=HAPPENED_AT.format("l."))))
+def _statement(source: str, score: str, where: str) -> TextClause:
+    source = source.format(where=where, happened_at=HAPPENED_AT.format("l."))
+    made = text(_RUNNING.format(source=source, score=score))
     return made.bindparams(bindparam("vehicles", expanding=True)) if where else made
 
 
 def _statements(where: str) -> Mapping[bool, TextualSelect]:
     """Return the statement for databases that keep results by months, and for others."""
-    sources = {True: _BY_MONTH, False: _IN_ONE_TABLE}
     columns = {"end_at": UtcDateTime(), "stored_at": UtcDateTime()}
-    return MappingProxyType({kind: _statement(source, where).columns(**columns) for kind, source in sources.items()})
+    sources = {True: (_BY_MONTH, _SCORE_OF_JSON), False: (_IN_ONE_TABLE, "json_extract(s.shift_quality, '$.score')")}
+    return MappingProxyType({kind: _statement(*one, where).columns(**columns) for kind, one in sources.items()})
 
 
 _ALL_CLUTCHES: Final = _statements("")

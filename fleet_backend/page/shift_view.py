@@ -1,6 +1,7 @@
 """One event of a vehicle: friction over slip, what its data were worth, and why it was or was not used."""
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from typing import Final
 
 from clutch_model.units import degc_from_k
@@ -52,7 +53,12 @@ def show(answer: ShiftAnswer, _ask: Ask, _sources: Sources) -> Shown:
     return Shown(
         title=f"{kind.capitalize()} {gears} of {answer.vehicle}",
         subtitle=f"clutch {answer.clutch}, {answer.end_at:%Y-%m-%d %H:%M:%S} UTC, data {answer.status}",
-        sections=(_friction_section(answer), _quality_section(answer), _facts_section(answer)),
+        sections=(
+            _friction_section(answer),
+            *_shift_sections(answer),
+            _quality_section(answer),
+            _facts_section(answer),
+        ),
         advice=(verdict,),
         trail=(Link(text="Fleet", href="/"), vehicle),
     )
@@ -89,6 +95,15 @@ def _friction_rows(answer: ShiftAnswer) -> Iterator[tuple[Cell, ...]]:
         yield name, *(number(some.get(one), form) for some in (own, running) for one in (value, std))
     chances = [wording.probability(some.get("probability_negative_slope")) for some in (own, running)]
     yield "probability of a falling slope", chances[0], NONE, chances[1], NONE
+
+
+def _shift_sections(answer: ShiftAnswer) -> Iterator[Section]:
+    """Yield how well the event went, if that is known."""
+    if answer.shift_quality is not None:
+        told = {key: value for key, value in asdict(answer.shift_quality).items() if isinstance(value, int | float)}
+        rows = tuple((key.replace("_", " "), number(value, "{:.4g}")) for key, value in told.items())
+        table = Table(caption="Score and its parts, SI units", head=("part", "value"), rows=rows)
+        yield Section(name="shifting", title="How well it went", tables=(table,))
 
 
 def _quality_section(answer: ShiftAnswer) -> Section:

@@ -1,10 +1,13 @@
 """One vehicle: what to do, how far its fluid will go, and how each clutch went."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import isfinite
 from typing import Any, Final
 
-from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, spread
+from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, number, spread
+from diag_service.diagnosis.condition.shift_course import adapting_lines
+from diag_service.diagnosis.condition.shift_quality import Load
+from diag_service.report.pictures import course_tables
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
 from fleet_backend.page.cache import Same
@@ -66,6 +69,9 @@ def find(sources: Sources, ask: Ask) -> VehicleAnswer:
             fills=state.fills,
             alarms=past.alarms_of(sources.engine, vehicle),
             clutches=tuple(_clutch(*one, state) for one in zip(clutches, pasts, usual, strict=True)),
+            changes=tuple(one for found in pasts for one in found.changes),
+            corrections=tuple(line for found in pasts for line in found.corrections),
+            loads=_joined([load for found in pasts for load in found.loads]),
         )
 
     return sources.vehicles.of((vehicle, service_distance_m), (state, clutches, usual), make)
@@ -73,6 +79,7 @@ def find(sources: Sources, ask: Ask) -> VehicleAnswer:
 
 def show(answer: VehicleAnswer, ask: Ask, sources: Sources) -> Shown:
     sections = [_outlook_section(answer)]
+    sections += [_quality_section(answer)]
     sections += [_clutch_section(answer, one) for one in answer.clutches]
     sections += [_events_section(answer), _assumptions_section(answer)]
     return Shown(
@@ -138,6 +145,29 @@ def _reach_table(clutch: ClutchHistory) -> Table:
     )
 
 
+def _joined(loads: Sequence[Load]) -> tuple[Load, ...]:
+    """Return what each clutch had to bear in its own events and, as the off-going one, in those of the other."""
+    return tuple(
+        Load(
+            clutch=clutch,
+            counts=tuple(map(sum, zip(*(one.counts for one in own), strict=True))),
+            energy_j=sum(one.energy_j for one in own),
+            peak_k=max((one.peak_k for one in own if one.peak_k is not None), default=None),
+            launch_count=sum(one.launch_count for one in own),
+            life_ratio=sum(one.life_ratio for one in own),
+        )
+        for clutch in sorted({one.clutch for one in loads})
+        for own in [[one for one in loads if one.clutch == clutch]]
+    )
+
+
+def _quality_section(answer: VehicleAnswer) -> Section:
+    """Return how well gears were changed, what to adapt, and what the clutches had to bear."""
+    texts = adapting_lines(answer.changes, answer.corrections)
+    tables = course_tables(answer.changes, answer.loads)
+    return Section(name="shifting", title="How well it shifts", texts=texts, tables=tables)
+
+
 def _assumptions_section(answer: VehicleAnswer) -> Section:
     told = dict.fromkeys(text for one in answer.clutches if one.outlook for text in one.outlook.assumptions)
     rows = tuple((str(number), text) for number, text in enumerate(told, 1))
@@ -146,7 +176,7 @@ def _assumptions_section(answer: VehicleAnswer) -> Section:
 
 
 def _clutch_section(answer: VehicleAnswer, clutch: ClutchHistory) -> Section:
-    number = clutch.now.clutch
+    name = clutch.now.clutch
     texts = []
     if clutch.result_count > len(clutch.trend):
         texts.append(
@@ -154,16 +184,20 @@ def _clutch_section(answer: VehicleAnswer, clutch: ClutchHistory) -> Section:
         )
     if clutch.usual is not None:
         texts.append(_usual_text(clutch.usual, clutch.now.mu_c))
-    figures = [_course_figure(answer, clutch, quantity) for quantity in Quantity if clutch.trend]
+    figures = [_course_figure(answer, clutch, quantity) for quantity in Quantity if _is_told(quantity, clutch.trend)]
     newest = clutch.trend[::-1][:_EVENT_ROWS]
     events = Table(
-        caption=f"Clutch {number}: the newest {len(newest)} events",
-        head=("end (UTC)", "km", "kind", "data", "mu_C", "std", "running mu_C", "std", "verdict", "reasons"),
+        caption=f"Clutch {name}: the newest {len(newest)} events",
+        head=("end (UTC)", "km", "kind", "data", "mu_C", "std", "running mu_C", "std", "score", "verdict", "reasons"),
         rows=tuple(map(_event_cells, newest)),
     )
     return Section(
-        name=f"clutch-{number}", title=f"Clutch {number}", texts=tuple(texts), figures=tuple(figures), tables=(events,)
+        name=f"clutch-{name}", title=f"Clutch {name}", texts=tuple(texts), figures=tuple(figures), tables=(events,)
     )
+
+
+def _is_told(quantity: Quantity, trend: Sequence[TrendPoint]) -> bool:
+    return any(point.score is not None for point in trend) if quantity is Quantity.SCORE else bool(trend)
 
 
 def _usual_text(usual: Usual, mu_c: float | None) -> str:
@@ -195,7 +229,7 @@ def _trend_cells(point: TrendPoint, course: Course, row: int) -> tuple[Cell, ...
     return (
         wording.shift_link(f"{point.end_at:%Y-%m-%d %H:%M}", point.vehicle, point.stream, point.seq, at=point.end_at),
         wording.km(point.odometer_m),
-        *(wording.friction(float(one) if isfinite(one) else None) for one in numbers),
+        *(number(float(one) if isfinite(one) else None, course.quantity.form) for one in numbers),
         wording.badge(point.condition),
     )
 
@@ -212,6 +246,7 @@ def _event_cells(point: TrendPoint) -> tuple[Cell, ...]:
         wording.friction(point.std_mu_c),
         wording.friction(point.running_mu_c),
         wording.friction(point.running_std_mu_c),
+        number(point.score, "{:.0f}"),
         wording.badge(point.condition),
         wording.words(point.reasons),
     )

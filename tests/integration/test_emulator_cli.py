@@ -70,7 +70,7 @@ def test_overrides_reach_the_drive(tmp_path: Path) -> None:
 def test_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scenarios"]) == 0
     names = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    assert names == ["ageing", "case1", "case2", "gs7", "ideal", "noise_only"]
+    assert names == ["ageing", "case1", "case2", "gs7", "ideal", "lockup", "noise_only"]
 
 
 def test_a_program_that_has_ended_says_no_more_of_compiling() -> None:

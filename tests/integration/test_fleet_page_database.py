@@ -11,10 +11,21 @@ import httpx
 import pytest
 from sqlalchemy import Connection, Engine, event, text
 
+from diag_service.diagnosis.events import EventKind
 from diag_service.diagnosis.prognosis import history_of, prognose
 from diag_service.diagnosis.prognosis.sentence import outlook_line
-from diag_service.diagnosis.records import Condition, Reason, Revision, ServiceStatus, Status, status_record
+from diag_service.diagnosis.records import (
+    Condition,
+    Reason,
+    Revision,
+    ServiceStatus,
+    ShiftQuality,
+    ShiftResult,
+    Status,
+    status_record,
+)
 from fleet_backend import queries
+from fleet_backend.alarms.rules import Rule
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError
@@ -106,6 +117,51 @@ def test_the_quarantine_comes_in_parts(engine: Engine) -> None:
             break
         after = {"after": part.next}
     assert found == [one["digest"] for one in queries.quarantined(sources.engine, 99)]
+
+
+def scored(seq: int, score: float, touch_error_pa: float = 0.0, *names: str) -> ShiftResult:
+    """Return a result of a change that went so well."""
+    given = fleet_result(seq, vehicle="rough")
+    quality = ShiftQuality(
+        score=score, reasons=("jerk_m_s3",), corrections=names, touch_error_pa=touch_error_pa, std_touch_error_pa=1e3,
+        slip_energy2_j=5e3, peak2_k=390.0, life2_ratio=6e-7,
+    )  # fmt: skip
+    return replace(given, estimate=replace(given.estimate, kind=EventKind.POWER_ON_UPSHIFT, shift_quality=quality))
+
+
+def test_how_well_a_vehicle_shifts_is_on_its_page_and_a_fall_and_a_sure_correction_raise_alarms(engine: Engine) -> None:
+    good = [scored(seq, 90.0) for seq in range(1, 31)]
+    Writer(engine).store(Batch(shifts=[*map(row_of, good), row_of(fleet_result(1, vehicle="old"))]))
+    watch = WatchOfOffice(engine, Orders(), lambda: NOW)
+    assert not {step.subject.rule for step in watch.round()} & {Rule.SCORE, Rule.CORRECTION}
+    Writer(engine).store(Batch(shifts=[row_of(scored(seq, 60.0, 9e3, "touch_error_pa")) for seq in range(31, 51)]))
+    raised = {step.subject.rule: step for step in watch.round()}
+    assert "clutch 2 score 30 points less than the first" in raised[Rule.SCORE].reason
+    assert raised[Rule.CORRECTION].reason == "adapt clutch 2: touch point 0.09 bar later than believed (± 0.01)"
+    sources = sources_of(engine)
+    answer = vehicle_view.find(sources, ask(vehicle_view.VIEW, "rough"))
+    (change,), (load,) = answer.changes, answer.loads
+    assert (change.count, change.first, change.last) == (50, 90.0, 60.0)
+    assert (load.clutch, load.counts, load.energy_j, load.peak_k) == (2, (0, 0, 0, 50, 0, 0), 250e3, 390.0)
+    assert [point.score for point in answer.clutches[0].trend] == [90.0] * 30 + [60.0] * 20
+    shown = vehicle_view.show(answer, ask(vehicle_view.VIEW, "rough"), sources)
+    (section,) = (one for one in shown.sections if one.title == "How well it shifts")
+    assert section.texts == (
+        "Power on upshift 1-2 scores 60: jerk.",
+        "Adapt clutch 2: touch point 0.09 bar later than believed (± 0.01).",
+    )
+    assert [table.rows[0][0] for table in section.tables] == ["power on upshift 1-2", "2"]
+    captions = [figure.caption for one in shown.sections for figure in one.figures]
+    assert captions.count("Clutch 2: trend of score") == 1
+    old = vehicle_view.find(sources, ask(vehicle_view.VIEW, "old"))  # of an older program
+    assert (old.changes, old.corrections, old.loads) == ((), (), ())
+    assert {one.vehicle: one.score for one in all_clutches(engine)} == {"rough": 60.0, "old": None}
+    one = shift_of(engine, "rough", "stream-1", 50)
+    assert one is not None
+    assert one.shift_quality is not None
+    assert one.shift_quality.touch_error_pa == 9e3
+    page = shift_view.show(one, ask(shift_view.VIEW, "rough", stream="stream-1", seq="50"), sources)
+    assert "How well it went" in [section.title for section in page.sections]
 
 
 def test_news_are_seen_and_a_reader_writes_nothing(database: str) -> None:

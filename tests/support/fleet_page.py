@@ -62,6 +62,7 @@ def clutch_now(vehicle: str = "car1", clutch: int = 1, **others: object) -> Clut
         slope_s_rad=0.002,
         std_slope_s_rad=0.0004,
         probability_negative_slope=0.01,
+        score=88.0,
         odometer_m=1.0e6,
         end_at=NOW,
         stored_at=NOW,

@@ -29,6 +29,8 @@ OFTEN_NONE = {  # where nothing went wrong, or too little was seen
     "clutchdiag_bus_errors_total",
     "clutchdiag_cause_probability",
     "clutchdiag_shift_reasons_total",
+    *("clutchdiag_clutch_launches_total", "clutchdiag_clutch_life_ratio_total"),  # this and the next without pressures
+    *("clutchdiag_clutch_peak_temperature_kelvin", "clutchdiag_clutch_slip_energy_joules"),
 }
 
 OF_THE_FLEET = tuple(f"clutchdiag_{name}_" for name in ("ingest", "fleet", "watch"))  # test_fleet_metrics.py

@@ -1,24 +1,27 @@
 """What the quality of many gear changes comes to: by kind, gears and oil; what to adapt; what the clutches bore."""
 
-import math
+import re
 from bisect import bisect
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import reduce
 from statistics import fmean
 from typing import Final
 
-from clutch_model.calibration import Calibration, clutch_of_gear
+from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import degc_from_k
+from diag_service.diagnosis.condition.shift_quality import Load, borne
 from diag_service.diagnosis.events import EventKind
-from diag_service.diagnosis.records import ShiftQuality, ShiftResult
+from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality
 
 COURSE_COUNT: Final = 20  # changes of a kind at either end of a course
 COLD_DEGC, HOT_DEGC = 40.0, 90.0  # of the oil
-ENERGY_BOUNDS_J: Final = (300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0)
-WEAR_M3_J: Final = 1.4e-15  # of a wet paper lining, by Archard's law [C]: 1.4 mm3 per MJ
-WORN_M: Final = 0.2e-3  # that each lining may lose [C]
 PASCAL_PER_BAR: Final = 1e5
+POOR: Final = 70.0  # a score that is worth a look
+MOST_POOR: Final = 3
+LEAST_FIRST: Final = 5  # scores of a kind, against which later ones are held
+_UNIT: Final = re.compile(r"_(s|pa|nm|k|rad_s2?|m_s[23])$")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,22 +38,10 @@ class Course:
     reason: str  # the part that cost most most often; empty: none
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Load:
-    """What one clutch had to bear."""
-
-    clutch: int
-    counts: tuple[int, ...]  # events by their slip energy, bounds as ENERGY_BOUNDS_J
-    energy_j: float
-    peak_k: float | None  # of the pack
-    launch_count: int
-    life_ratio: float  # of a lining's life that this energy consumes: an index, docs/shift-quality.md
-
-
-def courses(results: Iterable[ShiftResult]) -> list[Course]:
-    """Return how the changes went, by kind and gears; results in their order."""
+def courses(estimates: Iterable[ShiftEstimate]) -> list[Course]:
+    """Return how the changes went, by kind and gears; estimates in their order."""
     groups: dict[tuple[EventKind, int, int], list[tuple[float, float | None, tuple[str, ...]]]] = {}
-    for one in (result.estimate for result in results):
+    for one in estimates:
         quality = one.shift_quality
         if quality is not None and quality.score is not None:
             told = quality.score, one.sump_temperature_k, quality.reasons
@@ -77,10 +68,41 @@ def courses(results: Iterable[ShiftResult]) -> list[Course]:
     return found
 
 
-def correction_lines(results: Sequence[ShiftResult]) -> list[str]:
+def part_words(name: str) -> str:
+    """Return the name of a part of a score for people: without its unit."""
+    return _UNIT.sub("", name).replace("_", " ")
+
+
+def change_words(one: Course) -> str:
+    """Return the kind and the gears of a change for people."""
+    return f"{one.kind.value.replace('_', ' ')} {one.from_gear}-{one.to_gear}"
+
+
+def adapting_lines(found: Iterable[Course], corrections: Iterable[str]) -> tuple[str, ...]:
+    """Return which changes go worst now, and why, and what a control should adapt."""
+    poor = sorted((one for one in found if one.last < POOR), key=lambda one: one.last)[:MOST_POOR]
+    lines = [f"{change_words(one).capitalize()} scores {one.last:.0f}: {part_words(one.reason)}." for one in poor]
+    return *lines, *(f"Adapt {one}." for one in corrections)
+
+
+def fall_of(estimates: Iterable[ShiftEstimate]) -> float | None:
+    """Return by how many points the last changes are worse than the first of their kind and gears; None: too few."""
+    first: dict[tuple[EventKind, int, int], list[float]] = {}
+    falls = []
+    for one in estimates:
+        if one.shift_quality is not None and (score := one.shift_quality.score) is not None:
+            own = first.setdefault((one.kind, one.from_gear, one.to_gear), [])
+            if len(own) >= LEAST_FIRST:
+                falls.append(fmean(own) - score)
+            if len(own) < COURSE_COUNT:
+                own.append(score)
+    return fmean(falls[-COURSE_COUNT:]) if len(falls) >= COURSE_COUNT else None
+
+
+def correction_lines(estimates: Iterable[ShiftEstimate]) -> list[str]:
     """Return what a control should adapt of each clutch, by the newest change that names it for sure."""
     newest: dict[tuple[int, str], ShiftQuality] = {}
-    for one in (result.estimate for result in results):
+    for one in estimates:
         if one.shift_quality is not None and one.shift_quality.std_touch_error_pa is not None:
             for name in ("touch_error_pa", "fill_error_s"):
                 newest[clutch_of_gear(one.to_gear), name] = one.shift_quality
@@ -99,32 +121,15 @@ def _correction(quality: ShiftQuality, name: str) -> str:
     return f"fill for {1e3 * abs(error):.0f} ms {'longer' if error > 0.0 else 'less'} (± {1e3 * std:.0f})"
 
 
-def loads(results: Iterable[ShiftResult], calibration: Calibration) -> list[Load]:
-    """Return what each clutch had to bear, those that slipped; slip without pressures counts nothing."""
-    known = [result.estimate for result in results]
-    found = []
-    for clutch, law in zip((1, 2), calibration.clutches, strict=True):
-        energies_j = [
-            energy_j
-            for one in known
-            if one.shift_quality is not None
-            and (energy_j := getattr(one.shift_quality, f"slip_energy{clutch}_j")) is not None
-            and energy_j > 0.0
-        ]
-        if not energies_j:
-            continue
-        counts = Counter(bisect(ENERGY_BOUNDS_J, energy_j) for energy_j in energies_j)
-        geometry = law.geometry
-        ring_m2 = math.pi * (geometry.outer_radius_m**2 - geometry.inner_radius_m**2)
-        own = [one for one in known if one.clutch == clutch]
-        found.append(
-            Load(
-                clutch=clutch,
-                counts=tuple(counts[place] for place in range(len(ENERGY_BOUNDS_J) + 1)),
-                energy_j=sum(energies_j),
-                peak_k=max((one.clutch_temperature_k for one in own if one.clutch_temperature_k), default=None),
-                launch_count=sum(one.kind is EventKind.LAUNCH for one in own),
-                life_ratio=sum(energies_j) * WEAR_M3_J / (WORN_M * ring_m2 * geometry.interface_count),
-            )
-        )
-    return found
+def loads(estimates: Iterable[ShiftEstimate]) -> list[Load]:
+    """Return what each clutch had to bear, those that did."""
+    return [load for _, load in sorted(reduce(borne, estimates, dict[int, Load]()).items())]
+
+
+def load_line(load: Load) -> str:
+    """Return what a clutch had to bear as one line for people."""
+    hottest = "" if load.peak_k is None else f", at most {degc_from_k(load.peak_k):.0f} °C"
+    return (
+        f"Clutch {load.clutch} turned {load.energy_j / 1e6:.2f} MJ into heat in {sum(load.counts)} events, "
+        f"launches: {load.launch_count}{hottest}; {100.0 * load.life_ratio:.4f} % of its lining's life, as an index."
+    )

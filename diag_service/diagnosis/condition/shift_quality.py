@@ -5,6 +5,7 @@ the others.
 """
 
 import math
+from bisect import bisect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Self
@@ -14,12 +15,13 @@ import numpy as np
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration, ClutchCalibration, clutch_of_gear
-from clutch_model.pack import contact_torque_nm, film_law
+from clutch_model.pack import clutch_heating_rate_k_s, contact_torque_nm, film_law
 from diag_service.diagnosis.alignment import readings
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import Knowledge, State
-from diag_service.diagnosis.records import ShiftQuality, from_plain
+from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality, from_plain
 from diag_service.diagnosis.shifts.slip_tracking import LOADED_PA, SLIP_RAD_S
 
 GRID_S = 0.01
@@ -36,6 +38,9 @@ PULSE_PA = 1.0e5  # above the touch point, with no torque asked for: the clutch 
 FILLED_ROWS = 4  # before torque is asked for, whose mean pressure tells how full the cavity is
 PRESSURE_PA = 5.0e3  # of a reading, one deviation
 FLOW_STD_RATIO = 0.2  # how well the flow of a pulse is known: of readings, and for its last milliseconds
+WEAR_M3_J: Final = 1.4e-15  # of a wet paper lining, by Archard's law [C]: 1.4 mm3 per MJ
+WORN_M: Final = 0.2e-3  # that each lining may lose [C]
+ENERGY_BOUNDS_J: Final = (300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0)
 LEAST_CHANGE: Final = {"touch_error_pa": 2.0e3, "fill_error_s": 0.04}  # a smaller one mends nothing that is felt
 USUAL_S = 1.2  # from the request to the end of slip [C]
 INTENDED_S: Final = {EventKind.COAST_SKIP: 1.8, EventKind.POWER_ON_SKIP: 1.8, EventKind.KICKDOWN: 1.5}  # other kinds
@@ -78,6 +83,10 @@ _PUBLIC: Final = (
     "pressure_lag_s",
     "pressure_reach_ratio",
     "pressure_short_pa",
+    "peak1_k",
+    "peak2_k",
+    "life1_ratio",
+    "life2_ratio",
 )
 
 
@@ -89,6 +98,8 @@ class _Pack:
     torque_nm_pa: float  # that it carries per pressure beyond its touch point
     stroke_pa: float  # by which its spring's pressure grows while its cavity fills
     heat_j_k: float
+    cooling_w_k: float
+    life_j: float  # of slip, after which its linings are worn
 
     @classmethod
     def of(cls, clutch: ClutchCalibration) -> Self:
@@ -99,6 +110,8 @@ class _Pack:
             torque_nm_pa=contact_torque_nm(1.0, clutch.friction.mu_c, by_piston, film.contact_factor_m3),
             stroke_pa=piston.spring_rate_n_m * piston.fill_stroke_m / film.piston_area_m2,
             heat_j_k=clutch.thermal.heat_capacity_j_k,
+            cooling_w_k=clutch.thermal.convection_w_k,
+            life_j=WORN_M * film.lining_area_m2 * clutch.geometry.interface_count / WEAR_M3_J,
         )
 
 
@@ -109,6 +122,9 @@ _ASKINGS: Final = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
 _SPEEDS: Final = (Signal.ENGINE_SPEED, Signal.HUB_SPEED, Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED)
 _SIGNALS: Final = (*_SPEEDS, *_SHAFTS, *_PRESSURES, *_COMMANDS, *_ASKINGS, Signal.ENGINE_TORQUE)
 _ENGINE, _ON, _OFF, _CAR, _PRESSURE_ON, _PRESSURE_OFF, _COMMAND, _ASKED, _TORQUE, _SLOPE, _ROW_COUNT = range(11)
+
+
+_NO_HEAT: Final = (math.nan, math.nan, math.nan, 0.0)
 
 
 class _Found(NamedTuple):
@@ -122,6 +138,8 @@ class _Found(NamedTuple):
     tie_up_nm: float = math.nan
     energy_on_j: float = math.nan
     energy_off_j: float = math.nan
+    peak_on_k: float = math.nan  # of the packs
+    peak_off_k: float = math.nan
     believed_touch_pa: float = math.nan  # the touch point by which the control commands pressures
     believed_std_pa: float = math.nan
     share: float = math.nan  # of the cavity that is full as torque is asked for; above 1: it was too early
@@ -147,13 +165,15 @@ class ShiftScorer:
         self._packs = tuple(_Pack.of(clutch) for clutch in calibration.clutches)
         self._gears = gears
         nothing = np.full((_ROW_COUNT, 30), np.nan)
-        _measure(nothing, 15, 20, True, 0.0, (0.0, 0.0), (0.0, 0.0), 1.0)  # compiled before the first event
+        none = 0.0, 0.0
+        _measure(nothing, 15, 20, True, 0.0, none, none, 1.0, _NO_HEAT, none, none)  # compiled before the first event
         _response_told(nothing, 15, 20, 0.0)
 
-    def score(self, event: Event, known: Knowledge | None) -> ShiftQuality | None:
+    def score(self, event: Event, known: Knowledge | None, warm: PackTemperatures | None = None) -> ShiftQuality | None:
         """Return how well an event went; None if the stream broke off.
 
         ``known`` are the touch points and the zeros of the pressure sensors; None: what pressures mean is not known.
+        ``warm`` are the packs after an earlier event; None: they begin as warm as the oil.
         """
         duration_s = (event.end_ns - event.start_ns) / NS_PER_S
         if event.end_reason is EndReason.INTERRUPTED or duration_s <= 0.0:
@@ -182,8 +202,17 @@ class ShiftScorer:
             )
         first, stop = round(BEFORE_S / GRID_S), round((BEFORE_S + duration_s) / GRID_S)
         torque_nm_pa = packs[0].torque_nm_pa, packs[1].torque_nm_pa
-        parts = _measure(rows, first, stop, on != off, skew_s, touch_pa, torque_nm_pa, packs[0].stroke_pa)
-        found = _Found(*parts, *_response_told(rows, first, stop, touch_pa[0]))
+        heats, coolings = (packs[0].heat_j_k, packs[1].heat_j_k), (packs[0].cooling_w_k, packs[1].cooling_w_k)
+        heat, oil = _NO_HEAT, event.columns.get(Signal.SUMP_TEMPERATURE)
+        if oil is not None and len(oil.value):
+            oil_k = float(oil.value.mean())
+            heat = oil_k, oil_k, oil_k, 0.0
+            if warm is not None and event.start_ns > warm.at_ns:
+                age_s = (event.start_ns - warm.at_ns) / NS_PER_S
+                heat = oil_k, warm.clutch_k[on], warm.clutch_k[off], age_s
+        stroke_pa = packs[0].stroke_pa
+        parts = _measure(rows, first, stop, on != off, skew_s, touch_pa, torque_nm_pa, stroke_pa, heat, heats, coolings)
+        found = _Found._make((*parts, *_response_told(rows, first, stop, touch_pa[0])))
         adaptable = {} if known is None else self._adaptable(on, found, touch_pa[0], known)
         return _judged(event, found, adaptable, packs, is_second=on == 1)
 
@@ -235,7 +264,7 @@ def _judged(
     is_second: bool,
 ) -> ShiftQuality:
     """Return the parts of an event, what they cost, and what of the control is wrong for sure."""
-    energies_j = found.energy_on_j, found.energy_off_j
+    energies_j, peaks_k = (found.energy_on_j, found.energy_off_j), (found.peak_on_k, found.peak_off_k)
     told: dict[str, float] = {
         **found._asdict(),
         **{name: value for name, (value, _) in adaptable.items()},
@@ -244,6 +273,10 @@ def _judged(
         "temperature_rise_k": max(energies_j[0] / packs[0].heat_j_k, energies_j[1] / packs[1].heat_j_k),
         "slip_energy1_j": energies_j[is_second],
         "slip_energy2_j": energies_j[not is_second],
+        "peak1_k": peaks_k[is_second],
+        "peak2_k": peaks_k[not is_second],
+        "life1_ratio": energies_j[is_second] / packs[is_second].life_j,
+        "life2_ratio": energies_j[not is_second] / packs[not is_second].life_j,
     }
     parts = {name: float(told[name]) for name in _PUBLIC if math.isfinite(told.get(name, math.nan))}
     record: dict[str, object] = {"score": None, **parts}
@@ -271,6 +304,46 @@ def weighed(parts: Mapping[str, float]) -> tuple[float | None, list[str]]:
         return None, []
     dear = sorted((name for name in costs if costs[name] >= 0.01 * weight), key=lambda name: -costs[name])
     return 100.0 * math.exp(-sum(costs.values()) / weight), dear
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Load:
+    """What one clutch had to bear."""
+
+    clutch: int
+    counts: tuple[int, ...] = (0,) * (len(ENERGY_BOUNDS_J) + 1)  # events by slip energy, bounds as ENERGY_BOUNDS_J
+    energy_j: float = 0.0
+    peak_k: float | None = None  # of the pack
+    launch_count: int = 0
+    life_ratio: float = 0.0  # of a lining's life that this energy consumes: an index, docs/shift-quality.md
+
+
+_UNLOADED: Final = Load(clutch=0)
+
+
+def borne(before: Mapping[int, Load], estimate: ShiftEstimate) -> dict[int, Load]:
+    """Return what each clutch had to bear after one more event; slip without pressures tells no energy."""
+    found, quality = dict(before), estimate.shift_quality
+    if quality is None:
+        return found
+    for clutch, energy_j, peak_k, life_ratio in (
+        (1, quality.slip_energy1_j, quality.peak1_k, quality.life1_ratio),
+        (2, quality.slip_energy2_j, quality.peak2_k, quality.life2_ratio),
+    ):
+        is_launch = estimate.kind is EventKind.LAUNCH and estimate.clutch == clutch
+        if energy_j or is_launch:
+            old = found.get(clutch, _UNLOADED)
+            counts = list(old.counts)
+            counts[bisect(ENERGY_BOUNDS_J, energy_j or 0.0)] += bool(energy_j)
+            found[clutch] = Load(
+                clutch=clutch,
+                counts=tuple(counts),
+                energy_j=old.energy_j + (energy_j or 0.0),
+                peak_k=max(peak_k or 0.0, old.peak_k or 0.0) or None,
+                launch_count=old.launch_count + is_launch,
+                life_ratio=old.life_ratio + (life_ratio or 0.0),
+            )
+    return found
 
 
 @array_kernel
@@ -355,24 +428,40 @@ def _loads_told(
     is_handover: bool,  # noqa: FBT001
     touch_pa: tuple[float, float],
     torque_nm_pa: tuple[float, float],
-) -> tuple[float, float, float]:
-    """Return what both clutches carried against each other [N m], and the slip energy of each [J]."""
+    heat: tuple[float, float, float, float],
+    heat_j_k: tuple[float, float],
+    cooling_w_k: tuple[float, float],
+) -> tuple[float, float, float, float, float]:
+    """Return what both clutches carried against each other [N m], the slip energy and the peak of each [J, K].
+
+    ``heat`` is the oil, both packs and how long ago they were so warm [K, s]; a pack is warm throughout.
+    """
     tie_up, energy_on, energy_off = np.nan, 0.0, 0.0
     if math.isnan(rows[_PRESSURE_ON, first]):
-        return tie_up, np.nan, np.nan
+        return tie_up, np.nan, np.nan, np.nan, np.nan
+    oil_k, age_s = heat[0], heat[3]
+    on_k = oil_k + (heat[1] - oil_k) * math.exp(-age_s * cooling_w_k[0] / heat_j_k[0])
+    off_k = oil_k + (heat[2] - oil_k) * math.exp(-age_s * cooling_w_k[1] / heat_j_k[1])
+    peak_on_k, peak_off_k = on_k, off_k
     for row in range(first, stop):
         on_pa = _mean(rows[_PRESSURE_ON], row - 1, row + 2) - touch_pa[0]
         off_pa = _mean(rows[_PRESSURE_OFF], row - 1, row + 2) - touch_pa[1]
         on_nm, off_nm = max(on_pa, 0.0) * torque_nm_pa[0], max(off_pa, 0.0) * torque_nm_pa[1]
         on_slip = abs(rows[_ENGINE, row] - rows[_ON, row])
-        energy_on += on_nm * on_slip * GRID_S if on_slip > LOCKED_RAD_S else 0.0
+        power_w = on_nm * on_slip if on_slip > LOCKED_RAD_S else 0.0
+        energy_on += power_w * GRID_S
+        on_k += GRID_S * clutch_heating_rate_k_s(power_w, on_k, oil_k, heat_j_k[0], cooling_w_k[0])
+        peak_on_k = max(peak_on_k, on_k)
         if is_handover:
             off_slip = abs(rows[_ENGINE, row] - rows[_OFF, row])
-            energy_off += off_nm * off_slip * GRID_S if off_slip > LOCKED_RAD_S and off_pa > LOADED_PA else 0.0
+            power_w = off_nm * off_slip if off_slip > LOCKED_RAD_S and off_pa > LOADED_PA else 0.0
+            energy_off += power_w * GRID_S
+            off_k += GRID_S * clutch_heating_rate_k_s(power_w, off_k, oil_k, heat_j_k[1], cooling_w_k[1])
+            peak_off_k = max(peak_off_k, off_k)
             both_nm = min(on_nm - abs(_mean(rows[_TORQUE], row - 2, row + 3)), off_nm if off_pa > LOADED_PA else 0.0)
             if not math.isnan(both_nm) and not tie_up > both_nm:
                 tie_up = max(both_nm, 0.0)
-    return tie_up, energy_on, energy_off
+    return tie_up, energy_on, energy_off, peak_on_k, peak_off_k if is_handover else np.nan
 
 
 @array_kernel
@@ -461,15 +550,20 @@ def _measure(
     touch_pa: tuple[float, float],
     torque_nm_pa: tuple[float, float],
     stroke_pa: float,
-) -> tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]:
+    heat: tuple[float, float, float, float],
+    heat_j_k: tuple[float, float],
+    cooling_w_k: tuple[float, float],
+) -> tuple[float, ...]:
     """Return the fields of `_Found`; the event lasts from row ``first`` to before ``stop``."""
     flare, locked_s, lock_rate = _speeds_told(rows, first, stop, is_handover, skew_s)
     _differentiate(rows[_CAR], rows[_SLOPE])
     hole, jerk = _car_told(rows[_SLOPE], first, stop)
-    tie_up, energy_on, energy_off = _loads_told(rows, first, stop, is_handover, touch_pa, torque_nm_pa)
+    tie_up, energy_on, energy_off, peak_on, peak_off = _loads_told(
+        rows, first, stop, is_handover, touch_pa, torque_nm_pa, heat, heat_j_k, cooling_w_k
+    )
     believed, believed_std = _map_told(rows, stop)
     share, fill_s, early_s = _fill_told(rows, first, stop, touch_pa[0], stroke_pa)
     return (
-        flare, locked_s, lock_rate, hole, jerk, tie_up, energy_on, energy_off, believed, believed_std, share, fill_s,
-        early_s,
+        flare, locked_s, lock_rate, hole, jerk, tie_up, energy_on, energy_off, peak_on, peak_off, believed,
+        believed_std, share, fill_s, early_s,
     )  # fmt: skip

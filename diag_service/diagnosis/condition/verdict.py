@@ -298,7 +298,8 @@ def decide(
     change_at = COLD_CHANGE_PROBABILITY if is_cold else CHANGE_PROBABILITY
     watch_at = COLD_WATCH_PROBABILITY if is_cold else WATCH_PROBABILITY
     if shift_count < MIN_SHIFT_COUNT:
-        return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable {_few(counted)}, {MIN_SHIFT_COUNT} needed")
+        some = "shift(s)" if counted == SHIFTS else counted
+        return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable {some}, {MIN_SHIFT_COUNT} needed")
     reference_margin = reference.mu_c - reference.mu_s
     margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
     level = NormalDist(friction.mu_c / reference.mu_c, friction.std_mu_c / reference.mu_c)
@@ -374,10 +375,6 @@ def decide_up_to_scale(
     if probability >= (LEAVE_PROBABILITY if previous is Condition.WATCH else watch_at):
         return _because(Condition.WATCH, cause, probability, facts)
     return nothing(Silence.LEVEL_UNKNOWN, f"engine torque is {slope.torque.replace('_', ' ')}, not measured: {facts}")
-
-
-def _few(counted: str) -> str:
-    return "shift(s)" if counted == SHIFTS else counted
 
 
 def _may_be_thin(thin: float, common_thin: float, previous: Condition) -> bool:

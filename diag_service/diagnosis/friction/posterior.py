@@ -188,12 +188,6 @@ class Posterior:
         base = after_change(after_change(folded.base, 1), 2)
         return _judged(replace(folded, base=base, folded_counts=(0, 0), baselines=(None, None)))
 
-    def later_count(self, clutch: int) -> int:
-        """Return how many events have been used since the baseline of a clutch."""
-        if (baseline := self.baselines[clutch - 1]) is None:
-            return 0
-        return baseline.later_count + self.shift_counts[clutch - 1] - self.folded_counts[clutch - 1]
-
     def cross(self, clutch: int) -> FloatArray:
         """Return the covariance between what is known now and the baseline of a clutch, which must have one."""
         baseline = self.baselines[clutch - 1]
@@ -479,8 +473,10 @@ def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
 
     The deviation is that of the difference: errors which both have are not in it.
     """
-    baseline, later_count = state.baselines[clutch - 1], state.later_count(clutch)
-    if baseline is None or later_count <= 0:
+    if (baseline := state.baselines[clutch - 1]) is None:
+        return None
+    later_count = baseline.later_count + state.shift_counts[clutch - 1] - state.folded_counts[clutch - 1]
+    if later_count <= 0:
         return None
     known, rows = state.fusion.knowledge, FRICTION_ROWS[clutch - 1]
     gain = state.torque_gain + float(known.mean[_GAIN])

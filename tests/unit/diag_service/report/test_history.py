@@ -144,4 +144,4 @@ def test_how_well_it_shifts_is_a_table_with_what_to_adapt_and_the_load() -> None
     assert [next(iter(column.cells)) for column in table.columns][3:] == ["70", "70", "-", "70", "-", "touch error"]
     told = [str(line) for line in lines if isinstance(line, Text)]
     assert "Adapt clutch 1: touch point 0.04 bar later than believed (± 0.01)." in told
-    assert told[-1].startswith("Clutch 1 turned 0.12 MJ into heat in 6 events, 0 of them launches")
+    assert told[-1].startswith("Clutch 1 turned 0.12 MJ into heat in 6 events, launches: 0")

@@ -235,7 +235,7 @@ def test_places_are_spread_evenly_from_first_to_last(count: int, most: int) -> N
 
 def test_a_page_says_how_well_it_shifts_where_that_is_known() -> None:
     assert "How well it shifts" not in html(findings(6))
-    quality = ShiftQuality(score=70.0, reasons=("jerk_m_s3",), slip_energy1_j=0.0, slip_energy2_j=5e6)
+    quality = ShiftQuality(score=70.0, reasons=("jerk_m_s3",), slip_energy2_j=5e6, peak2_k=361.0, life2_ratio=5.803e-4)
     rows = tuple(
         replace(row, result=replace(row.result, estimate=replace(row.result.estimate, shift_quality=quality)))
         for row in findings(6).rows

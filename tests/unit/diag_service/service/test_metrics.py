@@ -11,7 +11,9 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from canlog.live import BusState, BusStatus
 from clutchdiag_io.metrics import Told
-from diag_service.diagnosis.records import Condition, FluidFill, ShiftResult, ShiftStatistics
+from diag_service.diagnosis.condition.shift_quality import Load, borne
+from diag_service.diagnosis.events import EventKind
+from diag_service.diagnosis.records import Condition, FluidFill, ShiftQuality, ShiftResult, ShiftStatistics
 from diag_service.diagnosis.summary import FrameCounts, Summary, of_present_fluid
 from diag_service.service.metrics import families as _families
 from diag_service.service.snapshot import Snapshot
@@ -26,9 +28,10 @@ LABELS = {"vehicle", "clutch", "verdict", "status", "advice", "coefficient"}
 
 def snapshot(*results: ShiftResult, fluid: FluidFill | None = None) -> Snapshot:
     """Return what a run has to show after these results."""
-    statistics = ShiftStatistics()
+    statistics, loads = ShiftStatistics(), dict[int, Load]()
     for result in results:
         statistics = statistics.with_shift(result, is_new=True)
+        loads = borne(loads, result.estimate)
     return Snapshot(
         taken_s=0.0,
         bus=BUS,
@@ -36,7 +39,7 @@ def snapshot(*results: ShiftResult, fluid: FluidFill | None = None) -> Snapshot:
         load_ratio=0.25,
         messages={},
         rates_hz={},
-        summary=Summary(vehicle="car1", frames=FrameCounts(), shifts=statistics, unpublished_count=None),
+        summary=Summary(vehicle="car1", frames=FrameCounts(), shifts=statistics, unpublished_count=None, loads=loads),
         recent=statistics.recent,
         stuck=None,
         clutches=tuple(result for _, result in sorted(statistics.latest.items())),
@@ -146,10 +149,31 @@ def test_names_and_types_are_those_that_prometheus_expects() -> None:
     for family in found:
         assert re.fullmatch(r"clutchdiag_[a-z0-9_]+", family.name)
         assert family.documentation.endswith(".")
-        assert family.type in {"gauge", "counter"}
+        assert family.type in {"gauge", "counter", "histogram"}
         assert not re.search(r"_(ms|milliseconds|percent|celsius|count|total)$", family.name)
         for sample in family.samples:
             assert sample.name.endswith("_total") is (family.type == "counter")
+
+
+def test_what_the_clutches_had_to_bear_is_a_histogram_with_its_peak() -> None:
+    launch = ShiftQuality(score=None, slip_energy2_j=40e3, peak2_k=410.0, life2_ratio=4.6e-6)
+    shift = replace(launch, score=80.0, slip_energy2_j=2e3, peak2_k=380.0, life2_ratio=2e-7)
+    given = [shift_result(2 * number) for number in (1, 2, 3)]
+    kinds = EventKind.LAUNCH, EventKind.POWER_ON_UPSHIFT, EventKind.POWER_ON_UPSHIFT
+    shown = snapshot(*(
+        replace(one, estimate=replace(one.estimate, kind=kind, shift_quality=quality))
+        for one, kind, quality in zip(given, kinds, (launch, shift, shift), strict=True)
+    ))  # fmt: skip
+    found = {
+        (one.name.removeprefix("clutchdiag_clutch_"), one.labels.get("le")): one.value
+        for one in samples(shown)
+        if one.labels.get("clutch") == "2"
+    }
+    bounds = {"300.0": 0.0, "1000.0": 0.0, "3000.0": 2.0, "10000.0": 2.0, "30000.0": 2.0, "+Inf": 3.0}
+    assert {bound: found["slip_energy_joules_bucket", bound] for bound in bounds} == bounds
+    assert found["slip_energy_joules_sum", None] == 44e3
+    assert (found["launches_total", None], found["peak_temperature_kelvin", None]) == (1.0, 410.0)
+    assert found["life_ratio_total", None] == pytest.approx(5e-6)
 
 
 def test_labels_do_not_grow_with_the_run() -> None:

@@ -11,10 +11,12 @@ from fleet_backend.alarms.rules import (
     Finding,
     Limits,
     Subject,
+    correction_finding,
     due_finding,
     heard_last,
     odometer_finding,
     quality_finding,
+    score_finding,
     silence_finding,
     transitions,
     verdict_finding,
@@ -63,6 +65,21 @@ def test_a_few_events_say_nothing_of_the_data(unused: int, events: int, is_wrong
     found = quality_finding("a", 2, unused, events, LIMITS)
     assert found.is_wrong is is_wrong
     assert f"{unused} of the last {events} events of clutch 2" in found.reason
+
+
+def test_a_score_that_falls_is_an_alarm_until_it_is_nearly_back() -> None:
+    falls = [None, 3.0, 14.0, 15.5, 12.0, 8.5, None, 7.0, 14.0]
+    assert happened([score_finding("a", 1, one, LIMITS) for one in falls]) == [Event.RAISED, Event.CLEARED]
+    assert "clutch 1 score 16 points less" in score_finding("a", 1, 15.5, LIMITS).reason
+
+
+def test_a_correction_is_sure_once_three_changes_name_it_and_over_once_three_name_none() -> None:
+    told = [False, True, True, False, True, True, True, False, False, True, False, False, False]
+    line = ["clutch 1: fill for 60 ms longer (± 10)"]
+    found = [correction_finding("a", 1, told[:count], line, LIMITS) for count in range(len(told) + 1)]
+    assert happened(found) == [Event.RAISED, Event.CLEARED]
+    assert [one.is_wrong for one in found[:8]] == [False, False, None, None, None, None, None, True]
+    assert found[7].reason == "adapt clutch 1: fill for 60 ms longer (± 10)"
 
 
 @pytest.mark.parametrize(

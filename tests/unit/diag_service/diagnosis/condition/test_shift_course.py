@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.condition.shift_course import Course, correction_lines, courses, loads
+from diag_service.diagnosis.condition.shift_course import Course, correction_lines, courses, load_line, loads
 from diag_service.diagnosis.events import EventKind
-from diag_service.diagnosis.records import ShiftQuality, ShiftResult
+from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality
 from tests.support.builders import shift_result
 
 UPSHIFT = ShiftQuality(
@@ -17,10 +16,9 @@ UPSHIFT = ShiftQuality(
 
 def result(
     seq: int, quality: ShiftQuality | None, *, oil_k: float = 350.0, kind: str = "power_on_upshift"
-) -> ShiftResult:
-    given = shift_result(seq)
-    estimate = replace(given.estimate, shift_quality=quality, sump_temperature_k=oil_k, kind=EventKind(kind))
-    return replace(given, estimate=estimate)
+) -> ShiftEstimate:
+    given = shift_result(seq).estimate
+    return replace(given, shift_quality=quality, sump_temperature_k=oil_k, kind=EventKind(kind))
 
 
 def test_a_course_has_both_ends_and_the_oil() -> None:
@@ -50,12 +48,15 @@ def test_the_newest_word_on_a_clutch_counts() -> None:
 
 
 def test_the_load_of_a_clutch_is_what_it_slipped() -> None:
-    calibration = nominal_calibration()
-    launch = replace(UPSHIFT, score=None, slip_energy2_j=40_000.0)
-    some = [result(1, UPSHIFT), result(2, UPSHIFT), result(3, launch, kind="launch"), result(4, None)]
-    (found,) = loads(some, calibration)
-    assert (found.clutch, found.counts, found.energy_j, found.launch_count) == (2, (0, 0, 0, 2, 0, 1), 50_000.0, 1)
-    assert found.peak_k == some[0].estimate.clutch_temperature_k
-    assert found.life_ratio == pytest.approx(
-        50e3 / 8.62e9, rel=0.002
-    )  # ten faces of 60 cm2, 0.2 mm of each, 1.4 mm3/MJ
+    hot = replace(UPSHIFT, peak2_k=390.0, life2_ratio=2e-6)
+    launch = replace(hot, score=None, slip_energy2_j=40_000.0, peak2_k=410.0, life2_ratio=16e-6)
+    unseen = ShiftQuality(score=None)  # without pressures
+    some = [result(1, hot), result(2, hot), result(3, launch, kind="launch"), result(4, unseen, kind="launch")]
+    (found,) = loads([*some, result(5, unseen), result(6, None)])
+    assert (found.clutch, found.counts, found.energy_j, found.launch_count) == (2, (0, 0, 0, 2, 0, 1), 50_000.0, 2)
+    assert found.peak_k == 410.0
+    assert found.life_ratio == pytest.approx(20e-6)
+    assert load_line(found) == (
+        "Clutch 2 turned 0.05 MJ into heat in 3 events, launches: 2, at most 137 °C; 0.0020 % of its lining's life, as "
+        "an index."
+    )

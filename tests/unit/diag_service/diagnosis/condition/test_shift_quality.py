@@ -12,6 +12,7 @@ from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.condition.shift_quality import PARTS, ShiftScorer
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.friction import Posterior
+from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.records import ShiftQuality
 
 CALIBRATION = nominal_calibration()
@@ -91,6 +92,25 @@ def test_slip_becomes_heat_of_the_clutch_that_slipped() -> None:
     assert found.temperature_rise_k == pytest.approx(
         expected_j / CALIBRATION.clutches[1].thermal.heat_capacity_j_k, rel=0.02
     )
+
+
+def test_a_pack_is_as_hot_as_its_slip_makes_it_while_the_oil_cools() -> None:
+    thermal = CALIBRATION.clutches[1].thermal
+    rate_1_s = thermal.convection_w_k / thermal.heat_capacity_j_k
+    power_w = np.where((T_S >= 0.0) & (T_S < END_S) & (ENGINE > NEW_RAD_S + 2.0), ASKED_NM * (ENGINE - NEW_RAD_S), 0.0)
+    left = np.exp(-rate_1_s * np.arange(len(T_S)) * 0.01)
+    rise_k = float(np.convolve(power_w, left)[: len(T_S)].max()) * 0.01 / thermal.heat_capacity_j_k
+    cold = quality(event(SUMP_TEMPERATURE=360.0))
+    assert cold.peak2_k == pytest.approx(360.0 + rise_k, abs=0.03 * rise_k)
+    assert cold.peak1_k == pytest.approx(360.0, abs=0.01)
+    assert cold.life2_ratio == pytest.approx((cold.slip_energy2_j or 0.0) / 8.62e9, rel=0.002)  # ten faces of 60 cm2
+    warm = PackTemperatures(clutch_k=(400.0, 380.0), at_ns=START_NS - 1_000_000_000)
+    hot = ShiftScorer(CALIBRATION, None).score(event(SUMP_TEMPERATURE=360.0), KNOWN, warm)
+    assert hot is not None
+    own = CALIBRATION.clutches[0].thermal
+    assert hot.peak1_k == pytest.approx(360.0 + 40.0 * np.exp(-own.convection_w_k / own.heat_capacity_j_k), abs=0.1)
+    assert 3.0 < (hot.peak2_k or 0.0) - (cold.peak2_k or 0.0) < 20.0
+    assert quality(event()).peak2_k is None  # nothing is known of the oil
 
 
 def test_an_engine_that_runs_away_is_a_flare() -> None:
