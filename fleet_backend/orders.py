@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, RowMapping, select
 
-from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT
+from fleet_backend.schema import CLUTCH, FLUID_FILL, SHIFT_RESULT
 from fleet_contract.orders import (
     NO_VERDICT,
     UNKNOWN_FLUID,
@@ -39,20 +39,30 @@ def present_fluids(connection: Connection, vehicles: Sequence[str] | None = None
     return {vehicle: distinct(own, itemgetter(0))[-1] for vehicle, own in known.items()}
 
 
-def with_orders(rows: Iterable[Row], fluids: Mapping[str, PresentFluid]) -> Iterator[dict[str, Any]]:
+def clutch_names(connection: Connection) -> dict[tuple[str, int], str]:
+    """Return the names of clutches that are not clutch 1 or 2 of a pair, by vehicle and number."""
+    table = CLUTCH.c
+    named = select(table.vehicle, table.clutch, table.element).where(table.element.is_not(None))
+    return {(row.vehicle, row.clutch): row.element for row in connection.execute(named)}
+
+
+def with_orders(
+    rows: Iterable[Row], fluids: Mapping[str, PresentFluid], names: Mapping[tuple[str, int], str]
+) -> Iterator[dict[str, Any]]:
     """Yield the last results of clutches with the order for their vehicle; those of an earlier fluid say nothing."""
     by_vehicle: dict[str, list[Row]] = {}
     for row in rows:
         by_vehicle.setdefault(row["vehicle"], []).append(row)
     for vehicle, own in by_vehicle.items():
         filled_at, product = fluids.get(vehicle, (None, own[0]["fluid"]))
-        order = order_of(map(_finding, own), filled_at)
+        order = order_of([_finding(row, names) for row in own], filled_at)
         news = {"action": order.action.value, "order": order.text, "fluid_since": filled_at, "fluid": product}
         for row in own:
             told = dict(row)
             if is_of_earlier_fluid(told["end_at"], filled_at):
                 told.update(dict.fromkeys(told.keys() - _KEPT), condition=NO_VERDICT, shift_count=0)
-                told.update(condition_reason=UNKNOWN_FLUID, advice=unseen_since_new(told["clutch"]))
+                unseen = unseen_since_new(told["clutch"], names.get((vehicle, told["clutch"])))
+                told.update(condition_reason=UNKNOWN_FLUID, advice=unseen)
             yield told | news
 
 
@@ -75,11 +85,12 @@ def without_old_fluid(connection: Connection, alarms: Iterable[Row]) -> list[dic
     return told
 
 
-def _finding(row: Row) -> Finding:
+def _finding(row: Row, names: Mapping[tuple[str, int], str]) -> Finding:
     return Finding(
         clutch=row["clutch"],
         condition=row["condition"],
         text=row["advice"],
         reason=row["condition_reason"],
         end_at=row["end_at"],
+        element=names.get((row["vehicle"], row["clutch"])),
     )

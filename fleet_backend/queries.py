@@ -14,7 +14,7 @@ from fleet_backend.choices import Axis
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, UnknownVehicleError
 from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT, COMMAND_LINE, note_change
-from fleet_backend.orders import present_fluids, with_orders, without_old_fluid
+from fleet_backend.orders import clutch_names, present_fluids, with_orders, without_old_fluid
 from fleet_backend.schema import (
     FLUID_FILL,
     KEY_COLUMNS,
@@ -103,7 +103,7 @@ def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
     with transaction(engine) as connection:
         rows = connection.execute(select(FLEET_WORST_FIRST).order_by(FLEET_WORST_FIRST.c.place)).mappings()
         told = sorted(
-            with_orders(rows, present_fluids(connection)),
+            with_orders(rows, present_fluids(connection), clutch_names(connection)),
             key=lambda row: (-SEVERITIES.index(row["condition"]), row["place"]),
         )
     return [

@@ -113,6 +113,7 @@ def shift_row(data: Mapping[str, object]) -> Row:
     row.update(_trust(data.get("trust")))
     quality = data.get("shift_quality")
     row["shift_quality"] = None if quality is None else _JSON.encode(quality).decode()
+    row["element"] = data.get("element")
     row["content_digest"] = content_digest(row)
     return row
 

@@ -88,6 +88,7 @@ CLUTCH: Final = Table(
     METADATA,
     Column("vehicle", Text, ForeignKey("vehicle.vehicle"), primary_key=True),
     Column("clutch", SmallInteger, primary_key=True, autoincrement=False),
+    Column("element", Text),  # its name in the description of the transmission; null: clutch 1 or 2 of a pair
 )
 
 SHIFT_RESULT: Final = Table(
@@ -134,6 +135,7 @@ SHIFT_RESULT: Final = Table(
     Column("trust", Double),  # how far the data can be believed, whatever the estimate
     Column("trust_parts", Text),  # JSON object of what that is made of
     Column("shift_quality", Text),  # JSON object: how well the event went, as its message tells
+    Column("element", Text),  # name of the clutch
     ForeignKeyConstraint(["vehicle", "clutch"], ["clutch.vehicle", "clutch.clutch"]),  # PostgreSQL: of clutch_stream
     Index("shift_by_time", "vehicle", "clutch", "produced_at", "stream"),
     Index("shift_by_arrival", "stored_at"),
@@ -204,6 +206,6 @@ KEY_COLUMNS: Final = tuple(column.name for column in SHIFT_RESULT.primary_key)
 # What two contents of one result may differ in: it is not in the digest, which must stay what it was.
 UNHASHED_COLUMNS: Final = frozenset({
     *("stored_at", "content_digest", "version_rank", "kind", "end_reason", "advice", "trust", "trust_parts"),
-    "shift_quality",
+    *("shift_quality", "element"),
     *(SCALE_FREE + name for name in SCALE_FREE_COLUMNS),
 })  # fmt: skip

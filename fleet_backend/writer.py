@@ -190,11 +190,16 @@ class Writer:
         return found
 
     def _store(self, batch: Batch) -> None:
-        clutches = {(row["vehicle"], row["clutch"]) for row in batch.shifts} - self._known
+        names = {(row["vehicle"], row["clutch"]): row["element"] for row in batch.shifts}
+        clutches = names.keys() - self._known
         vehicles = {vehicle for vehicle, _ in clutches} | {row["vehicle"] for row in batch.fills}
         with transaction(self._engine) as connection:
             self._put(connection, VEHICLE, [{"vehicle": vehicle} for vehicle in sorted(map(str, vehicles))])
-            self._put(connection, CLUTCH, [{"vehicle": v, "clutch": c} for v, c in sorted(clutches, key=str)])
+            self._put(
+                connection,
+                CLUTCH,
+                [{"vehicle": v, "clutch": c, "element": names[v, c]} for v, c in sorted(clutches, key=str)],
+            )
             _execute(connection, self._status, _sorted(batch.statuses, "vehicle"))
             self._put(connection, CALIBRATION, _sorted(batch.calibrations, "vehicle", "calibration_version"))
             _execute(connection, self._metrics, _sorted(batch.metrics, "vehicle"))

@@ -11,7 +11,7 @@ from sqlalchemy import Connection, Engine, TextClause, TextualSelect, bindparam,
 
 from fleet_backend.database import transaction
 from fleet_backend.months import CLUTCH_STREAM, has_partitions
-from fleet_backend.orders import PresentFluid, present_fluids, with_orders
+from fleet_backend.orders import PresentFluid, clutch_names, present_fluids, with_orders
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchNow
 from fleet_backend.schema import FLUID_FILL, HAPPENED_AT, SHIFT_RESULT, WITHDRAWN_FILL, UtcDateTime
@@ -94,7 +94,7 @@ def all_clutches(engine: Engine) -> list[ClutchNow]:
     try:
         with transaction(engine) as connection:
             rows = connection.execute(_ALL_CLUTCHES[has_partitions(engine)]).mappings()
-            return _told(connection, with_orders(rows, present_fluids(connection)))
+            return _told(connection, with_orders(rows, present_fluids(connection), clutch_names(connection)))
     finally:
         gc.enable()
 
@@ -105,7 +105,7 @@ def clutches_of(engine: Engine, vehicles: Sequence[str]) -> list[ClutchNow]:
         for first in range(0, len(vehicles), _MOST_NAMES):
             names = list(vehicles[first : first + _MOST_NAMES])
             rows = connection.execute(statement, {"vehicles": names}).mappings()
-            found += _told(connection, with_orders(rows, present_fluids(connection, names)))
+            found += _told(connection, with_orders(rows, present_fluids(connection, names), clutch_names(connection)))
     return found
 
 

@@ -1,5 +1,6 @@
 """The fleet database on SQLite and PostgreSQL: one table whatever the order, and what the views make of it."""
 
+from dataclasses import replace
 from datetime import timedelta
 
 import numpy as np
@@ -120,6 +121,23 @@ def test_the_worst_comes_first_with_its_interval(engine: Engine) -> None:
     assert records[0]["mu_c_low"] == pytest.approx(0.1361 - 2 * 0.0012)
     assert records[0]["slope_high_s_rad"] == pytest.approx(0.0021 + 2 * 0.0003)
     assert len(queries.worst_first(engine, limit=1)) == 1
+
+
+def test_a_clutch_with_a_name_is_all_there_is_of_its_vehicle(engine: Engine) -> None:
+    result = fleet_result(1, clutch=1, condition=Condition.GOOD)
+    named = replace(
+        result,
+        estimate=replace(result.estimate, element="lock-up clutch"),
+        verdict=replace(result.verdict, element="lock-up clutch"),
+    )
+    pair = row_of(fleet_result(1, vehicle="pair", clutch=1, condition=Condition.GOOD))
+    Writer(engine).store(Batch(shifts=[row_of(named), pair]))
+    orders = {row["vehicle"]: row for row in queries.worst_first(engine)}
+    assert "no event engaged it yet" in str(orders["pair"]["order"])
+    assert "no event engaged it yet" not in str(orders[named.vehicle]["order"])
+    queries.note_fill(engine, named.vehicle, "new oil", at=NOW, odometer_m=None, note=None)
+    told = {row["vehicle"]: row["advice"] for row in queries.worst_first(engine)}
+    assert str(told[named.vehicle]).startswith("Lock-up clutch: ")
 
 
 def test_a_trend_has_three_axes_and_knows_the_fluid(engine: Engine) -> None:

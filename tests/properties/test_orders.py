@@ -184,7 +184,7 @@ def test_all_who_tell_tell_the_same(known: list[ShiftResult], fluid: FluidFill |
     ]
     filled = {} if fluid is None else {"car1": (moment_of(fluid), "DCTF-II")}
     states = of_present_fluid(known, fluid)
-    for row, state in zip(with_orders(rows, filled), states, strict=True):
+    for row, state in zip(with_orders(rows, filled, {}), states, strict=True):
         told = clutch_record(shift_record(state), order)
         assert (row["action"], row["order"]) == (told["action"], told["order"])
         assert (row["condition"], row["advice"]) == (told["condition"], told["advice"])

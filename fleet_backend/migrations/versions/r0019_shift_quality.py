@@ -1,4 +1,4 @@
-"""How well gear changes went."""
+"""How well gear changes went, and the names of clutches that are no pair."""
 
 from collections.abc import Sequence
 
@@ -12,4 +12,5 @@ depends_on: Sequence[str] | None = None
 
 def upgrade() -> None:
     """Add what is new; earlier results do not tell it."""
-    op.get_bind().exec_driver_sql("ALTER TABLE shift_result ADD COLUMN shift_quality TEXT")
+    for table, name in (("shift_result", "shift_quality"), ("shift_result", "element"), ("clutch", "element")):
+        op.get_bind().exec_driver_sql(f"ALTER TABLE {table} ADD COLUMN {name} TEXT")
