@@ -502,10 +502,8 @@ def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:
     record = {**verdict, **{key: shift[key] for key in (*_RESULT_KEYS, "end_utc")}}
     record["schema"] = Channel.CLUTCH.schema_name
     record |= order_record(order)
-    keys = _keys_of(Channel.CLUTCH)
-    return {
-        key: record.get(key) for key in keys if key not in _ONLY_WHERE_THERE or record.get(key)
-    }  # older programs lack some
+    # Records of older programs lack some.
+    return {key: record.get(key) for key in _keys_of(Channel.CLUTCH) if key not in _ONLY_WHERE_THERE or record.get(key)}
 
 
 def order_record(order: Order | None) -> JsonObject:
@@ -521,13 +519,7 @@ def status_record(status: ServiceStatus) -> JsonObject:
 
 
 def dump(record: Mapping[str, object]) -> str:
-    """Return a record as one line of JSON; floats keep every bit.
-
-    Raises
-    ------
-    ResultError
-        If a number is NaN or infinite, which JSON cannot carry.
-    """
+    """Return a record as one line of JSON, floats to every bit; raises ResultError if one is NaN or infinite."""
     try:
         text = json.dumps(record, allow_nan=False, separators=(",", ":"))
         if "\\ud" not in text:

@@ -165,8 +165,8 @@ class ShiftScorer:
         self._packs = tuple(_Pack.of(clutch) for clutch in calibration.clutches)
         self._gears = gears
         nothing = np.full((_ROW_COUNT, 30), np.nan)
-        none = 0.0, 0.0
-        _measure(nothing, 15, 20, True, 0.0, none, none, 1.0, _NO_HEAT, none, none)  # compiled before the first event
+        none, pack = (0.0, 0.0), (0.0, 1.0, 0.0)
+        _measure(nothing, 15, 20, True, 0.0, none, (pack, pack), 1.0, _NO_HEAT)  # compiled before the first event
         _response_told(nothing, 15, 20, 0.0)
 
     def score(self, event: Event, known: Knowledge | None, warm: PackTemperatures | None = None) -> ShiftQuality | None:
@@ -201,8 +201,7 @@ class ShiftScorer:
                 touch_pa[1] + float(known.mean[State.TOUCH1 + off]),
             )
         first, stop = round(BEFORE_S / GRID_S), round((BEFORE_S + duration_s) / GRID_S)
-        torque_nm_pa = packs[0].torque_nm_pa, packs[1].torque_nm_pa
-        heats, coolings = (packs[0].heat_j_k, packs[1].heat_j_k), (packs[0].cooling_w_k, packs[1].cooling_w_k)
+        on_pack, off_pack = ((pack.torque_nm_pa, pack.heat_j_k, pack.cooling_w_k) for pack in packs)
         heat, oil = _NO_HEAT, event.columns.get(Signal.SUMP_TEMPERATURE)
         if oil is not None and len(oil.value):
             oil_k = float(oil.value.mean())
@@ -211,7 +210,7 @@ class ShiftScorer:
                 age_s = (event.start_ns - warm.at_ns) / NS_PER_S
                 heat = oil_k, warm.clutch_k[on], warm.clutch_k[off], age_s
         stroke_pa = packs[0].stroke_pa
-        parts = _measure(rows, first, stop, on != off, skew_s, touch_pa, torque_nm_pa, stroke_pa, heat, heats, coolings)
+        parts = _measure(rows, first, stop, on != off, skew_s, touch_pa, (on_pack, off_pack), stroke_pa, heat)
         found = _Found._make((*parts, *_response_told(rows, first, stop, touch_pa[0])))
         adaptable = {} if known is None else self._adaptable(on, found, touch_pa[0], known)
         return _judged(event, found, adaptable, packs, is_second=on == 1)
@@ -427,36 +426,36 @@ def _loads_told(
     stop: int,
     is_handover: bool,  # noqa: FBT001
     touch_pa: tuple[float, float],
-    torque_nm_pa: tuple[float, float],
+    packs: tuple[tuple[float, float, float], tuple[float, float, float]],
     heat: tuple[float, float, float, float],
-    heat_j_k: tuple[float, float],
-    cooling_w_k: tuple[float, float],
 ) -> tuple[float, float, float, float, float]:
     """Return what both clutches carried against each other [N m], the slip energy and the peak of each [J, K].
 
-    ``heat`` is the oil, both packs and how long ago they were so warm [K, s]; a pack is warm throughout.
+    ``heat`` is the oil, both packs and how long ago they were so warm [K, s]; a pack is warm throughout. ``packs``
+    are of each the torque that it carries by pressure, what warms it and what cools it [N m/Pa, J/K, W/K].
     """
     tie_up, energy_on, energy_off = np.nan, 0.0, 0.0
     if math.isnan(rows[_PRESSURE_ON, first]):
         return tie_up, np.nan, np.nan, np.nan, np.nan
     oil_k, age_s = heat[0], heat[3]
-    on_k = oil_k + (heat[1] - oil_k) * math.exp(-age_s * cooling_w_k[0] / heat_j_k[0])
-    off_k = oil_k + (heat[2] - oil_k) * math.exp(-age_s * cooling_w_k[1] / heat_j_k[1])
+    (on_nm_pa, on_j_k, on_w_k), (off_nm_pa, off_j_k, off_w_k) = packs
+    on_k = oil_k + (heat[1] - oil_k) * math.exp(-age_s * on_w_k / on_j_k)
+    off_k = oil_k + (heat[2] - oil_k) * math.exp(-age_s * off_w_k / off_j_k)
     peak_on_k, peak_off_k = on_k, off_k
     for row in range(first, stop):
         on_pa = _mean(rows[_PRESSURE_ON], row - 1, row + 2) - touch_pa[0]
         off_pa = _mean(rows[_PRESSURE_OFF], row - 1, row + 2) - touch_pa[1]
-        on_nm, off_nm = max(on_pa, 0.0) * torque_nm_pa[0], max(off_pa, 0.0) * torque_nm_pa[1]
+        on_nm, off_nm = max(on_pa, 0.0) * on_nm_pa, max(off_pa, 0.0) * off_nm_pa
         on_slip = abs(rows[_ENGINE, row] - rows[_ON, row])
         power_w = on_nm * on_slip if on_slip > LOCKED_RAD_S else 0.0
         energy_on += power_w * GRID_S
-        on_k += GRID_S * clutch_heating_rate_k_s(power_w, on_k, oil_k, heat_j_k[0], cooling_w_k[0])
+        on_k += GRID_S * clutch_heating_rate_k_s(power_w, on_k, oil_k, on_j_k, on_w_k)
         peak_on_k = max(peak_on_k, on_k)
         if is_handover:
             off_slip = abs(rows[_ENGINE, row] - rows[_OFF, row])
             power_w = off_nm * off_slip if off_slip > LOCKED_RAD_S and off_pa > LOADED_PA else 0.0
             energy_off += power_w * GRID_S
-            off_k += GRID_S * clutch_heating_rate_k_s(power_w, off_k, oil_k, heat_j_k[1], cooling_w_k[1])
+            off_k += GRID_S * clutch_heating_rate_k_s(power_w, off_k, oil_k, off_j_k, off_w_k)
             peak_off_k = max(peak_off_k, off_k)
             both_nm = min(on_nm - abs(_mean(rows[_TORQUE], row - 2, row + 3)), off_nm if off_pa > LOADED_PA else 0.0)
             if not math.isnan(both_nm) and not tie_up > both_nm:
@@ -548,18 +547,16 @@ def _measure(
     is_handover: bool,  # noqa: FBT001 - a compiled function
     skew_s: float,
     touch_pa: tuple[float, float],
-    torque_nm_pa: tuple[float, float],
+    packs: tuple[tuple[float, float, float], tuple[float, float, float]],
     stroke_pa: float,
     heat: tuple[float, float, float, float],
-    heat_j_k: tuple[float, float],
-    cooling_w_k: tuple[float, float],
 ) -> tuple[float, ...]:
     """Return the fields of `_Found`; the event lasts from row ``first`` to before ``stop``."""
     flare, locked_s, lock_rate = _speeds_told(rows, first, stop, is_handover, skew_s)
     _differentiate(rows[_CAR], rows[_SLOPE])
     hole, jerk = _car_told(rows[_SLOPE], first, stop)
     tie_up, energy_on, energy_off, peak_on, peak_off = _loads_told(
-        rows, first, stop, is_handover, touch_pa, torque_nm_pa, heat, heat_j_k, cooling_w_k
+        rows, first, stop, is_handover, touch_pa, packs, heat
     )
     believed, believed_std = _map_told(rows, stop)
     share, fill_s, early_s = _fill_told(rows, first, stop, touch_pa[0], stroke_pa)
