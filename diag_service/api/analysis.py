@@ -195,7 +195,7 @@ class Analysis:
         """
         from diag_service.api.picture import draw, save  # noqa: PLC0415 - matplotlib, an extra
 
-        figure = draw(self)
+        figure = draw(self.results, ", ".join(one.name for one in self.paths) or self.vehicle)
         if path is not None:
             save(figure, Path(path))
         return figure

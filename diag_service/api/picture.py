@@ -1,5 +1,6 @@
 """The picture of an analysis: friction of each clutch over its shifts, beside the thresholds of the verdict."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -13,8 +14,6 @@ from diag_service.report.pictures import new_mu_c_of
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from diag_service.api.analysis import Analysis
 
 SIZE_INCH: Final = (9.0, 6.0)
 BAND_STD: Final = 2.0
@@ -32,8 +31,8 @@ CONDITION_COLOUR: Final = {
 THRESHOLDS: Final = ((WATCH_LEVEL_RATIO, Condition.WATCH), (CHANGE_LEVEL_RATIO, Condition.CHANGE_FLUID))
 
 
-def draw(analysis: "Analysis") -> "Figure":
-    """Return the figure; ExtraMissingError if matplotlib is not installed."""
+def draw(results: Sequence[ShiftResult], name: str) -> "Figure":
+    """Return the figure, under the name of what was analysed; ExtraMissingError if matplotlib is not installed."""
     load_extra("matplotlib", "plot() needs matplotlib")
     from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
     from matplotlib.patches import Patch  # noqa: PLC0415 - likewise
@@ -41,16 +40,16 @@ def draw(analysis: "Analysis") -> "Figure":
     figure = Figure(figsize=SIZE_INCH, layout="constrained")
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
     for clutch, axes in enumerate(panels, start=1):
-        results = [one for one in analysis.results if one.estimate.clutch == clutch]
-        _draw_clutch(axes, results)
-        _draw_thresholds(axes, results)
+        own = [one for one in results if one.estimate.clutch == clutch]
+        _draw_clutch(axes, own)
+        _draw_thresholds(axes, own)
         axes.set_title(f"clutch {clutch}", loc="left")
         axes.set_ylabel("friction coefficient")
     panels[-1].set_xlabel("shift; dots: single shifts, lines: all shifts combined, bands: 2 standard deviations")
     handles = [Patch(color=colour, label=condition_words(condition)) for condition, colour in CONDITION_COLOUR.items()]
     handles += [Patch(color=MU_C_COLOUR, label="mu_C"), Patch(color=MU_S_COLOUR, label="mu_S")]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
-    panels[0].set_title(", ".join(path.name for path in analysis.paths) or analysis.vehicle, loc="right")
+    panels[0].set_title(name, loc="right")
     return figure
 
 

@@ -26,7 +26,8 @@ from diag_service.tester.asking import (
     heard,
     parse_doip,
 )
-from diag_service.tester.description import Description, find_description
+from diag_service.tester.description import Description
+from diag_service.tester.description_files import find_description
 from diag_service.tester.questions import (
     LARGEST_LEVEL,
     LARGEST_SESSION,

@@ -24,15 +24,8 @@ from diag_service.tester.answers import (
     request_text,
     shown,
 )
-from diag_service.tester.description import (
-    SYSTEMS,
-    UNKNOWN,
-    Description,
-    Values,
-    fields_size_bytes,
-    read_fields,
-    shipped,
-)
+from diag_service.tester.description import SYSTEMS, UNKNOWN, Description, Values, fields_size_bytes, read_fields
+from diag_service.tester.description_files import shipped
 from diag_service.tester.trouble import CODE_BYTES, TroubleCode, read_codes, read_extended, read_snapshots
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from diag_service.tester.asking import (
     heard,
     parse_doip,
 )
-from diag_service.tester.description import find_description
+from diag_service.tester.description_files import find_description
 from diag_service.tester.questions import ALL as ALL_CODES
 from diag_service.tester.questions import (
     EXTENDED_SESSION,

@@ -139,11 +139,11 @@ class Proxy:
 class Provider(Protocol):
     """Logs people in."""
 
-    def address(self, attempt: Attempt) -> str:
-        """Return where a browser logs in."""
+    def address(self, *, state: str, nonce: str, verifier: str) -> str:
+        """Return where a browser logs in, to begin an attempt."""
 
-    def name(self, code: str, attempt: Attempt) -> str:
-        """Return who logged in; raises LoginError."""
+    def name(self, code: str, *, nonce: str, verifier: str) -> str:
+        """Return who ended that attempt with a code; raises LoginError."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

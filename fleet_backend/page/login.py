@@ -35,7 +35,8 @@ class LoginRoutes:
 
     def _begin(self, request: Request) -> Response:
         attempt = Attempt.begin(local_path(request.query_params.get("next", "/")), self.login.sessions.clock())
-        answer = RedirectResponse(self.login.provider.address(attempt), status_code=303)
+        address = self.login.provider.address(state=attempt.state, nonce=attempt.nonce, verifier=attempt.verifier)
+        answer = RedirectResponse(address, status_code=303)
         self._set(answer, self.login.cookie_name(ATTEMPT_COOKIE), attempt.sealed(self.access.key), ATTEMPT_S)
         return answer
 
@@ -48,7 +49,7 @@ class LoginRoutes:
             raise LoginError("this login began in another browser or has expired; begin it again")
         if not words.get("code") or len(words["code"]) > _LONGEST:
             raise LoginError("the login provider refused the login")
-        person = self.login.provider.name(words["code"], attempt)
+        person = self.login.provider.name(words["code"], nonce=attempt.nonce, verifier=attempt.verifier)
         self.access.role_of(person)  # who has none gets no session
         self.login.sessions.end(cookie_in(request.headers, self.login.session_cookie))
         answer = RedirectResponse(attempt.where, status_code=303)

@@ -20,7 +20,6 @@ from joserfc import jwt
 from joserfc.errors import JoseError
 from joserfc.jwk import KeySet
 
-from fleet_backend.page.access import Attempt
 from fleet_backend.page.errors import LoginError, ProviderAwayError
 
 LONGEST_WAIT_S: Final = 10.0
@@ -59,7 +58,7 @@ class OpenIdProvider:
         self._known: tuple[float, Mapping[str, Any]] | None = None
         self._away_until_s = 0.0
 
-    def address(self, attempt: Attempt) -> str:
+    def address(self, *, state: str, nonce: str, verifier: str) -> str:
         """Return where a browser logs in; raises ProviderAwayError if the provider does not answer."""
         found = prepare_grant_uri(
             self._description()["authorization_endpoint"],
@@ -67,14 +66,14 @@ class OpenIdProvider:
             "code",
             redirect_uri=self._client.return_address,
             scope="openid email profile",
-            state=attempt.state,
-            nonce=attempt.nonce,
-            code_challenge=create_s256_code_challenge(attempt.verifier),
+            state=state,
+            nonce=nonce,
+            code_challenge=create_s256_code_challenge(verifier),
             code_challenge_method="S256",
         )
         return str(found)
 
-    def name(self, code: str, attempt: Attempt) -> str:
+    def name(self, code: str, *, nonce: str, verifier: str) -> str:
         """Return who logged in.
 
         Raises
@@ -85,23 +84,23 @@ class OpenIdProvider:
             If it does not answer.
         """
         description = self._description()
-        told = self._post(str(description["token_endpoint"]), code, attempt.verifier)
+        told = self._post(str(description["token_endpoint"]), code, verifier)
         try:
             found = _read(Request(str(description["jwks_uri"])))  # noqa: S310 - https, or of this machine
             keys = KeySet.import_key_set({"keys": list(found["keys"])})
             token = jwt.decode(str(told["id_token"]), keys, algorithms=list(_ALGORITHMS))
-            claims = self._checked(token, attempt, str(told.get("access_token", "")))
+            claims = self._checked(token, nonce, str(told.get("access_token", "")))
         except (JoseError, AuthlibBaseError, KeyError, ValueError, TypeError) as exc:
             raise LoginError("the identity that the login provider sent is not valid") from exc
         return self._name_in(claims)
 
-    def _checked(self, token: jwt.Token, attempt: Attempt, access_token: str) -> Mapping[str, Any]:
+    def _checked(self, token: jwt.Token, nonce: str, access_token: str) -> Mapping[str, Any]:
         client = self._client
         claims = CodeIDToken(
             token.claims,
             token.header,
             {"iss": {"essential": True, "value": client.issuer}, "aud": {"essential": True, "value": client.client_id}},
-            {"nonce": attempt.nonce, "client_id": client.client_id, "access_token": access_token},
+            {"nonce": nonce, "client_id": client.client_id, "access_token": access_token},
         )
         claims.validate(now=int(time.time()), leeway=LEEWAY_S)
         return dict(claims)

@@ -303,7 +303,7 @@ def test_a_log_is_read_no_further_than_its_part(folder: Path) -> None:
 
 
 def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diag_service.commands.decode_folder.asked_database", lambda *_, **__: MESSAGES)
+    monkeypatch.setattr("diag_service.commands.decode.asked_database", lambda *_, **__: MESSAGES)
     whole = decoded("drive.log")
     (folder / "logs" / "day").mkdir(parents=True)
     (folder / "logs" / "notes.txt").write_text("What was measured", encoding="ascii")

@@ -12,7 +12,7 @@ import pytest
 from udsoncan.configs import default_client_config
 
 from diag_service.mapping.profile import load_profile
-from diag_service.tester.description import load_file
+from diag_service.tester.description_files import load_file
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from ecu_emulator.scenario.scenario import EstimateFrom
 from ecu_emulator.scenario.scenario_file import parse_scenario

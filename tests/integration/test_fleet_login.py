@@ -194,18 +194,19 @@ def test_a_change_takes_the_token_of_the_session(browser: httpx.Client, provider
 
 
 def test_a_provider_that_is_away_keeps_nobody_waiting() -> None:
+    words = {"state": "one", "nonce": "two", "verifier": "three" * 20}
     with provided() as gone:
         provider, lying = (
             OpenIdProvider(replace(CLIENT, issuer=issuer)) for issuer in (gone.issuer, f"{gone.issuer}/")
         )
         with pytest.raises(ProviderAwayError, match="does not describe itself as it should"):
-            lying.address(Attempt.begin("/", 0.0))
+            lying.address(**words)
         asked = len(gone.asked)
         with pytest.raises(ProviderAwayError, match="does not answer"):
-            lying.address(Attempt.begin("/", 0.0))
+            lying.address(**words)
         assert len(gone.asked) == asked  # it is left alone for a while
     with pytest.raises(ProviderAwayError, match="does not answer"):
-        provider.address(Attempt.begin("/", 0.0))
+        provider.address(**words)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,8 @@ from diag_service.diagnosis.records import dump, shift_record
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
-from diag_service.tester.description import find_description, read_fields
+from diag_service.tester.description import read_fields
+from diag_service.tester.description_files import find_description
 from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.bus.sender import to_messages

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from diag_service.errors import ConfigError
-from diag_service.tester.description import UNKNOWN, Coding, Description, Field, find_description, read_fields, shipped
+from diag_service.tester.description import UNKNOWN, Coding, Description, Field, read_fields
+from diag_service.tester.description_files import find_description, shipped
 from ecu_emulator.diagnostics.pdx.package import pdx_package
 from ecu_emulator.diagnostics.table_file import shipped_table
 from tests.tools.tester_description import FILE, written

@@ -1,18 +1,22 @@
-"""Controllers as ODX describes them (ISO 22901-1), read by odxtools: it decodes, the tester asks."""
+"""Descriptions of controllers in files: TOML, or ODX (ISO 22901-1), which odxtools reads."""
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol, TypeVar
 
 from canlog.extras import load_extra
 from canlog.files import check_plain_file
+from clutch_model.tables import read_table, record_from
 from diag_service.errors import ConfigError
+from diag_service.tester.addresses import LARGEST_ID
 from diag_service.tester.answers import POSITIVE, READ_DATA, ROUTINE
 from diag_service.tester.description import (
     STANDARD_DATA,
     SYSTEMS,
+    UNKNOWN,
     Coding,
     Datum,
     Description,
@@ -24,9 +28,105 @@ from diag_service.tester.description import (
     Values,
 )
 
+PDX_SUFFIXES: Final = frozenset({".pdx", ".odx-d", ".odx"})
+FOLDER: Final = Path(__file__).parent / "controllers"
 MOST_BYTES: Final = 256 * 2**20
 _START: Final = 0x01
 _HEAD_BYTES: Final = 3  # of a response to service 22: the service and the number of the datum
+
+
+class _Numbered(Protocol):
+    @property
+    def number(self) -> int: ...
+
+
+_NumberedT = TypeVar("_NumberedT", bound=_Numbered)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identity:
+    """By which datum a controller is known, and what it says there."""
+
+    number: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DescriptionFile:
+    """What a TOML file may hold."""
+
+    name: str
+    request_id: int | None = None
+    response_id: int | None = None
+    identity: Identity | None = None
+    data: tuple[Datum, ...] = ()
+    extended: tuple[Datum, ...] = ()
+    trouble: tuple[Trouble, ...] = ()
+    routine: tuple[Routine, ...] = ()
+
+    def __post_init__(self) -> None:
+        for can_id in (self.request_id, self.response_id):
+            if can_id is not None and not 0 <= can_id <= LARGEST_ID:
+                raise ConfigError(f"request_id and response_id must be 0..0x{LARGEST_ID:X}, got {can_id}")
+
+    @property
+    def description(self) -> Description:
+        """The controller that it describes, and what controllers of all makers have besides."""
+        return Description(
+            name=self.name,
+            data={**STANDARD_DATA, **_numbered(self.data, "data")},
+            extended=_numbered(self.extended, "extended"),
+            troubles=self.trouble,
+            routines=_numbered(self.routine, "routine"),
+            request_id=self.request_id,
+            response_id=self.response_id,
+        )
+
+
+def find_description(name: Path | None) -> Description:
+    """Return a description by its path or by the name of one that ships; without one, what all controllers have.
+
+    Raises ConfigError if there is none, or it cannot be used, ExtraMissingError if it is a PDX and odxtools is not
+    installed.
+    """
+    if name is None:
+        return UNKNOWN
+    if name.suffix.lower() in PDX_SUFFIXES:
+        return load_odx(name)
+    if len(name.parts) == 1 and not name.suffix and not name.exists():
+        if name.name not in shipped_names():
+            raise ConfigError(f"no controller {name}: give a .toml or .pdx file or one of {', '.join(shipped_names())}")
+        return load_file(FOLDER / f"{name}.toml").description
+    return load_file(name).description
+
+
+def shipped_names() -> tuple[str, ...]:
+    """Return the names of the descriptions that ship with the service."""
+    return tuple(sorted(path.stem for path in FOLDER.glob("*.toml")))
+
+
+def shipped() -> list[DescriptionFile]:
+    return [load_file(FOLDER / f"{name}.toml") for name in shipped_names()]
+
+
+def load_file(path: Path) -> DescriptionFile:
+    """Return what a TOML file holds; raises ConfigError naming the first key that is wrong."""
+    table = read_table(path, "the description", ConfigError)
+    try:
+        described = record_from(DescriptionFile, table, error=ConfigError)
+        _ = described.description
+    except ConfigError as exc:
+        raise ConfigError(f"description {path}: {exc}") from exc
+    return described
+
+
+def _numbered(records: Iterable[_NumberedT], what: str) -> Mapping[int, _NumberedT]:
+    found: dict[int, _NumberedT] = {}
+    for record in records:
+        if record.number in found:
+            raise ConfigError(f"{what} 0x{record.number:04X} is there twice")
+        found[record.number] = record
+    return found
 
 
 def load_odx(path: Path) -> Description:
