@@ -225,6 +225,7 @@ def tables_agree(seeds: Sequence[int]) -> list[float]:
                     for part in PARTS
                     if getattr(one, part.name) is not None and getattr(other, part.name) is not None
                 }
+                both |= {"acceleration_m_s2"} if "jerk_m_s3" in both else set()
                 first, second = (weighed({name: getattr(each, name) for name in both})[0] for each in (one, other))
                 if first is not None and second is not None:
                     differences.append(second - first)

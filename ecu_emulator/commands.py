@@ -211,6 +211,8 @@ class Recording:
         The log, and the file with the truth about it.
     is_finished : bool
         Whether it was driven to its end.
+    endless_shift : str
+        What is to be said of a shift that did not end; empty: there was none.
     totals : Totals
         Frames, shifts, events, and how long it took on the road [s].
     took_s : float
@@ -222,6 +224,7 @@ class Recording:
     path: Path
     truth: Path  # the null device if there is none
     is_finished: bool
+    endless_shift: str
     totals: Totals
     took_s: float
     vehicle_seed: int
@@ -295,7 +298,8 @@ def write_log(
     return Recording(
         path=path,
         truth=truth_file,
-        is_finished=drive.finished,
+        is_finished=drive.finished and not drive.endless_shift,
+        endless_shift=drive.endless_shift,
         totals=drive.totals,
         took_s=time.perf_counter() - began_s,
         vehicle_seed=scenario.seed_of_vehicle,
@@ -334,7 +338,7 @@ def record(scenario: Scenario, options: LogOptions, stop: Event, *, is_json: boo
 
         made = write_log(scenario, options, stop, show)
     totals = made.totals
-    state = "" if made.is_finished else "stopped early: "
+    state = "" if made.is_finished else f"stopped early: {made.endless_shift and made.endless_shift + '; '}"
     name, beside = ("standard output", truth) if is_piped else (path, made.truth)
     console.print(
         f"{state}{name}: {totals.frames} frames, {totals.shifts} shifts, {totals.driven_s:.1f} s of driving "

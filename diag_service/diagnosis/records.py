@@ -278,6 +278,7 @@ class ShiftQuality:
     pressure_lag_s: float | None = None  # of its pressure behind the command, the pack closed
     pressure_reach_ratio: float | None = None  # of the command beyond the touch point that its pressure reaches
     pressure_short_pa: float | None = None  # by which it stays below the highest command
+    acceleration_m_s2: float | None = None  # of the car before or after, whichever is larger
     peak1_k: float | None = None  # of the pack of clutch 1, warm throughout
     peak2_k: float | None = None
     life1_ratio: float | None = None  # of a lining's life that this slip consumes: an index

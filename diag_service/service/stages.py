@@ -148,7 +148,7 @@ class Stages:
                 ):  # they grow until it has changed
                     self._memory = self._memory.with_changed_friction(clutch)
             course = self._memory.course.with_event(estimate, self._state, state)
-            if course.now.count >= LEAST_COUNT and course.event_count % JUDGED_EVERY == 0:
+            if has_scale and course.now.count >= LEAST_COUNT and course.event_count % JUDGED_EVERY == 0:
                 course = replace(course, found=self._causes.judge(course))
             memory = self._memory.with_fit(estimate).with_shift(estimate, self._state).with_launch(estimate, course)
             self._memory, verdict = judge(memory, state, estimate.clutch, self._calibration)

@@ -138,6 +138,11 @@ class Drive:
     def finished(self) -> bool:
         return self._plant.finished
 
+    @property
+    def endless_shift(self) -> str:
+        """What is to be said of a shift that does not end, and so ends the drive; empty: there is none."""
+        return self._plant.endless_shift if isinstance(self._plant, Powertrain) else ""
+
     def add_fault(self, fault: SensorFault | BusFault) -> None:
         """Have a fault happen; its time counts from the next stretch on. Any thread may call.
 

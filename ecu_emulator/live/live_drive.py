@@ -303,6 +303,8 @@ def send(
         result["diagnostics"] = answering.outcome
         say(answering.summary)
     say(_report_text(report))
+    if sent.drive.endless_shift:
+        say(sent.drive.endless_shift)
     if others.frame_count >= WORTH_SAYING:
         say(f"{others.frame_count} frames with the same identifiers came from another sender")
     return result

@@ -68,6 +68,15 @@ class Powertrain(Course):
         return bool(self._machine.memory[tcu_data.IS_FINISHED])
 
     @property
+    def endless_shift(self) -> str:
+        """What is to be said of a shift that does not end; empty: there is none."""
+        memory = self._machine.memory
+        if memory[tcu_data.IS_FINISHED] != tcu_data.IS_STUCK:
+            return ""
+        gears = f"gear {memory[tcu_data.CURRENT_GEAR]:.0f} to {memory[tcu_data.TARGET_GEAR]:.0f}"
+        return f"the shift does not end: {gears} slips for {tcu_data.LONGEST_SHIFT_S:.0f} s, the clutch cannot hold"
+
+    @property
     def is_waiting(self) -> bool:
         """Whether the car waits at rest for somebody to ask for the workshop routine."""
         return bool(self._machine.memory[tcu_data.ROUTINE] == tcu_data.WAITING)

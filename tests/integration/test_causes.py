@@ -4,14 +4,23 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.accuracy import to_batch
 from benchmarks.causes import Life, Outcome, lived
-from clutch_model.calibration import nominal_calibration
+from clutch_model.calibration import TorqueSource, nominal_calibration
+from dbc.contract import load_contract
 from diag_service import analyze
 from diag_service.diagnosis.condition.causes import SOUND, CauseJudge
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import shift_from, shift_record
 from diag_service.diagnosis.summary import cause_lines
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
 from ecu_emulator.cli import main as emulator
+from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.faults import CauseKind
+from tests.support.builders import drive_scenario
 
 JUDGE = CauseJudge(nominal_calibration())
 
@@ -29,6 +38,17 @@ def test_a_sound_life_stays_sound() -> None:
     outcome = Outcome.of(life, JUDGE)
     assert outcome.stated[0][0] == SOUND
     assert not outcome.accused
+
+
+def test_no_cause_is_named_where_friction_has_no_scale() -> None:
+    calibration = nominal_calibration().with_torque(TorqueSource.MODELLED)
+    stages = Stages(
+        Decoder(load_contract(), load_profile()), calibration, Posterior.fresh(calibration), ConditionMemory.fresh()
+    )
+    found = stages.feed(to_batch(frames_of(drive_scenario(cycles=7))[0]))
+    assert len(found) == 70
+    assert {one.verdict.causes for one in found} == {None}
+    assert found[-1].estimate.scale_free is not None
 
 
 def test_an_analysis_tells_causes_to_people_and_programs(tmp_path: Path) -> None:

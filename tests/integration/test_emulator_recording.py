@@ -1,5 +1,6 @@
 """Whole drives through plant, sensors and frame builder."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,6 +12,7 @@ from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import COUNTER_PERIOD, counter_of, crc_is_valid, data_id_remainder
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
+from ecu_emulator.cli import main
 from ecu_emulator.drive.build import ROAD_MESSAGES
 from ecu_emulator.drive.recording import Drive, frames_of
 from ecu_emulator.errors import ConfigError
@@ -125,6 +127,18 @@ def test_revs_in_neutral_are_told_once_their_frames_are_sent(tmp_path: Path) -> 
     assert [rev.are_clutches_closed for rev in truth.revs] == [False, True]
     assert truth.shifts == ()
     assert sent.shift_count == 0
+
+
+def test_a_shift_that_does_not_end_ends_the_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "weak.log"
+    assert main(["record", str(log), "--seed", "2", "--cause", "weak-pump:4", "--json"]) == 0
+    said = capsys.readouterr()
+    assert "stopped early: the shift does not end: gear 5 to 6 slips for 20 s" in said.err
+    told = json.loads(said.out)
+    assert told["finished"] is False
+    assert told["shifts"] == 4
+    assert 20.0 < told["duration_s"] < 60.0
+    assert read_truth(tmp_path / "weak.log.truth.jsonl").totals is not None
 
 
 def test_a_drive_that_the_plant_cannot_make_is_refused() -> None:

@@ -1,12 +1,17 @@
 """A control that has something wrong shifts worse, is told what, and shifts as before once that is adapted."""
 
+from pathlib import Path
 from statistics import fmean
 
+import numpy as np
 import pytest
 
-from benchmarks.shift_quality import Case, driven, scenario_of, scored, true_fills_s
+from benchmarks.scan_tool import written
+from benchmarks.shift_quality import Case, driven, estimates_of, scenario_of, scored, true_fills_s
 from clutch_model.calibration import clutch_of_gear
+from diag_service.diagnosis.condition.shift_course import adapting_lines, courses
 from diag_service.diagnosis.records import ShiftEstimate
+from ecu_emulator.cli import main as emulator
 from ecu_emulator.drive.build import build_vehicle
 from ecu_emulator.scenario.scenario import Scenario
 
@@ -68,3 +73,22 @@ def test_clutches_that_overlap_too_far_work_against_each_other(sound: float) -> 
     found = scored(driven(scenario, touch_pa(scenario)))
     assert fmean(score for *_, score in found) < sound - 8.0
     assert sum("tie_up_nm" in quality.reasons for _, quality, _ in found) >= 8  # of ten
+
+
+def test_a_log_without_pressures_has_fewer_parts_and_says_so(tmp_path: Path) -> None:
+    log, table = tmp_path / "drive.log", tmp_path / "drive.csv"
+    assert emulator(["record", str(log), "--seed", "7"]) == 0
+    left_out = frozenset({"Clutch 1 Pressure", "Clutch 2 Pressure"})
+    written(log, table, np.random.default_rng(7), rate_hz=100.0, jitter_s=0.0, skew_ratio=0.0, left_out=left_out)
+    whole, without = estimates_of(log), estimates_of(table)
+    missing = {"touch_error_pa", "fill_error_s", "tie_up_nm", "temperature_rise_k"}
+    assert len(scored(without)) == len(scored(whole)) == 10
+    for (_, more, _), (_, fewer, _) in zip(scored(whole), scored(without), strict=True):
+        assert all(getattr(fewer, name) is None for name in missing)
+        assert all(getattr(more, name) is not None for name in missing)
+        assert fewer.flare_rad_s == pytest.approx(more.flare_rad_s, abs=1.0)
+        assert fewer.lock_rate_rad_s2 is not None
+        assert fewer.corrections == ()
+    untold = "jerk, torque hole, tie up, fill error, touch error, temperature rise"
+    assert adapting_lines(courses(without), ()) == (f"Scores are without what the signals do not tell: {untold}.",)
+    assert not any("without" in line for line in adapting_lines(courses(whole), ()))

@@ -13,6 +13,7 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
+from itertools import combinations
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -68,15 +69,15 @@ STRENGTHS: Final = ((1.0, 0.35), (2.0, 0.6), (3.5, 1.0))  # mean and deviation o
 PAIR_STRENGTH: Final = (2.0, 0.9)
 PAIR_SHARE: Final = 0.05  # of a second cause beside a first one
 MOST_PAIRED: Final = 3  # of the likeliest causes each is tried with all others
-MODEL_SHARE: Final = 0.12  # of a signature: laws that no simulated car has
-STRETCHED: Final = 0.8  # deviations of changes against those that are stated: sound cars move by half of them
+MODEL_SHARE: Final = 0.25  # of a signature: laws that no simulated car has
+STRETCHED: Final = 0.7  # deviations of changes against those that are stated: sound cars move by half of them
 UNFILLED_COST: Final = 8.0  # of another fluid where nobody has noted a fill
 LEAST_SHOWN: Final = 0.2  # part of a change that shows: parameters of which events tell less are left out
 TAILS: Final = 8.0  # degrees of freedom: what is far off is not next to impossible
 LEAST_TOLD: Final = 0.005
 SHOWN_STD: Final = 1.5  # deviations from which on something is said to have moved
 _OF_FLUID: Final = frozenset({"aged-fluid", "water", "air"})
-_WHOLE_ELSE, _SINGLE_ELSE = 3.0, 8.0  # of what is usual of known causes; deviations of sound cars
+_ELSE_FLOORS: Final = (4.0, 16.0)  # by how many times what sound cars move something else moves
 
 
 @cache
@@ -131,20 +132,22 @@ class CauseJudge:
 
     def _single(self) -> Iterator[Hypothesis]:
         """Yield what a change is held against at first: nothing, something else, each cause alone."""
-        none, (first, *others) = np.zeros((COUNT, 2)), STRENGTHS
-        usual = np.max([np.abs(one.mean) for one in self.signatures], axis=0)
-        prior_else = self._table["prior_else"]
+        none, prior_else = np.zeros((COUNT, 2)), self._table["prior_else"]
         known = sum(one.prior for one in self.signatures) + prior_else
         yield Hypothesis(((SOUND, None),), none[:, 0], none, none[:, 0], math.log(1.0 - known))
-        other = ((ELSE, None),)
-        yield Hypothesis(other, none[:, 0], none, _WHOLE_ELSE * usual, math.log(0.5 * prior_else))
-        for place in range(COUNT):
-            spread = np.zeros(COUNT)
-            spread[place] = max(_SINGLE_ELSE * math.sqrt(self._floor[place]), _WHOLE_ELSE * usual[place])
-            yield Hypothesis(other, none[:, 0], none, spread, math.log(0.5 * prior_else / COUNT))
+        moved, stems = set[frozenset[int]](), [name.rstrip("12") for name in FEATURES]
+        both = [frozenset(n for n, stem in enumerate(stems) if stem in names) for names in self._table["together"]]
+        for places in both:
+            moved |= {frozenset(n for n in places if FEATURES[n][-1] != clutch) for clutch in "012"}
+        moved |= {one | other for one, other in combinations(both, 2)} | {frozenset([n]) for n in range(COUNT)}
+        for places in sorted(moved, key=sorted):
+            for times in _ELSE_FLOORS:
+                spread = np.where(np.isin(range(COUNT), list(places)), times * np.sqrt(self._floor), 0.0)
+                log_prior = math.log(prior_else / len(moved) / len(_ELSE_FLOORS))
+                yield Hypothesis(((ELSE, None),), none[:, 0], none, spread, log_prior)
         for one in self.signatures:
-            for strength, std in (first, *others):
-                yield _together((one,), (strength, std), math.log(one.prior / len(STRENGTHS)))
+            for strength in STRENGTHS:
+                yield _together((one,), strength, math.log(one.prior / len(STRENGTHS)))
 
     def change(self, begun: Stretch, now: Stretch) -> Change:
         """Return what moved between two stretches.
@@ -316,20 +319,56 @@ def _logs(
     return logs
 
 
+_BORDER: Final = 1e12  # above any squared distance: a factor's last row is what is away, whitened
+
+
 def _likelihoods(some: Sequence[Hypothesis], change: Change) -> FloatArray:
     """Return the logarithm of how likely a change is by each hypothesis, but for what all have."""
     if not some:
         return np.zeros(0)
-    told = change.told
-    roots = np.array([one.roots for one in some]) * told[:, None]
-    stack = change.covariance + roots @ roots.transpose(0, 2, 1)
-    stack[:, range(COUNT), range(COUNT)] += (np.array([one.spread for one in some]) * told) ** 2
-    away = change.mean - np.array([one.mean for one in some]) * told
-    factors = np.linalg.cholesky(stack)
-    away = np.linalg.solve(factors, away[:, :, None])[:, :, 0]
-    misfit = np.log1p((away**2).sum(axis=1) / TAILS)  # Student's law: no car is quite like a simulated one
-    logs: FloatArray = -0.5 * (TAILS + COUNT) * misfit - np.log(factors.diagonal(axis1=1, axis2=2)).sum(axis=1)
+    is_known = np.array([one.roots.any() for one in some])
+    spreads = np.array([one.spread for one in some]) * change.told
+    far, scales = np.empty(len(some)), np.empty(len(some))
+    far[~is_known], scales[~is_known] = _scattered_far(spreads[~is_known], change)
+    if is_known.any():
+        known = [one for one in some if one.roots.any()]
+        roots = np.array([one.roots for one in known]) * change.told[:, None]
+        stack = np.empty((len(known), COUNT + 1, COUNT + 1))
+        stack[:, COUNT, COUNT] = _BORDER
+        stack[:, :COUNT, :COUNT] = change.covariance + roots @ roots.transpose(0, 2, 1)
+        stack[:, range(COUNT), range(COUNT)] += spreads[is_known] ** 2
+        stack[:, COUNT, :COUNT] = change.mean - np.array([one.mean for one in known]) * change.told
+        far[is_known], scales[is_known] = _factored(stack)
+    logs: FloatArray = -0.5 * (TAILS + COUNT) * np.log1p(far / TAILS) - scales  # Student's law: no car is simulated
     return logs
+
+
+def _factored(stack: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return squared distances, and half the logarithms of determinants, of bordered covariances: of lower halves."""
+    factors = np.linalg.cholesky(stack)
+    scales: FloatArray = np.log(factors.diagonal(axis1=1, axis2=2)[:, :-1]).sum(axis=1)
+    return (factors[:, -1, :-1] ** 2).sum(axis=1), scales
+
+
+def _scattered_far(spreads: FloatArray, change: Change) -> tuple[FloatArray, FloatArray]:
+    """Return the same of hypotheses that only widen some places, by the formula of Woodbury: there are many."""
+    std = np.sqrt(change.covariance.diagonal())
+    away, whole = change.mean / std, change.covariance / np.outer(std, std)
+    inverse, own = np.linalg.inv(whole), (spreads / std) ** 2
+    most = int((own > 0.0).sum(axis=1).max(initial=0))
+    places = np.argsort(own <= 0.0, axis=1, kind="stable")[:, :most]
+    own = np.take_along_axis(own, places, axis=1)
+    is_moved = own > 0.0
+    own[~is_moved] = 1.0
+    stack = np.empty((len(own), most + 1, most + 1))
+    stack[:, most, most] = _BORDER
+    is_pair = is_moved[:, :, None] & is_moved[:, None, :]
+    stack[:, :most, :most] = np.where(is_pair, inverse[places[:, :, None], places[:, None, :]], 0.0)
+    stack[:, range(most), range(most)] += 1.0 / own
+    stack[:, most, :most] = np.where(is_moved, (inverse @ away)[places], 0.0)
+    nearer, scales = _factored(stack)
+    scales += 0.5 * np.log(own).sum(axis=1) + 0.5 * np.linalg.slogdet(whole)[1] + np.log(std).sum()
+    return away @ inverse @ away - nearer, scales
 
 
 def _mean(sums: FloatArray) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from typing import Final
 
 from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import degc_from_k
-from diag_service.diagnosis.condition.shift_quality import Load, borne
+from diag_service.diagnosis.condition.shift_quality import PARTS, Load, borne
 from diag_service.diagnosis.events import EventKind
 from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality
 
@@ -36,15 +36,16 @@ class Course:
     last: float  # of the last
     by_oil: tuple[float | None, float | None, float | None]  # cold, warm, hot
     reason: str  # the part that cost most most often; empty: none
+    untold: frozenset[str] = frozenset()  # parts that no change of them has, for want of signals
 
 
 def courses(estimates: Iterable[ShiftEstimate]) -> list[Course]:
     """Return how the changes went, by kind and gears; estimates in their order."""
-    groups: dict[tuple[EventKind, int, int], list[tuple[float, float | None, tuple[str, ...]]]] = {}
+    groups: dict[tuple[EventKind, int, int], list[tuple[float, float | None, ShiftQuality]]] = {}
     for one in estimates:
         quality = one.shift_quality
         if quality is not None and quality.score is not None:
-            told = quality.score, one.sump_temperature_k, quality.reasons
+            told = quality.score, one.sump_temperature_k, quality
             groups.setdefault((one.kind, one.from_gear, one.to_gear), []).append(told)
     found = []
     for (kind, from_gear, to_gear), group in sorted(groups.items()):
@@ -52,7 +53,7 @@ def courses(estimates: Iterable[ShiftEstimate]) -> list[Course]:
         for score, oil_k, _ in group:
             if oil_k is not None:
                 by_oil[bisect((COLD_DEGC, HOT_DEGC), degc_from_k(oil_k))].append(score)
-        reasons = Counter(reasons[0] for *_, reasons in group if reasons)
+        reasons = Counter(quality.reasons[0] for *_, quality in group if quality.reasons)
         found.append(
             Course(
                 kind=kind,
@@ -63,6 +64,9 @@ def courses(estimates: Iterable[ShiftEstimate]) -> list[Course]:
                 last=fmean(score for score, *_ in group[-COURSE_COUNT:]),
                 by_oil=tuple(fmean(scores) if scores else None for scores in by_oil),  # type: ignore[arg-type]
                 reason=reasons.most_common(1)[0][0] if reasons else "",
+                untold=frozenset(
+                    part.name for part in PARTS if all(getattr(quality, part.name) is None for *_, quality in group)
+                ),
             )
         )
     return found
@@ -79,9 +83,13 @@ def change_words(one: Course) -> str:
 
 
 def adapting_lines(found: Iterable[Course], corrections: Iterable[str]) -> tuple[str, ...]:
-    """Return which changes go worst now, and why, and what a control should adapt."""
-    poor = sorted((one for one in found if one.last < POOR), key=lambda one: one.last)[:MOST_POOR]
+    """Return which changes go worst now, and why, what a control should adapt, and what the signals do not tell."""
+    known = list(found)
+    poor = sorted((one for one in known if one.last < POOR), key=lambda one: one.last)[:MOST_POOR]
     lines = [f"{change_words(one).capitalize()} scores {one.last:.0f}: {part_words(one.reason)}." for one in poor]
+    untold = [part_words(part.name) for part in PARTS if known and all(part.name in one.untold for one in known)]
+    if untold:
+        lines.append(f"Scores are without what the signals do not tell: {', '.join(untold)}.")
     return *lines, *(f"Adapt {one}." for one in corrections)
 
 

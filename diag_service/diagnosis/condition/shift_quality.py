@@ -37,11 +37,15 @@ MAP_PA = 0.05e5  # rms: beyond it the command is no straight line of the torque
 PULSE_PA = 1.0e5  # above the touch point, with no torque asked for: the clutch is being filled
 FILLED_ROWS = 4  # before torque is asked for, whose mean pressure tells how full the cavity is
 PRESSURE_PA = 5.0e3  # of a reading, one deviation
-FLOW_STD_RATIO = 0.2  # how well the flow of a pulse is known: of readings, and for its last milliseconds
+FLOW_STD_RATIO, FLOW_STD_S = (
+    0.2,
+    0.015,
+)  # how well the flow of a pulse is known: readings; a valve opens and closes late
 WEAR_M3_J: Final = 1.4e-15  # of a wet paper lining, by Archard's law [C]: 1.4 mm3 per MJ
 WORN_M: Final = 0.2e-3  # that each lining may lose [C]
 ENERGY_BOUNDS_J: Final = (300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0)
 LEAST_CHANGE: Final = {"touch_error_pa": 2.0e3, "fill_error_s": 0.04}  # a smaller one mends nothing that is felt
+USUAL_M_S2: Final = 1.5  # acceleration of the car at which `free` and `felt` hold: a faster one hides more [C]
 USUAL_S = 1.2  # from the request to the end of slip [C]
 INTENDED_S: Final = {EventKind.COAST_SKIP: 1.8, EventKind.POWER_ON_SKIP: 1.8, EventKind.KICKDOWN: 1.5}  # other kinds
 SCORED: Final = frozenset(
@@ -57,11 +61,12 @@ class Part(NamedTuple):
     weight: float
     free: float
     felt: float
+    is_relative: bool = False  # it is felt beside the acceleration that the driver asked for
 
 
 PARTS: Final = (
-    Part("jerk_m_s3", 25.0, 12.0, 30.0),
-    Part("torque_hole_m_s2", 15.0, 0.8, 2.0),
+    Part("jerk_m_s3", 25.0, 12.0, 30.0, is_relative=True),
+    Part("torque_hole_m_s2", 15.0, 0.8, 2.0, is_relative=True),
     Part("flare_rad_s", 15.0, 3.0, 15.0),
     Part("tie_up_nm", 15.0, 8.0, 40.0),
     Part("fill_error_s", 10.0, 0.04, 0.12),
@@ -83,6 +88,7 @@ _PUBLIC: Final = (
     "pressure_lag_s",
     "pressure_reach_ratio",
     "pressure_short_pa",
+    "acceleration_m_s2",
     "peak1_k",
     "peak2_k",
     "life1_ratio",
@@ -135,6 +141,7 @@ class _Found(NamedTuple):
     lock_rate_rad_s2: float = math.nan
     torque_hole_m_s2: float = math.nan
     jerk_m_s3: float = math.nan
+    acceleration_m_s2: float = math.nan  # of the car before or after, whichever is larger
     tie_up_nm: float = math.nan
     energy_on_j: float = math.nan
     energy_off_j: float = math.nan
@@ -144,6 +151,7 @@ class _Found(NamedTuple):
     believed_std_pa: float = math.nan
     share: float = math.nan  # of the cavity that is full as torque is asked for; above 1: it was too early
     fill_time_s: float = math.nan  # that a whole filling takes at the flow of this one
+    pulse_s: float = math.nan  # that it was filled for
     early_s: float = math.nan  # by which it was full before the pulse ended; 0: it was not
     pressure_lag_s: float = math.nan  # of the pressure behind its command, the clutch closed
     pressure_reach_ratio: float = math.nan  # of the command that the pressure reaches beyond the touch point
@@ -250,7 +258,8 @@ class ShiftScorer:
             s_per_share = found.fill_time_s
             longer_s = -found.early_s if found.share >= 1.0 else (1.0 - found.share) * s_per_share
             read_std = math.hypot(std_pa, PRESSURE_PA / math.sqrt(FILLED_ROWS)) / self._packs[on].stroke_pa
-            adaptable["fill_error_s"] = longer_s, math.hypot(read_std * s_per_share, FLOW_STD_RATIO * longer_s, GRID_S)
+            flow_std = math.hypot(FLOW_STD_RATIO, FLOW_STD_S / found.pulse_s) * longer_s
+            adaptable["fill_error_s"] = longer_s, math.hypot(read_std * s_per_share, flow_std, GRID_S)
         return adaptable
 
 
@@ -292,12 +301,13 @@ def weighed(parts: Mapping[str, float]) -> tuple[float | None, list[str]]:
 
     Twice as much is felt less than twice as strongly: beyond `felt` the logarithm bends what a part costs.
     """
-    costs = {
-        part.name: part.weight
-        * math.log1p((math.e - 1.0) * max(abs(parts[part.name]) - part.free, 0.0) / (part.felt - part.free))
-        for part in PARTS
-        if part.name in parts
-    }
+    hides = (1.0 + parts.get("acceleration_m_s2", USUAL_M_S2)) / (1.0 + USUAL_M_S2)
+    costs = {}
+    for part in PARTS:
+        if part.name in parts:
+            size = abs(parts[part.name]) / (hides if part.is_relative else 1.0)
+            beyond = max(size - part.free, 0.0) / (part.felt - part.free)
+            costs[part.name] = part.weight * math.log1p((math.e - 1.0) * beyond)
     weight = sum(part.weight for part in PARTS if part.name in costs)
     if not weight:
         return None, []
@@ -408,15 +418,16 @@ def _speeds_told(
 
 
 @array_kernel
-def _car_told(slopes: FloatArray, first: int, stop: int) -> tuple[float, float]:
-    """Return by how much the car's acceleration fell below that before and after [m/s2], and its jerk [m/s3]."""
+def _car_told(slopes: FloatArray, first: int, stop: int) -> tuple[float, float, float]:
+    """Return by how much the car's acceleration fell below that before and after, its jerk, and the larger of both."""
     end = min(stop + 1, len(slopes) - SLOPE_ROWS)
-    level = min(_mean(slopes, SLOPE_ROWS, first - SLOPE_ROWS // 2), _mean(slopes, end - SLOPE_ROWS, end))
+    before, after = _mean(slopes, SLOPE_ROWS, first - SLOPE_ROWS // 2), _mean(slopes, end - SLOPE_ROWS, end)
+    level = min(before, after)
     hole, jerk = 0.0, 0.0
     for row in range(first, end):
         hole = max(hole, level - slopes[row])
         jerk = max(jerk, abs(slopes[row] - slopes[row - JERK_ROWS]) / (JERK_ROWS * GRID_S))
-    return (np.nan, np.nan) if math.isnan(level) else (hole, jerk)
+    return (np.nan, np.nan, np.nan) if math.isnan(level) else (hole, jerk, max(abs(before), abs(after)))
 
 
 @array_kernel
@@ -489,8 +500,8 @@ def _map_told(rows: FloatArray, stop: int) -> tuple[float, float]:
 @array_kernel
 def _fill_told(
     rows: FloatArray, first: int, stop: int, touch_pa: float, stroke_pa: float
-) -> tuple[float, float, float]:
-    """Return how full the cavity is as torque is asked for, how long all of it takes, and how much was too long [s]."""
+) -> tuple[float, float, float, float]:
+    """Return how full the cavity is as torque is asked for, how long all takes, the pulse, what was too long [s]."""
     command, asked, pressure = rows[_COMMAND], rows[_ASKED], rows[_PRESSURE_ON]
     row, pulse, ended, full = first, 0, first, -1
     while row < stop and not (asked[row] >= ASKED_NM and pulse > 0):
@@ -500,13 +511,13 @@ def _fill_told(
             full = row if pulse > 0 else -1
         row += 1
     if row >= stop or pulse == 0:
-        return np.nan, np.nan, np.nan
+        return np.nan, np.nan, np.nan, np.nan
     if full >= 0:
-        return 1.0, pulse * GRID_S, max((ended - full) * GRID_S, 0.0)
+        return 1.0, pulse * GRID_S, pulse * GRID_S, max((ended - full) * GRID_S, 0.0)
     last = min(ended + 1 + FILLED_ROWS, row)  # a valve goes on for a moment
     at_end = 1.0 - max(touch_pa - _mean(pressure, last - FILLED_ROWS, last), 0.0) / stroke_pa
     short_pa = touch_pa - _mean(pressure, row - FILLED_ROWS, row)
-    return 1.0 - max(short_pa, 0.0) / stroke_pa, pulse * GRID_S / max(at_end, 0.1), 0.0
+    return 1.0 - max(short_pa, 0.0) / stroke_pa, pulse * GRID_S / max(at_end, 0.1), pulse * GRID_S, 0.0
 
 
 @array_kernel
@@ -554,13 +565,13 @@ def _measure(
     """Return the fields of `_Found`; the event lasts from row ``first`` to before ``stop``."""
     flare, locked_s, lock_rate = _speeds_told(rows, first, stop, is_handover, skew_s)
     _differentiate(rows[_CAR], rows[_SLOPE])
-    hole, jerk = _car_told(rows[_SLOPE], first, stop)
+    hole, jerk, acceleration = _car_told(rows[_SLOPE], first, stop)
     tie_up, energy_on, energy_off, peak_on, peak_off = _loads_told(
         rows, first, stop, is_handover, touch_pa, packs, heat
     )
     believed, believed_std = _map_told(rows, stop)
-    share, fill_s, early_s = _fill_told(rows, first, stop, touch_pa[0], stroke_pa)
+    share, fill_s, pulse_s, early_s = _fill_told(rows, first, stop, touch_pa[0], stroke_pa)
     return (
-        flare, locked_s, lock_rate, hole, jerk, tie_up, energy_on, energy_off, peak_on, peak_off, believed,
-        believed_std, share, fill_s, early_s,
+        flare, locked_s, lock_rate, hole, jerk, acceleration, tie_up, energy_on, energy_off, peak_on, peak_off,
+        believed, believed_std, share, fill_s, pulse_s, early_s,
     )  # fmt: skip

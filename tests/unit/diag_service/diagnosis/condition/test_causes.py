@@ -38,7 +38,7 @@ def stretch(moved: dict[str, float] | None = None) -> Stretch:
     for name, size in moved.items():
         if name in NAMES:
             at[NAMES.index(name)] += size
-    information = np.diag(1.0 / np.maximum(0.1 * std, 1e-9) ** 2)
+    information = np.diag(1.0 / np.maximum(0.3 * std, 1e-9) ** 2)
     sums = np.zeros((2, len(MEASURED) + 1, 3))
     for clutch in (0, 1):
         for row, name in enumerate(MEASURED):
@@ -67,9 +67,9 @@ def test_a_car_in_which_nothing_moved_is_sound() -> None:
 
 
 AGED = {"mu_c1": -0.014, "mu_s1": 0.012, "mu_c2": -0.014, "mu_s2": 0.012}
-GLAZED = {"mu_c{}": -0.0168, "mu_s{}": -0.012, "film_mobility": -0.6}
-WORN = {"touch{}": 1e4, "believed_touch_pa{}": 9e3, "fill_time_s{}": 0.05}
-SPRING = {"touch{}": -1.4e4, "believed_touch_pa{}": -1.45e4, "fill_time_s{}": 0.06}
+GLAZED = {"mu_c{}": -0.0168, "mu_s{}": -0.0143, "film_mobility": -0.25, "torque_gain": -0.03, "engine_inertia": -0.02}
+WORN = {"touch{}": 1e4, "believed_touch_pa{}": 9e3, "fill_time_s{}": 0.05, "pressure_latency": 0.003}
+SPRING = {"touch{}": -1.4e4, "believed_touch_pa{}": -1.45e4, "fill_time_s{}": 0.06, "scatter": 1.8}
 PRESSURE = {"pressure_reach_ratio{}": 0.08, "pressure_short_pa{}": -5.7e4, "fill_time_s{}": -0.036,
             "stribeck_exponent": -0.4, "open_drag": 1.4, "torque_gain": 0.05}  # fmt: skip
 SCALE = {f"mu_{kind}{clutch}": 0.08 * level for kind, level in (("c", 0.14), ("s", 0.119)) for clutch in (1, 2)}
