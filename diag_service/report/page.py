@@ -83,10 +83,10 @@ class Page:
 def page_of(found: Findings, made_at: str) -> Page:
     """Return the page of a report; ``made_at`` is the present moment (ISO 8601 UTC)."""
     sections = (
+        *causes_sections(found),  # first: they may say that what the verdict advises will not help
         friction_section(found),
         trend_section(found),
         shifts_section(found),
-        *causes_sections(found),
         *course_sections(found),
         quality_section(found),
         _unseen_section(found),

@@ -69,7 +69,12 @@ def find(sources: Sources, ask: Ask) -> VehicleAnswer:
             fills=state.fills,
             alarms=past.alarms_of(sources.engine, vehicle),
             clutches=tuple(_clutch(*one, state) for one in zip(clutches, pasts, usual, strict=True)),
-            changes=tuple(one for found in pasts for one in found.changes),
+            changes=tuple(
+                sorted(
+                    (one for found in pasts for one in found.changes),
+                    key=lambda one: (one.kind, one.from_gear, one.to_gear),
+                )
+            ),
             corrections=tuple(line for found in pasts for line in found.corrections),
             loads=_joined([load for found in pasts for load in found.loads]),
         )

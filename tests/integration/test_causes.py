@@ -9,6 +9,7 @@ from benchmarks.causes import Life, Outcome, lived
 from clutch_model.calibration import TorqueSource, nominal_calibration
 from dbc.contract import load_contract
 from diag_service import analyze
+from diag_service.cli import main as service
 from diag_service.diagnosis.condition.causes import SOUND, CauseJudge
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import Posterior
@@ -61,5 +62,9 @@ def test_an_analysis_tells_causes_to_people_and_programs(tmp_path: Path) -> None
     assert cause_lines(causes)[0].startswith("Why: sound ")
     record = shift_record(analysis.results[-1])
     assert shift_from(record).verdict.causes == causes
+    page = tmp_path / "report.html"
+    assert service(["report", str(log), "-o", str(page)]) == 0
+    told = page.read_text(encoding="utf-8")
+    assert 0 < told.index(">Why</h2>") < told.index(">Friction</h2>")  # before what the verdict rests on
     assert analysis.results[20].verdict.causes is None
     assert "causes" not in shift_record(analysis.results[20])["verdict"]  # type: ignore[operator]
