@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from canlog.arrays import FloatArray
+from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.condition.condition import LEAST_COUNT, LOWER, MEASURED, Course, Stretch
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT, State
@@ -55,14 +55,15 @@ class Signature(NamedTuple):
     prior: float
 
 
-class Hypothesis(NamedTuple):
-    """What a change is held against: causes that are there together, with a mean strength."""
+class Hypotheses(NamedTuple):
+    """What a change is held against, n of them: causes that are there together, with a mean strength."""
 
-    causes: tuple[tuple[str, int | None], ...]
-    mean: FloatArray  # (COUNT,) where all of a change shows
-    roots: FloatArray  # (COUNT, 2) of its covariance, by the strengths
-    spread: FloatArray  # (COUNT,) root of the rest of it, a diagonal
-    log_prior: float
+    causes: Sequence[tuple[tuple[str, int | None], ...]]
+    means: FloatArray  # (n, COUNT) where all of a change shows
+    roots: FloatArray  # (n, COUNT, 2) of its covariance, by the strengths
+    spreads: FloatArray  # (n, COUNT) root of the rest of it, a diagonal
+    log_priors: FloatArray
+    is_new_fluid: BoolArray
 
 
 STRENGTHS: Final = ((1.0, 0.35), (2.0, 0.6), (3.5, 1.0))  # mean and deviation of what is expected
@@ -127,14 +128,27 @@ class CauseJudge:
         )
         self._floor = np.array([self._table["floor"].get(name, 1e-5) for name in FEATURES]) ** 2
         self.signatures = signatures(self._table)
-        self._mean_prior = sum(one.prior for one in self.signatures)
-        self._singles = list(self._single())
+        self._means = np.array([one.mean for one in self.signatures])
+        self._spreads = np.array([np.hypot(one.spread, MODEL_SHARE * one.mean) for one in self.signatures])
+        self._priors = np.array([one.prior for one in self.signatures])
+        unknown, count = list(self._unknown()), len(self.signatures)
+        known = [self._together([(n,) for n in range(count)], strength) for strength in STRENGTHS]
+        none = np.zeros((len(unknown), COUNT, 2))
+        self._singles = Hypotheses(
+            causes=(*(((cause, None),) for cause, *_ in unknown), *(one for some in known for one in some.causes)),
+            means=np.concatenate((none[:, :, 0], *(some.means for some in known))),
+            roots=np.concatenate((none, *(some.roots for some in known))),
+            spreads=np.concatenate((np.array([spread for _, spread, _ in unknown]), *(some.spreads for some in known))),
+            log_priors=np.log(
+                np.concatenate(([prior for *_, prior in unknown], *([self._priors / len(STRENGTHS)] * len(STRENGTHS))))
+            ),
+            is_new_fluid=np.concatenate((none[:, 0, 0] > 0.0, *(some.is_new_fluid for some in known))),
+        )
 
-    def _single(self) -> Iterator[Hypothesis]:
-        """Yield what a change is held against at first: nothing, something else, each cause alone."""
-        none, prior_else = np.zeros((COUNT, 2)), self._table["prior_else"]
-        known = sum(one.prior for one in self.signatures) + prior_else
-        yield Hypothesis(((SOUND, None),), none[:, 0], none, none[:, 0], math.log(1.0 - known))
+    def _unknown(self) -> Iterator[tuple[str, FloatArray, float]]:
+        """Yield that nothing moved, and what something else may have moved: word, deviations, prior."""
+        prior_else = self._table["prior_else"]
+        yield SOUND, np.zeros(COUNT), 1.0 - self._priors.sum() - prior_else
         moved, stems = set[frozenset[int]](), [name.rstrip("12") for name in FEATURES]
         both = [frozenset(n for n, stem in enumerate(stems) if stem in names) for names in self._table["together"]]
         for places in both:
@@ -143,11 +157,23 @@ class CauseJudge:
         for places in sorted(moved, key=sorted):
             for times in _ELSE_FLOORS:
                 spread = np.where(np.isin(range(COUNT), list(places)), times * np.sqrt(self._floor), 0.0)
-                log_prior = math.log(prior_else / len(moved) / len(_ELSE_FLOORS))
-                yield Hypothesis(((ELSE, None),), none[:, 0], none, spread, log_prior)
-        for one in self.signatures:
-            for strength in STRENGTHS:
-                yield _together((one,), strength, math.log(one.prior / len(STRENGTHS)))
+                yield ELSE, spread, prior_else / len(moved) / len(_ELSE_FLOORS)
+
+    def _together(self, some: Sequence[tuple[int, ...]], strength: tuple[float, float]) -> Hypotheses:
+        """Return that signatures of one place or of two are there together, each of this strength."""
+        places = np.array(some, dtype=int).reshape(len(some), -1)
+        means, roots = self._means[places], np.zeros((len(some), COUNT, 2))
+        roots[:, :, : places.shape[1]] = strength[1] * means.transpose(0, 2, 1)
+        shared = PAIR_SHARE / self._priors.sum() if places.shape[1] > 1 else 1.0
+        found = [tuple((self.signatures[n].cause, self.signatures[n].clutch) for n in one) for one in some]
+        return Hypotheses(
+            causes=found,
+            means=strength[0] * means.sum(axis=1),
+            roots=roots,
+            spreads=strength[0] * np.sqrt((self._spreads[places] ** 2).sum(axis=1)),
+            log_priors=np.log(shared * self._priors[places].prod(axis=1)),
+            is_new_fluid=np.array([any(cause == "wrong-fluid" for cause, _ in one) for one in found], dtype=bool),
+        )
 
     def change(self, begun: Stretch, now: Stretch) -> Change:
         """Return what moved between two stretches.
@@ -191,25 +217,25 @@ class CauseJudge:
         change, filled = self.change(course.begun, course.now), course.filled
         is_filled = filled is not None and filled.count >= LEAST_COUNT
         early = self.change(course.begun, filled) if filled is not None and is_filled else None
-        singles = self._singles
-        logs = _logs(singles, change, early)
-        best: dict[int, float] = {}  # of each signature
-        for place, log in enumerate(logs[-len(STRENGTHS) * len(self.signatures) :].tolist()):
-            number = place // len(STRENGTHS)
-            best[number] = max(log, best.get(number, -math.inf))
-        ranked = [self.signatures[number] for number in sorted(best, key=lambda one: -best[one])]
-        pairs = [
-            _together((one, other), PAIR_STRENGTH, math.log(one.prior * other.prior * PAIR_SHARE / self._mean_prior))
-            for place, one in enumerate(ranked[:MOST_PAIRED])
-            for other in ranked[place + 1 :]
-            if one.cause != other.cause
-        ]
-        logs = np.concatenate((logs, _logs(pairs, change, early, singles[0])))
+        logs = _logs(self._singles, change, early)
+        count = len(self.signatures)
+        best = logs[-len(STRENGTHS) * count :].reshape(len(STRENGTHS), count).max(axis=0)
+        ranked = np.argsort(-best, kind="stable").tolist()
+        pairs = self._together(
+            [
+                (one, other)
+                for place, one in enumerate(ranked[:MOST_PAIRED])
+                for other in ranked[place + 1 :]
+                if self.signatures[one].cause != self.signatures[other].cause
+            ],
+            PAIR_STRENGTH,
+        )
+        logs = np.concatenate((logs, _logs(pairs, change, early)))
         shares = np.exp(logs - logs.max())
         shares /= shares.sum()
         by_cause: dict[tuple[str, int | None], float] = {(SOUND, None): 0.0, (ELSE, None): 0.0}
-        for share, one in zip(shares.tolist(), (*singles, *pairs), strict=True):
-            for cause in one.causes:
+        for share, causes in zip(shares.tolist(), (*self._singles.causes, *pairs.causes), strict=True):
+            for cause in causes:
                 by_cause[cause] = by_cause.get(cause, 0.0) + share
         return by_cause, change
 
@@ -284,32 +310,18 @@ class CauseJudge:
         return None
 
 
-def _together(some: Sequence[Signature], strength: tuple[float, float], log_prior: float) -> Hypothesis:
-    """Return that some causes are there, each of this strength."""
-    mean, roots, variance = np.zeros(COUNT), np.zeros((COUNT, 2)), np.zeros(COUNT)
-    for column, one in enumerate(some):
-        mean += strength[0] * one.mean
-        roots[:, column] = strength[1] * one.mean
-        variance += (strength[0] * one.spread) ** 2 + (strength[0] * MODEL_SHARE * one.mean) ** 2
-    return Hypothesis(tuple((one.cause, one.clutch) for one in some), mean, roots, np.sqrt(variance), log_prior)
-
-
-def _logs(
-    some: Sequence[Hypothesis], change: Change, early: Change | None, sound: Hypothesis | None = None
-) -> FloatArray:
-    """Return the logarithm of prior times likelihood of some hypotheses; the first is ``sound`` if that is not given.
+def _logs(some: Hypotheses, change: Change, early: Change | None) -> FloatArray:
+    """Return the logarithm of prior times likelihood of some hypotheses.
 
     ``early`` is what moved between the beginning and the first events after a fill: what is of the fluid is then gone,
     another fluid is there at once, and what is of the clutch may have been there before.
     """
-    logs: FloatArray = np.array([one.log_prior for one in some]) + _likelihoods(some, change)
+    logs: FloatArray = some.log_priors + _likelihoods(some, change)
     if early is None:
-        logs -= np.array([UNFILLED_COST * any(cause == "wrong-fluid" for cause, _ in one.causes) for one in some])
-        return logs
-    own = _likelihoods(some, early)
-    new = float(_likelihoods([some[0] if sound is None else sound], early)[0])
-    for place, one in enumerate(some):
-        names = {cause for cause, _ in one.causes}
+        return logs - UNFILLED_COST * some.is_new_fluid
+    own, new = _likelihoods(some, early), float(_likelihoods(_NOTHING, early)[0])
+    for place, causes in enumerate(some.causes):
+        names = {cause for cause, _ in causes}
         if "wrong-fluid" in names:
             logs[place] += own[place]
         elif names <= _OF_FLUID:
@@ -322,23 +334,24 @@ def _logs(
 _BORDER: Final = 1e12  # above any squared distance: a factor's last row is what is away, whitened
 
 
-def _likelihoods(some: Sequence[Hypothesis], change: Change) -> FloatArray:
+_NOTHING: Final = Hypotheses(
+    causes=(((SOUND, None),),), means=np.zeros((1, COUNT)), roots=np.zeros((1, COUNT, 2)), spreads=np.zeros((1, COUNT)),
+    log_priors=np.zeros(1), is_new_fluid=np.zeros(1, dtype=bool),
+)  # fmt: skip
+
+
+def _likelihoods(some: Hypotheses, change: Change) -> FloatArray:
     """Return the logarithm of how likely a change is by each hypothesis, but for what all have."""
-    if not some:
-        return np.zeros(0)
-    is_known = np.array([one.roots.any() for one in some])
-    spreads = np.array([one.spread for one in some]) * change.told
-    far, scales = np.empty(len(some)), np.empty(len(some))
+    spreads, is_known = some.spreads * change.told, some.roots.any(axis=(1, 2))
+    far, scales = np.empty(len(spreads)), np.empty(len(spreads))
     far[~is_known], scales[~is_known] = _scattered_far(spreads[~is_known], change)
-    if is_known.any():
-        known = [one for one in some if one.roots.any()]
-        roots = np.array([one.roots for one in known]) * change.told[:, None]
-        stack = np.empty((len(known), COUNT + 1, COUNT + 1))
-        stack[:, COUNT, COUNT] = _BORDER
-        stack[:, :COUNT, :COUNT] = change.covariance + roots @ roots.transpose(0, 2, 1)
-        stack[:, range(COUNT), range(COUNT)] += spreads[is_known] ** 2
-        stack[:, COUNT, :COUNT] = change.mean - np.array([one.mean for one in known]) * change.told
-        far[is_known], scales[is_known] = _factored(stack)
+    roots = some.roots[is_known] * change.told[:, None]
+    stack = np.empty((len(roots), COUNT + 1, COUNT + 1))
+    stack[:, COUNT, COUNT] = _BORDER
+    stack[:, :COUNT, :COUNT] = change.covariance + roots @ roots.transpose(0, 2, 1)
+    stack[:, range(COUNT), range(COUNT)] += spreads[is_known] ** 2
+    stack[:, COUNT, :COUNT] = change.mean - some.means[is_known] * change.told
+    far[is_known], scales[is_known] = _factored(stack)
     logs: FloatArray = -0.5 * (TAILS + COUNT) * np.log1p(far / TAILS) - scales  # Student's law: no car is simulated
     return logs
 
