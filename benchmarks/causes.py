@@ -246,7 +246,8 @@ class Outcome:
     @property
     def is_sure_and_wrong(self) -> bool:
         cause, clutch, probability = self.stated[0]
-        return probability >= SURE and (cause, clutch) not in (self.truths or {(SOUND, None)})
+        nothing = SOUND if self.life.unknown is None else ELSE
+        return probability >= SURE and (cause, clutch) not in (self.truths or {(nothing, None)})
 
 
 def reliability(outcomes: Sequence[Outcome]) -> tuple[Table, float]:
