@@ -146,8 +146,10 @@ def test_how_well_a_vehicle_shifts_is_on_its_page_and_a_fall_and_a_sure_correcti
     assert [point.score for point in answer.clutches[0].trend] == [90.0] * 30 + [60.0] * 20
     shown = vehicle_view.show(answer, ask(vehicle_view.VIEW, "rough"), sources)
     (section,) = (one for one in shown.sections if one.title == "How well it shifts")
+    untold = "jerk, torque hole, flare, tie up, fill error, lock rate, overtime, temperature rise"
     assert section.texts == (
         "Power on upshift 1-2 scores 60: jerk.",
+        f"Scores are without what the signals do not tell: {untold}.",
         "Adapt clutch 2: touch point 0.09 bar later than believed (± 0.01).",
     )
     assert [table.rows[0][0] for table in section.tables] == ["power on upshift 1-2", "2"]

@@ -36,7 +36,7 @@ class Course:
     last: float  # of the last
     by_oil: tuple[float | None, float | None, float | None]  # cold, warm, hot
     reason: str  # the part that cost most most often; empty: none
-    untold: frozenset[str] = frozenset()  # parts that no change of them has, for want of signals
+    untold: tuple[str, ...] = ()  # parts that no change of them has, for want of signals
 
 
 def courses(estimates: Iterable[ShiftEstimate]) -> list[Course]:
@@ -64,7 +64,7 @@ def courses(estimates: Iterable[ShiftEstimate]) -> list[Course]:
                 last=fmean(score for score, *_ in group[-COURSE_COUNT:]),
                 by_oil=tuple(fmean(scores) if scores else None for scores in by_oil),  # type: ignore[arg-type]
                 reason=reasons.most_common(1)[0][0] if reasons else "",
-                untold=frozenset(
+                untold=tuple(
                     part.name for part in PARTS if all(getattr(quality, part.name) is None for *_, quality in group)
                 ),
             )
