@@ -37,7 +37,10 @@ def make_fleet(engine: Engine, vehicle_count: int) -> None:
             text("INSERT INTO vehicle (vehicle) SELECT 'h' || v FROM generate_series(1, :count) AS v"), made
         )
         connection.execute(
-            text("INSERT INTO clutch SELECT 'h' || v, c FROM generate_series(1, :count) v, generate_series(1, 2) c"),
+            text(
+                "INSERT INTO clutch (vehicle, clutch) "
+                "SELECT 'h' || v, c FROM generate_series(1, :count) v, generate_series(1, 2) c"
+            ),
             made,
         )
 

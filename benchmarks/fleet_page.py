@@ -86,7 +86,10 @@ def fill(engine: Engine, vehicle_count: int, result_count: int) -> None:
             connection.execute(insert(table), rows)
         connection.execute(text("INSERT INTO vehicle (vehicle) SELECT 'v' || n FROM numbers"))
         connection.execute(
-            text("INSERT INTO clutch SELECT 'v' || n, c.clutch FROM numbers, clutch AS c WHERE c.vehicle = 'car1'")
+            text(
+                "INSERT INTO clutch (vehicle, clutch) "
+                "SELECT 'v' || n, c.clutch FROM numbers, clutch AS c WHERE c.vehicle = 'car1'"
+            )
         )
         connection.execute(
             text(
