@@ -21,10 +21,9 @@ from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError, DatabaseAwayError
 from fleet_backend.ingest import Pauses, Worker, filters_of
 from fleet_backend.intake import MessageKind
-from fleet_backend.metrics import shown_at, worker_families
 from fleet_backend.migrate import make_ready
+from fleet_backend.programs import shown_at, stopping
 from fleet_backend.quotas import Gate
-from fleet_backend.stopping import stopping
 from fleet_backend.writer import Writer
 from fleet_link import BrokerAddress
 
@@ -100,7 +99,7 @@ def run_ingest(
     worker = Worker(connect, Writer(engine), name=own_name, now=_utc_now, pace=pace, judge=gate.judge)
     if address.exposure:
         _LOG.warning("%s", address.exposure)
-    with shown_at(metrics, lambda: worker_families(worker)):
+    with shown_at(metrics, worker.families):
         asyncio.run(_ingest(engine, worker, gate, f"{own_name}: {address} into {place_of(engine)}", alive))
 
 

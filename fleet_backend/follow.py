@@ -16,7 +16,7 @@ import aiomqtt
 from fleet_backend.arguments import BROKER_VARIABLE
 from fleet_backend.config import parse_broker
 from fleet_backend.errors import BrokerError, ConfigError
-from fleet_backend.stopping import stopping
+from fleet_backend.programs import stopping
 from fleet_contract import (
     NEVER,
     TOPIC_ROOT,

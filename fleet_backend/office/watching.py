@@ -40,7 +40,6 @@ from fleet_backend.alarms.rules import (
 from fleet_backend.config import Place
 from fleet_backend.database import transaction
 from fleet_backend.errors import DatabaseError
-from fleet_backend.metrics import shown_at
 from fleet_backend.months import month_of, partitions
 from fleet_backend.office_tables import ALARM_MESSAGE, INTAKE
 from fleet_backend.orders import is_alarming_since
@@ -52,8 +51,8 @@ from fleet_backend.page.populations import Kept, latest
 from fleet_backend.page.records import ClutchNow, Severity
 from fleet_backend.page.running import last_arrivals
 from fleet_backend.page.vehicle_state import fills_of
+from fleet_backend.programs import shown_at, stopping
 from fleet_backend.schema import QUARANTINE
-from fleet_backend.stopping import stopping
 
 ROUND_S: Final = 10.0
 JUDGING_S: Final = 5.0  # of a round, for prognoses; what is left over is judged in the next

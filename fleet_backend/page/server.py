@@ -19,13 +19,12 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from fleet_backend.config import Place
 from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError
-from fleet_backend.metrics import shown_at
 from fleet_backend.page.access import Access
 from fleet_backend.page.keeper import DatabaseSource, Keeper, fleet_families
 from fleet_backend.page.news import News
 from fleet_backend.page.site import site
 from fleet_backend.page.view import Sources
-from fleet_backend.stopping import stopping
+from fleet_backend.programs import shown_at, stopping
 
 _BACKLOG: Final = 128
 _NICE: Final = 5  # who stores results beside us goes first

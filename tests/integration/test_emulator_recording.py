@@ -16,7 +16,7 @@ from ecu_emulator.cli import main
 from ecu_emulator.drive.build import ROAD_MESSAGES
 from ecu_emulator.drive.recording import Drive, frames_of
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.sent_truth import SentTruth
+from ecu_emulator.live.live_drive import SentTruth
 from ecu_emulator.scenario.scenario import Fluid, FluidCondition, Routine, Truth
 from ecu_emulator.truth import TruthLog, TruthWriter, read_truth
 from tests.support.builders import drive_scenario

@@ -17,8 +17,8 @@ from clutch_model.calibration import SensorBias, nominal_calibration
 from clutch_model.pack import film_law
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.friction.paper import PaperCollection, nominal_driveline
-from diag_service.diagnosis.friction.paper.collection import GRID_STRIDE, paper_signals
 from diag_service.diagnosis.friction.paper.friction_data import NOISY_GATES
+from diag_service.diagnosis.friction.paper.method import GRID_STRIDE, paper_signals
 from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
 from ecu_emulator.drive.build import drive_settings

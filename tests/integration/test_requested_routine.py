@@ -28,8 +28,7 @@ from ecu_emulator.commands import LogOptions, write_log
 from ecu_emulator.diagnostics.clutches import OnBoardFriction, read_line
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.live_drive import BusChoice, send
-from ecu_emulator.live.sent_truth import SentTruth
+from ecu_emulator.live.live_drive import BusChoice, SentTruth, send
 from ecu_emulator.log_formats.record import open_log
 from ecu_emulator.scenario.scenario import Routine, Scenario
 from ecu_emulator.truth import Happened, RevTruth, ShiftTruth

@@ -17,7 +17,7 @@ from ecu_emulator.driving.indices import EngineState
 from ecu_emulator.driving.journey import PlannedTrip, trips
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.sent_truth import SentTruth
+from ecu_emulator.live.live_drive import SentTruth
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario import Ambient, Fluid, FluidCondition, Truth

@@ -1,19 +1,36 @@
-"""The paper's method from signals to friction data: the only file that knows the order of its steps."""
+"""The paper's method from signals to friction data, of each shift of a bus and of the samples of all together.
 
-from dataclasses import dataclass
+The paper's remark on vehicles: the torques that it takes from its simulation follow from engine and wheel speeds and
+the equations of the driveline. A twist is the integral of a difference of two noisy speeds, which drifts away; a
+smoother (Kalman filter forward, Rauch-Tung-Striebel backward) over the whole shift holds it by two facts: the engine
+torque balances, eq. (1a), and a clutch whose pressure is below its touch point passes next to nothing.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
-from clutch_model.calibration import Calibration, InputSide, both_clutches
-from diag_service.diagnosis.friction.paper.differentiate import Differentiator, Rated
-from diag_service.diagnosis.friction.paper.driveline import Driveline, Shaft
+from clutch_model.calibration import Calibration, InputSide, both_clutches, clutch_of_gear
+from clutch_model.pack import film_law
+from diag_service.diagnosis.alignment import GRID_S, AlignedSignals, sample_times_s
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.friction.paper.differentiate import Differentiator, Rated, quiet_filter, steady_kalman
+from diag_service.diagnosis.friction.paper.driveline import Driveline, DrivelineModel, Shaft, State, driveline_model
 from diag_service.diagnosis.friction.paper.friction_data import (
+    NOISY_GATES,
     FilmTable,
     FrictionData,
+    PaperEstimate,
+    fit,
     friction_data,
+    pooled,
+    static_table,
     viscous_torques_nm,
 )
+from diag_service.diagnosis.quality.data_quality import usable_signals
+from diag_service.diagnosis.records import Reason
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,3 +137,218 @@ def clutch_torques_nm(
         for shaft, speed, carried_nm in zip(shafts, speeds.inputs, shaft_nm, strict=True)
     )
     return np.stack((hub_nm + 2.0 * first_nm - second_nm, hub_nm - first_nm + 2.0 * second_nm)) / 3.0
+
+
+PERIOD_S = 0.01  # of the fast messages
+GRID_STRIDE = round(PERIOD_S / GRID_S)
+WHEEL_STD_RAD_S = 0.05  # mean of two wheels, quantisation included
+OPEN_STD_NM = 2.0  # drag of an open clutch
+SHIFT_PHASES = (1.0, 3.0)  # prefill to inertia: until the clutch has stuck
+LOOSE = {State.FLYWHEEL_TWIST: 0.2, State.OUTPUT_TWIST: 0.5, State.WHEEL_ACCELERATION: 20.0}
+LOOSE |= {State.SHAFT1_TWIST: 0.1, State.SHAFT2_TWIST: 0.1, State.CLUTCH1_TORQUE: 500.0, State.CLUTCH2_TORQUE: 500.0}
+LOOSE_SPEED_RAD_S = 50.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Readings:
+    """What the smoother reads at every period."""
+
+    engine_nm: FloatArray  # (n,)
+    speeds_rad_s: FloatArray  # (n, 5) engine, hub, inputs, wheel
+    speed_std_rad_s: FloatArray  # (5,)
+    is_open: BoolArray  # (n, 2) pressure below the touch point
+
+
+SPEED_STATES = (State.ENGINE_SPEED, State.HUB_SPEED, State.INPUT1_SPEED, State.INPUT2_SPEED, State.WHEEL_SPEED)
+TORQUE_STATES = (State.CLUTCH1_TORQUE, State.CLUTCH2_TORQUE)
+
+
+def paper_signals(event: Event, calibration: Calibration, driveline: Driveline) -> PaperSignals | Reason:
+    """Return a shift's signals with the torques of the vehicle route, or why there are none."""
+    gathered = usable_signals(event, calibration)
+    if isinstance(gathered, Reason):
+        return gathered
+    grid_s = gathered.grid_s[::GRID_STRIDE]
+    wheel_m_s = _wheel_speed_m_s(event, grid_s)
+    if wheel_m_s is None:
+        return Reason.SIGNAL_MISSING
+    readings = _readings(gathered, wheel_m_s / driveline.wheel.radius_m, calibration)
+    gears = (event.from_gear, event.to_gear)
+    if clutch_of_gear(event.from_gear) != 1:
+        gears = gears[::-1]
+    model = driveline_model(gears, PERIOD_S, calibration.input_side, driveline, calibration.noise.engine_torque_nm)
+    states = smoothed_states(model, readings)
+    return PaperSignals(
+        period_s=PERIOD_S,
+        hub_rad_s=gathered.hub_speed.on_grid[::GRID_STRIDE],
+        input_rad_s=np.stack([one.on_grid[::GRID_STRIDE] for one in gathered.input_speed]),
+        pressure_pa=np.stack([one.on_grid[::GRID_STRIDE] for one in gathered.pressure]),
+        flywheel_nm=states @ model.flywheel_nm,
+        shaft_nm=(states @ model.shaft_nm.T).T,
+        oil_k=np.full(len(grid_s), gathered.oil_k),
+        is_shifting=_is_shifting(event, grid_s),
+    )
+
+
+def smoothed_states(model: DrivelineModel, readings: Readings) -> FloatArray:
+    """Return the state of the driveline at every period, shape (n, 13)."""
+    size, count = len(State), len(readings.engine_nm)
+    mean, covariance = _start(readings)
+    means, predicted_means = np.empty((count, size)), np.empty((count, size))
+    covariances, predicted = np.empty((count, size, size)), np.empty((count, size, size))
+    for k in range(count):
+        predicted_means[k], predicted[k] = mean, covariance
+        means[k], covariances[k] = _updated(mean, covariance, readings, k)
+        mean = model.transition @ means[k] + model.engine * readings.engine_nm[k]
+        covariance = model.transition @ covariances[k] @ model.transition.T + model.noise
+    for k in range(count - 2, -1, -1):
+        gain = np.linalg.solve(predicted[k + 1], model.transition @ covariances[k]).T
+        means[k] += gain @ (means[k + 1] - predicted_means[k + 1])
+    return means
+
+
+def _start(readings: Readings) -> tuple[FloatArray, FloatArray]:
+    mean = np.zeros(len(State))
+    mean[list(SPEED_STATES)] = readings.speeds_rad_s[0]
+    mean[State.DIFF_SPEED] = mean[State.WHEEL_SPEED]
+    spread = np.full(len(State), LOOSE_SPEED_RAD_S)
+    for state, std in LOOSE.items():
+        spread[state] = std
+    return mean, np.diag(spread**2)
+
+
+def _updated(mean: FloatArray, covariance: FloatArray, readings: Readings, k: int) -> tuple[FloatArray, FloatArray]:
+    """Return mean and covariance after the readings of one period; they are independent, so one after the other."""
+    measured = [
+        (state, value, std)
+        for state, value, std in zip(SPEED_STATES, readings.speeds_rad_s[k], readings.speed_std_rad_s, strict=True)
+    ]
+    measured += [
+        (state, 0.0, OPEN_STD_NM) for state, is_open in zip(TORQUE_STATES, readings.is_open[k], strict=True) if is_open
+    ]
+    for state, value, std in measured:
+        gain = covariance[:, state] / (covariance[state, state] + std**2)
+        mean = mean + gain * (value - mean[state])
+        covariance = covariance - np.outer(gain, covariance[state])
+    return mean, 0.5 * (covariance + covariance.T)
+
+
+def _readings(gathered: AlignedSignals, wheel_rad_s: FloatArray, calibration: Calibration) -> Readings:
+    def per_period(values: FloatArray) -> FloatArray:
+        return values[::GRID_STRIDE]
+
+    torque_nm = per_period(gathered.engine_torque.on_grid)
+    speeds = (gathered.engine_speed, gathered.hub_speed, *gathered.input_speed)
+    noise = calibration.noise
+    stds = (noise.engine_speed_rad_s, noise.hub_speed_rad_s, noise.input_speed_rad_s, noise.input_speed_rad_s)
+    return Readings(
+        engine_nm=0.5 * (torque_nm + np.append(torque_nm[1:], torque_nm[-1])),  # mean over the period to come
+        speeds_rad_s=np.column_stack([*(per_period(one.on_grid) for one in speeds), wheel_rad_s]),
+        speed_std_rad_s=np.array([*stds, WHEEL_STD_RAD_S]),
+        is_open=np.column_stack(
+            [
+                per_period(pressure.on_grid) < clutch.touch_pressure_pa - noise.pressure_pa
+                for pressure, clutch in zip(gathered.pressure, calibration.clutches, strict=True)
+            ]
+        ),
+    )
+
+
+def _wheel_speed_m_s(event: Event, grid_s: FloatArray) -> FloatArray | None:
+    """Return the mean speed of the driven (front) wheels on the grid, or None if it is not on the bus."""
+    wheels = [event.columns.get(one) for one in (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED)]
+    found = [one for one in wheels if one is not None and len(one.t_ns)]
+    if len(found) < len(wheels):
+        return None
+    mean_m_s: FloatArray = np.mean(
+        [np.interp(grid_s, sample_times_s(one, event.start_ns), one.value) for one in found], axis=0
+    )
+    return mean_m_s
+
+
+def _is_shifting(event: Event, grid_s: FloatArray) -> BoolArray:
+    """Return which grid points lie in the shift before its clutch stuck; without phases on the bus, in the shift."""
+    in_shift: BoolArray = grid_s >= 0.0
+    phase = event.columns.get(Signal.SHIFT_PHASE)
+    if phase is None or not len(phase.t_ns):
+        return in_shift
+    latest = np.searchsorted(sample_times_s(phase, event.start_ns), grid_s, side="right") - 1
+    held = phase.value[np.maximum(latest, 0)]
+    slipping: BoolArray = in_shift & (held >= SHIFT_PHASES[0]) & (held <= SHIFT_PHASES[1])
+    return slipping
+
+
+# q of the speed filter: matched with the hub acceleration of emulated shifts at 2 rpm of noise, as the paper does.
+SPEED_RATE_VARIANCE = 2.0e6  # (rad/s^3)^2
+RATE_GATE_STD = 4.0  # the gate of the pressure rate, in standard deviations of the rate's noise
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaperShift:
+    """What one shift says by the paper's method about the clutch that engaged."""
+
+    number: int
+    from_gear: int
+    to_gear: int
+    clutch: int
+    reason: Reason | None  # why it says nothing; None: it was analysed
+    estimate: PaperEstimate | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PooledClutch:
+    """What all shifts together say about one clutch; the method states no uncertainty and leads to no verdict."""
+
+    clutch: int
+    estimate: PaperEstimate | None  # None before the first usable shift
+    shift_count: int
+
+
+class PaperCollection:
+    """Analyses shifts one by one and keeps their samples, some tens per shift."""
+
+    def __init__(self, calibration: Calibration, driveline: Driveline) -> None:
+        noise = calibration.noise
+        rate_limit_pa_s = NOISY_GATES.pressure_rate_min_pa_s or 0.0
+        self._calibration = calibration
+        self._driveline = driveline
+        self._differentiators = Differentiators(
+            speed=steady_kalman(PERIOD_S, SPEED_RATE_VARIANCE, noise.hub_speed_rad_s**2),
+            pressure=quiet_filter(PERIOD_S, noise.pressure_pa, rate_limit_pa_s / RATE_GATE_STD),
+        )
+        self._tables = both_clutches(static_table(film_law(clutch)) for clutch in calibration.clutches)
+        self._samples: tuple[list[FrictionData], list[FrictionData]] = ([], [])
+
+    def add(self, event: Event) -> PaperShift:
+        """Analyse a shift and add its samples of both clutches to the pool."""
+        shift = PaperShift(
+            number=event.number,
+            from_gear=event.from_gear,
+            to_gear=event.to_gear,
+            clutch=clutch_of_gear(event.to_gear),
+            reason=None,
+            estimate=None,
+        )
+        if clutch_of_gear(event.from_gear) == shift.clutch:
+            return replace(shift, reason=Reason.NO_SLIP_WINDOW)
+        signals = paper_signals(event, self._calibration, self._driveline)
+        if isinstance(signals, Reason):
+            return replace(shift, reason=signals)
+        analysis = analyse(signals, self._differentiators, self._tables, self._calibration, self._driveline)
+        for kept, clutch in zip(self._samples, analysis.clutches, strict=True):
+            kept.append(clutch.data)
+        return replace(shift, estimate=self._fitted(shift.clutch, analysis.clutches[shift.clutch - 1].data))
+
+    def pooled(self) -> tuple[PooledClutch, PooledClutch]:
+        """Return what the shifts so far say together."""
+        return both_clutches(
+            PooledClutch(
+                clutch=clutch,
+                estimate=self._fitted(clutch, pooled(samples)) if samples else None,
+                shift_count=len(samples),
+            )
+            for clutch, samples in enumerate(self._samples, start=1)
+        )
+
+    def _fitted(self, clutch: int, data: FrictionData) -> PaperEstimate:
+        return fit(data, NOISY_GATES, self._calibration.clutches[clutch - 1].friction)

@@ -6,10 +6,16 @@ import pytest
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.friction.paper import nominal_driveline
-from diag_service.diagnosis.friction.paper.collection import PERIOD_S, SPEED_STATES, Readings, smoothed_states
 from diag_service.diagnosis.friction.paper.differentiate import Rated
 from diag_service.diagnosis.friction.paper.driveline import State, driveline_model
-from diag_service.diagnosis.friction.paper.method import Speeds, clutch_torques_nm
+from diag_service.diagnosis.friction.paper.method import (
+    PERIOD_S,
+    SPEED_STATES,
+    Readings,
+    Speeds,
+    clutch_torques_nm,
+    smoothed_states,
+)
 
 SIDE = nominal_calibration().input_side
 DRIVELINE = nominal_driveline()
