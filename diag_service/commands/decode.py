@@ -23,6 +23,7 @@ from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.program import replacement_refusal
 from diag_service.commands.talks import pairs_of
 from diag_service.console import PeopleConsole, ReadingLine
+from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.interpretation import asked_database
 from diag_service.service.stopping import Controls
@@ -57,8 +58,6 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     if not decoded.is_whole:
         raise StoppedError(f"stopped early: {'a part was written' if is_piped else 'no file was written'}")
     if options.json:
-        from diag_service.diagnosis.records import dump  # noqa: PLC0415 - the records of results take a while
-
         sys.stdout.write(dump(_record(options, decoded)) + "\n")
     else:
         _show(options, decoded, PeopleConsole(stderr=is_piped))
@@ -302,7 +301,6 @@ def _tasks(options: SimpleNamespace, suffix: str) -> list[TableTask]:
     Raises ConfigError if a table is there already, two would be one, or a table would be among the logs.
     """
     from diag_service.batch.drives import find_drives, left_out_record  # noqa: PLC0415 - one table needs none of it
-    from diag_service.diagnosis.records import dump  # noqa: PLC0415 - likewise
 
     if STANDARD_INPUT in options.logs:
         raise ConfigError("tables of a folder are written by several processes: standard input does not go with them")
@@ -338,8 +336,6 @@ def _check_outputs(outputs: Sequence[Path], *, are_files: bool, is_forced: bool)
 
 def _show_done(done: TableDone, options: SimpleNamespace, console: PeopleConsole) -> None:
     if options.json:
-        from diag_service.diagnosis.records import dump  # noqa: PLC0415 - the records of results take a while
-
         sys.stdout.write(dump({**done.record, "layout": options.layout, "values": options.values}) + "\n")
         sys.stdout.flush()
         return
