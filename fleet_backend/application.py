@@ -5,15 +5,18 @@ import contextlib
 import logging
 import socket
 import uuid
+from collections.abc import Iterator
 from contextlib import AbstractAsyncContextManager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+from prometheus_client.core import Metric
 from sqlalchemy import Engine, select
 from sqlalchemy.exc import SQLAlchemyError
 
 from clutchdiag_io.files import give_sign, make_sign
+from clutchdiag_io.metrics import counter, gauge
 from fleet_backend.broker import BrokerInbox, connected
 from fleet_backend.choices import Pace, Part, Quotas
 from fleet_backend.config import Place
@@ -99,7 +102,7 @@ def run_ingest(
     worker = Worker(connect, Writer(engine), name=own_name, now=_utc_now, pace=pace, judge=gate.judge)
     if address.exposure:
         _LOG.warning("%s", address.exposure)
-    with shown_at(metrics, worker.families):
+    with shown_at(metrics, lambda: worker_families(worker)):
         asyncio.run(_ingest(engine, worker, gate, f"{own_name}: {address} into {place_of(engine)}", alive))
 
 
@@ -148,3 +151,17 @@ def _counts_line(worker: Worker) -> str:
 
 def _utc_now() -> datetime:
     return datetime.now(UTC)
+
+
+def worker_families(worker: Worker) -> Iterator[Metric]:
+    """Yield what a worker has done and what it holds."""
+    counts = {kind.name.lower(): worker.counts[kind] for kind in MessageKind}
+    yield counter("ingest_messages", "Messages that are settled, by what became of them.", counts, "kind")
+    yield gauge("ingest_listening", "Whether the worker has a connection to its broker.", float(worker.is_listening))
+    backlog_count = 0 if worker.inbox is None or not worker.is_listening else worker.inbox.unsettled_count
+    yield gauge("ingest_backlog_messages", "Messages that were delivered and are not settled.", backlog_count)
+    lag_s = 0.0 if worker.begun_at is None else (_utc_now() - worker.begun_at).total_seconds()
+    yield gauge("ingest_lag_seconds", "How long the batch at hand has waited for its commit.", lag_s)
+    if worker.committed_at is not None:
+        at_s = worker.committed_at.timestamp()
+        yield gauge("ingest_last_commit_timestamp_seconds", "When messages were committed last.", at_s)

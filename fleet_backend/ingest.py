@@ -8,14 +8,11 @@ import asyncio
 import logging
 import random
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager
 from datetime import datetime
 from typing import Final, Protocol
 
-from prometheus_client.core import Metric
-
-from clutchdiag_io.metrics import counter, gauge
 from fleet_backend.broker import GROUP
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
@@ -135,19 +132,6 @@ class Worker:
             messages = await inbox.collect(self._pace.batch_size, self._pace.patience_s)
             if messages:
                 await self.settle(inbox, messages)
-
-    def families(self) -> Iterator[Metric]:
-        """Yield as metrics what it has done and what it holds."""
-        counts = {kind.name.lower(): self.counts[kind] for kind in MessageKind}
-        yield counter("ingest_messages", "Messages that are settled, by what became of them.", counts, "kind")
-        yield gauge("ingest_listening", "Whether the worker has a connection to its broker.", float(self.is_listening))
-        backlog_count = 0 if self.inbox is None or not self.is_listening else self.inbox.unsettled_count
-        yield gauge("ingest_backlog_messages", "Messages that were delivered and are not settled.", backlog_count)
-        lag_s = 0.0 if self.begun_at is None else (self._now() - self.begun_at).total_seconds()
-        yield gauge("ingest_lag_seconds", "How long the batch at hand has waited for its commit.", lag_s)
-        if self.committed_at is not None:
-            at_s = self.committed_at.timestamp()
-            yield gauge("ingest_last_commit_timestamp_seconds", "When messages were committed last.", at_s)
 
     async def settle(self, inbox: Inbox, messages: Sequence[Message]) -> None:
         """Commit messages, give receipts for them, and let the broker forget them, in this order.
