@@ -37,10 +37,8 @@ MAP_PA = 0.05e5  # rms: beyond it the command is no straight line of the torque
 PULSE_PA = 1.0e5  # above the touch point, with no torque asked for: the clutch is being filled
 FILLED_ROWS = 4  # before torque is asked for, whose mean pressure tells how full the cavity is
 PRESSURE_PA = 5.0e3  # of a reading, one deviation
-FLOW_STD_RATIO, FLOW_STD_S = (
-    0.2,
-    0.015,
-)  # how well the flow of a pulse is known: readings; a valve opens and closes late
+FLOW_STD_RATIO = 0.2  # how well the flow of a pulse is known, of readings
+FLOW_STD_S = 0.015  # likewise: a valve opens and closes late
 WEAR_M3_J: Final = 1.4e-15  # of a wet paper lining, by Archard's law [C]: 1.4 mm3 per MJ
 WORN_M: Final = 0.2e-3  # that each lining may lose [C]
 ENERGY_BOUNDS_J: Final = (300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0)
