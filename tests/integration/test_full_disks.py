@@ -5,6 +5,7 @@ refuses to be, is tried by ``python -m benchmarks.fleet_full_disk``.
 """
 
 import signal
+import sqlite3
 import sys
 import time
 from contextlib import closing
@@ -15,6 +16,7 @@ from sqlalchemy import Engine
 
 from diag_service.diagnosis.records import shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
+from diag_service.store.file import WAITING
 from fleet_backend import queries
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database
@@ -58,6 +60,7 @@ def test_a_vehicle_whose_disk_fills_up_goes_on_and_delivers_everything(
         running.wait_for(lambda: running.out.count("\n") == SHIFT_COUNT, HANG_S)
         engine = open_database(sqlite_url)
         running.wait_for(lambda: queries.result_count(engine) == SHIFT_COUNT, HANG_S)
+        running.wait_for(lambda: waiting_count(disk / "car.sqlite") == 0, HANG_S)  # receipts follow, some a second time
         running.send(signal.SIGTERM)
         ended = running.wait()
     assert ended.status == 0, ended.err
@@ -122,6 +125,12 @@ def test_a_backend_whose_disk_fills_up_waits_and_stores_everything(
         edge.deliver(HANG_S)
     assert stored_seqs(engine) == list(range(1, MESSAGE_COUNT + 1))
     engine.dispose()
+
+
+def waiting_count(store: Path) -> int:
+    """Return how many results of a store that its service has open wait for a receipt."""
+    with closing(sqlite3.connect(f"{store.as_uri()}?mode=ro", uri=True)) as connection:
+        return int(connection.execute("SELECT count(*) FROM result WHERE published = ?", (WAITING,)).fetchone()[0])
 
 
 def messages(count: int) -> list[Outgoing]:
