@@ -154,6 +154,7 @@ def lived(life: Life) -> list[Lived]:
 def fitted(lives: Sequence[Lived]) -> dict[str, Any]:
     """Return floors and signatures by lives: moments, less what the stated deviations explain."""
     words = {name: value for name, value in described().items() if name not in {"floor", "moves"}}
+    words["cause"] = {kind: told for kind, told in words["cause"].items() if "opposite_of" not in told}
     blank = {**words, "floor": {}, "moves": {kind: {} for kind in words["cause"]}}
     judge = CauseJudge(nominal_calibration(), blank)
     sound = [judge.change(course.begun, course.now) for one in lives if not one.truths and one.life.unknown is None

@@ -78,6 +78,7 @@ TAILS: Final = 8.0  # degrees of freedom: what is far off is not next to impossi
 LEAST_TOLD: Final = 0.005
 SHOWN_STD: Final = 1.5  # deviations from which on something is said to have moved
 _OF_FLUID: Final = frozenset({"aged-fluid", "water", "air"})
+_FILLED: Final = frozenset({"wrong-fluid", "renewed-fluid"})  # there at once, with a fill
 _ELSE_FLOORS: Final = (4.0, 16.0)  # by how many times what sound cars move something else moves
 
 
@@ -96,8 +97,9 @@ def signatures(table: Mapping[str, Any]) -> list[Signature]:
     found = []
     for cause, told in table["cause"].items():
         mean, spread = np.zeros(COUNT), np.zeros(COUNT)
-        for name, (size, its_spread) in table["moves"][cause].items():
-            mean[_PLACE[name]], spread[_PLACE[name]] = size, its_spread
+        way = -1.0 if "opposite_of" in told else 1.0
+        for name, (size, its_spread) in table["moves"][told.get("opposite_of", cause)].items():
+            mean[_PLACE[name]], spread[_PLACE[name]] = way * size, its_spread
         signs = (1.0, -1.0) if told["is_either_way"] else (1.0,)
         clutches = ((1, 0.5), (2, 0.5)) if told["is_of_one_clutch"] else ((None, 1.0),)
         for sign in signs:
@@ -172,7 +174,7 @@ class CauseJudge:
             roots=roots,
             spreads=strength[0] * np.sqrt((self._spreads[places] ** 2).sum(axis=1)),
             log_priors=np.log(shared * self._priors[places].prod(axis=1)),
-            is_new_fluid=np.array([any(cause == "wrong-fluid" for cause, _ in one) for one in found], dtype=bool),
+            is_new_fluid=np.array([any(cause in _FILLED for cause, _ in one) for one in found], dtype=bool),
         )
 
     def change(self, begun: Stretch, now: Stretch) -> Change:
@@ -322,7 +324,7 @@ def _logs(some: Hypotheses, change: Change, early: Change | None) -> FloatArray:
     own, new = _likelihoods(some, early), float(_likelihoods(_NOTHING, early)[0])
     for place, causes in enumerate(some.causes):
         names = {cause for cause, _ in causes}
-        if "wrong-fluid" in names:
+        if names & _FILLED:
             logs[place] += own[place]
         elif names <= _OF_FLUID:
             logs[place] += new
@@ -417,8 +419,14 @@ def _listed(change: Change, std: FloatArray, expected: FloatArray, weight: Float
             words, unit, factor = _WORDS[FEATURES[place].rstrip("12")]
             clutch = f" of clutch {FEATURES[place][-1]}" if FEATURES[place][-1] in "12" else ""
             moved, its_std, due = (factor * float(one[place]) for one in (change.mean, std, expected))
-            parts.append(f"{words}{clutch} {moved:+.2g} ± {abs(its_std):.1g} {unit} (expected {due:+.2g})")
+            told = f"{_rounded(moved, 2):+g} ± {_rounded(abs(its_std), 1):g} {unit} (expected {_rounded(due, 2):+g})"
+            parts.append(f"{words}{clutch} {told}")
     return "; ".join(parts)
+
+
+def _rounded(value: float, digits: int) -> float:
+    """Return a number with as many digits that tell something: 220, not 2.2e+02."""
+    return float(f"{value:.{digits}g}")
 
 
 LEAST_WEIGHT: Final = 4.0  # events that tell how a pressure follows

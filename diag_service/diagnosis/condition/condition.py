@@ -194,6 +194,10 @@ class Course:
             return type(self)()
         return replace(self, now=Stretch(), filled=Stretch(), found=None)
 
+    def with_changed_friction(self) -> Self:
+        """Return it after friction has changed at once: a mean over both kinds of friction would be of neither."""
+        return replace(self, now=Stretch()) if self.begun.count >= BEGIN_COUNT else type(self)()
+
     @property
     def is_possible(self) -> bool:
         """Whether a store can have kept it."""
@@ -267,7 +271,8 @@ class ConditionMemory:
 
     def with_changed_friction(self, clutch: int) -> Self:
         """Return the memory after the friction of a clutch has changed: what it did before is no witness of it now."""
-        return replace(self, launches=with_clutch(self.launches, clutch, Launches()))
+        launches = with_clutch(self.launches, clutch, Launches())
+        return replace(self, launches=launches, course=self.course.with_changed_friction())
 
     @property
     def misfit_text(self) -> str:

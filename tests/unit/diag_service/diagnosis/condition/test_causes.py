@@ -61,7 +61,7 @@ def test_a_car_in_which_nothing_moved_is_sound() -> None:
     causes = causes_of()
     assert first(causes) == (SOUND, None)
     assert causes.likely[0].probability > 0.9
-    assert causes.advice == "Nothing to do."
+    assert causes.advice == "Nothing has changed since the first events: what the verdict says stands."
     assert causes.test is None
     assert causes.event_count == 150 - BEGIN_COUNT
 
@@ -106,6 +106,23 @@ def test_another_fluid_is_named_only_where_one_was_filled_in() -> None:
     ]
     assert chance[1] > 0.5
     assert chance[0] < chance[1]
+
+
+@pytest.mark.parametrize("filled", [False, True])
+def test_new_fluid_after_aged_fluid_is_no_fault(*, filled: bool) -> None:
+    causes = causes_of({name: -size for name, size in AGED.items()}, filled=filled)
+    assert first(causes) == ("renewed-fluid", None)
+    assert causes.likely[0].probability > (0.9 if filled else 0.5)
+    told = causes.likely[0].evidence
+    assert "friction of clutch 1 +10 ±" in told
+    assert "e+" not in told
+
+
+def test_friction_that_changes_in_the_beginning_begins_it_again() -> None:
+    early = ConditionMemory(course=Course(begun=replace(stretch(), count=BEGIN_COUNT - 1.0), event_count=39))
+    assert early.with_changed_friction(2).course == Course()
+    later = ConditionMemory(course=Course(begun=stretch(), now=stretch(), event_count=100))
+    assert later.with_changed_friction(2).course == replace(later.course, now=Stretch())
 
 
 def test_two_causes_are_both_named() -> None:
