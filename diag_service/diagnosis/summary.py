@@ -178,7 +178,7 @@ def newest_causes(results: Iterable[ShiftResult]) -> Causes | None:
 def cause_words(cause: LikelyCause) -> str:
     """Return a cause for people."""
     if cause.cause == "sound":
-        return "nothing has changed"
+        return "no cause found"
     return cause.cause.replace("-", " ") + ("" if cause.clutch is None else f" of clutch {cause.clutch}")
 
 

@@ -59,7 +59,7 @@ def test_an_analysis_tells_causes_to_people_and_programs(tmp_path: Path) -> None
     causes = analysis.results[-1].verdict.causes
     assert causes is not None
     assert causes.likely[0].cause == SOUND
-    assert cause_lines(causes)[0].startswith("Why: sound ")
+    assert cause_lines(causes)[0].startswith("Why: no cause found ")
     record = shift_record(analysis.results[-1])
     assert shift_from(record).verdict.causes == causes
     page = tmp_path / "report.html"

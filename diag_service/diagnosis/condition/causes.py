@@ -2,7 +2,8 @@
 
 Two stretches of driving are kept: the first events, and the last, in which older ones fade. What each says of all
 parameters of the vehicle follows from the evidence of its events; how its pressures follow their commands is measured
-in each event. The difference of both stretches is one vector with its covariance. A cause is a small Gaussian in that
+in each event. The difference of both stretches is one vector with its covariance; so is that of the last one and the
+type, for what was there before the first event. A cause is a small Gaussian in that
 space: what a strength of 1 changes, with how much that differs from car to car (`causes.toml`, fitted to simulated
 fleets by ``python -m benchmarks.causes --fit``). Bayes' rule does the rest, for each cause, for pairs of them, for none
 and for something else. docs/causes.md.
@@ -20,7 +21,7 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
-from diag_service.diagnosis.condition.condition import LEAST_COUNT, LOWER, MEASURED, Course, Stretch
+from diag_service.diagnosis.condition.condition import LEAST_COUNT, LOWER, MEASURED, SENSORS, Course, Stretch
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT, State
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.records import Causes, LikelyCause
@@ -73,6 +74,7 @@ MOST_PAIRED: Final = 3  # of the likeliest causes each is tried with all others
 MODEL_SHARE: Final = 0.25  # of a signature: laws that no simulated car has
 STRETCHED: Final = 0.7  # deviations of changes against those that are stated: sound cars move by half of them
 UNFILLED_COST: Final = 8.0  # of another fluid where nobody has noted a fill
+NEW_STD: Final = np.array([0.02, 0.015])  # of level and slope among clutches of one type with new fluid
 LEAST_SHOWN: Final = 0.2  # part of a change that shows: parameters of which events tell less are left out
 TAILS: Final = 8.0  # degrees of freedom: what is far off is not next to impossible
 LEAST_TOLD: Final = 0.005
@@ -128,6 +130,7 @@ class CauseJudge:
         self._precision = np.linalg.inv(
             fresh.covariance + 1e-12 * np.diag(np.maximum(fresh.covariance.diagonal(), 1.0))
         )
+        self._type = _as_described(fresh.mean)
         self._floor = np.array([self._table["floor"].get(name, 1e-5) for name in FEATURES]) ** 2
         self.signatures = signatures(self._table)
         self._means = np.array([one.mean for one in self.signatures])
@@ -241,14 +244,35 @@ class CauseJudge:
                 by_cause[cause] = by_cause.get(cause, 0.0) + share
         return by_cause, change
 
+    def from_the_beginning(self, now: Stretch) -> tuple[dict[tuple[str, int | None], float], Change]:
+        """Return how likely each cause was there before the first event, by how the vehicle is unlike its type.
+
+        Sensors are not accused: a scale that is off from the beginning looks like another friction. Nor is what fits no
+        cause: another type is no fault.
+        """
+        by_cause, change = self.probabilities(Course(begun=self._type, now=now))
+        told = {key: share for key, share in by_cause.items() if key[0] not in {*SENSORS, *_FILLED, SOUND, ELSE}}
+        return told, change
+
     def judge(self, course: Course) -> Causes:
-        """Return the causes, the likeliest first."""
+        """Return the causes, the likeliest first: of what has changed and, so far as nothing has, of what was there."""
         by_cause, change = self.probabilities(course)
+        unchanged, earlier = by_cause[SOUND, None], set[tuple[str, int | None]]()
+        before, unlike = self.from_the_beginning(course.now) if unchanged >= LEAST_TOLD else ({}, change)
+        for key, share in before.items():
+            if unchanged * share > by_cause.get(key, 0.0):
+                earlier.add(key)
+            by_cause[key] = by_cause.get(key, 0.0) + unchanged * share
+        by_cause[SOUND, None] = unchanged * max(1.0 - sum(before.values()), 0.0)
         likely = tuple(
             LikelyCause(
-                cause=cause, clutch=clutch, probability=min(share, 1.0), evidence=self._evidence(cause, clutch, change)
+                cause=key[0],
+                clutch=key[1],
+                probability=min(share, 1.0),
+                evidence=("There from the beginning. " if key in earlier else "")
+                + self._evidence(*key, unlike if key in earlier else change),
             )
-            for (cause, clutch), share in sorted(by_cause.items(), key=lambda item: -item[1])
+            for key, share in sorted(by_cause.items(), key=lambda item: -item[1])
             if share >= LEAST_TOLD
         )
         return Causes(
@@ -312,6 +336,15 @@ class CauseJudge:
         return None
 
 
+def _as_described(mean: FloatArray) -> Stretch:
+    """Return what a drive without end would say of friction, if the clutches were as their type with new fluid."""
+    matrix = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT))
+    for mu_c in (State.MU_C1, State.MU_C2):
+        turn = np.array([[1.0, 0.0], [-1.0, 1.0]]) / mean[[mu_c, mu_c + 1]]  # to level and slope
+        matrix[mu_c : mu_c + 2, mu_c : mu_c + 2] = turn.T @ np.diag(NEW_STD**-2.0) @ turn
+    return Stretch(count=math.inf, lower=matrix[LOWER], vector=matrix @ mean)
+
+
 def _logs(some: Hypotheses, change: Change, early: Change | None) -> FloatArray:
     """Return the logarithm of prior times likelihood of some hypotheses.
 
@@ -344,15 +377,18 @@ _NOTHING: Final = Hypotheses(
 
 def _likelihoods(some: Hypotheses, change: Change) -> FloatArray:
     """Return the logarithm of how likely a change is by each hypothesis, but for what all have."""
-    spreads, is_known = some.spreads * change.told, some.roots.any(axis=(1, 2))
+    shown = np.flatnonzero(change.told > 0.0)  # the rest is the same by all
+    count, told, mean, covariance = len(shown), change.told[shown], change.mean[shown], change.covariance
+    covariance = covariance[np.ix_(shown, shown)]
+    spreads, is_known = some.spreads[:, shown] * told, some.roots.any(axis=(1, 2))
     far, scales = np.empty(len(spreads)), np.empty(len(spreads))
-    far[~is_known], scales[~is_known] = _scattered_far(spreads[~is_known], change)
-    roots = some.roots[is_known] * change.told[:, None]
-    stack = np.empty((len(roots), COUNT + 1, COUNT + 1))
-    stack[:, COUNT, COUNT] = _BORDER
-    stack[:, :COUNT, :COUNT] = change.covariance + roots @ roots.transpose(0, 2, 1)
-    stack[:, range(COUNT), range(COUNT)] += spreads[is_known] ** 2
-    stack[:, COUNT, :COUNT] = change.mean - some.means[is_known] * change.told
+    far[~is_known], scales[~is_known] = _scattered_far(spreads[~is_known], mean, covariance)
+    roots = some.roots[np.ix_(is_known, shown)] * told[:, None]
+    stack = np.empty((len(roots), count + 1, count + 1))
+    stack[:, count, count] = _BORDER
+    stack[:, :count, :count] = covariance + roots @ roots.transpose(0, 2, 1)
+    stack[:, range(count), range(count)] += spreads[is_known] ** 2
+    stack[:, count, :count] = mean - some.means[np.ix_(is_known, shown)] * told
     far[is_known], scales[is_known] = _factored(stack)
     logs: FloatArray = -0.5 * (TAILS + COUNT) * np.log1p(far / TAILS) - scales  # Student's law: no car is simulated
     return logs
@@ -365,10 +401,10 @@ def _factored(stack: FloatArray) -> tuple[FloatArray, FloatArray]:
     return (factors[:, -1, :-1] ** 2).sum(axis=1), scales
 
 
-def _scattered_far(spreads: FloatArray, change: Change) -> tuple[FloatArray, FloatArray]:
+def _scattered_far(spreads: FloatArray, mean: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the same of hypotheses that only widen some places, by the formula of Woodbury: there are many."""
-    std = np.sqrt(change.covariance.diagonal())
-    away, whole = change.mean / std, change.covariance / np.outer(std, std)
+    std = np.sqrt(covariance.diagonal())
+    away, whole = mean / std, covariance / np.outer(std, std)
     inverse, own = np.linalg.inv(whole), (spreads / std) ** 2
     most = int((own > 0.0).sum(axis=1).max(initial=0))
     places = np.argsort(own <= 0.0, axis=1, kind="stable")[:, :most]

@@ -111,10 +111,11 @@ class Fit(StrEnum):
     MISFITS = "MISFITS"  # it contradicts the calibration
 
 
+WARM_K: Final = 343.15  # of a pack: below it parameters move with the oil, by laws that differ from car to car
 BEGIN_COUNT: Final = 40  # events of the first stretch: a few drives
 LEAST_COUNT: Final = 15.0  # of the last one, which are twenty events, before anything is said of causes
 KEPT: Final = 0.97  # of an event's weight after each later one: some thirty count
-JUDGED_EVERY: Final = 20  # events: a cause does not come within one, and a judgement takes as long as an event
+JUDGED_EVERY: Final = 30  # events: a cause does not come within one, and a judgement takes as long as an event
 SENSORS: Final = frozenset({"torque-sensor", "pressure-sensor"})
 SENSOR_SHARE: Final = 0.5  # that a sensor drifts: more, and its clutch is not judged
 MEASURED: Final = ("pressure_lag_s", "pressure_reach_ratio", "pressure_short_pa", "fill_time_s", "believed_touch_pa")
@@ -177,7 +178,9 @@ class Course:
     found: Causes | None = None
 
     def with_event(self, estimate: ShiftEstimate, before: Posterior, after: Posterior) -> Self:
-        """Return it after an event, by what was known before it and what is after it."""
+        """Return it after an event, by what was known before it and what is after it; cool ones do not count."""
+        if after.packs is not None and after.packs.clutch_k[estimate.clutch - 1] < WARM_K:
+            return self
         newest, count = after.recent[-1] if after.recent else None, self.event_count + 1
         is_new = newest is not None and not (before.recent and newest is before.recent[-1])
         evidence = newest.evidence if newest is not None and is_new else None

@@ -12,14 +12,17 @@ from diag_service.diagnosis.condition.condition import (
     LEAST_COUNT,
     LOWER,
     MEASURED,
+    WARM_K,
     ConditionMemory,
     Course,
     Stretch,
     judge,
 )
+from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.records import Causes, Condition, LikelyCause
+from tests.support.builders import shift_estimate
 
 CALIBRATION = nominal_calibration()
 JUDGE = CauseJudge(CALIBRATION)
@@ -61,7 +64,7 @@ def test_a_car_in_which_nothing_moved_is_sound() -> None:
     causes = causes_of()
     assert first(causes) == (SOUND, None)
     assert causes.likely[0].probability > 0.9
-    assert causes.advice == "Nothing has changed since the first events: what the verdict says stands."
+    assert causes.advice == "No cause found: what the verdict says stands."
     assert causes.test is None
     assert causes.event_count == 150 - BEGIN_COUNT
 
@@ -116,6 +119,27 @@ def test_new_fluid_after_aged_fluid_is_no_fault(*, filled: bool) -> None:
     told = causes.likely[0].evidence
     assert "friction of clutch 1 +10 ±" in told
     assert "e+" not in told
+
+
+@pytest.mark.parametrize(
+    ("moved", "cause"), [(GLAZED, ("glazed-lining", 1)), (AGED, ("aged-fluid", None)), (SCALE, (SOUND, None))]
+)
+def test_what_was_there_before_the_first_event_is_told_by_the_type(
+    moved: dict[str, float], cause: tuple[str, int | None]
+) -> None:
+    always = stretch({name.format(1): size for name, size in moved.items()})
+    causes = JUDGE.judge(Course(begun=always, now=always, event_count=150))
+    assert first(causes) == cause
+    assert sum(one.probability for one in causes.likely) == pytest.approx(1.0, abs=0.2)
+    assert causes.likely[0].evidence.startswith("There from the beginning. For it: ") is (cause[0] != SOUND)
+
+
+@pytest.mark.parametrize(("pack_k", "count"), [(WARM_K - 1.0, 100), (WARM_K + 1.0, 101)])
+def test_what_cool_oil_moves_is_no_cause(pack_k: float, count: int) -> None:
+    course = Course(begun=stretch(), now=stretch(), event_count=100)
+    after = replace(FRESH, packs=PackTemperatures(clutch_k=(pack_k, 300.0), at_ns=0))
+    estimate = shift_estimate(1, to_gear=3)
+    assert (estimate.clutch, course.with_event(estimate, FRESH, after).event_count) == (1, count)
 
 
 def test_friction_that_changes_in_the_beginning_begins_it_again() -> None:
