@@ -24,7 +24,7 @@ from benchmarks.drive_events import NS_PER_US, is_match, planned
 from benchmarks.study import over_drives
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
-from diag_service.diagnosis.condition.indices import measure
+from diag_service.diagnosis.condition.shift_quality import measure
 from diag_service.diagnosis.condition.verdict import JUDDER_RAD_S
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.shifts.shifts import DriveFinder

@@ -14,8 +14,8 @@ from diag_service.diagnosis.condition.condition import (
     judge_lockup,
     no_verdict,
 )
-from diag_service.diagnosis.condition.indices import compile_indices, measure
-from diag_service.diagnosis.condition.shift_quality import ShiftScorer
+from diag_service.diagnosis.condition.shift_kernels import compile_indices
+from diag_service.diagnosis.condition.shift_quality import ShiftScorer, measure
 from diag_service.diagnosis.condition.verdict import Silence
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior

@@ -9,7 +9,7 @@ from benchmarks.hops import listing, modules_of, trip_of_a_shift, trip_of_decodi
 from benchmarks.service import record
 from tests.plugins.broker import Mosquitto
 
-EVENT_CALLS, EVENT_MODULES = 500, 21  # to the stored result; one module of them for the quality of a shift
+EVENT_CALLS, EVENT_MODULES = 500, 20  # to the stored result
 BROKER_MODULES = 30
 DECODE_CALLS, DECODE_MODULES = 1_600, 30  # from a log to its table
 

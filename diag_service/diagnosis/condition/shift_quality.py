@@ -1,7 +1,7 @@
-"""How well a gear change went: its parts with their units, one score, and what the control would have to adapt.
+"""What a gear change was like: indices by speeds and torques alone; parts of its quality, one score, what to adapt.
 
-Parts, weights and their sources: docs/shift-quality.md. Signals that are missing leave parts out; the score is that of
-the others.
+Definitions and limits of the indices: docs/model.md. Parts, weights and their sources: docs/shift-quality.md. Signals
+that are missing leave parts out; the score is that of the others.
 """
 
 import math
@@ -12,30 +12,20 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from canlog.arrays import FloatArray
-from canlog.jit import array_kernel
+from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration, ClutchCalibration, clutch_of_gear
-from clutch_model.pack import clutch_heating_rate_k_s, contact_torque_nm, film_law
+from clutch_model.pack import contact_torque_nm, film_law
 from diag_service.diagnosis.alignment import readings
 from diag_service.diagnosis.columns import GearRatios, Signal
+from diag_service.diagnosis.condition import shift_kernels as loops
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import Knowledge, State
-from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality, from_plain
-from diag_service.diagnosis.shifts.slip_tracking import LOADED_PA, SLIP_RAD_S
+from diag_service.diagnosis.records import ShiftEstimate, ShiftIndices, ShiftQuality, from_plain
+from diag_service.diagnosis.shifts.slip_tracking import LOADED_NM, LOADED_PA, SLIP_RAD_S
 
-GRID_S = 0.01
 BEFORE_S, AFTER_S = 0.3, 0.1  # of the signals around the event
 NS_PER_S = 1e9
-SLOPE_ROWS = 8  # of the parabola that differentiates the car's speed: 0.08 s on either side
-JERK_ROWS = 10  # 0.1 s, over which a change of acceleration is felt as one
-LOCKED_RAD_S = 2.0  # below it slip has ended
-LANDING_ROWS = 10  # 0.1 s before, whose slope of slip is that at which the clutch locks
-ASKED_NM = 2.0  # above it a clutch is asked to carry
-LEAST_PAIRS = 10  # of commanded torque and pressure, which tell the touch point that a control believes in
-MAP_PA = 0.05e5  # rms: beyond it the command is no straight line of the torque
-PULSE_PA = 1.0e5  # above the touch point, with no torque asked for: the clutch is being filled
-FILLED_ROWS = 4  # before torque is asked for, whose mean pressure tells how full the cavity is
 PRESSURE_PA = 5.0e3  # of a reading, one deviation
 FLOW_STD_RATIO = 0.2  # how well the flow of a pulse is known, of readings
 FLOW_STD_S = 0.015  # likewise: a valve opens and closes late
@@ -50,6 +40,10 @@ SCORED: Final = frozenset(
     {EventKind.SHIFT, EventKind.POWER_ON_UPSHIFT, EventKind.POWER_OFF_UPSHIFT, EventKind.COAST_DOWNSHIFT,
      EventKind.POWER_ON_DOWNSHIFT, *INTENDED_S}
 )  # fmt: skip
+INDEX_GRID_S = 0.005
+MIN_WINDOW_S = 0.1
+CORRELATION_S = 0.1  # residuals are alike for about as long as torque lags
+INERTIA_STD_RATIO = 0.2  # of the engine inertia: below the first tier nobody has calibrated it for the vehicle
 
 
 class Part(NamedTuple):
@@ -125,7 +119,6 @@ _COMMANDS: Final = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COM
 _ASKINGS: Final = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
 _SPEEDS: Final = (Signal.ENGINE_SPEED, Signal.HUB_SPEED, Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED)
 _SIGNALS: Final = (*_SPEEDS, *_SHAFTS, *_PRESSURES, *_COMMANDS, *_ASKINGS, Signal.ENGINE_TORQUE)
-_ENGINE, _ON, _OFF, _CAR, _PRESSURE_ON, _PRESSURE_OFF, _COMMAND, _ASKED, _TORQUE, _SLOPE, _ROW_COUNT = range(11)
 
 
 _NO_HEAT: Final = (math.nan, math.nan, math.nan, 0.0)
@@ -170,10 +163,10 @@ class ShiftScorer:
     def __init__(self, calibration: Calibration, gears: GearRatios | None) -> None:
         self._packs = tuple(_Pack.of(clutch) for clutch in calibration.clutches)
         self._gears = gears
-        nothing = np.full((_ROW_COUNT, 30), np.nan)
+        nothing = np.full((loops.ROW_COUNT, 30), np.nan)
         none, pack = (0.0, 0.0), (0.0, 1.0, 0.0)
-        _measure(nothing, 15, 20, True, 0.0, none, (pack, pack), 1.0, _NO_HEAT)  # compiled before the first event
-        _response_told(nothing, 15, 20, 0.0)
+        loops.quality_told(nothing, 15, 20, True, 0.0, none, (pack, pack), 1.0, _NO_HEAT)  # compiled before events
+        loops.response_told(nothing, 15, 20, 0.0)
 
     def score(self, event: Event, known: Knowledge | None, warm: PackTemperatures | None = None) -> ShiftQuality | None:
         """Return how well an event went; None if the stream broke off.
@@ -185,8 +178,8 @@ class ShiftScorer:
         if event.end_reason is EndReason.INTERRUPTED or duration_s <= 0.0:
             return None
         on, off = clutch_of_gear(event.to_gear) - 1, clutch_of_gear(event.from_gear) - 1
-        grid_s = np.arange(-BEFORE_S, duration_s + AFTER_S, GRID_S)
-        rows, packs = np.full((_ROW_COUNT, len(grid_s)), np.nan), (self._packs[on], self._packs[off])
+        grid_s = np.arange(-BEFORE_S, duration_s + AFTER_S, loops.GRID_S)
+        rows, packs = np.full((loops.ROW_COUNT, len(grid_s)), np.nan), (self._packs[on], self._packs[off])
         values = readings(
             event.columns, _SIGNALS if self._gears is None else (*_SIGNALS, self._gears.over), event.start_ns, grid_s
         )
@@ -194,11 +187,11 @@ class ShiftScorer:
         touch_pa = packs[0].touch_pa, packs[1].touch_pa
         if known is not None:
             for row, signal, zero_pa in (
-                (_PRESSURE_ON, _PRESSURES[on], known.mean[State.ZERO1 + on]),
-                (_PRESSURE_OFF, _PRESSURES[off], known.mean[State.ZERO1 + off]),
-                (_COMMAND, _COMMANDS[on], 0.0),
-                (_ASKED, _ASKINGS[on], 0.0),
-                (_TORQUE, Signal.ENGINE_TORQUE, 0.0),
+                (loops.PRESSURE_ON, _PRESSURES[on], known.mean[State.ZERO1 + on]),
+                (loops.PRESSURE_OFF, _PRESSURES[off], known.mean[State.ZERO1 + off]),
+                (loops.COMMAND, _COMMANDS[on], 0.0),
+                (loops.ASKED, _ASKINGS[on], 0.0),
+                (loops.TORQUE, Signal.ENGINE_TORQUE, 0.0),
             ):
                 if signal in values:
                     rows[row] = values[signal] - zero_pa
@@ -206,7 +199,7 @@ class ShiftScorer:
                 touch_pa[0] + float(known.mean[State.TOUCH1 + on]),
                 touch_pa[1] + float(known.mean[State.TOUCH1 + off]),
             )
-        first, stop = round(BEFORE_S / GRID_S), round((BEFORE_S + duration_s) / GRID_S)
+        first, stop = round(BEFORE_S / loops.GRID_S), round((BEFORE_S + duration_s) / loops.GRID_S)
         on_pack, off_pack = ((pack.torque_nm_pa, pack.heat_j_k, pack.cooling_w_k) for pack in packs)
         heat, oil = _NO_HEAT, event.columns.get(Signal.SUMP_TEMPERATURE)
         if oil is not None and len(oil.value):
@@ -216,8 +209,8 @@ class ShiftScorer:
                 age_s = (event.start_ns - warm.at_ns) / NS_PER_S
                 heat = oil_k, warm.clutch_k[on], warm.clutch_k[off], age_s
         stroke_pa = packs[0].stroke_pa
-        parts = _measure(rows, first, stop, on != off, skew_s, touch_pa, (on_pack, off_pack), stroke_pa, heat)
-        found = _Found._make((*parts, *_response_told(rows, first, stop, touch_pa[0])))
+        parts = loops.quality_told(rows, first, stop, on != off, skew_s, touch_pa, (on_pack, off_pack), stroke_pa, heat)
+        found = _Found._make((*parts, *loops.response_told(rows, first, stop, touch_pa[0])))
         adaptable = {} if known is None else self._adaptable(on, found, touch_pa[0], known)
         return _judged(event, found, adaptable, packs, is_second=on == 1)
 
@@ -228,8 +221,8 @@ class ShiftScorer:
         skew_s, gears = 0.0, self._gears
         for signal in (Signal.ENGINE_SPEED, Signal.HUB_SPEED):
             if signal in values:
-                rows[_ENGINE] = values[signal]
-        for row, clutch, gear in zip((_ON, _OFF), clutches, (event.to_gear, event.from_gear), strict=True):
+                rows[loops.ENGINE] = values[signal]
+        for row, clutch, gear in zip((loops.ON, loops.OFF), clutches, (event.to_gear, event.from_gear), strict=True):
             if _SHAFTS[clutch] in values:
                 rows[row] = values[_SHAFTS[clutch]]
             elif gears is not None and gears.over in values:  # asked for after the engine's speed
@@ -241,9 +234,9 @@ class ShiftScorer:
         if speed is not None and len(speed.value):
             turning = values.get(Signal.OUTPUT_SPEED)  # finer than the car's own
             if turning is not None:
-                rows[_CAR] = turning * (speed.value.mean() / mean if (mean := turning.mean()) > 1.0 else math.nan)
+                rows[loops.CAR] = turning * (speed.value.mean() / mean if (mean := turning.mean()) > 1.0 else math.nan)
             elif Signal.VEHICLE_SPEED in values:
-                rows[_CAR] = values[Signal.VEHICLE_SPEED]
+                rows[loops.CAR] = values[Signal.VEHICLE_SPEED]
         return skew_s
 
     def _adaptable(self, on: int, found: _Found, touch_pa: float, known: Knowledge) -> dict[str, tuple[float, float]]:
@@ -255,9 +248,9 @@ class ShiftScorer:
         if math.isfinite(found.share):
             s_per_share = found.fill_time_s
             longer_s = -found.early_s if found.share >= 1.0 else (1.0 - found.share) * s_per_share
-            read_std = math.hypot(std_pa, PRESSURE_PA / math.sqrt(FILLED_ROWS)) / self._packs[on].stroke_pa
+            read_std = math.hypot(std_pa, PRESSURE_PA / math.sqrt(loops.FILLED_ROWS)) / self._packs[on].stroke_pa
             flow_std = math.hypot(FLOW_STD_RATIO, FLOW_STD_S / found.pulse_s) * longer_s
-            adaptable["fill_error_s"] = longer_s, math.hypot(read_std * s_per_share, flow_std, GRID_S)
+            adaptable["fill_error_s"] = longer_s, math.hypot(read_std * s_per_share, flow_std, loops.GRID_S)
         return adaptable
 
 
@@ -353,223 +346,130 @@ def borne(before: Mapping[int, Load], estimate: ShiftEstimate) -> dict[int, Load
     return found
 
 
-@array_kernel
-def _mean(row: FloatArray, first: int, stop: int) -> float:
-    """Return the mean of some rows."""
-    total = 0.0
-    for place in range(first, stop):
-        total += row[place]
-    return total / max(stop - first, 1)
+_INDEX_SPEEDS: Final = (
+    Signal.HUB_SPEED,
+    Signal.ENGINE_SPEED,
+    Signal.INPUT1_SPEED,
+    Signal.INPUT2_SPEED,
+    Signal.INPUT_SPEED,
+)
+_INDEX_SIGNALS: Final = (
+    *_INDEX_SPEEDS,
+    Signal.CLUTCH_SLIP,
+    *_PRESSURES,
+    *_ASKINGS,
+    Signal.CLUTCH_TORQUE,
+    Signal.ENGINE_TORQUE,
+)
 
 
-@array_kernel
-def _differentiate(car_m_s: FloatArray, slopes: FloatArray) -> None:
-    """Fill in the slope of a straight line around each row [m/s2]; near both ends it stays."""
-    square = 0.0
-    for k in range(-SLOPE_ROWS, SLOPE_ROWS + 1):
-        square += k * k
-    for row in range(SLOPE_ROWS, len(car_m_s) - SLOPE_ROWS):
-        moment = 0.0
-        for k in range(-SLOPE_ROWS, SLOPE_ROWS + 1):
-            moment += k * car_m_s[row + k]
-        slopes[row] = moment / square / GRID_S
+class _Grid(NamedTuple):
+    """The signals of a shift on one even grid from its start to its end."""
+
+    t_s: FloatArray  # (n,) since the start of the shift
+    values: dict[Signal, FloatArray]  # (n,) each, linear between samples; without those that are not there
+    event: Event
+    clutch: int  # that of the gear
 
 
-@array_kernel
-def _speeds_told(
-    rows: FloatArray,
-    first: int,
-    stop: int,
-    is_handover: bool,  # noqa: FBT001
-    skew_s: float,
-) -> tuple[float, float, float]:
-    """Return flare [rad/s], when slip ended [s], and how fast it did [rad/s2]."""
-    engine, on, off = rows[_ENGINE], rows[_ON], rows[_OFF]
-    flare, peak, at, skew = np.nan, 0.0, -1, round(skew_s / GRID_S)
-    for row in range(first, stop):
-        slip = abs(engine[row] - on[row])
-        if slip > peak:
-            peak, at = slip, row
-        if is_handover:
-            least = np.inf
-            for apart in range(-skew, skew + 1):
-                beyond = 0.0
-                for place in range(row - 1, row + 2):
-                    low, high = min(on[place], off[place]), max(on[place], off[place])
-                    one = engine[min(max(place + apart, 0), len(engine) - 1)]
-                    beyond += max(one - high, low - one, 0.0) / 3.0
-                least = min(least, beyond)
-            flare = least if least < np.inf and not flare > least else flare
-    if at < 0 or peak < SLIP_RAD_S:
-        return flare, np.nan, np.nan
-    row, sign = at, 1.0 if engine[at] > on[at] else -1.0
-    while row < stop and sign * (engine[row] - on[row]) >= LOCKED_RAD_S:  # or beyond: rows may be far apart
-        row += 1
-    if row == stop:
-        return flare, np.nan, np.nan
-    moment, square, middle = 0.0, 0.0, 0.5 * (LANDING_ROWS - 1)
-    for k in range(LANDING_ROWS):
-        place = row - LANDING_ROWS + k
-        moment += (k - middle) * abs(engine[place] - on[place])
-        square += (k - middle) ** 2
-    return flare, (row - first) * GRID_S, max(-moment / square / GRID_S, 0.0)
-
-
-@array_kernel
-def _car_told(slopes: FloatArray, first: int, stop: int) -> tuple[float, float, float]:
-    """Return by how much the car's acceleration fell below that before and after, its jerk, and the larger of both."""
-    end = min(stop + 1, len(slopes) - SLOPE_ROWS)
-    before, after = _mean(slopes, SLOPE_ROWS, first - SLOPE_ROWS // 2), _mean(slopes, end - SLOPE_ROWS, end)
-    level = min(before, after)
-    hole, jerk = 0.0, 0.0
-    for row in range(first, end):
-        hole = max(hole, level - slopes[row])
-        jerk = max(jerk, abs(slopes[row] - slopes[row - JERK_ROWS]) / (JERK_ROWS * GRID_S))
-    return (np.nan, np.nan, np.nan) if math.isnan(level) else (hole, jerk, max(abs(before), abs(after)))
-
-
-@array_kernel
-def _loads_told(
-    rows: FloatArray,
-    first: int,
-    stop: int,
-    is_handover: bool,  # noqa: FBT001
-    touch_pa: tuple[float, float],
-    packs: tuple[tuple[float, float, float], tuple[float, float, float]],
-    heat: tuple[float, float, float, float],
-) -> tuple[float, float, float, float, float]:
-    """Return what both clutches carried against each other [N m], the slip energy and the peak of each [J, K].
-
-    ``heat`` is the oil, both packs and how long ago they were so warm [K, s]; a pack is warm throughout. ``packs``
-    are of each the torque that it carries by pressure, what warms it and what cools it [N m/Pa, J/K, W/K].
-    """
-    tie_up, energy_on, energy_off = np.nan, 0.0, 0.0
-    if math.isnan(rows[_PRESSURE_ON, first]):
-        return tie_up, np.nan, np.nan, np.nan, np.nan
-    oil_k, age_s = heat[0], heat[3]
-    (on_nm_pa, on_j_k, on_w_k), (off_nm_pa, off_j_k, off_w_k) = packs
-    on_k = oil_k + (heat[1] - oil_k) * math.exp(-age_s * on_w_k / on_j_k)
-    off_k = oil_k + (heat[2] - oil_k) * math.exp(-age_s * off_w_k / off_j_k)
-    peak_on_k, peak_off_k = on_k, off_k
-    for row in range(first, stop):
-        on_pa = _mean(rows[_PRESSURE_ON], row - 1, row + 2) - touch_pa[0]
-        off_pa = _mean(rows[_PRESSURE_OFF], row - 1, row + 2) - touch_pa[1]
-        on_nm, off_nm = max(on_pa, 0.0) * on_nm_pa, max(off_pa, 0.0) * off_nm_pa
-        on_slip = abs(rows[_ENGINE, row] - rows[_ON, row])
-        power_w = on_nm * on_slip if on_slip > LOCKED_RAD_S else 0.0
-        energy_on += power_w * GRID_S
-        on_k += GRID_S * clutch_heating_rate_k_s(power_w, on_k, oil_k, on_j_k, on_w_k)
-        peak_on_k = max(peak_on_k, on_k)
-        if is_handover:
-            off_slip = abs(rows[_ENGINE, row] - rows[_OFF, row])
-            power_w = off_nm * off_slip if off_slip > LOCKED_RAD_S and off_pa > LOADED_PA else 0.0
-            energy_off += power_w * GRID_S
-            off_k += GRID_S * clutch_heating_rate_k_s(power_w, off_k, oil_k, off_j_k, off_w_k)
-            peak_off_k = max(peak_off_k, off_k)
-            both_nm = min(on_nm - abs(_mean(rows[_TORQUE], row - 2, row + 3)), off_nm if off_pa > LOADED_PA else 0.0)
-            if not math.isnan(both_nm) and not tie_up > both_nm:
-                tie_up = max(both_nm, 0.0)
-    return tie_up, energy_on, energy_off, peak_on_k, peak_off_k if is_handover else np.nan
-
-
-@array_kernel
-def _map_told(rows: FloatArray, stop: int) -> tuple[float, float]:
-    """Return the pressure at which the control believes that the clutch carries nothing [Pa], and its deviation."""
-    command, asked = rows[_COMMAND], rows[_ASKED]
-    count, x1, x2, y1, y2, xy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for row in range(1, stop - 1):
-        is_steady = abs(asked[row + 1] - asked[row - 1]) < 15.0  # commands of two messages, a row apart
-        if is_steady and asked[row] > ASKED_NM and asked[row - 1] > ASKED_NM and asked[row + 1] > ASKED_NM:
-            count, x1, y1 = count + 1, x1 + asked[row], y1 + command[row]
-            x2, y2, xy = x2 + asked[row] ** 2, y2 + command[row] ** 2, xy + asked[row] * command[row]
-    if count < LEAST_PAIRS:
-        return np.nan, np.nan
-    x1, y1 = x1 / count, y1 / count
-    across = x2 / count - x1 * x1
-    if not across > 100.0:  # 10 N m
-        return np.nan, np.nan
-    slope = (xy / count - x1 * y1) / across
-    rms = math.sqrt(max(y2 / count - y1 * y1 - slope * slope * across, 0.0))
-    if rms > MAP_PA:
-        return np.nan, np.nan
-    return y1 - slope * x1, rms * math.sqrt((1.0 + x1 * x1 / across) / count) + 500.0  # half a step of the command
-
-
-@array_kernel
-def _fill_told(
-    rows: FloatArray, first: int, stop: int, touch_pa: float, stroke_pa: float
-) -> tuple[float, float, float, float]:
-    """Return how full the cavity is as torque is asked for, how long all takes, the pulse, what was too long [s]."""
-    command, asked, pressure = rows[_COMMAND], rows[_ASKED], rows[_PRESSURE_ON]
-    row, pulse, ended, full = first, 0, first, -1
-    while row < stop and not (asked[row] >= ASKED_NM and pulse > 0):
-        if asked[row] < ASKED_NM and command[row] > touch_pa + PULSE_PA:
-            pulse, ended = pulse + 1, row + 1
-        if full < 0 and pressure[row] > touch_pa + LOADED_PA and pressure[row + 1] > touch_pa + LOADED_PA:
-            full = row if pulse > 0 else -1
-        row += 1
-    if row >= stop or pulse == 0:
-        return np.nan, np.nan, np.nan, np.nan
-    if full >= 0:
-        return 1.0, pulse * GRID_S, pulse * GRID_S, max((ended - full) * GRID_S, 0.0)
-    last = min(ended + 1 + FILLED_ROWS, row)  # a valve goes on for a moment
-    at_end = 1.0 - max(touch_pa - _mean(pressure, last - FILLED_ROWS, last), 0.0) / stroke_pa
-    short_pa = touch_pa - _mean(pressure, row - FILLED_ROWS, row)
-    return 1.0 - max(short_pa, 0.0) / stroke_pa, pulse * GRID_S / max(at_end, 0.1), pulse * GRID_S, 0.0
-
-
-@array_kernel
-def _response_told(rows: FloatArray, first: int, stop: int, touch_pa: float) -> tuple[float, float, float]:
-    """Return how the pressure of a closed clutch follows its command: lag [s], ratio, and what the highest lacks [Pa].
-
-    By least squares: the pressure is a part of the command and of its slope.
-    """
-    command, pressure = rows[_COMMAND], rows[_PRESSURE_ON]
-    n, c1, d1, cc, cd, dd, p1, pc, pd, top, top_row = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1
-    for row in range(first + 2, min(stop + 8, len(command) - 2)):
-        here = command[row] - touch_pa
-        least = min(command[row - 2], command[row + 2]) - touch_pa
-        if not (least > PULSE_PA and pressure[row - 2] > touch_pa + LOADED_PA and pressure[row] > touch_pa + LOADED_PA):
-            continue
-        slope, read = (command[row + 1] - command[row - 1]) / (2.0 * GRID_S), pressure[row] - touch_pa
-        n, c1, d1, p1 = n + 1, c1 + here, d1 + slope, p1 + read
-        cc, cd, dd = cc + here * here, cd + here * slope, dd + slope * slope
-        pc, pd = pc + read * here, pd + read * slope
-        if here > top:
-            top, top_row = here, row
-    if n < LEAST_PAIRS:
-        return np.nan, np.nan, np.nan
-    cc, cd, dd, pc, pd = cc - c1 * c1 / n, cd - c1 * d1 / n, dd - d1 * d1 / n, pc - p1 * c1 / n, pd - p1 * d1 / n
-    whole = cc * dd - cd * cd
-    if whole <= 0.0:
-        return np.nan, np.nan, np.nan
-    reach, by_slope = (pc * dd - pd * cd) / whole, (pd * cc - pc * cd) / whole
-    stays = min(top_row + 4, len(pressure) - 3)
-    return -by_slope / reach, reach, top - (_mean(pressure, stays - 2, stays + 3) - touch_pa)
-
-
-@array_kernel
-def _measure(
-    rows: FloatArray,
-    first: int,
-    stop: int,
-    is_handover: bool,  # noqa: FBT001 - a compiled function
-    skew_s: float,
-    touch_pa: tuple[float, float],
-    packs: tuple[tuple[float, float, float], tuple[float, float, float]],
-    stroke_pa: float,
-    heat: tuple[float, float, float, float],
-) -> tuple[float, ...]:
-    """Return the fields of `_Found`; the event lasts from row ``first`` to before ``stop``."""
-    flare, locked_s, lock_rate = _speeds_told(rows, first, stop, is_handover, skew_s)
-    _differentiate(rows[_CAR], rows[_SLOPE])
-    hole, jerk, acceleration = _car_told(rows[_SLOPE], first, stop)
-    tie_up, energy_on, energy_off, peak_on, peak_off = _loads_told(
-        rows, first, stop, is_handover, touch_pa, packs, heat
+def measure(event: Event, calibration: Calibration) -> ShiftIndices:
+    """Return the indices of a shift as far as its signals go."""
+    is_complete = event.end_reason is EndReason.COMPLETE and event.end_ns > event.start_ns
+    shift_time_s = (event.end_ns - event.start_ns) / NS_PER_S
+    t_s = np.arange(0.0, max(shift_time_s, INDEX_GRID_S), INDEX_GRID_S)
+    values = readings(event.columns, _INDEX_SIGNALS, event.start_ns, t_s)
+    grid = _Grid(t_s, values, event, clutch_of_gear(event.to_gear))
+    slip_rad_s = _slip(grid) if is_complete else None
+    if slip_rad_s is None:
+        return ShiftIndices(
+            shift_time_s=shift_time_s if is_complete else None,
+            slip_duration_s=None,
+            peak_slip_rad_s=None,
+            slip_angle_rad=None,
+            torque_capacity_ratio=None,
+            std_torque_capacity_ratio=None,
+        )
+    size = np.abs(slip_rad_s)
+    ratio, std = _torque_capacity(grid, slip_rad_s, calibration) or (None, None)
+    return ShiftIndices(
+        shift_time_s=shift_time_s,
+        slip_duration_s=float(np.count_nonzero(size > SLIP_RAD_S) * INDEX_GRID_S),
+        peak_slip_rad_s=float(size.max()),
+        slip_angle_rad=float(size.sum() * INDEX_GRID_S),
+        torque_capacity_ratio=ratio,
+        std_torque_capacity_ratio=std,
+        reslip_rad_s=_reslip(size, _pressed(grid, calibration)),
     )
-    believed, believed_std = _map_told(rows, stop)
-    share, fill_s, pulse_s, early_s = _fill_told(rows, first, stop, touch_pa[0], stroke_pa)
-    return (
-        flare, locked_s, lock_rate, hole, jerk, acceleration, tie_up, energy_on, energy_off, peak_on, peak_off,
-        believed, believed_std, share, fill_s, pulse_s, early_s,
-    )  # fmt: skip
+
+
+def _reslip(slip_rad_s: FloatArray, is_pressed: BoolArray) -> float:
+    """Return the largest slip under load after it had begun and ended once [rad/s]: stick-slip, if there is much.
+
+    Slip has begun when it is as large as three quarters of the largest: as a clutch bites, its shaft swings. It has
+    ended when the clutch sticks, not as it passes zero. A clutch that was let go in between begins anew, and so does
+    one that is let slip for long.
+    """
+    pressed_rad_s = np.where(is_pressed, slip_rad_s, 0.0)
+    begun_rad_s = max(SLIP_RAD_S, 0.75 * float(pressed_rad_s.max()))
+    first, stop = loops.stuck_rows(pressed_rad_s, slip_rad_s, is_pressed, begun_rad_s)
+    return loops.largest_swing(slip_rad_s[first:stop], pressed_rad_s[first:stop]) if first < stop else 0.0
+
+
+def _pressed(grid: _Grid, calibration: Calibration) -> BoolArray:
+    """Return where the clutch of the gear carries load, shape (n,); everywhere if nothing tells."""
+    pressure_pa = grid.values.get(_PRESSURES[grid.clutch - 1])
+    if pressure_pa is not None:
+        return pressure_pa > calibration.clutches[grid.clutch - 1].touch_pressure_pa + LOADED_PA
+    asked_nm = grid.values.get(_ASKINGS[grid.clutch - 1])
+    return np.ones(len(grid.t_s), np.bool_) if asked_nm is None else asked_nm > LOADED_NM
+
+
+def _slip(grid: _Grid) -> FloatArray | None:
+    """Return the slip of the on-coming clutch: its input side less the shaft of the gear that engages."""
+    hub = grid.values.get(Signal.HUB_SPEED)
+    engine = hub if hub is not None else grid.values.get(Signal.ENGINE_SPEED)
+    is_first = grid.clutch == 1
+    shaft = grid.values.get(Signal.INPUT1_SPEED if is_first else Signal.INPUT2_SPEED)
+    shaft = shaft if shaft is not None else grid.values.get(Signal.INPUT_SPEED)
+    if engine is None:
+        return None
+    stated = None if shaft is not None else grid.values.get(Signal.CLUTCH_SLIP)
+    return engine * stated if stated is not None else None if shaft is None else engine - shaft
+
+
+def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibration) -> tuple[float, float] | None:
+    """Return the torque transmitted at slip over the one asked for, and its standard deviation; docs/model.md eq. (I4).
+
+    Least squares through the origin; the deviation adds the scatter of the residuals, the gain and the offset of the
+    engine torque, and the inertia.
+    """
+    asked = _asked(grid)
+    engine_nm = grid.values.get(Signal.ENGINE_TORQUE)
+    if asked is None or engine_nm is None or Signal.ENGINE_SPEED not in grid.event.columns:
+        return None
+    asked_nm, rows = np.empty(len(slip_rad_s)), np.empty(len(slip_rad_s), np.int64)
+    count = loops.pick_asked(slip_rad_s, *asked, asked_nm, rows)
+    if count * INDEX_GRID_S < MIN_WINDOW_S:
+        return None
+    asked_nm, rows = asked_nm[:count], rows[:count]
+    speed, accelerations = grid.event.columns[Signal.ENGINE_SPEED], np.zeros(count)
+    loops.fit_slopes((speed.t_ns - grid.event.start_ns) / NS_PER_S, speed.value, grid.t_s[rows], accelerations)
+    inertia_nm = calibration.input_side.engine_inertia_kg_m2 * accelerations
+    by_engine, by_offset, by_inertia, scatter = loops.fit_ratio(asked_nm, engine_nm[rows], inertia_nm)
+    spread = calibration.uncertainty
+    parts = (
+        scatter * math.sqrt(CORRELATION_S / INDEX_GRID_S),
+        spread.torque_gain_ratio * by_engine,
+        spread.torque_offset_nm * by_offset,
+        INERTIA_STD_RATIO * by_inertia,
+    )
+    return by_engine - by_inertia, math.hypot(*parts)
+
+
+def _asked(grid: _Grid) -> tuple[FloatArray, FloatArray, bool] | None:
+    """Return the torques asked of the on-coming and of the off-going clutch, and whether their signs are the slip's."""
+    on, off = grid.values.get(_ASKINGS[grid.clutch - 1]), grid.values.get(_ASKINGS[2 - grid.clutch])
+    if on is not None and off is not None:
+        return on, off, False
+    total = grid.values.get(Signal.CLUTCH_TORQUE)
+    return None if total is None else (total, np.zeros(len(total)), True)

@@ -8,7 +8,7 @@ import pytest
 from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.indices import measure
+from diag_service.diagnosis.condition.shift_quality import measure
 from diag_service.diagnosis.events import EndReason, Event
 
 CALIBRATION = nominal_calibration()

@@ -9,7 +9,7 @@ from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import Columns, Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge
-from diag_service.diagnosis.condition.indices import measure
+from diag_service.diagnosis.condition.shift_quality import measure
 from diag_service.diagnosis.condition.verdict import LAUNCH_WINDOW, Launches
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.records import Condition, ShiftEstimate, StickSlip
