@@ -198,8 +198,14 @@ class Course:
         return replace(self, now=Stretch(), filled=Stretch(), found=None)
 
     def with_changed_friction(self) -> Self:
-        """Return it after friction has changed at once: a mean over both kinds of friction would be of neither."""
-        return replace(self, now=Stretch()) if self.begun.count >= BEGIN_COUNT else type(self)()
+        """Return it after friction has changed at once: a mean over both kinds of friction would be of neither.
+
+        What was found before is forgotten, but for a sensor that has drifted: by that friction seems to change as well.
+        """
+        if self.begun.count < BEGIN_COUNT:
+            return type(self)()
+        is_by_sensor = max(self.sensor_share(1), self.sensor_share(2)) >= SENSOR_SHARE
+        return replace(self, now=Stretch(), found=self.found if is_by_sensor else None)
 
     @property
     def is_possible(self) -> bool:

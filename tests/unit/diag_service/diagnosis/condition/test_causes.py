@@ -145,8 +145,11 @@ def test_what_cool_oil_moves_is_no_cause(pack_k: float, count: int) -> None:
 def test_friction_that_changes_in_the_beginning_begins_it_again() -> None:
     early = ConditionMemory(course=Course(begun=replace(stretch(), count=BEGIN_COUNT - 1.0), event_count=39))
     assert early.with_changed_friction(2).course == Course()
-    later = ConditionMemory(course=Course(begun=stretch(), now=stretch(), event_count=100))
-    assert later.with_changed_friction(2).course == replace(later.course, now=Stretch())
+    later = Course(begun=stretch(), now=stretch(), event_count=100, found=causes_of(AGED))
+    assert later.with_changed_friction() == replace(later, now=Stretch(), found=None)
+    drifted = replace(later, found=causes_of({**SCALE, "torque_gain": 0.02, "engine_inertia": 0.02}))
+    assert drifted.sensor_share(1) > 0.5
+    assert drifted.with_changed_friction() == replace(drifted, now=Stretch())
 
 
 def test_two_causes_are_both_named() -> None:
