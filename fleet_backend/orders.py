@@ -1,5 +1,6 @@
 """The order for each vehicle by what the database holds: the last result of each clutch, and the fluid that is in."""
 
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from operator import itemgetter
@@ -12,6 +13,7 @@ from fleet_contract.orders import (
     NO_VERDICT,
     UNKNOWN_FLUID,
     Finding,
+    Suspect,
     distinct,
     is_of_earlier_fluid,
     order_of,
@@ -93,4 +95,11 @@ def _finding(row: Row, names: Mapping[tuple[str, int], str]) -> Finding:
         reason=row["condition_reason"],
         end_at=row["end_at"],
         element=names.get((row["vehicle"], row["clutch"])),
+        suspects=_suspects(row["causes"]),
     )
+
+
+def _suspects(causes: str | None) -> tuple[Suspect, ...]:
+    """Return the causes that an order may name, by what a row holds of them."""
+    told = [] if causes is None else json.loads(causes)["likely"]
+    return tuple(Suspect(one["cause"], one["clutch"], one["probability"]) for one in told)

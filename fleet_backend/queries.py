@@ -8,7 +8,20 @@ from difflib import get_close_matches
 from hashlib import sha256
 from typing import Final
 
-from sqlalchemy import Connection, Engine, Select, TableClause, column, delete, func, insert, select, table, update
+from sqlalchemy import (
+    Connection,
+    Engine,
+    Select,
+    TableClause,
+    and_,
+    column,
+    delete,
+    func,
+    insert,
+    select,
+    table,
+    update,
+)
 
 from fleet_backend.choices import Axis
 from fleet_backend.database import transaction
@@ -101,14 +114,30 @@ class TableHash:
 def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
     """Return the running condition of every clutch, the worst first, with the order for its vehicle."""
     with transaction(engine) as connection:
-        rows = connection.execute(select(FLEET_WORST_FIRST).order_by(FLEET_WORST_FIRST.c.place)).mappings()
+        rows = connection.execute(select(FLEET_WORST_FIRST).order_by(FLEET_WORST_FIRST.c.place)).mappings().all()
+        causes = _causes(connection)
         told = sorted(
-            with_orders(rows, present_fluids(connection), clutch_names(connection)),
+            with_orders(
+                ({**row, "causes": causes.get((row["vehicle"], row["stream"], row["seq"]))} for row in rows),
+                present_fluids(connection),
+                clutch_names(connection),
+            ),
             key=lambda row: (-SEVERITIES.index(row["condition"]), row["place"]),
         )
     return [
         {**row, "place": place, "severity": SEVERITIES.index(row["condition"])} for place, row in enumerate(told, 1)
     ][:limit]
+
+
+def _causes(connection: Connection) -> dict[tuple[str, str, int], str]:
+    """Return why vehicles are as they are, by the last result of each clutch."""
+    table, last = SHIFT_RESULT.c, FLEET_WORST_FIRST.c
+    same = and_(table.vehicle == last.vehicle, table.stream == last.stream, table.seq == last.seq)
+    statement = select(table.vehicle, table.stream, table.seq, table.causes).join_from(
+        FLEET_WORST_FIRST, SHIFT_RESULT, same
+    )
+    told = connection.execute(statement.where(table.causes.is_not(None)).order_by(table.version_rank))
+    return {(one.vehicle, one.stream, one.seq): one.causes for one in told}
 
 
 def check_vehicle(engine: Engine, vehicle: str) -> None:

@@ -75,6 +75,7 @@ _SORTED: Final = json.JSONEncoder(sort_keys=True)
 _JSON: Final = msgspec.json.Encoder()
 _PLAIN_NUMBERS: Final = (1e-4, 1e16)  # from and below which repr writes a number without an exponent, as JSON does
 UNNAMED_FLUID: Final = "not named"  # a fill without the name of its fluid
+_SHOWN_CAUSES: Final = 3
 _HEAD_LENGTH: Final = 2048
 _DETAIL_LENGTH: Final = 500
 _LONGEST_TEXT: Final = 200  # of a fill in a message
@@ -114,8 +115,17 @@ def shift_row(data: Mapping[str, object]) -> Row:
     quality = data.get("shift_quality")
     row["shift_quality"] = None if quality is None else _JSON.encode(quality).decode()
     row["element"] = data.get("element")
+    causes = verdict.get("causes")
+    row["causes"] = None if causes is None else _JSON.encode(_foremost(_table(causes))).decode()
     row["content_digest"] = content_digest(row)
     return row
+
+
+def _foremost(causes: Mapping[str, object]) -> dict[str, object]:
+    """Return causes without the less likely ones, and what speaks for the first alone: each result carries them."""
+    likely = causes["likely"]
+    kept = [dict(_table(one)) for one in likely[:_SHOWN_CAUSES]] if isinstance(likely, list | tuple) else []
+    return {**causes, "likely": [kept[0], *({**one, "evidence": ""} for one in kept[1:])] if kept else []}
 
 
 def content_digest(row: Row) -> int:

@@ -136,6 +136,7 @@ SHIFT_RESULT: Final = Table(
     Column("trust_parts", Text),  # JSON object of what that is made of
     Column("shift_quality", Text),  # JSON object: how well the event went, as its message tells
     Column("element", Text),  # name of the clutch
+    Column("causes", Text),  # JSON object: why the vehicle is as it is, the likeliest causes alone
     ForeignKeyConstraint(["vehicle", "clutch"], ["clutch.vehicle", "clutch.clutch"]),  # PostgreSQL: of clutch_stream
     Index("shift_by_time", "vehicle", "clutch", "produced_at", "stream"),
     Index("shift_by_arrival", "stored_at"),
@@ -206,6 +207,6 @@ KEY_COLUMNS: Final = tuple(column.name for column in SHIFT_RESULT.primary_key)
 # What two contents of one result may differ in: it is not in the digest, which must stay what it was.
 UNHASHED_COLUMNS: Final = frozenset({
     *("stored_at", "content_digest", "version_rank", "kind", "end_reason", "advice", "trust", "trust_parts"),
-    *("shift_quality", "element"),
+    *("shift_quality", "element", "causes"),
     *(SCALE_FREE + name for name in SCALE_FREE_COLUMNS),
 })  # fmt: skip

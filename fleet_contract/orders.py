@@ -1,6 +1,7 @@
-"""What a vehicle is told to do about its fluid: one order, made here alone, from both clutches and the fluid fills.
+"""What a vehicle is told to do: one order, made here alone, from both clutches, likely causes and the fluid fills.
 
-Both clutches slip in one oil, so the worse of them decides. An order is about now; what is foretold may only add when.
+Both clutches slip in one oil, so the worse of them decides, unless another cause than the fluid is likelier. An order
+is about now; what is foretold may only add when.
 """
 
 import re
@@ -8,7 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from enum import StrEnum
-from typing import Final, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from fleet_contract.topics import CLUTCHES
 
@@ -65,10 +66,11 @@ _EARLIER_WORDS: Final = {
 
 
 class Action(StrEnum):
-    """What is to be done about the fluid."""
+    """What is to be done."""
 
     CHANGE_NOW = "change_now"
     CHANGE_AT_SERVICE = "change_at_service"
+    FIND_CAUSE = "find_cause"  # new fluid would not mend what is likely
     NEW_FLUID = "new_fluid"  # no result of it yet
     MEASURE_AGAIN = "measure_again"  # too little is known
     NOTHING = "nothing"
@@ -78,10 +80,35 @@ class Action(StrEnum):
 SHOWN_AS: Final = {
     Action.CHANGE_NOW: "change_fluid",
     Action.CHANGE_AT_SERVICE: "watch",
+    Action.FIND_CAUSE: "watch",
     Action.NEW_FLUID: NO_VERDICT,
     Action.MEASURE_AGAIN: NO_VERDICT,
     Action.NOTHING: "good",
 }
+
+
+class Suspect(NamedTuple):
+    """Something that may be wrong with a vehicle."""
+
+    cause: str  # a word such as glazed-lining
+    clutch: int | None
+    probability: float
+
+    def __str__(self) -> str:
+        return cause_words(self.cause, self.clutch)
+
+
+_SOUND: Final = "sound"
+_MENDED_BY_FLUID: Final = frozenset({_SOUND, "aged-fluid", "wrong-fluid", "water", "renewed-fluid"})
+LIKELIER: Final = 0.5  # so likely another cause holds back an order to change the fluid
+NEARLY_CERTAIN: Final = 0.9  # and gives one where nothing is said against the fluid
+
+
+def cause_words(cause: str, clutch: int | None) -> str:
+    """Return a cause for people."""
+    if cause == _SOUND:
+        return "no cause found"
+    return cause.replace("-", " ") + ("" if clutch is None else f" of clutch {clutch}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,6 +121,7 @@ class Finding:
     text: str | None  # the advice of the verdict; None in results of older programs
     reason: str  # of the verdict
     end_at: datetime  # of the event
+    suspects: tuple[Suspect, ...] = ()  # of the vehicle, the likeliest first
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,6 +168,10 @@ def order_of(findings: Iterable[Finding], filled_at: datetime | None) -> Order:
     unseen = "no event engaged it yet" if filled_at is None else _UNSEEN_SINCE
     texts = [_ground(known[clutch]) if clutch in known else unseen for clutch in clutches]
     action, sentence = _decide(conditions, texts)
+    newest = max(known.values(), key=lambda one: one.end_at, default=None)
+    if newest is not None and (suspect := _beside_fluid(newest.suspects, conditions)) is not None:
+        action = Action.FIND_CAUSE
+        sentence = f"See to another cause than the fluid first: {suspect} ({100.0 * suspect.probability:.0f} % likely)."
     if filled_at is not None and not known:
         action = Action.NEW_FLUID
         sentence = f"New fluid since {filled_at:%Y-%m-%d %H:%M} UTC: nothing is known of it yet."
@@ -158,6 +190,13 @@ def _decide(conditions: list[str], texts: list[str]) -> tuple[Action, str]:
     if min(map(_percent, texts)) < NEARLY_SURE:
         return Action.NOTHING, "Nothing to do now, but measure again after more drives: the fluid seems sound."
     return Action.NOTHING, "Nothing to do now: the fluid is sound."
+
+
+def _beside_fluid(suspects: Iterable[Suspect], conditions: list[str]) -> Suspect | None:
+    """Return the likeliest cause if new fluid does not mend it and it is likely enough to be seen to first."""
+    first = max((one for one in suspects if one.cause != _SOUND), key=lambda one: one.probability, default=None)
+    least = LIKELIER if {"change_fluid", "watch"} & set(conditions) else NEARLY_CERTAIN
+    return None if first is None or first.cause in _MENDED_BY_FLUID or first.probability < least else first
 
 
 def _percent(text: str) -> int:

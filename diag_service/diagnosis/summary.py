@@ -16,7 +16,6 @@ from diag_service.diagnosis.records import (
     ClutchVerdict,
     Condition,
     FluidFill,
-    LikelyCause,
     ShiftResult,
     ShiftStatistics,
     Tier,
@@ -27,7 +26,16 @@ from diag_service.diagnosis.records import (
     utc_from_bus_ns,
 )
 from fleet_contract import JsonObject
-from fleet_contract.orders import UNKNOWN_FLUID, Finding, Order, is_of_earlier_fluid, order_of, unseen_since_new
+from fleet_contract.orders import (
+    UNKNOWN_FLUID,
+    Finding,
+    Order,
+    Suspect,
+    cause_words,
+    is_of_earlier_fluid,
+    order_of,
+    unseen_since_new,
+)
 
 if TYPE_CHECKING:  # a live service tells no friction up to a scale
     from diag_service.diagnosis.prediction import RelativeFriction
@@ -175,20 +183,20 @@ def newest_causes(results: Iterable[ShiftResult]) -> Causes | None:
     return max(known, key=lambda one: one.event_count, default=None)
 
 
-def cause_words(cause: LikelyCause) -> str:
-    """Return a cause for people."""
-    if cause.cause == "sound":
-        return "no cause found"
-    return cause.cause.replace("-", " ") + ("" if cause.clutch is None else f" of clutch {cause.clutch}")
-
-
 def cause_lines(causes: Causes | None) -> list[str]:
     """Return for people why a vehicle is as it is, what that rests on, what to do, and what would tell more."""
     if causes is None:
         return []
-    told = ", ".join(f"{cause_words(one)} {100.0 * one.probability:.0f} %" for one in causes.likely[:3])
+    told = ", ".join(
+        f"{cause_words(one.cause, one.clutch)} {100.0 * one.probability:.0f} %" for one in causes.likely[:3]
+    )
     lines = [f"Why: {told} (by {causes.event_count} events).", f"  {causes.likely[0].evidence}", f"  {causes.advice}"]
     return lines if causes.test is None else [*lines, f"  {causes.test}"]
+
+
+def suspects_of(causes: Causes | None) -> tuple[Suspect, ...]:
+    """Return the causes that an order may name."""
+    return () if causes is None else tuple(Suspect(one.cause, one.clutch, one.probability) for one in causes.likely)
 
 
 def of_present_fluid(results: Iterable[ShiftResult], fluid: FluidFill | None) -> tuple[ShiftResult, ...]:
@@ -227,6 +235,7 @@ def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None) -> Order:
             text=one.verdict.advice,
             reason=one.verdict.reason,
             end_at=_end_at(one),
+            suspects=suspects_of(one.verdict.causes),
         )
         for one in results
     ]

@@ -18,6 +18,7 @@ from diag_service.diagnosis.condition.shift_course import adapting_lines, correc
 from diag_service.diagnosis.prediction import SLIP_RAD_S, RelativeFriction
 from diag_service.diagnosis.records import (
     SHIFT_SCHEMA,
+    Causes,
     ClutchVerdict,
     QualityPart,
     ShiftResult,
@@ -29,7 +30,6 @@ from diag_service.diagnosis.records import (
 )
 from diag_service.diagnosis.summary import (
     capability_line,
-    cause_words,
     frames_line,
     gaps_line,
     newest_causes,
@@ -56,7 +56,7 @@ from diag_service.report.pictures import (
 from diag_service.service.onlookers import Example
 from diag_service.store import Row
 from fleet_contract import JsonObject
-from fleet_contract.orders import SHOWN_AS, Order, title_of
+from fleet_contract.orders import SHOWN_AS, Order, cause_words, title_of
 
 REPORT_SCHEMA: Final = "clutchdiag/report/v1"
 _PACKAGE: Final = "diag_service.report"
@@ -237,15 +237,20 @@ def shifts_section(found: Findings) -> Section:
 
 def causes_sections(found: Findings) -> Iterator[Section]:
     """Yield why the vehicle is as it is, if that is known."""
-    causes = newest_causes(found.latest)
-    if causes is None:
-        return
-    rows = tuple((cause_words(one), number(one.probability, "{:.1%}"), one.evidence) for one in causes.likely)
+    if (causes := newest_causes(found.latest)) is not None:
+        yield causes_section(causes)
+
+
+def causes_section(causes: Causes) -> Section:
+    """Return why a vehicle is as it is."""
+    rows = tuple(
+        (cause_words(one.cause, one.clutch), number(one.probability, "{:.1%}"), one.evidence) for one in causes.likely
+    )
     table = Table(
         caption=f"Causes, by {causes.event_count} events", head=("cause", "probability", "evidence"), rows=rows
     )
     texts = (causes.advice, *([] if causes.test is None else [causes.test]))
-    yield Section(name="causes", title="Why", texts=texts, tables=(table,))
+    return Section(name="causes", title="Why", texts=texts, tables=(table,))
 
 
 def course_sections(found: Findings) -> Iterator[Section]:

@@ -13,6 +13,7 @@ from typing import Final
 from urllib.parse import SplitResult, urlsplit
 
 from fleet_backend.errors import ConfigError
+from fleet_contract.orders import Action
 from fleet_link import AddressError, read_secret
 
 CLOCK_ERROR = timedelta(days=1)  # of a vehicle; a moment that is farther ahead is none
@@ -27,6 +28,7 @@ class Rule(StrEnum):
     QUALITY = "quality"  # most events of a clutch cannot be used
     ODOMETER = "odometer"  # it went back or leapt
     SILENCE = "silence"  # nothing was heard of a vehicle
+    CAUSE = "cause"  # something is probably wrong that new fluid does not mend
     SCORE = "score"  # gears are changed worse than before
     CORRECTION = "correction"  # the control should adapt something for sure
     QUOTA = "quota"  # it sends more than is taken of it in a day
@@ -89,6 +91,12 @@ def verdict_finding(vehicle: str, clutch: int, condition: str, order: str, *, is
     """Return what the verdict says; one that is none changes nothing, unless all that spoke was an earlier fluid."""
     is_wrong = None if condition == "no_verdict" and not is_old_fluid else condition == "change_fluid"
     return Finding(subject=_subject(vehicle, clutch, Rule.VERDICT), is_wrong=is_wrong, reason=order)
+
+
+def cause_finding(vehicle: str, action: str, order: str) -> Finding:
+    """Return whether another cause than the fluid is to be seen to; while nothing is known it stays as it was."""
+    is_wrong = None if action in {Action.MEASURE_AGAIN, Action.NEW_FLUID} else action == Action.FIND_CAUSE
+    return Finding(subject=_subject(vehicle, WHOLE_VEHICLE, Rule.CAUSE), is_wrong=is_wrong, reason=order)
 
 
 def due_finding(vehicle: str, clutch: int, probability: float | None, sentence: str, limits: Limits) -> Finding:

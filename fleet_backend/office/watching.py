@@ -26,6 +26,7 @@ from fleet_backend.alarms.rules import (
     Rule,
     Subject,
     Transition,
+    cause_finding,
     correction_finding,
     due_finding,
     heard_last,
@@ -220,6 +221,7 @@ class Watch:
             yield odometer_finding(vehicle, one.clutch, readings_m, limits)
             readings.append([(row["end_at"], row["odometer_m"]) for row in rows])
             founds.append(outlook_of(one.clutch, rows, fills, self._orders.service_distance_m, kept) if rows else None)
+        yield cause_finding(vehicle, clutches[0].action, clutches[0].order)
         now = self._now()
         due = [due_of(one, founds, own, now.date()) for one, own in zip(clutches, readings, strict=True)]
         keep_due(self._engine, clutches, due, now)

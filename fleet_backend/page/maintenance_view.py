@@ -186,7 +186,7 @@ def due_of(
 ) -> Due:
     """Return when a fluid is due by the prognoses of all clutches of its vehicle: they slip in one oil."""
     a_day_m = driven_a_day_m(readings)
-    reach = soonest(one for one in founds if one is not None)
+    reach = None if now.action == Action.FIND_CAUSE else soonest(one for one in founds if one is not None)
     quantiles = (None, None, None) if reach is None else (reach.p10_m, reach.p50_m, reach.p90_m)
     first, half, most = (_day(now, distance_m, a_day_m) for distance_m in quantiles)
     return _told(now, (first, half, most), a_day_m, outlook_text(founds, now.action), today)

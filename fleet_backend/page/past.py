@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, Interval, Select, and_, func, literal, or_, select, tuple_
 
-from diag_service.diagnosis.records import ShiftQuality, from_plain
+from diag_service.diagnosis.records import Causes, ShiftQuality, from_plain
 from fleet_backend.database import transaction
 from fleet_backend.months import CLUTCH_BLOCK, has_partitions, months_with
 from fleet_backend.orders import without_old_fluid
@@ -183,6 +183,14 @@ def quality_in(row: Row) -> ShiftQuality | None:
         return None
 
 
+def _causes_in(row: Row) -> Causes | None:
+    """Return why a vehicle is as it is; None: nobody told, or not as we understand it."""
+    try:
+        return None if row["causes"] is None else from_plain(json.loads(row["causes"]), Causes)
+    except ValueError:
+        return None
+
+
 def words_in(row: Row) -> tuple[str, ...]:
     """Return the reasons in a row."""
     return tuple(str(row["reasons"]).split(",")) if row["reasons"] else ()
@@ -196,6 +204,7 @@ def _shift(row: Row, older: Sequence[Row]) -> ShiftAnswer:
         "running": friction_in(row, RUNNING),
         "trust_parts": parts,
         "shift_quality": quality_in(row),
+        "causes": _causes_in(row),
         "older_versions": tuple(_versions(older)),
     }
     made |= {name: row[name] for name in _SHIFT_NAMES if name not in made}

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from diag_service.diagnosis.condition.shift_course import Course
 from diag_service.diagnosis.condition.shift_quality import Load
-from diag_service.diagnosis.records import ShiftQuality
+from diag_service.diagnosis.records import Causes, ShiftQuality
 
 
 class Severity(StrEnum):
@@ -191,6 +191,7 @@ class VehicleAnswer:
     changes: tuple[Course, ...]  # of gears
     corrections: tuple[str, ...]  # what a control should adapt
     loads: tuple[Load, ...]
+    causes: Causes | None  # why it is as it is
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -214,6 +215,7 @@ class ShiftAnswer:
     trust: float | None
     trust_parts: Mapping[str, float] | None
     shift_quality: ShiftQuality | None
+    causes: Causes | None
     quality: float
     sample_count: int
     window_s: float

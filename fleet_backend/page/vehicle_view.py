@@ -7,6 +7,8 @@ from typing import Any, Final
 from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, number, spread
 from diag_service.diagnosis.condition.shift_course import adapting_lines
 from diag_service.diagnosis.condition.shift_quality import Load
+from diag_service.diagnosis.records import Causes
+from diag_service.report.page import causes_section
 from diag_service.report.pictures import course_tables
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
@@ -26,7 +28,7 @@ from fleet_backend.page.pictures import (
 from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, TrendPoint, Usual, VehicleAnswer
 from fleet_backend.page.vehicle_state import VehicleState, state_of
 from fleet_backend.page.view import Shown, Sources, View
-from fleet_contract.orders import Action
+from fleet_contract.orders import Action, is_of_earlier_fluid
 
 SERVICE_KM: Final = 15_000
 _MOST_SERVICE_KM: Final = 300_000
@@ -77,13 +79,15 @@ def find(sources: Sources, ask: Ask) -> VehicleAnswer:
             ),
             corrections=tuple(line for found in pasts for line in found.corrections),
             loads=_joined([load for found in pasts for load in found.loads]),
+            causes=_causes(sources, clutches),
         )
 
     return sources.vehicles.of((vehicle, service_distance_m), (state, clutches, usual), make)
 
 
 def show(answer: VehicleAnswer, ask: Ask, sources: Sources) -> Shown:
-    sections = [_outlook_section(answer)]
+    sections = [] if answer.causes is None else [causes_section(answer.causes)]
+    sections += [_outlook_section(answer)]
     sections += [_quality_section(answer)]
     sections += [_clutch_section(answer, one) for one in answer.clutches]
     sections += [_events_section(answer), _assumptions_section(answer)]
@@ -107,6 +111,15 @@ def past_of(sources: Sources, now: ClutchNow, state: VehicleState, service_dista
     )
 
 
+def _causes(sources: Sources, clutches: Sequence[ClutchNow]) -> Causes | None:
+    """Return why a vehicle is as it is, as its last result says; of an earlier fluid nothing."""
+    last = max(clutches, key=lambda one: one.end_at, default=None)
+    if last is None or is_of_earlier_fluid(last.end_at, last.fluid_since):
+        return None
+    found = past.shift_of(sources.engine, last.vehicle, last.stream, last.seq)
+    return None if found is None else found.causes
+
+
 def _clutch(now: ClutchNow, found: Past, usual: Usual | None, state: VehicleState) -> ClutchHistory:
     return ClutchHistory(
         now=now,
@@ -126,7 +139,7 @@ def _subtitle(answer: VehicleAnswer, _sources: Sources) -> str:
 
 
 def _outlook_section(answer: VehicleAnswer) -> Section:
-    is_foretold = answer.action not in {Action.CHANGE_NOW, Action.NEW_FLUID}
+    is_foretold = answer.action not in {Action.CHANGE_NOW, Action.NEW_FLUID, Action.FIND_CAUSE}
     known = [one for one in answer.clutches if is_foretold and one.outlook and one.outlook.change_fluid]
     texts = () if answer.outlook is None else (answer.outlook,)
     return Section(

@@ -15,7 +15,9 @@ from diag_service.diagnosis.events import EventKind
 from diag_service.diagnosis.prognosis import history_of, prognose
 from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.records import (
+    Causes,
     Condition,
+    LikelyCause,
     Reason,
     Revision,
     ServiceStatus,
@@ -164,6 +166,41 @@ def test_how_well_a_vehicle_shifts_is_on_its_page_and_a_fall_and_a_sure_correcti
     assert one.shift_quality.touch_error_pa == 9e3
     page = shift_view.show(one, ask(shift_view.VIEW, "rough", stream="stream-1", seq="50"), sources)
     assert "How well it went" in [section.title for section in page.sections]
+
+
+def test_a_cause_that_new_fluid_does_not_mend_is_on_the_page_in_the_list_and_an_alarm(engine: Engine) -> None:
+    """Until the fluid is changed: what was told then is of the fluid before."""
+    worn, fluids = fleet_result(1, vehicle="worn", condition=Condition.CHANGE_FLUID), ("aged-fluid", "water", "air")
+    likely = (
+        LikelyCause(cause="glazed-lining", clutch=2, probability=0.93, evidence="For it: friction of clutch 2 -20 %."),
+        *(LikelyCause(cause=one, clutch=None, probability=0.02, evidence=f"For {one}: nothing.") for one in fluids),
+    )
+    causes = Causes(event_count=60, likely=likely, advice="Glazed lining of clutch 2: renew it.", test=None)
+    told = replace(worn, verdict=replace(worn.verdict, causes=causes))
+    unclear = row_of(replace(fleet_result(1, vehicle="unclear"), verdict=told.verdict)) | {"causes": '{"likely": []}'}
+    Writer(engine).store(Batch(shifts=[row_of(told), row_of(fleet_result(1, vehicle="plain")), unclear]))
+    watch = WatchOfOffice(engine, Orders(), lambda: NOW)
+    raised = {(one.subject.vehicle, one.subject.clutch): one for one in watch.round() if one.subject.rule is Rule.CAUSE}
+    order = "See to another cause than the fluid first: glazed lining of clutch 2 (93 % likely)."
+    assert {subject: one.reason.partition(" Clutch 1")[0] for subject, one in raised.items()} == {("worn", 0): order}
+    listed = {str(one["vehicle"]): one for one in queries.worst_first(engine)}
+    assert (listed["worn"]["action"], listed["unclear"]["action"]) == ("find_cause", "change_now")
+    assert str(listed["worn"]["order"]).startswith(order)
+    sources = sources_of(engine)
+    answer = vehicle_view.find(sources, ask(vehicle_view.VIEW, "worn"))
+    assert answer.action == "find_cause"
+    (section,) = (
+        one for one in vehicle_view.show(answer, ask(vehicle_view.VIEW, "worn"), sources).sections if one.title == "Why"
+    )
+    assert section.texts == ("Glazed lining of clutch 2: renew it.",)
+    assert [row[0] for row in section.tables[0].rows] == ["glazed lining of clutch 2", "aged fluid", "water"]
+    assert section.tables[0].rows[0][2] == "For it: friction of clutch 2 -20 %."
+    for vehicle in ("plain", "unclear"):
+        assert vehicle_view.find(sources, ask(vehicle_view.VIEW, vehicle)).causes is None
+    queries.note_fill(engine, "worn", "DCTF", at=NOW, odometer_m=None, note=None)
+    assert watch.round() is not None
+    answer = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "worn"))
+    assert (answer.action, answer.causes) == ("new_fluid", None)
 
 
 def test_news_are_seen_and_a_reader_writes_nothing(database: str) -> None:

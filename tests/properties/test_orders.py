@@ -15,8 +15,10 @@ from diag_service.diagnosis.prognosis.channels import DISTANCE_M
 from diag_service.diagnosis.prognosis.prognosis import Outlook, Reach
 from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.records import (
+    Causes,
     Condition,
     FluidFill,
+    LikelyCause,
     ShiftResult,
     clutch_record,
     iso_utc,
@@ -67,6 +69,7 @@ CAUSES = {
 ORDERS = {
     Action.CHANGE_NOW: r"Change the fluid now\.",
     Action.CHANGE_AT_SERVICE: r"Have the fluid changed at the next service\.",
+    Action.FIND_CAUSE: r"See to another cause than the fluid first: .* \(\d+ % likely\)\.",
     Action.NEW_FLUID: r"New fluid since .*: nothing is known of it yet\.",
     Action.MEASURE_AGAIN: r"There is no verdict on the fluid yet\.",
     Action.NOTHING: r"Nothing to do now(: the fluid is sound|, but measure again after more drives: .* seems sound)\.",
@@ -84,17 +87,34 @@ def sentences(clutch: int, condition: Condition) -> st.SearchStrategy[str | None
     return own | st.sampled_from([text.format(clutch) for text in EARLIER[condition]]) | st.none()
 
 
+WORDS = ("sound", "aged-fluid", "wrong-fluid", "glazed-lining", "weak-pump", "something-else")
+
+
+@st.composite
+def causes(draw: st.DrawFn) -> Causes | None:
+    """Draw why a vehicle is as it is."""
+    if draw(st.booleans()):
+        return None
+    shares = sorted(draw(st.lists(st.floats(0.01, 1.0), min_size=1, max_size=3)), reverse=True)
+    words = draw(st.permutations(WORDS))
+    likely = (
+        LikelyCause(cause=word, clutch=2 if word == "glazed-lining" else None, probability=share, evidence="For it: .")
+        for word, share in zip(words, shares, strict=False)
+    )
+    return Causes(event_count=30, likely=tuple(likely), advice="Measure.", test=None)
+
+
 @st.composite
 def results(draw: st.DrawFn) -> list[ShiftResult]:
     """Draw the last results of none, one or both clutches."""
-    found = []
+    found, why = [], draw(causes())
     for clutch in draw(st.lists(st.sampled_from([1, 2]), unique=True)):
         one, condition = shift_result(10 + clutch, to_gear=4 - clutch), draw(st.sampled_from(Condition))
         text, later_ns = draw(sentences(clutch, condition)), draw(st.integers(0, 10)) * 60_000_000_000
         estimate = replace(
             one.estimate, start_ns=one.estimate.start_ns + later_ns, end_ns=one.estimate.end_ns + later_ns
         )
-        verdict = replace(one.verdict, clutch=clutch, condition=condition, advice=text)
+        verdict = replace(one.verdict, clutch=clutch, condition=condition, advice=text, causes=why)
         found.append(replace(one, estimate=replace(estimate, clutch=clutch), verdict=verdict))
     return found
 
@@ -145,6 +165,8 @@ def check(order: Order, outlook: str) -> None:
     assert not re.search("drive on|due|already|nothing to do|change the|changed at", " ".join(order.reasons))
     assert not re.search("already|may be due|drive on|(?<!before the )next service|None|nan", outlook)
     assert [reason[:9] for reason in order.reasons] == ["Clutch 1:", "Clutch 2:"]
+    if order.action is Action.FIND_CAUSE:
+        assert outlook.startswith("No prognosis: it is probably not the fluid that changed.")
     if order.action is Action.CHANGE_NOW:
         assert outlook.startswith("No prognosis: the fluid is to be changed now.")
     else:
@@ -153,6 +175,9 @@ def check(order: Order, outlook: str) -> None:
         assert "% sure" not in order.text + outlook
     if order.action is Action.NOTHING:
         assert all("friction is sound" in one or one.count("good: ") for one in order.reasons)
+
+
+ORDERED = {Condition.WATCH, Condition.CHANGE_FLUID}
 
 
 @given(known=results(), fluid=fluids, founds=prognoses())
@@ -167,8 +192,15 @@ def test_no_text_contradicts_another(
     if since is not None and not speaking:
         assert order.action is Action.NEW_FLUID
     worst = max((one.verdict.condition for one in speaking), default=Condition.NO_VERDICT)
-    assert (order.action is Action.CHANGE_NOW) is (worst is Condition.CHANGE_FLUID)
-    assert (order.action is Action.CHANGE_AT_SERVICE) is (worst is Condition.WATCH)
+    if order.action is Action.FIND_CAUSE:
+        (why,) = {one.verdict.causes for one in speaking}
+        assert why is not None
+        likeliest = max((one for one in why.likely if one.cause != "sound"), key=lambda one: one.probability)
+        assert likeliest.cause in {"glazed-lining", "weak-pump", "something-else"}
+        assert likeliest.probability >= (0.5 if worst in ORDERED else 0.9)
+    else:
+        assert (order.action is Action.CHANGE_NOW) is (worst is Condition.CHANGE_FLUID)
+        assert (order.action is Action.CHANGE_AT_SERVICE) is (worst is Condition.WATCH)
     for one in speaking:
         if one.verdict.advice is None and one.verdict.condition is not Condition.NO_VERDICT:
             assert one.verdict.reason in order.reasons[one.verdict.clutch - 1]

@@ -317,7 +317,7 @@ class CauseJudge:
             return str(self._table["advice"][first.cause])
         of = "" if first.clutch is None else f" of clutch {first.clutch}"
         if first.probability < SURE:
-            return f"Do not renew anything yet: it may be {told['name']}{of} ({100.0 * first.probability:.0f} %)."
+            return f"Not sure yet: it may be {told['name']}{of} ({100.0 * first.probability:.0f} %)."
         return f"{told['name'].capitalize()}{of}: {told['advice']} If that is wrong: {told['if_wrong']}"
 
     def test_between(self, likely: Sequence[LikelyCause]) -> str | None:

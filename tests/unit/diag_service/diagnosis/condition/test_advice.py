@@ -8,7 +8,16 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge, no_verdict
 from diag_service.diagnosis.condition.verdict import Cause, Silence, advice
-from diag_service.diagnosis.records import ClutchVerdict, Condition, clutch_record, dump, parse_shift, shift_record
+from diag_service.diagnosis.records import (
+    Causes,
+    ClutchVerdict,
+    Condition,
+    LikelyCause,
+    clutch_record,
+    dump,
+    parse_shift,
+    shift_record,
+)
 from diag_service.diagnosis.summary import Gap, order_by, unjudged
 from tests.support.builders import shift_result
 from tests.unit.diag_service.diagnosis.condition.test_condition import aged, believed, uncertain_scale
@@ -107,6 +116,42 @@ def test_the_same_sentence_is_in_the_result_and_in_the_state_of_the_clutch() -> 
     assert isinstance(record["verdict"], dict)
     assert record["verdict"]["advice"] == clutch_record(record)["advice"] == worn.verdict.advice
     assert parse_shift(dump(record)).verdict.advice == worn.verdict.advice
+
+
+def why(cause: str, probability: float) -> Causes:
+    likely = (
+        LikelyCause(cause="sound", clutch=None, probability=0.95 - probability, evidence=""),
+        LikelyCause(cause=cause, clutch=2, probability=probability, evidence=""),
+        LikelyCause(cause="aged-fluid", clutch=None, probability=0.05, evidence=""),
+    )
+    return Causes(event_count=60, likely=likely, advice="", test=None)
+
+
+@pytest.mark.parametrize(
+    ("mu", "causes", "sentence"),
+    [
+        ((0.105, 0.085), None, "Change the fluid now."),
+        (
+            (0.105, 0.085),
+            why("glazed-lining", 0.54),
+            "See to another cause than the fluid first: glazed lining of clutch 2 (54 % likely).",
+        ),
+        ((0.105, 0.085), why("glazed-lining", 0.46), "Change the fluid now."),
+        ((0.105, 0.085), why("water", 0.94), "Change the fluid now."),
+        ((0.140, 0.119), why("weak-pump", 0.85), "Nothing to do now: the fluid is sound."),
+        (
+            (0.140, 0.119),
+            why("return-spring", 0.93),
+            "See to another cause than the fluid first: return spring of clutch 2 (93 % likely).",
+        ),
+    ],
+)
+def test_new_fluid_is_not_ordered_for_what_it_does_not_mend(
+    mu: tuple[float, float], causes: Causes | None, sentence: str
+) -> None:
+    verdict = replace(verdict_on(*mu), causes=causes)
+    both = [replace(shift_result(), verdict=replace(verdict, clutch=clutch)) for clutch in (1, 2)]
+    assert order_by(both, None).sentence == sentence
 
 
 def test_results_of_before_have_no_sentence() -> None:
