@@ -18,7 +18,6 @@ from diag_service.diagnosis.condition.shift_course import adapting_lines, correc
 from diag_service.diagnosis.prediction import SLIP_RAD_S, RelativeFriction
 from diag_service.diagnosis.records import (
     SHIFT_SCHEMA,
-    Causes,
     ClutchVerdict,
     QualityPart,
     ShiftResult,
@@ -47,6 +46,7 @@ from diag_service.report.pictures import (
     THRESHOLD_KEYS,
     Panel,
     Trend,
+    causes_section,
     course_tables,
     curve_figure,
     present_curves,
@@ -56,7 +56,7 @@ from diag_service.report.pictures import (
 from diag_service.service.onlookers import Example
 from diag_service.store import Row
 from fleet_contract import JsonObject
-from fleet_contract.orders import SHOWN_AS, Order, cause_words, title_of
+from fleet_contract.orders import SHOWN_AS, Order, title_of
 
 REPORT_SCHEMA: Final = "clutchdiag/report/v1"
 _PACKAGE: Final = "diag_service.report"
@@ -239,18 +239,6 @@ def causes_sections(found: Findings) -> Iterator[Section]:
     """Yield why the vehicle is as it is, if that is known."""
     if (causes := newest_causes(found.latest)) is not None:
         yield causes_section(causes)
-
-
-def causes_section(causes: Causes) -> Section:
-    """Return why a vehicle is as it is."""
-    rows = tuple(
-        (cause_words(one.cause, one.clutch), number(one.probability, "{:.1%}"), one.evidence) for one in causes.likely
-    )
-    table = Table(
-        caption=f"Causes, by {causes.event_count} events", head=("cause", "probability", "evidence"), rows=rows
-    )
-    texts = (causes.advice, *([] if causes.test is None else [causes.test]))
-    return Section(name="causes", title="Why", texts=texts, tables=(table,))
 
 
 def course_sections(found: Findings) -> Iterator[Section]:

@@ -1,4 +1,4 @@
-"""The pictures of a report: friction over slip, its trend, the signals of a shift."""
+"""Pictures and tables of a report: friction over slip, its trend, the signals of a shift."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from markupsafe import Markup
 from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
 from clutch_model.units import NS_PER_S, bar_from_pa, degc_from_k, rpm_from_rad_s
-from clutchdiag_io.pages.content import Figure, Key, Table, number
+from clutchdiag_io.pages.content import Figure, Key, Section, Table, number
 from clutchdiag_io.pages.plot import Axis, Plot, thinned
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.shift_course import COURSE_COUNT, Course, change_words, part_words
@@ -18,8 +18,8 @@ from diag_service.diagnosis.condition.shift_quality import ENERGY_BOUNDS_J, Load
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.posterior import curve_band, new_curve
-from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult, utc_from_bus_ns
-from fleet_contract.orders import title_of
+from diag_service.diagnosis.records import Causes, ClutchVerdict, FrictionEstimate, ShiftResult, utc_from_bus_ns
+from fleet_contract.orders import cause_words, title_of
 
 BAND_STD: Final = 2.0
 MOST_POINTS: Final = 600  # of a trend; a screen shows no more
@@ -250,6 +250,18 @@ def new_mu_c_of(verdict: ClutchVerdict) -> float | None:
     if verdict.friction is None or not verdict.level_ratio:
         return None
     return verdict.friction.mu_c / verdict.level_ratio
+
+
+def causes_section(causes: Causes) -> Section:
+    """Return why a vehicle is as it is."""
+    rows = tuple(
+        (cause_words(one.cause, one.clutch), number(one.probability, "{:.1%}"), one.evidence) for one in causes.likely
+    )
+    table = Table(
+        caption=f"Causes, by {causes.event_count} events", head=("cause", "probability", "evidence"), rows=rows
+    )
+    texts = (causes.advice, *([] if causes.test is None else [causes.test]))
+    return Section(name="causes", title="Why", texts=texts, tables=(table,))
 
 
 def course_tables(found: Sequence[Course], loaded: Sequence[Load]) -> tuple[Table, ...]:

@@ -8,8 +8,7 @@ from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table
 from diag_service.diagnosis.condition.shift_course import adapting_lines
 from diag_service.diagnosis.condition.shift_quality import Load
 from diag_service.diagnosis.records import Causes
-from diag_service.report.page import causes_section
-from diag_service.report.pictures import course_tables
+from diag_service.report.pictures import causes_section, course_tables
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
 from fleet_backend.page.cache import Same
