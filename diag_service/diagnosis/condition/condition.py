@@ -101,6 +101,10 @@ class LiningBaseline:
 
 MEMORY_FORMAT = 2
 _MISFITS = frozenset({Reason.MISFIT, Reason.ZERO_JUMPED})
+CONTRADICTIONS: Final = frozenset({
+    *(Reason.PRESSURE_OFF_COMMAND, Reason.SPEEDS_DISAGREE, Reason.SENSOR_FROZEN, Reason.SATURATED, Reason.IMPLAUSIBLE),
+})  # fmt: skip
+REFUSED_COUNT: Final = 10  # events of a clutch, one after the other: what was known before may no longer hold
 
 
 class Fit(StrEnum):
@@ -230,6 +234,7 @@ class ConditionMemory:
     linings: tuple[LiningBaseline | None, LiningBaseline | None] = (None, None)  # of the first fluid, over all others
     launches: tuple[Launches, Launches] = (Launches(), Launches())  # with this fluid
     course: Course = field(default_factory=Course)  # of all that causes are told by
+    refused: tuple[int, int] = (0, 0)  # of each clutch, since one could be used: sensors contradicted each other
 
     @classmethod
     def fresh(cls) -> Self:
@@ -256,14 +261,19 @@ class ConditionMemory:
         )
 
     def with_fit(self, estimate: ShiftEstimate) -> Self:
-        """Return the memory after a shift that may have been held against the calibration."""
+        """Return the memory after a shift that was held against the calibration, or whose data were refused."""
+        refused, index = self.refused, estimate.clutch - 1
+        if estimate.status is Status.VALID:
+            refused = with_clutch(refused, estimate.clutch, 0) if refused[index] else refused
+        elif not CONTRADICTIONS.isdisjoint(estimate.reasons):
+            refused = with_clutch(refused, estimate.clutch, refused[index] + 1)
         if not _MISFITS.isdisjoint(estimate.reasons):
             fit = Fit.MISFITS
         elif estimate.status is not Status.VALID:
-            return self
+            return self if refused is self.refused else replace(self, refused=refused)
         else:
             fit = Fit.CONTRADICTS if Reason.NOT_UPDATED in estimate.reasons else Fit.AGREES
-        return replace(self, fits=(*self.fits, fit)[-FIT_WINDOW:])
+        return replace(self, fits=(*self.fits, fit)[-FIT_WINDOW:], refused=refused)
 
     def with_launch(self, estimate: ShiftEstimate, course: Course | None = None) -> Self:
         """Return the memory after an event, which is of interest if it was a launch, and with the course after it."""
@@ -321,6 +331,8 @@ class ConditionMemory:
             del plain["launches"]
         if not self.course.event_count:
             del plain["course"]
+        if self.refused == (0, 0):
+            del plain["refused"]
         return {"format": MEMORY_FORMAT} | plain | names
 
     @classmethod
@@ -375,6 +387,8 @@ def judge(
     progress = calibration_ratio(state, calibration)
     if memory.misfit_text:
         finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
+    elif (refused_count := memory.refused[index]) >= REFUSED_COUNT:
+        finding = nothing(Silence.DATA_CONTRADICT, f"{Silence.DATA_CONTRADICT} ({refused_count} events)")
     elif memory.course.found is not None and (share := memory.course.sensor_share(clutch)) >= SENSOR_SHARE:
         finding = nothing(Silence.SENSOR_DRIFTED, f"{Silence.SENSOR_DRIFTED} ({100.0 * share:.0f} % likely)")
     elif known and progress < CALIBRATED_RATIO:
@@ -397,7 +411,7 @@ def judge(
         calibration_ratio=progress,
         advice=advice(clutch, finding.condition, finding.ground, finding.probability),
         slope=slope if known else None,
-        causes=memory.course.found,
+        causes=None if max(memory.refused) >= REFUSED_COUNT else memory.course.found,
     )
     return replace(memory, conditions=with_clutch(memory.conditions, clutch, finding.condition)), verdict
 

@@ -75,6 +75,10 @@ class Silence(StrEnum):
         "the torque of the engine is not measured: friction is known up to a scale at best and cannot be called sound"
     )
     SENSOR_DRIFTED = "a sensor by which it is judged has probably drifted; have that mended, then calibrate anew"
+    DATA_CONTRADICT = (
+        "its last events were refused, ten or more, because its sensors contradict each other or the commands; have "
+        "them looked at"
+    )
     PART_OF_DRIVE = "only a part of the drive was seen; measure again on a whole one"
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import TorqueSource, nominal_calibration
-from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge
+from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, Fit, judge
 from diag_service.diagnosis.condition.verdict import LEAST_SHIFT_COUNT
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, FRICTION_ROWS, STATE_COUNT, Considered, Knowledge
 from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, Baseline, Posterior
@@ -266,6 +266,23 @@ def test_contradictions_that_do_not_end_speak_against_the_calibration() -> None:
 def test_what_was_long_ago_is_forgotten() -> None:
     assert after(*[Reason.MISFIT] * 20).misfit_text
     assert not after(*[Reason.MISFIT] * 20, *[None] * 16).misfit_text
+
+
+def test_events_whose_sensors_contradict_each_other_take_the_verdict_back_until_one_can_be_used() -> None:
+    memory, state = ConditionMemory.fresh(), believed(0.14, 0.119)
+    ours, other = shift_result().estimate, replace(shift_result().estimate, clutch=1)
+    refused = replace(ours, status=Status.REJECTED, reasons=(Reason.PRESSURE_OFF_COMMAND,), friction=None)
+    late = replace(refused, reasons=(Reason.FRAMES_MISSING,))
+    for one in [refused, late, other] * (REFUSED_COUNT - 1):
+        memory = memory.with_fit(one)
+    assert judge(memory, state, 2, CALIBRATION)[1].condition is Condition.GOOD
+    memory = memory.with_fit(refused)
+    assert ConditionMemory.from_json(memory.to_json()).refused == (0, REFUSED_COUNT)
+    verdict = judge(memory, state, 2, CALIBRATION)[1]
+    assert (verdict.condition, verdict.causes) == (Condition.NO_VERDICT, None)
+    assert verdict.reason.endswith("have them looked at (10 events)")
+    assert judge(memory, state, 1, CALIBRATION)[1].condition is Condition.GOOD
+    assert judge(memory.with_fit(ours), state, 2, CALIBRATION)[1].condition is Condition.GOOD
 
 
 def test_a_memory_of_an_earlier_version_knows_of_no_fit() -> None:
