@@ -21,6 +21,7 @@ from diag_service.service.drive_survey import DriveSurvey
 from diag_service.service.recorded import run_recorded
 from diag_service.service.stopping import Trigger
 from fleet_contract import Channel
+from fleet_contract.orders import name_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -174,7 +175,7 @@ class Analysis:
         return "".join(f"{line}\n" for line in self._lines())
 
     def plot(self, path: AnyPath | None = None) -> "Figure":
-        """Draw the friction of both clutches over the shifts: its uncertainty, the verdicts and their thresholds.
+        """Draw the friction of all clutches over the shifts: its uncertainty, the verdicts and their thresholds.
 
         Parameters
         ----------
@@ -220,7 +221,9 @@ class Analysis:
     @property
     def _said(self) -> str:
         words = [f"{len(self.results)} shifts"]
-        words += [f"clutch {clutch} {condition_words(verdict.condition)}" for clutch, verdict in self.verdicts.items()]
+        words += [
+            f"{name_of(one.clutch, one.element)} {condition_words(one.condition)}" for one in self.verdicts.values()
+        ]
         return ", ".join(words if self.is_complete else [*words, "a part of the drive"])
 
 

@@ -10,6 +10,8 @@ from diag_service.delivery.console import condition_words
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.records import Condition, ShiftResult, Status
 from diag_service.report.pictures import new_mu_c_of
+from fleet_contract import CLUTCHES
+from fleet_contract.orders import name_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,12 +40,14 @@ def draw(results: Sequence[ShiftResult], name: str) -> "Figure":
     from matplotlib.patches import Patch  # noqa: PLC0415 - likewise
 
     figure = Figure(figsize=SIZE_INCH, layout="constrained")
-    panels = figure.subplots(2, 1, sharex=True, sharey=True)
-    for clutch, axes in enumerate(panels, start=1):
+    own_names = {one.verdict.clutch: one.verdict.element for one in results if one.verdict.element}
+    names = own_names or {clutch: name_of(clutch, None) for clutch in CLUTCHES}
+    panels = figure.subplots(len(names), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    for (clutch, title), axes in zip(names.items(), panels, strict=True):
         own = [one for one in results if one.estimate.clutch == clutch]
         _draw_clutch(axes, own)
         _draw_thresholds(axes, own)
-        axes.set_title(f"clutch {clutch}", loc="left")
+        axes.set_title(title, loc="left")
         axes.set_ylabel("friction coefficient")
     panels[-1].set_xlabel("shift; dots: single shifts, lines: all shifts combined, bands: 2 standard deviations")
     handles = [Patch(color=colour, label=condition_words(condition)) for condition, colour in CONDITION_COLOUR.items()]

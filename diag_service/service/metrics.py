@@ -104,16 +104,17 @@ def _of_shifts(snapshot: Snapshot) -> Iterator[Metric]:
 def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
     """Yield what is said of each clutch; of one that never engaged, that there is no verdict."""
     vehicle, by_clutch = snapshot.summary.vehicle, snapshot.summary.shifts.by_clutch
-    verdicts = dict.fromkeys(CLUTCHES, Condition.NO_VERDICT)
-    verdicts |= {result.verdict.clutch: result.verdict.condition for result in snapshot.clutches}
+    own = {one.verdict.clutch: one.verdict.element for one in snapshot.clutches if one.verdict.element}
+    names = own or {clutch: str(clutch) for clutch in CLUTCHES}
+    verdicts = {result.verdict.clutch: result.verdict.condition for result in snapshot.clutches}
     states = {
-        (vehicle, str(clutch), word): value
-        for clutch, condition in verdicts.items()
-        for word, value in _one_of(Condition, condition).items()
+        (vehicle, name, word): value
+        for clutch, name in names.items()
+        for word, value in _one_of(Condition, verdicts.get(clutch, Condition.NO_VERDICT)).items()
     }
     counts = {
-        (vehicle, str(clutch), status.value): by_clutch.get((clutch, status.value), 0)
-        for clutch in CLUTCHES
+        (vehicle, name, status.value): by_clutch.get((clutch, status.value), 0)
+        for clutch, name in names.items()
         for status in Status
     }
     yield gauge("clutch_verdict", "1 for the verdict on the clutch and its fluid.", states, *_CLUTCH_LABELS, "verdict")
@@ -131,7 +132,7 @@ def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
     )
     made = {_key(result): datetime.fromisoformat(result.produced_at).timestamp() for result in snapshot.clutches}
     yield gauge("clutch_last_result_timestamp_seconds", "When the last result was made.", made, *_CLUTCH_LABELS)
-    loads = {(vehicle, str(clutch)): load for clutch, load in snapshot.summary.loads.items()}
+    loads = {(vehicle, names.get(clutch, str(clutch))): load for clutch, load in snapshot.summary.loads.items()}
     energies = {key: (load.counts, load.energy_j) for key, load in loads.items()}
     text = "Slip energy of the events of this run."
     yield histogram("clutch_slip_energy_joules", text, ENERGY_BOUNDS_J, energies, *_CLUTCH_LABELS)
@@ -159,7 +160,7 @@ def _of_the_estimates(snapshot: Snapshot) -> Iterator[Metric]:
 
 
 def _key(result: ShiftResult) -> tuple[str, str]:
-    return result.vehicle, str(result.verdict.clutch)
+    return result.vehicle, result.verdict.element or str(result.verdict.clutch)
 
 
 def _one_of(states: Any, present: Any) -> dict[str, float]:  # noqa: ANN401 - any enumeration

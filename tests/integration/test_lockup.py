@@ -7,7 +7,9 @@ import pytest
 
 import diag_service
 from ecu_emulator import Emulator
+from tests.plugins.broker import Mosquitto
 from tests.support.in_process import ended
+from tests.support.subscriber import Subscriber
 
 
 @pytest.fixture(name="log", scope="module")
@@ -37,6 +39,8 @@ def test_old_fluid_is_told_by_slip_and_by_shudder(log: Path) -> None:
     assert abs(micro.mu - at_slip["40"]) < 3.0 * micro.std_mu
     assert abs(micro.scale_free_mu - shown) < 3.0 * micro.std_scale_free_mu
     assert micro.slope_s_rad < 0.0
+    assert "lock-up clutch change fluid" in repr(found)
+    assert [axes.get_title(loc="left") for axes in found.plot().axes] == ["lock-up clutch"]
 
 
 def test_store_history_and_report_call_it_by_its_name(log: Path, tmp_path: Path) -> None:
@@ -58,3 +62,17 @@ def test_store_history_and_report_call_it_by_its_name(log: Path, tmp_path: Path)
     assert "Lock-up clutch: running estimate" in html
     assert "slope at 40 rpm" in html
     assert "lutch 2" not in html
+
+
+@pytest.mark.broker
+def test_it_is_published_by_its_name(log: Path, broker: Mosquitto) -> None:
+    with Subscriber(broker.port) as subscriber:
+        ended(
+            *("analyze", str(log), "--profile", "lockup", "--calibration", "lockup", "--vehicle", "at8"),
+            *("--broker", broker.url),
+        )
+        subscriber.wait(lambda heard: bool(heard.payloads("/clutch/1")))
+        shifts, states = subscriber.payloads("/shift"), subscriber.payloads("/clutch/1")
+    assert shifts
+    assert {one["element"] for one in (*shifts, *states)} == {"lock-up clutch"}
+    assert not subscriber.payloads("/clutch/2")

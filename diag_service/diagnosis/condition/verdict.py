@@ -300,7 +300,8 @@ def decide(
         What the events are, in many; launches are then such events, too.
     """
     change_at = COLD_CHANGE_PROBABILITY if is_cold else CHANGE_PROBABILITY
-    watch_at = COLD_WATCH_PROBABILITY if is_cold else WATCH_PROBABILITY
+    # Slip is judged every minute for hours, with the same errors of map and sensors each time.
+    watch_at = COLD_WATCH_PROBABILITY if is_cold or counted != SHIFTS else WATCH_PROBABILITY
     if shift_count < MIN_SHIFT_COUNT:
         some = "shift(s)" if counted == SHIFTS else counted
         return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable {some}, {MIN_SHIFT_COUNT} needed")

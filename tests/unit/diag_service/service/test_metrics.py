@@ -190,3 +190,10 @@ def test_labels_do_not_grow_with_the_run() -> None:
     shown = [sample for sample in samples(snapshot(*history(600), fluid=FILL)) if of_vehicle.match(sample.name)]
     assert {label for sample in shown for label in sample.labels} == LABELS
     assert len([sample for sample in shown if sample.name.endswith("advice_info")]) == 2
+
+
+def test_a_clutch_with_a_name_is_labelled_by_it_and_has_no_second() -> None:
+    result = shift_result(1)
+    named = replace(result, verdict=replace(result.verdict, clutch=1, element="lock-up clutch"))
+    labels = {sample.labels["clutch"] for sample in samples(snapshot(named)) if sample.labels.get("clutch")}
+    assert labels == {"lock-up clutch"}
