@@ -21,7 +21,7 @@ from diag_service.diagnosis.condition import shift_kernels as loops
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import Knowledge, State
-from diag_service.diagnosis.records import ShiftEstimate, ShiftIndices, ShiftQuality, from_plain
+from diag_service.diagnosis.records import ShiftEstimate, ShiftIndices, ShiftQuality
 from diag_service.diagnosis.shifts.slip_tracking import LOADED_NM, LOADED_PA, SLIP_RAD_S
 
 BEFORE_S, AFTER_S = 0.3, 0.1  # of the signals around the event
@@ -278,13 +278,10 @@ def _judged(
         "life2_ratio": energies_j[not is_second] / packs[not is_second].life_j,
     }
     parts = {name: float(told[name]) for name in _PUBLIC if math.isfinite(told.get(name, math.nan))}
-    record: dict[str, object] = {"score": None, **parts}
-    if event.kind in SCORED:
-        record["score"], record["reasons"] = weighed(parts)
-        record["corrections"] = [
-            name for name, (value, std) in adaptable.items() if abs(value) > max(2.0 * std, LEAST_CHANGE[name])
-        ]
-    return from_plain(record, ShiftQuality)
+    score, reasons = weighed(parts) if event.kind in SCORED else (None, [])
+    sure = [name for name, (value, std) in adaptable.items() if abs(value) > max(2.0 * std, LEAST_CHANGE[name])]
+    corrections = tuple(sure) if event.kind in SCORED else ()
+    return ShiftQuality(score=score, reasons=tuple(reasons), corrections=corrections, **parts)
 
 
 def weighed(parts: Mapping[str, float]) -> tuple[float | None, list[str]]:

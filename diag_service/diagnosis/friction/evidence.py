@@ -14,7 +14,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
-from clutch_model.calibration import Calibration, ClutchCalibration
+from clutch_model.calibration import Calibration, ClutchCalibration, FrictionCurve
 from clutch_model.errors import CalibrationError
 
 FRICTION_PRIOR_STD = 0.05  # a third of any lining's friction: weak against a single shift
@@ -192,15 +192,22 @@ def displaced(calibration: Calibration, mean: FloatArray) -> Calibration:
 def _moved_clutch(clutch: ClutchCalibration, area_ratio: float, by: Sequence[float]) -> ClutchCalibration:
     """Return a clutch with another piston and lining; its springs stay, so its touch pressure moves with the area."""
     curve, film, geometry = clutch.friction, clutch.film, clutch.geometry
-    width_rad_s = curve.stribeck_speed_rad_s * (1.0 + by[Considered.STRIBECK_SPEED])
-    exponent = curve.stribeck_exponent * math.exp(by[Considered.STRIBECK_EXPONENT])
+    # Records are made whole, not by `replace`: this runs some three times an event.
+    curve = FrictionCurve(
+        mu_c=curve.mu_c,
+        mu_s=curve.mu_s,
+        stribeck_speed_rad_s=curve.stribeck_speed_rad_s * (1.0 + by[Considered.STRIBECK_SPEED]),
+        stribeck_exponent=curve.stribeck_exponent * math.exp(by[Considered.STRIBECK_EXPONENT]),
+        lock_band_rad_s=curve.lock_band_rad_s,
+    )
     stiffness_pa = film.contact_stiffness_pa * (1.0 + by[Considered.CONTACT_STIFFNESS])
     mobility_ratio = film.mobility_ratio * math.exp(by[Considered.FILM_MOBILITY])
-    return replace(
-        clutch,
+    return ClutchCalibration(
+        friction=curve,
         geometry=replace(geometry, piston_area_m2=geometry.piston_area_m2 * (1.0 + area_ratio)),
-        friction=replace(curve, stribeck_speed_rad_s=width_rad_s, stribeck_exponent=exponent),
+        piston=clutch.piston,
         film=replace(film, contact_stiffness_pa=stiffness_pa, mobility_ratio=mobility_ratio),
+        thermal=clutch.thermal,
     )
 
 
