@@ -78,8 +78,10 @@ NEW_STD: Final = np.array([0.02, 0.015])  # of level and slope among clutches of
 LEAST_SHOWN: Final = 0.2  # part of a change that shows: parameters of which events tell less are left out
 TAILS: Final = 8.0  # degrees of freedom: what is far off is not next to impossible
 LEAST_TOLD: Final = 0.005
+LEAST_RENEWED: Final = 1e-9
 SHOWN_STD: Final = 1.5  # deviations from which on something is said to have moved
 _OF_FLUID: Final = frozenset({"aged-fluid", "water", "air"})
+_AGED, _RENEWED = ("aged-fluid", None), ("renewed-fluid", None)
 _FILLED: Final = frozenset({"wrong-fluid", "renewed-fluid"})  # there at once, with a fill
 _ELSE_FLOORS: Final = (4.0, 16.0)  # by how many times what sound cars move something else moves
 
@@ -217,8 +219,13 @@ class CauseJudge:
         covariance = np.linalg.inv(self._precision + matrix + np.tril(matrix, -1).T).astype(np.float64)
         return covariance @ (self._precision @ self._type_mean + stretch.vector), covariance
 
-    def probabilities(self, course: Course) -> tuple[dict[tuple[str, int | None], float], Change]:
-        """Return how likely each cause is, alone or with another, and what moved."""
+    def probabilities(
+        self, course: Course, log_renewed: float = 0.0
+    ) -> tuple[dict[tuple[str, int | None], float], Change]:
+        """Return how likely each cause is, alone or with another, and what moved.
+
+        ``log_renewed`` is the logarithm of how much less likely renewed fluid is for what the first events were.
+        """
         change, filled = self.change(course.begun, course.now), course.filled
         is_filled = filled is not None and filled.count >= LEAST_COUNT
         early = self.change(course.begun, filled) if filled is not None and is_filled else None
@@ -235,11 +242,13 @@ class CauseJudge:
             ],
             PAIR_STRENGTH,
         )
+        every = (*self._singles.causes, *pairs.causes)
         logs = np.concatenate((logs, _logs(pairs, change, early)))
+        logs += log_renewed * np.array([_RENEWED in causes for causes in every])
         shares = np.exp(logs - logs.max())
         shares /= shares.sum()
         by_cause: dict[tuple[str, int | None], float] = {(SOUND, None): 0.0, (ELSE, None): 0.0}
-        for share, causes in zip(shares.tolist(), (*self._singles.causes, *pairs.causes), strict=True):
+        for share, causes in zip(shares.tolist(), every, strict=True):
             for cause in causes:
                 by_cause[cause] = by_cause.get(cause, 0.0) + share
         return by_cause, change
@@ -257,6 +266,10 @@ class CauseJudge:
     def judge(self, course: Course) -> Causes:
         """Return the causes, the likeliest first: of what has changed and, so far as nothing has, of what was there."""
         by_cause, change = self.probabilities(course)
+        if by_cause.get(_RENEWED, 0.0) >= LEAST_TOLD:  # only what was aged is renewed
+            was_aged = self.from_the_beginning(course.begun)[0].get(_AGED, LEAST_RENEWED)
+            ratio = min(max(was_aged / self._table["cause"][_AGED[0]]["prior"], LEAST_RENEWED), 1.0)
+            by_cause, change = self.probabilities(course, math.log(ratio))
         unchanged, earlier = by_cause[SOUND, None], set[tuple[str, int | None]]()
         before, unlike = self.from_the_beginning(course.now) if unchanged >= LEAST_TOLD else ({}, change)
         for key, share in before.items():

@@ -113,12 +113,19 @@ def test_another_fluid_is_named_only_where_one_was_filled_in() -> None:
 
 @pytest.mark.parametrize("filled", [False, True])
 def test_new_fluid_after_aged_fluid_is_no_fault(*, filled: bool) -> None:
-    causes = causes_of({name: -size for name, size in AGED.items()}, filled=filled)
+    now = stretch()
+    course = Course(begun=stretch(AGED), now=now, filled=now if filled else None, event_count=150)
+    causes = JUDGE.judge(course)
     assert first(causes) == ("renewed-fluid", None)
     assert causes.likely[0].probability > (0.9 if filled else 0.5)
     told = causes.likely[0].evidence
-    assert "friction of clutch 1 +10 ±" in told
+    assert "friction of clutch 1 +11 ±" in told
     assert "e+" not in told
+
+
+def test_fluid_that_was_not_aged_is_not_called_renewed() -> None:
+    causes = causes_of({name: -size for name, size in AGED.items()})
+    assert first(causes) == (ELSE, None)
 
 
 @pytest.mark.parametrize(
