@@ -62,7 +62,7 @@ def lines_of(sheet: Sheet, width: int | None) -> Iterator[Text]:
     if gone:
         told = f"Hidden at this width: {', '.join(gone)}. A wider terminal, a pipe or --json shows all."
         yield from (Text(line, "dim") for line in wrapped(told, width))
-    for whom, text in remarks:
+    for whom, text in dict.fromkeys(remarks):  # clutches of one vehicle have one order
         if text:
             yield from (Text(line, "italic") for line in wrapped(f"{whom}: {text}", width))
 

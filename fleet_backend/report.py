@@ -39,7 +39,7 @@ def fleet_table(records: Sequence[Record]) -> Sheet:
             "last shift": _moment("end_at", "%Y-%m-%d"),
         },
         dispensable=("fluid", "km", "shifts", "mu_S", "mu_C", "last shift", "P<0", "slope"),
-        remarks=list({str(one["vehicle"]): str(one["order"]) for one in records if one["action"] != "nothing"}.items()),
+        remarks=[(str(one["vehicle"]), "" if one["action"] == "nothing" else str(one["order"])) for one in records],
     )
 
 

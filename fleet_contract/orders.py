@@ -100,6 +100,7 @@ class Suspect(NamedTuple):
 
 _SOUND: Final = "sound"
 _MENDED_BY_FLUID: Final = frozenset({_SOUND, "aged-fluid", "wrong-fluid", "water", "renewed-fluid"})
+_BLAMED: Final = frozenset({"change_fluid", "watch"})
 LIKELIER: Final = 0.5  # so likely another cause holds back an order to change the fluid
 NEARLY_CERTAIN: Final = 0.9  # and gives one where nothing is said against the fluid
 
@@ -171,7 +172,11 @@ def order_of(findings: Iterable[Finding], filled_at: datetime | None) -> Order:
     newest = max(known.values(), key=lambda one: one.end_at, default=None)
     if newest is not None and (suspect := _beside_fluid(newest.suspects, conditions)) is not None:
         action = Action.FIND_CAUSE
-        sentence = f"See to another cause than the fluid first: {suspect} ({100.0 * suspect.probability:.0f} % likely)."
+        is_blamed = not _BLAMED.isdisjoint(conditions)
+        what = (
+            "See to another cause than the fluid first" if is_blamed else "Have something else than the fluid looked at"
+        )
+        sentence = f"{what}: {suspect} ({_likely(suspect.probability)} likely)."
     if filled_at is not None and not known:
         action = Action.NEW_FLUID
         sentence = f"New fluid since {filled_at:%Y-%m-%d %H:%M} UTC: nothing is known of it yet."
@@ -195,8 +200,12 @@ def _decide(conditions: list[str], texts: list[str]) -> tuple[Action, str]:
 def _beside_fluid(suspects: Iterable[Suspect], conditions: list[str]) -> Suspect | None:
     """Return the likeliest cause if new fluid does not mend it and it is likely enough to be seen to first."""
     first = max((one for one in suspects if one.cause != _SOUND), key=lambda one: one.probability, default=None)
-    least = LIKELIER if {"change_fluid", "watch"} & set(conditions) else NEARLY_CERTAIN
+    least = NEARLY_CERTAIN if _BLAMED.isdisjoint(conditions) else LIKELIER
     return None if first is None or first.cause in _MENDED_BY_FLUID or first.probability < least else first
+
+
+def _likely(probability: float) -> str:
+    return "over 99 %" if probability > 0.995 else f"{100.0 * probability:.0f} %"
 
 
 def _percent(text: str) -> int:

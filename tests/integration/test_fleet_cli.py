@@ -61,6 +61,19 @@ def test_the_table_begins_with_the_worst(capsys: pytest.CaptureFixture[str], fil
     assert [record["vehicle"] for record in told_json(capsys, filled, "table", "--limit", "1")] == ["worn"]
 
 
+@pytest.mark.parametrize("width", [None, "200"])
+def test_both_clutches_of_a_vehicle_have_its_order(
+    capsys: pytest.CaptureFixture[str], filled: Engine, monkeypatch: pytest.MonkeyPatch, width: str | None
+) -> None:
+    """In a pipe each row has it, in a terminal it is told once."""
+    Writer(filled).store(Batch(shifts=[row_of(fleet_result(4, vehicle="worn", clutch=1))]))
+    if width is not None:
+        monkeypatch.setenv("COLUMNS", width)
+        monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    text = " ".join(told(capsys, filled, "table").split())
+    assert text.count("Change the fluid now.") == (2 if width is None else 1)
+
+
 @pytest.mark.parametrize("axis", ["shift", "odometer", "date"])
 def test_a_trend_is_shown_against_each_axis(capsys: pytest.CaptureFixture[str], filled: Engine, axis: str) -> None:
     assert f"3 valid shifts against {axis}" in told(capsys, filled, "trend", "worn", "2", "--against", axis)

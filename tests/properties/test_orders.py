@@ -69,7 +69,9 @@ CAUSES = {
 ORDERS = {
     Action.CHANGE_NOW: r"Change the fluid now\.",
     Action.CHANGE_AT_SERVICE: r"Have the fluid changed at the next service\.",
-    Action.FIND_CAUSE: r"See to another cause than the fluid first: .* \(\d+ % likely\)\.",
+    Action.FIND_CAUSE: (
+        r"(See to another cause than the fluid first|Have something else than the fluid looked at): .* % likely\)\."
+    ),
     Action.NEW_FLUID: r"New fluid since .*: nothing is known of it yet\.",
     Action.MEASURE_AGAIN: r"There is no verdict on the fluid yet\.",
     Action.NOTHING: r"Nothing to do now(: the fluid is sound|, but measure again after more drives: .* seems sound)\.",
@@ -166,7 +168,7 @@ def check(order: Order, outlook: str) -> None:
     assert not re.search("already|may be due|drive on|(?<!before the )next service|None|nan", outlook)
     assert [reason[:9] for reason in order.reasons] == ["Clutch 1:", "Clutch 2:"]
     if order.action is Action.FIND_CAUSE:
-        assert outlook.startswith("No prognosis: it is probably not the fluid that changed.")
+        assert outlook.startswith("No prognosis of the fluid before that was seen to.")
     if order.action is Action.CHANGE_NOW:
         assert outlook.startswith("No prognosis: the fluid is to be changed now.")
     else:

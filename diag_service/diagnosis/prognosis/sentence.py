@@ -38,7 +38,7 @@ def _line(founds: Sequence[Prognosis], action: Action) -> str:
     if action is Action.CHANGE_NOW:
         return "No prognosis: the fluid is to be changed now."
     if action is Action.FIND_CAUSE:
-        return "No prognosis: it is probably not the fluid that changed."
+        return "No prognosis of the fluid before that was seen to."
     known = [one.change_fluid for one in founds if one.change_fluid is not None]
     if action is Action.NEW_FLUID or not known:
         counts = ", ".join(f"clutch {one.clutch} has {one.row_count}" for one in founds)

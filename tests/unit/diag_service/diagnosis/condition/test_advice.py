@@ -141,8 +141,8 @@ def why(cause: str, probability: float) -> Causes:
         ((0.140, 0.119), why("weak-pump", 0.85), "Nothing to do now: the fluid is sound."),
         (
             (0.140, 0.119),
-            why("return-spring", 0.93),
-            "See to another cause than the fluid first: return spring of clutch 2 (93 % likely).",
+            why("return-spring", 0.997),
+            "Have something else than the fluid looked at: return spring of clutch 2 (over 99 % likely).",
         ),
     ],
 )
