@@ -123,7 +123,7 @@ class Plot:
             place = self._pixels_x(np.array([tick]))[0]
             self._path(f"M{_text(place)} {_TOP}V{bottom}", "grid")
             self._words(self.x.tick_text(tick), place, bottom + 18, "middle")
-        for tick in self.y.ticks:
+        for tick in self.y.ticks if self.y.label else ():  # without a name its numbers mean nothing
             place = self._pixels_y(np.array([tick]))[0]
             self._path(f"M{_LEFT} {_text(place)}H{right}", "grid")
             self._words(self.y.tick_text(tick), _LEFT - 6, place + 4, "end tick")

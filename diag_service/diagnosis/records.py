@@ -331,6 +331,17 @@ class LikelyCause:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Moved:
+    """A quantity that tells causes apart: how it changed, and how it would by the likeliest cause."""
+
+    quantity: str  # in words
+    unit: str
+    change: float
+    std: float
+    expected: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Causes:
     """Why a vehicle is as it is, by what changed since the beginning or the last fill: the likeliest first."""
 
@@ -338,6 +349,7 @@ class Causes:
     likely: tuple[LikelyCause, ...]  # without those that are next to impossible
     advice: str  # what to do, in which order, and what it costs to be wrong
     test: str | None = None  # what would tell the likeliest two from each other; None: driving does
+    moved: tuple[Moved, ...] = ()  # what moved most, or should have; none in results of older programs
 
 
 class Condition(IntEnum):
@@ -402,15 +414,10 @@ class FluidFill:
 
 SHIFT_SCHEMA: Final = Channel.SHIFT.schema_name
 _EPOCH: Final = datetime(1970, 1, 1)  # noqa: DTZ001 - UTC, which the text says
-_NS_PER_US: Final = 1000
 _RESULT_KEYS: Final = ("vehicle", "stream", "seq", "produced_at", "algorithm_version", "calibration_version")
 REVISIONS: Final = "revisions"
-_ONLY_WHERE_THERE: Final = frozenset(
-    {"slope", REVISIONS, "shift_quality", "micro_slip", "element", "causes"}
-)  # keys of a record
+_ONLY_WHERE_THERE: Final = frozenset({"slope", REVISIONS, "shift_quality", "micro_slip", "element", "causes"})
 _PUBLIC_NAMES: Final = {"start_ns": "start_bus_ns", "end_ns": "end_bus_ns", "data_quality": "trust"}
-
-
 RECENT_COUNT: Final = 8  # results of a run that are kept to be shown
 
 
@@ -471,7 +478,7 @@ class StoredResult:
 
 def utc_from_bus_ns(t_ns: int) -> str:
     """Return a bus time as ISO 8601 UTC with microseconds."""
-    return (_EPOCH + timedelta(microseconds=t_ns // _NS_PER_US)).isoformat(timespec="microseconds") + "Z"
+    return (_EPOCH + timedelta(microseconds=t_ns // 1000)).isoformat(timespec="microseconds") + "Z"
 
 
 def iso_utc(moment: datetime) -> str:
@@ -487,23 +494,20 @@ def shift_record(result: ShiftResult) -> JsonObject:
     verdict = to_plain(result.verdict) | {"condition": result.verdict.condition.name.lower()}
     verdict = {key: value for key, value in verdict.items() if key not in _ONLY_WHERE_THERE or value}
     record |= {"schema": SHIFT_SCHEMA, "verdict": verdict}
-    record["start_utc"] = utc_from_bus_ns(result.estimate.start_ns)
-    record["end_utc"] = utc_from_bus_ns(result.estimate.end_ns)
+    start_ns, end_ns = result.estimate.start_ns, result.estimate.end_ns
+    record |= {"start_utc": utc_from_bus_ns(start_ns), "end_utc": utc_from_bus_ns(end_ns)}
     return {key: record[key] for key in _keys_of(Channel.SHIFT) if key not in _ONLY_WHERE_THERE or record[key]}
 
 
 def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:
     """Return the state of the clutch after the shift that last engaged it, from the ``shift_record`` of that shift.
 
-    The order is that for the vehicle, the same in the states of both clutches.
+    The order is that for the vehicle, the same in the states of both clutches; records of older programs lack some.
     """
-    verdict = shift["verdict"]
-    if not isinstance(verdict, dict):
+    if not isinstance(verdict := shift["verdict"], dict):
         raise ResultError(f"incomplete {SHIFT_SCHEMA} record: no verdict")
     record = {**verdict, **{key: shift[key] for key in (*_RESULT_KEYS, "end_utc")}}
-    record["schema"] = Channel.CLUTCH.schema_name
-    record |= order_record(order)
-    # Records of older programs lack some.
+    record |= {"schema": Channel.CLUTCH.schema_name, **order_record(order)}
     return {key: record.get(key) for key in _keys_of(Channel.CLUTCH) if key not in _ONLY_WHERE_THERE or record.get(key)}
 
 
@@ -523,9 +527,9 @@ def dump(record: Mapping[str, object]) -> str:
     """Return a record as one line of JSON, floats to every bit; raises ResultError if one is NaN or infinite."""
     try:
         text = json.dumps(record, allow_nan=False, separators=(",", ":"))
-        if "\\ud" not in text:
-            return text
-        return json.dumps(legible_record(record), allow_nan=False, separators=(",", ":"))
+        return (
+            text if "\\ud" not in text else json.dumps(legible_record(record), allow_nan=False, separators=(",", ":"))
+        )
     except ValueError as exc:
         raise ResultError(f"a result holds a number that is not finite: {record!r}") from exc
 

@@ -261,7 +261,34 @@ def causes_section(causes: Causes) -> Section:
         caption=f"Causes, by {causes.event_count} events", head=("cause", "probability", "evidence"), rows=rows
     )
     texts = (causes.advice, *([] if causes.test is None else [causes.test]))
-    return Section(name="causes", title="Why", texts=texts, tables=(table,))
+    figures = (_moved_figure(causes),) if causes.moved else ()
+    return Section(name="causes", title="Why", texts=texts, figures=figures, tables=(table,))
+
+
+def _moved_figure(causes: Causes) -> Figure:
+    """Return what moved most, in standard deviations, beside what the likeliest cause would move."""
+    heights = np.arange(len(causes.moved), 0.0, -1.0)
+    sizes = np.array([(one.change / one.std, one.expected / one.std) for one in causes.moved])
+    caption = "What moved most, and what the likeliest cause would move"
+    x = Axis.around(
+        "change over its standard deviation", [0.0], sizes[:, 0] - BAND_STD, sizes[:, 0] + BAND_STD, sizes[:, 1]
+    )
+    plot = Plot(caption, x, Axis(low=0.4, high=len(heights) + 0.9, label=""))
+    plot.moment(0.0, "fill", "unchanged")
+    for height, (moved, expected), one in zip(heights, sizes, causes.moved, strict=True):
+        plot.level(float(height), "new", one.quantity)
+        plot.line(moved + np.array([-BAND_STD, BAND_STD]), np.array([height, height]), "line strong clutch2")
+        plot.line(np.array([expected, expected]), height + np.array([-0.2, 0.2]), "line strong clutch1")
+    rows = tuple(
+        (one.quantity, *(number(value, "{:.3g}") for value in (one.change, BAND_STD * one.std, one.expected)), one.unit)
+        for one in causes.moved
+    )
+    return Figure(
+        picture=plot.markup(),
+        caption=caption,
+        keys=(Key(style="clutch2", text=f"moved, {BAND_WORDS}"), Key(style="clutch1", text="expected")),
+        table=Table(caption=caption, head=("quantity", "moved", BAND_WORDS, "expected", "unit"), rows=rows),
+    )
 
 
 def course_tables(found: Sequence[Course], loaded: Sequence[Load]) -> tuple[Table, ...]:

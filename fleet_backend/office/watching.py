@@ -110,7 +110,8 @@ class Watch:
         written = book.write(self._engine, steps, names)
         for step in written:
             subject = step.subject
-            _LOG.info("%s: %s of %s, clutch %d", step.event, subject.rule, subject.vehicle, subject.clutch)
+            whose = subject.vehicle + (f", clutch {subject.clutch}" if subject.clutch else "")
+            _LOG.info("%s: %s of %s", step.event, subject.rule, whose)
         self._told = (*self._database_families(now), *self._round_families(began_s))
         return written
 

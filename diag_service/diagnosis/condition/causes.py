@@ -24,7 +24,7 @@ from clutch_model.calibration import Calibration
 from diag_service.diagnosis.condition.condition import LEAST_COUNT, LOWER, MEASURED, SENSORS, Course, Stretch
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT, State
 from diag_service.diagnosis.friction.posterior import Posterior
-from diag_service.diagnosis.records import Causes, LikelyCause
+from diag_service.diagnosis.records import Causes, LikelyCause, Moved
 
 SURE: Final = 0.9
 SOUND, ELSE = "sound", "something-else"
@@ -78,6 +78,7 @@ NEW_STD: Final = np.array([0.02, 0.015])  # of level and slope among clutches of
 LEAST_SHOWN: Final = 0.2  # part of a change that shows: parameters of which events tell less are left out
 TAILS: Final = 8.0  # degrees of freedom: what is far off is not next to impossible
 LEAST_TOLD: Final = 0.005
+MOST_MOVED: Final = 6  # quantities in the picture
 LEAST_RENEWED: Final = 1e-9
 SHOWN_STD: Final = 1.5  # deviations from which on something is said to have moved
 _OF_FLUID: Final = frozenset({"aged-fluid", "water", "air"})
@@ -293,22 +294,44 @@ class CauseJudge:
             likely=likely,
             advice=self._advice(likely),
             test=self.test_between(likely),
+            moved=self._moved(likely[0], unlike if (likely[0].cause, likely[0].clutch) in earlier else change),
         )
 
-    def _evidence(self, cause: str, clutch: int | None, change: Change) -> str:
-        """Return what speaks for a cause and what against it."""
+    def _expected(self, cause: str, clutch: int | None, change: Change) -> tuple[FloatArray, FloatArray]:
+        """Return what a cause moves, in the strength that fits best, and the deviation of that from car to car."""
         std = np.sqrt(change.covariance.diagonal())
         signature = max(
             (one for one in self.signatures if (one.cause, one.clutch) == (cause, clutch)),
             key=lambda one: float((one.mean * change.mean / std**2).sum()),
             default=None,
         )
-        expected, spread = np.zeros(COUNT), np.zeros(COUNT)
-        if signature is not None:
-            moves = signature.mean * change.told
-            strength = float((moves * change.mean / std**2).sum() / max((moves**2 / std**2).sum(), 1e-9))
-            strength = min(max(strength, 0.5), 4.0)
-            expected, spread = strength * moves, strength * (signature.spread + MODEL_SHARE * np.abs(moves))
+        if signature is None:
+            return np.zeros(COUNT), np.zeros(COUNT)
+        moves = signature.mean * change.told
+        strength = float((moves * change.mean / std**2).sum() / max((moves**2 / std**2).sum(), 1e-9))
+        strength = min(max(strength, 0.5), 4.0)
+        return strength * moves, strength * (signature.spread + MODEL_SHARE * np.abs(moves))
+
+    def _moved(self, first: LikelyCause, change: Change) -> tuple[Moved, ...]:
+        """Return what moved most, or should have by the likeliest cause, by their deviations."""
+        std, (expected, _) = np.sqrt(change.covariance.diagonal()), self._expected(first.cause, first.clutch, change)
+        sizes = np.where(change.told > 0.0, np.maximum(np.abs(change.mean), np.abs(expected)) / std, 0.0)
+        return tuple(
+            Moved(
+                quantity=words,
+                unit=unit,
+                change=factor * float(change.mean[place]),
+                std=abs(factor) * float(std[place]),
+                expected=factor * float(expected[place]),
+            )
+            for place in np.argsort(-sizes, kind="stable")[:MOST_MOVED].tolist()
+            if sizes[place] > 0.0
+            for words, unit, factor in [_named(place)]
+        )
+
+    def _evidence(self, cause: str, clutch: int | None, change: Change) -> str:
+        """Return what speaks for a cause and what against it."""
+        std, (expected, spread) = np.sqrt(change.covariance.diagonal()), self._expected(cause, clutch, change)
         away, moved = np.abs(change.mean - expected) / np.hypot(std, spread), np.abs(change.mean) / std
         awaited = np.abs(expected) / std
         told = change.told > 0.0
@@ -465,12 +488,17 @@ def _listed(change: Change, std: FloatArray, expected: FloatArray, weight: Float
     parts = []
     for place in np.argsort(-weight)[:most].tolist():
         if weight[place] > 0.0:
-            words, unit, factor = _WORDS[FEATURES[place].rstrip("12")]
-            clutch = f" of clutch {FEATURES[place][-1]}" if FEATURES[place][-1] in "12" else ""
+            words, unit, factor = _named(place)
             moved, its_std, due = (factor * float(one[place]) for one in (change.mean, std, expected))
             told = f"{_rounded(moved, 2):+g} ± {_rounded(abs(its_std), 1):g} {unit} (expected {_rounded(due, 2):+g})"
-            parts.append(f"{words}{clutch} {told}")
+            parts.append(f"{words} {told}")
     return "; ".join(parts)
+
+
+def _named(place: int) -> tuple[str, str, float]:
+    """Return the words for a feature, with a unit and what makes it of ours."""
+    words, unit, factor = _WORDS[FEATURES[place].rstrip("12")]
+    return words + (f" of clutch {FEATURES[place][-1]}" if FEATURES[place][-1] in "12" else ""), unit, factor
 
 
 def _rounded(value: float, digits: int) -> float:

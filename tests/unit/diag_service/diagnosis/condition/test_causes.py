@@ -22,6 +22,7 @@ from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.records import Causes, Condition, LikelyCause
+from diag_service.report.pictures import causes_section
 from tests.support.builders import shift_estimate
 
 CALIBRATION = nominal_calibration()
@@ -121,6 +122,21 @@ def test_new_fluid_after_aged_fluid_is_no_fault(*, filled: bool) -> None:
     told = causes.likely[0].evidence
     assert "friction of clutch 1 +11 ±" in told
     assert "e+" not in told
+
+
+def test_what_moved_most_is_told_beside_what_the_likeliest_cause_would_move() -> None:
+    causes = causes_of({name.format(1): size for name, size in GLAZED.items()})
+    assert first(causes) == ("glazed-lining", 1)
+    most = causes.moved[0]
+    assert (most.quantity, most.unit) == ("friction of clutch 1", "%")
+    assert most.change == pytest.approx(-12.0, abs=3.0 * most.std)
+    assert most.expected == pytest.approx(most.change, abs=3.0 * most.std)
+    assert len(causes.moved) == len({one.quantity for one in causes.moved}) == 6
+    (figure,) = causes_section(causes).figures
+    assert figure.table.rows[0][0] == most.quantity
+    assert most.quantity in figure.picture
+    assert not causes_section(replace(causes, moved=())).figures  # of an older program
+    assert all(one.expected == 0.0 for one in causes_of().moved)
 
 
 def test_fluid_that_was_not_aged_is_not_called_renewed() -> None:
