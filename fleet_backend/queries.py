@@ -18,6 +18,7 @@ from sqlalchemy import (
     delete,
     func,
     insert,
+    literal_column,
     select,
     table,
     update,
@@ -112,32 +113,27 @@ class TableHash:
 
 
 def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
-    """Return the running condition of every clutch, the worst first, with the order for its vehicle."""
+    """Return the running condition of every clutch, the worst first, with the order for its vehicle, and why."""
+    last, own = FLEET_WORST_FIRST.c, SHIFT_RESULT.c
+    names = ("vehicle", "stream", "seq", "algorithm_version", "calibration_version")
+    made_at = literal_column("fleet_worst_first.produced_at", UtcDateTime())  # leads to one month in PostgreSQL
+    same = and_(*(own[name] == last[name] for name in names), own.produced_at == made_at)
+    statement = select(FLEET_WORST_FIRST, own.causes).join_from(FLEET_WORST_FIRST, SHIFT_RESULT, same)
     with transaction(engine) as connection:
-        rows = connection.execute(select(FLEET_WORST_FIRST).order_by(FLEET_WORST_FIRST.c.place)).mappings().all()
-        causes = _causes(connection)
+        rows = connection.execute(statement.order_by(last.place)).mappings()
         told = sorted(
-            with_orders(
-                ({**row, "causes": causes.get((row["vehicle"], row["stream"], row["seq"]))} for row in rows),
-                present_fluids(connection),
-                clutch_names(connection),
-            ),
+            with_orders(rows, present_fluids(connection), clutch_names(connection)),
             key=lambda row: (-SEVERITIES.index(row["condition"]), row["place"]),
         )
     return [
-        {**row, "place": place, "severity": SEVERITIES.index(row["condition"])} for place, row in enumerate(told, 1)
+        {
+            **row,
+            "place": place,
+            "severity": SEVERITIES.index(row["condition"]),
+            "causes": None if row["causes"] is None else json.loads(row["causes"]),
+        }
+        for place, row in enumerate(told, 1)
     ][:limit]
-
-
-def _causes(connection: Connection) -> dict[tuple[str, str, int], str]:
-    """Return why vehicles are as they are, by the last result of each clutch."""
-    table, last = SHIFT_RESULT.c, FLEET_WORST_FIRST.c
-    same = and_(table.vehicle == last.vehicle, table.stream == last.stream, table.seq == last.seq)
-    statement = select(table.vehicle, table.stream, table.seq, table.causes).join_from(
-        FLEET_WORST_FIRST, SHIFT_RESULT, same
-    )
-    told = connection.execute(statement.where(table.causes.is_not(None)).order_by(table.version_rank))
-    return {(one.vehicle, one.stream, one.seq): one.causes for one in told}
 
 
 def check_vehicle(engine: Engine, vehicle: str) -> None:

@@ -436,6 +436,8 @@ def judge_lockup(
     )
     if memory.misfit_text:
         finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
+    elif memory.refused[0] >= REFUSED_COUNT:
+        finding = nothing(Silence.DATA_CONTRADICT, f"{Silence.DATA_CONTRADICT} ({memory.refused[0]} events)")
     verdict = ClutchVerdict(
         clutch=1,
         condition=finding.condition,

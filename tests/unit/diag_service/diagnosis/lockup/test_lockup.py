@@ -8,7 +8,8 @@ import pytest
 
 from clutch_model.calibration import shipped_calibration
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.condition import ConditionMemory, judge_lockup
+from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, judge_lockup
+from diag_service.diagnosis.condition.verdict import Silence
 from diag_service.diagnosis.events import Event, EventKind, Shudder
 from diag_service.diagnosis.lockup.blocks import BLOCK_NS, MICRO_SLIP_RAD_S, cut, samples_of
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
@@ -58,6 +59,18 @@ def diagnosed(fluid: str, seed: int = 900) -> tuple[LockupState, list[tuple[Shif
         memory, verdict = judge_lockup(memory.with_fit(estimate).with_shudder(swings), state, CALIBRATION, swings)
         told.append((estimate, verdict))
     return state, told
+
+
+def test_slip_whose_sensors_contradict_each_other_takes_the_verdict_back() -> None:
+    state, told = diagnosed("worn")
+    refused = replace(told[-1][0], status=Status.REJECTED, reasons=(Reason.SPEEDS_DISAGREE,))
+    memory = ConditionMemory.fresh()
+    for count in range(REFUSED_COUNT):
+        assert memory.refused == (count, 0)
+        assert judge_lockup(memory, state, CALIBRATION, None)[1].condition is Condition.CHANGE_FLUID
+        memory = memory.with_fit(refused)
+    verdict = judge_lockup(memory, state, CALIBRATION, None)[1]
+    assert (verdict.condition, verdict.reason.startswith(Silence.DATA_CONTRADICT)) == (Condition.NO_VERDICT, True)
 
 
 @pytest.mark.parametrize("seed", [900, 901, 902])
