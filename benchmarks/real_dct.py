@@ -23,9 +23,9 @@ from diag_service.commands.predict import (
     second_half_from_first,
     slip_phases,
 )
-from diag_service.commands.signals import proposed_profile
 from diag_service.diagnosis.prediction import SlipPhase, Standing
 from diag_service.mapping.interpretation import Interpretation, interpret
+from diag_service.mapping.survey import proposed_profile
 from diag_service.service.stopping import Trigger
 from ecu_emulator.cli import main as emulator
 
@@ -36,7 +36,7 @@ SPLITS = {"each from all others": left_out_one_by_one, "second half from the fir
 def meaning_of(table: Path, folder: Path) -> Interpretation:
     """Return the columns of a table as the service proposes them."""
     profile = folder / f"{table.stem}.toml"
-    profile.write_text(proposed_profile(table, None, Trigger(), is_lenient=False), encoding="utf-8")
+    profile.write_text(proposed_profile(table), encoding="utf-8")
     return interpret(None, profile)
 
 

@@ -25,15 +25,14 @@ from benchmarks.study import over_drives, root_mean_square
 from clutch_model.calibration import clutch_of_gear, nominal_calibration
 from dbc.contract import load_contract
 from diag_service import analyze
-from diag_service.commands.signals import proposed_profile
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.condition.shift_quality import PARTS, weighed
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
+from diag_service.mapping.survey import proposed_profile
 from diag_service.service.stages import Stages
-from diag_service.service.stopping import Trigger
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.cli import main as emulator
 from ecu_emulator.drive.build import build_vehicle, drive_settings
@@ -238,7 +237,7 @@ def estimates_of(path: Path) -> list[ShiftEstimate]:
         return [one.estimate for one in analyze(path).results]
     with tempfile.TemporaryDirectory() as name:
         profile = Path(name) / "proposed.toml"
-        profile.write_text(proposed_profile(path, None, Trigger(), is_lenient=False), encoding="utf-8")
+        profile.write_text(proposed_profile(path), encoding="utf-8")
         return [one.estimate for one in analyze(path, profile=profile).results]
 
 

@@ -31,14 +31,13 @@ from benchmarks.study import over_drives, root_mean_square
 from canlog.arrays import FloatArray
 from canlog.logs import read_log
 from clutch_model.calibration import TorqueSource, nominal_calibration
-from diag_service.commands.signals import proposed_profile
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.posterior import clutch_ratio, scale_free, trend
 from diag_service.diagnosis.records import FrictionSlope, Status
 from diag_service.mapping.interpretation import interpret
+from diag_service.mapping.survey import proposed_profile
 from diag_service.service.stages import Diagnosis, Stages
-from diag_service.service.stopping import Trigger
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.log_formats.record import open_log
 
@@ -138,7 +137,7 @@ def slope_looks(
 def diagnosed(table: Path) -> list[Diagnosis]:
     """Return the diagnoses of a table, with the profile that is proposed for it."""
     profile = table.with_suffix(".toml")
-    proposed = proposed_profile(table, None, Trigger(), is_lenient=False)
+    proposed = proposed_profile(table)
     profile.write_text(proposed.replace(TorqueSource.WITHOUT_CUT, TorqueSource.MODELLED), encoding="utf-8")
     meaning = interpret(None, profile)
     decoder, calibration = meaning.decoder(), nominal_calibration().with_torque(meaning.profile.torque)

@@ -20,6 +20,7 @@ from diag_service.service.drive import insist
 from diag_service.service.drive_survey import DriveSurvey
 from diag_service.service.recorded import run_recorded
 from diag_service.service.stopping import Trigger
+from diag_service.settings.proposed import as_proposed
 from fleet_contract import Channel
 from fleet_contract.orders import name_of
 
@@ -279,6 +280,7 @@ def analyze(
         raise ConfigError(f"{folder} is a folder, in which every log is a drive: analyze_folders")
     with collected_notices() as notices:
         config = configuration(is_strict=is_strict, delivery=delivery, store_budget_mib=store_budget_mib, **meaning)
+        config = as_proposed(config, named)
         reporter = MemoryReporter()
         summary = run_recorded(config, named, optional_path(store), reporter, Trigger(), survey=DriveSurvey).summary
     if is_strict:

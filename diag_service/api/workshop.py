@@ -13,16 +13,17 @@ from diag_service.commands.arguments import DEFAULT_BITRATE
 from diag_service.commands.inspect import Inspection, inspect_log
 from diag_service.commands.learn import learned_from, record, write_description
 from diag_service.commands.predict import predict_shifts
-from diag_service.commands.signals import proposed_profile
 from diag_service.commands.talks import conversations_of
 from diag_service.console import collected_notices
 from diag_service.diagnosis.friction.paper import PaperShift, PooledClutch
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration
-from diag_service.mapping.interpretation import interpret, open_database
+from diag_service.mapping.interpretation import open_database
+from diag_service.mapping.survey import proposed_profile
 from diag_service.service.calibrate_run import calibrated, write_calibration
 from diag_service.service.drive import insist
 from diag_service.service.paper_run import run_paper
 from diag_service.service.stopping import Trigger
+from diag_service.settings.proposed import interpret_logs
 
 
 def read(
@@ -135,12 +136,12 @@ def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, is_lenient: bo
         If the log or the database cannot be read.
     """
     with collected_notices():
-        return proposed_profile(Path(path), optional_path(dbc), Trigger(), is_lenient=is_lenient, columns=columns)
+        return proposed_profile(Path(path), optional_path(dbc), is_lenient=is_lenient, columns=columns)
 
 
 def predict(
     paths: AnyPaths,
-    profile: AnyPath,
+    profile: AnyPath | None = None,
     dbc: AnyPath | None = None,
     *,
     touch_pa: float | None = None,
@@ -172,8 +173,9 @@ def predict(
         If a log or the database cannot be read, or the profile lacks what a prediction needs.
     """
     with collected_notices():
-        meaning = interpret(optional_path(dbc), Path(profile), is_lenient=is_lenient)
-        found = predict_shifts(path_list(paths), meaning, touch_pa=touch_pa, is_by_halves=is_by_halves, stop=Trigger())
+        logs = path_list(paths)
+        meaning = interpret_logs(logs, optional_path(dbc), optional_path(profile), is_lenient=is_lenient)
+        found = predict_shifts(logs, meaning, touch_pa=touch_pa, is_by_halves=is_by_halves, stop=Trigger())
     return found.records()
 
 
@@ -212,8 +214,11 @@ def learn(
         If a log or the database cannot be read, or the profile lacks the speeds.
     """
     with collected_notices():
-        meaning = interpret(optional_path(dbc), optional_path(profile), is_lenient=is_lenient)
-        learned = learned_from(path_list(paths), meaning, stop=Trigger(), columns=columns)
+        logs = path_list(paths)
+        meaning = interpret_logs(
+            logs, optional_path(dbc), optional_path(profile), columns=columns, is_lenient=is_lenient
+        )
+        learned = learned_from(logs, meaning, stop=Trigger(), columns=columns)
         if output is not None:
             assumed = nominal_calibration() if calibration is None else read_calibration(Path(calibration))
             write_description(Path(output), learned, assumed, path_list(paths))

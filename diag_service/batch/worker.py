@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,10 +15,12 @@ from diag_service.console import collected_notices, set_up_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.records import ShiftResult, shift_record
 from diag_service.diagnosis.summary import summary_record, unjudged, with_revisions
+from diag_service.errors import StoppedError
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.recorded import RecordedRun, run_recorded
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
+from diag_service.settings.proposed import as_proposed
 
 DRIVE_SCHEMA = "clutchdiag/drive/v1"
 
@@ -38,10 +41,13 @@ class Analyst:
         Whoever sets ``stop`` ends it early, and the account says so.
         """
         config = replace(self.config, vehicle=drive.vehicle or self.config.vehicle)
-        reporter = MemoryReporter()
+        reporter, stop = MemoryReporter(), stop or Trigger()
         try:
             with collected_notices() as notices:
-                run = run_recorded(config, drive.paths, None, reporter, stop or Trigger(), meaning=self._meaning)
+                with suppress(StoppedError):  # the run ends at once, and its account says so
+                    config = as_proposed(config, drive.paths, lambda: stop.is_set)
+                meaning = self._meaning if config.profile is self.config.profile else config.interpretation()
+                run = run_recorded(config, drive.paths, None, reporter, stop, meaning=meaning)
         except SourceError as exc:
             return Entry(key=drive.key, drive={**_account(drive.paths), "error": str(exc)}, shifts=())
         return drive_entry(drive.key, drive.paths, run, reporter.results, notices)

@@ -18,6 +18,7 @@ from diag_service.service.drive_survey import DriveSurvey
 from diag_service.service.recorded import run_recorded
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import DiagnosisConfig, diagnosis_config
+from diag_service.settings.proposed import as_proposed
 
 _LOG = logging.getLogger(__name__)
 
@@ -32,6 +33,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         return
     diagnosis = diagnosis_config(options)
     _check_words_for_a_drive(options)
+    diagnosis = as_proposed(diagnosis, options.logs, lambda: controls.stop.is_set)
     if options.estimator == "paper":
         _analyse_by_paper(options, diagnosis, controls)
     elif options.output is None:

@@ -31,9 +31,10 @@ from diag_service.diagnosis.shifts.gear_tracking import tracker_for
 from diag_service.diagnosis.shifts.shifts import PRE_NS
 from diag_service.diagnosis.shifts.tracking import NS_PER_S, EventFinder
 from diag_service.errors import ConfigError, StoppedError
-from diag_service.mapping.interpretation import Interpretation, interpret
+from diag_service.mapping.interpretation import Interpretation
 from diag_service.mapping.tiers import missing_for_next
 from diag_service.service.stopping import Controls, Trigger
+from diag_service.settings.proposed import interpret_logs
 
 if TYPE_CHECKING:
     from diag_service.diagnosis.events import Event
@@ -187,7 +188,15 @@ def predict_shifts(
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Predict the shifts of logs from each other and show how well it went."""
-    meaning = interpret(options.dbc, options.profile, is_lenient=options.lenient, parser_time_s=options.parser_time)
+    meaning = interpret_logs(
+        options.logs,
+        options.dbc,
+        options.profile,
+        is_stopped=lambda: controls.stop.is_set,
+        columns=getattr(options, "columns", None) or "",
+        is_lenient=options.lenient,
+        parser_time_s=options.parser_time,
+    )
     touch_pa = None if options.touch is None else PA_PER_KPA * options.touch
     with ReadingLine() as line:
         found = predict_shifts(

@@ -335,7 +335,8 @@ def capability_line(summary: Summary) -> str:
     if capability.tier is Tier.FRICTION and has_shifts:
         return "; ".join(parts)
     if capability.tier is None:
-        parts.append(f"the signals do not show shifts: {capability.missing}")
+        shown = "show that gears change, and no more" if has_shifts else "do not show shifts"
+        parts.append(f"the signals {shown}: {capability.missing}")
     elif capability.tier is not Tier.FRICTION:
         parts.append(f"tier {capability.tier:d} of 3, {TIER_TEXT[capability.tier]}: {capability.missing}")
     if capability.unseen:

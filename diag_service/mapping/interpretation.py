@@ -91,7 +91,7 @@ class Interpretation:
 
 
 def interpret(
-    dbc: Path | None, profile: Path | None, *, is_lenient: bool = False, parser_time_s: int | None = None
+    dbc: Path | None, profile: Path | Profile | None, *, is_lenient: bool = False, parser_time_s: int | None = None
 ) -> Interpretation:
     """Return what the user named, checked; without a profile the shipped one that fits the database is taken and told.
 
@@ -121,9 +121,9 @@ def interpret(
     return Interpretation(database=database, profile=named, files=_files(dbc, named, profile))
 
 
-def _files(dbc: Path | None, profile: Profile, named: Path | None) -> tuple[Path, ...]:
+def _files(dbc: Path | None, profile: Profile, named: Path | Profile | None) -> tuple[Path, ...]:
     shipped = PROFILE_FOLDER / f"{profile.name}.toml"
-    source = shipped if profile.is_lenient else named
+    source = shipped if profile.is_lenient else named if isinstance(named, Path) else None
     return tuple(bus_of(path)[0] for path in (dbc, source) if path is not None)
 
 

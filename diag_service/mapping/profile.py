@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from canlog.arrays import FloatArray
 from canlog.database.signal_columns import SignalColumn
@@ -281,11 +281,13 @@ def shipped_profiles() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in PROFILE_FOLDER.glob("*.toml")))
 
 
-def find_profile(name: Path) -> Profile:
-    """Return a profile by its path, or by the name of one that ships with the service.
+def find_profile(name: Path | Profile) -> Profile:
+    """Return a profile by its path, or by the name of one that ships with the service; one that is found as it is.
 
     Raises ConfigError if there is no such profile, or it is unusable.
     """
+    if isinstance(name, Profile):
+        return name
     if len(name.parts) == 1 and name.name in shipped_profiles() and not name.exists():
         return load_shipped(name.name)
     if len(name.parts) == 1 and not name.suffix and not name.exists():
@@ -304,7 +306,11 @@ def load_profile(path: Path = PROFILE_PATH) -> Profile:
     Raises ConfigError if the file is unreadable or not TOML, or with all the entries that are wrong: unknown canonical
     signals, unknown or missing keys, values of the wrong type.
     """
-    table = read_table(path, "the profile", ConfigError)
+    return profile_of(read_table(path, "the profile", ConfigError), path)
+
+
+def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
+    """Return a profile from the table of a TOML file; raises as `load_profile`, naming the file."""
     signals = table.get("signals")
     if not isinstance(signals, dict) or table.keys() - PROFILE_KEYS:
         raise ConfigError(

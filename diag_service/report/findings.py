@@ -18,6 +18,7 @@ from diag_service.service.recorded import STOPPED_TEXT, replay, warn_of_slow_mes
 from diag_service.service.session import Session, versions_for
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
+from diag_service.settings.proposed import as_proposed
 from diag_service.store import NoStore, Row, StoreReader, Versions
 from fleet_contract import CLUTCHES
 from fleet_contract.orders import Order, title_of
@@ -84,6 +85,7 @@ def findings_of_logs(
 
     Raises what `analyze` raises, and StoppedError if it was stopped.
     """
+    config = as_proposed(config, paths, lambda: stop.is_set)
     meaning, reporter, album = config.interpretation(), MemoryReporter(), Album()
     with open_drive(paths, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns) as logs:
         stream = stream_of_drive((log.path for log in logs), meaning.files)

@@ -28,6 +28,7 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.service.drive import DriveFrames, OpenLog, gaps_in, open_drive, warn_of_faults
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import UNNAMED_VEHICLE, DiagnosisConfig
+from diag_service.settings.proposed import as_proposed
 from fleet_contract import JsonObject
 
 CALIBRATION_SCHEMA = "clutchdiag/self-calibration/v1"
@@ -128,6 +129,7 @@ def calibrated(
 
     Raises ConfigError if the drives do not suffice, StoppedError if it was stopped.
     """
+    config = as_proposed(config, logs, lambda: stop.is_set)
     start = config.calibration
     if start.torque is not TorqueSource.MEASURED:
         raise ConfigError("no self-calibration: without measured engine torque nothing tells the scale of friction")

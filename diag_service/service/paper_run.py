@@ -27,6 +27,7 @@ from diag_service.service.recorded import Account, replay
 from diag_service.service.stages import Stages
 from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import DiagnosisConfig
+from diag_service.settings.proposed import as_proposed
 from fleet_contract import JsonObject
 
 PAPER_SCHEMA = "clutchdiag/paper/v1"
@@ -50,6 +51,7 @@ def run_paper(
     watch: Watch | None = None,  # of how far the reading is
 ) -> PaperRun:
     """Call ``use`` with each shift of a drive; return what they say together and what became of the frames."""
+    config = as_proposed(config, paths, lambda: stop.is_set)
     decoder = config.interpretation().decoder()
     stages = Stages(decoder, config.calibration, Posterior.fresh(config.calibration), ConditionMemory.fresh())
     collection = PaperCollection(config.calibration, nominal_driveline())

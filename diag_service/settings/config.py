@@ -12,7 +12,7 @@ from diag_service.delivery import Acknowledge
 from diag_service.diagnosis.columns import GearRatios
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import Interpretation, interpret
-from diag_service.mapping.profile import find_profile
+from diag_service.mapping.profile import Profile, find_profile
 from diag_service.mapping.vehicle_file import read_description
 from fleet_contract import is_vehicle
 from fleet_link import AddressError, BrokerAddress, TlsFiles, parse_broker
@@ -33,7 +33,7 @@ class DiagnosisConfig:
     vehicle: str
     calibration: Calibration
     dbc: Path | None = None
-    profile: Path | None = None
+    profile: Path | Profile | None = None
     vehicle_file: Path | None = None
     gears: GearRatios | None = None  # of the vehicle file
     broker: BrokerAddress | None = None
@@ -120,7 +120,7 @@ def check_vehicle(vehicle: str) -> str:
     return vehicle
 
 
-def as_profiled(calibration: Calibration, profile: Path | None) -> Calibration:
+def as_profiled(calibration: Calibration, profile: Path | Profile | None) -> Calibration:
     """Return a calibration that knows where the engine's torque comes from; raises ConfigError."""
     told = TorqueSource.MEASURED if profile is None else find_profile(profile).torque
     return calibration.with_torque(told if told.is_modelled else calibration.torque)

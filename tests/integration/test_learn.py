@@ -11,9 +11,8 @@ import diag_service
 from benchmarks.learn import GEARS_OF, drawn_ratios, driven
 from benchmarks.scan_tool import written
 from clutch_model.calibration import nominal_calibration
-from diag_service.commands.signals import proposed_profile
+from diag_service.mapping.survey import proposed_profile
 from diag_service.mapping.vehicle_file import read_description
-from diag_service.service.stopping import Trigger
 from tests.support.in_process import ended
 
 
@@ -50,12 +49,33 @@ def test_a_description_tells_the_gears_of_a_table_without_them(car: tuple[Path, 
     log, _ = car
     table, profile, file = tmp_path / "car.csv", tmp_path / "profile.toml", tmp_path / "car.toml"
     written(log, table, np.random.default_rng(5), left_out=GEARS_OF)
-    profile.write_text(proposed_profile(table, None, Trigger(), is_lenient=False), encoding="utf-8")
+    profile.write_text(proposed_profile(table), encoding="utf-8")
     diag_service.learn(table, profile, output=file)
     assert read_description(file).gears is not None
     shifts = changes("analyze", log, "--json")
     assert changes("analyze", table, "--profile", profile, "--vehicle-file", file, "--json") == shifts
     assert len(shifts) >= 10
+
+
+def test_a_table_that_nobody_explains_is_read_as_is_proposed_for_it(
+    car: tuple[Path, list[float]], tmp_path: Path
+) -> None:
+    table, profile = tmp_path / "drives" / "car.csv", tmp_path / "car.toml"
+    table.parent.mkdir()
+    written(car[0], table, np.random.default_rng(5), left_out=frozenset())
+    profile.write_text(proposed_profile(table), encoding="utf-8")
+    run = ended("analyze", table)
+    assert (run.status, "car.csv is a table of signals, read with the profile proposed for it" in run.err) == (0, True)
+    by_file = changes("analyze", table, "--profile", profile, "--json")
+    assert changes("analyze", table, "--json") == by_file
+    assert len(by_file) >= 10
+    own = diag_service.analyze(table)
+    assert own.verdicts == diag_service.analyze(table, profile=profile).verdicts
+    (drive,) = diag_service.analyze_folders(table.parent).drives
+    assert len(drive.results) == len(own.results)
+    assert diag_service.predict(table) == diag_service.predict(table, profile)
+    assert diag_service.learn(table) == diag_service.learn(table, profile)
+    assert ended("report", table, "-o", tmp_path / "car.html").status == 0
 
 
 def changes(*words: str | Path) -> list[tuple[int, int]]:

@@ -14,10 +14,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from canlog.arrays import FloatArray
-from diag_service.commands.signals import proposed_profile
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.interpretation import interpret
-from diag_service.service.stopping import Trigger
+from diag_service.mapping.survey import proposed_profile
 from ecu_emulator.log_formats.table import TableOptions, write_table
 from tests.support import measurements
 from tests.tools.damage.expected import Expected
@@ -243,5 +242,5 @@ TABLE_DAMAGES: Mapping[str, Damage] = MappingProxyType(
 def decoder_of(table: Path) -> Callable[[], Decoder]:
     """Return what makes decoders by the profile that is proposed for a sound table."""
     profile = table.with_suffix(".toml")
-    profile.write_text(proposed_profile(table, None, Trigger(), is_lenient=False), encoding="utf-8")
+    profile.write_text(proposed_profile(table), encoding="utf-8")
     return interpret(None, profile).decoder

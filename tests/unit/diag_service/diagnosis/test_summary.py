@@ -42,6 +42,7 @@ def line(capability: Capability, *, has_shift: bool) -> str:
             False,
             "no shift was found; the signals do not show shifts: x; mapped by profile dct, but never seen: pedal_ratio",
         ),
+        (Capability(tier=None, missing="x"), True, "the signals show that gears change, and no more: x"),
     ],
 )
 def test_the_line_for_people(capability: Capability, has_shift: bool, said: str) -> None:
