@@ -65,6 +65,7 @@ WHAT_CURVES_SAY: Final = (
     "curve falls to the right, the clutch can shudder."
 )
 MOST_ROWS: Final = 100  # of the table of events
+DATED_NS: Final = 10**18  # since 1970: in 2001; earlier bus times have no date
 TREND_ROWS: Final = 12
 SAMPLE_ROWS: Final = 9
 
@@ -137,12 +138,9 @@ def _subtitle(found: Findings) -> str:
     if not found.rows:
         return f"no event in {names}"
     first, last = found.rows[0].result.estimate, found.rows[-1].result.estimate
-    days = dict.fromkeys((_day(first.start_ns), _day(last.end_ns)))  # one of them twice is one
-    return f"{len(found.rows)} events, {' to '.join(days)}, from {names}"
-
-
-def _day(t_ns: int) -> str:
-    return utc_from_bus_ns(t_ns)[:10]
+    days = dict.fromkeys(utc_from_bus_ns(t_ns)[:10] for t_ns in (first.start_ns, last.end_ns))  # one twice is one
+    when = " to ".join(days) if first.start_ns >= DATED_NS else "without a date"
+    return f"{len(found.rows)} events, {when}, from {names}"
 
 
 def _unseen_section(found: Findings) -> Section:
@@ -254,7 +252,9 @@ def events_section(found: Findings) -> Section:
     """Return the table of events; of many the newest."""
     rows = found.rows[-MOST_ROWS:]
     texts = [f"The newest {len(rows)} of {len(found.rows)} events."] if len(rows) < len(found.rows) else []
-    head = ("event", "start (UTC)", "kind", "gears", "clutch", "data", "mu_C", "std", "verdict after it", "reasons")
+    is_dated = bool(rows) and rows[0].result.estimate.start_ns >= DATED_NS
+    start = "start (UTC)" if is_dated else "start in the log"
+    head = ("event", start, "kind", "gears", "clutch", "data", "mu_C", "std", "verdict after it", "reasons")
     table = Table(caption="Events", head=head, rows=tuple(map(_event_cells, rows)))
     return Section(name="events", title="Events", texts=tuple(texts), tables=(table,))
 
@@ -354,7 +354,7 @@ def _trend_cells(place: int, result: ShiftResult) -> tuple[Cell, ...]:
     friction, odometer_m = result.verdict.friction, result.estimate.odometer_m
     return (
         str(place + 1),
-        _minute(result.estimate.end_ns),
+        _moment(result.estimate.end_ns),
         number(None if odometer_m is None else odometer_m / 1000.0, "{:.0f}"),
         number(None if friction is None else friction.mu_c),
         number(None if friction is None else BAND_STD * friction.std_mu_c),
@@ -400,7 +400,7 @@ def _event_cells(row: Row) -> tuple[Cell, ...]:
     estimate, friction = result.estimate, result.estimate.friction
     return (
         str(row.position),
-        _minute(estimate.start_ns),
+        _moment(estimate.start_ns),
         kind_words(estimate),
         gear_words(estimate),
         str(estimate.clutch),
@@ -428,5 +428,6 @@ def _quality_rows(results: tuple[ShiftResult, ...]) -> Iterator[tuple[Cell, ...]
             yield name, number(float(np.mean(scores)), "{:.2f}"), number(min(scores), "{:.2f}"), str(len(scores))
 
 
-def _minute(t_ns: int) -> str:
-    return utc_from_bus_ns(t_ns)[:16].replace("T", " ")
+def _moment(t_ns: int) -> str:
+    """Return a bus time for people: UTC, or the log's own seconds where it has no date."""
+    return utc_from_bus_ns(t_ns)[:19].replace("T", " ") if t_ns >= DATED_NS else f"{t_ns / NS_PER_S:.1f} s"

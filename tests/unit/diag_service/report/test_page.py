@@ -149,6 +149,17 @@ def test_one_shift_is_no_shifts() -> None:
     assert "1 shifts" not in text
 
 
+def test_logs_without_a_date_tell_their_own_seconds() -> None:
+    found = findings(2)
+    rows = [
+        replace(row, result=replace(row.result, estimate=replace(row.result.estimate, start_ns=3_704_400_000_000)))
+        for row in found.rows
+    ]
+    text = html(replace(found, rows=tuple(rows)))
+    assert ("2 events, without a date" in text, "start in the log" in text, "3704.4 s" in text) == (True, True, True)
+    assert "start (UTC)" in html(found)
+
+
 def test_a_history_without_anything_says_so() -> None:
     nothing = replace(findings(1), rows=(), latest=())
     text = html(nothing)
