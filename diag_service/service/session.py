@@ -92,8 +92,8 @@ SUSPICIOUS_SHARE: Final = 0.2  # two senders in turn come to about a half, one o
 _LOG = logging.getLogger(__name__)
 MAX_PENDING_COUNT = 1000
 NOTHING_KNOWN = (
-    "no message of the profile was received; try 'diag-service signals LOG --dbc FILE': it lists what a log holds and "
-    "proposes a profile"
+    "no message of the profile was received; try 'diag-service signals LOG', with --dbc FILE for frames: it lists what "
+    "a log holds and proposes a profile"
 )
 
 
