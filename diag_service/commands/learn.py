@@ -24,7 +24,7 @@ from diag_service.mapping.vehicle_file import PA_PER_KPA, description_toml
 from diag_service.service import calibrate_run
 from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import diagnosis_config
-from diag_service.settings.proposed import interpret_logs
+from diag_service.settings.proposed import asked_meaning
 
 SCHEMA: Final = "clutchdiag/learn/v1"
 BEHIND: Final = (Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED)
@@ -69,15 +69,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Learn a vehicle, and write and show its description."""
     if text := replacement_refusal(options.output, is_forced=options.force):
         raise ConfigError(text)
-    meaning = interpret_logs(
-        options.logs,
-        options.dbc,
-        options.profile,
-        is_stopped=lambda: controls.stop.is_set,
-        columns=getattr(options, "columns", None) or "",
-        is_lenient=options.lenient,
-        parser_time_s=options.parser_time,
-    )
+    meaning = asked_meaning(options, lambda: controls.stop.is_set)
     assumed = nominal_calibration() if options.calibration is None else read_calibration(options.calibration)
     with ReadingLine() as line:
         learned = learned_from(

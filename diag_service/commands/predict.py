@@ -34,7 +34,7 @@ from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.mapping.tiers import missing_for_next
 from diag_service.service.stopping import Controls, Trigger
-from diag_service.settings.proposed import interpret_logs
+from diag_service.settings.proposed import asked_meaning
 
 if TYPE_CHECKING:
     from diag_service.diagnosis.events import Event
@@ -188,15 +188,7 @@ def predict_shifts(
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Predict the shifts of logs from each other and show how well it went."""
-    meaning = interpret_logs(
-        options.logs,
-        options.dbc,
-        options.profile,
-        is_stopped=lambda: controls.stop.is_set,
-        columns=getattr(options, "columns", None) or "",
-        is_lenient=options.lenient,
-        parser_time_s=options.parser_time,
-    )
+    meaning = asked_meaning(options, lambda: controls.stop.is_set)
     touch_pa = None if options.touch is None else PA_PER_KPA * options.touch
     with ReadingLine() as line:
         found = predict_shifts(

@@ -5,6 +5,7 @@ import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT, is_folder, table_columns
@@ -67,6 +68,22 @@ def interpret_logs(
     is_lenient: bool = False,
     parser_time_s: int | None = None,
 ) -> Interpretation:
-    """Return what `interpret` does; where the user named neither file, tables of signals are read as is proposed."""
+    """Return what `interpret` does; where the user named neither file, tables of signals are read as is proposed.
+
+    Raises what `as_proposed` and `interpret` raise.
+    """
     named = profile or _proposed(logs, dbc, profile, is_stopped, columns)
     return interpret(dbc, named, is_lenient=is_lenient, parser_time_s=parser_time_s)
+
+
+def asked_meaning(options: SimpleNamespace, is_stopped: Callable[[], bool]) -> Interpretation:
+    """Return what the logs of a command line mean by what that names; raises as `interpret_logs`."""
+    return interpret_logs(
+        options.logs,
+        options.dbc,
+        options.profile,
+        is_stopped=is_stopped,
+        columns=getattr(options, "columns", None) or "",
+        is_lenient=options.lenient,
+        parser_time_s=options.parser_time,
+    )
