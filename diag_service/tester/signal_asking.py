@@ -6,6 +6,7 @@ nothing that changes what a controller does, no session. Another tester comes fi
 
 import asyncio
 import logging
+import math
 import time
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
@@ -74,6 +75,8 @@ PENDING_S: Final = 5.0  # after the controller asked for patience
 MOST_PENDING_S: Final = 30.0  # in all: longer it may not answer at all
 BUSY: Final = 0x21
 BUSY_PAUSE_S: Final = 0.1
+NOT_NOW: Final = frozenset({0x22, 0x24, 0x26, *range(0x81, 0x94)})  # refused by how the car is just now (ISO 14229-1)
+AGAIN_S: Final = 10.0  # until that is asked for again
 MOST_SILENT: Final = 3  # questions in a row
 FIRST_PAUSE_S: Final = 1.0
 LONGEST_PAUSE_S: Final = 16.0  # between attempts at a controller that does not answer
@@ -162,6 +165,8 @@ class Plan:
     defined: dict[DatumId, Definition] = field(default_factory=dict)
     refused: set[DatumId] = field(default_factory=set)
     _fewer: int | None = None  # than the rules say, as a controller wants it
+    _for_now: set[DatumId] = field(default_factory=set)  # of those refused
+    _again_s: float = math.inf  # when these are asked for again
     _slow_s: float = 0.0
     _slow_count: int = 0
     _group_s: float = 0.0
@@ -197,6 +202,10 @@ class Plan:
 
     def due(self, now_s: float) -> list[Question | GroupQuestion]:
         """Return the questions of the next round."""
+        if now_s >= self._again_s:
+            self.refused -= self._for_now
+            self._for_now.clear()
+            self._fewer, self._again_s = None, math.inf
         questions: list[Question | GroupQuestion] = [*self.fast]
         if self.groups and now_s >= self._group_s:
             self._group_s = now_s + GROUP_S
@@ -207,15 +216,19 @@ class Plan:
             questions += self._questions([one for signal, one in self.fields.items() if signal in _SLOW])
         return questions
 
-    def refuse(self, question: Question, why: str) -> str:
-        """Ask for less at once, or for a single datum no more; return what is to be told of that."""
+    def refuse(self, question: Question, why: str, *, for_now: bool = False) -> str:
+        """Ask for less at once, or for a single datum no more, or not for now; return what is to be told of that."""
+        if for_now:
+            self._again_s = min(self._again_s, time.monotonic() + AGAIN_S)
         if len(question.data) > 1:
             self._fewer = max(1, len(question.data) // 2)
             return (
                 f"{id_text(question.address.request_id)} does not take {len(question.data)} identifiers at once: {why}"
             )
         self.refused.add(question.data[0])
-        return f"{question} is not told ({why}), and left out"
+        if for_now:
+            self._for_now.add(question.data[0])
+        return f"{question} is not told ({why}), and {'asked for again later' if for_now else 'left out'}"
 
     def _questions(self, fields: Sequence[AskedField]) -> list[Question]:
         addresses = {one.data_id: address_of(one) for one in fields}
@@ -377,7 +390,7 @@ class SignalAsker(AskingThread):
             _LOG.log(NOTICE, "%s is not there any more (%s): it is defined anew", question, refusal_text(code))
             self._forget_definitions()
         else:
-            self._say_once(self.plan.refuse(question, refusal_text(code)))
+            self._say_once(self.plan.refuse(question, refusal_text(code), for_now=code in NOT_NOW))
         return False
 
     def _say_once(self, text: str) -> None:

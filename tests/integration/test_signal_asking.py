@@ -15,6 +15,7 @@ import pytest
 from canlog.errors import NOTICE
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.asked_signals import Overheard, flagged
+from diag_service.mapping.interpretation import interpret
 from diag_service.mapping.profile import AskingRules, Profile, load_profile, load_shipped
 from diag_service.tester import signal_asking
 from diag_service.tester.addresses import CanAddress
@@ -258,7 +259,7 @@ GOOD = "05 62 38 EB 01 90"
         ("05 62 38 EA 01 90", "38EB at 7E1 is not told (an answer with other numbers than were asked for"),
         ("04 62 38 EB 01", "38EB at 7E1 is not told (an answer of another length than the profile says)"),
         ("06 62 38 EB 01 90 00", "38EB at 7E1 is not told (an answer with other numbers"),
-        ("03 7F 22 22", "38EB at 7E1 is not told (conditions not correct (22)), and left out"),
+        ("03 7F 22 22", "38EB at 7E1 is not told (conditions not correct (22)), and asked for again later"),
         ("03 7F 22", "is not told"),
         ("10 0A 62 38 EB 01 90 00", "began an answer and broke it off"),
         ("03 59 02 FF", "7E1 (answers 7E9) does not answer"),
@@ -325,6 +326,64 @@ def test_a_controller_that_comes_back_is_asked_again(channel: str, caplog: pytes
         wait_for(lambda: "asking is interrupted" in caplog.text)
         with vehicle(channel, controller()):
             wait_for(lambda: asker.set_count >= 1)
+
+
+def samples_in(profile: Path, frames: Sequence[can.Message]) -> set[float]:
+    """Return the clutch pressures [Pa] that a dialogue tells by the file of a profile."""
+    decoder = interpret(None, profile).decoder()
+    found = [*decoder.stream(batch_of(list(frames))), *decoder.drain()]
+    told = [one.columns[Signal.CLUTCH1_PRESSURE] for one in found if Signal.CLUTCH1_PRESSURE in one.columns]
+    return {value for series in told for value in series.value.tolist()}
+
+
+@pytest.mark.parametrize("last", ["10 0A 62 38 EB 01 90 00", "04 62 38 EB 01", "03 7F 22 10"])
+def test_a_controller_that_dies_in_an_answer_and_starts_anew_gives_no_wrong_sample(
+    channel: str, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, last: str
+) -> None:
+    caplog.set_level(NOTICE)
+    for name, value_s in {"AGAIN_S": 0.2, "FIRST_PAUSE_S": 0.05, "LONGEST_PAUSE_S": 0.2}.items():
+        monkeypatch.setattr(signal_asking, name, value_s)
+    profile = pressure_profile(tmp_path)
+    with heard(channel) as ear, canned(channel, GOOD) as car, asked(profile, channel) as asker:
+        wait_for(lambda: asker.set_count >= 3)
+        car.answers["2238EB"] = [last]  # a frame that is broken off, or none, or a refusal without a reason
+        seen = len(ear.requests())
+        wait_for(lambda: len(ear.requests()) > seen + 1)
+        car.answers.clear()  # it is dead
+        wait_for(lambda: "does not answer; trying again" in caplog.text)
+        car.answers["2238EB"] = ["03 7F 22 22"]  # it starts
+        wait_for(lambda: "38EB at 7E1 is not told (conditions not correct (22))" in caplog.text)
+        sets = asker.set_count
+        car.answers["2238EB"] = [GOOD]
+        wait_for(lambda: asker.set_count >= sets + 3)
+    assert "asking goes on" in caplog.text
+    assert ear.services() == {0x22}
+    assert samples_in(tmp_path / "one.toml", ear.frames) == {0x190 * 1e5}
+
+
+def test_what_is_refused_for_now_is_asked_for_again_and_the_rest_is_told_meanwhile(
+    channel: str, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caplog.set_level(NOTICE)
+    monkeypatch.setattr(signal_asking, "AGAIN_S", 0.3)
+    path = tmp_path / "two.toml"
+    path.write_text(
+        '[signals]\nclutch1_pressure_pa = { did = 0x38EB, at = "7E1", unit = "bar" }\n'
+        'clutch2_pressure_pa = { did = 0x38EA, at = "7E1", unit = "bar" }\n',
+        encoding="utf-8",
+    )
+    with can.Bus(channel, "virtual") as near:
+        car = Canned(near, {"2238EB": [GOOD], "2238EA": ["03 7F 22 22"], "2238EB38EA": ["03 7F 22 22"]})
+        with can.Notifier(near, [car], timeout=0.05), asked(load_profile(path), channel, 2) as asker:
+            wait_for(lambda: asker.set_count >= 3)
+            assert {str(one) for one in asker.plan.refused} <= {"38EA at 7E1"}
+            car.answers["2238EA"] = ["05 62 38 EA 00 00"]
+            car.answers["2238EB38EA"] = ["03 7F 22 31"]  # both at once it never takes
+            wait_for(lambda: not asker.plan.refused)
+            sets = asker.set_count
+            wait_for(lambda: asker.set_count >= sets + 3)
+            assert not asker.plan.refused
+    assert "38EA at 7E1 is not told (conditions not correct (22)), and asked for again later" in caplog.text
 
 
 def test_a_controller_that_is_silent_keeps_no_other_from_being_asked(
