@@ -33,6 +33,7 @@ _FUNCTIONS: Final = {  # of commands that share a module; the others are ``execu
     **{word: f"store.{word}" for word in ("fluid_changed", "history", "report", "show")},
     "calibrate": "learn.calibrate",
     "cluster": "lake.cluster",
+    "signals": "inspect.propose",
 }
 COUNTS_WANTED: Final = tuple(number for number in signal.Signals if number.name == "SIGUSR1")  # POSIX alone has it
 

@@ -1,4 +1,4 @@
-"""``diag-service inspect``: what traffic a log holds, in seconds, whatever the frames mean."""
+"""``diag-service inspect`` and ``signals``: what a log holds, whatever it means, and a profile proposed from it."""
 
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -27,6 +27,7 @@ from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.records import dump, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import asked_database
+from diag_service.mapping.survey import proposed_profile
 from diag_service.service.stopping import Controls, Trigger
 from fleet_contract import JsonObject
 
@@ -366,3 +367,18 @@ def _protection_lines(links: dict[str, LinkErrors]) -> Sequence[str]:
         parts = [*(f"{count} {reason.replace('_', ' ')}" for reason, count in link.errors.items())]
         lines.append(f"  {name}: {', '.join([*parts, f'{link.missing} missing'])}")
     return lines
+
+
+def propose(options: SimpleNamespace, controls: Controls) -> None:
+    """Survey a log and write a profile whose comments say what there is."""
+    with ReadingLine() as line:
+        text = proposed_profile(
+            options.log,
+            options.dbc,
+            lambda: controls.stop.is_set,
+            is_lenient=options.lenient,
+            parser_time_s=options.parser_time,
+            watch=line.watch,
+            columns=options.columns or "",
+        )
+    sys.stdout.write(text)

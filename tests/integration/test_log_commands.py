@@ -4,7 +4,6 @@ import json
 import re
 import sys
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 import cantools
@@ -17,6 +16,7 @@ from canlog.column_files import TableFormat
 from canlog.errors import DefinitionError, OutputError, SourceError
 from canlog.tables.decoding import Plan, TableShape, decode_logs
 from dbc.contract import DBC_PATH, load_contract
+from diag_service.commands import decode, inspect
 from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
@@ -32,7 +32,8 @@ FRAME_COUNT = 1000
 def execute(*words: str | Path) -> None:
     """Run a command in this process."""
     options = COMMAND_LINE.parse([str(word) for word in words])
-    import_module(f"diag_service.commands.{options.command}").execute(options, Controls())
+    functions = {"decode": decode.execute, "inspect": inspect.execute, "signals": inspect.propose}
+    functions[options.command](options, Controls())
 
 
 @pytest.fixture
