@@ -27,6 +27,7 @@ from diag_service.service.drive import stream_of
 from diag_service.service.session import versions_for
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
+from diag_service.settings.proposed import PROPOSED
 
 ACCOUNT_VERSION = "4"  # of what a journal keeps of a drive; entries of an older one are made anew
 _LOG = logging.getLogger(__name__)
@@ -207,12 +208,14 @@ def drive_line(entry: Entry) -> str:
     statuses = {name: count for name, count in summary["shifts"]["by_status"].items() if count}
     counts = f" ({', '.join(f'{count} {name}' for name, count in statuses.items())})" if statuses else ""
     clutches = [f"clutch {one['clutch']} {one['condition'].replace('_', ' ')}" for one in summary["clutches"]]
-    tier = summary["capability"]["tier"]
+    tier = f"tier {summary['capability']['tier'] or 'none'}"
+    if summary["capability"]["profile"] == PROPOSED:
+        tier += ", columns read as proposed"
     frames = summary["frames"]
     parts = [
         f"{frames['on_bus']} frames",
         f"{sum(frames['rejected'].values())} rejected",
-        f"tier {tier or 'none'}",
+        tier,
         f"{len(entry.shifts)} shifts{counts}",
         *clutches,
         *(GAP_TEXT[Gap(gap)] for gap in summary["incomplete"]),

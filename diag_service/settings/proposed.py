@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Final
 
 from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT, is_folder, table_columns
@@ -17,6 +18,7 @@ from diag_service.mapping.survey import proposed_profile
 from diag_service.mapping.tiers import PURPOSE, tier_of
 from diag_service.settings.config import DiagnosisConfig, as_profiled
 
+PROPOSED: Final = "proposed"  # what such a profile is called
 _LOG = logging.getLogger(__name__)
 
 
@@ -46,7 +48,7 @@ def _proposed(
     if log == STANDARD_INPUT or is_folder(log) or not table_columns(log, is_stopped=is_stopped, columns=columns):
         return None
     text = proposed_profile(log, is_stopped=is_stopped, columns=columns)
-    proposed = profile_of(tomllib.loads(text), log)
+    proposed = replace(profile_of(tomllib.loads(text), log), name=PROPOSED)
     tier = tier_of(proposed.sources.keys(), knows_gears=proposed.gears is not None)
     _LOG.log(
         NOTICE,

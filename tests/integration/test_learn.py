@@ -71,6 +71,7 @@ def test_a_table_that_nobody_explains_is_read_as_is_proposed_for_it(
     assert len(by_file) >= 10
     own = diag_service.analyze(table)
     assert own.verdicts == diag_service.analyze(table, profile=profile).verdicts
+    assert "tier 1, columns read as proposed" in ended("analyze", table.parent).out
     (drive,) = diag_service.analyze_folders(table.parent).drives
     assert len(drive.results) == len(own.results)
     assert diag_service.predict(table) == diag_service.predict(table, profile)
