@@ -118,4 +118,4 @@ def test_what_is_not_known_is_answered_by_what_to_try(folder: Path) -> None:
     for words in (("analyze", "unknown.log"), ("decode", "unknown.log", "-o", "out.csv")):
         told = ended(*words)
         assert told.status == 0
-        assert "diag-service signals LOG --dbc FILE" in told.out + told.err
+        assert "diag-service signals LOG" in told.out + told.err
