@@ -72,7 +72,7 @@ PAIR_STRENGTH: Final = (2.0, 0.9)
 PAIR_SHARE: Final = 0.05  # of a second cause beside a first one
 MOST_PAIRED: Final = 3  # of the likeliest causes each is tried with all others
 MODEL_SHARE: Final = 0.25  # of a signature: laws that no simulated car has
-STRETCHED: Final = 0.7  # deviations of changes against those that are stated: sound cars move by half of them
+STRETCHED: Final = 0.6  # deviations of changes against those that are stated: sound cars move by half of them
 UNFILLED_COST: Final = 8.0  # of another fluid where nobody has noted a fill
 NEW_STD: Final = np.array([0.02, 0.015])  # of level and slope among clutches of one type with new fluid
 LEAST_SHOWN: Final = 0.2  # part of a change that shows: parameters of which events tell less are left out
@@ -84,7 +84,7 @@ SHOWN_STD: Final = 1.5  # deviations from which on something is said to have mov
 _OF_FLUID: Final = frozenset({"aged-fluid", "water", "air"})
 _AGED, _RENEWED = ("aged-fluid", None), ("renewed-fluid", None)
 _FILLED: Final = frozenset({"wrong-fluid", "renewed-fluid"})  # there at once, with a fill
-_ELSE_FLOORS: Final = (4.0, 16.0)  # by how many times what sound cars move something else moves
+_ELSE_FLOORS: Final = (1.5, 3.0, 6.0, 16.0)  # by how many times what sound cars move something else moves
 
 
 @cache

@@ -77,13 +77,14 @@ SPRING = {"touch{}": -1.4e4, "believed_touch_pa{}": -1.45e4, "fill_time_s{}": 0.
 PRESSURE = {"pressure_reach_ratio{}": 0.08, "pressure_short_pa{}": -5.7e4, "fill_time_s{}": -0.036,
             "stribeck_exponent": -0.4, "open_drag": 1.4, "torque_gain": 0.05}  # fmt: skip
 SCALE = {f"mu_{kind}{clutch}": 0.08 * level for kind, level in (("c", 0.14), ("s", 0.119)) for clutch in (1, 2)}
+DRIFTED = {**SCALE, "torque_offset": 2.0, "torque_gain": 0.05, "engine_inertia": 0.06}  # as in emulated cars
 
 
 @pytest.mark.parametrize(
     ("cause", "clutch", "moved"),
     [
         ("aged-fluid", None, AGED),
-        ("torque-sensor", None, {**SCALE, "torque_gain": 0.02, "engine_inertia": 0.02}),
+        ("torque-sensor", None, DRIFTED),
         ("glazed-lining", 1, GLAZED),
         ("glazed-lining", 2, GLAZED),
         ("worn-lining", 1, WORN),
@@ -170,7 +171,7 @@ def test_friction_that_changes_in_the_beginning_begins_it_again() -> None:
     assert early.with_changed_friction(2).course == Course()
     later = Course(begun=stretch(), now=stretch(), event_count=100, found=causes_of(AGED))
     assert later.with_changed_friction() == replace(later, now=Stretch(), found=None)
-    drifted = replace(later, found=causes_of({**SCALE, "torque_gain": 0.02, "engine_inertia": 0.02}))
+    drifted = replace(later, found=causes_of(DRIFTED))
     assert drifted.sensor_share(1) > 0.5
     assert drifted.with_changed_friction() == replace(drifted, now=Stretch())
 
