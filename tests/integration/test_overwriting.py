@@ -115,7 +115,11 @@ def test_results_of_a_full_disk_are_kept(folder: Path, monkeypatch: pytest.Monke
 
 
 def test_what_is_not_known_is_answered_by_what_to_try(folder: Path) -> None:
-    for words in (("analyze", "unknown.log"), ("decode", "unknown.log", "-o", "out.csv")):
+    tries = {
+        ("analyze", "unknown.log"): "try 'diag-service signals LOG', with --dbc FILE for frames",
+        ("decode", "unknown.log", "-o", "out.csv"): "Try diag-service signals LOG --dbc FILE",
+    }
+    for words, text in tries.items():
         told = ended(*words)
         assert told.status == 0
-        assert "diag-service signals LOG" in told.out + told.err
+        assert text in told.out + told.err
