@@ -80,6 +80,7 @@ class Shown:
     scores: tuple[float, ...]
     touch_errors: tuple[float, ...] = ()  # in stated deviations, of every change
     fill_errors: tuple[float, ...] = ()
+    named_fills: tuple[float, ...] = ()  # those of them that are named
     named_count: int = 0
     mended: tuple[float, ...] = ()  # scores after the named correction
     by_routine: tuple[float, ...] = ()  # after routine 0302
@@ -158,14 +159,15 @@ def shown(case: Case) -> list[Shown]:
         for _, one, _ in found
         if one.touch_error_pa is not None and one.std_touch_error_pa
     ]
-    fill, named = [], sum("touch_error_pa" in one.corrections for _, one, _ in found)
+    named = sum("touch_error_pa" in one.corrections for _, one, _ in found)
+    fill: list[float] = []
+    named_fills: list[float] = []
     if case.kind == "filled too little, share":
         truths = true_fills_s(scenario, believed_pa)
-        fill = [
-            (one.fill_error_s - truth) / one.std_fill_error_s
-            for (_, one, _), truth in zip(found, truths, strict=False)
-            if one.fill_error_s is not None and one.std_fill_error_s and np.isfinite(truth)
-        ]
+        for (_, one, _), truth in zip(found, truths, strict=False):
+            if one.fill_error_s is not None and one.std_fill_error_s and np.isfinite(truth):
+                fill.append((one.fill_error_s - truth) / one.std_fill_error_s)
+                named_fills += fill[-1:] if "fill_error_s" in one.corrections else []
     mended: list[float] = []
     by_routine: list[float] = []
     if case.is_mended:
@@ -180,7 +182,7 @@ def shown(case: Case) -> list[Shown]:
     return [
         Shown(
             case=case, scores=tuple(score for *_, score in found), touch_errors=tuple(touch), fill_errors=tuple(fill),
-            named_count=named, mended=tuple(mended), by_routine=tuple(by_routine),
+            named_fills=tuple(named_fills), named_count=named, mended=tuple(mended), by_routine=tuple(by_routine),
         )
     ]  # fmt: skip
 
@@ -288,6 +290,7 @@ def studied(vehicles: int, seed: int, jobs: int, only: str) -> Iterator[str]:
     for name, errors in (
         ("touch point", [error for one in everything for error in one.touch_errors]),
         ("fill time", [error for one in everything for error in one.fill_errors]),
+        ("fill time where it is named", [error for one in everything for error in one.named_fills]),
     ):
         if not errors:
             continue

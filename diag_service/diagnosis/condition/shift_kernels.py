@@ -19,6 +19,7 @@ LEAST_PAIRS = 10  # of commanded torque and pressure, which tell the touch point
 MAP_PA = 0.05e5  # rms: beyond it the command is no straight line of the torque
 PULSE_PA = 1.0e5  # above the touch point, with no torque asked for: the clutch is being filled
 FILLED_ROWS = 4  # before torque is asked for, whose mean pressure tells how full the cavity is
+LEAST_FILLED = 0.1  # of the cavity, by a pulse: beyond it the flow is not known
 STUCK_RAD_S = 1.0  # below it slip has ended: the speeds of a clutch that sticks differ by their noise
 STUCK_ROWS = 2  # of the grid, 0.01 s: for so long it does, before slip has ended
 SWING_ROWS = 200  # of the grid, 1 s: a driveline swings at 8 Hz, for a while; what slips for longer was let slip
@@ -289,7 +290,7 @@ def _fill_told(
     last = min(ended + 1 + FILLED_ROWS, row)  # a valve goes on for a moment
     at_end = 1.0 - max(touch_pa - _mean(pressure, last - FILLED_ROWS, last), 0.0) / stroke_pa
     short_pa = touch_pa - _mean(pressure, row - FILLED_ROWS, row)
-    return 1.0 - max(short_pa, 0.0) / stroke_pa, pulse * GRID_S / max(at_end, 0.1), pulse * GRID_S, 0.0
+    return 1.0 - max(short_pa, 0.0) / stroke_pa, pulse * GRID_S / max(at_end, LEAST_FILLED), pulse * GRID_S, 0.0
 
 
 @array_kernel

@@ -7,7 +7,7 @@ that are missing leave parts out; the score is that of the others.
 import math
 from bisect import bisect
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Final, NamedTuple, Self
 
 import numpy as np
@@ -59,7 +59,7 @@ class Part(NamedTuple):
 PARTS: Final = (
     Part("jerk_m_s3", 25.0, 12.0, 30.0, is_relative=True),
     Part("torque_hole_m_s2", 15.0, 0.8, 2.0, is_relative=True),
-    Part("flare_rad_s", 15.0, 3.0, 15.0),
+    Part("flare_rad_s", 20.0, 1.5, 10.0),
     Part("tie_up_nm", 15.0, 8.0, 40.0),
     Part("fill_error_s", 10.0, 0.04, 0.12),
     Part("touch_error_pa", 15.0, 0.05e5, 0.2e5),
@@ -68,24 +68,7 @@ PARTS: Final = (
     Part("temperature_rise_k", 5.0, 6.0, 30.0),
 )
 
-
-_PUBLIC: Final = (
-    *(part.name for part in PARTS),
-    "std_fill_error_s",
-    "std_touch_error_pa",
-    "slip_energy1_j",
-    "slip_energy2_j",
-    "believed_touch_pa",
-    "fill_time_s",
-    "pressure_lag_s",
-    "pressure_reach_ratio",
-    "pressure_short_pa",
-    "acceleration_m_s2",
-    "peak1_k",
-    "peak2_k",
-    "life1_ratio",
-    "life2_ratio",
-)
+_PUBLIC: Final = tuple(one.name for one in fields(ShiftQuality) if one.name not in {"score", "reasons", "corrections"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +130,14 @@ class _Found(NamedTuple):
     pressure_lag_s: float = math.nan  # of the pressure behind its command, the clutch closed
     pressure_reach_ratio: float = math.nan  # of the command that the pressure reaches beyond the touch point
     pressure_short_pa: float = math.nan  # by which it stays below the highest command
+
+
+class _Adaptable(NamedTuple):
+    """What could be adapted of the control."""
+
+    value: float
+    std: float
+    is_sure: bool  # that it is not zero, by two deviations of what it is told from
 
 
 class ShiftScorer:
@@ -239,25 +230,30 @@ class ShiftScorer:
                 rows[loops.CAR] = values[Signal.VEHICLE_SPEED]
         return skew_s
 
-    def _adaptable(self, on: int, found: _Found, touch_pa: float, known: Knowledge) -> dict[str, tuple[float, float]]:
-        """Return what could be adapted of the on-coming clutch, by part: value and deviation."""
+    def _adaptable(self, on: int, found: _Found, touch_pa: float, known: Knowledge) -> dict[str, _Adaptable]:
+        """Return what could be adapted of the on-coming clutch, by part."""
         adaptable = {}
         std_pa = math.sqrt(known.covariance[State.TOUCH1 + on, State.TOUCH1 + on])
         if math.isfinite(found.believed_touch_pa):
-            adaptable["touch_error_pa"] = touch_pa - found.believed_touch_pa, math.hypot(std_pa, found.believed_std_pa)
+            error_pa, std_error_pa = touch_pa - found.believed_touch_pa, math.hypot(std_pa, found.believed_std_pa)
+            adaptable["touch_error_pa"] = _Adaptable(error_pa, std_error_pa, abs(error_pa) > 2.0 * std_error_pa)
         if math.isfinite(found.share):
-            s_per_share = found.fill_time_s
-            longer_s = -found.early_s if found.share >= 1.0 else (1.0 - found.share) * s_per_share
-            read_std = math.hypot(std_pa, PRESSURE_PA / math.sqrt(loops.FILLED_ROWS)) / self._packs[on].stroke_pa
-            flow_std = math.hypot(FLOW_STD_RATIO, FLOW_STD_S / found.pulse_s) * longer_s
-            adaptable["fill_error_s"] = longer_s, math.hypot(read_std * s_per_share, flow_std, loops.GRID_S)
+            filled, missing = found.pulse_s / found.fill_time_s, max(1.0 - found.share, 0.0)
+            longer_s = missing * found.fill_time_s or -found.early_s
+            std_share = math.hypot(std_pa, PRESSURE_PA / math.sqrt(loops.FILLED_ROWS)) / self._packs[on].stroke_pa
+            # a later touch point leaves more to fill and makes the flow smaller: both lengthen, out of proportion
+            later_s = (missing + std_share) * found.pulse_s / max(filled - std_share, loops.LEAST_FILLED)
+            flow_std_s = math.hypot(FLOW_STD_RATIO, FLOW_STD_S / found.pulse_s) * longer_s
+            std_s = math.hypot(later_s - missing * found.fill_time_s, flow_std_s, loops.GRID_S)
+            is_sure = missing > 2.0 * std_share if missing else found.early_s > 2.0 * std_s
+            adaptable["fill_error_s"] = _Adaptable(longer_s, std_s, is_sure)
         return adaptable
 
 
 def _judged(
     event: Event,
     found: _Found,
-    adaptable: dict[str, tuple[float, float]],
+    adaptable: dict[str, _Adaptable],
     packs: tuple[_Pack, _Pack],
     *,
     is_second: bool,
@@ -266,8 +262,8 @@ def _judged(
     energies_j, peaks_k = (found.energy_on_j, found.energy_off_j), (found.peak_on_k, found.peak_off_k)
     told: dict[str, float] = {
         **found._asdict(),
-        **{name: value for name, (value, _) in adaptable.items()},
-        **{f"std_{name}": std for name, (_, std) in adaptable.items()},
+        **{name: one.value for name, one in adaptable.items()},
+        **{f"std_{name}": one.std for name, one in adaptable.items()},
         "overtime_s": max(found.locked_s - INTENDED_S.get(event.kind, USUAL_S), 0.0 * found.locked_s),
         "temperature_rise_k": max(energies_j[0] / packs[0].heat_j_k, energies_j[1] / packs[1].heat_j_k),
         "slip_energy1_j": energies_j[is_second],
@@ -279,7 +275,7 @@ def _judged(
     }
     parts = {name: float(told[name]) for name in _PUBLIC if math.isfinite(told.get(name, math.nan))}
     score, reasons = weighed(parts) if event.kind in SCORED else (None, [])
-    sure = [name for name, (value, std) in adaptable.items() if abs(value) > max(2.0 * std, LEAST_CHANGE[name])]
+    sure = [name for name, one in adaptable.items() if one.is_sure and abs(one.value) > LEAST_CHANGE[name]]
     corrections = tuple(sure) if event.kind in SCORED else ()
     return ShiftQuality(score=score, reasons=tuple(reasons), corrections=corrections, **parts)
 

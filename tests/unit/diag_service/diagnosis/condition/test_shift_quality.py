@@ -1,5 +1,6 @@
 """The quality of a made-up upshift whose every part is known."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from diag_service.diagnosis.condition.shift_quality import PARTS, ShiftScorer
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.drives import PackTemperatures
+from diag_service.diagnosis.friction.evidence import State
 from diag_service.diagnosis.records import ShiftQuality
 
 CALIBRATION = nominal_calibration()
@@ -168,6 +170,39 @@ def test_a_cavity_that_is_not_full_in_time_was_filled_for_too_short_a_time() -> 
     assert found.corrections == ("fill_error_s",)
     early = np.where((T_S > 0.05) & (T_S < 0.15), 4.0 * BAR_PA, TOUCH_PA + ASKED_NM / NM_PER_PA)
     assert quality(event(CLUTCH2_PRESSURE=early)).fill_error_s == pytest.approx(-0.1, abs=0.02)
+
+
+def test_the_deviation_of_a_fill_reaches_to_that_of_a_later_touch_point() -> None:
+    piston, area_m2 = CALIBRATION.clutches[1].piston, CALIBRATION.clutches[1].geometry.piston_area_m2
+    stroke_pa = piston.spring_rate_n_m * piston.fill_stroke_m / area_m2
+    later_pa = math.hypot(math.sqrt(KNOWN.covariance[State.TOUCH2, State.TOUCH2]), 2.5e3)  # and of the reading
+    mean = KNOWN.mean.copy()
+    mean[State.TOUCH2] += later_pa
+    for share in (0.3, 0.5):
+        short = event(
+            CLUTCH2_PRESSURE=np.where(T_S < 0.25, TOUCH_PA - share * stroke_pa, TOUCH_PA + ASKED_NM / NM_PER_PA)
+        )
+        found, later = quality(short), ShiftScorer(CALIBRATION, None).score(short, replace(KNOWN, mean=mean))
+        assert later is not None
+        assert found.fill_error_s is not None
+        assert later.fill_error_s is not None
+        flow_s = math.hypot(0.2, 0.1) * found.fill_error_s
+        expected_s = math.hypot(later.fill_error_s - found.fill_error_s, flow_s, 0.01)
+        assert found.std_fill_error_s == pytest.approx(expected_s, rel=0.02)
+
+
+def test_what_is_missing_at_a_touch_point_two_deviations_earlier_is_named() -> None:
+    piston, area_m2 = CALIBRATION.clutches[1].piston, CALIBRATION.clutches[1].geometry.piston_area_m2
+    stroke_pa = piston.spring_rate_n_m * piston.fill_stroke_m / area_m2
+    known = replace(KNOWN, covariance=4.0 * KNOWN.covariance)
+    touch_std_pa = math.hypot(math.sqrt(known.covariance[State.TOUCH2, State.TOUCH2]), 2.5e3)
+    for deviations, named in ((1.8, ()), (2.2, ("fill_error_s",))):
+        short_pa = deviations * touch_std_pa
+        pressure_pa = np.where(T_S < 0.25, TOUCH_PA - short_pa, TOUCH_PA + ASKED_NM / NM_PER_PA)
+        found = ShiftScorer(CALIBRATION, None).score(event(CLUTCH2_PRESSURE=pressure_pa), known)
+        assert found is not None
+        assert found.fill_error_s == pytest.approx(0.15 * short_pa / (stroke_pa - short_pa), rel=0.01)
+        assert found.corrections == named
 
 
 def test_what_signals_do_not_tell_is_left_out() -> None:
