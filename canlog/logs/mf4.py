@@ -30,7 +30,7 @@ from canlog.logs.mf4_mending import UNFINISHED_MAGIC
 MEMORY_BYTES = 128 * 1024 * 1024  # beyond what the library itself takes, for a small file
 MEMORY_PER_BYTE = 4
 COPY_PER_BYTE = 32  # of copies on the disk: records that were packed are there as they are
-CPU_S = 3.0
+CPU_S = 2.0
 BYTES_PER_CPU_S = 2_000_000
 MEASURED_SLOWER = 4  # a byte, where records of many channels are packed
 WAIT_PER_CPU_S = 20.0  # others may use the machine, too; processor time is what is limited

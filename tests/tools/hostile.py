@@ -39,6 +39,7 @@ PSS_MARK = "Pss:"
 
 READ_LOG = """
 import sys
+sys.modules["asammdf"] = None  # as programs keep it from being loaded before it is needed
 from canlog.errors import SourceError
 from canlog.logs import read_log
 try:
