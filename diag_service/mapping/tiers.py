@@ -69,7 +69,7 @@ def tier_of(signals: AbstractSet[Signal], *, knows_gears: bool = False, has_conv
 def missing_signals(tier: Tier, signals: AbstractSet[Signal], *, knows_gears: bool = False) -> tuple[str, ...]:
     """Return what a tier lacks: names of canonical signals, alternatives joined by ``or``."""
     return tuple(
-        " or ".join(_joined(alternative - signals) for alternative in requirement)
+        " or ".join(dict.fromkeys(_joined(alternative - signals) for alternative in requirement))
         for requirement in _unmet(tier, signals, knows_gears=knows_gears)
     )
 
@@ -83,7 +83,8 @@ def missing_for_next(signals: AbstractSet[Signal], *, knows_gears: bool = False,
     if tier is Tier.FRICTION:
         return ""
     wanted = Tier.KINEMATIC if tier is None else Tier(tier - 1)
-    return f"{PURPOSE[wanted]} needs {', '.join(missing_signals(wanted, signals, knows_gears=knows_gears))}"
+    verb = "need" if " and " in PURPOSE[wanted] else "needs"
+    return f"{PURPOSE[wanted]} {verb} {', '.join(missing_signals(wanted, signals, knows_gears=knows_gears))}"
 
 
 def why_no_friction(

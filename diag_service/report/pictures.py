@@ -10,7 +10,7 @@ from markupsafe import Markup
 from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
 from clutch_model.units import NS_PER_S, bar_from_pa, degc_from_k, rpm_from_rad_s
-from clutchdiag_io.pages.content import Figure, Key, Section, Table, number
+from clutchdiag_io.pages.content import Cell, Figure, Key, Section, Table, number
 from clutchdiag_io.pages.plot import Axis, Plot, thinned
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.shift_course import COURSE_COUNT, Course, change_words, part_words
@@ -315,17 +315,20 @@ def course_tables(found: Sequence[Course], loaded: Sequence[Load]) -> tuple[Tabl
     scores = Table(caption="Score of the gear changes, 100 is faultless", head=head, rows=rows)
     bounds = [f"{bound_j / 1e3:g}" for bound_j in ENERGY_BOUNDS_J]
     names = (f"up to {bounds[0]} kJ", *(f"to {bound}" for bound in bounds[1:]), "more")
-    load_rows = tuple(
-        (
-            str(one.clutch),
-            *map(str, one.counts),
-            number(one.energy_j / 1e6, "{:.2f}"),
-            number(None if one.peak_k is None else degc_from_k(one.peak_k), "{:.0f}"),
-            str(one.launch_count),
-            number(one.life_ratio, "{:.4%}"),
-        )
-        for one in loaded
-    )
+    load_rows = tuple(map(_load_row, loaded))
     load_head = ("clutch", *names, "all [MJ]", "hottest [°C]", "launches", "lining consumed")
     load = Table(caption="Events by slip energy, and what they sum up to", head=load_head, rows=load_rows)
     return tuple(table for table in (scores, load) if table.rows)
+
+
+def _load_row(load: Load) -> tuple[Cell, ...]:
+    is_told = any(load.counts)  # by pressures
+    energy_mj, peak_k = load.energy_j / 1e6, load.peak_k
+    return (
+        str(load.clutch),
+        *(number(count if is_told else None, "{}") for count in load.counts),
+        number(energy_mj if is_told else None, "{:.2f}"),
+        number(None if peak_k is None else degc_from_k(peak_k), "{:.0f}"),
+        str(load.launch_count),
+        number(load.life_ratio if is_told else None, "{:.4%}"),
+    )

@@ -81,7 +81,7 @@ def test_a_log_without_shifts_is_accounted_for(drive_log: Path, tmp_path: Path) 
     assert "profile j1939: 12 of 12 signals, tier 3; torque capacity needs" in ended.err
     lines = len(drive_log.read_bytes().splitlines())
     assert f"{lines} frames, 0 decoded, {lines} ignored" in ended.out
-    assert "no shift was found; the signals do not show shifts: shift time and slip needs engine_speed" in ended.out
+    assert "no shift was found; the signals do not show shifts: shift time and slip need engine_speed" in ended.out
     assert "mapped by profile j1939, but never seen: engine_speed_rad_s, pedal_ratio" in ended.out
 
 

@@ -136,6 +136,8 @@ def loads(estimates: Iterable[ShiftEstimate]) -> list[Load]:
 
 def load_line(load: Load) -> str:
     """Return what a clutch had to bear as one line for people."""
+    if not any(load.counts):
+        return f"Launches of clutch {load.clutch}: {load.launch_count}; the signals do not tell what heat it took."
     hottest = "" if load.peak_k is None else f", at most {degc_from_k(load.peak_k):.0f} °C"
     return (
         f"Clutch {load.clutch} turned {load.energy_j / 1e6:.2f} MJ into heat in {sum(load.counts)} events, "

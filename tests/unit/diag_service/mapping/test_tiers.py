@@ -45,5 +45,12 @@ def test_what_is_missing_is_named() -> None:
         "clutch1_torque_command_nm and clutch2_torque_command_nm or clutch_torque_nm"
     )
     assert missing_for_next({Signal.ENGINE_SPEED}).startswith(
-        "shift time and slip needs current_gear and target_gear or "
+        "shift time and slip need current_gear and target_gear or "
+    )
+
+
+def test_what_is_missing_is_named_once() -> None:
+    signals = frozenset({Signal.ENGINE_SPEED, Signal.TARGET_GEAR, Signal.CLUTCH1_PRESSURE})
+    assert missing_for_next(signals) == (
+        "shift time and slip need current_gear or input_speed_rad_s or input1_speed_rad_s and input2_speed_rad_s"
     )
