@@ -3,12 +3,14 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 from canlog.logs.reading import Watch
-from clutch_model.calibration import Calibration
+from clutch_model.calibration import Calibration, TorqueSource
+from clutch_model.units import NS_PER_S
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.records import FluidFill, ShiftResult, Status
+from diag_service.diagnosis.records import FluidFill, ShiftResult, Status, utc_from_bus_ns
 from diag_service.diagnosis.summary import Gap, Summary, of_present_fluid, order_by, with_revisions
 from diag_service.errors import StoppedError
 from diag_service.service.drive import open_drive, stream_of_drive
@@ -22,6 +24,8 @@ from diag_service.settings.proposed import as_proposed
 from diag_service.store import NoStore, Row, StoreReader, Versions
 from fleet_contract import CLUTCHES
 from fleet_contract.orders import Order, title_of
+
+DATED_NS: Final = 10**18  # since 1970: in 2001; earlier bus times have no date
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +46,10 @@ class Findings:
     @property
     def results(self) -> tuple[ShiftResult, ...]:
         return tuple(row.result for row in self.rows)
+
+    @property
+    def is_dated(self) -> bool:
+        return bool(self.rows) and self.rows[0].result.estimate.start_ns >= DATED_NS
 
     @property
     def order(self) -> Order:
@@ -124,6 +132,8 @@ def findings_of_store(path: Path, named: str | None, calibration: Calibration) -
         fills = tuple(store.fills(vehicle))
     versions = _versions(rows[-1].result)
     same = [row for row in rows if _versions(row.result) == versions]
+    # the profile says where the torque comes from; no store keeps it
+    possible = (calibration, *map(calibration.with_torque, TorqueSource))
     revised = with_revisions(row.result for row in same)
     return Findings(
         vehicle=vehicle,
@@ -131,10 +141,15 @@ def findings_of_store(path: Path, named: str | None, calibration: Calibration) -
         rows=tuple(replace(row, result=result) for row, result in zip(same, revised, strict=True)),
         latest=of_present_fluid(latest_of(row.result for row in same), fills[-1] if fills else None),
         versions=versions,
-        calibration=calibration if versions_for(calibration).calibration == versions.calibration else None,
+        calibration=next((one for one in possible if versions_for(one).calibration == versions.calibration), None),
         fills=fills,
         left_out_count=len(rows) - len(same),
     )
+
+
+def moment_words(t_ns: int) -> str:
+    """Return a bus time for people: UTC, or the log's own seconds where it has no date."""
+    return utc_from_bus_ns(t_ns)[:19].replace("T", " ") if t_ns >= DATED_NS else f"{t_ns / NS_PER_S:.1f} s"
 
 
 def latest_of(results: Iterable[ShiftResult]) -> tuple[ShiftResult, ...]:

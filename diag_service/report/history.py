@@ -32,7 +32,7 @@ from diag_service.diagnosis.records import (
     utc_from_bus_ns,
 )
 from diag_service.diagnosis.summary import cause_lines, newest_causes
-from diag_service.report.findings import Findings
+from diag_service.report.findings import Findings, moment_words
 from diag_service.store import Row
 from fleet_contract import JsonObject
 
@@ -121,7 +121,7 @@ def history_lines(
             yield Text(f"{found.title(clutch)}: no event engaged it.")
             continue
         yield _fluid_table(found.title(clutch), periods)
-        yield _event_table(found.title(clutch), rows, most_rows)
+        yield _event_table(found.title(clutch), rows, most_rows, "end (UTC)" if found.is_dated else "end in the log")
     yield from _course(found)
 
 
@@ -235,16 +235,16 @@ def _fluid_table(title: str, periods: Sequence[FluidPeriod]) -> Table:
     return table
 
 
-def _event_table(title: str, rows: Sequence[Row], most_rows: int) -> Table:
+def _event_table(title: str, rows: Sequence[Row], most_rows: int, end: str) -> Table:
     places = spread(range(len(rows)), most_rows)
     table = _table(f"{title}: {len(places)} of {len(rows)} events; shift is the number that 'show' takes")
-    for name in ("shift", "end (UTC)", "km", "data", "mu_C", "running mu_C", "verdict"):
+    for name in ("shift", end, "km", "data", "mu_C", "running mu_C", "verdict"):
         table.add_column(name, justify="left" if name in {"data", "verdict"} else "right", no_wrap=True)
     for place in places:
         estimate, verdict = rows[place].result.estimate, rows[place].result.verdict
         table.add_row(
             str(rows[place].position),
-            _minute(utc_from_bus_ns(estimate.end_ns)),
+            moment_words(estimate.end_ns)[:_MINUTE],
             _NONE if estimate.odometer_m is None else f"{estimate.odometer_m / 1000.0:.0f}",
             estimate.status.value,
             _friction(estimate.friction),

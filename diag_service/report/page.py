@@ -36,7 +36,7 @@ from diag_service.diagnosis.summary import (
     values_line,
 )
 from diag_service.errors import StoreError
-from diag_service.report.findings import Findings
+from diag_service.report.findings import Findings, moment_words
 from diag_service.report.pictures import (
     BAND_STD,
     BAND_WORDS,
@@ -65,7 +65,6 @@ WHAT_CURVES_SAY: Final = (
     "curve falls to the right, the clutch can shudder."
 )
 MOST_ROWS: Final = 100  # of the table of events
-DATED_NS: Final = 10**18  # since 1970: in 2001; earlier bus times have no date
 TREND_ROWS: Final = 12
 SAMPLE_ROWS: Final = 9
 
@@ -139,7 +138,7 @@ def _subtitle(found: Findings) -> str:
         return f"no event in {names}"
     first, last = found.rows[0].result.estimate, found.rows[-1].result.estimate
     days = dict.fromkeys(utc_from_bus_ns(t_ns)[:10] for t_ns in (first.start_ns, last.end_ns))  # one twice is one
-    when = " to ".join(days) if first.start_ns >= DATED_NS else "without a date"
+    when = " to ".join(days) if found.is_dated else "without a date"
     return f"{len(found.rows)} events, {when}, from {names}"
 
 
@@ -252,8 +251,7 @@ def events_section(found: Findings) -> Section:
     """Return the table of events; of many the newest."""
     rows = found.rows[-MOST_ROWS:]
     texts = [f"The newest {len(rows)} of {len(found.rows)} events."] if len(rows) < len(found.rows) else []
-    is_dated = bool(rows) and rows[0].result.estimate.start_ns >= DATED_NS
-    start = "start (UTC)" if is_dated else "start in the log"
+    start = "start (UTC)" if found.is_dated else "start in the log"
     head = ("event", start, "kind", "gears", "clutch", "data", "mu_C", "std", "verdict after it", "reasons")
     table = Table(caption="Events", head=head, rows=tuple(map(_event_cells, rows)))
     return Section(name="events", title="Events", texts=tuple(texts), tables=(table,))
@@ -354,7 +352,7 @@ def _trend_cells(place: int, result: ShiftResult) -> tuple[Cell, ...]:
     friction, odometer_m = result.verdict.friction, result.estimate.odometer_m
     return (
         str(place + 1),
-        _moment(result.estimate.end_ns),
+        moment_words(result.estimate.end_ns),
         number(None if odometer_m is None else odometer_m / 1000.0, "{:.0f}"),
         number(None if friction is None else friction.mu_c),
         number(None if friction is None else BAND_STD * friction.std_mu_c),
@@ -400,7 +398,7 @@ def _event_cells(row: Row) -> tuple[Cell, ...]:
     estimate, friction = result.estimate, result.estimate.friction
     return (
         str(row.position),
-        _moment(estimate.start_ns),
+        moment_words(estimate.start_ns),
         kind_words(estimate),
         gear_words(estimate),
         str(estimate.clutch),
@@ -426,8 +424,3 @@ def _quality_rows(results: tuple[ShiftResult, ...]) -> Iterator[tuple[Cell, ...]
     for name, scores in values.items():
         if scores:
             yield name, number(float(np.mean(scores)), "{:.2f}"), number(min(scores), "{:.2f}"), str(len(scores))
-
-
-def _moment(t_ns: int) -> str:
-    """Return a bus time for people: UTC, or the log's own seconds where it has no date."""
-    return utc_from_bus_ns(t_ns)[:19].replace("T", " ") if t_ns >= DATED_NS else f"{t_ns / NS_PER_S:.1f} s"

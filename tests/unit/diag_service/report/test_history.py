@@ -7,12 +7,13 @@ import pytest
 from rich.table import Table
 from rich.text import Text
 
-from clutch_model.calibration import nominal_calibration
+from clutch_model.calibration import TorqueSource, nominal_calibration
 from diag_service.diagnosis.prognosis import ChannelName, PeerGroup, Peers, Population, Usual
 from diag_service.diagnosis.records import FluidFill, ShiftQuality, shift_record, utc_from_bus_ns
 from diag_service.errors import StoreError
 from diag_service.report.findings import findings_of_store
 from diag_service.report.history import history_lines, history_records, periods_of, shift_lines
+from diag_service.service.session import versions_for
 from diag_service.store import Versions
 from tests.support.histories import VERSIONS, fill_store, findings, history, of_version
 
@@ -79,6 +80,21 @@ def test_people_see_the_sentences_first_and_no_more_rows_than_asked_for() -> Non
     assert [table.row_count for table in tables if isinstance(table, Table)] == [1, 5, 1, 5]
 
 
+def test_a_log_without_a_date_tells_its_own_seconds() -> None:
+    found = findings(4)
+    first_ns = found.rows[0].result.estimate.start_ns
+    rows = [
+        replace(row, result=replace(row.result, estimate=replace(one, start_ns=one.start_ns - first_ns, end_ns=end_ns)))
+        for row, one, end_ns in ((row, row.result.estimate, 10**9 * (k + 12)) for k, row in enumerate(found.rows))
+    ]
+    for shown, head, cells in (
+        (found, "end (UTC)", ["2026-01-01 00:00", "2026-01-01 00:00"]),
+        (replace(found, rows=tuple(rows)), "end in the log", ["12.0 s", "14.0 s"]),
+    ):
+        *_, table = (one for one in history_lines(shown, (1,), most_rows=5) if isinstance(one, Table))
+        assert (table.columns[1].header, list(table.columns[1].cells)) == (head, cells)
+
+
 def test_a_clutch_that_never_engaged_is_told() -> None:
     found = findings(9)
     one = tuple(row for row in found.rows if row.result.estimate.clutch == 2)
@@ -105,6 +121,17 @@ def test_a_store_gives_the_results_of_its_newest_versions(tmp_path: Path) -> Non
     assert found.fills == (fill_at(5),)
     other = replace(CALIBRATION, version="another")
     assert findings_of_store(tmp_path / "car1.sqlite", "car1", other).calibration is None
+
+
+@pytest.mark.parametrize("source", [TorqueSource.WITHOUT_CUT, TorqueSource.MODELLED])
+def test_results_of_a_profile_whose_torque_is_modelled_are_of_the_calibration_at_hand(
+    source: TorqueSource, tmp_path: Path
+) -> None:
+    modelled = CALIBRATION.with_torque(source)
+    own = versions_for(modelled)
+    fill_store(tmp_path / "car1.sqlite", [of_version(one, own) for one in history(3)])
+    found = findings_of_store(tmp_path / "car1.sqlite", None, CALIBRATION)
+    assert (found.versions, found.calibration) == (own, modelled)
 
 
 def test_a_store_with_several_vehicles_wants_a_name(tmp_path: Path) -> None:
