@@ -160,11 +160,17 @@ def of_the_drive(record: Record) -> Record:
 def test_what_a_subscriber_heard_lies_within_its_own_uncertainty_of_the_truth(drive: LiveDrive) -> None:
     assert [shift["seq"] for shift in drive.shifts] == list(range(1, len(drive.shifts) + 1))
     errors = []
+    was_starved = False
     for shift, truth in zip(without_cut_parts(drive.shifts, drive.stalls), drive.truth.shifts, strict=True):
         told = (shift["from_gear"], shift["to_gear"], shift["clutch"])
         assert told == (truth.from_gear, truth.to_gear, truth.clutch)
-        if is_starved(shift, drive.stalls) and shift["status"] == "rejected":
+        is_late = is_starved(shift, drive.stalls)
+        was_starved |= is_late
+        if is_late and shift["status"] == "rejected":
             assert (bool(shift["reasons"]), shift["friction"]) == (True, None)
+            continue
+        if was_starved and shift["reasons"] == ["not_updated"]:  # frames came late, so it or one before it is not true
+            assert shift["status"] == "valid"
             continue
         assert (shift["status"], shift["reasons"]) == ("valid", [])
         friction = shift["friction"]
