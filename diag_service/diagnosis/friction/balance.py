@@ -364,6 +364,16 @@ class Sensitivity:
             for was, now, step in zip(tracks, moved, steps, strict=True)
         ]
 
+    @property
+    def _turned_ratio(self) -> float:
+        """What turns with the engine, over its own inertia.
+
+        A torque's gain moves the balance as inertia does, no other way: what else would tell both apart, the drag of
+        open packs and the noise of the hub's speed, is known too badly to be a scale.
+        """
+        side = self._balance.calibration.input_side
+        return 1.0 + side.hub_inertia_kg_m2 / side.engine_inertia_kg_m2
+
     def _slope(self) -> FloatArray:
         balance, at = self._balance, self._balance.at
         weights, bias = balance.weights, balance.calibration.bias
@@ -373,7 +383,7 @@ class Sensitivity:
         slope = np.zeros((weights.value.bands[-1].stop, PARAMETER_COUNT))
         considered = slope[:, STATE_COUNT:]
         slope[:, State.TORQUE_OFFSET] = weights.value.sums()
-        considered[:, Considered.TORQUE_GAIN] = -(engine_nms + balance.known_nms)
+        considered[:, Considered.TORQUE_GAIN] = -self._turned_ratio * engine_nms
         considered[:, Considered.ENGINE_INERTIA] = -bias.torque_gain * engine_nms
         considered[:, Considered.MOTORING_GAIN] = weights.value @ motoring_nm
         considered[:, Considered.TORQUE_LATENCY] = weights.rate @ torque_nm  # smooth: noise would hold it where it is
@@ -410,26 +420,21 @@ class Sensitivity:
         sensors, bias, weights = balance.calibration.noise, balance.calibration.bias, balance.weights
         speed_std = sensors.engine_speed_rad_s * balance.calibration.input_side.engine_inertia_kg_m2
         speed_slopes = weights.rate.fitted_on_samples(SLIP_DEGREE, signals.engine_speed)
-        hubs, of_rows = self._spread.hub, weights.value.grid_rows
-        pairs = list(zip(speed_slopes, self._spread.engine_rate, hubs, strict=True))
-        by_speeds, by_hubs = [one @ rate.T for one, rate, _ in pairs], [hub @ hub.T for _, _, hub in pairs]
+        rates, of_rows = self._spread.engine_rate, weights.value.grid_rows
+        by_speeds = [slope @ rate.T for slope, rate in zip(speed_slopes, rates, strict=True)]
         precisions = [np.asarray(np.linalg.inv(noise)) for noise in self.noises]
         if signals.row_s:
             precisions = [precisions[0][band, band] for band in weights.value.bands]
-            rates, with_rates = self._spread.engine_rate, hubs
             if signals.hub_speed.value is signals.engine_speed.value:  # one noise is in both
                 inertia_kg_m2 = balance.calibration.input_side.engine_inertia_kg_m2
-                with_rates = tuple(inertia_kg_m2 * rate + hub for _, rate, hub in pairs)
-                rates = tuple(one / inertia_kg_m2 for one in with_rates)
+                rates = tuple(rate + hub / inertia_kg_m2 for rate, hub in zip(rates, self._spread.hub, strict=True))
             by_speeds = signals.engine_speed.shared(speed_slopes, rates, of_rows, is_followed=True)
-            by_hubs = signals.hub_speed.shared(hubs, with_rates, of_rows, is_followed=True)
         motoring, by_friction = self._motoring_shares(), self._friction_shares() if signals.row_s else []
         overlaps = [np.zeros(PARAMETER_COUNT) for _ in precisions]
         for place, (precision, overlap) in enumerate(zip(precisions, overlaps, strict=True)):
             considered = overlap[STATE_COUNT:]
             speed = speed_std**2 * float(np.vdot(precision, by_speeds[place].T))  # the trace of the product
-            hub = sensors.hub_speed_rad_s**2 * float(np.vdot(precision, by_hubs[place].T))
-            considered[Considered.TORQUE_GAIN] = -bias.torque_gain * (speed + hub)
+            considered[Considered.TORQUE_GAIN] = -bias.torque_gain * self._turned_ratio * speed
             considered[Considered.ENGINE_INERTIA] = -(bias.torque_gain**2) * speed
             if motoring is not None:
                 shared = float(np.vdot(precision, motoring[place].T))
