@@ -330,6 +330,10 @@ class Sensitivity:
 
     def __init__(self, balance: Balance) -> None:
         self._balance, laws, rows = balance, balance.laws, balance.weights.rows
+        # The gain of the torque moves the balance as inertia does: all else that would tell both apart, the drag of
+        # open packs and the noise of the hub's speed, is known too badly to be a scale.
+        side = balance.calibration.input_side
+        self._turned_ratio = 1.0 + side.hub_inertia_kg_m2 / side.engine_inertia_kg_m2
         self._planned = planned_drives(balance.signals, balance.measured, balance.window)
         self._spread = _Spread.of(balance.signals, balance.weights, balance.calibration.input_side)
         self._torque_nm = balance.weights.fitted(balance.signals.engine_torque.on_grid[rows], SLIP_DEGREE)
@@ -363,16 +367,6 @@ class Sensitivity:
             / step
             for was, now, step in zip(tracks, moved, steps, strict=True)
         ]
-
-    @property
-    def _turned_ratio(self) -> float:
-        """What turns with the engine, over its own inertia.
-
-        A torque's gain moves the balance as inertia does, no other way: what else would tell both apart, the drag of
-        open packs and the noise of the hub's speed, is known too badly to be a scale.
-        """
-        side = self._balance.calibration.input_side
-        return 1.0 + side.hub_inertia_kg_m2 / side.engine_inertia_kg_m2
 
     def _slope(self) -> FloatArray:
         balance, at = self._balance, self._balance.at

@@ -272,5 +272,15 @@ def test_noise_of_one_signal_for_engine_and_hub_is_in_what_both_share_with_the_r
         assert seen.overlap is not None
         overlaps.append(seen.overlap[STATE_COUNT + np.array([Considered.TORQUE_GAIN, Considered.ENGINE_INERTIA])])
     (gain, inertia), (apart_gain, apart_inertia) = overlaps
-    assert gain < 1.5 * apart_gain < 0.0
+    assert gain < 1.1 * apart_gain < 0.0
     assert inertia < 1.1 * apart_inertia < 0.0
+
+
+def test_a_shift_tells_only_the_product_of_torque_gain_and_inertia() -> None:
+    seen, _ = shift_residual(without_noise()[0][0], AS_DRIVEN, None)
+    assert seen.overlap is not None
+    side, gain = NOMINAL.input_side, displaced(NOMINAL, AS_DRIVEN).bias.torque_gain
+    turned_ratio = 1.0 + side.hub_inertia_kg_m2 / displaced(NOMINAL, AS_DRIVEN).input_side.engine_inertia_kg_m2
+    by_gain, by_inertia = STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA
+    assert gain * seen.slope[:, by_gain] == pytest.approx(turned_ratio * seen.slope[:, by_inertia])
+    assert gain * seen.overlap[by_gain] == pytest.approx(turned_ratio * seen.overlap[by_inertia])
