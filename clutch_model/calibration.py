@@ -59,7 +59,8 @@ class Ranged:
     BOUNDS: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})  # of those that have others
 
     def __post_init__(self) -> None:
-        for name in self.__dataclass_fields__:
+        names: tuple[str, ...] = self.__slots__
+        for name in names:
             value = getattr(self, name)
             if type(value) is float and 0.0 <= value < math.inf:  # as nearly all are
                 continue

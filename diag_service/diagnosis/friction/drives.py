@@ -208,8 +208,9 @@ class Functions:
 
     def __matmul__(self, values: FloatArray) -> FloatArray:
         """Return the sums of values weighted with each function; ``values`` has shape (len(rows), ...)."""
-        parts = [block @ values[place] for block, place in zip(self.blocks, self.places, strict=True)]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+        if len(self.blocks) == 1:
+            return self.blocks[0] @ values[self.places[0]]
+        return np.concatenate([block @ values[place] for block, place in zip(self.blocks, self.places, strict=True)])
 
     def __mul__(self, factor: FloatArray | float) -> "Functions":
         """Return each function times a number, or times one of each row, shape (len(rows),)."""

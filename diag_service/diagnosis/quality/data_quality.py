@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import FloatArray, Int64Array, Series
+from canlog.arrays import FloatArray, Int64Array, Series, mean
 from canlog.e2e.alive_counter import row_period_ns
 from canlog.e2e.e2e_state import E2eState
 from canlog.jit import array_kernel, inlined_kernel, kernel
@@ -41,11 +41,6 @@ from diag_service.diagnosis.records import DataQuality, QualityPart, Reason
 def median(values: FloatArray) -> float:
     """Return the median of finite values, shape (n,), n >= 1."""
     return float(np.median(values))
-
-
-def compile_averages() -> None:
-    """Have everything compiled before the first shift comes: it must not wait for it."""
-    median(np.zeros(1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,7 +131,7 @@ def compile_agreement() -> None:
     _divide(one.t_ns, one.value, one.t_ns, one.value, _NEVER, 0.0, 0.0, np.empty(1), 0)
     _apart(one, one)
     _worst_spread(one.value, 1.0, one.t_ns)
-    compile_averages()
+    median(one.value)
 
 
 def _wheels(event: Event, limits: QualityLimits) -> float | None:
@@ -212,7 +207,7 @@ def _hub(columns: Columns, limits: QualityLimits) -> float | None:
         return None
     if engine.sequence[0] < 0 and np.array_equal(engine.t_ns, hub.t_ns):
         return None  # columns of a table, asked one after the other: how far they are apart in time nobody knows
-    return limits.hub_mean_rad_s.score(abs(float(_apart(engine, hub).mean())))
+    return limits.hub_mean_rad_s.score(abs(mean(_apart(engine, hub))))
 
 
 def _pressures(columns: Columns, limits: QualityLimits) -> float | None:
@@ -304,7 +299,7 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
         silence_s = longest_silence_s(times_s, -2.0 * period_s, duration_s)
         if silence_s > limits.lost_periods * period_s:
             return Reason.FRAMES_MISSING if is_whole else Reason.INTERRUPTED
-    oil_k = float(oil.value.mean())
+    oil_k = mean(oil.value)
     if not limits.oil_range_k[0] <= oil_k <= limits.oil_range_k[1]:
         return Reason.OUT_OF_RANGE
     of_torque, of_pressure = (event.columns[one].t_ns for one in (Signal.ENGINE_TORQUE, Signal.CLUTCH1_PRESSURE))
