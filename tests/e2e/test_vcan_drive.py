@@ -160,17 +160,18 @@ def of_the_drive(record: Record) -> Record:
 def test_what_a_subscriber_heard_lies_within_its_own_uncertainty_of_the_truth(drive: LiveDrive) -> None:
     assert [shift["seq"] for shift in drive.shifts] == list(range(1, len(drive.shifts) + 1))
     errors = []
-    was_starved = False
+    excuses = 0  # a shift whose frames came late may be left out, and two more until three agree that it was wrong
     for shift, truth in zip(without_cut_parts(drive.shifts, drive.stalls), drive.truth.shifts, strict=True):
         told = (shift["from_gear"], shift["to_gear"], shift["clutch"])
         assert told == (truth.from_gear, truth.to_gear, truth.clutch)
         is_late = is_starved(shift, drive.stalls)
-        was_starved |= is_late
+        excuses += 3 * is_late
         if is_late and shift["status"] == "rejected":
             assert (bool(shift["reasons"]), shift["friction"]) == (True, None)
             continue
-        if was_starved and shift["reasons"] == ["not_updated"]:  # frames came late, so it or one before it is not true
+        if excuses and shift["reasons"] == ["not_updated"]:
             assert shift["status"] == "valid"
+            excuses -= 1
             continue
         assert (shift["status"], shift["reasons"]) == ("valid", [])
         friction = shift["friction"]
