@@ -14,19 +14,19 @@ each event of a public cycle, by its kind: mean and longest live update, each ev
     python -m benchmarks.estimator --drive wltc
     python -m benchmarks.estimator --drive wltc --before TREE
 
-``--before`` measures the same with an earlier checkout in turns with this one, each in a process of its own.
+``--before`` measures the same with an earlier checkout in turns with this one, each in a process of its own; the cycle
+round by round.
 """
 
 import argparse
 import json
-import math
 import os
-import re
 import subprocess
 import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +48,7 @@ with warnings.catch_warnings():
 
 ROUNDS = 5
 TURNS = 5  # of both checkouts
+PAIRS = 150  # of rounds, of the cycle
 ROWS = ("live update", "full solve")
 PEER_SHIFTS = 3  # the loop takes the same time for every shift
 PERIOD_S = 0.01
@@ -163,24 +164,43 @@ def mean_and_longest(times_s: Sequence[float]) -> str:
 
 
 def compare(before: Path) -> None:
-    """Run this benchmark and that of an earlier checkout in turns, and print the least times and their ratios."""
-    trees = {"before": before.resolve(), "now": HERE}
-    best_ms = {name: dict.fromkeys(ROWS, math.inf) for name in trees}
-    for _ in range(TURNS):
-        for name, tree in trees.items():
-            told = subprocess.run(
-                [sys.executable, "-m", "benchmarks.estimator"], cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)},
-                check=True, capture_output=True, text=True,
-            ).stdout  # fmt: skip
-            for row in ROWS:
-                found = re.search(rf"^ *{row}: .*? ([0-9.]+) ms", told, re.MULTILINE)
-                if found is None:
-                    raise ValueError(f"{tree} prints no {row!r}:\n{told}")
-                best_ms[name][row] = min(best_ms[name][row], float(found[1]))
-    print(f"CPU time of one shift, the least of {TURNS} turns")
-    for row in ROWS:
-        earlier, now = best_ms["before"][row], best_ms["now"][row]
-        print(f"  {row:12} {earlier:6.2f} ms before, {now:6.2f} ms now: {earlier / now:.2f} times as fast")
+    """Time an earlier checkout and this one in turns, round by round, and print the ratios.
+
+    Both run at once and wait for each other: what else the machine does slows both down alike.
+    """
+    trees = (before.resolve(), HERE)
+    command = [sys.executable, "-P", str(Path(timed_events.__file__))]
+    with ExitStack() as running:
+        processes = [
+            running.enter_context(
+                subprocess.Popen(
+                    command, cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, text=True,
+                    stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                )
+            )
+            for tree in trees
+        ]  # fmt: skip
+        times_s = np.empty((PAIRS, len(trees), len(ROWS)))
+        for number in range(PAIRS):
+            for place in (0, 1) if number % 2 else (1, 0):
+                times_s[number, place] = one_round(processes[place])
+    print(f"CPU time of one shift, the median of {PAIRS} rounds in turns")
+    for row, (earlier_s, now_s) in zip(ROWS, times_s.transpose(2, 1, 0), strict=True):
+        ratio, least = np.median(now_s / earlier_s), now_s.min() / earlier_s.min()
+        print(
+            f"  {row:12} {np.median(earlier_s) * MS:6.2f} ms before, {np.median(now_s) * MS:6.2f} ms now: "
+            f"{ratio - 1.0:+.1%}, the least of all rounds {least - 1.0:+.1%}"
+        )
+
+
+def one_round(process: "subprocess.Popen[str]") -> list[float]:
+    """Have a checkout time one round; return its times [s]."""
+    if process.stdin is None or process.stdout is None:
+        raise RuntimeError("no way to the other process")
+    process.stdin.write("\n")
+    process.stdin.flush()
+    times_s: list[float] = json.loads(process.stdout.readline())
+    return times_s
 
 
 def main() -> int:

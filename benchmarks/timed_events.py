@@ -3,8 +3,11 @@
 Run by its path, so that the packages it measures are those of the folder that PYTHONPATH names:
 
     PYTHONPATH=FOLDER python -P timed_events.py DRIVE
+    PYTHONPATH=FOLDER python -P timed_events.py
 
-It prints one line of JSON: by kind of event, the least processor time [s] of each one over some rounds.
+With a drive it prints one line of JSON: by kind of event, the least processor time [s] of each one over some rounds.
+Without one it answers each line of its input with such a line about one round of the shift cycle: processor times [s]
+of a shift in the mean, live update and full solve.
 """
 
 import json
@@ -62,5 +65,22 @@ def one_round_s(events: Sequence[Event]) -> list[float]:
     return times_s
 
 
+def answer_rounds() -> None:
+    """Time the shifts of the cycle once for each line of the input."""
+    batch = to_batch(frames_of(load_scenario("ideal"))[0])
+    events = [*(stages := new_stages()).segment(batch), *stages.flush()]
+    one_round_s(events)
+    for _ in sys.stdin:
+        live_s, stages = sum(one_round_s(events)), new_stages()
+        began_s = time.process_time()
+        stages.feed(batch)
+        full_s = time.process_time() - began_s
+        sys.stdout.write(json.dumps([live_s / len(events), full_s / len(events)]) + "\n")
+        sys.stdout.flush()
+
+
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(times_of(DriveName(sys.argv[1]))) + "\n")
+    if len(sys.argv) > 1:
+        sys.stdout.write(json.dumps(times_of(DriveName(sys.argv[1]))) + "\n")
+    else:
+        answer_rounds()
