@@ -48,7 +48,7 @@ with warnings.catch_warnings():
 
 ROUNDS = 5
 TURNS = 5  # of both checkouts
-PAIRS = 150  # of rounds, of the cycle
+PAIRS = 100  # of rounds, of the cycle
 ROWS = ("live update", "full solve")
 PEER_SHIFTS = 3  # the loop takes the same time for every shift
 PERIOD_S = 0.01

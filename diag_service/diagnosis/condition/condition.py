@@ -148,10 +148,10 @@ class Stretch:
         """Return it after an event; ``evidence`` is None if nothing is said of the parameters."""
         sums, quality, alone = kept * self.sums, estimate.shift_quality, estimate.scale_free
         if quality is not None:
-            on_coming = clutch_of_gear(estimate.to_gear) - 1
-            for row, name in enumerate(MEASURED):
-                if (value := getattr(quality, name)) is not None:
-                    sums[on_coming, row] += (1.0, value, value * value)
+            told = [getattr(quality, name) for name in MEASURED]
+            sums[clutch_of_gear(estimate.to_gear) - 1, :-1] += [
+                (0.0, 0.0, 0.0) if value is None else (1.0, value, value * value) for value in told
+            ]
         if alone is not None:
             value = log(max(alone.mu_c, 1e-3))
             sums[estimate.clutch - 1, -1] += (1.0, value, value * value)

@@ -14,7 +14,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import array_kernel
-from clutch_model.calibration import Calibration, ClutchCalibration, FrictionCurve
+from clutch_model.calibration import Calibration, ClutchCalibration, FrictionCurve, SensorBias, Viscosity
 from clutch_model.errors import CalibrationError
 
 FRICTION_PRIOR_STD = 0.05  # a third of any lining's friction: weak against a single shift
@@ -170,14 +170,13 @@ def displaced(calibration: Calibration, mean: FloatArray) -> Calibration:
             _moved_clutch(first, by[Considered.PISTON_AREA1], by),
             _moved_clutch(second, by[Considered.PISTON_AREA2], by),
         ),
-        viscosity=replace(oil, a_pa_s=oil.a_pa_s * (1.0 + by[Considered.VISCOSITY])),
+        viscosity=Viscosity(a_pa_s=oil.a_pa_s * (1.0 + by[Considered.VISCOSITY]), b_k=oil.b_k, pole_k=oil.pole_k),
         input_side=replace(
             side,
             engine_inertia_kg_m2=side.engine_inertia_kg_m2 * (1.0 + by[Considered.ENGINE_INERTIA]),
             input_shaft_inertias_kg_m2=(inertias_kg_m2[0] * shafts_ratio, inertias_kg_m2[1] * shafts_ratio),
         ),
-        bias=replace(
-            bias,
+        bias=SensorBias(
             torque_gain=bias.torque_gain + by[Considered.TORQUE_GAIN],
             motoring_gain=bias.motoring_gain + by[Considered.MOTORING_GAIN],
             torque_latency_s=bias.torque_latency_s + by[Considered.TORQUE_LATENCY],
