@@ -12,8 +12,8 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray, mean
-from clutch_model.calibration import Calibration, ClutchCalibration, both_clutches, clutch_of_gear
+from canlog.arrays import BoolArray, FloatArray
+from clutch_model.calibration import Calibration, ClutchCalibration, clutch_of_gear
 from clutch_model.pack import contact_torque_nm, film_law
 from diag_service.diagnosis.alignment import readings
 from diag_service.diagnosis.columns import GearRatios, Signal
@@ -191,15 +191,16 @@ class ShiftScorer:
                 touch_pa[1] + float(known.mean[State.TOUCH1 + off]),
             )
         first, stop = round(BEFORE_S / loops.GRID_S), round((BEFORE_S + duration_s) / loops.GRID_S)
-        own = both_clutches((pack.torque_nm_pa, pack.heat_j_k, pack.cooling_w_k) for pack in packs)
+        on_pack, off_pack = ((pack.torque_nm_pa, pack.heat_j_k, pack.cooling_w_k) for pack in packs)
         heat, oil = _NO_HEAT, event.columns.get(Signal.SUMP_TEMPERATURE)
         if oil is not None and len(oil.value):
-            oil_k = mean(oil.value)
+            oil_k = float(oil.value.mean())
             heat = oil_k, oil_k, oil_k, 0.0
             if warm is not None and event.start_ns > warm.at_ns:
                 age_s = (event.start_ns - warm.at_ns) / NS_PER_S
                 heat = oil_k, warm.clutch_k[on], warm.clutch_k[off], age_s
-        parts = loops.quality_told(rows, first, stop, on != off, skew_s, touch_pa, own, packs[0].stroke_pa, heat)
+        stroke_pa = packs[0].stroke_pa
+        parts = loops.quality_told(rows, first, stop, on != off, skew_s, touch_pa, (on_pack, off_pack), stroke_pa, heat)
         found = _Found._make((*parts, *loops.response_told(rows, first, stop, touch_pa[0])))
         adaptable = {} if known is None else self._adaptable(on, found, touch_pa[0], known)
         return _judged(event, found, adaptable, packs, is_second=on == 1)
@@ -224,7 +225,7 @@ class ShiftScorer:
         if speed is not None and len(speed.value):
             turning = values.get(Signal.OUTPUT_SPEED)  # finer than the car's own
             if turning is not None:
-                rows[loops.CAR] = turning * (mean(speed.value) / usual if (usual := mean(turning)) > 1.0 else math.nan)
+                rows[loops.CAR] = turning * (speed.value.mean() / mean if (mean := turning.mean()) > 1.0 else math.nan)
             elif Signal.VEHICLE_SPEED in values:
                 rows[loops.CAR] = values[Signal.VEHICLE_SPEED]
         return skew_s

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from canlog.arrays import FloatArray, mean
+from canlog.arrays import FloatArray
 from canlog.jit import row_kernel
 from clutch_model.calibration import Calibration, InputSide, SensorBias, TorqueSource
 from clutch_model.pack import FrictionLaw, row_exponential, row_logarithm, row_stribeck_weight, slower_film
@@ -302,7 +302,7 @@ class ContactAnswers(NamedTuple):
 
 def coldness(tracks: tuple[FilmTrack, FilmTrack], rows: slice) -> tuple[float, ...]:
     """Return how cold each pack is on some rows: 0 at work, 1 where its oil is 60 K colder."""
-    return tuple(max(0.0, (WORKING_K - mean(track.clutch_k[rows])) / COLD_SPAN_K) for track in tracks)
+    return tuple(max(0.0, (WORKING_K - float(track.clutch_k[rows].mean())) / COLD_SPAN_K) for track in tracks)
 
 
 def slower_films(balance: Balance, drives: tuple[PressureDrive, PressureDrive]) -> tuple[FilmTrack, FilmTrack]:

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canlog.arrays import FloatArray, mean
+from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, TorqueSource, clutch_of_gear
 from clutch_model.errors import CalibrationError
 from diag_service.diagnosis.alignment import NS_TO_S, compile_alignment
@@ -487,4 +487,4 @@ def without_friction(event: Event, status: Status, *reasons: Reason) -> ShiftEst
 
 def _mean(event: Event, signal: Signal) -> float | None:
     series = event.columns.get(signal)
-    return mean(series.value) if series is not None and len(series.value) else None
+    return float(series.value.mean()) if series is not None and len(series.value) else None

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import FloatArray, Int64Array, Series, mean
+from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.alive_counter import row_period_ns
 from canlog.e2e.e2e_state import E2eState
 from canlog.jit import array_kernel, inlined_kernel, kernel
@@ -207,7 +207,7 @@ def _hub(columns: Columns, limits: QualityLimits) -> float | None:
         return None
     if engine.sequence[0] < 0 and np.array_equal(engine.t_ns, hub.t_ns):
         return None  # columns of a table, asked one after the other: how far they are apart in time nobody knows
-    return limits.hub_mean_rad_s.score(abs(mean(_apart(engine, hub))))
+    return limits.hub_mean_rad_s.score(abs(float(_apart(engine, hub).mean())))
 
 
 def _pressures(columns: Columns, limits: QualityLimits) -> float | None:
@@ -299,7 +299,7 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
         silence_s = longest_silence_s(times_s, -2.0 * period_s, duration_s)
         if silence_s > limits.lost_periods * period_s:
             return Reason.FRAMES_MISSING if is_whole else Reason.INTERRUPTED
-    oil_k = mean(oil.value)
+    oil_k = float(oil.value.mean())
     if not limits.oil_range_k[0] <= oil_k <= limits.oil_range_k[1]:
         return Reason.OUT_OF_RANGE
     of_torque, of_pressure = (event.columns[one].t_ns for one in (Signal.ENGINE_TORQUE, Signal.CLUTCH1_PRESSURE))

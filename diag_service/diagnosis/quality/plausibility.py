@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array, Series, mean
+from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from canlog.jit import array_kernel
 from clutch_model.calibration import clutch_of_gear
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
@@ -147,17 +147,17 @@ def speed_gap_rad_s(
     gaps = [shaft_gap_rad_s(signals, rows, limits) for rows in geared_stretches(event, grid_s, clutch, limits)]
     if event.from_gear != event.to_gear and event.kind is not EventKind.REGEAR:
         locked = signals.slip_rad_s[clutch_of_gear(event.from_gear) - 1]
-        gaps.append(abs(mean(locked[: grid_s.searchsorted(grid_s[0] + limits.locked_s)])))
+        gaps.append(abs(float(locked[: grid_s.searchsorted(grid_s[0] + limits.locked_s)].mean())))
     if event.kind not in _WITHOUT_LOCK and event.end_reason is EndReason.COMPLETE:
         closed = signals.slip_rad_s[clutch_of_gear(event.to_gear) - 1][grid_s.searchsorted(end_s - limits.locked_s) :]
-        gaps.append(0.0 if _is_settling(closed, limits) else abs(mean(closed)))
+        gaps.append(0.0 if _is_settling(closed, limits) else abs(float(closed.mean())))
     return max(gaps, default=0.0)
 
 
 def _is_settling(slip_rad_s: FloatArray, limits: QualityLimits) -> bool:
     """Return whether a clutch still slips, as in a coast change; what a sensor reads too much changes less fast."""
     middle = len(slip_rad_s) // 2
-    return abs(mean(slip_rad_s[middle:]) - mean(slip_rad_s[:middle])) > limits.settling_rad_s
+    return abs(float(slip_rad_s[middle:].mean() - slip_rad_s[:middle].mean())) > limits.settling_rad_s
 
 
 def hub_gap_rad_s(signals: AlignedSignals, limits: QualityLimits = LIMITS) -> float:
