@@ -59,7 +59,7 @@ class Ranged:
     BOUNDS: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})  # of those that have others
 
     def __post_init__(self) -> None:
-        names: tuple[str, ...] = self.__slots__
+        names: tuple[str, ...] = self.__slots__  # its own fields only: no such record is derived from another
         for name in names:
             value = getattr(self, name)
             if type(value) is float and 0.0 <= value < math.inf:  # as nearly all are
