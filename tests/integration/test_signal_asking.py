@@ -222,12 +222,15 @@ class Canned:
         self, bus: can.BusABC, answers: Mapping[str, Sequence[str | float]], ids: tuple[int, int] = (0x7E1, 0x7E9)
     ) -> None:
         self.answers = dict(answers)
+        self.begun_count = 0  # answers, each of which keeps to what ``answers`` told when it was begun
         self._bus, self._ids = bus, ids
 
     def __call__(self, message: can.Message) -> None:
         if message.arbitration_id != self._ids[0] or message.data[0] >> 4:
             return
-        for one in self.answers.get(bytes(message.data[1 : 1 + message.data[0]]).hex().upper(), ()):
+        answer = self.answers.get(bytes(message.data[1 : 1 + message.data[0]]).hex().upper(), ())
+        self.begun_count += 1
+        for one in answer:
             if isinstance(one, float):
                 time.sleep(one)
                 continue
@@ -294,7 +297,7 @@ def test_a_controller_that_asks_for_patience_for_ten_seconds_is_asked_once(
         canned(channel, pending, 4.0, pending, 4.0, pending, 2.0, GOOD) as car,
         asked(profile, channel) as asker,
     ):
-        wait_for(ear.requests)
+        wait_for(lambda: car.begun_count)  # not until the ear heard the request: the car hears it in its own thread
         car.answers["2238EB"] = [GOOD]  # from the second request on
         wait_for(lambda: asker.set_count >= 3)
     first_s, second_s = (one.timestamp for one in ear.requests()[:2])
@@ -312,11 +315,11 @@ def test_patience_has_an_end(channel: str, tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(signal_asking, "MOST_PENDING_S", 0.2)
     pending = ("03 7F 22 78", 0.15)
     with (
-        heard(channel) as ear,
+        heard(channel),
         canned(channel, *pending, *pending, *pending) as car,
         asked(pressure_profile(tmp_path), channel) as asker,
     ):
-        wait_for(lambda: len(ear.requests()) >= 2)
+        wait_for(lambda: car.begun_count >= 2)
         car.answers["2238EB"] = [GOOD]
         wait_for(lambda: asker.set_count >= 2)
 
