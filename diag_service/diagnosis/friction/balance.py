@@ -44,7 +44,7 @@ from diag_service.diagnosis.friction.film import (
     COARSE,
     FilmCause,
     FilmTrack,
-    PackLaw,
+    PackLaws,
     PressureDrive,
     direction,
     film_tangents,
@@ -80,7 +80,7 @@ class Torques(NamedTuple):
         drives: tuple[PressureDrive, PressureDrive],
         tracks: tuple[FilmTrack, FilmTrack],
         warmed: tuple[FilmTrack, FilmTrack],
-        laws: tuple[PackLaw, PackLaw],
+        laws: PackLaws,
         rows: slice,
     ) -> Self:
         """Return the torques that films and slips of both clutches make on some rows of the grid.
@@ -131,7 +131,7 @@ class Balance:
         window: SlipWindow,
         measured: tuple[PressureDrive, PressureDrive],
         calibration: Calibration,
-        laws: tuple[PackLaw, PackLaw],
+        laws: PackLaws,
         at: FloatArray,
     ) -> None:
         self.signals = signals

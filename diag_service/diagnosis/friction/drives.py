@@ -13,9 +13,8 @@ from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration
 from clutch_model.pack import clutch_later_k
 from diag_service.diagnosis.alignment import GRID_S, NS_TO_S, TURNING_RAD_S, AlignedSignals, Resampled
-from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.evidence import Evidence, State, open_drag_ratio
-from diag_service.diagnosis.friction.film import PackLaw, PressureDrive
+from diag_service.diagnosis.friction.film import PackLaws, PressureDrive
 
 SLIP_DEGREE = 5  # a controller's slip profile over one piece: smooth start, smooth end
 LOADED_PA = 0.25e5  # above its touch point by this much a clutch carries torque
@@ -342,14 +341,12 @@ class PackTemperatures:
     clutch_k: tuple[float, float]
     at_ns: int
 
-    def later(self, oil_k: float, now_ns: float, calibration: Calibration) -> tuple[float, float]:
+    def later(self, oil_k: float, now_ns: float, laws: PackLaws) -> tuple[float, float]:
         """Return the temperatures of both packs [K], cooled towards the oil since."""
         elapsed_s = max(0.0, (now_ns - self.at_ns) * NS_TO_S)
         first_k, second_k = (
-            clutch_later_k(
-                then_k, oil_k, 0.0, elapsed_s, clutch.thermal.heat_capacity_j_k, clutch.thermal.convection_w_k
-            )
-            for then_k, clutch in zip(self.clutch_k, calibration.clutches, strict=True)
+            clutch_later_k(then_k, oil_k, 0.0, elapsed_s, law.heat_capacity_j_k, law.convection_w_k)
+            for then_k, law in zip(self.clutch_k, laws, strict=True)
         )
         return first_k, second_k
 
@@ -369,27 +366,33 @@ def zeros_seen(signals: AlignedSignals, calibration: Calibration) -> Evidence:
 
 
 def measured_drives(
-    signals: AlignedSignals, at: FloatArray, packs: PackTemperatures | None, event: Event, calibration: Calibration
+    signals: AlignedSignals, at: FloatArray, packs: PackTemperatures | None, start_ns: float, laws: PackLaws
 ) -> tuple[PressureDrive, PressureDrive]:
     """Return what drives the films as measured, freed of the offsets in the parameters ``at``.
 
-    ``packs`` is None where nothing is known of the packs: then they are as warm as the oil.
+    The signals' clock starts at ``start_ns``. Packs of which nothing is known (None) are as warm as oil. A piston on
+    its way back rests on its springs: where the command let go, noise near the touch point does not press it again.
     """
-    start_ns, clutch_k = event.start_ns + signals.grid_s[0] / NS_TO_S, (signals.oil_k, signals.oil_k)
-    if packs is not None and start_ns >= packs.at_ns - OVERLAP_NS:
-        clutch_k = packs.later(signals.oil_k, start_ns, calibration)
-    drag_ratio = open_drag_ratio(at)
-    first, second = (
-        PressureDrive(
-            piston_pa=signals.pressure[m].on_grid - at[State.TOUCH1 + m] - at[State.ZERO1 + m],
-            slip_rad_s=signals.slip_rad_s[m],
-            oil_k=signals.oil_k,
-            clutch_k=clutch_k[m],
-            open_drag_ratio=drag_ratio,
+    first_ns, clutch_k = start_ns + signals.grid_s[0] / NS_TO_S, (signals.oil_k, signals.oil_k)
+    if packs is not None and first_ns >= packs.at_ns - OVERLAP_NS:
+        clutch_k = packs.later(signals.oil_k, first_ns, laws)
+    drives, drag_ratio = [], open_drag_ratio(at)
+    for m, (expected_pa, law) in enumerate(zip(signals.expected_pa, laws, strict=True)):
+        piston_pa = signals.pressure[m].on_grid - at[State.TOUCH1 + m] - at[State.ZERO1 + m]
+        if expected_pa is not None:
+            touch_pa = law.touch_pressure_pa
+            is_returning = (expected_pa - at[State.TOUCH1 + m] < touch_pa) & (piston_pa < touch_pa + RELEASED_PA)
+            piston_pa = np.where(is_returning, np.minimum(piston_pa, touch_pa), piston_pa)
+        drives.append(
+            PressureDrive(
+                piston_pa=piston_pa,
+                slip_rad_s=signals.slip_rad_s[m],
+                oil_k=signals.oil_k,
+                clutch_k=clutch_k[m],
+                open_drag_ratio=drag_ratio,
+            )
         )
-        for m in range(2)
-    )
-    return first, second
+    return drives[0], drives[1]
 
 
 def planned_drives(
@@ -411,7 +414,7 @@ def planned_drives(
 
 
 def slip_window(
-    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], laws: tuple[PackLaw, PackLaw]
+    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], laws: PackLaws
 ) -> tuple[SlipWindow, int] | None:
     """Return where clutches slip under load, and the one that carries most of it; or None."""
     over_pa = np.array([drive.piston_pa - law.touch_pressure_pa for drive, law in zip(drives, laws, strict=True)])
@@ -432,9 +435,7 @@ def _sure_slip(signals: AlignedSignals, slip_rad_s: FloatArray) -> FloatArray:
     return np.where(np.abs(slip_rad_s) > changing_rad_s + SLIP_MIN_RAD_S, slip_rad_s, 0.0)
 
 
-def rows_in_slip(
-    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], laws: tuple[PackLaw, PackLaw]
-) -> int:
+def rows_in_slip(signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], laws: PackLaws) -> int:
     """Return in how many rows of a table a clutch slips under load, as far as it can be told."""
     is_told = np.zeros(len(signals.grid_s), np.bool_)
     for drive, law in zip(drives, laws, strict=True):

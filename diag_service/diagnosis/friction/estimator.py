@@ -122,7 +122,7 @@ def is_carried_by_film(balance: Balance, clutch: int) -> bool:
     return False
 
 
-ALGORITHM_VERSION = "torque-impulse-11"
+ALGORITHM_VERSION = "torque-impulse-12"
 MAX_PASS_COUNT = 4  # of linearisation: the first events of a vehicle move latencies by more than a line follows
 CONVERGED = 0.2  # of a standard deviation
 NEAR_STEP = 0.5  # standard deviations of the type: up to there derivatives are the same
@@ -361,7 +361,8 @@ class Estimator:
         if isinstance(signals, Reason):
             return signals
         near = earlier if is_near else None
-        drives, laws = measured_drives(signals, at, state.packs, samples.event, point), pack_laws(point)
+        laws = pack_laws(point)
+        drives = measured_drives(signals, at, state.packs, samples.event.start_ns, laws)
         if near is None:
             found = slip_window(signals, drives, laws)
         else:

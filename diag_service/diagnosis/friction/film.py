@@ -66,6 +66,9 @@ class PackLaw(NamedTuple):
     touch_pressure_pa: float
 
 
+PackLaws = tuple[PackLaw, PackLaw]
+
+
 class HeatLaw(NamedTuple):
     """Viscosity and heat balance of one clutch in the form the kernels take."""
 
@@ -131,7 +134,7 @@ class _State(NamedTuple):
     film_rate_1_s: float  # of the step that led here, over the film
 
 
-def pack_laws(calibration: Calibration) -> tuple[PackLaw, PackLaw]:
+def pack_laws(calibration: Calibration) -> PackLaws:
     """Return the laws of clutch 1 and 2: made once, and asked wherever a film or a friction is."""
     oil = _Oil(calibration.viscosity.a_pa_s, calibration.viscosity.b_k, calibration.viscosity.pole_k)
     found = []
@@ -153,7 +156,7 @@ def pack_laws(calibration: Calibration) -> tuple[PackLaw, PackLaw]:
 
 def integrate_films(
     drives: tuple[PressureDrive, PressureDrive],
-    laws: tuple[PackLaw, PackLaw],
+    laws: PackLaws,
     stop: int | None = None,
     step: int = 1,
 ) -> tuple[FilmTrack, FilmTrack]:

@@ -46,7 +46,7 @@ from diag_service.diagnosis.friction.evidence import (
     prior_covariance,
     prior_mean,
 )
-from diag_service.diagnosis.friction.film import PackLaw, PressureDrive, integrate_films, pack_laws
+from diag_service.diagnosis.friction.film import PackLaws, PressureDrive, integrate_films, pack_laws
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
@@ -340,8 +340,8 @@ def _seen_shifts(
         signals = usable_signals(event, point)
         if isinstance(signals, Reason):
             continue
-        drives = measured_drives(signals, at, packs, event, point)
         laws = pack_laws(point)
+        drives = measured_drives(signals, at, packs, event.start_ns, laws)
         found = _window(signals, drives, laws, windows.get(event.number))
         if found is None:
             continue
@@ -362,10 +362,7 @@ def _seen_shifts(
 
 
 def _window(
-    signals: AlignedSignals,
-    drives: tuple[PressureDrive, PressureDrive],
-    laws: tuple[PackLaw, PackLaw],
-    before: _Seen | None,
+    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], laws: PackLaws, before: _Seen | None
 ) -> tuple[SlipWindow, int] | None:
     """Return a window and its clutch, those of an earlier pass if there was one."""
     if before is None:

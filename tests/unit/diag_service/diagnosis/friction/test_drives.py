@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 from canlog.arrays import BoolArray, FloatArray
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.alignment import GRID_S as STEP_S
+from diag_service.diagnosis.alignment import AlignedSignals, Resampled
 from diag_service.diagnosis.friction.drives import (
     FADE_S,
     LOADED_PA,
@@ -15,8 +18,11 @@ from diag_service.diagnosis.friction.drives import (
     SlipWindow,
     find_window,
     loaded_clutch,
+    measured_drives,
     on_other_grid,
 )
+from diag_service.diagnosis.friction.film import integrate_films, pack_laws
+from diag_service.diagnosis.friction.posterior import Posterior
 
 GRID_S = 1e-3 * np.arange(1000.0)
 LOADED = np.full(len(GRID_S), 4 * LOADED_PA)
@@ -157,3 +163,46 @@ def test_a_rest_before_the_event_is_a_piece_of_its_own() -> None:
 def test_what_slips_before_the_event_belongs_to_another() -> None:
     window = find_window(GRID_S - 0.5, np.array([FAST, STILL]), np.array([LOADED, EMPTY]), SEEN)
     assert pieces_of(window) == [(500 + FADE, 1000)]
+
+
+LET_GO_S = 0.2
+PRESSURES_S = 0.01 * np.arange(51.0)
+STEPS_S = STEP_S * np.arange(250.0)
+
+
+def drag_after_release_nm(read_over_touch_pa: FloatArray, *, has_command: bool) -> float:
+    """Return what a film shears 0.1 s after its piston was let go, as the sensor reads meanwhile."""
+    calibration, still = nominal_calibration(), Resampled(PRESSURES_S, np.zeros(51), STEPS_S)
+    touch_pa = calibration.clutches[0].touch_pressure_pa
+    read_pa = touch_pa + np.where(PRESSURES_S < LET_GO_S, 1e5, read_over_touch_pa)
+    signals = AlignedSignals(
+        grid_s=STEPS_S,
+        engine_speed=still,
+        engine_torque=still,
+        hub_speed=still,
+        input_speed=(still, still),
+        slip_rad_s=(np.full(250, 30.0), np.zeros(250)),
+        pressure=(Resampled(PRESSURES_S, read_pa, STEPS_S), still),
+        expected_pa=(np.where(STEPS_S < LET_GO_S, touch_pa + 1e5, 0.0) if has_command else None, None),
+        oil_k=353.15,
+        is_seen=np.ones(250, np.bool_),
+    )
+    laws = pack_laws(calibration)
+    track, _ = integrate_films(measured_drives(signals, Posterior.fresh(calibration).known.mean, None, 0, laws), laws)
+    return float(track.viscous_nm[np.searchsorted(STEPS_S, LET_GO_S + 0.1)])
+
+
+def test_noise_does_not_press_the_film_of_a_piston_that_is_on_its_way_back() -> None:
+    rng = np.random.default_rng(1)
+    noises_pa = [rng.normal(0.0, 5e3, 51) for _ in range(40)]
+    with_command, without = (
+        np.mean([drag_after_release_nm(one, has_command=is_told) for one in noises_pa]) for is_told in (True, False)
+    )
+    as_it_is_nm = drag_after_release_nm(np.full(51, -500.0), has_command=False)
+    assert with_command == pytest.approx(as_it_is_nm, rel=0.1)
+    assert without > 1.5 * as_it_is_nm  # nobody knows that it was let go
+
+
+def test_what_reads_clearly_above_the_touch_point_presses_whatever_was_commanded() -> None:
+    read_pa = np.full(51, 2 * RELEASED_PA)
+    assert drag_after_release_nm(read_pa, has_command=True) == drag_after_release_nm(read_pa, has_command=False)

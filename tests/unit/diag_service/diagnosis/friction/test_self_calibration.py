@@ -175,7 +175,7 @@ def shift_residual(event: Event, at: FloatArray, window: SlipWindow | None) -> t
     calibration = displaced(NOMINAL, at)
     signals = usable_signals(event, calibration)
     assert not isinstance(signals, Reason)
-    drives = measured_drives(signals, at, None, event, calibration)
+    drives = measured_drives(signals, at, None, event.start_ns, pack_laws(calibration))
     found = slip_window(signals, drives, pack_laws(calibration))
     assert found is not None
     chosen = window or found[0]
@@ -265,7 +265,7 @@ def test_noise_of_one_signal_for_engine_and_hub_is_in_what_both_share_with_the_r
     overlaps = []
     for hub in (one, Resampled(one.times_s, one.value.copy(), signals.grid_s)):
         rows = replace(signals, hub_speed=hub, row_s=0.04)
-        drives = measured_drives(rows, AS_DRIVEN, None, event, calibration)
+        drives = measured_drives(rows, AS_DRIVEN, None, event.start_ns, pack_laws(calibration))
         found = slip_window(rows, drives, pack_laws(calibration))
         assert found is not None
         (seen,) = measured(Balance(rows, found[0], drives, calibration, pack_laws(calibration), AS_DRIVEN))

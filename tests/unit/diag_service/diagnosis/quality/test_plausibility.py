@@ -99,7 +99,9 @@ def of_shift(event: Event) -> tuple[AlignedSignals, SlippingClutch]:
     """Return the aligned signals of the shift to second gear and what is known of its clutch."""
     signals = usable_signals(event, CALIBRATION)
     assert not isinstance(signals, Reason)
-    drives = measured_drives(signals, Posterior.fresh(CALIBRATION).known.mean, None, event, CALIBRATION)
+    drives = measured_drives(
+        signals, Posterior.fresh(CALIBRATION).known.mean, None, event.start_ns, pack_laws(CALIBRATION)
+    )
     found = slip_window(signals, drives, pack_laws(CALIBRATION))
     assert found is not None
     window, clutch = found
