@@ -60,12 +60,12 @@ def with_orders(
         order = order_of([_finding(row, names) for row in own], filled_at)
         news = {"action": order.action.value, "order": order.text, "fluid_since": filled_at, "fluid": product}
         for row in own:
-            told = dict(row)
+            told, element = dict(row), names.get((vehicle, row["clutch"]))
             if is_of_earlier_fluid(told["end_at"], filled_at):
                 told.update(dict.fromkeys(told.keys() - _KEPT), condition=NO_VERDICT, shift_count=0)
-                unseen = unseen_since_new(told["clutch"], names.get((vehicle, told["clutch"])))
+                unseen = unseen_since_new(told["clutch"], element)
                 told.update(condition_reason=UNKNOWN_FLUID, advice=unseen)
-            yield told | news
+            yield told | news | {"element": element}
 
 
 def is_alarming_since(connection: Connection, vehicle: str, clutch: int, filled_at: datetime) -> bool:

@@ -27,7 +27,7 @@ def fleet_table(records: Sequence[Record]) -> Sheet:
         records,
         {
             "vehicle": _plain("vehicle"),
-            "clutch": _plain("clutch"),
+            "clutch": lambda record: str(record["element"] or record["clutch"]),
             "condition": _condition,
             "slope": _interval("slope_s_rad", "slope_high_s_rad", "{:+.2f}", scale=1e3),
             "P<0": _number("probability_negative_slope", "{:.3f}"),

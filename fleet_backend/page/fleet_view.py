@@ -91,7 +91,7 @@ _HEAD: Final = (
 def _cells(now: ClutchNow) -> tuple[Cell, ...]:
     return (
         wording.vehicle_link(now.vehicle),
-        str(now.clutch),
+        now.element or str(now.clutch),
         wording.badge(now.condition),
         now.order,
         wording.friction(now.mu_c),

@@ -19,6 +19,7 @@ from diag_service.report.pictures import MOST_MOMENTS, MOST_POINTS, THRESHOLD_KE
 from fleet_backend.page.calibrations import reference_of
 from fleet_backend.page.records import ClutchNow, TrendPoint, Usual, VehicleAnswer
 from fleet_backend.page.wording import M_PER_KM
+from fleet_contract.orders import name_of, title_of
 
 STD_OF_50_PERCENT: Final = 0.6744897501960817  # of a normal distribution
 STD_OF_90_PERCENT: Final = 1.6448536269514722
@@ -44,6 +45,7 @@ class Course:
     """How one quantity of one clutch went, an item per event; NaN where nothing is known."""
 
     clutch: int
+    title: str  # what the clutch is called
     quantity: Quantity
     along: FloatArray  # (n,) kilometres, or numbers of the events
     label: str  # of the horizontal axis
@@ -70,9 +72,10 @@ class Course:
         single, running, std_running = _values(quantity, points)
         return cls(
             clutch=now.clutch,
+            title=title_of(now.clutch, now.element),
             quantity=quantity,
             along=along,
-            label="odometer [km]" if has_odometer else f"event of clutch {now.clutch}",
+            label="odometer [km]" if has_odometer else f"event of {name_of(now.clutch, now.element)}",
             single=single,
             running=running,
             std_running=std_running,
@@ -134,7 +137,7 @@ def course_picture(course: Course) -> Markup:
     y = Axis.around(course.quantity, course.single, course.running - wide, course.running + wide, marks)
     x = Axis.around(course.label, course.along, np.array([place for place, _, _ in course.moments]), margin_ratio=0.02)
     what = f"trend of {course.quantity}, single events, running estimate with bands of 50 and 90 percent"
-    plot = Plot(f"Clutch {course.clutch}: {what}", x, y)
+    plot = Plot(f"{course.title}: {what}", x, y)
     if usual:
         plot.band(np.array([x.low, x.high]), np.full(2, usual[0]), np.full(2, usual[1]), "shade")
     for level in course.levels:

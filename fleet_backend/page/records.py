@@ -25,6 +25,7 @@ class ClutchNow:
 
     vehicle: str
     clutch: int
+    element: str | None  # its name, where it is neither clutch 1 nor clutch 2 of a pair
     condition: str
     condition_reason: str
     advice: str | None
@@ -202,6 +203,7 @@ class ShiftAnswer:
     stream: str
     seq: int
     clutch: int
+    element: str | None  # as of `ClutchNow`
     number: int
     kind: str | None
     end_reason: str | None

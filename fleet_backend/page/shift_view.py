@@ -14,6 +14,7 @@ from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.outlook import friction_of
 from fleet_backend.page.records import ShiftAnswer
 from fleet_backend.page.view import Shown, Sources, View
+from fleet_contract.orders import name_of
 
 _PARAMETERS: Final = (
     VEHICLE,
@@ -44,7 +45,7 @@ def show(answer: ShiftAnswer, _ask: Ask, _sources: Sources) -> Shown:
     """Return the page of an event."""
     kind = (answer.kind or "shift").replace("_", " ")
     gears = f"{answer.from_gear}-{answer.to_gear}" if answer.from_gear != answer.to_gear else str(answer.to_gear)
-    vehicle = wording.vehicle_link(answer.vehicle)
+    vehicle, clutch = wording.vehicle_link(answer.vehicle), name_of(answer.clutch, answer.element)
     verdict = Advice(
         condition=wording.style(answer.condition),
         word=wording.condition_word(answer.condition),
@@ -52,7 +53,7 @@ def show(answer: ShiftAnswer, _ask: Ask, _sources: Sources) -> Shown:
     )
     return Shown(
         title=f"{kind.capitalize()} {gears} of {answer.vehicle}",
-        subtitle=f"clutch {answer.clutch}, {answer.end_at:%Y-%m-%d %H:%M:%S} UTC, data {answer.status}",
+        subtitle=f"{clutch}, {answer.end_at:%Y-%m-%d %H:%M:%S} UTC, data {answer.status}",
         sections=(
             _friction_section(answer),
             *_shift_sections(answer),

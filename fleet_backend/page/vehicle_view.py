@@ -1,6 +1,6 @@
 """One vehicle: what to do, how far its fluid will go, and how each clutch went."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from typing import Any, Final
 
@@ -27,7 +27,7 @@ from fleet_backend.page.pictures import (
 from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, TrendPoint, Usual, VehicleAnswer
 from fleet_backend.page.vehicle_state import VehicleState, state_of
 from fleet_backend.page.view import Shown, Sources, View
-from fleet_contract.orders import Action, is_of_earlier_fluid
+from fleet_contract.orders import Action, is_of_earlier_fluid, name_of, title_of
 
 SERVICE_KM: Final = 15_000
 _MOST_SERVICE_KM: Final = 300_000
@@ -156,10 +156,14 @@ def _reach_table(clutch: ClutchHistory) -> Table:
             rows.append((name, *shown, wording.probability(reach.probability_before_service)))
     head = ("limit", "10 % [km]", "50 % [km]", "90 % [km]", "probability before the next service")
     return Table(
-        caption=f"Clutch {clutch.now.clutch}: distance until a limit is passed",
+        caption=f"{_title(clutch)}: distance until a limit is passed",
         head=head,
         rows=tuple(rows),
     )
+
+
+def _title(clutch: ClutchHistory) -> str:
+    return title_of(clutch.now.clutch, clutch.now.element)
 
 
 def _joined(loads: Sequence[Load]) -> tuple[Load, ...]:
@@ -193,8 +197,7 @@ def _assumptions_section(answer: VehicleAnswer) -> Section:
 
 
 def _clutch_section(answer: VehicleAnswer, clutch: ClutchHistory) -> Section:
-    name = clutch.now.clutch
-    texts = []
+    name, texts = _title(clutch), []
     if clutch.result_count > len(clutch.trend):
         texts.append(
             f"The newest {len(clutch.trend)} of {clutch.result_count} stored results, older versions included."
@@ -204,12 +207,12 @@ def _clutch_section(answer: VehicleAnswer, clutch: ClutchHistory) -> Section:
     figures = [_course_figure(answer, clutch, quantity) for quantity in Quantity if _is_told(quantity, clutch.trend)]
     newest = clutch.trend[::-1][:_EVENT_ROWS]
     events = Table(
-        caption=f"Clutch {name}: the newest {len(newest)} events",
+        caption=f"{name}: the newest {len(newest)} events",
         head=("end (UTC)", "km", "kind", "data", "mu_C", "std", "running mu_C", "std", "score", "verdict", "reasons"),
         rows=tuple(map(_event_cells, newest)),
     )
     return Section(
-        name=f"clutch-{name}", title=f"Clutch {name}", texts=tuple(texts), figures=tuple(figures), tables=(events,)
+        name=f"clutch-{clutch.now.clutch}", title=name, texts=tuple(texts), figures=tuple(figures), tables=(events,)
     )
 
 
@@ -232,11 +235,11 @@ def _course_figure(answer: VehicleAnswer, clutch: ClutchHistory, quantity: Quant
     course = Course.of(clutch.now, quantity, clutch.trend, answer, clutch.usual)
     rows = spread(range(len(clutch.trend)), _TREND_ROWS)
     table = Table(
-        caption=f"Clutch {clutch.now.clutch}, {quantity}: {len(rows)} of {len(clutch.trend)} events, evenly spread",
+        caption=f"{_title(clutch)}, {quantity}: {len(rows)} of {len(clutch.trend)} events, evenly spread",
         head=("end (UTC)", "km", quantity, "± 50 %", "± 90 %", "verdict"),
         rows=tuple(_trend_cells(clutch.trend[row], course, row) for row in rows),
     )
-    caption = f"Clutch {clutch.now.clutch}: trend of {quantity}"
+    caption = f"{_title(clutch)}: trend of {quantity}"
     return Figure(picture=course_picture(course), caption=caption, keys=course_keys(course), table=table)
 
 
@@ -270,12 +273,13 @@ def _event_cells(point: TrendPoint) -> tuple[Cell, ...]:
 
 
 def _events_section(answer: VehicleAnswer) -> Section:
+    names = {one.now.clutch: one.now.element for one in answer.clutches}
     happened = [
         *(
             (fill.filled_at, f"new fluid: {fill.product}", wording.km(fill.odometer_m), fill.note)
             for fill in answer.fills
         ),
-        *(entry for alarm in answer.alarms for entry in _alarm_entries(alarm)),
+        *(entry for alarm in answer.alarms for entry in _alarm_entries(alarm, names)),
     ]
     rows = tuple(
         (wording.minute(at), what, km, wording.plain(note))
@@ -286,13 +290,14 @@ def _events_section(answer: VehicleAnswer) -> Section:
     return Section(name="events", title="What happened", texts=texts, tables=(table,) if rows else ())
 
 
-def _alarm_entries(alarm: ClutchAlarm) -> Iterator[tuple[Any, str, Cell, str | None]]:
-    yield alarm.raised_at, f"alarm of clutch {alarm.clutch}: {alarm.reason}", NONE, None
+def _alarm_entries(alarm: ClutchAlarm, names: Mapping[int, str | None]) -> Iterator[tuple[Any, str, Cell, str | None]]:
+    whose = name_of(alarm.clutch, names.get(alarm.clutch))
+    yield alarm.raised_at, f"alarm of {whose}: {alarm.reason}", NONE, None
     if alarm.acknowledged_at is not None:
-        who = f"alarm of clutch {alarm.clutch} acknowledged by {alarm.acknowledged_by}"
+        who = f"alarm of {whose} acknowledged by {alarm.acknowledged_by}"
         yield alarm.acknowledged_at, who, NONE, alarm.note
     if alarm.cleared_at is not None:
-        yield alarm.cleared_at, f"alarm of clutch {alarm.clutch} over", NONE, None
+        yield alarm.cleared_at, f"alarm of {whose} over", NONE, None
 
 
 VIEW: Final = View(

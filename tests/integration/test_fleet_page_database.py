@@ -26,7 +26,7 @@ from diag_service.diagnosis.records import (
     Status,
     status_record,
 )
-from fleet_backend import queries
+from fleet_backend import queries, report
 from fleet_backend.alarms.rules import Rule
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
@@ -203,6 +203,27 @@ def test_a_cause_that_new_fluid_does_not_mend_is_on_the_page_in_the_list_and_an_
     assert not [one for one in watch.round() if one.subject.rule is Rule.CAUSE]  # it stays until more is known
     answer = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "worn"))
     assert (answer.action, answer.causes) == ("new_fluid", None)
+
+
+def test_a_clutch_with_a_name_is_called_by_it_in_lists_and_on_the_pages_of_its_vehicle(engine: Engine) -> None:
+    given = fleet_result(1, vehicle="taxi", clutch=1, condition=Condition.GOOD)
+    name = "lock-up clutch"
+    named = replace(given, estimate=replace(given.estimate, element=name), verdict=replace(given.verdict, element=name))
+    Writer(engine).store(Batch(shifts=[row_of(named)]))
+    sources, asked = sources_of(engine), ask(vehicle_view.VIEW, "taxi")
+    answer = vehicle_view.find(sources, asked)
+    shown = vehicle_view.show(answer, asked, sources)
+    titles = [section.title for section in shown.sections]
+    assert "Lock-up clutch" in titles
+    texts = [*titles, *(figure.caption for one in shown.sections for figure in one.figures)]
+    assert not [text for text in texts if "clutch 1" in text.lower()]
+    (row,) = queries.worst_first(engine)
+    assert row["element"] == name
+    assert report.fleet_table([row]).rows[0][1] == name
+    one = shift_of(engine, "taxi", given.stream, 1)
+    assert one is not None
+    subtitle = shift_view.show(one, ask(shift_view.VIEW, "taxi", stream=given.stream, seq="1"), sources).subtitle
+    assert subtitle.startswith("lock-up clutch, ")
 
 
 def test_news_are_seen_and_a_reader_writes_nothing(database: str) -> None:

@@ -46,6 +46,7 @@ def clutch_now(vehicle: str = "car1", clutch: int = 1, **others: object) -> Clut
     usual = ClutchNow(
         vehicle=vehicle,
         clutch=clutch,
+        element=None,
         condition="good",
         condition_reason="sound",
         advice=None,
