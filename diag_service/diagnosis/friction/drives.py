@@ -380,9 +380,9 @@ def measured_drives(
     for m, (expected_pa, law) in enumerate(zip(signals.expected_pa, laws, strict=True)):
         piston_pa = signals.pressure[m].on_grid - at[State.TOUCH1 + m] - at[State.ZERO1 + m]
         if expected_pa is not None:
-            touch_pa = law.touch_pressure_pa
-            is_returning = (expected_pa - at[State.TOUCH1 + m] < touch_pa) & (piston_pa < touch_pa + RELEASED_PA)
-            piston_pa = np.where(is_returning, np.minimum(piston_pa, touch_pa), piston_pa)
+            open_pa = law.touch_pressure_pa - RELEASED_PA  # clearly: at the touch point itself rounding would decide
+            is_returning = (expected_pa - at[State.TOUCH1 + m] < open_pa) & (piston_pa < open_pa + 2.0 * RELEASED_PA)
+            piston_pa = np.where(is_returning, np.minimum(piston_pa, open_pa), piston_pa)
         drives.append(
             PressureDrive(
                 piston_pa=piston_pa,
