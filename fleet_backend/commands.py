@@ -103,7 +103,8 @@ def _table(options: SimpleNamespace, engine: Engine) -> None:
 def _trend(options: SimpleNamespace, engine: Engine) -> None:
     queries.check_vehicle(engine, options.vehicle)
     records = queries.trend(engine, options.vehicle, options.clutch, Axis(options.against))
-    title = f"{options.vehicle}, clutch {options.clutch}: {len(records)} valid shifts against {options.against}"
+    whose = f"{options.vehicle}, {queries.clutch_name(engine, options.vehicle, options.clutch)}"
+    title = f"{whose}: {len(records)} valid shifts against {options.against}"
     tell(options, records, lambda: report.trend_table(title, records))
 
 

@@ -130,7 +130,8 @@ def line_of(event: Incoming) -> str:
         return f"{event.time} {vehicle}: {data['status']}"
     verdict = data["verdict"]
     advice = verdict.get("advice") if isinstance(verdict, dict) else None
-    head = f"{event.time} {vehicle}: clutch {data['clutch']}, {data.get('kind', 'shift')} {_gears(data)}"
+    clutch = data.get("element") or f"clutch {data['clutch']}"
+    head = f"{event.time} {vehicle}: {clutch}, {data.get('kind', 'shift')} {_gears(data)}"
     return " ".join([f"{head}: {_finding(data)}.", str(advice or "")]).rstrip()
 
 

@@ -39,7 +39,7 @@ from fleet_backend.schema import (
     WITHDRAWN_FILL,
     UtcDateTime,
 )
-from fleet_contract.orders import SAME_WITHIN, distinct, odometer_complaint
+from fleet_contract.orders import SAME_WITHIN, distinct, name_of, odometer_complaint
 
 Record = Mapping[str, object]
 SEVERITIES: Final = ("no_verdict", "good", "watch", "change_fluid")
@@ -161,6 +161,11 @@ def trend(engine: Engine, vehicle: str, clutch: int, axis: Axis) -> Sequence[Rec
     )
 
 
+def clutch_name(engine: Engine, vehicle: str, clutch: int) -> str:
+    with transaction(engine) as connection:
+        return name_of(clutch, clutch_names(connection).get((vehicle, clutch)))
+
+
 def clutch_alarms(engine: Engine, *, is_open_only: bool) -> Sequence[Record]:
     """Return the alarms of all clutches, the latest first."""
     table = CLUTCH_ALARM
@@ -168,7 +173,9 @@ def clutch_alarms(engine: Engine, *, is_open_only: bool) -> Sequence[Record]:
     statement = statement.where(table.c.cleared_at.is_(None)) if is_open_only else statement
     with transaction(engine) as connection:
         told = without_old_fluid(connection, connection.execute(statement).mappings().all())
-    return [one for one in told if one["cleared_at"] is None or not is_open_only]
+        names = clutch_names(connection)
+    named = [{**one, "element": names.get((one["vehicle"], one["clutch"]))} for one in told]
+    return [one for one in named if one["cleared_at"] is None or not is_open_only]
 
 
 def identity_alarms(engine: Engine) -> Sequence[Record]:

@@ -66,7 +66,9 @@ def trend_table(title: str, records: Sequence[Record]) -> Sheet:
 
 def alarm_table(clutches: Sequence[Record], identities: Sequence[Record]) -> Sheet:
     """Return all alarms; those of clutches before those of strangers."""
-    rows: list[Record] = [{**record, "kind": "change fluid"} for record in clutches]
+    rows: list[Record] = [
+        {**record, "kind": "change fluid", "clutch": record["element"] or record["clutch"]} for record in clutches
+    ]
     rows += [{**record, "kind": f"identity ({record['message_count']} messages)"} for record in identities]
     return _sheet(
         f"Alarms: {len(rows)}",

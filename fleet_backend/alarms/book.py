@@ -159,6 +159,7 @@ def _payload(step: Transition, number: int) -> dict[str, Any]:
         "event": step.event.value,
         "vehicle": subject.vehicle,
         "clutch": subject.clutch or None,
+        "element": subject.element,
         "rule": subject.rule.value,
         "at": step.at.astimezone(UTC).isoformat().replace("+00:00", "Z"),
         "reason": step.reason,

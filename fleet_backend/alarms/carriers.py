@@ -20,6 +20,7 @@ from urllib.request import HTTPRedirectHandler, ProxyHandler, Request, build_ope
 from fleet_backend.alarms.book import Letter
 from fleet_backend.errors import CarrierError
 from fleet_contract import Outgoing
+from fleet_contract.orders import name_of
 from fleet_link import BrokerAddress, Connection, LinkError, Terms
 
 LONGEST_WAIT_S: Final = 15.0
@@ -109,7 +110,7 @@ class Mail:
     def _message(self, letter: Letter, now: datetime) -> EmailMessage:
         told = letter.payload
         message = EmailMessage()
-        whose = told["vehicle"] + (f", clutch {told['clutch']}" if told["clutch"] else "")
+        whose = told["vehicle"] + (f", {name_of(told['clutch'], told.get('element'))}" if told["clutch"] else "")
         state = "Alarm" if told["event"] == "raised" else "Alarm over"
         message["Subject"] = f"{state}: {whose}: {told['rule']}"
         message["From"], message["To"] = self.sender, ", ".join(self.recipients)

@@ -4,7 +4,7 @@ import base64
 import binascii
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from enum import StrEnum
 from itertools import pairwise
@@ -13,7 +13,7 @@ from typing import Final
 from urllib.parse import SplitResult, urlsplit
 
 from fleet_backend.errors import ConfigError
-from fleet_contract.orders import Action
+from fleet_contract.orders import Action, name_of
 from fleet_link import AddressError, read_secret
 
 CLOCK_ERROR = timedelta(days=1)  # of a vehicle; a moment that is farther ahead is none
@@ -59,6 +59,19 @@ class Limits:
     silence_until: timedelta = timedelta(days=1)
 
 
+@dataclass(frozen=True, slots=True)
+class Whose:
+    """A clutch of a vehicle, and its name where it is neither clutch 1 nor clutch 2 of a pair."""
+
+    vehicle: str
+    clutch: int
+    element: str | None = None
+
+    @property
+    def clutch_name(self) -> str:
+        return name_of(self.clutch, self.element)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, order=True)
 class Subject:
     """What an alarm is of; at most one of each is open at a time."""
@@ -66,6 +79,10 @@ class Subject:
     vehicle: str
     clutch: int
     rule: Rule
+    element: str | None = field(default=None, compare=False)  # name of the clutch, as of `Whose`
+
+    def __str__(self) -> str:
+        return self.vehicle + (f", {name_of(self.clutch, self.element)}" if self.clutch else "")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,60 +104,57 @@ class Transition:
     at: datetime
 
 
-def verdict_finding(vehicle: str, clutch: int, condition: str, order: str, *, is_old_fluid: bool) -> Finding:
+def verdict_finding(whose: Whose, condition: str, order: str, *, is_old_fluid: bool) -> Finding:
     """Return what the verdict says; one that is none changes nothing, unless all that spoke was an earlier fluid."""
     is_wrong = None if condition == "no_verdict" and not is_old_fluid else condition == "change_fluid"
-    return Finding(subject=_subject(vehicle, clutch, Rule.VERDICT), is_wrong=is_wrong, reason=order)
+    return Finding(subject=_subject(whose, Rule.VERDICT), is_wrong=is_wrong, reason=order)
 
 
 def cause_finding(vehicle: str, action: str, order: str) -> Finding:
     """Return whether another cause than the fluid is to be seen to; while nothing is known it stays as it was."""
     is_wrong = None if action in {Action.MEASURE_AGAIN, Action.NEW_FLUID} else action == Action.FIND_CAUSE
-    return Finding(subject=_subject(vehicle, WHOLE_VEHICLE, Rule.CAUSE), is_wrong=is_wrong, reason=order)
+    return Finding(subject=_subject(Whose(vehicle, WHOLE_VEHICLE), Rule.CAUSE), is_wrong=is_wrong, reason=order)
 
 
-def due_finding(vehicle: str, clutch: int, probability: float | None, sentence: str, limits: Limits) -> Finding:
+def due_finding(whose: Whose, probability: float | None, sentence: str, limits: Limits) -> Finding:
     """Return what the prognosis says; None: there is no trend, which is not wrong."""
     is_wrong = False if probability is None else _beyond(probability, limits.due_from, limits.due_until)
-    return Finding(subject=_subject(vehicle, clutch, Rule.DUE), is_wrong=is_wrong, reason=sentence)
+    return Finding(subject=_subject(whose, Rule.DUE), is_wrong=is_wrong, reason=sentence)
 
 
-def quality_finding(vehicle: str, clutch: int, unused_count: int, event_count: int, limits: Limits) -> Finding:
+def quality_finding(whose: Whose, unused_count: int, event_count: int, limits: Limits) -> Finding:
     """Return what the last events say of the data; a few say nothing."""
     share = unused_count / max(event_count, 1)
     is_wrong = None if event_count < limits.least_events else _beyond(share, limits.unused_from, limits.unused_until)
-    reason = f"{unused_count} of the last {event_count} events of clutch {clutch} could not be used"
-    return Finding(subject=_subject(vehicle, clutch, Rule.QUALITY), is_wrong=is_wrong, reason=reason)
+    reason = f"{unused_count} of the last {event_count} events of {whose.clutch_name} could not be used"
+    return Finding(subject=_subject(whose, Rule.QUALITY), is_wrong=is_wrong, reason=reason)
 
 
-def score_finding(vehicle: str, clutch: int, fall: float | None, limits: Limits) -> Finding:
+def score_finding(whose: Whose, fall: float | None, limits: Limits) -> Finding:
     """Return whether gears are changed worse than before; None: too few changes tell."""
     is_wrong = None if fall is None else _beyond(fall, limits.fall_from, limits.fall_until)
-    reason = (
-        f"the last changes to gears of clutch {clutch} score {fall or 0.0:.0f} points less than the first of their kind"
-    )
-    return Finding(subject=_subject(vehicle, clutch, Rule.SCORE), is_wrong=is_wrong, reason=reason)
+    points = f"{fall or 0.0:.0f} points less than the first of their kind"
+    reason = f"the last changes to gears of {whose.clutch_name} score {points}"
+    return Finding(subject=_subject(whose, Rule.SCORE), is_wrong=is_wrong, reason=reason)
 
 
-def correction_finding(
-    vehicle: str, clutch: int, named: Sequence[bool], lines: Sequence[str], limits: Limits
-) -> Finding:
+def correction_finding(whose: Whose, named: Sequence[bool], lines: Sequence[str], limits: Limits) -> Finding:
     """Return whether the last changes of those that can tell named a correction."""
     last = named[-limits.sure_changes :]
     is_wrong = len(last) == limits.sure_changes and all(last)
-    reason = f"adapt {'; '.join(lines)}" if lines else f"nothing to adapt of clutch {clutch}"
+    reason = f"adapt {'; '.join(lines)}" if lines else f"nothing to adapt of {whose.clutch_name}"
     is_open = None if any(last) and not is_wrong else is_wrong
-    return Finding(subject=_subject(vehicle, clutch, Rule.CORRECTION), is_wrong=is_open, reason=reason)
+    return Finding(subject=_subject(whose, Rule.CORRECTION), is_wrong=is_open, reason=reason)
 
 
-def odometer_finding(vehicle: str, clutch: int, readings_m: Sequence[float], limits: Limits) -> Finding:
+def odometer_finding(whose: Whose, readings_m: Sequence[float], limits: Limits) -> Finding:
     """Return whether the last readings of an odometer, in their order, can be those of one."""
     wrong = [(a, b) for a, b in pairwise(readings_m) if not 0.0 <= b - a <= limits.leap_m]
     reason = "the odometer is plausible"
     if wrong:
         before_m, after_m = wrong[-1]
         reason = f"the odometer went from {before_m / 1000.0:,.0f} km to {after_m / 1000.0:,.0f} km between two results"
-    return Finding(subject=_subject(vehicle, clutch, Rule.ODOMETER), is_wrong=bool(wrong), reason=reason)
+    return Finding(subject=_subject(whose, Rule.ODOMETER), is_wrong=bool(wrong), reason=reason)
 
 
 def heard_last(told: Iterable[object], now: datetime) -> datetime | None:
@@ -155,7 +169,7 @@ def silence_finding(vehicle: str, last_heard_at: datetime, now: datetime, limits
         (now - last_heard_at).total_seconds(), limits.silence_from.total_seconds(), limits.silence_until.total_seconds()
     )
     reason = f"no message received since {last_heard_at:%Y-%m-%d %H:%M} UTC"
-    return Finding(subject=_subject(vehicle, WHOLE_VEHICLE, Rule.SILENCE), is_wrong=is_wrong, reason=reason)
+    return Finding(subject=_subject(Whose(vehicle, WHOLE_VEHICLE), Rule.SILENCE), is_wrong=is_wrong, reason=reason)
 
 
 def quota_findings(withheld: Mapping[str, int], is_open: Iterable[Subject]) -> Iterator[Finding]:
@@ -163,7 +177,7 @@ def quota_findings(withheld: Mapping[str, int], is_open: Iterable[Subject]) -> I
     for vehicle in sorted(withheld.keys() | {one.vehicle for one in is_open if one.rule is Rule.QUOTA}):
         count = withheld.get(vehicle, 0)
         reason = f"{count} messages of today are beyond its quota; the vehicle keeps them and sends them again"
-        yield Finding(subject=_subject(vehicle, WHOLE_VEHICLE, Rule.QUOTA), is_wrong=count > 0, reason=reason)
+        yield Finding(subject=_subject(Whose(vehicle, WHOLE_VEHICLE), Rule.QUOTA), is_wrong=count > 0, reason=reason)
 
 
 def transitions(findings: Iterable[Finding], is_open: Mapping[Subject, bool], now: datetime) -> Iterator[Transition]:
@@ -176,8 +190,8 @@ def transitions(findings: Iterable[Finding], is_open: Mapping[Subject, bool], no
         yield Transition(subject=one.subject, event=event, reason=one.reason, at=now)
 
 
-def _subject(vehicle: str, clutch: int, rule: Rule) -> Subject:
-    return Subject(vehicle=vehicle, clutch=clutch, rule=rule)
+def _subject(whose: Whose, rule: Rule) -> Subject:
+    return Subject(vehicle=whose.vehicle, clutch=whose.clutch, element=whose.element, rule=rule)
 
 
 def _beyond(value: float, begin: float, end: float) -> bool | None:

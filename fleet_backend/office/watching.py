@@ -26,6 +26,7 @@ from fleet_backend.alarms.rules import (
     Rule,
     Subject,
     Transition,
+    Whose,
     cause_finding,
     correction_finding,
     due_finding,
@@ -109,9 +110,7 @@ class Watch:
         steps = list(transitions(findings, is_open, now))
         written = book.write(self._engine, steps, names)
         for step in written:
-            subject = step.subject
-            whose = subject.vehicle + (f", clutch {subject.clutch}" if subject.clutch else "")
-            _LOG.info("%s: %s of %s", step.event, subject.rule, whose)
+            _LOG.info("%s: %s of %s", step.event, step.subject.rule, step.subject)
         self._told = (*self._database_families(now), *self._round_families(began_s))
         return written
 
@@ -172,7 +171,7 @@ class Watch:
         for one in self._keeper.snapshot.clutches:
             subject = Subject(vehicle=one.vehicle, clutch=one.clutch, rule=Rule.VERDICT)
             is_old = subject in is_open and self._speaks_of_old_fluid(one)
-            yield verdict_finding(one.vehicle, one.clutch, one.condition, one.order, is_old_fluid=is_old)
+            yield verdict_finding(_whose(one), one.condition, one.order, is_old_fluid=is_old)
         arrivals = last_arrivals(self._engine)
         for record in queries.last_seen(self._engine):
             vehicle = str(record["vehicle"])
@@ -214,12 +213,12 @@ class Watch:
             rows = past.results_of(self._engine, vehicle, one.clutch)
             last = rows[-limits.unused_events :]
             unused = sum(row["status"] == "rejected" for row in last)
-            yield quality_finding(vehicle, one.clutch, unused, len(last), limits)
+            yield quality_finding(_whose(one), unused, len(last), limits)
             fall, named, lines = shifting_of(rows)
-            yield score_finding(vehicle, one.clutch, fall, limits)
-            yield correction_finding(vehicle, one.clutch, named, lines, limits)
+            yield score_finding(_whose(one), fall, limits)
+            yield correction_finding(_whose(one), named, lines, limits)
             readings_m = [row["odometer_m"] for row in last if row["odometer_m"] is not None]
-            yield odometer_finding(vehicle, one.clutch, readings_m, limits)
+            yield odometer_finding(_whose(one), readings_m, limits)
             readings.append([(row["end_at"], row["odometer_m"]) for row in rows])
             founds.append(outlook_of(one.clutch, rows, fills, self._orders.service_distance_m, kept) if rows else None)
         yield cause_finding(vehicle, clutches[0].action, clutches[0].order)
@@ -227,9 +226,13 @@ class Watch:
         due = [due_of(one, founds, own, now.date()) for one, own in zip(clutches, readings, strict=True)]
         keep_due(self._engine, clutches, due, now)
         text = f"{clutches[0].order} {outlook_text(founds, clutches[0].action)}"
-        for found in founds:
+        for one, found in zip(clutches, founds, strict=True):
             if found is not None:
-                yield due_finding(vehicle, found.clutch, chance_of(found), text, limits)
+                yield due_finding(_whose(one), chance_of(found), text, limits)
+
+
+def _whose(one: ClutchNow) -> Whose:
+    return Whose(one.vehicle, one.clutch, one.element)
 
 
 def run_watch(engine: Engine, orders: Orders, metrics: Place | None = None, *, is_once: bool = False) -> None:

@@ -1,5 +1,6 @@
 """Alarms that rules raised, open ones first asked for, and one of them; who may do so acknowledges it here."""
 
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, Final
 
@@ -11,6 +12,7 @@ from fleet_backend.alarms.book import Note
 from fleet_backend.alarms.rules import Rule, Subject
 from fleet_backend.database import transaction
 from fleet_backend.office_tables import ALARM
+from fleet_backend.orders import clutch_names
 from fleet_backend.page import wording
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import AFTER, LIMIT, VEHICLE, Ask, Parameter, ParameterType
@@ -19,11 +21,12 @@ from fleet_backend.page.fleet_view import next_of
 from fleet_backend.page.listing import cursor, read_moment
 from fleet_backend.page.records import Alarm, AlarmsAnswer
 from fleet_backend.page.view import Action, Choice, Field, Form, Shown, Sources, View
+from fleet_contract.orders import name_of
 
 _KEY: Final = ("vehicle", "clutch", "rule", "number")
 _STATES: Final = ("open", "waiting", "all")
 _STATE_WORDS: Final = (("", "open"), ("waiting", "open, not acknowledged"), ("all", "all"))
-_NAMES: Final = tuple(field.name for field in fields(Alarm))
+_NAMES: Final = tuple(field.name for field in fields(Alarm) if field.name != "element")
 
 
 def find(sources: Sources, ask: Ask) -> AlarmsAnswer:
@@ -70,7 +73,8 @@ def _read(engine: Engine, ask: Ask, limit: int) -> tuple[Alarm, ...]:
         at, key = read_moment(after, (str, int, str, int))
         statement = statement.where(ALARM.c.raised_at <= at, or_(ALARM.c.raised_at < at, _is_behind(key)))
     with transaction(engine) as connection:
-        return tuple(map(_alarm, connection.execute(statement).mappings()))
+        names = clutch_names(connection)
+        return tuple(_alarm(row, names) for row in connection.execute(statement).mappings())
 
 
 def _is_behind(key: list[Any]) -> Any:  # noqa: ANN401 - a condition of SQLAlchemy
@@ -82,16 +86,16 @@ def _is_behind(key: list[Any]) -> Any:  # noqa: ANN401 - a condition of SQLAlche
     return or_(*ways)
 
 
-def _alarm(row: RowMapping) -> Alarm:
-    values = {name: row[name] for name in _NAMES}
-    return Alarm(**{**values, "clutch": row["clutch"] or None})
+def _alarm(row: RowMapping, names: Mapping[tuple[str, int], str]) -> Alarm:
+    values = {name: row[name] for name in _NAMES} | {"clutch": row["clutch"] or None}
+    return Alarm(**values, element=names.get((row["vehicle"], row["clutch"])))
 
 
 def _cells(one: Alarm) -> tuple[Cell, ...]:
     at = one.acknowledged_at
     return (
         wording.vehicle_link(one.vehicle),
-        wording.plain(None if one.clutch is None else str(one.clutch)),
+        wording.plain(None if one.clutch is None else one.element or str(one.clutch)),
         Link(text=one.rule, href=wording.alarm_href(one.vehicle, one.clutch or 0, one.rule, one.number)),
         wording.minute(one.raised_at),
         wording.minute(one.cleared_at),
@@ -138,7 +142,7 @@ def find_one(sources: Sources, ask: Ask) -> Alarm:
 
 def show_one(answer: Alarm, ask: Ask, _sources: Sources) -> Shown:
     """Return the page of an alarm, with a form for who may acknowledge it."""
-    clutch = "" if answer.clutch is None else f", clutch {answer.clutch}"
+    clutch = "" if answer.clutch is None else f", {name_of(answer.clutch, answer.element)}"
     rows: tuple[tuple[Cell, ...], ...] = (
         ("vehicle", wording.vehicle_link(answer.vehicle)),
         ("rule", answer.rule),
@@ -198,7 +202,7 @@ def _read_one(engine: Engine, subject: Subject, number: int) -> Alarm | None:
     own = (ALARM.c.vehicle == subject.vehicle, ALARM.c.clutch == subject.clutch, ALARM.c.rule == subject.rule.value)
     with transaction(engine) as connection:
         row = connection.execute(select(ALARM).where(*own, ALARM.c.number == number)).mappings().first()
-    return None if row is None else _alarm(row)
+        return None if row is None else _alarm(row, clutch_names(connection))
 
 
 ONE_VIEW: Final = View(

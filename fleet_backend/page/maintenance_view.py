@@ -26,7 +26,7 @@ from fleet_backend.page.records import ClutchNow, Due, MaintenanceAnswer, Severi
 from fleet_backend.page.vehicle_state import state_of
 from fleet_backend.page.vehicle_view import SERVICE_KM, past_of
 from fleet_backend.page.view import Shown, Sources, View
-from fleet_contract.orders import Action
+from fleet_contract.orders import Action, name_of
 
 _LONGEST: Final = 75  # bytes of a line, its end not counted
 _ESCAPED: Final = str.maketrans({"\\": "\\\\", ";": "\\;", ",": "\\,", "\n": "\\n", "\r": ""})
@@ -120,7 +120,7 @@ def calendar(answer: MaintenanceAnswer, ask: Ask) -> bytes:
         Entry(
             key=f"{one.vehicle}-{one.clutch}@fluid.clutchdiag",
             day=one.due_from,
-            title=f"Fluid of {one.vehicle}, clutch {one.clutch}",
+            title=f"Fluid of {one.vehicle}, {name_of(one.clutch, one.element)}",
             text=one.text,
         )
         for one in answer.clutches
@@ -213,6 +213,7 @@ def _told(
     return Due(
         vehicle=now.vehicle,
         clutch=now.clutch,
+        element=now.element,
         condition=now.condition,
         is_overdue=now.action == Action.CHANGE_NOW or (half is not None and half < today),
         due_from=first,
@@ -236,7 +237,7 @@ def _cells(one: Due) -> tuple[Cell, ...]:
     )
     return (
         wording.vehicle_link(one.vehicle),
-        str(one.clutch),
+        one.element or str(one.clutch),
         wording.badge(one.condition),
         Badge(style="change-fluid", text="overdue") if one.is_overdue else NONE,
         *days,

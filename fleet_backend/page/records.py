@@ -295,6 +295,7 @@ class Alarm:
 
     vehicle: str
     clutch: int | None  # null: of the vehicle as a whole
+    element: str | None  # as of `ClutchNow`
     rule: str
     number: int  # from 1 on, of each vehicle, clutch and rule
     raised_at: datetime
@@ -319,6 +320,7 @@ class Due:
 
     vehicle: str
     clutch: int
+    element: str | None  # as of `ClutchNow`
     condition: str
     is_overdue: bool  # its limit is passed, or more probably so than not
     due_from: date | None  # it lasts until then with a probability of 90 %

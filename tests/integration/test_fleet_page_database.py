@@ -34,7 +34,15 @@ from fleet_backend.errors import DatabaseError
 from fleet_backend.intake import batch_of, take_all
 from fleet_backend.office.watching import Orders
 from fleet_backend.office.watching import Watch as WatchOfOffice
-from fleet_backend.page import changes_view, fleet_view, maintenance_view, quarantine_view, shift_view, vehicle_view
+from fleet_backend.page import (
+    alarms_view,
+    changes_view,
+    fleet_view,
+    maintenance_view,
+    quarantine_view,
+    shift_view,
+    vehicle_view,
+)
 from fleet_backend.page.access import Access
 from fleet_backend.page.asking import Ask, read_words
 from fleet_backend.page.keeper import LEAST_CLUTCHES, DatabaseSource, Keeper
@@ -205,11 +213,32 @@ def test_a_cause_that_new_fluid_does_not_mend_is_on_the_page_in_the_list_and_an_
     assert (answer.action, answer.causes) == ("new_fluid", None)
 
 
-def test_a_clutch_with_a_name_is_called_by_it_in_lists_and_on_the_pages_of_its_vehicle(engine: Engine) -> None:
-    given = fleet_result(1, vehicle="taxi", clutch=1, condition=Condition.GOOD)
-    name = "lock-up clutch"
+def store_lockup_clutch(engine: Engine, condition: Condition) -> ShiftResult:
+    """Store a result of a vehicle whose only clutch has a name."""
+    given, name = fleet_result(1, vehicle="taxi", clutch=1, condition=condition), "lock-up clutch"
     named = replace(given, estimate=replace(given.estimate, element=name), verdict=replace(given.verdict, element=name))
     Writer(engine).store(Batch(shifts=[row_of(named)]))
+    return given
+
+
+def test_alarms_and_days_call_a_clutch_by_its_name(engine: Engine) -> None:
+    store_lockup_clutch(engine, Condition.CHANGE_FLUID)
+    steps = WatchOfOffice(engine, Orders(), lambda: NOW).round()
+    assert {str(one.subject) for one in steps if one.subject.clutch} == {"taxi, lock-up clutch"}
+    sources, asked = sources_of(engine), ask(alarms_view.VIEW)
+    answer = alarms_view.find(sources, asked)
+    assert [one.element for one in answer.alarms if one.clutch] == ["lock-up clutch"]
+    (own,) = (one for one in answer.alarms if one.clutch)
+    title = alarms_view.show_one(own, asked, sources).title
+    assert title == "Alarm 1: taxi, lock-up clutch: verdict"
+    assert report.alarm_table(queries.clutch_alarms(engine, is_open_only=True), []).rows[0][2] == "lock-up clutch"
+    assert queries.clutch_name(engine, "taxi", 1) == "lock-up clutch"
+    due = maintenance_view.find(sources, ask(maintenance_view.VIEW)).clutches
+    assert [one.element for one in due] == ["lock-up clutch"]
+
+
+def test_a_clutch_with_a_name_is_called_by_it_in_lists_and_on_the_pages_of_its_vehicle(engine: Engine) -> None:
+    given, name = store_lockup_clutch(engine, Condition.GOOD), "lock-up clutch"
     sources, asked = sources_of(engine), ask(vehicle_view.VIEW, "taxi")
     answer = vehicle_view.find(sources, asked)
     shown = vehicle_view.show(answer, asked, sources)

@@ -11,6 +11,7 @@ from fleet_backend.alarms.rules import (
     Finding,
     Limits,
     Subject,
+    Whose,
     correction_finding,
     due_finding,
     heard_last,
@@ -39,20 +40,20 @@ def happened(findings: list[Finding]) -> list[Event]:
 
 def test_a_probability_that_swings_about_a_limit_raises_one_alarm() -> None:
     swing = [0.1, 0.49, 0.51, 0.49, 0.51, 0.31, 0.29, 0.31, 0.49]
-    assert happened([due_finding("a", 1, one, "soon", LIMITS) for one in swing]) == [Event.RAISED, Event.CLEARED]
-    lost = [due_finding("a", 1, 0.9, "soon", LIMITS), due_finding("a", 1, None, "no trend yet", LIMITS)]
+    assert happened([due_finding(Whose("a", 1), one, "soon", LIMITS) for one in swing]) == [Event.RAISED, Event.CLEARED]
+    lost = [due_finding(Whose("a", 1), 0.9, "soon", LIMITS), due_finding(Whose("a", 1), None, "no trend yet", LIMITS)]
     assert happened(lost) == [Event.RAISED, Event.CLEARED]
 
 
 @given(st.lists(st.floats(0.0, 1.0), max_size=30))
 def test_an_alarm_is_raised_and_cleared_in_turn(chances: list[float]) -> None:
-    events = happened([due_finding("a", 1, one, "soon", LIMITS) for one in chances])
+    events = happened([due_finding(Whose("a", 1), one, "soon", LIMITS) for one in chances])
     assert events == [Event.RAISED, Event.CLEARED] * (len(events) // 2) + [Event.RAISED] * (len(events) % 2)
 
 
 def test_no_verdict_neither_raises_nor_clears() -> None:
     words = ["no_verdict", "good", "change_fluid", "no_verdict", "change_fluid", "watch"]
-    assert happened([verdict_finding("a", 1, one, "why", is_old_fluid=False) for one in words]) == [
+    assert happened([verdict_finding(Whose("a", 1), one, "why", is_old_fluid=False) for one in words]) == [
         Event.RAISED,
         Event.CLEARED,
     ]
@@ -62,21 +63,21 @@ def test_no_verdict_neither_raises_nor_clears() -> None:
     ("unused", "events", "is_wrong"), [(19, 19, None), (25, 50, True), (20, 50, None), (12, 50, False), (0, 0, None)]
 )
 def test_a_few_events_say_nothing_of_the_data(unused: int, events: int, is_wrong: bool | None) -> None:
-    found = quality_finding("a", 2, unused, events, LIMITS)
+    found = quality_finding(Whose("a", 2), unused, events, LIMITS)
     assert found.is_wrong is is_wrong
     assert f"{unused} of the last {events} events of clutch 2" in found.reason
 
 
 def test_a_score_that_falls_is_an_alarm_until_it_is_nearly_back() -> None:
     falls = [None, 3.0, 14.0, 15.5, 12.0, 8.5, None, 7.0, 14.0]
-    assert happened([score_finding("a", 1, one, LIMITS) for one in falls]) == [Event.RAISED, Event.CLEARED]
-    assert "clutch 1 score 16 points less" in score_finding("a", 1, 15.5, LIMITS).reason
+    assert happened([score_finding(Whose("a", 1), one, LIMITS) for one in falls]) == [Event.RAISED, Event.CLEARED]
+    assert "clutch 1 score 16 points less" in score_finding(Whose("a", 1), 15.5, LIMITS).reason
 
 
 def test_a_correction_is_sure_once_three_changes_name_it_and_over_once_three_name_none() -> None:
     told = [False, True, True, False, True, True, True, False, False, True, False, False, False]
     line = ["clutch 1: fill for 60 ms longer (± 10)"]
-    found = [correction_finding("a", 1, told[:count], line, LIMITS) for count in range(len(told) + 1)]
+    found = [correction_finding(Whose("a", 1), told[:count], line, LIMITS) for count in range(len(told) + 1)]
     assert happened(found) == [Event.RAISED, Event.CLEARED]
     assert [one.is_wrong for one in found[:8]] == [False, False, None, None, None, None, None, True]
     assert found[7].reason == "adapt clutch 1: fill for 60 ms longer (± 10)"
@@ -86,7 +87,7 @@ def test_a_correction_is_sure_once_three_changes_name_it_and_over_once_three_nam
     ("readings_m", "is_wrong"), [([], False), ([1e7, 2e7], False), ([1e7, 1e9, 2e7], True), ([4e7, 1e7], True)]
 )
 def test_an_odometer_that_went_back_or_leapt_is_an_alarm(readings_m: list[float], is_wrong: bool) -> None:
-    found = odometer_finding("a", 1, readings_m, LIMITS)
+    found = odometer_finding(Whose("a", 1), readings_m, LIMITS)
     assert found.is_wrong is is_wrong
     assert happened([found]) == [Event.RAISED] * is_wrong
 

@@ -16,6 +16,7 @@ def due(vehicle: str, day: date | None, *, is_overdue: bool = False) -> Due:
     return Due(
         vehicle=vehicle,
         clutch=1,
+        element=None,
         condition="good",
         is_overdue=is_overdue,
         due_from=day,
