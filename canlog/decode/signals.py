@@ -323,11 +323,6 @@ class Decoded:
     invalid: InvalidCounts = NO_INVALID
     is_present: BoolArray | None = None  # (n,) in the frame at all; None: in all of them
 
-    @property
-    def invalid_count(self) -> int:
-        """Values in the frames that are no measurements."""
-        return self.invalid.total
-
 
 @dataclass(frozen=True, slots=True)
 class Selector:

@@ -7,12 +7,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
 
-from clutch_model.calibration import Calibration, nominal_calibration
+from clutch_model.calibration import Calibration
 from diag_service.delivery import Acknowledge
-from diag_service.diagnosis.columns import GearRatios
 from diag_service.errors import ConfigError
-from diag_service.mapping.vehicle_file import read_description
-from diag_service.settings.config import DiagnosisConfig, PollConfig, as_profiled, broker_of, vehicle_of
+from diag_service.settings.config import DiagnosisConfig, PollConfig, as_profiled, broker_of, described_by, vehicle_of
 
 if TYPE_CHECKING:
     import can
@@ -94,12 +92,13 @@ def configuration(
 ) -> DiagnosisConfig:
     """Return how frames become results; raises ConfigError or CalibrationError."""
     calibration = meaning.get("calibration")
-    chosen, gears = _described(calibration)
+    named = calibration if isinstance(calibration, Calibration) else optional_path(calibration)
+    chosen, gears = described_by(named, optional_path(meaning.get("profile")))
     return DiagnosisConfig(
         vehicle=vehicle_of(meaning.get("vehicle"), chosen),
         calibration=as_profiled(chosen, optional_path(meaning.get("profile"))),
         gears=gears,
-        vehicle_file=None if gears is None or isinstance(calibration, Calibration) else optional_path(calibration),
+        vehicle_file=None if gears is None or isinstance(named, Calibration) else named,
         dbc=optional_path(meaning.get("dbc")),
         profile=optional_path(meaning.get("profile")),
         is_lenient=meaning.get("is_lenient", False),
@@ -140,12 +139,6 @@ def check_one_bus(bus: "can.BusABC | None", *names: object) -> None:
     """Raise ConfigError if a bus was handed over open and named besides."""
     if bus is not None and any(name is not None and name is not False for name in names):
         raise ConfigError("give either an open bus or an interface and a channel, not both")
-
-
-def _described(choice: Calibration | AnyPath | None) -> tuple[Calibration, GearRatios | None]:
-    if isinstance(choice, Calibration):
-        return choice, None
-    return (nominal_calibration(), None) if choice is None else read_description(Path(choice))
 
 
 def _options(delivery: Delivery) -> SimpleNamespace:

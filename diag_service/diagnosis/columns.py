@@ -68,6 +68,9 @@ BALANCE_SIGNALS = (
 )
 """What the torque balance of the input side needs, sample by sample."""
 
+LOCKUP_SIGNALS = frozenset({Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE, Signal.TURBINE_SPEED, Signal.LOCKUP_PRESSURE})
+"""What the friction of the lock-up clutch of a converter needs; nothing less tells anything of it."""
+
 
 ROW_SIGNALS = (Signal.ENGINE_SPEED, Signal.INPUT1_SPEED, Signal.CLUTCH1_PRESSURE)
 """What no bus has in one message: if they have the same times, these are the rows of a table."""

@@ -47,7 +47,6 @@ MOST_LEVERAGE: Final = 0.8
 TOUCH_STD_PA, DELAY_STD_S = 1.5e4, 0.015
 STANDING_RAD_S: Final = 0.5
 HELD_PA: Final = 0.3e5  # what is less is an empty piston, not a clutch that is held at its touch point
-MARGIN_S: Final = 0.15  # around a slip phase: pressures are read a little earlier or later
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -21,7 +21,7 @@ from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.asked_signals import Overheard
 from diag_service.mapping.mapped_messages import MessageColumns, SourceTable, map_signals
 from diag_service.mapping.profile import Profile
-from diag_service.mapping.tiers import LOCKUP, MANDATORY
+from diag_service.mapping.tiers import FRICTION_SIGNALS
 
 _HAS_BAD: Final = 1  # bits of what a pass found
 _HAS_INVALID: Final = 2
@@ -242,7 +242,7 @@ class Decoder:
         return frozenset(
             mapped.message.name
             for mapped in self._messages
-            if any(column.signal in MANDATORY | LOCKUP for column in mapped.columns)
+            if any(column.signal in FRICTION_SIGNALS for column in mapped.columns)
         )
 
     @property

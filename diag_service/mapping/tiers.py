@@ -8,7 +8,7 @@ from collections.abc import Set as AbstractSet
 from typing import Final
 
 from clutch_model.calibration import TorqueSource
-from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, LOCKUP_SIGNALS, Signal
 from diag_service.diagnosis.records import Tier
 
 Alternative = frozenset[Signal]
@@ -22,12 +22,9 @@ TORQUE_COMMANDS: Final = frozenset({Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH
 PRESSURES: Final = frozenset({Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE})
 
 MANDATORY: Final = frozenset({*BALANCE_SIGNALS, Signal.CURRENT_GEAR, Signal.TARGET_GEAR, Signal.SUMP_TEMPERATURE})
-"""Without these there is no friction to estimate."""
+"""Without these there is no friction of dual clutches to estimate."""
 
-LOCKUP: Final = frozenset({
-    Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE, Signal.TURBINE_SPEED, Signal.LOCKUP_PRESSURE
-})  # fmt: skip
-"""What the friction of the lock-up clutch of a converter needs; nothing less tells anything of it."""
+FRICTION_SIGNALS: Final = MANDATORY | LOCKUP_SIGNALS
 
 _SPEED: Final[Requirement] = (frozenset({Signal.ENGINE_SPEED}),)
 _GEARS: Final[Requirement] = (
@@ -62,7 +59,7 @@ def tier_of(signals: AbstractSet[Signal], *, knows_gears: bool = False, has_conv
     it is about a lock-up clutch.
     """
     if has_converter:
-        return Tier.FRICTION if signals >= LOCKUP else None
+        return Tier.FRICTION if signals >= LOCKUP_SIGNALS else None
     return next((tier for tier in Tier if not any(_unmet(tier, signals, knows_gears=knows_gears))), None)
 
 
@@ -77,11 +74,13 @@ def missing_signals(tier: Tier, signals: AbstractSet[Signal], *, knows_gears: bo
 def missing_for_next(signals: AbstractSet[Signal], *, knows_gears: bool = False, has_converter: bool = False) -> str:
     """Return one sentence: what the next better tier is and lacks; empty at the first tier."""
     if has_converter:
-        lacking = LOCKUP - signals
+        lacking = LOCKUP_SIGNALS - signals
         return f"{PURPOSE[Tier.FRICTION]} of a lock-up clutch needs {_joined(lacking)}" if lacking else ""
     tier = tier_of(signals, knows_gears=knows_gears)
     if tier is Tier.FRICTION:
         return ""
+    if Signal.LOCKUP_PRESSURE in signals:
+        return "friction of a lock-up clutch needs a description with its converter (--calibration lockup)"
     wanted = Tier.KINEMATIC if tier is None else Tier(tier - 1)
     verb = "need" if " and " in PURPOSE[wanted] else "needs"
     return f"{PURPOSE[wanted]} {verb} {', '.join(missing_signals(wanted, signals, knows_gears=knows_gears))}"
@@ -91,11 +90,9 @@ def why_no_friction(
     signals: AbstractSet[Signal], torque: TorqueSource, *, knows_gears: bool = False, has_converter: bool = False
 ) -> str:
     """Return one sentence: why there is no verdict on friction; empty at the first tier."""
-    if has_converter:
-        return missing_for_next(signals, has_converter=True)
     if (Signal.ENGINE_TORQUE not in signals or torque.is_modelled) and signals >= PRESSURES:
         return "engine torque is not measured, and without it the level of friction is known up to a scale at best"
-    return missing_for_next(signals, knows_gears=knows_gears)
+    return missing_for_next(signals, knows_gears=knows_gears, has_converter=has_converter)
 
 
 def _unmet(tier: Tier, signals: AbstractSet[Signal], *, knows_gears: bool) -> Iterator[Requirement]:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from clutch_model.calibration import Calibration, TorqueSource, nominal_calibration
 from diag_service.delivery import Acknowledge
-from diag_service.diagnosis.columns import GearRatios
+from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import Interpretation, interpret
 from diag_service.mapping.profile import Profile, find_profile
-from diag_service.mapping.vehicle_file import read_description
+from diag_service.mapping.vehicle_file import Described, read_description
 from fleet_contract import is_vehicle
 from fleet_link import AddressError, BrokerAddress, TlsFiles, parse_broker
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 UNNAMED_VEHICLE = "vehicle"  # what a vehicle is called that nobody names
 SMALLEST_BUDGET_BYTES = 1 << 20
 SHORTEST_POLL_S = 1.0
+_LOCKUP = Path("lockup")  # profile and description of an automatic
 _LOOPBACK = "127.0.0.1"
 
 
@@ -46,7 +47,10 @@ class DiagnosisConfig:
 
     def interpretation(self) -> Interpretation:
         """Return what frames mean; raises ConfigError."""
-        meaning = interpret(self.dbc, self.profile, is_lenient=self.is_lenient, parser_time_s=self.parser_time_s)
+        usual = _LOCKUP if self.dbc is None and self.calibration.converter is not None else None
+        meaning = interpret(
+            self.dbc, self.profile or usual, is_lenient=self.is_lenient, parser_time_s=self.parser_time_s
+        )
         return meaning.with_gears(self.gears, *([] if self.vehicle_file is None else [self.vehicle_file]))
 
     def __post_init__(self) -> None:
@@ -120,6 +124,14 @@ def check_vehicle(vehicle: str) -> str:
     return vehicle
 
 
+def described_by(named: Calibration | Path | None, profile: Path | Profile | None) -> Described:
+    """Return what a description says; if none is named, the shipped one of the transmission that the profile is of."""
+    if named is None:
+        is_lockup = profile is not None and Signal.LOCKUP_PRESSURE in find_profile(profile).sources
+        named = _LOCKUP if is_lockup else nominal_calibration()
+    return Described(named, None) if isinstance(named, Calibration) else read_description(named)
+
+
 def as_profiled(calibration: Calibration, profile: Path | Profile | None) -> Calibration:
     """Return a calibration that knows where the engine's torque comes from; raises ConfigError."""
     told = TorqueSource.MEASURED if profile is None else find_profile(profile).torque
@@ -131,7 +143,7 @@ def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
     if options.vehicle_file is not None and options.calibration is not None:
         raise ConfigError("a vehicle file holds a calibration: give either --vehicle-file or --calibration")
     described_in = options.vehicle_file or options.calibration
-    calibration, gears = (nominal_calibration(), None) if described_in is None else read_description(described_in)
+    calibration, gears = described_by(described_in, options.profile)
     options.vehicle = vehicle_of(options.vehicle, calibration)
     config = DiagnosisConfig(
         vehicle=options.vehicle,

@@ -9,7 +9,6 @@ from fleet_contract.orders import SHOWN_AS, Action
 
 BAND_STD: Final = 2.0
 M_PER_KM: Final = 1000.0
-ABSOLUTE_ZERO_DEGC: Final = -273.15
 
 
 def friction(value: float | None) -> Cell:

@@ -24,7 +24,7 @@ def told(log: Path) -> list[dict[str, object]]:
 
 
 def test_old_fluid_is_told_by_slip_and_by_shudder(log: Path) -> None:
-    found = diag_service.analyze(log, profile="lockup", calibration="lockup")
+    found = diag_service.analyze(log, profile="lockup")
     verdict = found.verdicts[1]
     assert list(found.verdicts) == [1]
     assert verdict.element == "lock-up clutch"
@@ -68,7 +68,7 @@ def test_store_history_and_report_call_it_by_its_name(log: Path, tmp_path: Path)
 def test_it_is_published_by_its_name(log: Path, broker: Mosquitto) -> None:
     with Subscriber(broker.port) as subscriber:
         ended(
-            *("analyze", str(log), "--profile", "lockup", "--calibration", "lockup", "--vehicle", "at8"),
+            *("analyze", str(log), "--calibration", "lockup", "--vehicle", "at8"),
             *("--broker", broker.url),
         )
         subscriber.wait(lambda heard: bool(heard.payloads("/clutch/1")))

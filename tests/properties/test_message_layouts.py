@@ -106,7 +106,7 @@ def test_signals_decode_together_as_each_by_itself(message: Message, seed: int) 
     for name, table in tables.items():
         alone, found = table.decode(PayloadWords(data[rows])), together[name]
         assert same_bits(alone.value, found.value)
-        assert alone.invalid_count == found.invalid_count
+        assert alone.invalid.total == found.invalid.total
         assert (alone.is_good is None) == (found.is_good is None)
         if alone.is_good is not None and found.is_good is not None:
             assert np.array_equal(alone.is_good, found.is_good)
@@ -121,4 +121,4 @@ def test_classic_rows_and_wide_rows_decode_alike(message: Message, seed: int) ->
     for signal in message_table(message).signals.values():
         near, far = signal.decode(PayloadWords(narrow)), signal.decode(PayloadWords(wide))
         assert same_bits(near.value, far.value)
-        assert near.invalid_count == far.invalid_count
+        assert near.invalid.total == far.invalid.total

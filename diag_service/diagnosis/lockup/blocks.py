@@ -14,9 +14,8 @@ from canlog.arrays import BoolArray, FloatArray, Int64Array
 from clutch_model.calibration import Calibration, Converter
 from clutch_model.pack import contact_torques_nm, film_law, friction_law, stribeck_weights
 from clutch_model.units import NS_PER_S
-from diag_service.diagnosis.columns import Columns, Signal
+from diag_service.diagnosis.columns import LOCKUP_SIGNALS, Columns, Signal
 
-NEEDED: Final = (Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE, Signal.TURBINE_SPEED, Signal.LOCKUP_PRESSURE)
 MICRO_SLIP_RAD_S: Final = 40.0 * np.pi / 30.0  # where friction is told: 40 rpm, amid what controllers hold
 BLOCK_NS: Final = NS_PER_S // 2
 LONGEST_GAP_NS: Final = NS_PER_S // 10  # between samples that a line may join
@@ -78,10 +77,10 @@ class Blocks:
 
 def samples_of(columns: Columns) -> Samples | None:
     """Return the signals at common times; None where one of them is missing."""
-    if any(signal not in columns or len(columns[signal].t_ns) < LEAST_SAMPLES for signal in NEEDED):
+    if any(signal not in columns or len(columns[signal].t_ns) < LEAST_SAMPLES for signal in LOCKUP_SIGNALS):
         return None
-    first = max(int(columns[signal].t_ns[0]) for signal in NEEDED)
-    last = min(int(columns[signal].t_ns[-1]) for signal in NEEDED)
+    first = max(int(columns[signal].t_ns[0]) for signal in LOCKUP_SIGNALS)
+    last = min(int(columns[signal].t_ns[-1]) for signal in LOCKUP_SIGNALS)
     speed = columns[Signal.ENGINE_SPEED].between(first, last + 1)
     if len(speed.t_ns) < LEAST_SAMPLES:
         return None
@@ -92,7 +91,7 @@ def samples_of(columns: Columns) -> Samples | None:
         return np.interp(at_s, (one.t_ns - first) / NS_PER_S, one.value)
 
     is_bridged = np.zeros(len(at_s), np.bool_)
-    for signal in NEEDED:
+    for signal in LOCKUP_SIGNALS:
         t_ns = columns[signal].t_ns
         after = np.clip(t_ns.searchsorted(speed.t_ns), 1, len(t_ns) - 1)
         is_bridged |= t_ns[after] - t_ns[after - 1] > LONGEST_GAP_NS

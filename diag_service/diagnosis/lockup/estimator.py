@@ -1,6 +1,5 @@
 """Stretches of a drive with about a minute of slip of the lock-up clutch: where they lie, and what each says."""
 
-from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from typing import Final
 
@@ -11,7 +10,7 @@ from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind, Shudder
 from diag_service.diagnosis.friction.estimator import without_friction
-from diag_service.diagnosis.lockup.blocks import NEEDED, Blocks, cut, is_slipping, samples_of
+from diag_service.diagnosis.lockup.blocks import Blocks, cut, is_slipping, samples_of
 from diag_service.diagnosis.lockup.shudder import shudder
 from diag_service.diagnosis.lockup.state import MISFIT_RATIO, LockupState
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
@@ -90,11 +89,6 @@ class SlipFinder(EventFinder):
     def is_expecting(self) -> bool:
         """Whether a result is about to come: a stretch is always open, and nobody waits for its end."""
         return self.due_ns is not None
-
-
-def tells_lockup(signals: AbstractSet[Signal]) -> bool:
-    """Return whether signals suffice for the friction of a lock-up clutch."""
-    return signals >= set(NEEDED)
 
 
 class LockupEstimator:

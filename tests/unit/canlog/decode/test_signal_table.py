@@ -116,7 +116,7 @@ def test_own_signals_are_good_inside_their_range_only(name: str, data: UInt8Arra
         in_range = [signal.minimum - step <= value <= signal.maximum + step for value in decoded.value.tolist()]
         good = np.ones(len(data), np.bool_) if decoded.is_good is None else decoded.is_good
         assert good.tolist() == in_range
-        assert decoded.invalid_count == in_range.count(False)
+        assert decoded.invalid.total == in_range.count(False)
 
 
 @given(
@@ -168,7 +168,7 @@ def test_multiplexed_signals_are_present_where_cantools_finds_them(data: UInt8Ar
         good = np.ones(len(data), np.bool_) if decoded.is_good is None else decoded.is_good
         assert good.tolist() == (~np.isnan(wanted)).tolist()
         assert decoded.value[good].tolist() == wanted[good].tolist()
-        assert decoded.invalid_count == 0
+        assert decoded.invalid.total == 0
 
 
 def test_page_of_nobody_carries_nothing() -> None:
@@ -186,7 +186,7 @@ def test_absent_signal_is_not_counted_as_invalid() -> None:
     decoded = compile_signal(multiplexed(), multiplexed().get_signal_by_name("First")).decode(PayloadWords(data))
     assert decoded.is_good is not None
     assert decoded.is_good.tolist() == [False, False]
-    assert decoded.invalid_count == 1
+    assert decoded.invalid.total == 1
 
 
 def values(*bytes_0: int) -> UInt8Array:

@@ -35,7 +35,7 @@ def test_a_share_of_a_standard_torque_less_the_loss() -> None:
     source = SignalSource(message="M", signal="Share", less="Loss", times="Standard")
     found = compile_source(message(), source).decode(PayloadWords(payloads((120, 20, 40))))
     assert found.value.tolist() == [(60.0 - 10.0) * 400.0]
-    assert (found.is_good, found.invalid_count) == (None, 0)
+    assert (found.is_good, found.invalid.total) == (None, 0)
 
 
 def test_a_neighbour_without_value_takes_the_value_away() -> None:
@@ -43,14 +43,14 @@ def test_a_neighbour_without_value_takes_the_value_away() -> None:
     found = compile_source(message(), source).decode(PayloadWords(payloads((120, 20, 40), (120, 255, 40), (255, 0, 0))))
     assert found.is_good is not None
     assert found.is_good.tolist() == [True, False, False]
-    assert found.invalid_count == 2
+    assert found.invalid.total == 2
 
 
 def test_valid_range_and_codes_of_the_profile() -> None:
     source = SignalSource(message="M", signal="Share", check_range=False, valid=(0.0, 50.0), invalid=(7.5,))
     found = compile_source(message(), source).decode(PayloadWords(payloads((0, 0, 0), (15, 0, 0), (101, 0, 0))))
     assert found.is_good is not None
-    assert (found.is_good.tolist(), found.invalid_count) == ([True, False, False], 2)
+    assert (found.is_good.tolist(), found.invalid.total) == ([True, False, False], 2)
 
 
 def test_the_neighbour_must_be_there() -> None:

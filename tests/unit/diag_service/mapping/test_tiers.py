@@ -49,6 +49,14 @@ def test_what_is_missing_is_named() -> None:
     )
 
 
+def test_who_has_a_lockup_clutch_is_told_that_its_converter_is_to_be_described() -> None:
+    seen = frozenset(load_shipped("lockup").sources)
+    assert missing_for_next(seen) == (
+        "friction of a lock-up clutch needs a description with its converter (--calibration lockup)"
+    )
+    assert missing_for_next(seen, has_converter=True) == ""
+
+
 def test_what_is_missing_is_named_once() -> None:
     signals = frozenset({Signal.ENGINE_SPEED, Signal.TARGET_GEAR, Signal.CLUTCH1_PRESSURE})
     assert missing_for_next(signals) == (
