@@ -27,7 +27,7 @@ from clutch_model.calibration import nominal_calibration
 from clutch_model.units import k_from_degc
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.events import SLIPS_IN_GEAR, EndReason, Event
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import Status
 from diag_service.mapping.decoder import Decoder
@@ -53,7 +53,6 @@ NS_PER_S: Final = 1e9
 NS_PER_US: Final = 1000
 WARM_DEGC: Final = 80.0
 WITHOUT_GEARS: Final = frozenset({"launch", "creep", "closing"})  # kinds of the truth
-SLIP_KINDS: Final = frozenset({EventKind.LAUNCH, EventKind.CREEP, EventKind.CLOSING, EventKind.SLIP})
 DRIVES: Final = {
     "wltc": WARM_DEGC, "udds": WARM_DEGC, "hwfet": WARM_DEGC, "us06": WARM_DEGC,
     "city": WARM_DEGC, "wltc cold": 0.0, "udds cold": -10.0, "city cold": 20.0,
@@ -165,7 +164,7 @@ def overlap_s(event: Event, truth: EventTruth, start_ns: int) -> float:
 def is_match(event: Event, truth: EventTruth, start_ns: int) -> bool:
     """Return whether an event found is a true one: both with a change of gears or both without, at the same time."""
     is_change = truth.event not in WITHOUT_GEARS
-    if is_change is (event.kind in SLIP_KINDS) or event.from_gear != truth.from_gear:
+    if is_change is (event.kind in SLIPS_IN_GEAR) or event.from_gear != truth.from_gear:
         return False
     shorter_s = min((event.end_ns - event.start_ns) / NS_PER_S, truth.t_end_s - truth.t_start_s)
     return overlap_s(event, truth, start_ns) >= OVERLAP * shorter_s

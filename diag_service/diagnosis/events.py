@@ -6,6 +6,7 @@ SI units, radians, kelvin and pascal throughout. Times are bus times in integer 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Final
 
 from canlog.e2e.e2e_state import E2eState
 from diag_service.diagnosis.columns import Columns
@@ -39,6 +40,11 @@ class EventKind(StrEnum):
     MICRO_SLIP = "micro_slip"  # about a minute in which a lock-up clutch was let slip, and what lay between
     RUN_UP_OPEN = "run_up_open"  # in neutral the engine ran from low speed to high and back, both clutches empty
     RUN_UP_CLOSED = "run_up_closed"  # the same, both clutches closed
+
+
+SLIPS_IN_GEAR: Final = frozenset({EventKind.LAUNCH, EventKind.CREEP, EventKind.CLOSING, EventKind.SLIP})
+_OTHERS: Final = {EventKind.REGEAR, EventKind.MICRO_SLIP, EventKind.RUN_UP_OPEN, EventKind.RUN_UP_CLOSED}
+GEAR_CHANGES: Final = frozenset(EventKind) - SLIPS_IN_GEAR - _OTHERS  # from one clutch to the other
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import groupby
+from pathlib import Path
 from typing import Final, Self, TextIO
 
 from canlog.errors import NOTICE
@@ -53,7 +54,8 @@ def find_logs(places: Sequence[str], lake: Place, vehicle: str, *, has_vehicles:
             raise ConfigError(f"{address}: logs and lake must not contain each other")
         held = place.held()
         if not held:
-            raise ConfigError(f"{address} holds no log")
+            what = "is a file: a lake is made of folders and stores" if Path(address).is_file() else "holds no log"
+            raise ConfigError(f"{address} {what}")
         for name, one in held.items():
             own = check_vehicle(name.partition("/")[0] if "/" in name else "") if has_vehicles else vehicle
             log = LakeLog(place=place.address, held=one, vehicle=own)

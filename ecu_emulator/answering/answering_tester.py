@@ -32,11 +32,11 @@ from ecu_emulator.answering.requested_tasks import (
 from ecu_emulator.bus.sender import FrameSender
 from ecu_emulator.bus.sent_values import OWN_NODE, SentValues, recounted
 from ecu_emulator.diagnostics.clutches import values_of
-from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.elm327.server import ElmServer, parse_place
+from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.monitors import SENSED, SENSED_OF_CONVERTER
 from ecu_emulator.diagnostics.table_file import load_table, table_like, table_of

@@ -16,8 +16,8 @@ from ecu_emulator.diagnostics.clutches import (
     limit_test,
     packs_of,
 )
-from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.monitors import MonitorLimits, Watch, is_warm, judge
 from ecu_emulator.diagnostics.values import Values

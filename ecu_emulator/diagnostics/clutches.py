@@ -9,7 +9,7 @@ from typing import Final
 
 from clutch_model.calibration import shipped_calibration
 from clutch_model.pack import clutch_later_k, contact_torque_nm, film_law
-from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.memory import TestResult, TroubleRecord
 from ecu_emulator.scenario.scenario import FluidVerdict, OnBoard
 from ecu_emulator.shift_control.touch_points import TouchPoint

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Final
 
 from ecu_emulator.diagnostics.clutches import Adaptation, OnBoardEstimates
-from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
+from ecu_emulator.diagnostics.iso14229 import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.server import (

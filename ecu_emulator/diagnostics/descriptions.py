@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
-from ecu_emulator.diagnostics.codes import Nrc
+from ecu_emulator.diagnostics.iso14229 import Nrc
 from ecu_emulator.errors import ConfigError
 
 OF_MEMORY: Final = "memory."  # begins the source of a counter of a trouble code

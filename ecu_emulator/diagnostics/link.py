@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Final, Self
 import can
 import isotp
 
-from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc, Service
 from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.iso14229 import NEGATIVE, Nrc, Service
 from ecu_emulator.diagnostics.isotp_frames import single_payload, usable
 from ecu_emulator.diagnostics.server import AGAIN_RATIO, KEEP_ALIVE
 from ecu_emulator.diagnostics.table import Addressing, Transport

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Final
 
-from ecu_emulator.diagnostics.codes import ALL_CODES, CLEARED, Status
 from ecu_emulator.diagnostics.descriptions import Trouble
+from ecu_emulator.diagnostics.iso14229 import ALL_CODES, CLEARED, Status
 
 MOST_COUNT: Final = 0xFF  # counters stay there
 FAILED_COUNTER: Final = 127

@@ -17,7 +17,7 @@ from typing import Any, Final, Self
 
 from canlog.files import read_small_file
 from ecu_emulator.diagnostics.clutches import CLUTCHES, Adaptation, OnBoardFriction
-from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.memory import (
     MOST_COUNT,
     MOST_CYCLES,

@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Final
 
-from ecu_emulator.diagnostics.codes import (
+from ecu_emulator.diagnostics.descriptions import Profile
+from ecu_emulator.diagnostics.iso14229 import (
     DEFAULT_SESSION,
     NEGATIVE,
     SILENT_WHEN_FUNCTIONAL,
@@ -16,7 +17,6 @@ from ecu_emulator.diagnostics.codes import (
     Nrc,
     Service,
 )
-from ecu_emulator.diagnostics.descriptions import Profile
 from ecu_emulator.diagnostics.memory import (
     NOTHING_CAPTURED,
     TestResult,

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from ecu_emulator.diagnostics.clutches import Adaptation, OnBoardEstimates
-from ecu_emulator.diagnostics.codes import DEFAULT_SESSION
+from ecu_emulator.diagnostics.iso14229 import DEFAULT_SESSION
 from ecu_emulator.diagnostics.memory import Emissions, TroubleMemory
 from ecu_emulator.diagnostics.values import Values
 

@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from ecu_emulator.diagnostics.codes import DEFAULT_SESSION, Service
 from ecu_emulator.diagnostics.descriptions import (
     IN_USE,
     Access,
@@ -19,6 +18,7 @@ from ecu_emulator.diagnostics.descriptions import (
     Session,
     Trouble,
 )
+from ecu_emulator.diagnostics.iso14229 import DEFAULT_SESSION, Service
 from ecu_emulator.errors import ConfigError
 
 PERIODIC_PAGE: Final = 0xF2  # upper byte of data that can be sent periodically, ISO 14229-1 annex C

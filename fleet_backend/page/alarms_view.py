@@ -16,8 +16,8 @@ from fleet_backend.orders import clutch_names
 from fleet_backend.page import wording
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import AFTER, LIMIT, VEHICLE, Ask, Parameter, ParameterType
+from fleet_backend.page.clutches_view import next_of
 from fleet_backend.page.errors import AskError, NotFoundError
-from fleet_backend.page.fleet_view import next_of
 from fleet_backend.page.listing import cursor, read_moment
 from fleet_backend.page.records import Alarm, AlarmsAnswer
 from fleet_backend.page.view import Action, Choice, Field, Form, Shown, Sources, View

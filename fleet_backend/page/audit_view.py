@@ -10,7 +10,7 @@ from fleet_backend.office_tables import AUDIT
 from fleet_backend.page import wording
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import AFTER, LIMIT, Ask
-from fleet_backend.page.fleet_view import next_of
+from fleet_backend.page.clutches_view import next_of
 from fleet_backend.page.listing import cursor, read_moment_and_name
 from fleet_backend.page.records import AuditAnswer, AuditEntry
 from fleet_backend.page.view import Shown, Sources, View

@@ -10,7 +10,7 @@ from clutchdiag_io.pages.content import Cell, Section, Table
 from fleet_backend.database import transaction
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter, ParameterType
-from fleet_backend.page.fleet_view import next_of
+from fleet_backend.page.clutches_view import next_of
 from fleet_backend.page.listing import Wanted, matching, part_of
 from fleet_backend.page.records import Change, ChangesAnswer, ClutchNow
 from fleet_backend.page.view import Choice, Shown, Sources, View

@@ -1,147 +1,155 @@
-"""The clutches of the fleet, worst first."""
+"""The overview of the fleet: how many vehicles have which verdict, and each vehicle in one row."""
 
-from typing import Final
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, Final
 from urllib.parse import urlencode
 
-from clutchdiag_io.pages.content import Cell, Section, Table, number
+from clutchdiag_io.pages.content import Cell, Link, Section, Table, number
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
-from fleet_backend.page.cache import Same
-from fleet_backend.page.listing import Wanted, matching, part_of
-from fleet_backend.page.records import ClutchNow, FleetAnswer, Severity
+from fleet_backend.page.clutches_view import EMPTY, FILTERS, choices, next_of, subtitle, wanted
+from fleet_backend.page.listing import Wanted, cursor, matching, place_of, read_words, vehicle_type
+from fleet_backend.page.records import ClutchNow, Severity, VehiclesAnswer
 from fleet_backend.page.view import Choice, Shown, Sources, View
 
-_WANTED: Final = {"q": "name_part", "condition": "condition", "fluid": "fluid", "calibration": "calibration"}
-FILTERS: Final = (
-    Parameter(name="q", text="a part of the vehicle's name", longest=64),
-    Parameter(name="condition", text="verdict", choices=tuple(one.value for one in Severity)),
-    Parameter(name="fluid", text="fluid that is in, as it was noted"),
-    Parameter(name="calibration", text="calibration of the results, which stands for the type of vehicle"),
+ORDERS: Final[Mapping[str, Callable[[ClutchNow], Any]]] = MappingProxyType({
+    "vehicle": lambda one: one.vehicle,
+    "level": lambda one: 9.0 if one.level_ratio is None else one.level_ratio,
+    "km": lambda one: -1.0 if one.odometer_m is None else one.odometer_m,  # who has no odometer is at the low end
+    "fluid": lambda one: one.fluid or "",
+    "type": vehicle_type,
+    "last": lambda one: one.end_at.isoformat(),
+})  # fmt: skip
+SORTS: Final = (*ORDERS, *(f"-{name}" for name in ORDERS))
+
+
+def vehicles_of(clutches: Mapping[str, Sequence[ClutchNow]]) -> tuple[ClutchNow, ...]:
+    """Return the worse clutch of each vehicle, the worst first; distance, fluid and last event are the vehicle's."""
+    return tuple(sorted(map(_vehicle, clutches.values()), key=place_of))
+
+
+def _vehicle(clutches: Sequence[ClutchNow]) -> ClutchNow:
+    worst, last = min(clutches, key=place_of), max(clutches, key=lambda one: one.end_at)
+    furthest_m = max((one.odometer_m for one in clutches if one.odometer_m is not None), default=None)
+    return replace(worst, odometer_m=furthest_m, fluid=last.fluid, end_at=last.end_at)
+
+
+def answer_of(
+    vehicles: Sequence[ClutchNow], wanted: Wanted, sort: str | None, after: str | None, limit: int
+) -> VehiclesAnswer:
+    """Return the next vehicles behind the one that ``after`` names, and how many of all have each verdict.
+
+    Raises
+    ------
+    NotFoundError
+        If ``after`` is nothing that an earlier part in this order named.
+    """
+    found = matching(vehicles, wanted)
+    of = None if sort is None else ORDERS[sort.removeprefix("-")]
+    key: Callable[[ClutchNow], Any] = place_of if of is None else lambda one: (of(one), one.vehicle)
+    is_down = sort is not None and sort.startswith("-")
+    rest = found if of is None else sorted(found, key=key)
+    if after is not None and rest:
+        place = tuple(read_words(after, [type(value) for value in key(rest[0])]))
+        rest = [one for one in rest if key(one) < place] if is_down else rest[bisect_right(rest, place, key=key) :]
+    ordered = rest[::-1] if is_down else rest
+    counts = Counter(one.condition for one in vehicles)
+    return VehiclesAnswer(
+        vehicles=tuple(ordered[:limit]),
+        matching_count=len(found),
+        vehicle_count=len(vehicles),
+        counts={one.value: counts[one.value] for one in Severity},
+        next=cursor(key(ordered[limit - 1])) if len(ordered) > limit else None,
+    )
+
+
+_SORT: Final = Parameter(name="sort", text="column to sort by, - for downwards; the worst first", choices=SORTS)
+_COLUMNS: Final = (
+    *(
+        ("vehicle", "vehicle"),
+        ("verdict", ""),
+        ("what to do", ""),
+        ("of new", "level"),
+        ("last score", ""),
+        ("km", "km"),
+    ),
+    *(("fluid", "fluid"), ("type", "type"), ("last event (UTC)", "last")),
+)
+_ORDERS: Final = (  # for screens that show no heads of columns
+    ("", "worst first"),
+    *((sign + name, f"{text} {way}") for text, name in _COLUMNS if name for sign, way in (("", "up"), ("-", "down"))),
 )
 
 
-def wanted(ask: Ask) -> Wanted:
-    """Return what the filters of a question look for."""
-    return Wanted(**{field: ask.text(name) for name, field in _WANTED.items()})
-
-
-def find(sources: Sources, ask: Ask) -> FleetAnswer:
-    """Return the clutches that are asked for."""
+def find(sources: Sources, ask: Ask) -> VehiclesAnswer:
     snapshot = sources.keeper.snapshot
-    looked_for = wanted(ask)
-    after, limit = ask.text("after"), ask.count("limit")
-    part = sources.parts.of(
-        (looked_for, after, limit),
-        snapshot.number,
-        lambda: part_of(matching(snapshot.clutches, looked_for), after, limit),
-    )
-    return FleetAnswer(
-        clutches=part.clutches,
-        matching_count=part.matching_count,
-        clutch_count=len(snapshot.clutches),
-        next=part.next,
-        read_at=snapshot.read_at,
-    )
+    vehicles = sources.fleets.of("", snapshot.number, lambda: vehicles_of(snapshot.vehicles))
+    return answer_of(vehicles, wanted(ask), ask.text("sort"), ask.text("after"), ask.count("limit"))
 
 
-def show(answer: FleetAnswer, ask: Ask, sources: Sources) -> Shown:
-    """Return the page of the clutches."""
-    counted = f"{answer.matching_count} of {answer.clutch_count} clutches"
-    table = Table(caption=f"Clutches, worst first: {counted}", head=_HEAD, rows=tuple(map(_cells, answer.clutches)))
-    texts = () if answer.clutches else ("No vehicle matches these filters." if answer.clutch_count else EMPTY,)
+def show(answer: VehiclesAnswer, ask: Ask, sources: Sources) -> Shown:
+    """Return the page of the fleet."""
+    sort = ask.text("sort") or ""
+    way = "descending" if sort.startswith("-") else "ascending"
+    table = Table(
+        caption=f"Vehicles: {answer.matching_count} of {answer.vehicle_count}",
+        head=tuple(_head(text, name, ask) for text, name in _COLUMNS),
+        rows=tuple(map(_cells, answer.vehicles)),
+        sorted_by=([name for _, name in _COLUMNS].index(sort.removeprefix("-")), way) if sort else None,
+    )
+    texts = () if answer.vehicles else ("No vehicle matches these filters." if answer.vehicle_count else EMPTY,)
+    title = "In the order of a column" if sort else "Worst first"
+    counts = ((one, f"{wording.condition_word(one)}: {count}") for one, count in answer.counts.items() if count)
     return Shown(
-        title="Clutches",
+        title="Fleet",
         subtitle=subtitle(answer, sources),
-        sections=(
-            Section(name="clutches", title="Worst first", texts=texts, tables=(table,) if answer.clutches else ()),
-        ),
-        choices=choices(ask, sources),
-        next=next_of("/clutches", ask, answer.next),
+        more=tuple(Link(text=text, href=f"/?{urlencode({'condition': one})}") for one, text in counts),
+        sections=(Section(name="vehicles", title=title, texts=texts, tables=(table,) if answer.vehicles else ()),),
+        choices=(*choices(ask, sources), Choice(name="sort", label="Order", value=sort, options=_ORDERS)),
+        next=next_of("/", ask, answer.next),
         follows="",
     )
 
 
-def next_of(path: str, ask: Ask, after: str | None) -> str | None:
-    """Return the address of the next part of a list."""
-    if after is None:
-        return None
-    said = {name: value for name, value in ask.values.items() if name != "after"}
-    return f"{path}?{urlencode({**said, 'after': after})}"
+def _head(text: str, name: str, ask: Ask) -> str | Link:
+    """Return the head of a column; it sorts upwards, and downwards where it sorts upwards already."""
+    if not name:
+        return text
+    said = {key: value for key, value in ask.values.items() if key != "after"}
+    word = f"-{name}" if ask.text("sort") == name else name
+    return Link(text=text, href=f"/?{urlencode({**said, 'sort': word})}")
 
 
-EMPTY: Final = "No vehicle has been heard from yet. fleet-backend ingest brings results into this database."
-_HEAD: Final = (
-    *(
-        "vehicle",
-        "clutch",
-        "verdict",
-        "what to do",
-        "mu_C",
-        "std",
-        "of new",
-        "P(falling slope)",
-        "shifts",
-        "score",
-        "km",
-    ),
-    *("fluid", "last event (UTC)"),
-)
-
-
-def _cells(now: ClutchNow) -> tuple[Cell, ...]:
+def _cells(one: ClutchNow) -> tuple[Cell, ...]:
     return (
-        wording.vehicle_link(now.vehicle),
-        now.element or str(now.clutch),
-        wording.badge(now.condition),
-        now.order,
-        wording.friction(now.mu_c),
-        wording.friction(now.std_mu_c),
-        wording.share(now.level_ratio),
-        wording.probability(now.probability_negative_slope),
-        str(now.shift_count),
-        number(now.score, "{:.0f}"),
-        wording.km(now.odometer_m),
-        wording.plain(now.fluid),
-        wording.minute(now.end_at),
+        wording.vehicle_link(one.vehicle),
+        wording.badge(one.condition),
+        one.order,
+        wording.share(one.level_ratio),
+        number(one.score, "{:.0f}"),
+        wording.km(one.odometer_m),
+        wording.plain(one.fluid),
+        vehicle_type(one),
+        wording.minute(one.end_at),
     )
-
-
-def choices(ask: Ask, sources: Sources) -> tuple[Choice, ...]:
-    """Return the filters as a form."""
-    snapshot = sources.keeper.snapshot
-    conditions = [(one.value, wording.condition_word(one.value)) for one in Severity]
-    lists = (
-        ("condition", "Verdict", conditions),
-        ("fluid", "Fluid", [(one, one) for one in snapshot.fluids]),
-        ("calibration", "Type", [(one, one) for one in snapshot.types]),
-    )
-    return (
-        Choice(name="q", label="Vehicle", value=ask.text("q") or ""),
-        *(
-            Choice(name=name, label=label, value=ask.text(name) or "", options=(("", "any"), *options))
-            for name, label, options in lists
-        ),
-    )
-
-
-def subtitle(_answer: object, sources: Sources) -> str:
-    """Return how many vehicles there are, and when they were read."""
-    snapshot = sources.keeper.snapshot
-    return f"{len(snapshot.vehicles)} vehicles, read at {snapshot.read_at:%H:%M:%S} UTC"
 
 
 VIEW: Final = View(
-    name="fleet",
-    page_path="/clutches",
-    api_path="/api/v1/clutches",
-    text="The running condition of every clutch, the worst first.",
-    parameters=(*FILTERS, AFTER, LIMIT),
-    answer=FleetAnswer,
+    name="vehicles",
+    page_path="/",
+    api_path="/api/v1/vehicles",
+    text="Every vehicle as its worse clutch is, the worst first, and how many have each verdict.",
+    parameters=(*FILTERS, AFTER, _SORT, LIMIT),
+    answer=VehiclesAnswer,
     row=ClutchNow,
     find=find,
     show=show,
-    rows=lambda answer: answer.clutches,
+    rows=lambda answer: answer.vehicles,
     subtitle=subtitle,
-    state=lambda answer: (Same(answer.clutches), answer.matching_count, answer.clutch_count, answer.next),
+    state=lambda answer: (answer.vehicles, tuple(answer.counts.values()), answer.matching_count, answer.next),
     asks_database=False,
 )

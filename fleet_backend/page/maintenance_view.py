@@ -19,7 +19,7 @@ from fleet_backend.database import transaction
 from fleet_backend.office_tables import FLUID_DUE
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, Ask, Parameter, ParameterType
-from fleet_backend.page.fleet_view import next_of
+from fleet_backend.page.clutches_view import next_of
 from fleet_backend.page.listing import SEVERITY, cursor, read_words
 from fleet_backend.page.outlook import Past, outlook_text
 from fleet_backend.page.records import ClutchNow, Due, MaintenanceAnswer, Severity

@@ -5,7 +5,7 @@ from typing import Final
 from clutchdiag_io.pages.content import Cell, Section, Table
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask
-from fleet_backend.page.fleet_view import next_of
+from fleet_backend.page.clutches_view import next_of
 from fleet_backend.page.listing import cursor, read_moment_and_name
 from fleet_backend.page.records import QuarantineAnswer, Quarantined
 from fleet_backend.page.view import Shown, Sources, View

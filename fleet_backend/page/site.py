@@ -23,9 +23,9 @@ from fleet_backend.page import (
     alarms_view,
     audit_view,
     changes_view,
+    clutches_view,
     fleet_view,
     maintenance_view,
-    overview_view,
     quarantine_view,
     shift_view,
     vehicle_view,
@@ -78,7 +78,7 @@ class KnownHosts:
 
 
 VIEWS: Final = (
-    *(overview_view.VIEW, fleet_view.VIEW, vehicle_view.VIEW, shift_view.VIEW),
+    *(fleet_view.VIEW, clutches_view.VIEW, vehicle_view.VIEW, shift_view.VIEW),
     *(alarms_view.VIEW, alarms_view.ONE_VIEW, maintenance_view.VIEW, changes_view.VIEW),
     *(quarantine_view.VIEW, audit_view.VIEW),
 )

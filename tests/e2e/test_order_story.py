@@ -25,7 +25,7 @@ from fleet_backend.cli import main as fleet
 from fleet_backend.database import open_database
 from fleet_backend.ingest import FILTERS, Worker
 from fleet_backend.office.watching import Orders, Watch
-from fleet_backend.page import fleet_view, maintenance_view, vehicle_view
+from fleet_backend.page import clutches_view, maintenance_view, vehicle_view
 from fleet_backend.page.asking import Ask, read_words
 from fleet_backend.page.vehicle_state import fills_of
 from fleet_backend.page.view import View
@@ -130,7 +130,7 @@ class World:
         rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
         told |= {f"fleet table, clutch {row['clutch']}": row["order"] for row in rows}
         sources = sources_of(self.engine)
-        shown = fleet_view.find(sources, ask(fleet_view.VIEW)).clutches
+        shown = clutches_view.find(sources, ask(clutches_view.VIEW)).clutches
         told |= {f"fleet page, clutch {one.clutch}": one.order for one in shown}
         assert {one.condition for one in shown} == {row["condition"] for row in rows}
         words = ask(vehicle_view.VIEW, "car1")

@@ -37,7 +37,7 @@ from fleet_backend.office.watching import Watch as WatchOfOffice
 from fleet_backend.page import (
     alarms_view,
     changes_view,
-    fleet_view,
+    clutches_view,
     maintenance_view,
     quarantine_view,
     shift_view,
@@ -561,7 +561,7 @@ def test_no_question_reads_all_results(large: Engine) -> None:
         connection.execute(text("UPDATE shift_result SET stored_at = now() WHERE vehicle = 'v9' AND seq = 9"))
     keeper.refresh()
     questions = (
-        (fleet_view.VIEW, ask(fleet_view.VIEW)),
+        (clutches_view.VIEW, ask(clutches_view.VIEW)),
         (vehicle_view.VIEW, ask(vehicle_view.VIEW, "v7")),
         (shift_view.VIEW, ask(shift_view.VIEW, "v7", **SHIFT)),
         (changes_view.VIEW, ask(changes_view.VIEW, since=since)),

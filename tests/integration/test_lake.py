@@ -339,6 +339,11 @@ def test_a_log_that_takes_too_long_or_breaks_the_program_is_a_row(tmp_path: Path
         (("{logs}", "--lake", "zip::file://x"), ConfigError, "one store at a time"),
         (("{logs}", "--lake", "nosuch://x"), ConfigError, "nosuch"),
         (("{tmp}", "--lake", "{tmp}-lake"), ConfigError, "holds no log"),
+        (
+            ("{logs}/car1/drive001.log", "--lake", "{tmp}/lake"),
+            ConfigError,
+            "drive001.log is a file: a lake",
+        ),
     ],
 )
 def test_what_cannot_be_done_with_a_lake_is_told(

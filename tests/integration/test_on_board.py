@@ -29,8 +29,8 @@ from ecu_emulator.answering.on_board import (
     without_settings,
 )
 from ecu_emulator.diagnostics.clutches import OnBoardFriction
-from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.live.live_drive import BusChoice

@@ -10,7 +10,7 @@ from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
 from dbc.contract import load_contract
 from ecu_emulator.bus.sender import to_messages
-from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
 from tests.support.road import road_scenario, short_trip

@@ -9,8 +9,8 @@ import diag_service
 from ecu_emulator import Emulator
 from ecu_emulator.answering.monitoring import Monitoring
 from ecu_emulator.bus.frames import merge
-from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.scenario_file import load_scenario

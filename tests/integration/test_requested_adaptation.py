@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.errors import RecordError
 from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind

@@ -18,7 +18,7 @@ from clutch_model.pack import contact_torque_nm, film_law
 from diag_service.diagnosis.alignment import readings
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.condition import shift_kernels as loops
-from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.events import GEAR_CHANGES, EndReason, Event, EventKind
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import Knowledge, State
 from diag_service.diagnosis.records import ShiftEstimate, ShiftIndices, ShiftQuality
@@ -36,10 +36,6 @@ LEAST_CHANGE: Final = {"touch_error_pa": 2.0e3, "fill_error_s": 0.04}  # a small
 USUAL_M_S2: Final = 1.5  # acceleration of the car at which `free` and `felt` hold: a faster one hides more [C]
 USUAL_S = 1.2  # from the request to the end of slip [C]
 INTENDED_S: Final = {EventKind.COAST_SKIP: 1.8, EventKind.POWER_ON_SKIP: 1.8, EventKind.KICKDOWN: 1.5}  # other kinds
-SCORED: Final = frozenset(
-    {EventKind.SHIFT, EventKind.POWER_ON_UPSHIFT, EventKind.POWER_OFF_UPSHIFT, EventKind.COAST_DOWNSHIFT,
-     EventKind.POWER_ON_DOWNSHIFT, *INTENDED_S}
-)  # fmt: skip
 INDEX_GRID_S = 0.005
 MIN_WINDOW_S = 0.1
 CORRELATION_S = 0.1  # residuals are alike for about as long as torque lags
@@ -274,9 +270,9 @@ def _judged(
         "life2_ratio": energies_j[not is_second] / packs[not is_second].life_j,
     }
     parts = {name: float(told[name]) for name in _PUBLIC if math.isfinite(told.get(name, math.nan))}
-    score, reasons = weighed(parts) if event.kind in SCORED else (None, [])
+    score, reasons = weighed(parts) if event.kind in GEAR_CHANGES else (None, [])
     sure = [name for name, one in adaptable.items() if one.is_sure and abs(one.value) > LEAST_CHANGE[name]]
-    corrections = tuple(sure) if event.kind in SCORED else ()
+    corrections = tuple(sure) if event.kind in GEAR_CHANGES else ()
     return ShiftQuality(score=score, reasons=tuple(reasons), corrections=corrections, **parts)
 
 

@@ -33,7 +33,7 @@ from diag_service.diagnosis.alignment import (
     sampling_times,
 )
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, ROW_SIGNALS, Columns, Signal
-from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.events import SLIPS_IN_GEAR, EndReason, Event, EventKind
 from diag_service.diagnosis.records import DataQuality, QualityPart, Reason
 
 
@@ -103,7 +103,6 @@ class QualityLimits:
 LIMITS: Final = QualityLimits()
 
 
-MAY_BE_CUT: Final = frozenset(EventKind) - {EventKind.LAUNCH, EventKind.CREEP, EventKind.CLOSING, EventKind.SLIP}
 UNSCHEDULED_PERIODS: Final = 1.5  # of the nominal one: what comes more seldom without schedule was asked for
 MOST_NOISES: Final = 3e4  # of its sensor: no speed, torque or pressure is larger
 SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
@@ -467,7 +466,7 @@ def gate(event: Event, basis: QualityBasis, limits: QualityLimits = LIMITS, *, t
     """Judge the data of an event, by themselves: which samples tell its friction, and whether they can be believed."""
     quality = data_quality(event, basis, limits)
     samples = usable_samples(event, limits) if tells_friction else None
-    if basis.torque is TorqueSource.WITHOUT_CUT and event.kind in MAY_BE_CUT and isinstance(samples, Samples):
+    if basis.torque is TorqueSource.WITHOUT_CUT and event.kind not in SLIPS_IN_GEAR and isinstance(samples, Samples):
         samples = Reason.TORQUE_UNKNOWN
     against = () if isinstance(samples, Reason) else reasons_against(quality, limits)
     return Gate(quality=quality, samples=samples, against=against)

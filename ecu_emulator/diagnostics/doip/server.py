@@ -12,7 +12,6 @@ from functools import partial
 from types import TracebackType
 from typing import Final, Self
 
-from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc, Service
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.doip.listening import Listening, Place, listen
 from ecu_emulator.diagnostics.doip.messages import announcement, datagram_reply
@@ -28,6 +27,7 @@ from ecu_emulator.diagnostics.doip.streams import (
     received,
     responded,
 )
+from ecu_emulator.diagnostics.iso14229 import NEGATIVE, Nrc, Service
 from ecu_emulator.diagnostics.server import AGAIN_RATIO, KEEP_ALIVE
 from ecu_emulator.diagnostics.table import DoipEntity
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final
 
-from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
+from ecu_emulator.diagnostics.iso14229 import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.table import Addressing, Transport
 
 VERSION: Final = "ELM327 v1.5"

@@ -18,10 +18,10 @@ from typing import Final, Self
 
 import can
 
-from ecu_emulator.diagnostics.codes import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.elm327.interpreter import LARGEST_STANDARD_ID, Interpreter, Shown
 from ecu_emulator.diagnostics.elm327.interpreter import line as frame_line
+from ecu_emulator.diagnostics.iso14229 import NEGATIVE, Nrc
 from ecu_emulator.errors import BusError, ConfigError, RecordError
 
 MOST_LINE_BYTES: Final = 512

@@ -42,8 +42,8 @@ from odxtools.statetransitionref import StateTransitionRef
 from odxtools.usage import Usage
 from odxtools.writepdxfile import write_pdx_file
 
-from ecu_emulator.diagnostics.codes import DEFAULT_SESSION, NEGATIVE, POSITIVE, SUPPRESS, Nrc
 from ecu_emulator.diagnostics.descriptions import Access, Profile
+from ecu_emulator.diagnostics.iso14229 import DEFAULT_SESSION, NEGATIVE, POSITIVE, SUPPRESS, Nrc
 from ecu_emulator.diagnostics.pdx.elements import (
     TEXT,
     Dictionary,

@@ -6,8 +6,6 @@ from typing import Final
 
 from odxtools.odxlink import OdxLinkRef
 
-from ecu_emulator.diagnostics.codes import ALL_CODES, ObdService
-from ecu_emulator.diagnostics.codes import Service as Number
 from ecu_emulator.diagnostics.descriptions import (
     BLOCK,
     Access,
@@ -21,6 +19,8 @@ from ecu_emulator.diagnostics.descriptions import (
     VehicleInfo,
     supported,
 )
+from ecu_emulator.diagnostics.iso14229 import ALL_CODES, ObdService
+from ecu_emulator.diagnostics.iso14229 import Service as Number
 from ecu_emulator.diagnostics.memory import ALL_EMISSION_CODES, FIRST_RECORD, LATEST_RECORD
 from ecu_emulator.diagnostics.pdx.elements import (
     Dictionary,

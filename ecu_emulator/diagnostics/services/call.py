@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from ecu_emulator.diagnostics.codes import POSITIVE, SUPPRESS, Nrc
 from ecu_emulator.diagnostics.descriptions import Access
+from ecu_emulator.diagnostics.iso14229 import POSITIVE, SUPPRESS, Nrc
 from ecu_emulator.diagnostics.state import Instant, Request, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import decoded, holds

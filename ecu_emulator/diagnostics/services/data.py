@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Final
 
-from ecu_emulator.diagnostics.codes import Nrc, Service, Status
 from ecu_emulator.diagnostics.descriptions import BLOCK, Access, Datum, Pid, Profile, VehicleInfo, supported
+from ecu_emulator.diagnostics.iso14229 import Nrc, Service, Status
 from ecu_emulator.diagnostics.memory import FrozenPids, emission_codes, is_lamp_on
 from ecu_emulator.diagnostics.services.call import (
     Call,

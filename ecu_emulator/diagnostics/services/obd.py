@@ -6,8 +6,8 @@ What is not there is not answered when all controllers were asked, and refused (
 from collections.abc import Callable, Iterable, Mapping
 from typing import Final
 
-from ecu_emulator.diagnostics.codes import ALL_CODES, Nrc, ObdService, Status
 from ecu_emulator.diagnostics.descriptions import BLOCK, Obd, supported
+from ecu_emulator.diagnostics.iso14229 import ALL_CODES, Nrc, ObdService, Status
 from ecu_emulator.diagnostics.memory import FAILED_COUNTER, PASSED_COUNTER, TroubleRecord, emission_codes
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet
 from ecu_emulator.diagnostics.services.data import info_data, pid_data

@@ -3,8 +3,8 @@
 from dataclasses import replace
 from typing import Final
 
-from ecu_emulator.diagnostics.codes import Nrc
 from ecu_emulator.diagnostics.descriptions import Routine, size_of
+from ecu_emulator.diagnostics.iso14229 import Nrc
 from ecu_emulator.diagnostics.services.call import (
     Call,
     Outcome,

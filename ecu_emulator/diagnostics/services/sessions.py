@@ -3,8 +3,8 @@
 from dataclasses import replace
 from typing import Final
 
-from ecu_emulator.diagnostics.codes import DEFAULT_SESSION, Nrc
 from ecu_emulator.diagnostics.descriptions import SecurityLevel
+from ecu_emulator.diagnostics.iso14229 import DEFAULT_SESSION, Nrc
 from ecu_emulator.diagnostics.memory import after_cycle, begin_cycle
 from ecu_emulator.diagnostics.services.call import Call, Result, locked, unmet_by_service
 from ecu_emulator.diagnostics.state import Communication, ServerState

@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Final
 
-from ecu_emulator.diagnostics.codes import ALL_BITS, ALL_CODES, Nrc
 from ecu_emulator.diagnostics.descriptions import IN_USE, OF_MEMORY, ExtendedRecord, Profile, Trouble
+from ecu_emulator.diagnostics.iso14229 import ALL_BITS, ALL_CODES, Nrc
 from ecu_emulator.diagnostics.memory import (
     ALL_EMISSION_CODES,
     FAILED_COUNTER,

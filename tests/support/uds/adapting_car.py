@@ -10,8 +10,8 @@ from ecu_emulator.answering.monitoring import Monitoring
 from ecu_emulator.answering.on_board import FixedEstimate
 from ecu_emulator.answering.requested_tasks import RequestedAdaptation, RequestedClearing
 from ecu_emulator.bus.sent_values import LatestValues, SentValues
-from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.drive.build import build_vehicle

@@ -9,8 +9,8 @@ from ecu_emulator.answering.monitoring import Monitoring
 from ecu_emulator.answering.on_board import FixedEstimate
 from ecu_emulator.answering.requested_tasks import RequestedClearing
 from ecu_emulator.diagnostics.clutches import Adaptation, OnBoardFriction
-from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.scenario.scenario import FluidVerdict
 from ecu_emulator.shift_control.touch_points import TouchPoint

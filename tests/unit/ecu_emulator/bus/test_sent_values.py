@@ -11,7 +11,7 @@ from dbc.contract import load_contract
 from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.bus.frames import FrameEncoder
 from ecu_emulator.bus.sent_values import SentValues
-from ecu_emulator.diagnostics.codes import Status
+from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.sensing import Readings
 
 DATABASE = load_contract()

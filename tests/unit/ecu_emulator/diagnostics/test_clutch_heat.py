@@ -8,8 +8,8 @@ import pytest
 
 from ecu_emulator.answering.monitoring import Monitoring
 from ecu_emulator.diagnostics.clutches import heated_k, packs_of, slip_power_w
-from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.driving.journey import PlannedTrip

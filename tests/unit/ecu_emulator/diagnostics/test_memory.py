@@ -2,8 +2,8 @@
 
 import pytest
 
-from ecu_emulator.diagnostics.codes import Status
 from ecu_emulator.diagnostics.descriptions import Trouble
+from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.memory import (
     Capture,
     TestResult,

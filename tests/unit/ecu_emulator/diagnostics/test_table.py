@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.diagnostics.codes import Service
+from ecu_emulator.diagnostics.iso14229 import Service
 from ecu_emulator.diagnostics.table_file import load_table, parse_table, shipped_table
 from ecu_emulator.errors import ConfigError
 

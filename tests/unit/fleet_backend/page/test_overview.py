@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet_backend.page.errors import NotFoundError
+from fleet_backend.page.fleet_view import SORTS, answer_of, vehicles_of
 from fleet_backend.page.listing import Wanted
-from fleet_backend.page.overview_view import SORTS, answer_of, vehicles_of
 from fleet_backend.page.records import ClutchNow
 from tests.support.fleet import NOW
 from tests.support.fleet_page import clutch_now

@@ -1,0 +1,147 @@
+"""The clutches of the fleet, worst first."""
+
+from typing import Final
+from urllib.parse import urlencode
+
+from clutchdiag_io.pages.content import Cell, Section, Table, number
+from fleet_backend.page import wording
+from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
+from fleet_backend.page.cache import Same
+from fleet_backend.page.listing import Wanted, matching, part_of
+from fleet_backend.page.records import ClutchNow, FleetAnswer, Severity
+from fleet_backend.page.view import Choice, Shown, Sources, View
+
+_WANTED: Final = {"q": "name_part", "condition": "condition", "fluid": "fluid", "calibration": "calibration"}
+FILTERS: Final = (
+    Parameter(name="q", text="a part of the vehicle's name", longest=64),
+    Parameter(name="condition", text="verdict", choices=tuple(one.value for one in Severity)),
+    Parameter(name="fluid", text="fluid that is in, as it was noted"),
+    Parameter(name="calibration", text="calibration of the results, which stands for the type of vehicle"),
+)
+
+
+def wanted(ask: Ask) -> Wanted:
+    """Return what the filters of a question look for."""
+    return Wanted(**{field: ask.text(name) for name, field in _WANTED.items()})
+
+
+def find(sources: Sources, ask: Ask) -> FleetAnswer:
+    """Return the clutches that are asked for."""
+    snapshot = sources.keeper.snapshot
+    looked_for = wanted(ask)
+    after, limit = ask.text("after"), ask.count("limit")
+    part = sources.parts.of(
+        (looked_for, after, limit),
+        snapshot.number,
+        lambda: part_of(matching(snapshot.clutches, looked_for), after, limit),
+    )
+    return FleetAnswer(
+        clutches=part.clutches,
+        matching_count=part.matching_count,
+        clutch_count=len(snapshot.clutches),
+        next=part.next,
+        read_at=snapshot.read_at,
+    )
+
+
+def show(answer: FleetAnswer, ask: Ask, sources: Sources) -> Shown:
+    """Return the page of the clutches."""
+    counted = f"{answer.matching_count} of {answer.clutch_count} clutches"
+    table = Table(caption=f"Clutches, worst first: {counted}", head=_HEAD, rows=tuple(map(_cells, answer.clutches)))
+    texts = () if answer.clutches else ("No vehicle matches these filters." if answer.clutch_count else EMPTY,)
+    return Shown(
+        title="Clutches",
+        subtitle=subtitle(answer, sources),
+        sections=(
+            Section(name="clutches", title="Worst first", texts=texts, tables=(table,) if answer.clutches else ()),
+        ),
+        choices=choices(ask, sources),
+        next=next_of("/clutches", ask, answer.next),
+        follows="",
+    )
+
+
+def next_of(path: str, ask: Ask, after: str | None) -> str | None:
+    """Return the address of the next part of a list."""
+    if after is None:
+        return None
+    said = {name: value for name, value in ask.values.items() if name != "after"}
+    return f"{path}?{urlencode({**said, 'after': after})}"
+
+
+EMPTY: Final = "No vehicle has been heard from yet. fleet-backend ingest brings results into this database."
+_HEAD: Final = (
+    *(
+        "vehicle",
+        "clutch",
+        "verdict",
+        "what to do",
+        "mu_C",
+        "std",
+        "of new",
+        "P(falling slope)",
+        "shifts",
+        "score",
+        "km",
+    ),
+    *("fluid", "last event (UTC)"),
+)
+
+
+def _cells(now: ClutchNow) -> tuple[Cell, ...]:
+    return (
+        wording.vehicle_link(now.vehicle),
+        now.element or str(now.clutch),
+        wording.badge(now.condition),
+        now.order,
+        wording.friction(now.mu_c),
+        wording.friction(now.std_mu_c),
+        wording.share(now.level_ratio),
+        wording.probability(now.probability_negative_slope),
+        str(now.shift_count),
+        number(now.score, "{:.0f}"),
+        wording.km(now.odometer_m),
+        wording.plain(now.fluid),
+        wording.minute(now.end_at),
+    )
+
+
+def choices(ask: Ask, sources: Sources) -> tuple[Choice, ...]:
+    """Return the filters as a form."""
+    snapshot = sources.keeper.snapshot
+    conditions = [(one.value, wording.condition_word(one.value)) for one in Severity]
+    lists = (
+        ("condition", "Verdict", conditions),
+        ("fluid", "Fluid", [(one, one) for one in snapshot.fluids]),
+        ("calibration", "Type", [(one, one) for one in snapshot.types]),
+    )
+    return (
+        Choice(name="q", label="Vehicle", value=ask.text("q") or ""),
+        *(
+            Choice(name=name, label=label, value=ask.text(name) or "", options=(("", "any"), *options))
+            for name, label, options in lists
+        ),
+    )
+
+
+def subtitle(_answer: object, sources: Sources) -> str:
+    """Return how many vehicles there are, and when they were read."""
+    snapshot = sources.keeper.snapshot
+    return f"{len(snapshot.vehicles)} vehicles, read at {snapshot.read_at:%H:%M:%S} UTC"
+
+
+VIEW: Final = View(
+    name="fleet",
+    page_path="/clutches",
+    api_path="/api/v1/clutches",
+    text="The running condition of every clutch, the worst first.",
+    parameters=(*FILTERS, AFTER, LIMIT),
+    answer=FleetAnswer,
+    row=ClutchNow,
+    find=find,
+    show=show,
+    rows=lambda answer: answer.clutches,
+    subtitle=subtitle,
+    state=lambda answer: (Same(answer.clutches), answer.matching_count, answer.clutch_count, answer.next),
+    asks_database=False,
+)
