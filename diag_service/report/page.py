@@ -401,7 +401,7 @@ def _event_cells(row: Row) -> tuple[Cell, ...]:
         moment_words(estimate.start_ns),
         kind_words(estimate),
         gear_words(estimate),
-        str(estimate.clutch),
+        estimate.element or str(estimate.clutch),
         estimate.status.value,
         number(None if friction is None else friction.mu_c),
         number(None if friction is None else friction.std_mu_c),

@@ -121,7 +121,7 @@ def trend_picture(trend: Trend) -> Markup:
     number, std = trend.number, BAND_STD * trend.std_mu_c
     levels = [] if trend.new_mu_c is None else [ratio * trend.new_mu_c for ratio, _ in _THRESHOLDS]
     y = Axis.around("mu_C", trend.single_mu_c, trend.mu_c - std, trend.mu_c + std, np.array(levels))
-    x = Axis(low=0.0, high=len(number) + 1.0, label=f"event of clutch {trend.clutch}")
+    x = Axis(low=0.0, high=len(number) + 1.0, label=f"event of {trend.title.lower()}")
     plot = Plot(f"{trend.title}: trend of mu_C, single events and running estimate with band", x, y)
     if trend.new_mu_c is not None:
         _draw_thresholds(plot, trend.new_mu_c)
@@ -169,6 +169,7 @@ PANELS: Final = (
             _curve(Signal.INPUT1_SPEED, "input shaft 1", "clutch1"),
             _curve(Signal.INPUT2_SPEED, "input shaft 2", "clutch2"),
             _curve(Signal.INPUT_SPEED, "input shaft", "clutch1"),
+            _curve(Signal.TURBINE_SPEED, "turbine", "clutch1"),
         ),
     ),
     Panel(
@@ -177,6 +178,7 @@ PANELS: Final = (
         factor=bar_from_pa(1.0),
         curves=(
             _curve(Signal.CLUTCH1_PRESSURE, "clutch 1", "clutch1"),
+            _curve(Signal.LOCKUP_PRESSURE, "lock-up clutch", "clutch1"),
             _curve(Signal.CLUTCH1_PRESSURE_COMMAND, "clutch 1, commanded", "clutch1 dashed"),
             _curve(Signal.CLUTCH2_PRESSURE, "clutch 2", "clutch2"),
             _curve(Signal.CLUTCH2_PRESSURE_COMMAND, "clutch 2, commanded", "clutch2 dashed"),

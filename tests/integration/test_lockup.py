@@ -59,6 +59,9 @@ def test_store_history_and_report_call_it_by_its_name(log: Path, tmp_path: Path)
     assert "lutch 2" not in history
     ended("report", str(store), "--calibration", "lockup", "-o", str(page))
     html = page.read_text(encoding="utf-8")
+    assert "event of lock-up clutch" in html
+    ended("report", str(log), "--profile", "lockup", "-o", str(page), "--force")
+    assert "turbine" in page.read_text(encoding="utf-8")
     assert "Lock-up clutch: running estimate" in html
     assert "slope at 40 rpm" in html
     assert "lutch 2" not in html
