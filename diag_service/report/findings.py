@@ -9,7 +9,7 @@ from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration, TorqueSource
 from clutch_model.units import NS_PER_S
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.events import GEAR_CHANGES, Event
 from diag_service.diagnosis.records import FluidFill, ShiftResult, Status, utc_from_bus_ns
 from diag_service.diagnosis.summary import Gap, Summary, of_present_fluid, order_by, with_revisions
 from diag_service.errors import StoppedError
@@ -26,6 +26,7 @@ from fleet_contract import CLUTCHES
 from fleet_contract.orders import Order, title_of
 
 DATED_NS: Final = 10**18  # since 1970: in 2001; earlier bus times have no date
+_SHOWN: Final = (Status.VALID, Status.REJECTED, Status.UNOBSERVED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,23 +68,21 @@ class Findings:
 
 
 class Album:
-    """Keeps the shifts that are shown as pictures: the best that was used, and the worst that was rejected."""
+    """Keeps the shifts that are shown as pictures: the best that was used, and the worst that was not."""
 
     def __init__(self) -> None:
-        self._used: Example | None = None
-        self._rejected: Example | None = None
+        self._kept: dict[Status, Example] = {}
 
     def offer(self, event: Event, result: ShiftResult) -> None:
         """Look at a shift; of those that are alike the first is kept."""
-        status = result.estimate.status
-        if status is Status.VALID and _is_better(self._used, result.estimate.quality):
-            self._used = Example(event=own_samples(event), result=result)
-        elif status is Status.REJECTED and _is_better(self._rejected, -_believed(result)):
-            self._rejected = Example(event=own_samples(event), result=result)
+        kept = self._kept.get(result.estimate.status)
+        if kept is None or _worth(result) > _worth(kept.result):
+            self._kept[result.estimate.status] = Example(event=own_samples(event), result=result)
 
     @property
     def examples(self) -> tuple[Example, ...]:
-        return tuple(one for one in (self._used, self._rejected) if one is not None)
+        """Two at most; one that lacks signals is shown where none was rejected."""
+        return tuple(self._kept[status] for status in _SHOWN if status in self._kept)[:2]
 
 
 def findings_of_logs(
@@ -162,13 +161,10 @@ def _versions(result: ShiftResult) -> Versions:
     return Versions(algorithm=result.algorithm_version, calibration=result.calibration_version)
 
 
-def _is_better(kept: Example | None, value: float) -> bool:
-    if kept is None:
-        return True
-    estimate = kept.result.estimate
-    return value > (estimate.quality if estimate.status is Status.VALID else -_believed(kept.result))
-
-
-def _believed(result: ShiftResult) -> float:
-    quality = result.estimate.data_quality
-    return 1.0 if quality is None else quality.score
+def _worth(result: ShiftResult) -> float:
+    estimate = result.estimate
+    if estimate.status is Status.VALID:
+        return estimate.quality
+    if estimate.status is Status.UNOBSERVED:
+        return float(estimate.kind in GEAR_CHANGES)
+    return -1.0 if estimate.data_quality is None else -estimate.data_quality.score

@@ -12,7 +12,7 @@ import pytest
 from canlog.arrays import Series
 from clutchdiag_io.pages.content import spread
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import EndReason, Event
+from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.records import (
     FluidFill,
     Reason,
@@ -220,6 +220,17 @@ def test_the_best_shift_and_the_worst_rejected_one_are_shown_with_their_samples(
     assert text.count("during the shift [rpm]") == 2
     assert "torques" not in text  # no signal of that kind was there
     read(text)
+
+
+def test_where_no_shift_tells_friction_a_gear_change_is_shown() -> None:
+    album, lacking = Album(), replace(shift_result().estimate, status=Status.UNOBSERVED, friction=None)
+    launch = replace(lacking, kind=EventKind.LAUNCH, number=1)
+    for estimate in (launch, replace(lacking, number=2), replace(lacking, number=3)):
+        album.offer(event_of(estimate.number), replace(shift_result(), estimate=estimate))
+    assert [one.result.estimate.number for one in album.examples] == [2]
+    for result in history(14):
+        album.offer(event_of(1), result)
+    assert [one.result.estimate.status for one in album.examples] == [Status.VALID, Status.REJECTED]
 
 
 def test_examples_keep_samples_of_their_own() -> None:
