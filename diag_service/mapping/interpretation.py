@@ -112,7 +112,7 @@ def interpret(
     if named.asked:
         names = {one.name for one in named.asked.values()}
         asked = columns_database(one for one in named.columns if one.name in names).messages
-        database = Database(messages=[*database.messages, *asked], dbc_specifics=database.dbc)
+        database = Database(messages=[*database.messages, *asked], dbc_specifics=database.dbc, strict=False)
     if named.is_lenient:
         fit = fit_of(database, named)
         if fit.tier is None:

@@ -77,8 +77,8 @@ class ElmLine:
         self._place = place
         try:
             self._descriptor = _opened(place, stack)
-        except OSError as exc:
-            raise ControllerError(f"adapter {place}: {exc.strerror or exc}") from exc
+        except (OSError, termios.error) as exc:
+            raise ControllerError(f"adapter {place}: {getattr(exc, 'strerror', None) or exc.args[-1]}") from exc
         self._address: CanAddress | None = None
         self._command("ATZ", RESET_S)
         for setting in _SETTINGS:
@@ -99,6 +99,8 @@ class ElmLine:
 
     def _command(self, text: str, wait_s: float = ANSWER_S) -> str:
         try:
+            while select.select([self._descriptor], [], [], 0.0)[0] and os.read(self._descriptor, 4096):
+                pass  # what was said before answers nothing
             os.write(self._descriptor, text.encode() + b"\r")
             shown = self._read(wait_s).decode("ascii", "replace").strip("\r\n >")
             return shown.removeprefix(text)  # some adapters go on echoing what they were told not to
@@ -127,15 +129,15 @@ def messages_in(text: str) -> list[bytes]:
         words = line.strip().replace(" ", "").upper()
         if not words or words.startswith(tuple(one.replace(" ", "") for one in _NO_ANSWER)):
             continue
-        number, colon, rest = words.rpartition(":")
+        _, colon, rest = words.rpartition(":")
         try:
             if colon:
-                long = (b"" if number == "0" else long) + bytes.fromhex(rest)
+                long += bytes.fromhex(rest)
                 if len(long) >= length > 0:
                     found.append(long[:length])
                     long, length = b"", 0
             elif len(words) == 3:
-                length = int(words, 16)
+                long, length = b"", int(words, 16)
             else:
                 found.append(bytes.fromhex(words))
         except ValueError:

@@ -19,6 +19,7 @@ import can
 
 from canlog.database.addressing import parameter_group
 from canlog.errors import NOTICE, CanlogError
+from canlog.live.pythoncan import one_line
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError, ControllerError, DiagServiceError, SilentError, StoppedError
 from diag_service.mapping.asked_signals import (
@@ -63,6 +64,7 @@ MOST_LOAD: Final = 0.05  # of the bus, by requests and answers together
 USUAL_BITRATE: Final = 500_000
 FIRST_DEFINED: Final = 0xF300  # of the numbers that testers may define (ISO 14229-1, annex C)
 MOST_DEFINITIONS: Final = 3  # attempts between two sets: a controller that was reset has forgotten them
+DEFINE_AGAIN_S: Final = 60.0  # a log that begins later tells nothing until it hears what is made of what
 FRAME_BITS, LONG_FRAME_BITS = 125, 150  # of eight bytes, with stuff bits, whoever sends it; of 29 bits
 FIRST_SLOW: Final = 4  # times that they are asked for without delay: so often a message must come to be believed
 SLOW_S: Final = 1.0  # from question to question for what changes slowly
@@ -78,6 +80,7 @@ BUSY_PAUSE_S: Final = 0.1
 NOT_NOW: Final = frozenset({0x22, 0x24, 0x26, *range(0x81, 0x94)})  # refused by how the car is just now (ISO 14229-1)
 AGAIN_S: Final = 10.0  # until that is asked for again
 MOST_SILENT: Final = 3  # questions in a row
+MOST_ODD: Final = 3  # answers in a row that are not what was asked for
 FIRST_PAUSE_S: Final = 1.0
 LONGEST_PAUSE_S: Final = 16.0  # between attempts at a controller that does not answer
 LEAST_ROWS: Final = 5  # of a slip: fewer tell no friction
@@ -125,6 +128,11 @@ class Definition:
 
     address: CanAddress
     parts: tuple[DatumId, ...]
+
+    @staticmethod
+    def forgetting(number: int) -> bytes:
+        """Return the request that undoes an earlier one, which would stay in front of it."""
+        return bytes([DEFINE_DATA, FORGET]) + number.to_bytes(2)
 
     def request(self, number: int, sizes: Mapping[DatumId, int]) -> bytes:
         """Return the request that makes it: all bytes of each part."""
@@ -216,6 +224,12 @@ class Plan:
             questions += self._questions([one for signal, one in self.fields.items() if signal in _SLOW])
         return questions
 
+    def begin(self) -> None:
+        """Ask for everything again, as many at once as the rules say."""
+        self.refused.clear()
+        self._for_now.clear()
+        self._fewer, self._again_s = None, math.inf
+
     def refuse(self, question: Question, why: str, *, for_now: bool = False) -> str:
         """Ask for less at once, or for a single datum no more, or not for now; return what is to be told of that."""
         if for_now:
@@ -270,6 +284,8 @@ class SignalAsker(AskingThread):
         super().__init__("signal asker")
         self.plan = Plan(fields, rules, groups)
         self._definitions_left = 0
+        self._define_at_s = 0.0
+        self._odd: Counter[tuple[DatumId, ...]] = Counter()  # answers in a row
         self.sent: Counter[int] = Counter()  # requests, by service; those for groups by `GROUP_REQUEST`
         self.set_count = 0
         self._sizes = sizes_of(fields.values())
@@ -303,12 +319,16 @@ class SignalAsker(AskingThread):
 
     def _rounds(self, line: Line) -> None:
         self._silent.clear()
-        self.plan.refused.clear()
+        self._odd.clear()
+        self.plan.begin()
         self._forget_definitions()
         self._definitions_left = MOST_DEFINITIONS if self.plan.rules.define else 0
         while self.goes_on:
+            if self.plan.defined and time.monotonic() >= self._define_at_s:
+                self._forget_definitions()
             if self._definitions_left and not self.plan.defined:
                 self._define(line)
+                self._define_at_s = time.monotonic() + DEFINE_AGAIN_S
             questions = self.plan.due(time.monotonic())
             if not self.plan.addresses:
                 raise ControllerError("everything that the profile asks for is refused")
@@ -335,8 +355,7 @@ class SignalAsker(AskingThread):
         """Let controllers make one datum of those of a round; where one does not, they are asked for by themselves."""
         self._definitions_left -= 1
         for datum, one in self.plan.definitions().items():
-            # What was defined before would stay in front of it; a controller that has none refuses that.
-            self._send(line, bytes([DEFINE_DATA, FORGET]) + datum.number.to_bytes(2), one.address, 1)
+            self._send(line, one.forgetting(datum.number), one.address, 1)  # refused by a controller that has none
             answer = self._send(line, one.request(datum.number, self._sizes), one.address, 4)
             if answer is not None and answer[0] == DEFINE_DATA + POSITIVE:
                 self.plan.defined[datum] = one
@@ -416,8 +435,11 @@ class SignalAsker(AskingThread):
         """Return whether an answer has what was asked for, in the lengths of the profile."""
         found = data_in(question.request, answer, question.address.request_id, self._sizes)
         if isinstance(found, str):
-            self._say_once(self.plan.refuse(question, found))
+            self._odd[question.data] += 1
+            if self._odd[question.data] >= MOST_ODD:  # one may have been late, for what was asked before
+                self._say_once(self.plan.refuse(question, found))
             return False
+        self._odd.pop(question.data, None)
         for datum in set(question.data) - dict(found).keys():
             self._say_once(self.plan.refuse(Question(question.address, (datum,)), "left out"))
         return bool(found)
@@ -455,10 +477,13 @@ class WatchedBus:
         bus.set_filters(filters)  # type: ignore[arg-type]  # as the library documents it
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Return the next answer, None if none comes in time."""
+        """Return the next answer, None if none comes in time; raises ControllerError if the bus cannot be read."""
         until_s = time.monotonic() + (timeout or 0.0)
         while True:
-            message = self._bus.recv(max(0.0, until_s - time.monotonic()))
+            try:
+                message = self._bus.recv(max(0.0, until_s - time.monotonic()))
+            except (can.CanError, OSError, ValueError) as exc:
+                raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
             if message is None or message.is_error_frame:
                 return None
             can_id = message.arbitration_id
@@ -502,20 +527,25 @@ class CanLine:
         except SilentError:
             return None
         wait_s, until_s, is_said = ANSWER_S, time.monotonic() + MOST_PENDING_S, False
+        width = 2 if request[0] == READ_DATA else 1
+        asked = {request[at : at + width] for at in range(1, len(request), width)}
+        other: bytes | None = None
         while time.monotonic() < until_s:
             try:
                 answer = connection.specific_wait_frame(wait_s)
             except TimeoutException:
-                return None
+                return other
             is_refusal = answer[:2] == bytes([NEGATIVE, request[0]])
             if is_refusal and answer[2:3] == bytes([PENDING]):
                 wait_s = PENDING_S
                 if not is_said:
                     is_said = True
                     _LOG.log(NOTICE, "%s asks for patience (78): its answer comes too late to be a sample", address)
-            elif is_refusal or answer[:1] == bytes([request[0] + POSITIVE]):
+            elif is_refusal or (answer[0] == request[0] + POSITIVE and answer[1 : 1 + width] in asked):
                 return answer
-        return None
+            elif answer[0] == request[0] + POSITIVE:
+                other = answer  # to what was asked before, unless nothing else comes
+        return other
 
     def ask_group(self, group: GroupQuestion) -> bytes | None:
         """Ask all for a parameter group; return it once it comes; raises ControllerError, OtherTesterError."""

@@ -1,13 +1,16 @@
 """``diag-service try``: what a car tells whoever asks, by the profiles that ask, a first drive, and how to go on."""
 
+import math
 import shlex
 import time
 import uuid
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from enum import IntEnum
 from heapq import heappop, heappush
 from importlib import import_module
 from itertools import count
+from operator import itemgetter
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
@@ -18,12 +21,15 @@ from cantools.database.can import Database
 
 from canlog.errors import OutputError, SourceError
 from clutchdiag_io.program import replacement_refusal
+from dbc.contract import load_contract
 from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.console import PeopleConsole
 from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.records import Tier
 from diag_service.errors import ConfigError, ControllerError
 from diag_service.mapping.asked_signals import NEGATIVE, data_in, sizes_of
 from diag_service.mapping.interpretation import fit_of, open_database
+from diag_service.mapping.mapped_messages import fitting
 from diag_service.mapping.profile import AskingRules, Profile, find_profile, load_shipped, shipped_profiles, to_si
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.service.stopping import Controls
@@ -31,7 +37,7 @@ from diag_service.settings.options import PROGRAM
 from diag_service.tester.adapters import Line, line_through, parse_adapter, rules_through
 from diag_service.tester.addresses import CanAddress, id_text, is_extended
 from diag_service.tester.answers import refusal_text
-from diag_service.tester.asking import BusName, check_time, heard, opened_bus
+from diag_service.tester.asking import BusName, Traffic, check_time, heard, opened_bus
 from diag_service.tester.signal_asking import (
     MOST_SILENT,
     NO_GROUPS,
@@ -62,6 +68,7 @@ def try_car(options: SimpleNamespace, controls: Controls) -> None:
     _check_adapter(options)
     profiles = _profiles(options.profile)
     bus = BusName(interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=options.fd)
+    traffic = None  # through an adapter nothing is heard that was not asked for
     if options.adapter is None:
         show(str(traffic := heard(bus, options.listen, lambda: not controls.stop.is_set)))
         if traffic is not None and not any(map(is_extended, traffic.can_ids)) and options.profile is None:
@@ -73,7 +80,9 @@ def try_car(options: SimpleNamespace, controls: Controls) -> None:
     if options.dry_run or not options.active:
         for profile in profiles:
             _show_requests(profile, _rules(options, profile), show)
-        show("nothing was sent; --active sends these: reading services alone")
+        defines = any(_rules(options, one).define for one in profiles)
+        what = "reading services, and 2C, which makes a datum of others" if defines else "reading services alone"
+        show(f"nothing was sent; --active sends these: {what}")
         return
 
     def opened(profile: Profile) -> AbstractContextManager[Line]:
@@ -91,7 +100,7 @@ def try_car(options: SimpleNamespace, controls: Controls) -> None:
         )
 
     database = None if options.dbc is None else open_database(options.dbc, is_lenient=options.lenient)
-    profile = _best(profiles, opened, database, show)
+    profile = _best(profiles, opened, database, traffic, show)
     rules, groups = _rules(options, profile), tuple(profile.groups.values())
     with SignalAsker(profile.asked, rules, lambda: opened(profile), options.bitrate, groups) as asker:
         _measure(asker, options.listen, controls, show)
@@ -108,20 +117,23 @@ def _best(
     profiles: list[Profile],
     opened: Callable[[Profile], AbstractContextManager[Line]],
     database: Database | None,
+    traffic: Traffic | None,
     show: Show,
 ) -> Profile:
-    """Return the profile of which most is told; raises ControllerError if nothing is."""
-    counts: dict[int, Profile] = {}
+    """Return the profile by which most can be diagnosed; raises ControllerError if nothing is told."""
+    found: list[tuple[bool, float, int, int, Profile]] = []
     for profile in profiles:
         show(f"profile {profile.name}:")
         with opened(profile) as line:
             told = _told(line, profile, show)
         count = len(profile.asked) + len(profile.groups)
-        show(f"  {len(told)} of {count} signals are told; {_reached(profile, told, database)}")
-        counts.setdefault(len(told), profile)
-    if not (most := max(counts)):
+        tier, doubt, words = _reached(profile, told, database, traffic)
+        show(f"  {len(told)} of {count} signals are told; {words}")
+        if told:
+            found.append((doubt is Doubt.NONE_HEARD, tier or math.inf, -len(told), doubt, profile))
+    if not found:
         raise ControllerError("no controller tells what one of the profiles asks for: it may be asleep, or another one")
-    return counts[most]
+    return min(found, key=itemgetter(slice(4)))[-1]
 
 
 def _show_requests(profile: Profile, rules: AskingRules, show: Show) -> None:
@@ -130,7 +142,11 @@ def _show_requests(profile: Profile, rules: AskingRules, show: Show) -> None:
     show(f"{profile.name} would ask for {', '.join(map(str, plan.due(0.0)))}:")
     plan = Plan(profile.asked, rules, plan.groups)
     plan.defined |= plan.definitions() if rules.define else {}
-    requests = [(one.address.request_id, one.request(datum.number, sizes)) for datum, one in plan.defined.items()]
+    requests = [
+        (one.address.request_id, request)
+        for datum, one in plan.defined.items()
+        for request in (one.forgetting(datum.number), one.request(datum.number, sizes))
+    ]
     requests += [(one.can_id, one.request) for one in plan.due(0.0)]
     for can_id, request in requests:
         show(f"  {id_text(can_id)}: {request.hex(' ').upper()}")
@@ -243,9 +259,9 @@ def _check_adapter(options: SimpleNamespace) -> None:
 
 def _place_words(options: SimpleNamespace) -> list[str]:
     words = ["--adapter", options.adapter] if options.adapter is not None else []
-    for option, value in (("-i", options.interface), ("-c", options.channel)):
+    for option, value in (("-i", options.interface), ("-c", options.channel), ("-b", options.bitrate)):
         words += [] if value is None else [option, str(value)]
-    return words
+    return [*words, "--fd"] if options.fd else words
 
 
 def _profiles(named: Path | None) -> list[Profile]:
@@ -291,16 +307,34 @@ def _told(line: Line, profile: Profile, show: Show) -> frozenset[Signal]:
     return frozenset(told)
 
 
-def _reached(profile: Profile, told: frozenset[Signal], database: Database | None) -> str:
+class Doubt(IntEnum):
+    """Whether what a profile says is broadcast can be."""
+
+    HEARD = 0
+    UNKNOWN = 1  # its database is not named, or nothing can be heard
+    NONE_HEARD = 2
+
+
+def _reached(
+    profile: Profile, told: frozenset[Signal], database: Database | None, traffic: Traffic | None
+) -> tuple[Tier | None, Doubt, str]:
     """Return what the signals that are told suffice for, with those that a database says are broadcast."""
     broadcast = frozenset(profile.sources) - profile.asked.keys() - profile.groups.keys()
+    messages, _ = fitting(database or load_contract(), profile)
+    doubt = Doubt.UNKNOWN
+    if traffic is None:
+        broadcast = frozenset()
+    elif messages or database is not None:
+        is_heard = any(one.address.can_id in traffic.can_ids for one in messages)
+        doubt = Doubt.HEARD if is_heard else Doubt.NONE_HEARD
     if database is not None:
         broadcast &= fit_of(database, profile).signals
     has_gears = profile.gears is not None
     tier = tier_of(told | broadcast, knows_gears=has_gears)
     more = missing_for_next(told | broadcast, knows_gears=has_gears)
     given = f" beside {len(broadcast)} that are broadcast" if broadcast else ""
-    return f"{PURPOSE[tier] if tier is not None else 'nothing yet'}{given}{f'; {more}' if more else ''}"
+    given += ", none of which was heard" if given and doubt is Doubt.NONE_HEARD else ""
+    return tier, doubt, f"{PURPOSE[tier] if tier is not None else 'nothing yet'}{given}{f'; {more}' if more else ''}"
 
 
 def _measure(asker: SignalAsker, listen_s: float, controls: Controls, show: Show) -> None:

@@ -4,6 +4,7 @@ import os
 import pty
 import socket
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -15,7 +16,7 @@ import pytest
 from canlog.database.signal_columns import column_id
 from canlog.frames import EXTENDED_FLAG, join
 from diag_service.diagnosis.columns import Signal
-from diag_service.errors import ConfigError
+from diag_service.errors import ConfigError, ControllerError
 from diag_service.mapping.asked_signals import Overheard
 from diag_service.mapping.profile import AskingRules, load_shipped
 from diag_service.tester.adapters import ELM_TOGETHER, line_through, messages_in, parse_adapter
@@ -115,6 +116,31 @@ def test_what_an_adapter_echoes_is_no_answer() -> None:
         stop()
 
 
+def test_what_an_adapter_said_by_itself_answers_nothing() -> None:
+    """Some greet whoever connects with a prompt of their own."""
+
+    def greeted(server: socket.socket) -> None:
+        connection, _ = server.accept()
+        with connection:
+            connection.sendall(b"ELM327 v1.5\r\r>")
+            while asked := connection.recv(64):
+                connection.sendall(b"6238EB0190\r\r>" if asked.startswith(b"22") else b"OK\r\r>")
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        thread = threading.Thread(target=greeted, args=(server,))
+        thread.start()
+        with line_through(f"elm327://127.0.0.1:{server.getsockname()[1]}", "greeted") as line:
+            address = CanAddress(request_id=0x7E1, response_id=0x7E9)
+            time.sleep(0.1)
+            assert line.ask(b"\x22\x38\xeb", address) == bytes.fromhex("6238EB0190")
+        thread.join()
+
+
+def test_what_is_no_serial_port_is_told() -> None:
+    with pytest.raises(ControllerError, match="/dev/null: Inappropriate"), line_through("elm327:/dev/null", "none"):
+        pass
+
+
 def test_a_node_over_ip_that_dies_is_told_and_asked_again(caplog: pytest.LogCaptureFixture) -> None:
     place = Place(host="127.0.0.1", port=free_port())
     asker = asking(f"doip://127.0.0.1:{place.port}/1011", "doip 2", 8)
@@ -151,6 +177,10 @@ def test_what_an_adapter_shows_is_read() -> None:
     assert messages_in("SEARCHING...\r6238EB0190\r") == [bytes.fromhex("6238EB0190")]
     assert messages_in("00D\r0:6238EB019038\r1:EA0000100C0960\r") == [bytes.fromhex("6238EB019038EA0000100C0960")]
     assert messages_in("7F2278\r6238EB0190") == [bytes.fromhex("7F2278"), bytes.fromhex("6238EB0190")]
+    block = bytes.fromhex("61") + bytes(range(150))  # a KWP block: the numbers of its lines begin again behind F
+    numbered = [block[:6], *(block[at : at + 7] for at in range(6, len(block), 7))]
+    lines = [f"{number % 16:X}:{one.hex()}" for number, one in enumerate(numbered)]
+    assert messages_in("\r".join([f"{len(block):03X}", *lines])) == [block]
     assert (
         messages_in("NO DATA") == messages_in("?") == messages_in("CAN ERROR") == messages_in("BUS INIT: ERROR") == []
     )

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import can
 import pytest
+from can.interfaces.virtual import VirtualBus
 
 from canlog.errors import NOTICE
 from diag_service.diagnosis.columns import Signal
@@ -387,6 +388,66 @@ def test_what_is_refused_for_now_is_asked_for_again_and_the_rest_is_told_meanwhi
             wait_for(lambda: asker.set_count >= sets + 3)
             assert not asker.plan.refused
     assert "38EA at 7E1 is not told (conditions not correct (22)), and asked for again later" in caplog.text
+
+
+@pytest.mark.parametrize("together", [1, 2])
+def test_one_late_answer_takes_nothing_away(channel: str, tmp_path: Path, together: int) -> None:
+    path = tmp_path / "two.toml"
+    path.write_text(
+        '[signals]\nclutch1_pressure_pa = { did = 0x38EB, at = "7E1", unit = "bar" }\n'
+        'clutch2_pressure_pa = { did = 0x38EA, at = "7E1", unit = "bar" }\n'
+        'sump_temperature_k = { did = 0x2104, at = "7E1", unit = "degC" }\n',
+        encoding="utf-8",
+    )
+    both = ["10 09 62 38 EB 01 90 38", "21 EA 00 00"]
+    with can.Bus(channel, "virtual") as near:
+        car = Canned(near, {"2238EB": [GOOD], "2238EA": ["05 62 38 EA 00 00"], "2238EB38EA": both})
+        car.answers["222104"] = [0.4, "05 62 21 04 03 20"]
+        with can.Notifier(near, [car], timeout=0.05), asked(load_profile(path), channel, together) as asker:
+            wait_for(lambda: car.begun_count >= 2 * (3 - together) + 1)
+            car.answers["222104"] = ["05 62 21 04 03 20"]
+            wait_for(lambda: asker.set_count >= 10)
+            assert not asker.plan.refused
+            assert [len(one.data) for one in asker.plan.fast] == [together] * (3 - together)
+
+
+def test_an_interface_that_goes_down_is_read_again(
+    channel: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    down, read = threading.Event(), VirtualBus._recv_internal
+
+    def failing(bus: VirtualBus, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if down.is_set() and threading.current_thread().name == "signal asker":
+            raise can.CanOperationError("Error receiving: Network is down", 100)
+        return read(bus, timeout)
+
+    monkeypatch.setattr(VirtualBus, "_recv_internal", failing)
+    monkeypatch.setattr(signal_asking, "FIRST_PAUSE_S", 0.05)
+    with vehicle(channel, controller()), asked(load_shipped("dct_asked"), channel) as asker:
+        wait_for(lambda: asker.set_count >= 2)
+        down.set()
+        wait_for(lambda: caplog.text.count("the bus cannot be read") and "trying again" in caplog.text)
+        time.sleep(0.3)  # it is opened anew, and cannot be listened to
+        down.clear()
+        count = asker.set_count
+        wait_for(lambda: asker.set_count > count)
+
+
+@pytest.mark.asks(may_define=True)
+def test_a_log_that_begins_in_a_drive_hears_what_a_datum_is_made_of(
+    channel: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(signal_asking, "DEFINE_AGAIN_S", 0.5)
+    profile = load_shipped("dct_asked")
+    with vehicle(channel, controller()), asked(profile, channel, define=True) as asker:
+        wait_for(lambda: asker.set_count >= 5)
+        with heard(channel) as ear:
+            count = asker.set_count
+            wait_for(lambda: asker.set_count >= count + 60)
+    reader = Overheard(list(profile.asked.values()))
+    for _ in [*reader.feed(batch_of(list(ear.frames))), *reader.drain()]:
+        pass
+    assert {one.number for one in reader.answered} >= {0x38EB, 0x38EA, 0x100C}
 
 
 def test_a_controller_that_is_silent_keeps_no_other_from_being_asked(

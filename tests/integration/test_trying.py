@@ -12,6 +12,7 @@ import can
 import pytest
 
 from dbc import DBC_PATH
+from diag_service.mapping.profile import PROFILE_FOLDER
 from diag_service.tester import trying
 from ecu_emulator.diagnostics.elm327.server import ElmServer
 from tests.integration.test_signal_asking import controller, heard
@@ -46,6 +47,35 @@ def test_values_rate_and_how_to_go_on_are_told() -> None:
     assert "sets a second" in said
     assert "diag-service run -i virtual -c try-2 --profile dct_asked --active" in said
     assert ear.services() == {0x22}
+
+
+def test_a_car_is_not_taken_for_the_bench(tmp_path: Path) -> None:
+    """Both profiles ask for the same; what is broadcast tells the difference."""
+    path = tmp_path / "car.dbc"
+    path.write_text(
+        'VERSION ""\nBU_: X\nBO_ 160 Motor_12: 8 X\n'
+        ' SG_ MO_Drehzahl_01 : 0|16@1+ (0.25,0) [0|16383] "Unit_MinutInver" X\n'
+        ' SG_ MO_Mom : 8|8@1+ (1,0) [0|1] "" X\n',  # overlaps: read leniently, as public databases have to be
+        encoding="utf-8",
+    )
+    words = ("try", "-i", "virtual", "-c", "try-7", "-b", "250000", "--listen", "0.05", "--active")
+    with vehicle("try-7", controller()):
+        run = ended(*words, "--dbc", path, "--lenient")
+    assert run.status == 0, run.err
+    assert "run -i virtual -c try-7 -b 250000 --profile vw_dsg" in " ".join(run.out.split())
+    log = tmp_path / "one.log"
+    log.write_text("(1.000000) can0 0A0#0000000000000000\n", encoding="utf-8")
+    run = ended("analyze", log, "--profile", "vw_dsg", "--dbc", path, "--lenient")
+    assert "the database has no message Getriebe_11" in run.err
+
+
+def test_what_makes_a_datum_is_shown_before_it_is_sent(tmp_path: Path) -> None:
+    path = tmp_path / "defined.toml"
+    text = (PROFILE_FOLDER / "dct_asked.toml").read_text(encoding="utf-8")
+    path.write_text(text.replace("together = 8", "together = 8\ndefine = true"), encoding="utf-8")
+    run = ended("try", "-i", "virtual", "-c", "try-8", "--listen", "0.05", "--profile", path)
+    assert "7E1: 2C 03 F3 00" in run.out
+    assert "2C, which makes a datum of others" in " ".join(run.out.split())
 
 
 def test_an_adapter_is_tried_with_every_profile_that_asks() -> None:
