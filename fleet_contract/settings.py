@@ -44,7 +44,7 @@ SERVICE_VARIABLES: Final = frozenset(
         ),
     )
 )
-BACKEND_VARIABLES: Final = frozenset({f"{PREFIX}BROKER", f"{PREFIX}DATABASE"})
+BACKEND_VARIABLES: Final = frozenset(PREFIX + name for name in ("BROKER", "DATABASE", "GROUP", "MAIL"))
 
 
 def check_variables(environment: Mapping[str, str]) -> None:

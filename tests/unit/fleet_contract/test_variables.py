@@ -2,11 +2,16 @@
 
 import pytest
 
+from fleet_backend import arguments
 from fleet_contract import BACKEND_VARIABLES, SERVICE_VARIABLES, VariableError, check_variables
 
 
 def test_what_is_known_or_of_others_passes() -> None:
     check_variables(dict.fromkeys(SERVICE_VARIABLES | BACKEND_VARIABLES, "set") | {"PATH": "/bin"})
+
+
+def test_those_of_the_backend_are_those_that_its_command_line_names() -> None:
+    assert {value for name, value in vars(arguments).items() if name.endswith("_VARIABLE")} == BACKEND_VARIABLES
 
 
 @pytest.mark.parametrize(
