@@ -7,13 +7,14 @@ import hmac
 import json
 import smtplib
 import ssl
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime
 from email.message import EmailMessage
 from http import HTTPStatus
+from http.client import HTTPException
 from typing import Final, Protocol
-from urllib.error import URLError
 from urllib.parse import SplitResult, unquote
 from urllib.request import HTTPRedirectHandler, ProxyHandler, Request, build_opener
 
@@ -67,7 +68,7 @@ class Webhook:
         try:
             with opener.open(Request(self.url, body, headers), timeout=LONGEST_WAIT_S) as answer:  # noqa: S310 - checked
                 status = int(answer.status)
-        except (URLError, OSError, ValueError) as exc:
+        except (OSError, ValueError, HTTPException) as exc:
             raise CarrierError(f"webhook: {exc}") from exc
         if not HTTPStatus.OK <= status < HTTPStatus.MULTIPLE_CHOICES:
             raise CarrierError(f"webhook: status {status}")
@@ -86,8 +87,12 @@ class Mail:
         """Send a message; raises CarrierError if the server does not take it for all recipients."""
         try:
             with self._connect() as server:
+                if self.server.username:
+                    server.login(unquote(self.server.username), unquote(self.server.password or ""))
                 refused = server.send_message(self._message(letter, now))
-        except (smtplib.SMTPException, OSError) as exc:
+        except UnicodeEncodeError as exc:  # whose text would tell of the password
+            raise CarrierError("mail: user, password and addresses must be ASCII") from exc
+        except (smtplib.SMTPException, OSError, ValueError) as exc:
             raise CarrierError(f"mail: {exc}") from exc
         if refused:
             raise CarrierError(f"mail: refused for {', '.join(refused)}")
@@ -103,8 +108,6 @@ class Mail:
             made.ehlo()
             if made.has_extn("starttls"):
                 made.starttls(context=ssl.create_default_context())
-        if self.server.username:
-            made.login(unquote(self.server.username), unquote(self.server.password or ""))
         return made
 
     def _message(self, letter: Letter, now: datetime) -> EmailMessage:
@@ -128,14 +131,18 @@ def signature(secret: bytes, key: str, moment: str, body: bytes) -> str:
 
 
 def deliver_all(
-    take: Callable[[str], Letter | None], settle: Callable[[Letter, str | None], None], carrier: Carrier, now: datetime
+    take: Callable[[str], Letter | None],
+    settle: Callable[[Letter, str | None], None],
+    carrier: Carrier,
+    now: datetime,
+    turn_s: float = LONGEST_WAIT_S,
 ) -> int:
-    """Deliver what waits for a carrier until nothing does; return how many messages arrived.
+    """Deliver what waits for a carrier until nothing does, or its turn ends; return how many messages arrived.
 
     A message that was delivered and not settled, because the process died between both, is delivered again under the
     same key.
     """
-    count = 0
+    count, end_s = 0, time.monotonic() + turn_s
     while (letter := take(carrier.name)) is not None:
         try:
             carrier.deliver(letter, now)
@@ -144,6 +151,8 @@ def deliver_all(
         else:
             settle(letter, None)
             count += 1
+        if time.monotonic() >= end_s:
+            break
     return count
 
 

@@ -19,7 +19,7 @@ from clutchdiag_io.metrics import gauge
 from fleet_backend import queries
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter
-from fleet_backend.alarms.carriers import Carrier, deliver_all
+from fleet_backend.alarms.carriers import LONGEST_WAIT_S, Carrier, deliver_all
 from fleet_backend.alarms.rules import (
     Finding,
     Limits,
@@ -83,6 +83,7 @@ class Watch:
         self._now = now
         self._is_sharing = shared is not None  # then others keep it fresh
         self._keeper = shared or Keeper(DatabaseSource(engine))
+        self.is_over = False  # then no other message is taken
         self.waiting_count = 0  # vehicles with news that the last round did not get to
         self._told: tuple[Metric, ...] = ()  # of the last round
         self._judged: dict[str, tuple[ClutchNow, ...]] = {}  # as they were then, those of the longest ago first
@@ -129,7 +130,8 @@ class Watch:
         open_counts = dict.fromkeys((rule.value for rule in Rule), 0)
         open_counts |= Counter(subject.rule.value for subject in book.open_alarms(self._engine))
         yield gauge("fleet_open_alarms", "Alarms that are not cleared, by their rule.", open_counts, "rule")
-        waiting = select(func.count()).select_from(ALARM_MESSAGE).where(ALARM_MESSAGE.c.delivered_at.is_(None))
+        own = ALARM_MESSAGE.c.carrier.in_([carrier.name for carrier in self._orders.carriers])  # others may be history
+        waiting = select(func.count()).select_from(ALARM_MESSAGE).where(ALARM_MESSAGE.c.delivered_at.is_(None), own)
         reason = QUARANTINE.c.reason
         aside = select(reason, func.count()).where(QUARANTINE.c.acknowledged_at.is_(None)).group_by(reason)
         with transaction(self._engine) as connection:
@@ -147,8 +149,8 @@ class Watch:
             late = parts[-1].row_estimate or 0
             yield gauge("fleet_last_partition_rows", "Results later than all months, estimated.", late)
 
-    def deliver(self) -> int:
-        """Deliver what waits; return how many messages arrived."""
+    def deliver(self, turn_s: float = LONGEST_WAIT_S) -> int:
+        """Deliver what waits, each carrier for a turn, so that none waits for one that hangs; return how many came."""
 
         def settle(letter: Letter, complaint: str | None) -> None:
             if complaint is not None:
@@ -156,9 +158,9 @@ class Watch:
             book.settle(self._engine, letter, self._now(), complaint)
 
         def take(name: str) -> Letter | None:
-            return book.take(self._engine, name, self._now())
+            return None if self.is_over else book.take(self._engine, name, self._now())
 
-        return sum(deliver_all(take, settle, carrier, self._now()) for carrier in self._orders.carriers)
+        return sum(deliver_all(take, settle, carrier, self._now(), turn_s) for carrier in self._orders.carriers)
 
     def _withheld(self, now: datetime) -> dict[str, int]:
         """Return how many messages of today were not taken of each vehicle."""
@@ -242,7 +244,8 @@ def run_watch(engine: Engine, orders: Orders, metrics: Place | None = None, *, i
         watch.round(ONCE_S, is_drawn=True)
         if watch.waiting_count:
             _LOG.warning("%d vehicles were not judged in %g s; a watch that goes on does", watch.waiting_count, ONCE_S)
-        watch.deliver()
+        while watch.deliver():  # of what a turn left over, until none arrives any more
+            pass
         return
     asyncio.run(_watch_until_told(engine, orders, metrics))
 
@@ -264,7 +267,10 @@ async def watch_for_ever(
     watch = Watch(engine, orders, _utc_now, shared=shared)
     with shown_at(metrics, watch.families):
         _LOG.info("watching")
-        await asyncio.gather(_repeat(watch.round, ROUND_S), _repeat(watch.deliver, DELIVERY_S))
+        try:
+            await asyncio.gather(_repeat(watch.round, ROUND_S), _repeat(watch.deliver, DELIVERY_S))
+        finally:
+            watch.is_over = True  # the thread that delivers is waited for
 
 
 async def _repeat(step: Callable[[], object], pause_s: float) -> None:

@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from http.client import HTTPException
 from typing import Any, Final
 from urllib.error import URLError
 from urllib.parse import urlsplit
@@ -157,7 +158,7 @@ def _read(request: Request) -> dict[str, Any]:
         if request.data is not None and 400 <= getattr(exc, "code", 0) < 500:
             raise LoginError("the login provider does not accept this login; begin it again") from exc
         raise ProviderAwayError("the login provider does not answer") from exc
-    except (OSError, ValueError) as exc:
+    except (OSError, ValueError, HTTPException) as exc:
         raise ProviderAwayError("the login provider does not answer") from exc
     if not isinstance(found, dict):
         raise ProviderAwayError("the login provider does not answer")

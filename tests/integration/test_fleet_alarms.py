@@ -31,7 +31,7 @@ from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import CarrierError
-from fleet_backend.office.watching import Orders, Watch
+from fleet_backend.office.watching import Orders, Watch, watch_for_ever
 from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, AUDIT
 from fleet_backend.page import alarms_view
 from fleet_backend.page.asking import read_words
@@ -116,6 +116,47 @@ def test_what_cannot_be_delivered_waits_longer_and_longer(engine: Engine) -> Non
     with transaction(engine) as connection:
         waiting = connection.execute(select(ALARM_MESSAGE).where(ALARM_MESSAGE.c.delivered_at.is_(None))).all()
     assert waiting == []
+
+
+def test_a_carrier_that_hangs_keeps_no_other_waiting_and_one_that_is_gone_owes_nothing(engine: Engine) -> None:
+    def hang() -> None:
+        raise CarrierError("timed out")
+
+    hanging, memory = Memory(hang), Memory()
+    hanging.name = "hanging"
+    store(engine, 1, BAD)
+    watch = Watch(engine, Orders(carriers=[hanging, memory]), Clock())
+    watch.round()
+    turns = [(watch.deliver(turn_s=0.0), len(hanging.letters), len(memory.letters)) for _ in range(3)]
+    assert turns == [(1, 1, 1), (1, 2, 2), (0, 2, 2)]
+    for carriers, count in (([hanging], 2.0), ([memory], 0.0)):
+        later = Watch(engine, Orders(carriers=carriers), Clock())
+        later.round()
+        (waiting,) = [one for one in later.families() if one.name.endswith("watch_undelivered_messages")]
+        assert [sample.value for sample in waiting.samples] == [count]
+
+
+def test_a_watch_that_is_told_to_end_begins_no_other_delivery(engine: Engine) -> None:
+    begun, may_end = threading.Event(), threading.Event()
+
+    def hang() -> None:
+        begun.set()
+        may_end.wait(HANG_S)
+        raise CarrierError("timed out")
+
+    async def stopped() -> None:
+        work = asyncio.ensure_future(watch_for_ever(engine, Orders(carriers=[memory])))
+        await asyncio.to_thread(begun.wait, HANG_S)
+        work.cancel()
+        await asyncio.wait([work])
+        may_end.set()
+
+    memory = Memory(hang)
+    for vehicle in ("car1", "car2"):
+        store(engine, 1, BAD, vehicle)
+    Watch(engine, Orders(carriers=[memory]), Clock()).round()
+    asyncio.run(stopped())
+    assert len(memory.letters) == 1
 
 
 def test_a_process_that_dies_after_a_delivery_delivers_again_under_the_same_key(engine: Engine) -> None:
@@ -295,13 +336,16 @@ class Post(socketserver.StreamRequestHandler):
         server = self.server
         assert isinstance(server, PostOffice)
         self.wfile.write(b"220 here\r\n")
-        while line := self.rfile.readline():
+        while (line := self.rfile.readline()).strip():
             word = line.split()[0].upper()
             if word == b"DATA":
                 self.wfile.write(b"354 go on\r\n")
                 lines = iter(self.rfile.readline, b".\r\n")
                 server.messages.append(b"".join(lines).decode())
             is_refused = word == b"RCPT" and b"nobody" in line
+            if word == b"EHLO":
+                self.wfile.write(b"250-here\r\n250 AUTH PLAIN\r\n")
+                continue
             self.wfile.write(b"550 no\r\n" if is_refused else b"221 bye\r\n" if word == b"QUIT" else b"250 ok\r\n")
 
 
@@ -326,6 +370,17 @@ def test_mail_is_the_same_at_every_attempt() -> None:
     assert first == second
     assert "Subject: Alarm: car1, clutch 2: verdict" in first
     assert "Message-ID: <" in first
+
+
+def test_who_speaks_another_protocol_or_knows_no_umlaut_is_tried_again_later() -> None:
+    office = PostOffice(("127.0.0.1", 0), Post)
+    place = f"127.0.0.1:{office.server_address[1]}"
+    with running(office):
+        with pytest.raises(CarrierError, match="220 here"):
+            Webhook(url=f"http://{place}", secret=SECRET).deliver(LETTER, NOW)
+        mail = Mail(server=urlsplit(f"smtp://fleet:%C3%BC@{place}"), sender="a@example.org", recipients=("b@c.org",))
+        with pytest.raises(CarrierError, match="must be ASCII"):
+            mail.deliver(LETTER, NOW)
 
 
 async def heard(connection: Connection, count: int) -> dict[str, tuple[str, dict[str, Any]]]:

@@ -1,7 +1,9 @@
 """Logins of our own by OpenID Connect, against a provider: who gets a session, and what does not get anybody one."""
 
 import re
+import socket
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
 from html import unescape
@@ -207,6 +209,17 @@ def test_a_provider_that_is_away_keeps_nobody_waiting() -> None:
         assert len(gone.asked) == asked  # it is left alone for a while
     with pytest.raises(ProviderAwayError, match="does not answer"):
         provider.address(**words)
+
+    def greet() -> None:
+        with other.accept()[0] as one:
+            one.recv(4096)
+            one.sendall(b"220 no HTTP here\r\n")
+
+    with socket.create_server(("127.0.0.1", 0)) as other, ThreadPoolExecutor() as threads:
+        stranger = OpenIdProvider(replace(CLIENT, issuer=f"http://127.0.0.1:{other.getsockname()[1]}"))
+        threads.submit(greet)
+        with pytest.raises(ProviderAwayError, match="does not answer"):
+            stranger.address(**words)
 
 
 @pytest.mark.parametrize(
