@@ -265,8 +265,10 @@ def note_fill(
     Raises
     ------
     ConfigError
-        If the fill is known, or its odometer does not fit to the results and nobody insists.
+        If the fill is known or yet to come, or its odometer does not fit to the results and nobody insists.
     """
+    if at - datetime.now(UTC) > SAME_WITHIN:  # until then no result would be of any known fluid
+        raise ConfigError(f"a fill at {at.isoformat()} is yet to come")
     with transaction(engine) as connection:
         if not _has(connection, select(VEHICLE.c.vehicle).where(VEHICLE.c.vehicle == vehicle)):
             raise UnknownVehicleError(f"of vehicle {vehicle} there are no results and no state")

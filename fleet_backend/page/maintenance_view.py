@@ -26,6 +26,7 @@ from fleet_backend.page.records import ClutchNow, Due, MaintenanceAnswer, Severi
 from fleet_backend.page.vehicle_state import state_of
 from fleet_backend.page.vehicle_view import SERVICE_KM, past_of
 from fleet_backend.page.view import Shown, Sources, View
+from fleet_backend.schema import VEHICLE
 from fleet_contract.orders import Action, name_of
 
 _LONGEST: Final = 75  # bytes of a line, its end not counted
@@ -203,7 +204,8 @@ def keep_due(engine: Engine, clutches: Sequence[ClutchNow], due: Sequence[Due], 
     ]
     with transaction(engine) as connection:
         connection.execute(delete(FLUID_DUE).where(FLUID_DUE.c.vehicle == clutches[0].vehicle))
-        connection.execute(insert(FLUID_DUE), rows)
+        if connection.execute(select(VEHICLE.c.vehicle).where(VEHICLE.c.vehicle == clutches[0].vehicle)).first():
+            connection.execute(insert(FLUID_DUE), rows)  # else it was forgotten meanwhile
 
 
 def _told(

@@ -30,7 +30,12 @@ from fleet_contract.orders import Action
 
 Row = Mapping[str, Any]
 _KINDS: Final = frozenset(EventKind)
-OTHER_CALIBRATION: Final = "No prognosis: its service has not told what calibration these results are of."
+NO_PROGNOSIS: Final = (
+    "No prognosis: its service has not told what calibration these results are of, or their numbers are of no clutch."
+)
+
+# What calculations raise of numbers that keep the contract and are of no clutch; a LinAlgError is a ValueError.
+BEYOND_NUMBERS: Final = (ArithmeticError, ValueError)
 
 
 def friction_of(values: Mapping[str, float] | None) -> FrictionEstimate | None:
@@ -75,7 +80,7 @@ def shifting_of(rows: Sequence[Row]) -> tuple[float | None, list[bool], list[str
 def outlook_of(
     clutch: int, rows: Sequence[Row], fills: Sequence[Fill], service_distance_m: float, kept: Kept | None
 ) -> Prognosis | None:
-    """Return how far the fluid of a clutch will go by its results, the oldest first; None: of a calibration untold.
+    """Return how far the fluid of a clutch will go by its results, the oldest first; None: that cannot be told.
 
     It begins with the population that was kept last.
     """
@@ -84,19 +89,22 @@ def outlook_of(
     if reference is None:
         return None
     same = [estimate_of(row) for row in rows if row["calibration_version"] == calibration]
-    past = history_of_estimates(same, [fluid_fill(vehicle, one) for one in fills], clutch)
-    peers = None
-    if kept is not None:
-        fluid = fills[-1].product if fills else None
-        name = kept.population.name_of(vehicle_type, calibration)
-        past, peers = without(past, kept.population.common.get(name)), kept.population.of(name, fluid)
-    return prognose(clutch, past, reference, service_distance_m=service_distance_m, peers=peers)
+    try:
+        past = history_of_estimates(same, [fluid_fill(vehicle, one) for one in fills], clutch)
+        peers = None
+        if kept is not None:
+            fluid = fills[-1].product if fills else None
+            name = kept.population.name_of(vehicle_type, calibration)
+            past, peers = without(past, kept.population.common.get(name)), kept.population.of(name, fluid)
+        return prognose(clutch, past, reference, service_distance_m=service_distance_m, peers=peers)
+    except BEYOND_NUMBERS:
+        return None
 
 
 def outlook_text(founds: Iterable[Prognosis | None], action: str) -> str:
     """Return how far the fluid of a vehicle will go, by what is foretold of each clutch; made for pages and alarms."""
     known = [found for found in founds if found is not None]
-    return outlook_line(known, Action(action)) if known else OTHER_CALIBRATION
+    return outlook_line(known, Action(action)) if known else NO_PROGNOSIS
 
 
 def chance_of(found: Prognosis) -> float | None:
@@ -191,7 +199,7 @@ def read_past(engine: Engine, vehicle: str, clutch: int, state: VehicleState, se
         trend=tuple(map(_point_of, rows, estimates)),
         prognosis=found,
         outlook=None if found is None else answer_of(found, rows),
-        why_no_outlook=OTHER_CALIBRATION if found is None else None,
+        why_no_outlook=NO_PROGNOSIS if found is None else None,
         changes=tuple(courses(estimates)),
         corrections=tuple(correction_lines(estimates)),
         loads=tuple(loads(estimates)),

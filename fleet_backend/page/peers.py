@@ -1,6 +1,7 @@
 """What the fluids of the fleet have in common, by type and fluid; which lots age faster than others."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -32,7 +33,7 @@ from diag_service.diagnosis.prognosis import (
 from fleet_backend.database import transaction
 from fleet_backend.lots import lots_of
 from fleet_backend.page.calibrations import reference_of, type_of
-from fleet_backend.page.outlook import estimate_of, fluid_fill
+from fleet_backend.page.outlook import BEYOND_NUMBERS, estimate_of, fluid_fill
 from fleet_backend.page.past import results_of
 from fleet_backend.page.vehicle_state import fills_of
 from fleet_backend.schema import CLUTCH
@@ -50,7 +51,7 @@ class FleetAgeing:
     usual: Sequence[Record]
     lots: Sequence[Record]  # the worst first
     clutch_count: int  # looked at
-    left_out_count: int  # of them: of a calibration that is not at hand
+    left_out_count: int  # of them: of a calibration that is not at hand, or of numbers of no clutch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,9 +65,12 @@ class _Clutch:
     reference: FrictionCurve
     kinds: Sequence[PeerGroup]
 
-    def ageings(self) -> list[Ageing]:
-        """Return what its fluids say."""
-        return ageings(self.vehicle, self.clutch, self.history, self.reference, self.kinds)
+    def ageings(self) -> list[Ageing] | None:
+        """Return what its fluids say; None where its numbers are of no clutch."""
+        try:
+            return ageings(self.vehicle, self.clutch, self.history, self.reference, self.kinds)
+        except BEYOND_NUMBERS:
+            return None
 
 
 def fleet_ageing(engine: Engine) -> FleetAgeing:
@@ -79,7 +83,8 @@ def fleet_ageing(engine: Engine) -> FleetAgeing:
         keys = [(str(vehicle), int(clutch)) for vehicle, clutch in connection.execute(select(*order).order_by(*order))]
     common = _common(engine, keys)
     read = partial(_clutch, engine, common)
-    lives = {key: one.ageings() for key in keys if (one := read(key)) is not None}
+    told = ((key, one.ageings()) for key in keys if (one := read(key)) is not None)
+    lives = {key: own for key, own in told if own is not None}
     every = list(chain.from_iterable(lives.values()))
     population = replace(learn(every), common=common)
     population = with_bends(population, _looked_back(read, lives, population))
@@ -116,11 +121,12 @@ def _looked_back(
         for key in keys[:: -(-len(keys) // MOST_LOOKED_BACK)]:
             one = read(key)
             if one is not None:
-                yield from hindsights(one.history, one.reference, lives[key], population)
+                with suppress(*BEYOND_NUMBERS):
+                    yield from hindsights(one.history, one.reference, lives[key], population)
 
 
 def _clutch(engine: Engine, common: Mapping[str, Common], key: Key) -> _Clutch | None:
-    """Return a clutch without what its type shares; None where the friction of new fluid is not known."""
+    """Return a clutch without what its type shares; None where it cannot be told how its fluid ages."""
     vehicle, clutch = key
     rows = results_of(engine, vehicle, clutch)
     calibration = str(rows[-1]["calibration_version"]) if rows else ""
@@ -129,7 +135,10 @@ def _clutch(engine: Engine, common: Mapping[str, Common], key: Key) -> _Clutch |
         return None
     fills = fills_of(engine, vehicle)
     same = [estimate_of(row) for row in rows if row["calibration_version"] == calibration]
-    past = history_of_estimates(same, [fluid_fill(vehicle, one) for one in fills], clutch)
+    try:
+        past = history_of_estimates(same, [fluid_fill(vehicle, one) for one in fills], clutch)
+    except BEYOND_NUMBERS:
+        return None
     return _Clutch(
         vehicle=vehicle,
         clutch=clutch,

@@ -101,10 +101,12 @@ class Endpoints:
         return Route(view.api_path, self._worked_on(view, answer), name=f"api {view.name}")
 
     def calendar(self, view: View) -> Route:
-        """Return the route of the days in a view, for calendars."""
+        """Return the route of the days in a view, for calendars: all of them unless fewer are asked for."""
+        most = _MOST_IN_A_FILE
+        parameters = [replace(one, default=most) if one.name == LIMIT.name else one for one in view.parameters]
 
         def answer(request: Request) -> Response:
-            ask = self._ask(request, view.role, view.parameters)
+            ask = self._ask(request, view.role, parameters)
             found = view.find(self.sources, ask)
             return Response(view.calendar(found, ask) if view.calendar else b"", media_type="text/calendar")
 

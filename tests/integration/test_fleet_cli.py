@@ -248,6 +248,7 @@ def test_a_fill_closes_the_order_in_the_table_and_is_taken_back(
     [
         (["DCTF", "--at", "2026-03-01", "--odometer-km", "61200"], "the odometer cannot read 61,200 km: it read 1 km"),
         (["DCTF", "--odometer-km", "99999999", "--insist"], ""),
+        (["DCTF", "--at", "2962-03-01", "--insist"], "a fill at 2962-03-01T00:00:00+00:00 is yet to come"),
         (["--undo"], "no fill of worn is noted"),
         ([], "which fluid? give its name"),
     ],

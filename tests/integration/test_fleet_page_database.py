@@ -32,8 +32,10 @@ from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError
 from fleet_backend.intake import batch_of, take_all
+from fleet_backend.office.retention import forget_vehicle
 from fleet_backend.office.watching import Orders
 from fleet_backend.office.watching import Watch as WatchOfOffice
+from fleet_backend.office_tables import FLUID_DUE
 from fleet_backend.page import (
     alarms_view,
     changes_view,
@@ -47,6 +49,7 @@ from fleet_backend.page.access import Access
 from fleet_backend.page.asking import Ask, read_words
 from fleet_backend.page.keeper import LEAST_CLUTCHES, DatabaseSource, Keeper
 from fleet_backend.page.news import News
+from fleet_backend.page.outlook import NO_PROGNOSIS
 from fleet_backend.page.past import results_of, shift_of
 from fleet_backend.page.peers import fleet_ageing
 from fleet_backend.page.records import Due
@@ -485,6 +488,43 @@ def test_maintenance_is_by_day_over_all_parts_and_the_watch_keeps_it(engine: Eng
     again = parts(sources)
     assert {one.due_from for one in again if one.vehicle == "car2"} == {None}
     assert [one for one in again if one.vehicle != "car2"] == [one for one in foretold if one.vehicle != "car2"]
+
+
+@pytest.mark.parametrize(
+    "absurd", [{"std_mu_c": 1e155}, {"scale_free_std_mu_c": 1e200, "sump_temperature_k": 1e154}], ids=["large", "hot"]
+)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_numbers_of_no_clutch_leave_it_without_a_prognosis_and_the_others_with_theirs(
+    engine: Engine, absurd: dict[str, float]
+) -> None:
+    for vehicle in ("car1", "car2"):
+        rows = [row_of(one) for one in history(60, vehicle=vehicle)]
+        if vehicle == "car1":
+            rows = [row | absurd if number % 6 == 3 else row for number, row in enumerate(rows)]
+        Writer(engine).store(Batch(shifts=rows))
+    WatchOfOffice(engine, Orders(), lambda: NOW).round(judging_s=float("inf"))
+    due = maintenance_view.find(sources_of(engine), ask(maintenance_view.VIEW)).clutches
+    assert {one.vehicle for one in due if NO_PROGNOSIS in one.text} <= {"car1"}
+    assert len(due) == 4
+    found = fleet_ageing(engine)
+    assert (found.clutch_count, found.left_out_count) == (4, 1)
+
+
+async def test_a_calendar_has_all_days_and_a_forgotten_vehicle_none(engine: Engine) -> None:
+    vehicles = [f"car{number:02}" for number in range(51)]
+    rows = [row_of(fleet_result(1, vehicle=name, condition=Condition.CHANGE_FLUID)) for name in vehicles]
+    Writer(engine).store(Batch(shifts=rows))
+    transport = httpx.ASGITransport(site(sources_of(engine), Access(), now=lambda: NOW))
+    async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
+        for words, count in (("", 51), ("?limit=2", 2)):
+            assert (await client.get(f"/maintenance.ics{words}")).text.count("BEGIN:VEVENT") == count
+    watch = WatchOfOffice(engine, Orders(), lambda: NOW)
+    watch.round(judging_s=0.0)
+    for vehicle in vehicles:
+        forget_vehicle(engine, vehicle, now=NOW, by="ann")
+    watch.round(judging_s=float("inf"))
+    with transaction(engine) as connection:
+        assert connection.execute(FLUID_DUE.select()).all() == []
 
 
 def test_what_is_due_is_told_in_days_of_driving(engine: Engine) -> None:
