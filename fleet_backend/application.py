@@ -109,7 +109,12 @@ def run_ingest(
 async def _ingest(engine: Engine, worker: Worker, gate: Gate, title: str, alive: Path | None) -> None:
     task = asyncio.ensure_future(_work(engine, worker, gate, title, alive))
     with stopping(task.cancel), contextlib.suppress(asyncio.CancelledError):
-        await task
+        try:
+            await task
+        except ExceptionGroup as exc:
+            if len(exc.exceptions) > 1:
+                raise
+            raise exc.exceptions[0] from exc
     _LOG.info("%s", _counts_line(worker))
 
 

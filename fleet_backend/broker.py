@@ -11,9 +11,9 @@ from contextlib import asynccontextmanager
 from typing import Final
 
 from fleet_backend.choices import Part
-from fleet_backend.errors import BrokerError, ConfigError
+from fleet_backend.errors import BrokerError
 from fleet_contract import Channel, Outgoing, filter_of
-from fleet_link import AddressError, BrokerAddress, Connection, JetStream, LinkDownError, Message, Terms
+from fleet_link import BrokerAddress, Connection, JetStream, LinkDownError, LinkError, Message, Terms
 from fleet_link.jetstream import STREAM, subject_of
 
 WHOLE: Final = Part()
@@ -65,8 +65,8 @@ async def connected(
     """Connect and subscribe for as long as the block lasts.
 
     The broker keeps no session for us: what it had sent and we had not stored is sent again by the vehicles, to
-    whichever worker is there. Raises BrokerError if the broker is absent, silent or refuses us, ConfigError if a
-    certificate cannot be read.
+    whichever worker is there. Raises BrokerError if the broker is absent, silent or refuses us, or a certificate cannot
+    be used: it could be when the address was read, and is perhaps just renewed.
     """
     terms = Terms(
         keepalive_s=KEEPALIVE_S,
@@ -84,10 +84,8 @@ async def connected(
             )
         else:
             connection = await Connection.open(address, terms)
-    except LinkDownError as exc:
+    except LinkError as exc:
         raise BrokerError(f"broker {address}: {exc}") from exc
-    except AddressError as exc:
-        raise ConfigError(str(exc)) from exc
     try:
         try:
             takes_bundles = await _subscribed(connection, filters)

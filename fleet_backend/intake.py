@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from enum import Enum, auto
 from types import MappingProxyType
 from typing import Final
@@ -41,15 +41,12 @@ from fleet_contract import (
 from fleet_link import Message
 
 INGESTED: Final = (
-    Channel.SHIFT,
-    Channel.BUNDLE,
-    Channel.STATUS,
-    Channel.METRICS,
-    Channel.CONTROLLER,
-    Channel.FLUID,
+    *(Channel.SHIFT, Channel.BUNDLE, Channel.STATUS),
+    *(Channel.METRICS, Channel.CONTROLLER, Channel.FLUID),
 )
 IDENTITY_REASON: Final = "identity"  # of the view identity_alarm too
 _BUNDLE_END: Final = f"/{Channel.BUNDLE.label}"
+CLOCK_ERROR: Final = timedelta(days=1)  # of a vehicle; a moment that is farther ahead is none
 _LONGEST_KEY_PART: Final = 128  # what an acknowledgement can carry
 
 
@@ -81,10 +78,11 @@ class Taken:
     receipt: Receipt | None = None
 
 
-_STATES: Final[Mapping[Channel, tuple[MessageKind, Callable[[Mapping[str, object]], Row]]]] = MappingProxyType(
+_STATES: Final[Mapping[Channel, tuple[MessageKind, Callable[[Mapping[str, object]], Row], str]]] = MappingProxyType(
     {
-        Channel.METRICS: (MessageKind.METRICS, metrics_row),
-        Channel.CONTROLLER: (MessageKind.CONTROLLER, controller_row),
+        Channel.STATUS: (MessageKind.STATUS, status_row, "connected_at"),
+        Channel.METRICS: (MessageKind.METRICS, metrics_row, "metrics_at"),
+        Channel.CONTROLLER: (MessageKind.CONTROLLER, controller_row, "controller_at"),
     }
 )
 
@@ -121,12 +119,13 @@ def _take(message: Message, address: Address, received_at: datetime) -> Taken:
         row, revisions = shift_row(data), revision_rows(data)
         receipt = Receipt(key=incoming.key)
         return Taken(message=message, kind=MessageKind.SHIFT, row=row, revisions=revisions, receipt=receipt)
-    if channel is Channel.STATUS:
-        told = calibration_rows(data)
-        return Taken(message=message, kind=MessageKind.STATUS, row=status_row(data), calibrations=told)
     if channel in _STATES:
-        kind, row_of = _STATES[channel]
-        return Taken(message=message, kind=kind, row=row_of(data))
+        kind, row_of, name = _STATES[channel]
+        row, told = row_of(data), calibration_rows(data) if channel is Channel.STATUS else ()
+        at = row[name]
+        if isinstance(at, datetime) and at - received_at > CLOCK_ERROR:
+            row[name] = received_at  # else it would hold until then, whatever is said after it
+        return Taken(message=message, kind=kind, row=row, calibrations=told)
     if channel is Channel.FLUID:
         return Taken(message=message, kind=MessageKind.FILLS, row={"vehicle": data["vehicle"]}, fills=fill_rows(data))
     return refuse(message, "topic", "a kind of message that the backend does not keep", received_at)

@@ -62,7 +62,7 @@ class Gate:
             if not known[-1]:
                 _LOG.warning("%s is beyond its quota of today: it keeps what is not taken", vehicle or "somebody")
             more = [0, 0, 0, 1]
-            item = replace(item, kind=MessageKind.WITHHELD, fills=(), calibrations=(), receipt=None)
+            item = replace(item, kind=MessageKind.WITHHELD, fills=(), calibrations=(), revisions=(), receipt=None)
         for counts in (known, news):
             counts[:] = map(sum, zip(counts, more, strict=True))
         return item

@@ -13,10 +13,10 @@ from typing import Final
 from urllib.parse import SplitResult, urlsplit
 
 from fleet_backend.errors import ConfigError
+from fleet_backend.intake import CLOCK_ERROR
 from fleet_contract.orders import Action, name_of
 from fleet_link import AddressError, read_secret
 
-CLOCK_ERROR = timedelta(days=1)  # of a vehicle; a moment that is farther ahead is none
 WHOLE_VEHICLE = 0  # in place of the number of a clutch
 
 

@@ -17,6 +17,7 @@ from sqlalchemy import (
     TableClause,
     bindparam,
     delete,
+    exists,
     func,
     inspect,
     not_,
@@ -47,7 +48,7 @@ from fleet_backend.months import (
 )
 from fleet_backend.office_tables import ALARM_MESSAGE, AUDIT, CLUTCH_MONTH, COMMAND_LINE, METADATA, note_change
 from fleet_backend.queries import check_vehicle
-from fleet_backend.schema import QUARANTINE, SHIFT_RESULT, UtcDateTime
+from fleet_backend.schema import QUARANTINE, REVISION, SHIFT_RESULT, UtcDateTime
 
 MOST_KEPT: Final = 1200
 _MONTH: Final = {
@@ -113,6 +114,7 @@ def retain(engine: Engine, kept_months: int, *, now: datetime, by: str) -> Retai
         gone_count = forget(connection, first, until)
         kept_count = _old_count(connection, until)
         if gone_count:
+            _drop_revisions(connection)
             told = f"{gone_count} results from before {first:%Y-%m}"
             note_change(connection, at=now, who=by, role=COMMAND_LINE, action="forget results", subject=told)
     return Retained(before=first, gone_count=gone_count, kept_count=kept_count)
@@ -153,6 +155,14 @@ def _drop_months(connection: Connection, first: date, until: datetime) -> int:
         connection.exec_driver_sql(f"INSERT INTO {TABLE} SELECT * FROM kept")  # noqa: S608 - our own names
     forget(connection, edge_at)
     return old_count - _old_count(connection, until)
+
+
+def _drop_revisions(connection: Connection) -> None:
+    """Delete revisions of which both are gone: the result that told it, and the one that it is about."""
+    one, other = REVISION.c, SHIFT_RESULT.c
+    pairs = (("vehicle", "stream", "seq"), ("vehicle", "clutch", "end_bus_ns"))
+    gone = (~exists().where(*(other[name] == one[name] for name in names)) for names in pairs)
+    connection.execute(delete(REVISION).where(*gone))
 
 
 def _old_count(connection: Connection, until: datetime) -> int:

@@ -20,11 +20,14 @@ from clutch_model.calibration import nominal_calibration
 from demo.fleet.servers import PostgresServer
 from diag_service.diagnosis.records import shift_record
 from fleet_backend import queries
+from fleet_backend.application import run_ingest
+from fleet_backend.choices import Pace, Part, Quotas
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 from fleet_backend.schema import CALIBRATION
 from fleet_backend.writer import Batch, Writer
 from fleet_contract import Outgoing, shift_message
+from fleet_link import TlsFiles, parse_broker
 from tests.plugins.broker import Mosquitto
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.fleet import fleet_result, row_of
@@ -229,6 +232,12 @@ def test_a_worker_ends_well_when_it_is_told_to(tmp_path: Path, broker: Mosquitto
     log = (tmp_path / "worker-0.log").read_text(encoding="utf-8")
     assert "results committed" in log.splitlines()[-1]
     assert "Traceback" not in log
+
+
+def test_an_error_that_nobody_expected_is_told_by_itself(engine: Engine) -> None:
+    address = parse_broker(f"mqtt://{'x' * 64}", TlsFiles())
+    with pytest.raises(UnicodeError, match="label too long"):
+        run_ingest(engine, address, Pace(), "worker", group="group", part=Part(), quotas=Quotas())
 
 
 def test_results_of_logs_tell_their_calibration_and_nothing_of_a_connection(

@@ -1,23 +1,27 @@
 """Results by months: they gain months ahead, and go when they are old."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, date, datetime
 
 import pytest
 from sqlalchemy import Engine, select, text
 
 from fleet_backend import queries
-from fleet_backend.choices import Axis
+from fleet_backend.choices import Axis, Quotas
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import ConfigError
+from fleet_backend.intake import MessageKind, Taken
 from fleet_backend.migrate import migrate
 from fleet_backend.months import keep_months, partitions
 from fleet_backend.office.retention import retain, roll_up
 from fleet_backend.office_tables import AUDIT, CLUTCH_MONTH
+from fleet_backend.quotas import Gate
 from fleet_backend.rows import Row
+from fleet_backend.schema import REVISION
 from fleet_backend.writer import Batch, Writer
-from tests.support.fleet import fleet_result, row_of
+from tests.support.fleet import fleet_result, message_of, row_of
 
 NOW = datetime(2026, 6, 15, 12, tzinfo=UTC)
 
@@ -95,6 +99,21 @@ def test_old_months_go_but_their_sums_and_the_last_result_of_each_clutch(engine:
     assert retain(engine, 2, now=NOW, by="ann").gone_count == 0
     Writer(engine).store(Batch(shifts=rows))  # an outbox that never heard of the commit
     assert retain(engine, 2, now=NOW, by="ann").gone_count == 5
+
+
+def test_revisions_come_and_go_with_their_results(engine: Engine) -> None:
+    told: Row = {"vehicle": "car1", "stream": "stream-1", "clutch": 2, "content": "{}"}
+    rows = [made_at(day, seq) for seq, day in enumerate(("2025-11-02", "2025-12-01", "2026-06-02"), 1)]
+    old, new = (row["end_bus_ns"] for row in (rows[0], rows[2]))
+    ends = [(2, old), (2, new), (3, old), (3, 7)]  # teller, and of what
+    Writer(engine).store(Batch(shifts=rows, revisions=[told | {"seq": seq, "end_bus_ns": at} for seq, at in ends]))
+    assert retain(engine, 2, now=NOW, by="ann").gone_count == 2
+    with transaction(engine) as connection:
+        left = connection.execute(select(REVISION.c.seq, REVISION.c.end_bus_ns)).all()
+    assert {tuple(one) for one in left} == set(ends[1:])
+    revised = replace(Taken(message=message_of(fleet_result(4)), kind=MessageKind.SHIFT, row=rows[2]), revisions=[told])
+    one, other = Gate(engine, Quotas(results=1)).judge([revised, revised], NOW)
+    assert (one.revisions, other.kind, other.revisions) == ([told], MessageKind.WITHHELD, ())
 
 
 def test_the_commands_say_what_they_did(months: Engine, sqlite_url: str, capsys: pytest.CaptureFixture[str]) -> None:

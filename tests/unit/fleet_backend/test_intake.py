@@ -8,6 +8,7 @@ import pytest
 
 from diag_service.diagnosis.records import clutch_record, shift_record
 from fleet_backend.intake import MessageKind, Taken, batch_of, receipts_of, refuse, take, take_all
+from fleet_backend.rows import moment
 from fleet_contract import (
     Outcome,
     clutch_message,
@@ -17,7 +18,7 @@ from fleet_contract import (
     status_message,
 )
 from fleet_link import Message
-from tests.golden import CONTROLLER
+from tests.golden import CONTROLLER, messages_v1
 from tests.support.fleet import NOW, delivered, fleet_result, message_of
 
 GOOD = message_of(fleet_result(7))
@@ -67,6 +68,20 @@ def test_a_good_result_becomes_a_row_and_a_receipt() -> None:
     assert (taken.row["vehicle"], taken.row["seq"], taken.row["condition"]) == ("car1", 7, "good")
     assert taken.receipt is not None
     assert (taken.receipt.key.seq, taken.receipt.outcome) == (7, Outcome.ACCEPTED)
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "kept"),
+    [
+        ("status-online", "connected_at", "connected_at"),
+        ("metrics", "produced_at", "metrics_at"),
+        ("controller", "produced_at", "controller_at"),
+    ],
+)
+def test_a_state_of_a_clock_that_is_far_ahead_is_of_when_it_came(name: str, said: str, kept: str) -> None:
+    message, near = delivered(messages_v1()[name]), "2026-03-02T11:00:00.000000Z"
+    found = [take(changed(message, **{said: at}), NOW).row[kept] for at in (near, near.replace("2026", "2038"))]
+    assert found == [moment(near), NOW]
 
 
 def test_unknown_keys_are_ignored() -> None:
