@@ -79,8 +79,7 @@ BUSY: Final = 0x21
 BUSY_PAUSE_S: Final = 0.1
 NOT_NOW: Final = frozenset({0x22, 0x24, 0x26, *range(0x81, 0x94)})  # refused by how the car is just now (ISO 14229-1)
 AGAIN_S: Final = 10.0  # until that is asked for again
-MOST_SILENT: Final = 3  # questions in a row
-MOST_ODD: Final = 3  # answers in a row that are not what was asked for
+MOST_SILENT: Final = 3  # questions in a row, without an answer or with an odd one
 FIRST_PAUSE_S: Final = 1.0
 LONGEST_PAUSE_S: Final = 16.0  # between attempts at a controller that does not answer
 LEAST_ROWS: Final = 5  # of a slip: fewer tell no friction
@@ -436,7 +435,7 @@ class SignalAsker(AskingThread):
         found = data_in(question.request, answer, question.address.request_id, self._sizes)
         if isinstance(found, str):
             self._odd[question.data] += 1
-            if self._odd[question.data] >= MOST_ODD:  # one may have been late, for what was asked before
+            if self._odd[question.data] >= MOST_SILENT:  # one may have been late, for what was asked before
                 self._say_once(self.plan.refuse(question, found))
             return False
         self._odd.pop(question.data, None)
