@@ -12,8 +12,10 @@ from typing import Final
 
 from canlog.errors import NOTICE
 from diag_service.delivery.reporters import DeliveryLimits, Link
+from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.records import (
     FluidFill,
+    ShiftResult,
     StoredResult,
     clutch_record,
     fill_record,
@@ -314,7 +316,7 @@ class Delivery:
         self._has_news = False  # since results were last found overdue
         self._is_silent = False
         self._asked_s = 0.0  # when a silent backend was last asked [s of the loop]
-        self._newest: dict[int, StoredResult] = {}  # of each clutch
+        self._newest: dict[int, tuple[tuple[int, int], ShiftResult]] = {}  # of each clutch, by end and position
         self._told: dict[str, bytes] = {}  # topic of the state of a clutch -> what was sent there
         self.wake = asyncio.Event()  # set when there is something new to do
         self._fluid = FluidExchange(state.store, state.vehicle, link, self.wake) if state.shares_fluid else None
@@ -488,11 +490,17 @@ class Delivery:
         if self._state.holds_states:
             self._are_states_held = True
             return []
-        for row in rows:
-            if row.clutch not in self._newest or self._newest[row.clutch].position < row.position:
-                self._newest[row.clutch] = row
+        made_by = {(one.algorithm_version, one.calibration_version) for _, one in self._newest.values()}
+        if len(made_by | {(row.key.algorithm_version, row.key.calibration_version) for row in rows}) > 1:
+            self._newest, rows = {}, self._state.store.latest(self._state.vehicle)  # none but those made like the last
+        in_order = sorted(rows, key=lambda row: row.position)  # of each stream the last will do
+        for row in {(row.key.stream, row.clutch): row for row in in_order}.values():
+            result = parse_shift(row.text)
+            rank = max(result.estimate.end_ns, DATED_NS), row.position
+            if row.clutch not in self._newest or self._newest[row.clutch][0] < rank:
+                self._newest[row.clutch] = rank, result
         fluid = self._state.store.fluid_at(self._state.vehicle, iso_utc(datetime.now(UTC)))
-        known = [parse_shift(row.text) for row in self._newest.values()]
+        known = [result for _, result in self._newest.values()]
         order = order_by(known, fluid)
         states = (clutch_record(shift_record(one), order) for one in of_present_fluid(known, fluid))
         news = [one for one in map(clutch_message, states) if self._told.get(one.topic) != one.payload]

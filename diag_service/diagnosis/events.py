@@ -11,6 +11,8 @@ from typing import Final
 from canlog.e2e.e2e_state import E2eState
 from diag_service.diagnosis.columns import Columns
 
+DATED_NS: Final = 10**18  # since 1970: in 2001; earlier bus times have no date
+
 
 class EndReason(StrEnum):
     """How an event ended."""

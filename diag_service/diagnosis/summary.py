@@ -10,6 +10,7 @@ from clutch_model.calibration import TorqueSource
 from diag_service.diagnosis.condition.shift_quality import Load
 from diag_service.diagnosis.condition.verdict import Silence, advice
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
+from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.records import (
     Causes,
     ClutchRatio,
@@ -124,7 +125,7 @@ class Summary:
     capability: Capability = FULL
     gaps: tuple[Gap, ...] = ()  # why this is a part of the drive; none: it is the whole
     contributions: Contributions = NO_LOGS
-    earlier: Mapping[int, ShiftResult] = field(default_factory=dict)  # the last of each clutch, of earlier runs
+    earlier: Mapping[int, ShiftResult] = field(default_factory=dict)  # by clutch, where this run has nothing later
     fluid: FluidFill | None = None  # that is in, if its fill is known
     loads: Mapping[int, Load] = field(default_factory=dict)  # what each clutch had to bear
     relative: "tuple[RelativeFriction, ...]" = ()  # of a log whose signals tell friction up to a scale
@@ -138,8 +139,14 @@ class Summary:
     @property
     def order(self) -> Order:
         """What the vehicle is told, by the last result of each clutch, earlier runs counted."""
-        known = {**self.earlier, **{one.verdict.clutch: one for one in self.latest}}
+        known = {**{one.verdict.clutch: one for one in self.latest}, **self.earlier}
         return order_by(known.values(), self.fluid)
+
+
+def latest_of(results: Iterable[ShiftResult]) -> tuple[ShiftResult, ...]:
+    """Return the last result of each clutch, clutch 1 first: by the end of its event, without dates by its place."""
+    by_end = sorted(results, key=lambda one: max(one.estimate.end_ns, DATED_NS))
+    return tuple(one for _, one in sorted({one.estimate.clutch: one for one in by_end}.items()))
 
 
 def with_revisions(results: Iterable[ShiftResult]) -> list[ShiftResult]:

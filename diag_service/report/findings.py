@@ -1,6 +1,6 @@
 """What a report is about: results of one vehicle, from logs or a store, and the signals of a few of its shifts."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -9,9 +9,9 @@ from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration, TorqueSource
 from clutch_model.units import NS_PER_S
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.events import GEAR_CHANGES, Event
+from diag_service.diagnosis.events import DATED_NS, GEAR_CHANGES, Event
 from diag_service.diagnosis.records import FluidFill, ShiftResult, Status, utc_from_bus_ns
-from diag_service.diagnosis.summary import Gap, Summary, of_present_fluid, order_by, with_revisions
+from diag_service.diagnosis.summary import Gap, Summary, latest_of, of_present_fluid, order_by, with_revisions
 from diag_service.errors import StoppedError
 from diag_service.service.drive import open_drive, stream_of_drive
 from diag_service.service.drive_survey import DriveSurvey
@@ -25,7 +25,6 @@ from diag_service.store import NoStore, Row, StoreReader, Versions
 from fleet_contract import CLUTCHES
 from fleet_contract.orders import Order, title_of
 
-DATED_NS: Final = 10**18  # since 1970: in 2001; earlier bus times have no date
 _SHOWN: Final = (Status.VALID, Status.REJECTED, Status.UNOBSERVED)
 
 
@@ -149,12 +148,6 @@ def findings_of_store(path: Path, named: str | None, calibration: Calibration) -
 def moment_words(t_ns: int) -> str:
     """Return a bus time for people: UTC, or the log's own seconds where it has no date."""
     return utc_from_bus_ns(t_ns)[:19].replace("T", " ") if t_ns >= DATED_NS else f"{t_ns / NS_PER_S:.1f} s"
-
-
-def latest_of(results: Iterable[ShiftResult]) -> tuple[ShiftResult, ...]:
-    """Return the last result of each clutch, clutch 1 first."""
-    newest = {result.estimate.clutch: result for result in results}
-    return tuple(result for _, result in sorted(newest.items()))
 
 
 def _versions(result: ShiftResult) -> Versions:

@@ -21,11 +21,11 @@ from diag_service.delivery import Reporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.condition.shift_quality import Load, borne
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions
-from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.events import DATED_NS, Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, Posterior
 from diag_service.diagnosis.lockup import state as lockup
 from diag_service.diagnosis.records import ShiftResult, ShiftStatistics, iso_utc, parse_shift, utc_from_bus_ns
-from diag_service.diagnosis.summary import FrameCounts, Gap, Summary, frames_line, of_present_fluid
+from diag_service.diagnosis.summary import FrameCounts, Gap, Summary, frames_line, latest_of, of_present_fluid
 from diag_service.errors import ResultError, StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Diagnosis, Stages
@@ -131,7 +131,8 @@ class Session:
         self.statistics = ShiftStatistics()
         self._loads: Mapping[int, Load] = {}
         self.fluid = store.fluid_at(self.vehicle, utc_now())  # that is in now, as far as its fill is known
-        self._earlier = last_results(store, self.vehicle, self._versions)
+        self._fluid_since = memory.fluid_since  # of the fluid that the stages judge
+        self._earlier = last_results(store, self.vehicle, self._versions)  # until this run has later ones
         self._pending: deque[tuple[ShiftResult, VehicleState | None]] = deque()  # what a full disk did not take yet
         self._max_pending_count = max_pending_count
         self._is_disk_full = False
@@ -141,7 +142,7 @@ class Session:
     @property
     def latest(self) -> tuple[ShiftResult, ...]:
         """The last result of each clutch, clutch 1 first, of earlier runs too; no verdict where the fluid is newer."""
-        known = {**self._earlier, **self.statistics.latest}
+        known = {**self.statistics.latest, **self._earlier}
         return of_present_fluid((result for _, result in sorted(known.items())), self.fluid)
 
     def process(self, event: Event) -> None:
@@ -194,6 +195,9 @@ class Session:
 
     def _report(self, result: ShiftResult, *, is_new: bool) -> None:
         self.statistics = self.statistics.with_shift(result, is_new=is_new)
+        clutch = result.estimate.clutch
+        if is_new and clutch in self._earlier and latest_of((self._earlier[clutch], result)) == (result,):
+            self._earlier = {other: one for other, one in self._earlier.items() if other != clutch}
         self._loads = borne(self._loads, result.estimate)
         self.reporter.report(result)
 
@@ -240,20 +244,28 @@ class Session:
             _LOG.log(NOTICE, "%s", NOTHING_KNOWN)
         return summary
 
-    def _note_fluid(self, event: Event) -> None:
-        """Let the stages know which fluid the vehicle had at a shift; anybody may have noted a fill meanwhile."""
-        fill = self._store.fluid_at(self.vehicle, utc_from_bus_ns(event.start_ns))
-        if fill is None:
-            return
-        if self._stream is None:
+    def _note_fluid(self, event: Event) -> bool:
+        """Let the stages know which fluid the vehicle had at a shift; anybody may have noted a fill meanwhile.
+
+        Return whether it was a fluid before the one that they judge, as in a log that is analysed late.
+        """
+        began_at = utc_from_bus_ns(event.start_ns)
+        fill, since = self._store.fluid_at(self.vehicle, began_at), self._fluid_since
+        if fill is not None and self._stream is None:
             self.fluid = fill
-        if self.stages.note_fluid(fill.filled_at):
-            _LOG.log(NOTICE, "new fluid since %s: a new baseline begins", fill.filled_at)
+        if fill is not None and (since is None or fill.filled_at > since):
+            since = self._fluid_since = fill.filled_at
+            first_end = self._store.first_end(self.vehicle)
+            is_new = first_end is None or first_end <= since
+            self.stages.note_fluid(since, is_new=is_new)
+            if is_new:
+                _LOG.log(NOTICE, "new fluid since %s: a new baseline begins", since)
+        return since is not None and event.start_ns >= DATED_NS and began_at < since
 
     def _diagnose(self, event: Event) -> tuple[ShiftResult, VehicleState | None]:
-        self._note_fluid(event)
+        conclude = self.stages.conclude_past if self._note_fluid(event) else self.stages.conclude
         with self.progress.working(Stage.ESTIMATE):
-            diagnosis = self.stages.conclude(event)
+            diagnosis = conclude(event)
         if self.stages.doubt and not self._is_doubted:
             self._is_doubted = True
             _LOG.warning("nothing is estimated: %s", self.stages.doubt)
@@ -306,9 +318,7 @@ def resume(
 def last_results(store: SessionStore, vehicle: str, versions: Versions) -> dict[int, ShiftResult]:
     """Return the newest stored result of each clutch, by clutch, if it was made as results are made now."""
     found: dict[int, ShiftResult] = {}
-    for row in store.latest(vehicle):
-        if (row.key.algorithm_version, row.key.calibration_version) != (versions.algorithm, versions.calibration):
-            continue
+    for row in store.latest(vehicle, versions):
         try:
             found[row.clutch] = parse_shift(row.text)
         except ResultError as exc:

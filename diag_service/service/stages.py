@@ -173,15 +173,23 @@ class Stages:
         self._memory, verdict = judge_lockup(memory, self._slip, self._calibration, swings)
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory, slip=self._slip)
 
-    def note_fluid(self, filled_at: str) -> bool:
-        """Take note of the fluid that the vehicle has, by the moment of its fill; return whether it is new.
+    def conclude_past(self, event: Event) -> Diagnosis:
+        """Judge an event of a fluid before the present one by itself; what is known of the present one stays."""
+        kept = self._state, self._slip, self._memory
+        self.note_fluid("")  # of its friction nothing is known
+        self._memory = ConditionMemory.fresh()
+        found = self.conclude(event)
+        self._state, self._slip, self._memory = kept
+        return replace(found, state=self._state, slip=self._slip, memory=self._memory)
 
-        New fluid begins a new running friction with a new baseline. A fill before that of the fluid last judged says
-        nothing any more.
+    def note_fluid(self, filled_at: str, *, is_new: bool = True) -> None:
+        """Take note of the fluid that the vehicle has, by the moment of its fill.
+
+        New fluid begins a new running friction with a new baseline. If it is not, all that is known is of it.
         """
-        known = self._memory.fluid_since
-        if known is not None and filled_at <= known:
-            return False
+        if not is_new:
+            self._memory = replace(self._memory, fluid_since=filled_at)
+            return
         self._memory = self._memory.with_new_fluid(filled_at, self._state)
         self._state = self._state.with_new_fluid()
         self._slip = self._slip and self._slip.with_new_fluid()

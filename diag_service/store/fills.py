@@ -8,11 +8,13 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Final
 
+from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.records import FluidFill, iso_utc
 from diag_service.errors import ConfigError, StoreError
 from diag_service.store.file import connect, translated
 from fleet_contract.orders import SAME_WITHIN, distinct, odometer_complaint
 
+_LAST: Final = "SELECT json_extract(json, '$.end_bus_ns') FROM result WHERE vehicle = ? ORDER BY position DESC LIMIT 1"
 _NEXT: Final = timedelta(microseconds=1)
 _READING: Final = (
     "SELECT json_extract(json, '$.odometer_m') FROM result WHERE vehicle = ? AND json_extract(json, '$.odometer_m')"
@@ -63,10 +65,14 @@ def note_fill(path: Path, fill: FluidFill, *, is_insisted: bool = False) -> Flui
     StoreError
         If there is no such store, or the fill is noted already.
     ConfigError
-        If its odometer does not fit to the results before and after it, and nobody insists.
+        If the vehicle's results have no date: none could ever count as later. If its odometer does not fit to the
+        results before and after it, and nobody insists.
     """
     with closing(_open(path)) as connection, translated(str(path)), connection:
         connection.execute("BEGIN IMMEDIATE")
+        (end_ns,) = connection.execute(_LAST, (fill.vehicle,)).fetchone() or (DATED_NS,)
+        if end_ns < DATED_NS:
+            raise ConfigError(f"the results of {fill.vehicle} have no date: nobody can tell which are of new fluid")
         known = all_fills(connection, fill.vehicle)
         near = [one for one in known if abs(_moment(one) - _moment(fill)) < SAME_WITHIN and not one.is_withdrawn]
         if near:

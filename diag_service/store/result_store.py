@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Final, Self
 
 from clutchdiag_io.files import keep_private
+from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.records import FluidFill, ShiftResult, StoredResult, dump, parse_shift, shift_record
 from diag_service.errors import ResultError, StoreError
 from diag_service.store.file import DELIVERED, QUARANTINED, WAITING, connect, connect_in_memory, own, store_error
@@ -55,6 +56,13 @@ _BY_KEY: Final = (
 _ROWS: Final = (
     "SELECT position, vehicle, stream, seq, algorithm_version, calibration_version, clutch,"
     " json_extract(json, '$.produced_at'), json FROM result"
+)
+_LATEST: Final = (  # of the last of each stream, which an index finds, those come last that ended last
+    " WHERE position IN (SELECT (SELECT position FROM result WHERE vehicle = ?1 AND stream = own.stream"
+    " AND clutch = own.clutch AND algorithm_version = ?2 AND calibration_version = ?3 ORDER BY seq DESC LIMIT 1) FROM"
+    " (SELECT stream, clutch FROM (SELECT DISTINCT stream FROM result WHERE vehicle = ?1),"
+    " (SELECT DISTINCT clutch FROM result WHERE vehicle = ?1)) AS own)"
+    " ORDER BY clutch, max(json_extract(json, '$.end_bus_ns'), ?4), position"
 )
 _OUTCOMES: Final = {Outcome.ACCEPTED: DELIVERED, Outcome.QUARANTINED: QUARANTINED}
 _END: Final = 2**63 - 1  # beyond the last position
@@ -262,12 +270,19 @@ class ResultStore:
             (secret,) = sql.execute("SELECT value FROM meta WHERE key = 'connection_secret'").fetchone()
         return str(secret)
 
-    def latest(self, vehicle: str) -> list[StoredResult]:
-        """Return the newest result of each clutch."""
+    def latest(self, vehicle: str, versions: Versions | None = None) -> list[StoredResult]:
+        """Return the newest result of each clutch, by the end of its event, of these versions or those stored last."""
+        made_by = "SELECT algorithm_version, calibration_version FROM result WHERE vehicle = ? ORDER BY position DESC"
         with self._transaction() as sql:
-            newest = "SELECT max(position) FROM result WHERE vehicle = ? GROUP BY clutch"
-            rows = sql.execute(f"{_ROWS} WHERE position IN ({newest}) ORDER BY clutch", (vehicle,))
-            return [_stored_result(row) for row in rows]
+            own = sql.execute(made_by, (vehicle,)).fetchone() if versions is None else astuple(versions)
+            rows = sql.execute(_ROWS + _LATEST, (vehicle, *(own or ("", "")), DATED_NS))
+            return list({row.clutch: row for row in map(_stored_result, rows)}.values())
+
+    def first_end(self, vehicle: str) -> str | None:
+        """Return when the first event of a vehicle ended; None: there is none, or the disk budget took some."""
+        with self._transaction() as sql:
+            found = sql.execute("SELECT min(json_extract(json, '$.end_utc')) FROM result WHERE vehicle = ?", (vehicle,))
+            return None if any(astuple(_read_dropped(sql))) else found.fetchone()[0]
 
     def note_controller(self, vehicle: str, controller: str, said: str, text: str) -> bool:
         """Keep what a controller said, False if it said the same the last time."""
@@ -482,9 +497,12 @@ class NoStore:
     def state(self, _: str) -> None:
         """Return nothing."""
 
-    def latest(self, _: str) -> Sequence[StoredResult]:
+    def latest(self, *_: object) -> Sequence[StoredResult]:
         """Return nothing."""
         return ()
+
+    def first_end(self, _: str) -> None:
+        """Return nothing."""
 
     def fluid_at(self, *_: object) -> None:
         """Return nothing."""

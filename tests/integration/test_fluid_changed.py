@@ -2,6 +2,7 @@
 
 import lzma
 import re
+import shutil
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -66,6 +67,38 @@ def test_the_past_stays_as_it_was(store: Path) -> None:
     text = ended("history", store).out
     assert "fluid of unknown age" in text
     assert "DCTF-II since" in text
+
+
+def test_a_log_of_the_old_fluid_that_comes_late_says_nothing_of_the_new(store: Path, tmp_path: Path) -> None:
+    path, late = tmp_path / "car1.sqlite", recording("case2", tmp_path / "late.log", later_s=-0.5 * LATER_S)
+    shutil.copy(store, path)
+    orders = [ended("history", path, "--json").records[-1]["order"]]
+    with closing(sqlite3.connect(path)) as connection:
+        state = connection.execute("SELECT belief, condition FROM state").fetchall()
+        for log in (late, store.parent / "old.log", late):
+            found = ended("analyze", log, "--store", path, "--vehicle", "car1", "--json")
+            orders.append(found.records[-1]["order"])
+        assert connection.execute("SELECT belief, condition FROM state").fetchall() == state
+    assert {*orders, ended("history", path, "--json").records[-1]["order"]} == {orders[0]}
+    assert "sound" in orders[0]
+
+
+def test_a_fill_before_all_that_is_known_costs_no_baseline(tmp_path: Path) -> None:
+    path = tmp_path / "car1.sqlite"
+    words = ("--store", path, "--vehicle", "car1", "--json")
+    first = ended("analyze", recording("ideal", tmp_path / "first.log"), *words)
+    assert ended("fluid-changed", path, "--at", "2025-12-01").status == 0
+    second = ended("analyze", recording("ideal", tmp_path / "second.log", later_s=LATER_S), *words)
+    assert "a new baseline" not in second.err
+    counts = [one.shifts[-1]["verdict"]["shift_count"] for one in (first, second)]
+    assert counts[1] > counts[0]
+
+
+def test_a_fill_of_results_without_a_date_is_refused(tmp_path: Path) -> None:
+    path, log = tmp_path / "car1.sqlite", recording("ideal", tmp_path / "undated.log", later_s=-1_767_225_600.0)
+    ended("analyze", log, "--store", path, "--vehicle", "car1")
+    ended("fluid-changed", path).assert_one_line(2, "the results of car1 have no date")
+    assert ended("history", path, "--json").records[-1]["fills"] == []
 
 
 def test_a_fill_is_noted_once(store: Path) -> None:

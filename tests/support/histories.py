@@ -9,7 +9,8 @@ import numpy as np
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.verdict import Cause, advice
 from diag_service.diagnosis.records import Condition, FluidFill, Reason, ShiftResult
-from diag_service.report.findings import Findings, latest_of
+from diag_service.diagnosis.summary import latest_of
+from diag_service.report.findings import Findings
 from diag_service.service.session import versions_for
 from diag_service.store import ResultStore, Row, VehicleState, Versions
 from tests.support.builders import friction_estimate, rejected, shift_result

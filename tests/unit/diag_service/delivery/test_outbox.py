@@ -94,6 +94,21 @@ async def test_a_broken_connection_loses_nothing(store: ResultStore) -> None:
     assert seqs(first) == [1]
 
 
+async def test_states_tell_what_ended_last_of_what_was_made_like_the_last(store: ResultStore) -> None:
+    link = MemoryLink()
+    outbox = Outbox(store, "car1", Broker(link).connect, "broker", limits=QUICK)
+    for one in (shift_result(5), shift_result(6, to_gear=3), shift_result(1, stream="an older log")):
+        store.add(one, STATE)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: store.unpublished_count("car1") == 0)
+    assert sorted(state["seq"] for state in link.states) == [5, 6]
+    store.add(replace(shift_result(2, stream="an older log"), calibration_version="another"), STATE)
+    assert await outbox.close(sender) == 0
+    told = link.states[-1]
+    assert (told["seq"], told["calibration_version"]) == (2, "another")
+    assert "Clutch 1: no event engaged it yet." in str(told["order"])  # by that calibration
+
+
 async def test_what_was_acknowledged_just_before_the_connection_broke_is_sent_again(store: ResultStore) -> None:
     first, second, third = MemoryLink(), MemoryLink(), MemoryLink()
     outbox = Outbox(store, "car1", Broker(first, second, third).connect, "broker", limits=QUICK)

@@ -62,7 +62,7 @@ def test_other_vehicles_begin_with_nothing(store: ResultStore) -> None:
 def test_results_of_another_program_are_left_out(store: ResultStore) -> None:
     other = of_version(worn(shift_result(3, to_gear=3)), replace(VERSIONS, algorithm="another-1"))
     store.add(other, STATE)
-    assert verdicts(session(store)) == [(2, "CHANGE_FLUID")]
+    assert verdicts(session(store)) == [(1, "GOOD"), (2, "CHANGE_FLUID")]
 
 
 def test_a_result_that_cannot_be_read_is_left_out_and_told(
@@ -72,6 +72,17 @@ def test_a_result_that_cannot_be_read_is_left_out_and_told(
     with caplog.at_level(logging.WARNING):
         assert verdicts(session(store)) == [(1, "GOOD")]
     assert "the last result of clutch 2 of car1 is left out" in caplog.text
+
+
+def test_a_log_of_earlier_hides_no_newer_result(store: ResultStore) -> None:
+    older = of_version(shift_result(1, stream="late"), VERSIONS)
+    estimate = replace(older.estimate, start_ns=older.estimate.start_ns - 9, end_ns=older.estimate.end_ns - 9)
+    store.add(replace(older, estimate=estimate), STATE)
+    run = session(store, stream="late")
+    assert verdicts(run) == [(1, "GOOD"), (2, "CHANGE_FLUID")]
+    run.process(replace(next(iter(run.stages.segment(gear_frames(3)))), number=1))  # it is stored: told again
+    assert run.summary(FrameCounts(), None).shifts.latest.keys() == {2}
+    assert run.summary(FrameCounts(), None).order.action is Action.CHANGE_NOW
 
 
 def test_new_fluid_before_the_start_takes_the_verdicts_away(store: ResultStore) -> None:

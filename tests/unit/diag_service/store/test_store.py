@@ -106,6 +106,17 @@ def test_the_latest_result_of_each_clutch(store: ResultStore) -> None:
     assert [(row.clutch, row.key.seq) for row in store.latest("car1")] == [(1, 2), (2, 4)]
 
 
+def test_the_latest_result_ended_last_and_was_made_like_the_one_stored_last(store: ResultStore) -> None:
+    older, other = shift_result(1, to_gear=2, stream="older"), shift_result(9, to_gear=2)
+    for one in (shift_result(5, to_gear=2), older, shift_result(2, to_gear=3, stream="older")):
+        store.add(one, state())
+    assert [(row.key.stream, row.key.seq) for row in store.latest("car1")] == [("older", 2), (other.stream, 5)]
+    store.add(replace(other, algorithm_version="another"), state())
+    assert [row.key.algorithm_version for row in store.latest("car1")] == ["another"]
+    own = Versions(algorithm=older.algorithm_version, calibration=older.calibration_version)
+    assert [row.key.seq for row in store.latest("car1", own)] == [2, 5]
+
+
 def test_the_outbox_is_read_from_both_ends(store: ResultStore) -> None:
     for seq in range(1, 7):
         store.add(shift_result(seq), state())
