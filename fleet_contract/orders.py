@@ -1,7 +1,7 @@
 """What a vehicle is told to do: one order, made here alone, from both clutches, likely causes and the fluid fills.
 
-Both clutches slip in one oil, so the worse of them decides, unless another cause than the fluid is likelier. An order
-is about now; what is foretold may only add when.
+Both clutches slip in one oil, so the worse of them decides, unless something that new fluid alone does not mend is
+likely enough: that comes first. An order is about now; what is foretold may only add when.
 """
 
 import re
@@ -70,7 +70,7 @@ class Action(StrEnum):
 
     CHANGE_NOW = "change_now"
     CHANGE_AT_SERVICE = "change_at_service"
-    FIND_CAUSE = "find_cause"  # new fluid would not mend what is likely
+    FIND_CAUSE = "find_cause"  # new fluid alone would not mend what is likely
     NEW_FLUID = "new_fluid"  # no result of it yet
     MEASURE_AGAIN = "measure_again"  # too little is known
     NOTHING = "nothing"
@@ -99,9 +99,10 @@ class Suspect(NamedTuple):
 
 
 _SOUND: Final = "sound"
-_MENDED_BY_FLUID: Final = frozenset({_SOUND, "aged-fluid", "wrong-fluid", "water", "renewed-fluid"})
+_MENDED_BY_FLUID: Final = frozenset({_SOUND, "aged-fluid", "renewed-fluid"})
+_OF_THE_FLUID: Final = {"water": "water in the fluid", "wrong-fluid": "another fluid than specified"}
 _BLAMED: Final = frozenset({"change_fluid", "watch"})
-LIKELIER: Final = 0.5  # so likely another cause holds back an order to change the fluid
+LIKELIER: Final = 0.5  # so likely what new fluid alone does not mend holds back an order to change it
 NEARLY_CERTAIN: Final = 0.9  # and gives one where nothing is said against the fluid
 
 
@@ -176,7 +177,9 @@ def order_of(findings: Iterable[Finding], filled_at: datetime | None) -> Order:
         what = (
             "See to another cause than the fluid first" if is_blamed else "Have something else than the fluid looked at"
         )
-        sentence = f"{what}: {suspect} ({_likely(suspect.probability)} likely)."
+        what = "See to this first" if suspect.cause in _OF_THE_FLUID else what
+        named = _OF_THE_FLUID.get(suspect.cause, str(suspect))
+        sentence = f"{what}: {named} ({_likely(suspect.probability)} likely)."
     if filled_at is not None and not known:
         action = Action.NEW_FLUID
         sentence = f"New fluid since {filled_at:%Y-%m-%d %H:%M} UTC: nothing is known of it yet."
@@ -198,10 +201,11 @@ def _decide(conditions: list[str], texts: list[str]) -> tuple[Action, str]:
 
 
 def _beside_fluid(suspects: Iterable[Suspect], conditions: list[str]) -> Suspect | None:
-    """Return the likeliest cause if new fluid does not mend it and it is likely enough to be seen to first."""
-    first = max((one for one in suspects if one.cause != _SOUND), key=lambda one: one.probability, default=None)
+    """Return the likeliest cause that new fluid alone does not mend, if it is likely enough to be seen to first."""
+    others = (one for one in suspects if one.cause not in _MENDED_BY_FLUID)
+    first = max(others, key=lambda one: one.probability, default=None)
     least = NEARLY_CERTAIN if _BLAMED.isdisjoint(conditions) else LIKELIER
-    return None if first is None or first.cause in _MENDED_BY_FLUID or first.probability < least else first
+    return None if first is None or first.probability < least else first
 
 
 def _likely(probability: float) -> str:

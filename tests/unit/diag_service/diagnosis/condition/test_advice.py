@@ -118,11 +118,11 @@ def test_the_same_sentence_is_in_the_result_and_in_the_state_of_the_clutch() -> 
     assert parse_shift(dump(record)).verdict.advice == worn.verdict.advice
 
 
-def why(cause: str, probability: float) -> Causes:
+def why(cause: str, probability: float, aged: float = 0.05) -> Causes:
     likely = (
         LikelyCause(cause="sound", clutch=None, probability=0.95 - probability, evidence=""),
         LikelyCause(cause=cause, clutch=2, probability=probability, evidence=""),
-        LikelyCause(cause="aged-fluid", clutch=None, probability=0.05, evidence=""),
+        LikelyCause(cause="aged-fluid", clutch=None, probability=aged, evidence=""),
     )
     return Causes(event_count=60, likely=likely, advice="", test=None)
 
@@ -137,7 +137,14 @@ def why(cause: str, probability: float) -> Causes:
             "See to another cause than the fluid first: glazed lining of clutch 2 (54 % likely).",
         ),
         ((0.105, 0.085), why("glazed-lining", 0.46), "Change the fluid now."),
-        ((0.105, 0.085), why("water", 0.94), "Change the fluid now."),
+        ((0.105, 0.085), why("water", 0.94), "See to this first: water in the fluid (94 % likely)."),
+        ((0.140, 0.119), why("wrong-fluid", 0.93), "See to this first: another fluid than specified (93 % likely)."),
+        ((0.140, 0.119), why("aged-fluid", 1.0), "Nothing to do now: the fluid is sound."),
+        (
+            (0.105, 0.085),
+            why("weak-pump", 0.97, aged=0.99),
+            "See to another cause than the fluid first: weak pump of clutch 2 (97 % likely).",
+        ),
         ((0.140, 0.119), why("weak-pump", 0.85), "Nothing to do now: the fluid is sound."),
         (
             (0.140, 0.119),
