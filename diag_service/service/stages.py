@@ -167,6 +167,9 @@ class Stages:
             raise ConfigError(f"a lock-up clutch cannot be estimated: {self._missing}")
         self._slip, estimate, swings = self._lockup.estimate(event, state, data.against)
         estimate = replace(estimate, data_quality=data.quality, tier=self.tier)
+        is_believed = self._slip.contradiction_count < state.contradiction_count
+        if is_believed and self._slip.shift_count <= state.shift_count:  # not by what was known: that begins afresh
+            self._memory = self._memory.with_changed_friction(1)
         memory = self._memory.with_fit(estimate)
         if swings is not None:
             memory = memory.with_shudder(swings)
@@ -193,7 +196,6 @@ class Stages:
         self._memory = self._memory.with_new_fluid(filled_at, self._state)
         self._state = self._state.with_new_fluid()
         self._slip = self._slip and self._slip.with_new_fluid()
-        return True
 
     def capability(self) -> Capability:
         """Return what the signals that came suffice for."""

@@ -45,7 +45,7 @@ EVENT_FRICTION_STD: Final = 1e-4  # per stretch: heat and running-in
 EVENT_MARGIN_STD: Final = 5e-5
 BASELINE_COUNT: Final = 15  # stretches
 MISFIT_RATIO: Final = 25.0  # of the variance of blocks to that expected: no converter behind such torque
-CONTRADICTION: Final = 20.0  # squared distance of two numbers: 5e-5 by chance
+CONTRADICTION: Final = 9.2  # squared distance of two numbers: 1 % by chance, three in a row 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

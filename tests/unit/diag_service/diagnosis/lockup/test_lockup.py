@@ -2,14 +2,16 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from canlog.e2e.e2e_state import E2eState
 from clutch_model.calibration import shipped_calibration
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, judge_lockup
-from diag_service.diagnosis.condition.verdict import Silence
+from diag_service.diagnosis.condition.verdict import Launches, Silence
 from diag_service.diagnosis.events import Event, EventKind, Shudder
 from diag_service.diagnosis.lockup.blocks import BLOCK_NS, MICRO_SLIP_RAD_S, cut, samples_of
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
@@ -29,6 +31,9 @@ from diag_service.diagnosis.records import (
     verdict_from,
 )
 from diag_service.diagnosis.summary import order_by
+from diag_service.mapping.interpretation import interpret
+from diag_service.mapping.profile import find_profile
+from diag_service.service.stages import Stages
 from fleet_contract import clutch_message, read_message, shift_message
 from tests.support.converter_drive import FLUIDS, ConverterCar, Driven, batches, drawn_car, drive
 
@@ -172,6 +177,20 @@ def test_other_friction_is_kept_apart_until_the_third_stretch_says_so() -> None:
     assert reasons[:3] == [(Reason.NOT_UPDATED,), (Reason.NOT_UPDATED,), ()]
     assert reasons[-1] == ()
     assert state.friction().mu_c == pytest.approx(0.105, rel=0.1)
+
+
+def test_friction_that_is_found_to_be_another_forgets_how_the_fluid_before_shuddered() -> None:
+    state = diagnosed("worn")[0]
+    memory = replace(ConditionMemory.fresh(), launches=(Launches(juddered=(True, True)), Launches()))
+    decoder = interpret(None, find_profile(Path("lockup"))).decoder()
+    stages, heard = (
+        Stages(decoder, CALIBRATION, state, memory),
+        dict.fromkeys(decoder.mandatory_messages, E2eState.VALID),
+    )
+    found = [stages.conclude(replace(event, e2e=heard)) for event in stretches("new")]
+    assert [one.estimate.reasons for one in found[:3]] == [(Reason.NOT_UPDATED,), (Reason.NOT_UPDATED,), ()]
+    assert [sum(one.memory.launches[0].juddered) for one in found[:4]] == [2, 2, 0, 0]
+    assert Condition.CHANGE_FLUID not in {one.verdict.condition for one in found[2:]}
 
 
 def test_signals_that_are_missing_tell_nothing() -> None:
