@@ -15,6 +15,7 @@ from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Key, Section
 from clutchdiag_io.program import legible, legible_record
 from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis.condition.shift_course import adapting_lines, correction_lines, courses, loads
+from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.prediction import SLIP_RAD_S, RelativeFriction
 from diag_service.diagnosis.records import (
     SHIFT_SCHEMA,
@@ -331,6 +332,7 @@ def _number_rows(verdict: ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
 def _trend_figure(trend: Trend, results: list[ShiftResult]) -> Figure:
     rows = tuple(_trend_cells(place, results[place]) for place in spread(trend.mu_c, TREND_ROWS))
     clutch = trend.clutch
+    end = "end (UTC)" if results[0].estimate.end_ns >= DATED_NS else "end in the log"
     return Figure(
         picture=trend_picture(trend),
         caption=f"{trend.title}: trend of mu_C",
@@ -342,7 +344,7 @@ def _trend_figure(trend: Trend, results: list[ShiftResult]) -> Figure:
         ),
         table=Table(
             caption=f"{trend.title}: {len(rows)} of {len(results)} events, evenly spread",
-            head=("event", "end (UTC)", "km", "mu_C", BAND_WORDS, "verdict"),
+            head=("event", end, "km", "mu_C", BAND_WORDS, "verdict"),
             rows=rows,
         ),
     )

@@ -8,6 +8,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
+from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.prognosis.assumptions import NEW_WITHIN_M
 from diag_service.diagnosis.records import FluidFill, ShiftEstimate, ShiftResult, Status, utc_from_bus_ns
 
@@ -76,7 +77,7 @@ _COLUMNS: Final = tuple(one.name for one in fields(History) if not one.name.star
 
 
 def history_of(results: Iterable[ShiftResult], fills: Sequence[FluidFill], clutch: int) -> History:
-    """Return the past of clutch 1 or 2 from stored results, in whatever order they are.
+    """Return the past of clutch 1 or 2 from stored results, in whatever order those with a date are.
 
     Events of which the friction is not known only count as events. Known ones without odometer or oil temperature, and
     those whose odometer cannot be true, are left out and counted.
@@ -86,7 +87,7 @@ def history_of(results: Iterable[ShiftResult], fills: Sequence[FluidFill], clutc
 
 def history_of_estimates(estimates: Iterable[ShiftEstimate], fills: Sequence[FluidFill], clutch: int) -> History:
     """Return the same from the estimates alone, which is all that a past is made of."""
-    own = sorted((one for one in estimates if one.clutch == clutch), key=lambda one: one.end_ns)
+    own = sorted((one for one in estimates if one.clutch == clutch), key=lambda one: max(one.end_ns, DATED_NS))
     usable: list[dict[str, float]] = []
     valid_count = unused_count = 0  # the latter since the last event that is used
     for number, estimate in enumerate(own, start=1):

@@ -49,6 +49,15 @@ def test_the_order_of_the_results_does_not_matter() -> None:
     np.testing.assert_array_equal(forward.event_count, backward.event_count)
 
 
+def test_results_without_a_date_stay_in_their_order() -> None:
+    results = own_valid(9)
+    undated = [
+        replace(one, estimate=replace(one.estimate, start_ns=one.estimate.start_ns % 7, end_ns=one.estimate.end_ns % 7))
+        for one in results
+    ]
+    assert history_of(undated, (), 1).odometer_m.tolist() == history_of(results, (), 1).odometer_m.tolist()
+
+
 def test_results_without_odometer_or_with_one_that_went_back_are_counted() -> None:
     results = [one for one in stored(40) if one.estimate.friction is not None and one.estimate.clutch == 1]
     results[3], results[5] = with_odometer(results[3], None), with_odometer(results[5], 1.0)
