@@ -18,6 +18,8 @@ from diag_service.diagnosis.condition.verdict import (
     MAX_MISFIT_SHARE,
     MIN_MISFIT_COUNT,
     NEW_FLUID_CONTRADICTIONS,
+    Cause,
+    Finding,
     Launches,
     Scatter,
     Silence,
@@ -228,6 +230,7 @@ class ConditionMemory:
     """The last verdict on each clutch, at which hysteresis looks back, and the scatter of its single shifts."""
 
     conditions: tuple[Condition, Condition] = (Condition.NO_VERDICT, Condition.NO_VERDICT)
+    grounds: tuple[Cause | None, Cause | None] = (None, None)  # of bad ones
     scatters: tuple[Scatter | None, Scatter | None] = (None, None)
     fits: tuple[Fit, ...] = ()  # of the last shifts, the oldest first
     fluid_since: str | None = None  # fill of the fluid that was last judged, ISO 8601 UTC; None: not known
@@ -321,6 +324,12 @@ class ConditionMemory:
         scatter = known.with_shift(alone, friction(before, estimate.clutch))
         return replace(self, scatters=with_clutch(self.scatters, estimate.clutch, scatter))
 
+    def with_finding(self, clutch: int, finding: Finding) -> Self:
+        """Return the memory after a verdict."""
+        cause = finding.ground if isinstance(finding.ground, Cause) else None
+        conditions = with_clutch(self.conditions, clutch, finding.condition)
+        return replace(self, conditions=conditions, grounds=with_clutch(self.grounds, clutch, cause))
+
     def to_json(self) -> JsonObject:
         """Return the memory as JSON-ready values; floats survive the round trip bit by bit."""
         names = {"conditions": [one.name for one in self.conditions]}
@@ -331,6 +340,8 @@ class ConditionMemory:
             del plain["launches"]
         if not self.course.event_count:
             del plain["course"]
+        if self.grounds == (None, None):
+            del plain["grounds"]
         if self.refused == (0, 0):
             del plain["refused"]
         return {"format": MEMORY_FORMAT} | plain | names
@@ -378,7 +389,7 @@ def judge(
     common = common_margin(state, (first.mu_c - first.mu_s, second.mu_c - second.mu_s))
     is_cold = state.packs is not None and state.packs.clutch_k[index] < COLD_K
     slope = None if state.torque is TorqueSource.MEASURED else FrictionSlope.of(free, state.torque)
-    rest = since, reference, shift_count, memory.conditions[index], launches
+    rest = since, reference, shift_count, memory.conditions[index], memory.grounds[index], launches
     if slope is None:
         finding = decide(now, *rest, common, is_cold=is_cold)
     else:
@@ -413,7 +424,7 @@ def judge(
         slope=slope if known else None,
         causes=None if max(memory.refused) >= REFUSED_COUNT else memory.course.found,
     )
-    return replace(memory, conditions=with_clutch(memory.conditions, clutch, finding.condition)), verdict
+    return memory.with_finding(clutch, finding), verdict
 
 
 SLIP_MINUTES: Final = "minutes of slip"
@@ -431,9 +442,8 @@ def judge_lockup(
     now, since, launches = state.friction(), state.trend(), memory.launches[0]
     left = NormalDist(now.mu_c - now.mu_s, now.std_slope_s_rad * reference.stribeck_speed_rad_s)
     margin = left / (reference.mu_c - reference.mu_s)
-    finding = decide(
-        now, since, reference, state.shift_count, memory.conditions[0], launches, margin, counted=SLIP_MINUTES
-    )
+    kept = memory.conditions[0], memory.grounds[0]
+    finding = decide(now, since, reference, state.shift_count, *kept, launches, margin, counted=SLIP_MINUTES)
     if memory.misfit_text:
         finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
     elif memory.refused[0] >= REFUSED_COUNT:
@@ -452,7 +462,7 @@ def judge_lockup(
         micro_slip=state.micro_slip(shudder) if known else None,
         element=element,
     )
-    return replace(memory, conditions=with_clutch(memory.conditions, 1, finding.condition)), verdict
+    return memory.with_finding(1, finding), verdict
 
 
 def _lining(state: Posterior, clutch: int) -> LiningBaseline | None:

@@ -35,7 +35,7 @@ class Course:
     first: float  # mean score of the first of them
     last: float  # of the last
     by_oil: tuple[float | None, float | None, float | None]  # cold, warm, hot
-    reason: str  # the part that cost most most often; empty: none
+    reason: str  # the part that cost most most often, of the last; empty: none
     untold: tuple[str, ...] = ()  # parts that no change of them has, for want of signals
 
 
@@ -53,7 +53,7 @@ def courses(estimates: Iterable[ShiftEstimate]) -> list[Course]:
         for score, oil_k, _ in group:
             if oil_k is not None:
                 by_oil[bisect((COLD_DEGC, HOT_DEGC), degc_from_k(oil_k))].append(score)
-        reasons = Counter(quality.reasons[0] for *_, quality in group if quality.reasons)
+        reasons = Counter(quality.reasons[0] for *_, quality in group[-COURSE_COUNT:] if quality.reasons)
         found.append(
             Course(
                 kind=kind,

@@ -272,6 +272,7 @@ def decide(
     reference: FrictionCurve,
     shift_count: int,
     previous: Condition,
+    kept: Cause | None,
     launches: Launches,
     common: NormalDist,
     *,
@@ -288,8 +289,8 @@ def decide(
         The calibration's.
     shift_count
         Events that the running friction rests on.
-    previous
-        The last verdict, which is kept until its cause has become unlikely.
+    previous, kept
+        The last verdict, and its cause: until that has become unlikely it is kept.
     launches
         Which of its launches juddered.
     common
@@ -319,9 +320,9 @@ def decide(
         Cause.LEVEL_LOW: level.cdf(CHANGE_LEVEL_RATIO),
         Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
     }
-    cause, probability = _likeliest(change)
-    if probability >= (LEAVE_PROBABILITY if previous is Condition.CHANGE_FLUID else change_at):
-        return _because(Condition.CHANGE_FLUID, cause, probability, facts)
+    cause = _standing(change, change_at, kept, is_given=previous is Condition.CHANGE_FLUID)
+    if cause is not None:
+        return _because(Condition.CHANGE_FLUID, cause, change[cause], facts)
     if margin.stdev > MAX_MARGIN_STD_RATIO * reference_margin:
         return nothing(Silence.MARGIN_UNSURE, f"mu_C - mu_S known to {margin.stdev:.4f} only: {facts}")
     watch = {
@@ -329,14 +330,14 @@ def decide(
         Cause.LEVEL_FALLING: level.cdf(WATCH_LEVEL_RATIO),
         Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO),
     }
-    cause, probability = _likeliest(watch)
-    if probability >= (LEAVE_PROBABILITY if previous is Condition.WATCH else watch_at):
-        return _because(Condition.WATCH, cause, probability, facts)
+    cause = _standing(watch, watch_at, kept, is_given=previous is Condition.WATCH)
+    if cause is not None:
+        return _because(Condition.WATCH, cause, watch[cause], facts)
     is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
     if not is_sure and _may_be_thin(own_thin, common_thin, previous):
         by_either = max(own_thin, common_thin)
         return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({_likely(by_either)}): {facts}")
-    return _unless_they_judder(launches, 1.0 - probability, facts)
+    return _unless_they_judder(launches, 1.0 - max(watch.values()), facts)
 
 
 def decide_up_to_scale(
@@ -345,6 +346,7 @@ def decide_up_to_scale(
     reference: FrictionCurve,
     shift_count: int,
     previous: Condition,
+    kept: Cause | None,
     launches: Launches,
     *,
     is_cold: bool,
@@ -368,17 +370,17 @@ def decide_up_to_scale(
         Cause.SHUDDER: launches.probability_negative(slope.probability_negative),
         Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
     }
-    cause, probability = _likeliest(change)
-    if probability >= (LEAVE_PROBABILITY if previous is Condition.CHANGE_FLUID else change_at):
-        return _because(Condition.CHANGE_FLUID, cause, probability, facts)
+    cause = _standing(change, change_at, kept, is_given=previous is Condition.CHANGE_FLUID)
+    if cause is not None:
+        return _because(Condition.CHANGE_FLUID, cause, change[cause], facts)
     margin_ratio = 1.0 - reference.mu_s / reference.mu_c
     watch = {Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO)}
     if slope.std_mu_s_ratio <= MAX_MARGIN_STD_RATIO * margin_ratio:
         margin = NormalDist(1.0 - slope.mu_s_ratio, slope.std_mu_s_ratio)
         watch[Cause.MARGIN_THIN] = margin.cdf(WATCH_MARGIN_RATIO * margin_ratio)
-    cause, probability = _likeliest(watch)
-    if probability >= (LEAVE_PROBABILITY if previous is Condition.WATCH else watch_at):
-        return _because(Condition.WATCH, cause, probability, facts)
+    cause = _standing(watch, watch_at, kept, is_given=previous is Condition.WATCH)
+    if cause is not None:
+        return _because(Condition.WATCH, cause, watch[cause], facts)
     return nothing(Silence.LEVEL_UNKNOWN, f"engine torque is {slope.torque.replace('_', ' ')}, not measured: {facts}")
 
 
@@ -420,5 +422,9 @@ def _lost(since: FrictionTrend | None, level_ratio: float) -> float:
     return NormalDist(1.0 + since.change_mu_c_ratio, max(since.std_change_mu_c_ratio, 1e-9)).cdf(level_ratio)
 
 
-def _likeliest(causes: Mapping[Cause, float]) -> tuple[Cause, float]:
-    return max(causes.items(), key=lambda item: item[1])
+def _standing(causes: Mapping[Cause, float], give_at: float, kept: Cause | None, *, is_given: bool) -> Cause | None:
+    """Return the cause that a verdict rests on: the likeliest, or that for which it was given; None: it is none."""
+    cause = max(causes, key=causes.__getitem__)
+    if is_given and causes[cause] < give_at:  # earlier programs kept no cause
+        cause, give_at = cause if kept is None else kept, LEAVE_PROBABILITY
+    return cause if causes.get(cause, 0.0) >= give_at else None

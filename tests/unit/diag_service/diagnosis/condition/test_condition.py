@@ -7,7 +7,7 @@ import pytest
 
 from clutch_model.calibration import TorqueSource, nominal_calibration
 from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, Fit, judge
-from diag_service.diagnosis.condition.verdict import LEAST_SHIFT_COUNT
+from diag_service.diagnosis.condition.verdict import LEAST_SHIFT_COUNT, Cause
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, FRICTION_ROWS, STATE_COUNT, Considered, Knowledge
 from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, Baseline, Posterior
 from diag_service.diagnosis.records import ClutchVerdict, Condition, Reason, Status
@@ -63,6 +63,16 @@ def test_a_verdict_stays_until_its_cause_is_unlikely() -> None:
     assert condition_of(borderline, previous=Condition.CHANGE_FLUID) is Condition.CHANGE_FLUID
     clear = believed(0.133, 0.129, std=0.001)
     assert condition_of(clear, previous=Condition.CHANGE_FLUID) is Condition.WATCH
+
+
+def test_a_verdict_does_not_stay_for_another_cause_than_its_own() -> None:
+    memory, verdict = judge(ConditionMemory.fresh(), uncertain_scale(believed(0.119, 0.137)), 1, CALIBRATION)
+    assert verdict.reason.startswith(Cause.SHUDDER)
+    assert ConditionMemory.from_json(memory.to_json()).grounds == (Cause.SHUDDER, None)
+    sound_slope = uncertain_scale(believed(0.116, 0.098))  # whose level is low, but not for sure
+    low = judge(replace(memory, grounds=(Cause.LEVEL_LOW, None)), sound_slope, 1, CALIBRATION)[1]
+    assert (low.condition, low.reason.startswith(Cause.LEVEL_LOW)) == (Condition.CHANGE_FLUID, True)
+    assert judge(memory, sound_slope, 1, CALIBRATION)[1].condition is not Condition.CHANGE_FLUID
 
 
 def test_the_reason_names_cause_and_certainty() -> None:

@@ -32,6 +32,8 @@ def test_a_course_has_both_ends_and_the_oil() -> None:
         by_oil=(90.0, 60.0, None), reason="jerk_m_s3", untold=tuple(part.name for part in PARTS),
     )  # fmt: skip
     assert courses([result(1, None)]) == []
+    some += [result(50 + seq, replace(UPSHIFT, score=40.0, reasons=("flare_rad_s",))) for seq in range(20)]
+    assert courses(some)[0].reason == "flare_rad_s"  # why they go badly now, however many did for another reason
 
 
 def test_the_newest_word_on_a_clutch_counts() -> None:
