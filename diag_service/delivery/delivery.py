@@ -493,8 +493,7 @@ class Delivery:
         made_by = {(one.algorithm_version, one.calibration_version) for _, one in self._newest.values()}
         if len(made_by | {(row.key.algorithm_version, row.key.calibration_version) for row in rows}) > 1:
             self._newest, rows = {}, self._state.store.latest(self._state.vehicle)  # none but those made like the last
-        in_order = sorted(rows, key=lambda row: row.position)  # of each stream the last will do
-        for row in {(row.key.stream, row.clutch): row for row in in_order}.values():
+        for row in {(row.key.stream, row.clutch): row for row in sorted(rows, key=lambda one: one.position)}.values():
             result = parse_shift(row.text)
             rank = max(result.estimate.end_ns, DATED_NS), row.position
             if row.clutch not in self._newest or self._newest[row.clutch][0] < rank:

@@ -245,18 +245,14 @@ class Session:
         return summary
 
     def _note_fluid(self, event: Event) -> bool:
-        """Let the stages know which fluid the vehicle had at a shift; anybody may have noted a fill meanwhile.
-
-        Return whether it was a fluid before the one that they judge, as in a log that is analysed late.
-        """
+        """Let the stages know which fluid the vehicle had at a shift; return whether it was one before theirs."""
         began_at = utc_from_bus_ns(event.start_ns)
         fill, since = self._store.fluid_at(self.vehicle, began_at), self._fluid_since
         if fill is not None and self._stream is None:
             self.fluid = fill
         if fill is not None and (since is None or fill.filled_at > since):
             since = self._fluid_since = fill.filled_at
-            first_end = self._store.first_end(self.vehicle)
-            is_new = first_end is None or first_end <= since
+            is_new = (first_end := self._store.first_end(self.vehicle)) is None or first_end <= since
             self.stages.note_fluid(since, is_new=is_new)
             if is_new:
                 _LOG.log(NOTICE, "new fluid since %s: a new baseline begins", since)

@@ -190,12 +190,11 @@ class Stages:
 
         New fluid begins a new running friction with a new baseline. If it is not, all that is known is of it.
         """
-        if not is_new:
-            self._memory = replace(self._memory, fluid_since=filled_at)
-            return
-        self._memory = self._memory.with_new_fluid(filled_at, self._state)
-        self._state = self._state.with_new_fluid()
-        self._slip = self._slip and self._slip.with_new_fluid()
+        if is_new:
+            self._memory = self._memory.with_new_fluid(filled_at, self._state)
+            self._state = self._state.with_new_fluid()
+            self._slip = self._slip and self._slip.with_new_fluid()
+        self._memory = replace(self._memory, fluid_since=filled_at)
 
     def capability(self) -> Capability:
         """Return what the signals that came suffice for."""

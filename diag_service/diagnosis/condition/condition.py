@@ -336,14 +336,11 @@ class ConditionMemory:
         plain = to_plain(self)
         if self.fluid_since is None:  # a vehicle without a fill is kept as by programs that know none
             del plain["fluid_since"], plain["linings"]
-        if self.launches == (Launches(), Launches()):
-            del plain["launches"]
         if not self.course.event_count:
             del plain["course"]
-        if self.grounds == (None, None):
-            del plain["grounds"]
-        if self.refused == (0, 0):
-            del plain["refused"]
+        for name, blank in {"launches": (Launches(), Launches()), "grounds": (None, None), "refused": (0, 0)}.items():
+            if getattr(self, name) == blank:
+                del plain[name]
         return {"format": MEMORY_FORMAT} | plain | names
 
     @classmethod

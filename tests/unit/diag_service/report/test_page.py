@@ -151,10 +151,10 @@ def test_one_shift_is_no_shifts() -> None:
 
 def test_logs_without_a_date_tell_their_own_seconds() -> None:
     found = findings(2)
-    times = {"start_ns": 3_704_400_000_000, "end_ns": 3_705_000_000_000}
-    rows = [
-        replace(row, result=replace(row.result, estimate=replace(row.result.estimate, **times))) for row in found.rows
-    ]
+    start_ns, end_ns, rows = 3_704_400_000_000, 3_705_000_000_000, []
+    for row in found.rows:
+        estimate = replace(row.result.estimate, start_ns=start_ns, end_ns=end_ns)
+        rows.append(replace(row, result=replace(row.result, estimate=estimate)))
     text = html(replace(found, rows=tuple(rows)))
     assert ("2 events, without a date" in text, "start in the log" in text, "3704.4 s" in text) == (True, True, True)
     assert "start (UTC)" in html(found)
