@@ -160,11 +160,11 @@ def unseen_since_new(clutch: int, element: str | None = None) -> str:
     return f"{title_of(clutch, element)}: {_UNSEEN_SINCE}."
 
 
-def order_of(findings: Iterable[Finding], filled_at: datetime | None) -> Order:
-    """Return the order for a vehicle from the last result of each clutch, and when the fluid that is in was filled."""
+def order_of(findings: Iterable[Finding], filled_at: datetime | None, elements: Iterable[str] = ()) -> Order:
+    """Return the order by the last result of each clutch, when the fluid was filled, and names that are no numbers."""
     found = list(findings)
     known = {one.clutch: one for one in found if not is_of_earlier_fluid(one.end_at, filled_at)}
-    names = {one.clutch: one.element for one in found if one.element}
+    names = dict(enumerate(elements, 1)) | {one.clutch: one.element for one in found if one.element}
     clutches = tuple(names) or CLUTCHES  # elements with names are all that there are
     conditions = [known[clutch].condition if clutch in known else NO_VERDICT for clutch in clutches]
     unseen = "no event engaged it yet" if filled_at is None else _UNSEEN_SINCE

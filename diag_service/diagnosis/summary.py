@@ -109,6 +109,7 @@ class Capability:
     missing: str = ""  # what the next better tier needs; empty at the first
     unseen: tuple[str, ...] = ()  # mapped canonical signals that never had a value
     torque: TorqueSource = TorqueSource.MEASURED  # of the engine
+    elements: tuple[str, ...] = ()  # names of the clutches, where they are no pair
 
 
 FULL = Capability()
@@ -140,7 +141,7 @@ class Summary:
     def order(self) -> Order:
         """What the vehicle is told, by the last result of each clutch, earlier runs counted."""
         known = {**{one.verdict.clutch: one for one in self.latest}, **self.earlier}
-        return order_by(known.values(), self.fluid)
+        return order_by(known.values(), self.fluid, self.capability.elements)
 
 
 def latest_of(results: Iterable[ShiftResult]) -> tuple[ShiftResult, ...]:
@@ -232,7 +233,7 @@ def _end_at(result: ShiftResult) -> datetime:
     return datetime.fromisoformat(utc_from_bus_ns(result.estimate.end_ns))
 
 
-def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None) -> Order:
+def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None, elements: Iterable[str] = ()) -> Order:
     """Return the order for a vehicle by the last result of each clutch and the fluid that is in."""
     findings = [
         Finding(
@@ -246,7 +247,7 @@ def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None) -> Order:
         )
         for one in results
     ]
-    return order_of(findings, None if fluid is None else datetime.fromisoformat(fluid.filled_at))
+    return order_of(findings, None if fluid is None else datetime.fromisoformat(fluid.filled_at), elements)
 
 
 def gaps_line(gaps: tuple[Gap, ...]) -> str:
@@ -261,6 +262,7 @@ def summary_record(summary: Summary) -> JsonObject:
     frames = {_FRAME_KEYS.get(name, name): value for name, value in to_plain(summary.frames).items()}
     frames.pop("invalid_at_first", None)  # for people
     capability = to_plain(summary.capability)
+    del capability["elements"]  # results have them
     if not summary.capability.torque.is_modelled:  # the tier says it
         del capability["torque"]
     return {

@@ -53,17 +53,21 @@ class Findings:
 
     @property
     def order(self) -> Order:
-        return order_by(self.latest, self.fills[-1] if self.fills else None)
+        return order_by(self.latest, self.fills[-1] if self.fills else None, self._elements)
+
+    @property
+    def _elements(self) -> tuple[str, ...]:
+        told = tuple(one.verdict.element for one in self.latest if one.verdict.element)
+        return told if self.summary is None else self.summary.capability.elements  # of logs without an event, too
 
     @property
     def clutches(self) -> tuple[int, ...]:
         """The clutches of the vehicle: those with names of their own, or a pair."""
-        return tuple(one.verdict.clutch for one in self.latest if one.verdict.element) or CLUTCHES
+        return tuple(range(1, 1 + len(self._elements))) or CLUTCHES
 
     def title(self, clutch: int) -> str:
         """Return the name of a clutch at the beginning of a sentence."""
-        named = (one.verdict.element for one in self.latest if one.verdict.clutch == clutch)
-        return title_of(clutch, next(named, None))
+        return title_of(clutch, self._elements[clutch - 1] if self._elements else None)
 
 
 class Album:

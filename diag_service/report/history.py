@@ -166,7 +166,8 @@ def _outlook(found: Findings, population: Population | None) -> Text:
             past, peers = without(past, population.common.get(vehicle_type)), population.of(vehicle_type, fluid)
         outlooks.append(prognose(clutch, past, found.calibration.clutches[clutch - 1].friction, peers=peers))
         known = "" if peers is None else f" Before its own results: as {peers.life_count} lives of its peers."
-    return Text(outlook_line(outlooks, found.order.action) + known)
+    element = found.latest[0].verdict.element if found.latest else None
+    return Text(outlook_line(outlooks, found.order.action, element) + known)
 
 
 def shift_lines(record: JsonObject) -> Iterator[Text]:

@@ -204,6 +204,7 @@ class Stages:
             profile=self.decoder.profile_name,
             tier=tier_of(seen, **self._tells),
             missing=missing_for_next(seen, **self._tells),
+            elements=() if self._lockup is None else self._calibration.elements,
             torque=self._basis.torque if Signal.ENGINE_TORQUE in seen else TorqueSource.UNKNOWN,
             unseen=tuple(signal.value for signal in Signal if signal in expected - seen),
         )

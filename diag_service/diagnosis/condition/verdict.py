@@ -67,8 +67,10 @@ class Silence(StrEnum):
     """Why nothing is said of a clutch, and what would help."""
 
     FEW_SHIFTS = f"fewer than {MIN_SHIFT_COUNT} of its shifts could be used so far; more drives will tell"
+    FEW_EVENTS = f"fewer than {MIN_SHIFT_COUNT} of its events could be used so far; more drives will tell"
     MARGIN_UNSURE = "its friction is not known well enough yet; more drives will tell"
     LAUNCHES_JUDDER = "it slips again after it has stuck when the car starts off, and its friction does not say why"
+    SLIP_SWINGS = "its slip swings by itself, and its friction does not say why"
     CALIBRATION_MISFIT = "the calibration does not fit this vehicle; diag-service calibrate makes one that does"
     SIGNALS_MISSING = "the signals of this vehicle do not tell its friction"
     LEVEL_UNKNOWN = (
@@ -304,8 +306,8 @@ def decide(
     # Slip is judged every minute for hours, with the same errors of map and sensors each time.
     watch_at = COLD_WATCH_PROBABILITY if is_cold or counted != SHIFTS else WATCH_PROBABILITY
     if shift_count < MIN_SHIFT_COUNT:
-        some = "shift(s)" if counted == SHIFTS else counted
-        return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable {some}, {MIN_SHIFT_COUNT} needed")
+        few, some = (Silence.FEW_SHIFTS, "shift(s)") if counted == SHIFTS else (Silence.FEW_EVENTS, counted)
+        return nothing(few, f"{shift_count} usable {some}, {MIN_SHIFT_COUNT} needed")
     reference_margin = reference.mu_c - reference.mu_s
     margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
     level = NormalDist(friction.mu_c / reference.mu_c, friction.std_mu_c / reference.mu_c)
@@ -337,7 +339,7 @@ def decide(
     if not is_sure and _may_be_thin(own_thin, common_thin, previous):
         by_either = max(own_thin, common_thin)
         return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({_likely(by_either)}): {facts}")
-    return _unless_they_judder(launches, 1.0 - max(watch.values()), facts)
+    return _unless_they_judder(launches, 1.0 - max(watch.values()), facts, counted)
 
 
 def decide_up_to_scale(
@@ -391,9 +393,10 @@ def _may_be_thin(thin: float, common_thin: float, previous: Condition) -> bool:
     return thin > THIN_PROBABILITY or common_thin > COMMON_THIN_PROBABILITY
 
 
-def _unless_they_judder(launches: Launches, probability: float, facts: str) -> Finding:
+def _unless_they_judder(launches: Launches, probability: float, facts: str, counted: str) -> Finding:
     if launches.speak:
-        return nothing(Silence.LAUNCHES_JUDDER, f"its launches contradict its friction: {facts}")
+        why, what = (Silence.LAUNCHES_JUDDER, "launches") if counted == SHIFTS else (Silence.SLIP_SWINGS, counted)
+        return nothing(why, f"its {what} contradict its friction: {facts}")
     return Finding(condition=Condition.GOOD, reason=facts, ground=None, probability=probability)
 
 

@@ -11,7 +11,7 @@ from typing import Final
 
 from diag_service.diagnosis.prognosis.assumptions import HORIZON_M, LEAST_ROWS
 from diag_service.diagnosis.prognosis.prognosis import M_PER_KM, Outlook, Prognosis, Reach
-from fleet_contract.orders import Action
+from fleet_contract.orders import Action, name_of
 
 _PERCENT: Final = 100.0
 LIKELY: Final = 0.5  # so likely the limit comes before the service: then an order that waits for it is not all
@@ -23,9 +23,9 @@ _SOONER: Final = {
 _UNKNOWN: Final = "How far the fluid will go cannot be said yet."
 
 
-def outlook_line(founds: Sequence[Prognosis], action: Action) -> str:
-    """Return what is to be expected of the fluid by the prognoses of its clutches; the sooner end of both counts."""
-    return " ".join((_line(founds, action), *_left_out(founds)))
+def outlook_line(founds: Sequence[Prognosis], action: Action, element: str | None = None) -> str:
+    """Return what is to be expected of the fluid by the prognoses of both clutches, or of the only one by its name."""
+    return " ".join((_line(founds, action, element), *_left_out(founds, element)))
 
 
 def soonest(founds: Iterable[Prognosis]) -> Reach | None:
@@ -34,14 +34,14 @@ def soonest(founds: Iterable[Prognosis]) -> Reach | None:
     return min((one for one in ends if one is not None), key=_end, default=None)
 
 
-def _line(founds: Sequence[Prognosis], action: Action) -> str:
+def _line(founds: Sequence[Prognosis], action: Action, element: str | None) -> str:
     if action is Action.CHANGE_NOW:
         return "No prognosis: the fluid is to be changed now."
     if action is Action.FIND_CAUSE:
         return "No prognosis of the fluid before that was seen to."
     known = [one.change_fluid for one in founds if one.change_fluid is not None]
     if action is Action.NEW_FLUID or not known:
-        counts = ", ".join(f"clutch {one.clutch} has {one.row_count}" for one in founds)
+        counts = ", ".join(f"{name_of(one.clutch, element)} has {one.row_count}" for one in founds)
         return f"No prognosis yet: it takes {LEAST_ROWS} usable results of a clutch with this fluid; {counts}."
     first = soonest(founds)
     if first is None:
@@ -66,9 +66,10 @@ def _end(when: Reach) -> tuple[float, ...]:
     return tuple(inf if one is None else one for one in (when.p10_m, when.p50_m, when.p90_m))
 
 
-def _left_out(founds: Sequence[Prognosis]) -> list[str]:
+def _left_out(founds: Sequence[Prognosis], element: str | None) -> list[str]:
     """Return how many results no prognosis uses, and why."""
-    counts = [f"{one.left_out_count} results of clutch {one.clutch}" for one in founds if one.left_out_count]
+    losing = [one for one in founds if one.left_out_count]
+    counts = [f"{one.left_out_count} results of {name_of(one.clutch, element)}" for one in losing]
     why = "they miss odometer or oil temperature, or their odometer went back or leapt"
     stale = [one.stale_since_s for one in founds if one.stale_since_s is not None]
     since = (

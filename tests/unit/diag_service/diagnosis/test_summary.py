@@ -55,6 +55,12 @@ def test_the_record_for_programs() -> None:
     assert record["capability"] == {"profile": "vw", "tier": 3, "missing": MISSING, "unseen": ["pedal_ratio"]}
 
 
+def test_an_automatic_without_an_event_is_no_pair_of_clutches() -> None:
+    summary = summary_of(capability=Capability(elements=("lock-up clutch",)))
+    assert summary.order.reasons == ("Lock-up clutch: no event engaged it yet.",)
+    assert "elements" not in str(summary_record(summary)["capability"])
+
+
 def test_which_signals_lost_values_and_why() -> None:
     invalid = {"pedal_ratio": {"out_of_range": 1}, "engine_speed_rad_s": {"not_available": 3, "out_of_range": 2}}
     frames = FrameCounts(invalid_values=6, invalid=invalid)

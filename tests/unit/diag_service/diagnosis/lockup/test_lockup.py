@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ import pytest
 from canlog.e2e.e2e_state import E2eState
 from clutch_model.calibration import shipped_calibration
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, judge_lockup
-from diag_service.diagnosis.condition.verdict import Launches, Silence
+from diag_service.diagnosis.condition.condition import REFUSED_COUNT, SLIP_MINUTES, ConditionMemory, judge_lockup
+from diag_service.diagnosis.condition.verdict import Launches, Silence, decide
 from diag_service.diagnosis.events import Event, EventKind, Shudder
 from diag_service.diagnosis.lockup.blocks import BLOCK_NS, MICRO_SLIP_RAD_S, cut, samples_of
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
@@ -191,6 +192,24 @@ def test_friction_that_is_found_to_be_another_forgets_how_the_fluid_before_shudd
     assert [one.estimate.reasons for one in found[:3]] == [(Reason.NOT_UPDATED,), (Reason.NOT_UPDATED,), ()]
     assert [sum(one.memory.launches[0].juddered) for one in found[:4]] == [2, 2, 0, 0]
     assert Condition.CHANGE_FLUID not in {one.verdict.condition for one in found[2:]}
+
+
+def test_silence_is_told_in_words_that_fit_a_clutch_that_slips() -> None:
+    few = judge_lockup(ConditionMemory.fresh(), LockupState.fresh(CALIBRATION), CALIBRATION, None)[1]
+    assert few.advice == f"Lock-up clutch: {Silence.FEW_EVENTS}."
+    known = NormalDist(0.014, 1e-4)
+    swung = Launches(juddered=(True, True, True))
+    curve = CALIBRATION.clutches[0].friction
+    friction = replace(
+        diagnosed("new")[0].friction(),
+        mu_c=curve.mu_c,
+        mu_s=curve.mu_s,
+        std_mu_c=1e-4,
+        std_slope_s_rad=1e-6,
+        probability_negative_slope=1e-9,
+    )
+    found = decide(friction, None, curve, 9, Condition.GOOD, None, swung, known / 0.014, counted=SLIP_MINUTES)
+    assert (found.ground, "launches" in found.reason) == (Silence.SLIP_SWINGS, False)
 
 
 def test_signals_that_are_missing_tell_nothing() -> None:

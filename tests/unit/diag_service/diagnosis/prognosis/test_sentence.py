@@ -62,6 +62,12 @@ def test_what_is_left_out_is_told() -> None:
     assert said(few).endswith(f" Left out: 12 results of clutch 2: {why}.")
 
 
+def test_a_clutch_that_is_alone_has_its_name() -> None:
+    found = outlook_line([prognosis(Outlook.TOO_FEW, clutch=1, left_out_count=2)], Action.NOTHING, "lock-up clutch")
+    assert "; lock-up clutch has 3." in found
+    assert "2 results of lock-up clutch: " in found
+
+
 def test_a_distance_is_a_number_that_is_not_below_nothing() -> None:
     nan = float("nan")
     assert said(prognosis(Outlook.NO_TREND, reach(nan, None, 0.0))) == UNKNOWN
