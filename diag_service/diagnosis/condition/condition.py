@@ -325,8 +325,10 @@ class ConditionMemory:
         return replace(self, scatters=with_clutch(self.scatters, estimate.clutch, scatter))
 
     def with_finding(self, clutch: int, finding: Finding) -> Self:
-        """Return the memory after a verdict."""
+        """Return the memory after a verdict; most are as the last was."""
         cause = finding.ground if isinstance(finding.ground, Cause) else None
+        if (self.conditions[clutch - 1], self.grounds[clutch - 1]) == (finding.condition, cause):
+            return self
         conditions = with_clutch(self.conditions, clutch, finding.condition)
         return replace(self, conditions=conditions, grounds=with_clutch(self.grounds, clutch, cause))
 
