@@ -227,7 +227,7 @@ class Watch:
         now = self._now()
         due = [due_of(one, founds, own, now.date()) for one, own in zip(clutches, readings, strict=True)]
         keep_due(self._engine, clutches, due, now)
-        text = f"{clutches[0].order} {outlook_text(founds, clutches[0].action)}"
+        text = f"{clutches[0].order} {outlook_text(founds, clutches[0])}"
         for one, found in zip(clutches, founds, strict=True):
             if found is not None:
                 yield due_finding(_whose(one), chance_of(found), text, limits)

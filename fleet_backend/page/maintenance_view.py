@@ -190,7 +190,7 @@ def due_of(
     reach = None if now.action == Action.FIND_CAUSE else soonest(one for one in founds if one is not None)
     quantiles = (None, None, None) if reach is None else (reach.p10_m, reach.p50_m, reach.p90_m)
     first, half, most = (_day(now, distance_m, a_day_m) for distance_m in quantiles)
-    return _told(now, (first, half, most), a_day_m, outlook_text(founds, now.action), today)
+    return _told(now, (first, half, most), a_day_m, outlook_text(founds, now), today)
 
 
 def keep_due(engine: Engine, clutches: Sequence[ClutchNow], due: Sequence[Due], at: datetime) -> None:

@@ -23,7 +23,7 @@ from fleet_backend.page import past
 from fleet_backend.page.calibrations import reference_of, type_of
 from fleet_backend.page.past import friction_in
 from fleet_backend.page.populations import Kept, latest
-from fleet_backend.page.records import Fill, OutlookAnswer, ReachAnswer, TrendPoint
+from fleet_backend.page.records import ClutchNow, Fill, OutlookAnswer, ReachAnswer, TrendPoint
 from fleet_backend.page.vehicle_state import VehicleState
 from fleet_backend.schema import RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
 from fleet_contract.orders import Action
@@ -101,10 +101,10 @@ def outlook_of(
         return None
 
 
-def outlook_text(founds: Iterable[Prognosis | None], action: str) -> str:
+def outlook_text(founds: Iterable[Prognosis | None], first: ClutchNow) -> str:
     """Return how far the fluid of a vehicle will go, by what is foretold of each clutch; made for pages and alarms."""
     known = [found for found in founds if found is not None]
-    return outlook_line(known, Action(action)) if known else NO_PROGNOSIS
+    return outlook_line(known, Action(first.action), first.element) if known else NO_PROGNOSIS
 
 
 def chance_of(found: Prognosis) -> float | None:

@@ -66,7 +66,7 @@ def find(sources: Sources, ask: Ask) -> VehicleAnswer:
             service_version=state.service_version,
             action=action,
             order=order,
-            outlook=None if action is None else outlook_text((one.prognosis for one in pasts), action),
+            outlook=outlook_text((one.prognosis for one in pasts), clutches[0]) if clutches else None,
             fills=state.fills,
             alarms=past.alarms_of(sources.engine, vehicle),
             clutches=tuple(_clutch(*one, state) for one in zip(clutches, pasts, usual, strict=True)),
