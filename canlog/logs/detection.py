@@ -300,7 +300,8 @@ def _as_table(probe: bytes) -> str:
     choice = guessed(text)
     if not choice or not _has_frames_by(choice, text):
         return (
-            f"a table with the columns {names}; --columns time=...,id=...,data=... says which are which"
+            f"a table with the columns {names}; --columns time=...,id=...,data=... says which are which; a table of "
+            "signals has a column of times that rise (numbers, hh:mm:ss, ISO dates) and one of numbers"
             if names
             else ""
         )

@@ -5,8 +5,9 @@ counted and told, and costs no other cell of its row.
 """
 
 import csv
+import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -23,23 +24,32 @@ from canlog.logs.columns.roles import Role
 from canlog.logs.log_counts import LogCounts, LogReject
 
 BLOCK_BYTES: Final = 1024 * 1024
+PROBE_BYTES: Final = 64 * 1024  # as many as detection sees
 MOST_ROW_BYTES: Final = 256 * 1024  # whatever is longer is no row
 PROBE_ROWS, PREAMBLE_ROWS = 100, 20
 LEAST_ROWS, MOST_COLUMNS = 3, 10_000
 LONGEST_UNIT: Final = 20  # characters; words for people are longer
 LEAST_RISING: Final = 0.9  # of all steps of a clock: a few may fall where a recorder began again
+LEAST_TICKS: Final = 20  # that tell the pace of a clock: one more or less is no other pace
 SEPARATORS: Final = "\t;,|"
 BLANKS: Final = frozenset({"", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none"})
 WORDS: Final = {"true": 1.0, "on": 1.0, "yes": 1.0, "false": 0.0, "off": 0.0, "no": 0.0}
 UNIT_IN_BRACKETS: Final = re.compile(r"\s*[\[(](?P<unit>(?!\d+[\])])[^\[\]()]*)[\])]\s*$")  # a number is an index
+GROUPED: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?")  # 1,195
 NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?")
+WORD: Final = re.compile(r"\D+")
 PAYLOAD: Final = re.compile(r"(?:0x)?(?:[0-9A-Fa-f]{2}[\s:._-]?){1,64}")
+STATUS: Final = re.compile(r"0x(?:[0-9A-Fa-f]{2}){1,2}|[0-9A-Fa-f]{2}")  # bits of a device, or the word AC
 LETTERS: Final = re.compile(r"[A-Fa-f]")
 TIME_OF_DAY: Final = re.compile(r"(?:(\d+)\s+)?(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?")
-GERMAN_DATE: Final = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]+(.*)")
+DAY_FIRST: Final = re.compile(r"(\d{1,2})(?:\.(\d{1,2})\.|-([A-Za-z]{3})-)(\d{4})[ T]+(.*)")
+MONTHS: Final = "janfebmaraprmayjunjulaugsepoctnovdec"
 US_PER_S: Final = 1_000_000.0
+TIME_UNITS_US: Final = {**{word: 10.0**power for word, power in UNITS.items()}, "min": 6e7, "h": 3.6e9, "hours": 3.6e9}
+EPOCH: Final = {"ms": 1e12, "us": 1e15, "ns": 1e18}  # a time since 1970 is one to four of these until 2096
 DAY_US: Final = 86_400 * US_PER_S
 MOST_VALUE: Final = 1e30  # beyond, a cell is no measurement, in any unit
+MOST_PACE: Final = 1.1  # of a clock: one that runs faster or slower than that of the row is another one
 MOST_US: Final = 2.0**53  # beyond, a time is not told to the microsecond
 
 
@@ -55,17 +65,17 @@ class TableHeader:
     has_decimal_comma: bool
     columns: tuple[SignalColumn, ...]
     places: tuple[int, ...]  # of the columns in a row
+    worded: frozenset[int]  # those where words are no values
     notes: tuple[str, ...]
 
 
-def table_header(text: bytes, *, is_cut: bool = True) -> TableHeader | None:
+def table_header(text: bytes) -> TableHeader | None:
     """Return what the beginning of a text says of the table that it is; None if it is none.
 
-    A header names two columns or more, one of them holds times that rise, and most cells of others are numbers.
+    A header names two columns or more, one of them holds times that rise, and most cells of others are numbers. Whole
+    lines of a probe tell it, so that whoever detects a table and whoever reads it find the same columns.
     """
-    lines = _lines(text)[: PREAMBLE_ROWS + PROBE_ROWS + 3]
-    if is_cut and len(lines) > 1:
-        del lines[-1]
+    lines = _lines(text[: text.rfind(b"\n", 0, PROBE_BYTES) + 1])
     separator = max(SEPARATORS, key=lambda one: sum(one in line for line in lines[:PROBE_ROWS]))
     rows = [_cells(line, separator) for line in lines]
     for place in range(min(PREAMBLE_ROWS, len(rows))):
@@ -82,7 +92,7 @@ def read_signal_table(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatc
     table: _Table | None = None
     for text, is_terminated in _blocks(stream, counts):
         if table is None:
-            header = table_header(text, is_cut=not is_terminated)
+            header = table_header(text)
             if header is None:
                 raise SourceError("no table of signals")
             table = _Table(header, counts)
@@ -113,6 +123,8 @@ class _Table:
             if number <= header.lines or not line.strip():
                 continue
             cells = _cells(line, header.separator)
+            if header.separator == "," and not header.has_decimal_comma and '"' in line:
+                cells = _ungrouped(cells)
             is_cut = number == self._line + len(lines) and not is_terminated
             if is_cut:
                 self._counts.cut_off(f"line {number}")
@@ -133,10 +145,10 @@ class _Table:
         time_us = self._times_us(columns[header.time_place], numbers)
         values = np.empty((len(rows), len(header.places)), np.float64)
         for slot, place in enumerate(header.places):
-            values[:, slot] = self._values(columns[place], numbers, header.columns[slot].name)
+            values[:, slot] = self._values(columns[place], numbers, slot)
         return frames_of_rows(time_us, values, self._ids)
 
-    def _values(self, cells: Sequence[str], numbers: Sequence[int], name: str) -> FloatArray:
+    def _values(self, cells: Sequence[str], numbers: Sequence[int], slot: int) -> FloatArray:
         """Return a column as numbers, NaN for blank cells and for those that are none; the latter are counted."""
         if not self._header.has_decimal_comma:
             try:
@@ -147,7 +159,9 @@ class _Table:
                 return values
         found = np.array([_number(cell) for cell in cells], np.float64)
         for row in np.flatnonzero(np.isinf(found)).tolist():
-            self._counts.reject(LogReject.MALFORMED, f"line {numbers[row]}, column {name!r}")
+            if not (self._header.places[slot] in self._header.worded and WORD.fullmatch(cells[row])):
+                name = self._header.columns[slot].name
+                self._counts.reject(LogReject.MALFORMED, f"line {numbers[row]}, column {name!r}")
         found[np.isinf(found)] = np.nan
         return found
 
@@ -236,12 +250,15 @@ def time_unit_us(unit: str, times: FloatArray, name: str) -> tuple[float, list[s
     """
     suffix = re.split(r"[\s_.-]", name.casefold())[-1]
     for word in (unit.casefold(), suffix):
-        if word in UNITS:
-            return float(10.0 ** UNITS[word]), []
-    step = float(np.median(np.diff(times)))
+        if word in TIME_UNITS_US:
+            return TIME_UNITS_US[word], []
+    step, middle = float(np.median(np.diff(times))), float(np.median(times))
+    for word, least in EPOCH.items():
+        if least <= middle < 4.0 * least and step * TIME_UNITS_US[word] <= 5.0 * US_PER_S:
+            return TIME_UNITS_US[word], [f"times are taken as {word}: as such they count from 1970"]
     is_whole = bool(np.all(times == np.rint(times)))
     taken = "s" if step < (2.0 if is_whole else 5.0) else "ms" if step <= 2e3 else "us" if step <= 2e6 else "ns"
-    return float(10.0 ** UNITS[taken]), [f"times are taken as {taken}: their steps are {step:g}"]
+    return TIME_UNITS_US[taken], [f"times are taken as {taken}: their steps are {step:g}"]
 
 
 def _header_at(rows: Sequence[Sequence[str]], place: int, separator: str) -> TableHeader | None:
@@ -254,33 +271,64 @@ def _header_at(rows: Sequence[Sequence[str]], place: int, separator: str) -> Tab
         return None
     first = place + 1
     units: Sequence[str] = ()
-    if len(rows) > first and _are_units(rows[first], width):
+    while len(rows) > first and _are_units(rows[first], width):  # the last: types may stand before it
         units, first = rows[first], first + 1
-    body = [row[:width] for row in rows[first : first + PROBE_ROWS] if len(row) >= width]
-    if len(body) < LEAST_ROWS or len(body) < len([row for row in rows[first : first + PROBE_ROWS] if any(row)]) / 2:
+        if any(len(units[one]) > 1 for one in time_places(units, ())) and not time_places(names, ()):
+            return None  # that is the header, and this a line before it
+    body = [row[:width] for row in rows[first:] if len(row) >= width and not any(row[width:])]
+    if len(body) < LEAST_ROWS or len(body) < len([row for row in rows[first:] if any(row)]) / 2:
         return None
     cells = [[row[one].strip() for row in body] for one in range(width)]
-    if any(_is_payload(column) for column in cells):
+    commas = [cell for column in cells for cell in column if "," in cell and NUMBER.fullmatch(cell)]
+    has_comma = any(separator != "," or not GROUPED.fullmatch(cell) for cell in commas)
+    if separator == "," and not has_comma:
+        cells = [_ungrouped(column) for column in cells]
+    payloads = [one for one in range(width) if _is_payload(cells[one])]
+    is_traffic = len(payloads) > 1 or any(not STATUS.fullmatch(cell) for one in payloads for cell in cells[one] if cell)
+    clock = next((one for one in time_places(names) if _rises(cells[one])), None)
+    if is_traffic or clock is None:
         return None
     columns, notes = signal_columns(names, units)
-    clock = next((one for one in time_places(names) if _rises(cells[one])), None)
-    if clock is None:
+    others = [one for one in range(width) if columns[one].name and one not in {clock, *payloads}]
+    blanks = {one: words for one in others if (words := _words_for_blanks(cells[one])) is not None}
+    left_out = [columns[one].name for one in range(width) if one not in {clock, *blanks} and any(cells[one])]
+    notes += [f"columns of words are left out: {', '.join(left_out)}"] * bool(left_out)
+    time_us, unit, said = _clock_us(cells[clock], columns[clock])
+    paces = {one: _pace(cells[one], columns[one], time_us) for one in time_places(names, ()) if one != clock}
+    clocks = sorted([clock, *(one for one, pace in paces.items() if pace)])
+    for other in [one for one in clocks if one != clock and not 1.0 / MOST_PACE <= paces[one] <= MOST_PACE]:
+        stop = next((one for one in clocks if one > other), width)
+        behind = ", ".join(columns[one].name for one in range(other, stop) if blanks.pop(one, None) is not None)
+        notes.append(f"{columns[other].name!r} is another clock than that of the rows; left out are {behind}")
+    if not blanks:
         return None
-    places = [one for one in range(width) if one != clock and columns[one].name and _is_numeric(cells[one])]
-    if not places:
-        return None
-    words = [columns[one].name for one in range(width) if one not in {clock, *places} and any(cells[one])]
-    notes += [f"columns of words are left out: {', '.join(words)}"] * bool(words)
-    has_comma = separator != "," and any("," in cell and NUMBER.fullmatch(cell) for column in cells for cell in column)
-    numbers = np.array([_number(cell) for cell in cells[clock]])
-    unit: float | None = None
-    if np.isfinite(numbers).mean() >= LEAST_RISING:
-        unit, said = time_unit_us(columns[clock].unit, numbers[np.isfinite(numbers)], columns[clock].name)
-        notes += said
+    notes += [f"{', '.join(words)} in {columns[one].name!r} is no value" for one, words in blanks.items() if words]
     return TableHeader(
-        separator=separator, lines=first, width=width, time_place=clock, us_per_unit=unit, notes=tuple(notes),
-        has_decimal_comma=has_comma, columns=tuple(columns[one] for one in places), places=tuple(places),
+        separator=separator, lines=first, width=width, time_place=clock, us_per_unit=unit, notes=(*notes, *said),
+        has_decimal_comma=has_comma, columns=tuple(columns[one] for one in blanks), places=tuple(blanks),
+        worded=frozenset(one for one, words in blanks.items() if words),
     )  # fmt: skip
+
+
+def _clock_us(cells: Sequence[str], column: SignalColumn) -> tuple[FloatArray, float | None, list[str]]:
+    """Return the times in a column [us], NaN or infinite where there is none, their unit if they are numbers, notes."""
+    numbers = np.array([_number(cell) for cell in cells])
+    if np.isfinite(numbers).sum() < LEAST_RISING * sum(map(bool, cells)):
+        return np.array([_moment_us(cell)[0] for cell in cells]), None, []
+    unit, notes = time_unit_us(column.unit, numbers[np.isfinite(numbers)], column.name)
+    return numbers * unit, unit, notes
+
+
+def _pace(cells: Sequence[str], column: SignalColumn, row_us: FloatArray) -> float:
+    """Return how fast the time of a column runs beside that of its row; 0 if it is no clock, whatever its name."""
+    if not _rises([cell for cell in cells if cell]):
+        return 0.0
+    time_us, _, notes = _clock_us(cells, column)
+    both = np.isfinite(time_us) & np.isfinite(row_us)
+    steps_us, row_steps_us = np.diff(time_us[both]), np.diff(row_us[both])
+    if (column.unit and notes) or np.sum(steps_us > 0.0) < LEAST_RISING * max(LEAST_TICKS, len(steps_us)):
+        return 0.0
+    return float(steps_us[steps_us > 0.0].sum()) / max(float(row_steps_us[row_steps_us > 0.0].sum()), 1.0)
 
 
 def _are_units(row: Sequence[str], width: int) -> bool:
@@ -294,21 +342,21 @@ def _are_units(row: Sequence[str], width: int) -> bool:
     )
 
 
-def time_places(names: Sequence[str]) -> list[int]:
+def time_places(names: Sequence[str], unnamed: Sequence[int] = (0,)) -> list[int]:
     """Return where the times may stand, the likeliest place first: by a name for them, at the beginning, by a part."""
     plain = [re.sub(r"[\W_]+", "", UNIT_IN_BRACKETS.sub("", name).casefold()) for name in names]
     bare = [re.sub(r"(?:ns|us|µs|ms|s|sec)$", "", word) for word in plain]
     known = [place for word in SYNONYMS[Role.TIME] for place, one in enumerate(plain) if word in {one, bare[place]}]
     parts = [place for place, word in enumerate(plain) if "time" in word or "zeit" in word]
-    return list(dict.fromkeys([*known, 0, *parts]))
+    return list(dict.fromkeys([*known, *unnamed, *parts]))
 
 
 def _rises(cells: Sequence[str]) -> bool:
-    """Return whether cells are times: numbers or clocks that mostly rise and never all stand still."""
+    """Return whether cells are times: numbers or clocks from the first on, that mostly rise and do not stand."""
     numbers = ((_number(cell), cell) for cell in cells if cell)
-    moments = (number if np.isfinite(number) else _moment_us(cell)[0] for number, cell in numbers)
-    times = [one for one in moments if np.isfinite(one)]
-    return len(times) >= LEAST_RISING * len(cells) and is_rising(times)
+    moments = [number if math.isfinite(number) else _moment_us(cell)[0] for number, cell in numbers]
+    times = [one for one in moments if math.isfinite(one)]
+    return len(times) >= LEAST_RISING * len(cells) and is_rising(times) and math.isfinite(moments[0])
 
 
 def is_rising(times: Sequence[float]) -> bool:
@@ -319,10 +367,13 @@ def is_rising(times: Sequence[float]) -> bool:
     return sum(step >= 0 for step in steps) >= LEAST_RISING * len(steps) and any(step > 0 for step in steps)
 
 
-def _is_numeric(cells: Sequence[str]) -> bool:
-    """Return whether a column may hold numbers: most cells that are not blank are, or all are blank."""
-    found = np.array([_number(cell) for cell in cells])
-    return int(np.count_nonzero(np.isinf(found))) <= int(np.count_nonzero(np.isfinite(found)))
+def _words_for_blanks(cells: Sequence[str]) -> list[str] | None:
+    """Return the words that a column has beside numbers, as a gear has N; None if words are most of what it has."""
+    found = [(cell, _number(cell)) for cell in cells]
+    words, count = [cell for cell, one in found if math.isinf(one)], sum(math.isfinite(one) for _, one in found)
+    if min(len(words), count) >= LEAST_ROWS and all(map(WORD.fullmatch, words)):
+        return sorted(set(words))
+    return [] if len(words) <= count else None
 
 
 def _is_payload(cells: Sequence[str]) -> bool:
@@ -350,8 +401,9 @@ def _moment_us(cell: str) -> tuple[float, bool]:
         days, hours, minutes, seconds = (int(part or 0) for part in found.groups()[:4])
         fraction = float(f"0.{found[5]}") if found[5] else 0.0
         return (((days * 24 + hours) * 60 + minutes) * 60 + seconds + fraction) * US_PER_S, bool(found[1])
-    if found := GERMAN_DATE.fullmatch(text):
-        day, month, year, rest = found.groups()
+    if found := DAY_FIRST.fullmatch(text):
+        day, month, named, year, rest = found.groups()
+        month = month or str(MONTHS.find(named.lower()) // 3 + 1)
         text = f"{year}-{month:0>2}-{day:0>2} {rest}"
     try:
         moment = datetime.fromisoformat(text.replace("/", "-").replace(",", "."))
@@ -368,6 +420,10 @@ def _cells(line: str, separator: str) -> list[str]:
         return next(csv.reader([line], delimiter=separator), [])
     except csv.Error:
         return []
+
+
+def _ungrouped(cells: Iterable[str]) -> list[str]:
+    return [cell.replace(",", "") if "," in cell and GROUPED.fullmatch(cell.strip()) else cell for cell in cells]
 
 
 def _lines(text: bytes) -> list[str]:

@@ -1,6 +1,7 @@
 """Tables of signals: headers of many writers, cells that are none, and what becomes of each value."""
 
 import io
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from canlog.database.signal_columns import SignalColumn, column_id, columns_database
 from canlog.errors import DefinitionError, SourceError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
-from canlog.logs.detection import LogFormat, detect
+from canlog.logs.detection import PROBE_BYTES, LogFormat, detect
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.signal_tables import read_signal_table, table_header
 
@@ -40,6 +41,19 @@ WRITERS = {
         "DateTime,Speed [rpm],Pressure [kPa]", "{},{},{}", times=[f"1970-02-01T00:00:{one:06.3f}Z" for one in TIMES_S]
     ),
     "index first": written(",t,Speed [rpm],Pressure [kPa],", "7,{},{},{},"),
+    "minutes": written(
+        "Time [min],Speed [rpm],Pressure [kPa]", "{},{},{}", times=[f"{one / 60:.9f}" for one in TIMES_S]
+    ),
+    "torque": written(
+        "GPS Time, Device Time,Speed [rpm],Pressure [kPa]",
+        "Sat Jan 12 CET 2019,{},{},{}",
+        times=[f"12-Jan-2019 16:44:{one:06.3f}" for one in TIMES_S],
+    ),
+    "types before units": written("time\tSpeed\tPressure\nf8\tf8\tf8\ns\trpm\tkPa", "{}\t{}\t{}"),
+    "keys and values": written("Date,May\nCar,Golf\nTime [s],Speed [rpm],Pressure [kPa]", "{},{},{}"),
+    "padded by Excel": written("Car,Golf,\nLaps,many,\nTime [s],Speed [rpm],Pressure [kPa]", "{},{},{}"),
+    "status": written("Time [s],Bits,Speed [rpm],Pressure [kPa]", "{},0x0A,{},{}"),
+    "air conditioner": written("Time [s],Mode,Speed [rpm],Pressure [kPa]", "{},AC,{},{}"),
     "windows": written("Time [s],Speed [rpm],Pressure [kPa]", "{},{},{}\r").replace(b"kPa]", b"kPa]\r"),
     "byte-order mark": b"\xef\xbb\xbf" + written("Time [s],Speed [rpm],Pressure [kPa]", "{},{},{}"),
 }
@@ -67,7 +81,7 @@ def values(batch: FrameBatch, name: str) -> list[float]:
 def test_tables_of_many_writers_hold_the_same(writer: str) -> None:
     text = WRITERS[writer]
     assert detect(text).format is LogFormat.SIGNALS
-    header = table_header(text, is_cut=False)
+    header = table_header(text)
     assert header is not None
     assert header.columns == COLUMNS
     batch, counts = read(text)
@@ -117,6 +131,71 @@ def test_switches_in_words_are_numbers_and_columns_of_words_are_left_out_and_nam
     assert "columns of words are left out: Mode" in counts.notes
 
 
+@pytest.mark.parametrize(("first", "second"), [(0.01, 0.1), (0.1, 0.01)])
+def test_columns_behind_a_second_clock_of_another_pace_are_left_out_and_named(first: float, second: float) -> None:
+    slow = [f"{row * second:.2f};{row};" if row < 20 else ";;" for row in range(200)]
+    rows = "".join(f"{row * first:.2f};{row};{slow[row]}{row * first + 0.2:.2f};3\n" for row in range(200))
+    batch, counts = read(f"time_a [s];A;time_b [s];B;time_c [s];C\n{rows}".encode())
+    assert values(batch, "A") == list(range(200))
+    assert values(batch, "C") == [3.0] * 200
+    assert values(batch, "B") == values(batch, "time_b") == []
+    assert "'time_b' is another clock than that of the rows; left out are time_b, B" in counts.notes
+
+
+@pytest.mark.parametrize("clock", ["Run time [h]", "Lap Time [s]", "Device Time"])
+def test_columns_behind_what_is_no_other_clock_stay(clock: str) -> None:
+    cells = {"Run time [h]": "{0:.1f}", "Lap Time [s]": "{1:.2f}", "Device Time": "00:00:{2:05.2f}"}[clock]
+    told = [cells.format(row // 50 / 10, row % 90 / 100, row / 100) for row in range(300)]
+    batch, counts = read(
+        "".join([f"Time [s],{clock},B\n", *(f"{n / 100},{one},5\n" for n, one in enumerate(told))]).encode()
+    )
+    assert values(batch, "B") == [5.0] * 300
+    assert not [note for note in counts.notes if "another clock" in note]
+
+
+def test_a_comma_in_quotes_groups_digits_where_commas_separate_unless_it_is_a_decimal_one() -> None:
+    rows = "".join(f'{row / 10},"{900 + row:,}",1\n' for row in range(200))
+    assert values(read(f"Time [s],Speed [rpm],A\n{rows}".encode())[0], "Speed") == [900.0 + row for row in range(200)]
+    rows = "".join(f'"{row // 8},{row % 8 * 125:03d}","1,195"\n' for row in range(20))
+    batch, _ = read(f"Time [s],A\n{rows}".encode())
+    assert values(batch, "A") == [1.195] * 20
+    assert batch.t_ns[1] == 125_000_000
+
+
+def test_a_gear_that_is_a_word_at_first_is_read_and_its_words_are_no_values() -> None:
+    gears = ["N" if row < 150 else "R" if row > 14_990 else str(1 + row // 5000) for row in range(15_000)]
+    batch, counts = read("".join(["Time [s],Gear\n", *(f"{row},{gear}\n" for row, gear in enumerate(gears))]).encode())
+    assert len(values(batch, "Gear")) == 15_000 - 150 - 9
+    assert "N in 'Gear' is no value" in counts.notes
+    assert not counts.rejected
+
+
+@pytest.mark.parametrize("before", ["ETAS\trecord\tTab\nCount\t90", "Car\tGolf\tR\nRoad\twet\tcold"])
+def test_words_as_wide_as_the_table_are_no_header(before: str) -> None:
+    rows = "".join(f"{row / 100}\t{row}\t5\n" for row in range(90))
+    header = table_header(f"{before}\ntime\tA\tB\nf8\tf8\tf8\ns\trpm\tbar\n{rows}".encode())
+    assert header is not None
+    assert header.columns == (SignalColumn("A", "rpm"), SignalColumn("B", "bar"))
+
+
+@pytest.mark.parametrize(
+    "times", [range(1_700_000_000_000, 1_700_000_000_040), [1_700_000_000_000 + row // 2 for row in range(40)]]
+)
+def test_milliseconds_since_1970_are_told_by_their_size(times: Sequence[int]) -> None:
+    batch, counts = read("".join(["Time,A\n", *(f"{one},5\n" for one in times)]).encode())
+    assert batch.t_ns.tolist() == [one * 1_000_000 for one in times]
+    assert "times are taken as ms: as such they count from 1970" in counts.notes
+
+
+def test_detecting_and_reading_find_the_same_columns_whatever_the_probe_cuts() -> None:
+    rows = "".join(f"{row / 100:.2f};{row};{'öööö' if row < 4500 else row}\n" for row in range(9000))
+    for shift in range(4):
+        text = f"{'x' * shift}Zeit [s];Öldruck [bar];Zustand\n{rows}".encode()
+        batch, _ = read(text)
+        assert [one.name for one in detect(text[:PROBE_BYTES]).columns] == ["Öldruck"]
+        assert set(batch.can_id.tolist()) == {column_id("Öldruck") | EXTENDED_FLAG}
+
+
 def test_a_name_that_comes_twice_is_numbered() -> None:
     batch, counts = read(b"Time [s],A,A\n1,1,2\n2,3,4\n3,5,6\n")
     assert values(batch, "A") == [1.0, 3.0, 5.0]
@@ -158,7 +237,7 @@ def test_long_tables_are_read_in_blocks() -> None:
     ],
 )
 def test_other_tables_are_not_taken_for_one(text: bytes) -> None:
-    assert table_header(text, is_cut=False) is None
+    assert table_header(text) is None
     with pytest.raises(SourceError):
         list(read_signal_table(io.BytesIO(text), LogCounts()))
 
