@@ -87,11 +87,14 @@ def _group(
     group, done = mdf.groups[number], 0
     index = {channel.address: place for place, channel in enumerate(group.channels)}
     wanted, stated = [(None, number, index[one]) for one in addresses], int(group.channel_group.cycles_nr)
+    coded = [place for place, one in enumerate(addresses) if _has_codes(group.channels[index[one]].conversion)]
     while done < stated:
         count = min(max(1, CELLS // len(wanted)), stated - done)
         found = mdf.select(
             wanted, record_offset=done, record_count=count, copy_master=False, ignore_value2text_conversions=True
         )
+        for place in coded:  # else a code were a number in the unit of the others, and the others were not scaled
+            found[place] = mdf.select([wanted[place]], record_offset=done, record_count=count, copy_master=False)[0]
         time_us = start_ns // NS_PER_US + np.rint(np.asarray(found[0].timestamps, np.float64) * 1e6)
         if not len(time_us):
             counts.cut_off(f"record {done + 1} of group {number}", stated - done)
@@ -100,9 +103,19 @@ def _group(
         yield checked_rows(time_us, np.column_stack([_numbers(one) for one in found]), ids, counts)
 
 
+def _has_codes(conversion: Any) -> bool:  # noqa: ANN401 - asammdf's own object
+    """Return whether some values of a channel are words, and the others are scaled by a formula."""
+    blocks = getattr(conversion, "referenced_blocks", None) or {}
+    scale = getattr(blocks.get("default_addr"), "convert", None)
+    if scale is None or not any(isinstance(one, bytes) for one in blocks.values()):
+        return False
+    return bool(scale(np.array([1.0, 2.0])).tolist() != [1.0, 2.0])  # else a state, whose codes are its numbers
+
+
 def _numbers(signal: Any) -> FloatArray:  # noqa: ANN401 - asammdf's own object
-    """Return the values of a channel, NaN for those that are marked as invalid."""
-    values: FloatArray = np.array(signal.samples, np.float64)
+    """Return the values of a channel, NaN for those that are marked as invalid, and for words."""
+    is_word = signal.samples.dtype.kind == "S"
+    values: FloatArray = np.full(len(signal.samples), np.nan) if is_word else np.array(signal.samples, np.float64)
     if signal.invalidation_bits is not None:
         values[np.asarray(signal.invalidation_bits, np.bool_)] = np.nan
     return values

@@ -84,6 +84,23 @@ def test_words_are_left_out_and_named_and_states_stay_numbers(tmp_path: Path) ->
     assert any("left out: Odd, Note" in note for note in reader.counts.notes)
 
 
+@pytest.mark.parametrize("codes", [{"val_0": 255}, {"lower_0": 254, "upper_0": 255}])
+def test_codes_beside_a_scale_are_no_values_and_the_others_are_scaled(tmp_path: Path, codes: dict[str, int]) -> None:
+    path, raw = tmp_path / "codes.mf4", np.where(np.arange(200) % 7, np.arange(200), 255).astype("u1")
+    conversion = {**codes, "text_0": "SNA", "default_addr": {"a": 0.5, "b": -40.0}}
+    with MDF(version="4.10") as file:
+        file.append([
+            Signal(raw, np.arange(200) / 100.0, name="TOil", unit="degC", conversion=conversion),
+            Signal(np.full(200, 255, "u1"), np.arange(200) / 100.0, name="TNone", unit="degC", conversion=conversion),
+            Signal(raw, np.arange(200) / 100.0, name="Raw"),
+        ])  # fmt: skip
+        file.save(path)
+    _, found = values(path)
+    assert found["TOil"][0] == (0.5 * raw[raw != 255] - 40.0).tolist()
+    assert found["TNone"][0] == []
+    assert found["Raw"][0] == raw.tolist()
+
+
 def test_infinite_values_are_counted_and_cost_no_other_value(tmp_path: Path) -> None:
     path, times_s = tmp_path / "odd.mf4", np.arange(0.0, 5.0, 0.1)
     odd = np.where(np.arange(50) == 7, np.inf, 1.0)
