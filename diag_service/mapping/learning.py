@@ -214,7 +214,9 @@ def _middle(found: FloatArray, age_s: float) -> Found:
 
 
 def _gears_of(rows: FloatArray, *, are_named: bool) -> Mapping[int, LearnedGear]:
-    is_fast = rows[:, _OVER] > LEAST_SPEED * float(np.nanmax(rows[:, _OVER], initial=0.0))
+    moving = rows[rows[:, _OVER] > STANDING, _OVER]
+    high = float(np.quantile(moving, 0.99, method="lower")) if len(moving) else 0.0  # one damaged value says nothing
+    is_fast = rows[:, _OVER] > LEAST_SPEED * high
     is_steady = np.abs(rows[:, _GROWTH]) * GROWTH_S < MOST_GROWTH  # a mean says nothing of a start from rest
     driven = rows[is_fast & is_steady & (rows[:, _ENGINE] > 0.0)]
     ratios = driven[:, _ENGINE] / driven[:, _OVER] if len(driven) else np.empty(0)

@@ -56,21 +56,25 @@ _SAME: Final = Conversion()
 _TO_SI: Final[Mapping[str, Mapping[str, Conversion]]] = {
     "rad_s": {
         **dict.fromkeys(
-            ("rpm", "1/min", "min-1", "r/min", "rev/min", "u/min", "unit_minutinver"), Conversion(rad_s_from_rpm(1.0))
+            ("rpm", "1/min", "/min", "min-1", "r/min", "rev/min", "u/min", "unit_minutinver"),
+            Conversion(rad_s_from_rpm(1.0)),
         ),
         "rad/s": _SAME,
     },
     "m_s": {
         **dict.fromkeys(("km/h", "kmh", "kph", "kmph", "unit_kilometerperhour"), Conversion(m_s_from_km_h(1.0))),
+        "mph": Conversion(0.44704),
         "m/s": _SAME,
     },
     "pa": {
         **dict.fromkeys(("bar", "unit_bar"), Conversion(pa_from_bar(1.0))),
         **dict.fromkeys(("mbar", "hpa", "unit_millibar"), Conversion(100.0)),
+        "psi": Conversion(6894.757),
         "kpa": Conversion(1e3),
         "pa": _SAME,
     },
-    "nm": dict.fromkeys(("nm", "n.m", "n·m", "n*m", "n-m", "unit_newtometer"), _SAME),
+    "nm": dict.fromkeys(("nm", "n.m", "n·m", "n*m", "n-m", "unit_newtometer"), _SAME)
+    | dict.fromkeys(("lbft", "lb-ft", "lb·ft", "lbf·ft", "lbf-ft", "ftlb", "ft-lb", "ft-lbs"), Conversion(1.355818)),
     "ratio": {
         **dict.fromkeys(("%", "percent", "unit_percent"), Conversion(0.01)),
         "": _SAME,
@@ -79,6 +83,7 @@ _TO_SI: Final[Mapping[str, Mapping[str, Conversion]]] = {
         **dict.fromkeys(
             ("degc", "°c", "c", "deg", "degreesc", "celsius", "unit_degrecelsi"), Conversion(offset=k_from_degc(0.0))
         ),
+        **dict.fromkeys(("degf", "°f", "f"), Conversion(5.0 / 9.0, k_from_degc(-160.0 / 9.0))),
         "k": _SAME,
     },
     "s": {"ms": Conversion(1e-3), "us": Conversion(1e-6), "s": _SAME},

@@ -2,8 +2,8 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ ASSUMED_FRICTION_NM: Final = 25.0  # of an engine without fuel
 WINDOW: Final = 0.01  # width of the band in which the ratios of a closed clutch lie, as a part of them
 LEAST_SAMPLES: Final = 10
 LEAST_SHARE: Final = 0.2  # of a gear's samples in that band: else its clutch was never closed for long
+MOST_ODD: Final = 100  # values at either end, one of a thousand, that may be damage
 LEAST_SPEED: Final = 0.1  # of the highest output speed: below, its steps are too coarse
 
 
@@ -73,6 +74,7 @@ class SignalStatistics:
     highest: float = -math.inf
     is_integer: bool = True
     invalid: InvalidCounts = NO_INVALID  # values that are no measurements
+    tails: FloatArray = field(default_factory=lambda: np.empty((2, 0)))  # the lowest values, and of their negatives
 
     @property
     def place(self) -> str:
@@ -85,6 +87,13 @@ class SignalStatistics:
             return SignalSource(column=self.signal)
         return SignalSource(message=self.message, signal=self.signal)
 
+    @property
+    def ends(self) -> FloatArray:
+        """Between which nearly all values lie, whatever a few damaged ones are."""
+        odd = min(-(-self.count // 1000), MOST_ODD)
+        is_known = self.tails.shape[1] > MOST_ODD
+        return self.tails[:, odd] * (1.0, -1.0) if is_known else np.array([self.lowest, self.highest])
+
     def add(self, decoded: Decoded) -> None:
         """Count more values."""
         self.invalid = self.invalid.plus(decoded.invalid)
@@ -92,8 +101,8 @@ class SignalStatistics:
         good = good[np.isfinite(good)]
         if len(good):
             self.count += len(good)
-            self.lowest = min(self.lowest, float(good.min()))
-            self.highest = max(self.highest, float(good.max()))
+            self.tails = np.sort(np.hstack((self.tails, [good, -good])))[:, : MOST_ODD + 1]
+            self.lowest, self.highest = float(self.tails[0, 0]), -float(self.tails[1, 0])
             self.is_integer &= bool(np.all(good == np.rint(good)))
 
 
@@ -246,19 +255,32 @@ def gears_text(over: Signal, ratios: Mapping[int, GearRatio]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def unfit_units(statistics: Iterable[SignalStatistics], known: Container[Signal]) -> Iterator[str]:
+    """Yield a sentence for each column that its name makes a signal that is not known, but its unit does not."""
+    for stat in (one for one in statistics if one.is_column and one.unit):
+        bare = replace(stat, unit="")
+        called = [one for one in KINDS if one not in known and _match(one, stat) and _possible_units(one, bare)]
+        try:
+            for signal in called:
+                to_si(signal, stat.source, stat.unit)
+        except ConfigError as error:
+            yield str(error)
+
+
+def _match(signal: Signal, stat: SignalStatistics) -> re.Match[str] | None:
+    name = stat.signal.partition("\\")[0]  # behind it a measurement says of which controller it is
+    return None if _NEVER.search(stat.signal) else re.search(KINDS[signal].names, MARKS.sub("_", name), re.IGNORECASE)
+
+
 def _candidate(signal: Signal, stat: SignalStatistics) -> Candidate | None:
     """Return a signal as a candidate if unit, values and name allow it."""
-    kind = KINDS[signal]
-    if not stat.count or _NEVER.search(stat.signal) or (kind.is_integer and not stat.is_integer):
-        return None
-    name = stat.signal.partition("\\")[0]  # behind it a measurement says of which controller it is
-    match = re.search(kind.names, MARKS.sub("_", name), re.IGNORECASE)
-    if match is None:
+    match = _match(signal, stat)
+    if match is None or not stat.count or (KINDS[signal].is_integer and not stat.is_integer):
         return None
     unit = next((unit for unit in _possible_units(signal, stat) if _is_possible(signal, stat, unit)), None)
     if unit is None:
         return None
-    score = 2.0 + 2.0 * len(match.group()) / len(name) + (1.0 if stat.unit else 0.0)
+    score = 2.0 + 2.0 * len(match.group()) / len(match.string) + (1.0 if stat.unit else 0.0)
     score += 1.0 if stat.highest > stat.lowest else 0.0  # a signal that never changes tells little
     if score < MIN_SCORE:
         return None
@@ -279,7 +301,7 @@ def _is_possible(signal: Signal, stat: SignalStatistics, unit: str) -> bool:
         convert = to_si(signal, stat.source, unit)
     except ConfigError:
         return False
-    return _can_be(signal, convert(np.array([stat.lowest, stat.highest])), is_sure=unit == stat.unit)
+    return _can_be(signal, convert(stat.ends), is_sure=unit == stat.unit)
 
 
 def _can_be(signal: Signal, ends: FloatArray, *, is_sure: bool = False) -> bool:

@@ -29,6 +29,7 @@ from diag_service.mapping.proposal import (
     gears_text,
     is_complete,
     profile_text,
+    unfit_units,
 )
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
 
@@ -120,6 +121,7 @@ def proposed_profile(
         "",
         *(["The log is cut off."] if survey.is_cut else []),
         f"{survey.frames} frames, {survey.unknown} of them not in the database.",
+        *unfit_units(survey.statistics(), best),
         *survey.listing(),
         "",
     ]

@@ -98,6 +98,12 @@ def test_gears_that_no_signal_names_are_numbered_from_the_highest_ratio() -> Non
     assert [one.ratio.ratio for one in found.gears.values()] == pytest.approx(RATIOS, rel=2e-3)
 
 
+def test_one_damaged_speed_costs_no_gear() -> None:
+    batch = drive(EVERY_GEAR)
+    batch.columns[Signal.OUTPUT_SPEED].value[300] = 1e4
+    assert sorted(learned(batch).gears) == [1, 2, 3, 4]
+
+
 def test_a_gear_that_was_not_driven_is_absent() -> None:
     found = learned(drive(np.array([1.0, 3.0, 4.0])))
     assert sorted(found.gears) == [1, 3, 4]

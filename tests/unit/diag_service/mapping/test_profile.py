@@ -142,6 +142,13 @@ def test_source_address_that_is_none_is_refused(address: int) -> None:
         (Signal.ENGINE_SPEED, "rpm", 60.0, 2.0 * math.pi),
         (Signal.ENGINE_SPEED, "1/min", 60.0, 2.0 * math.pi),
         (Signal.ENGINE_SPEED, "Unit_MinutInver", 60.0, 2.0 * math.pi),
+        (Signal.ENGINE_SPEED, "/min", 60.0, 2.0 * math.pi),
+        (Signal.ENGINE_TORQUE, "ft-lb", 100.0, 135.5818),
+        (Signal.ENGINE_TORQUE, "lb ft", 100.0, 135.5818),
+        (Signal.CLUTCH1_PRESSURE, "psi", 100.0, 689_475.7),
+        (Signal.SUMP_TEMPERATURE, "degF", 212.0, 373.15),
+        (Signal.SUMP_TEMPERATURE, "°F", 32.0, 273.15),
+        (Signal.VEHICLE_SPEED, "mph", 100.0, 44.704),
         (Signal.ENGINE_SPEED, "rad/s", 3.0, 3.0),
         (Signal.ENGINE_TORQUE, "N m", 3.0, 3.0),
         (Signal.CLUTCH1_PRESSURE, "bar", 2.0, 2e5),
@@ -174,7 +181,8 @@ def test_unit_of_the_profile_overrides_that_of_the_database() -> None:
 
 
 @pytest.mark.parametrize(
-    ("signal", "unit"), [(Signal.ENGINE_SPEED, "km/h"), (Signal.VEHICLE_SPEED, "mph"), (Signal.CLUTCH1_PRESSURE, None)]
+    ("signal", "unit"),
+    [(Signal.ENGINE_SPEED, "km/h"), (Signal.VEHICLE_SPEED, "knots"), (Signal.CLUTCH1_PRESSURE, None)],
 )
 def test_unit_of_another_kind_is_refused(signal: Signal, unit: str | None) -> None:
     with pytest.raises(ConfigError, match=f"is not one of {signal.value}"):

@@ -3,11 +3,13 @@
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from canlog.decode.signals import Decoded
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.profile import load_profile
-from diag_service.mapping.proposal import SignalStatistics, candidates, profile_text
+from diag_service.mapping.proposal import SignalStatistics, candidates, profile_text, unfit_units
 
 
 def stat(
@@ -78,6 +80,29 @@ def test_a_signal_is_proposed_once_and_measured_comes_before_commanded() -> None
         "Clutch1PressureCmd",
     ]
     assert found.keys() == {Signal.CLUTCH1_PRESSURE, Signal.CLUTCH_TORQUE}
+
+
+def column(name: str, unit: str, *values: float) -> SignalStatistics:
+    found = SignalStatistics(message=name, signal=name, unit=unit, is_column=True)
+    for piece in np.array_split(np.array(values), 3):
+        found.add(Decoded(value=piece, is_good=None))
+    return found
+
+
+def test_a_damaged_value_changes_no_proposal_and_is_shown() -> None:
+    read = column("DCT Clutch 1 Pressure", "kPa", *range(900), 6553.5, *range(900), -6553.5)
+    wanted = column("DCT Target Clutch 1 Pressure", "kPa", *range(900))
+    assert proposed(read, wanted) == {Signal.CLUTCH1_PRESSURE: "DCT Clutch 1 Pressure"}
+    assert (read.lowest, read.highest, read.count) == (-6553.5, 6553.5, 1802)
+    assert proposed(column("Clutch 1 Pressure", "kPa", *range(900), *[6553.5] * 9)) == {}
+
+
+def test_a_column_is_told_that_its_name_makes_a_signal_but_not_its_unit() -> None:
+    columns = [column("Oil Temp", "furlong", 1, 2, 3), column("Injector PW 1", "ms", 1, 2, 3)]
+    columns += [column("Engine Speed", "rpm", 1, 2, 3), column("Engine Speed Raw", "digits", 1, 2, 3)]
+    assert list(unfit_units(columns, candidates(columns))) == [
+        "the unit 'furlong' of Oil Temp is not one of sump_temperature_k"
+    ]
 
 
 def test_the_proposal_is_a_profile(tmp_path: Path) -> None:
