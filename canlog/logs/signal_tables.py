@@ -37,7 +37,7 @@ WORDS: Final = {"true": 1.0, "on": 1.0, "yes": 1.0, "false": 0.0, "off": 0.0, "n
 UNIT_IN_BRACKETS: Final = re.compile(r"\s*[\[(](?P<unit>(?!\d+[\])])[^\[\]()]*)[\])]\s*$")  # a number is an index
 GROUPED: Final = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?")  # 1,195
 NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?")
-WORD: Final = re.compile(r"\D+")
+WORD: Final = re.compile(r"[^\W\d_]+(?: [^\W\d_]+)*")
 PAYLOAD: Final = re.compile(r"(?:0x)?(?:[0-9A-Fa-f]{2}[\s:._-]?){1,64}")
 STATUS: Final = re.compile(r"0x(?:[0-9A-Fa-f]{2}){1,2}|[0-9A-Fa-f]{2}")  # bits of a device, or the word AC
 LETTERS: Final = re.compile(r"[A-Fa-f]")
@@ -302,7 +302,7 @@ def _header_at(rows: Sequence[Sequence[str]], place: int, separator: str) -> Tab
         notes.append(f"{columns[other].name!r} is another clock than that of the rows; left out are {behind}")
     if not blanks:
         return None
-    notes += [f"{', '.join(words)} in {columns[one].name!r} is no value" for one, words in blanks.items() if words]
+    notes += [f"{columns[one].name!r} has no value at {', '.join(words)}" for one, words in blanks.items() if words]
     return TableHeader(
         separator=separator, lines=first, width=width, time_place=clock, us_per_unit=unit, notes=(*notes, *said),
         has_decimal_comma=has_comma, columns=tuple(columns[one] for one in blanks), places=tuple(blanks),

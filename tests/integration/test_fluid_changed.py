@@ -2,7 +2,6 @@
 
 import lzma
 import re
-import shutil
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -32,8 +31,11 @@ def recording(name: str, path: Path, *, later_s: float = 0.0) -> Path:
 
 @pytest.fixture(name="store", scope="module")
 def _store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return stored(tmp_path_factory.mktemp("fluid"))
+
+
+def stored(folder: Path) -> Path:
     """Return a store of a drive with aged fluid, a change of the fluid, and a drive with new fluid."""
-    folder = tmp_path_factory.mktemp("fluid")
     path = folder / "car1.sqlite"
     old = ended("analyze", recording("case2", folder / "old.log"), "--store", path, "--vehicle", "car1", "--json")
     assert {shift["verdict"]["condition"] for shift in old.shifts[-2:]} == {"change_fluid"}
@@ -69,13 +71,12 @@ def test_the_past_stays_as_it_was(store: Path) -> None:
     assert "DCTF-II since" in text
 
 
-def test_a_log_of_the_old_fluid_that_comes_late_says_nothing_of_the_new(store: Path, tmp_path: Path) -> None:
-    path, late = tmp_path / "car1.sqlite", recording("case2", tmp_path / "late.log", later_s=-0.5 * LATER_S)
-    shutil.copy(store, path)
+def test_a_log_of_the_old_fluid_that_comes_late_says_nothing_of_the_new(tmp_path: Path) -> None:
+    path, late = stored(tmp_path), recording("case2", tmp_path / "late.log", later_s=-0.5 * LATER_S)
     orders = [ended("history", path, "--json").records[-1]["order"]]
     with closing(sqlite3.connect(path)) as connection:
         state = connection.execute("SELECT belief, condition FROM state").fetchall()
-        for log in (late, store.parent / "old.log", late):
+        for log in (late, tmp_path / "old.log", late):
             found = ended("analyze", log, "--store", path, "--vehicle", "car1", "--json")
             orders.append(found.records[-1]["order"])
         assert connection.execute("SELECT belief, condition FROM state").fetchall() == state

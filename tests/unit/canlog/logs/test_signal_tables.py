@@ -166,7 +166,7 @@ def test_a_gear_that_is_a_word_at_first_is_read_and_its_words_are_no_values() ->
     gears = ["N" if row < 150 else "R" if row > 14_990 else str(1 + row // 5000) for row in range(15_000)]
     batch, counts = read("".join(["Time [s],Gear\n", *(f"{row},{gear}\n" for row, gear in enumerate(gears))]).encode())
     assert len(values(batch, "Gear")) == 15_000 - 150 - 9
-    assert "N in 'Gear' is no value" in counts.notes
+    assert "'Gear' has no value at N" in counts.notes
     assert not counts.rejected
 
 
