@@ -20,7 +20,7 @@ from rich.console import Console
 
 from benchmarks.drive_accuracy import END, STRETCH_S, Case, outcome_of, scenario_of
 from benchmarks.drive_events import planned
-from benchmarks.study import over_drives, root_mean_square
+from benchmarks.study import add_pool_options, over_drives, root_mean_square
 from benchmarks.table_accuracy import TRACES, Shown, events, moments
 from canlog.frames import FrameBatch, join
 from canlog.logs import read_log
@@ -80,7 +80,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--vehicles", type=int, default=6, help="on each of the two traces")
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first vehicle")
-    parser.add_argument("--workers", type=int, default=2)
+    add_pool_options(parser)
     parser.add_argument("--traces", nargs="+", default=TRACES, choices=TRACES)
     options = parser.parse_args()
     cases = [
@@ -88,7 +88,7 @@ def main() -> int:
         for trace in options.traces
         for seed in range(options.seed, options.seed + options.vehicles)
     ]
-    drives = over_drives(shown, cases, options.workers)
+    drives = over_drives(shown, cases, options.workers, options.kept)
     console = Console(width=180)
     console.print(moments(drives))
     console.print(events(drives))

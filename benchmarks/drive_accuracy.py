@@ -30,7 +30,7 @@ from rich.table import Table
 from benchmarks.accuracy import FLUIDS, to_batch
 from benchmarks.drawn_vehicle import Vehicle, draw, with_other_laws
 from benchmarks.drive_events import planned
-from benchmarks.study import over_drives, root_mean_square
+from benchmarks.study import add_pool_options, over_drives, root_mean_square
 from canlog.arrays import FloatArray
 from canlog.frames import FrameBatch
 from clutch_model.calibration import SHIPPED, Calibration, Uncertainty, shipped_calibration
@@ -320,7 +320,7 @@ def main() -> int:
     parser.add_argument("--loss", type=float, default=0.0, help="share of the frames that are lost")
     parser.add_argument("--burst", type=int, default=1, help="frames of one message that are lost in a row")
     parser.add_argument("--transmission", choices=SHIPPED, default="nominal")
-    parser.add_argument("--workers", type=int, default=2)
+    add_pool_options(parser)
     options = parser.parse_args()
     if options.known and not options.plain:
         parser.error("--known goes with --plain: no other vehicle is known")
@@ -330,7 +330,7 @@ def main() -> int:
         has_other_laws=options.other_laws, transmission=options.transmission,
     )  # fmt: skip
     cases = [case(seed=seed) for seed in range(options.seed, options.seed + options.vehicles)]
-    outcomes = over_drives(driven, cases, options.workers)
+    outcomes = over_drives(driven, cases, options.workers, options.kept)
     console = Console(markup=False, width=150)
     for table in (moments_table(outcomes), kinds_table(outcomes), bands_table(outcomes)):
         console.print(table)

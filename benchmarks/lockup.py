@@ -26,7 +26,7 @@ from rich.table import Table
 from benchmarks.accuracy import FLUIDS as CONDITIONS
 from benchmarks.accuracy import to_batch
 from benchmarks.drive_accuracy import coverage
-from benchmarks.study import over_drives, root_mean_square
+from benchmarks.study import add_pool_options, over_drives, root_mean_square
 from clutch_model.calibration import Calibration, shipped_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge_lockup
@@ -226,12 +226,12 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first vehicle")
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--emulator", action="store_true", help="the emulated car along a UDDS, frames and all")
-    parser.add_argument("--workers", type=int, default=2)
+    add_pool_options(parser)
     options = parser.parse_args()
     case = partial(Case, minutes=options.minutes, is_emulated=options.emulator)
     seeds = range(options.seed, options.seed + options.vehicles)
     cases = [case(seed=seed, fluid=fluid) for seed in seeds for fluid in FLUIDS]
-    outcomes = over_drives(driven, cases, options.workers)
+    outcomes = over_drives(driven, cases, options.workers, options.kept)
     console = Console(markup=False, width=170)
     for fluid in FLUIDS:
         console.print(table_of([one for one in outcomes if one.case.fluid == fluid], f"Fluid: {fluid}"))

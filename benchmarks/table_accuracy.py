@@ -27,7 +27,7 @@ from rich.table import Table
 from benchmarks.drive_accuracy import END, MOMENTS, STRETCH_S, WRONG, Case, Outcome, coverage, outcome_of, scenario_of
 from benchmarks.drive_events import planned
 from benchmarks.scan_tool import OF_FRICTION, OUTPUT, with_fuel, written
-from benchmarks.study import over_drives, root_mean_square
+from benchmarks.study import add_pool_options, over_drives, root_mean_square
 from canlog.arrays import FloatArray
 from canlog.logs import read_log
 from clutch_model.calibration import TorqueSource, nominal_calibration
@@ -217,7 +217,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--vehicles", type=int, default=12, help="on each of the two traces")
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first vehicle")
-    parser.add_argument("--workers", type=int, default=2)
+    add_pool_options(parser)
     parser.add_argument("--traces", nargs="+", default=TRACES, choices=TRACES)
     parser.add_argument("--tables", nargs="+", default=NAMES, choices=NAMES)
     options = parser.parse_args()
@@ -226,7 +226,7 @@ def main() -> int:
         for seed in range(options.seed, options.seed + options.vehicles)
         for trace in options.traces
     ]
-    drives = over_drives(partial(shown, frozenset(options.tables)), cases, options.workers)
+    drives = over_drives(partial(shown, frozenset(options.tables)), cases, options.workers, options.kept)
     console = Console(markup=False, width=170)
     console.print(moments(drives))
     console.print(slopes(drives))
