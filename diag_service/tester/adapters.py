@@ -18,10 +18,9 @@ import can
 
 from canlog.transport.isotp import segments
 from diag_service.errors import ConfigError, ControllerError, RefusedError, SilentError, StoppedError
-from diag_service.mapping.asked_signals import NEGATIVE, PENDING
 from diag_service.mapping.profile import AskingRules
 from diag_service.tester.addresses import CanAddress, hexadecimal, is_extended
-from diag_service.tester.answers import Timing
+from diag_service.tester.answers import MOST_PENDING_S, NEGATIVE, PENDING_S, POSITIVE, Timing, is_pending, tells
 from diag_service.tester.asking import LARGEST_LOGICAL, dialogue_over_ip, parse_doip
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ _SETTINGS: Final = (
     "ATSP6",
 )  # no echo, no blanks, 11 bits, 500 kbit/s
 _PROTOCOL_29: Final = "ATSP7"
-_LINE_END: Final = b">"
+_PROMPT: Final = b">"
 _NO_ANSWER: Final = (
     "NO DATA",
     "?",
@@ -66,6 +65,13 @@ class Line(Protocol):
         """Return the answer to a request, None if none comes; raises ControllerError."""
 
 
+class RemoteLine(Line, Protocol):
+    """One that has to be turned to a controller before it is asked."""
+
+    def turn_to(self, address: CanAddress) -> None:
+        """Make ready to send the next request at once; raises ControllerError, StoppedError."""
+
+
 class ElmLine:
     """Controllers behind an ELM327, or one that understands its commands (STN).
 
@@ -80,46 +86,84 @@ class ElmLine:
         except (OSError, termios.error) as exc:
             raise ControllerError(f"adapter {place}: {getattr(exc, 'strerror', None) or exc.args[-1]}") from exc
         self._address: CanAddress | None = None
+        self._is_prompted = True  # it waits for a command
+        self._until_s = 0.0  # when it has not answered
         self._command("ATZ", RESET_S)
         for setting in _SETTINGS:
             self._command(setting)
 
-    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
-        """Return the answer to a request, None if there is none; raises ControllerError, StoppedError."""
-        if address != self._address:
-            self._command(_PROTOCOL_29 if is_extended(address.request_id) else _SETTINGS[-1])
-            if is_extended(address.request_id):
-                self._command(f"ATCP{address.request_id >> 24:02X}")
-            self._command(f"ATSH{address.request_id & 0xFFFFFF:0{6 if is_extended(address.request_id) else 3}X}")
-            self._command(f"ATCRA{address.response_id:X}")
-            self._address = address
-        found = messages_in(self._command(request.hex().upper()))
-        said = [one for one in found if one[:2] != bytes([NEGATIVE, request[0]]) or one[2:3] != bytes([PENDING])]
-        return said[-1] if said else None
+    def turn_to(self, address: CanAddress) -> None:
+        """Wait for the end of the last answer and say who is asked next; raises ControllerError, StoppedError."""
+        self._finish()
+        if address == self._address:
+            return
+        self._command(_PROTOCOL_29 if is_extended(address.request_id) else _SETTINGS[-1])
+        if is_extended(address.request_id):
+            self._command(f"ATCP{address.request_id >> 24:02X}")
+        self._command(f"ATSH{address.request_id & 0xFFFFFF:0{6 if is_extended(address.request_id) else 3}X}")
+        self._command(f"ATCRA{address.response_id:X}")
+        self._address = address
 
-    def _command(self, text: str, wait_s: float = ANSWER_S) -> str:
+    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
+        """Return the answer to a request as soon as it is there: the adapter waits for others before its prompt.
+
+        None: there is none. Raises ControllerError, StoppedError.
+        """
+        self.turn_to(address)
+        text = request.hex().upper()
+        self._begin(text, ANSWER_S)
+        most_s, count = time.monotonic() + MOST_PENDING_S, 0
+        other: bytes | None = None
+        for shown in self._shown():
+            found = messages_in(shown.removeprefix(text))  # some go on echoing what they were told not to
+            for answer in found[count:]:
+                if is_pending(request, answer):
+                    self._until_s = min(time.monotonic() + PENDING_S, most_s)
+                elif tells(request, answer):
+                    return answer
+                elif answer[0] == request[0] + POSITIVE:
+                    other = answer
+            count = len(found)
+        return other
+
+    def _command(self, text: str, wait_s: float = ANSWER_S) -> None:
+        self._begin(text, wait_s)
+        self._finish()
+
+    def _begin(self, text: str, wait_s: float) -> None:
         try:
             while select.select([self._descriptor], [], [], 0.0)[0] and os.read(self._descriptor, 4096):
                 pass  # what was said before answers nothing
             os.write(self._descriptor, text.encode() + b"\r")
-            shown = self._read(wait_s).decode("ascii", "replace").strip("\r\n >")
-            return shown.removeprefix(text)  # some adapters go on echoing what they were told not to
         except OSError as exc:
             raise ControllerError(f"adapter {self._place}: {exc.strerror or exc}") from exc
+        self._is_prompted, self._until_s = False, time.monotonic() + wait_s
 
-    def _read(self, wait_s: float) -> bytes:
-        found, until_s = b"", time.monotonic() + wait_s
-        while _LINE_END not in found:
+    def _finish(self) -> None:
+        for _ in self._shown():
+            pass
+
+    def _shown(self) -> Iterator[str]:
+        """Yield all lines that were shown since the command, whenever one is complete, up to the prompt."""
+        found = b""
+        while not self._is_prompted:
             if not self._goes_on():
                 raise StoppedError("stopped early")
-            if time.monotonic() > until_s:
-                raise ControllerError(f"adapter {self._place} does not answer")
-            if select.select([self._descriptor], [], [], LOOK_S)[0]:
+            try:
+                if not select.select([self._descriptor], [], [], LOOK_S)[0]:
+                    if time.monotonic() > self._until_s:
+                        raise ControllerError(f"adapter {self._place} does not answer")
+                    continue
                 piece = os.read(self._descriptor, 4096)
-                if not piece:
-                    raise ControllerError(f"adapter {self._place} has hung up")
-                found += piece
-        return found
+            except OSError as exc:
+                raise ControllerError(f"adapter {self._place}: {exc.strerror or exc}") from exc
+            if not piece:
+                raise ControllerError(f"adapter {self._place} has hung up")
+            found += piece
+            self._is_prompted = _PROMPT in found
+            lines, end, _ = found.rpartition(_PROMPT if self._is_prompted else b"\r")
+            if end:
+                yield lines.decode("ascii", "replace").strip("\r\n ")
 
 
 def messages_in(text: str) -> list[bytes]:
@@ -168,6 +212,9 @@ class DoipLine:
     def __init__(self, tester: "Dialogue") -> None:
         self._tester = tester
 
+    def turn_to(self, address: CanAddress) -> None:
+        """Do nothing: the node is the controller."""
+
     def ask(self, request: bytes, address: CanAddress) -> bytes | None:
         """Return the answer to a request, None if there is none; raises ControllerError, StoppedError."""
         del address  # the node is the controller
@@ -182,12 +229,13 @@ class DoipLine:
 class Said:
     """Says what is asked and answered on a bus, too."""
 
-    def __init__(self, line: Line, bus: can.BusABC) -> None:
+    def __init__(self, line: RemoteLine, bus: can.BusABC) -> None:
         self._line = line
         self._bus = bus
 
     def ask(self, request: bytes, address: CanAddress) -> bytes | None:
-        """Ask, and say both messages as they come."""
+        """Ask, and say both messages as they come; raises ControllerError, StoppedError."""
+        self._line.turn_to(address)
         self._say(request, address.request_id)
         answer = self._line.ask(request, address)
         if answer is not None:

@@ -6,6 +6,8 @@ from typing import Final
 
 POSITIVE: Final = 0x40  # added to the service in a positive response
 NEGATIVE: Final = 0x7F
+PENDING_S: Final = 5.0  # for what is asked for again and again, after the controller asked for patience
+MOST_PENDING_S: Final = 30.0  # in all: longer it may not answer at all
 SUPPRESS: Final = 0x80  # bit of a sub-function: no positive response is wanted
 
 BUSY: Final = 0x21
@@ -130,6 +132,23 @@ def belongs(request: bytes, response: bytes) -> bool:
     if asked and request[0] not in _WITHOUT_SUB_FUNCTION:
         asked[0] &= ~SUPPRESS & 0xFF
     return response[1 : 1 + count] == bytes(asked)
+
+
+def is_pending(request: bytes, response: bytes) -> bool:
+    """Return whether the controller asks for patience: its answer follows."""
+    return response[:3] == bytes([NEGATIVE, request[0], PENDING])
+
+
+def tells(request: bytes, response: bytes) -> bool:
+    """Return whether a response to a request for data is a refusal, or begins with one of those asked for.
+
+    A controller leaves out what it does not have (ISO 14229-1), so it need not be the first.
+    """
+    width = 2 if request[0] == READ_DATA else 1
+    asked = {request[at : at + width] for at in range(1, len(request), width)}
+    if response[:1] == bytes([request[0] + POSITIVE]):
+        return response[1 : 1 + width] in asked
+    return response[:2] == bytes([NEGATIVE, request[0]])
 
 
 def fault(request: bytes, response: bytes) -> str:

@@ -28,7 +28,6 @@ from diag_service.mapping.asked_signals import (
     FORGET,
     LATEST_NS,
     NEGATIVE,
-    PENDING,
     POSITIVE,
     READ_DATA,
     AskedField,
@@ -54,7 +53,7 @@ from diag_service.tester.addresses import (
     is_extended,
     is_request,
 )
-from diag_service.tester.answers import refusal_text
+from diag_service.tester.answers import MOST_PENDING_S, PENDING_S, is_pending, refusal_text, tells
 from diag_service.tester.asking import LISTEN_S, AskingThread, BusName, opened_bus
 from diag_service.tester.can_link import CanConnection
 from diag_service.tester.frames import send
@@ -73,8 +72,6 @@ GROUP_ANSWER_S: Final = 0.25  # SAE J1939-21: 0.2 s
 REQUEST_PRIORITY: Final = 6
 REST_S: Final = 0.05  # where there is nothing to ask for just now
 ANSWER_S: Final = LATEST_NS / 1e9  # what comes later is no sample
-PENDING_S: Final = 5.0  # after the controller asked for patience
-MOST_PENDING_S: Final = 30.0  # in all: longer it may not answer at all
 BUSY: Final = 0x21
 BUSY_PAUSE_S: Final = 0.1
 NOT_NOW: Final = frozenset({0x22, 0x24, 0x26, *range(0x81, 0x94)})  # refused by how the car is just now (ISO 14229-1)
@@ -526,21 +523,18 @@ class CanLine:
         except SilentError:
             return None
         wait_s, until_s, is_said = ANSWER_S, time.monotonic() + MOST_PENDING_S, False
-        width = 2 if request[0] == READ_DATA else 1
-        asked = {request[at : at + width] for at in range(1, len(request), width)}
         other: bytes | None = None
         while time.monotonic() < until_s:
             try:
                 answer = connection.specific_wait_frame(wait_s)
             except TimeoutException:
                 return other
-            is_refusal = answer[:2] == bytes([NEGATIVE, request[0]])
-            if is_refusal and answer[2:3] == bytes([PENDING]):
+            if is_pending(request, answer):
                 wait_s = PENDING_S
                 if not is_said:
                     is_said = True
                     _LOG.log(NOTICE, "%s asks for patience (78): its answer comes too late to be a sample", address)
-            elif is_refusal or (answer[0] == request[0] + POSITIVE and answer[1 : 1 + width] in asked):
+            elif tells(request, answer):
                 return answer
             elif answer[0] == request[0] + POSITIVE:
                 other = answer  # to what was asked before, unless nothing else comes

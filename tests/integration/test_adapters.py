@@ -5,8 +5,8 @@ import pty
 import socket
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 
 import can
 import elmulator
@@ -19,7 +19,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError, ControllerError
 from diag_service.mapping.asked_signals import Overheard
 from diag_service.mapping.profile import AskingRules, load_shipped
-from diag_service.tester.adapters import ELM_TOGETHER, line_through, messages_in, parse_adapter
+from diag_service.tester.adapters import ANSWER_S, ELM_TOGETHER, line_through, messages_in, parse_adapter
 from diag_service.tester.addresses import CanAddress
 from diag_service.tester.signal_asking import SignalAsker
 from ecu_emulator.diagnostics.doip.listening import Place
@@ -116,24 +116,60 @@ def test_what_an_adapter_echoes_is_no_answer() -> None:
         stop()
 
 
-def test_what_an_adapter_said_by_itself_answers_nothing() -> None:
-    """Some greet whoever connects with a prompt of their own."""
+DSG = CanAddress(request_id=0x7E1, response_id=0x7E9)
+PRESSURE = b"\x22\x38\xeb"
+TOLD = bytes.fromhex("6238EB0190")
 
-    def greeted(server: socket.socket) -> None:
+
+@contextmanager
+def adapter(answer: Sequence[tuple[float, bytes]], greeting: bytes = b"") -> Iterator[str]:
+    """Run an adapter that says to each request for data some bytes, each after a while [s]; yield its address."""
+
+    def serve(server: socket.socket) -> None:
         connection, _ = server.accept()
         with connection:
-            connection.sendall(b"ELM327 v1.5\r\r>")
+            connection.sendall(greeting)
             while asked := connection.recv(64):
-                connection.sendall(b"6238EB0190\r\r>" if asked.startswith(b"22") else b"OK\r\r>")
+                for wait_s, piece in answer if asked.startswith(b"22") else [(0.0, b"OK\r\r>")]:
+                    time.sleep(wait_s)
+                    connection.sendall(piece)
 
     with socket.create_server(("127.0.0.1", 0)) as server:
-        thread = threading.Thread(target=greeted, args=(server,))
+        thread = threading.Thread(target=serve, args=(server,))
         thread.start()
-        with line_through(f"elm327://127.0.0.1:{server.getsockname()[1]}", "greeted") as line:
-            address = CanAddress(request_id=0x7E1, response_id=0x7E9)
-            time.sleep(0.1)
-            assert line.ask(b"\x22\x38\xeb", address) == bytes.fromhex("6238EB0190")
+        yield f"elm327://127.0.0.1:{server.getsockname()[1]}"
         thread.join()
+
+
+def test_what_an_adapter_said_by_itself_answers_nothing() -> None:
+    """Some greet whoever connects with a prompt of their own."""
+    with (
+        adapter([(0.0, b"6238EB0190\r\r>")], b"ELM327 v1.5\r\r>") as place,
+        line_through(place, "greeted") as line,
+    ):
+        time.sleep(0.1)
+        assert line.ask(PRESSURE, DSG) == TOLD
+
+
+def test_an_answer_counts_when_it_is_shown_not_when_the_adapter_has_waited_for_others() -> None:
+    with (
+        can.Bus("shown", "virtual") as bus,
+        adapter([(0.0, b"6238EB"), (0.05, b"0190\r\r"), (0.4, b">")]) as place,
+        line_through(place, "shown") as line,
+    ):
+        assert [line.ask(PRESSURE, DSG) for _ in range(3)] == [TOLD] * 3
+        stamps_s = [message.timestamp for _ in range(6) if (message := bus.recv(1.0)) is not None]
+    waits_s = np.diff(stamps_s)
+    assert (waits_s[0::2] < 0.3).all()  # from request to answer
+    assert (waits_s[1::2] >= 0.3).all()  # to the next request, which is said when it is sent
+
+
+def test_an_adapter_whose_controller_asks_for_patience_is_waited_for() -> None:
+    with (
+        adapter([(0.0, b"7F2278\r"), (ANSWER_S + 0.5, b"6238EB0190\r\r>")]) as place,
+        line_through(place, "patient") as line,
+    ):
+        assert line.ask(PRESSURE, DSG) == TOLD
 
 
 def test_what_is_no_serial_port_is_told() -> None:
