@@ -61,7 +61,7 @@ LAKE: Final = Group(
         "check",
         "show what is in a lake, and whether its manifest and its parts agree",
         _LAKE,
-        Option("--repair", "remove parts that no log of the manifest has, as a killed run may leave"),
+        Option("--repair", "remove parts of no log, as a killed run may leave; the next run makes missing ones"),
         VERBOSE,
         examples=(f"{PROGRAM} lake check s3://fleet/lake",),
     ),

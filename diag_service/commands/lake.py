@@ -12,7 +12,7 @@ from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT
 from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoreError
-from diag_service.lake.parts import disagreement, forget, partitions, parts_of
+from diag_service.lake.parts import disagreement, forget, mend, partitions, parts_of
 from diag_service.lake.places import UNFINISHED, Place
 from diag_service.lake.pools import ClusterAddress, run_scheduler, run_workers
 from diag_service.lake.run import LakeTotals, fill_lake, find_logs
@@ -59,8 +59,9 @@ def _check(options: SimpleNamespace, lake: Place) -> None:
     """Show what is in a lake; raises IncompleteError if manifest and parts disagree."""
     found = disagreement(lake)
     if options.repair:
+        mend(lake, found.missing)
         every = (part.name for part in parts_of(lake, with_unfinished=True))
-        lake.remove([*found.unknown, *(name for name in every if name.endswith(UNFINISHED))])
+        lake.remove([*disagreement(lake).unknown, *(name for name in every if name.endswith(UNFINISHED))])
         found = disagreement(lake)
     sys.stdout.write(found.told + "\n")
     wrong = {"missing": found.missing, "of no log": found.unknown, "of a log that is there in two states": found.twice}
@@ -68,7 +69,9 @@ def _check(options: SimpleNamespace, lake: Place) -> None:
         if names:
             sys.stdout.write(f"{len(names)} parts {what}: {', '.join(names[:SHOWN])}\n")
     if any(wrong.values()):
-        raise IncompleteError(f"{lake.address}: manifest and parts disagree; another run into this lake repairs it")
+        raise IncompleteError(
+            f"{lake.address}: manifest and parts disagree; --repair, and then another run into it, mend that"
+        )
 
 
 def fill(options: SimpleNamespace, controls: Controls) -> None:

@@ -35,6 +35,7 @@ DONE, FAILED = "done", "failed"
 FULL_ROWS: Final = 50_000  # of the manifest that are of any vehicle; more are shared out
 PARTITIONS: Final = 64  # of a manifest: a year of 10,000 vehicles has 57,000 rows in each
 GROUP_ROWS: Final = 128  # with all that logs said of themselves, held for each partition while rows are shared out
+NO_ACCOUNT: Final = '{"logs":[]}'
 _SEPARATOR: Final = ";"
 _TYPES: Final = {"size_bytes": "int64", "shifts": "int64", "attempts": "int64", "made_at": TIME_TYPE}
 
@@ -198,6 +199,30 @@ def manifest_columns() -> dict[str, str]:
 def partition_of(vehicle: str) -> str:
     """Return the folder of the manifest in which the rows of a vehicle are once they are many."""
     return f"{crc32(vehicle.encode(errors='surrogateescape')) % PARTITIONS:02}"
+
+
+def copies(rows: Iterable[LogRow], made: Iterable[LogRow]) -> list[LogRow]:
+    """Return rows of logs with the content of one made anew, in its state: nobody finds one that was moved again."""
+    anew = {(row.content, row.vehicle): row for row in made if row.outcome == DONE}
+    sources, found = {row.source for row in made}, list[LogRow]()
+    for old in rows:
+        new = anew.get((old.content, old.vehicle))
+        if new is None or old.outcome != DONE or old.source in sources or old.settings == new.settings:
+            continue
+        parts = (part for row, kind in ((new, SHIFTS), (old, SIGNALS)) for part in row.parts if part.startswith(kind))
+        found.append(replace(new, source=old.source, key=old.key, signals=old.signals, parts=tuple(parts)))
+    return found
+
+
+def mend(place: Place, missing: Collection[str]) -> None:
+    """Let rows of one content be in the state that was made last, and the next run make anew what is missing."""
+    changed, absent = dict[str, LogRow](), set(missing)
+    for rows in partitions(place):
+        done = sorted((row for row in rows if row.outcome == DONE), key=lambda row: row.made_at)
+        last = {(row.content, row.vehicle): row for row in done}
+        lost = (replace(row, key="") for row in rows if not absent.isdisjoint(row.parts))
+        changed |= {row.source: row for row in (*copies(rows, last.values()), *lost)}
+    Manifest(place, ()).add([replace(row, account=NO_ACCOUNT) for row in changed.values()])
 
 
 def partitions(place: Place) -> Iterator[tuple[LogRow, ...]]:

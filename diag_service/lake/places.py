@@ -83,7 +83,8 @@ class Place:
         def found() -> dict[str, Held]:
             try:
                 self._files.invalidate_cache()
-                listed: Mapping[str, Any] = self._files.find(f"{self._root}/{under}".rstrip("/"), detail=True)
+                top = f"{self._root}/{under}".rstrip("/")
+                listed: Mapping[str, Any] = self._walked(top) if self.is_local else self._files.find(top, detail=True)
             except FileNotFoundError:
                 return {}
             every = (self._held(path, info) for path, info in sorted(listed.items()))
@@ -117,6 +118,16 @@ class Place:
         """Copy a file to this machine."""
         _patiently("read", self._shown(name), lambda: self._files.get_file(self._full(name), str(target)))
 
+    def has_refused(self, name: str, error: StoreError) -> bool:
+        """Return whether an error is about one file alone, which has gone or is archived: the store still answers."""
+        if not isinstance(error.__cause__, FileNotFoundError | PermissionError):
+            return False
+        try:
+            _patiently("look at", self._shown(name), lambda: self._files.info(self._full(name)))
+        except StoreError as exc:
+            return isinstance(exc.__cause__, FileNotFoundError)
+        return True
+
     def put(self, name: str, source: Path) -> None:
         """Copy a file there; it takes the place of one of that name."""
         if self.is_local:
@@ -143,6 +154,21 @@ class Place:
         if is_there:
             self._files.rm_file(self._full(name))
         return is_there
+
+    def _walked(self, top: str) -> dict[str, Any]:
+        """Return the files below a folder of this machine; a folder that nobody may look into is told."""
+        found, waiting = dict[str, Any](), [top]
+        while waiting:
+            try:
+                listed = self._files.ls(folder := waiting.pop(), detail=True)
+            except FileNotFoundError:
+                continue
+            except PermissionError as exc:
+                _LOG.warning("left out: %s: %s", folder, exc.strerror)
+                continue
+            waiting += [one["name"] for one in listed if one["type"] == "directory"]
+            found |= {one["name"]: one for one in listed if one["type"] != "directory"}
+        return found
 
     def _followed(self, path: str, link: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return what a link leads to; one that leads nowhere is a file that nobody can read."""

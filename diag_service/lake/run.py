@@ -13,7 +13,7 @@ from typing import Final, Self, TextIO
 from canlog.errors import NOTICE
 from diag_service.batch.processes import progress_bar
 from diag_service.errors import ConfigError, StoppedError
-from diag_service.lake.parts import DONE, FAILED, SIGNALS, LogRow, Manifest, partition_of, strayed
+from diag_service.lake.parts import DONE, FAILED, SIGNALS, LogRow, Manifest, copies, partition_of, strayed
 from diag_service.lake.places import Place
 from diag_service.lake.pools import ClusterAddress, ClusterPool, LocalPool, Pool
 from diag_service.lake.work import Job, LakeLog, row_of
@@ -240,9 +240,8 @@ class Ledger:
 
     def write(self) -> None:
         """Write the rows, in place of parts of before."""
-        self._lake.remove(
-            self._manifest.superseded(self._rows)
-        )  # first: a kill after it leaves a row that is made anew
-        self._manifest.add(self._rows)
+        rows = [*self._rows, *copies(self._manifest.rows, self._rows)]
+        self._lake.remove(self._manifest.superseded(rows))  # first: a kill after it leaves a row that is made anew
+        self._manifest.add(rows)
         self._rows = []
         self._due_s = time.monotonic() + FILE_EVERY_S

@@ -3,7 +3,7 @@
 import hashlib
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -143,39 +143,40 @@ class Maker:
         analyst, limit_s = self._analyst, self.job.time_limit_s
         content = ""
         with TemporaryDirectory(prefix="clutchdiag-") as name, _limited(limit_s, self._end) as stop:
-            folder = Path(name)
+            path = folder = Path(name)
             try:
                 path = _fetched(log, folder)
                 content = content_digest(path)
                 entries, reason = _analysed(analyst, log, path, stop)
                 if stop.is_set:
-                    entries, reason = [], f"took longer than {limit_s:g} s"
-                parts = self._parts(log, content, path, entries, folder) if entries else []
+                    entries, reason = {}, f"took longer than {limit_s:g} s"
+                parts = self._parts(log, content, entries, folder) if entries else []
             except (StoreError, ConfigError):
                 raise
             except SourceError as exc:
-                entries, reason, parts = [], str(exc).replace(str(path), log.source), []
+                entries, reason, parts = {}, str(exc).replace(str(path), log.source), []
             except Exception as exc:  # noqa: BLE001 - one log, whatever is wrong with it, must not stop the others
-                entries, reason, parts = [], f"{type(exc).__name__}: {exc}", []
-        return row_of(self.job, log, attempts, content=content, reason=reason, parts=parts, entries=entries)
+                entries, reason, parts = {}, f"{type(exc).__name__}: {exc}", []
+        told = list(entries.values())
+        return row_of(self.job, log, attempts, content=content, reason=reason, parts=parts, entries=told)
 
-    def _parts(self, log: LakeLog, content: str, path: Path, entries: Sequence[Entry], folder: Path) -> list[str]:
-        """Write the parts of a log and return their names."""
-        names = list[str]()
-        complete = {entry.drive["stream"]: _is_complete(entry) for entry in entries}
-        for date, shifts in by_date([shift for entry in entries for shift in entry.shifts]).items():
-            made = folder / "shifts.parquet"
+    def _parts(self, log: LakeLog, content: str, entries: Mapping[Path, Entry], folder: Path) -> list[str]:
+        """Write the parts of a log, all of them or none, and return their names."""
+        files = dict[str, Path]()
+        complete = {entry.drive["stream"]: _is_complete(entry) for entry in entries.values()}
+        for date, shifts in by_date([shift for entry in entries.values() for shift in entry.shifts]).items():
+            made = folder / f"shifts-{date}.parquet"
             write_shifts(made, content, [(shift, complete[shift["stream"]]) for shift in shifts])
-            names.append(part_name(SHIFTS, date, log.vehicle, content, self.job.settings))
-            self._lake.put(names[-1], made)
-        names += log.kept
-        if self.job.signals is not None and not log.kept:
-            made, log_columns = folder / "signals.parquet", self.job.config.columns
+            files[part_name(SHIFTS, date, log.vehicle, content, self.job.settings)] = made
+        for path, entry in entries.items() if self.job.signals is not None and not log.kept else ():
+            made, log_columns = folder / f"signals-{len(files)}.parquet", self.job.config.columns
             write_signals(made, path, self._plan, log_columns)
+            own = content if len(entries) == 1 else str(entry.drive["stream"])  # of several in an archive
             date = first_date(path, log_columns)
-            names.append(part_name(SIGNALS, date, log.vehicle, content, self.job.signal_settings))
-            self._lake.put(names[-1], made)
-        return names
+            files[part_name(SIGNALS, date, log.vehicle, own, self.job.signal_settings)] = made
+        for name, made in files.items():
+            self._lake.put(name, made)
+        return [*files, *log.kept]
 
 
 def row_of(
@@ -217,18 +218,23 @@ def make_in_worker(job: Job, log: LakeLog, attempts: int) -> LogRow:
 
 
 def _fetched(log: LakeLog, folder: Path) -> Path:
-    """Return where a log lies on this machine, in ``folder`` if it came from elsewhere."""
+    """Return where a log lies on this machine, in ``folder`` if it came from elsewhere; SourceError: nobody has it."""
     place = Place(log.place)
     path = place.path(log.held.name)
     if path is None:
         path = folder / PurePosixPath(log.held.name).name
-        place.fetch(log.held.name, path)
+        try:
+            place.fetch(log.held.name, path)
+        except StoreError as exc:
+            if not place.has_refused(log.held.name, exc):
+                raise
+            raise SourceError(str(exc)) from exc
     return path
 
 
-def _analysed(analyst: Analyst, log: LakeLog, path: Path, stop: Trigger) -> tuple[list[Entry], str]:
-    """Return what the log said, or each log in an archive, and what could not be read."""
-    entries, reasons = list[Entry](), list[str]()
+def _analysed(analyst: Analyst, log: LakeLog, path: Path, stop: Trigger) -> tuple[dict[Path, Entry], str]:
+    """Return what the log said, or each log in an archive, by its path, and what could not be read."""
+    entries, reasons = dict[Path, Entry](), list[str]()
     for one in looked_at(path, analyst.config.columns):
         shown = str(one.path).replace(str(path), log.source)
         if one.format is None:
@@ -238,7 +244,7 @@ def _analysed(analyst: Analyst, log: LakeLog, path: Path, stop: Trigger) -> tupl
         if error := entry.drive["error"]:
             reasons.append(str(error).replace(str(path), log.source))
         else:
-            entries.append(Entry(key=entry.key, drive={**entry.drive, "paths": [shown]}, shifts=entry.shifts))
+            entries[one.path] = Entry(key=entry.key, drive={**entry.drive, "paths": [shown]}, shifts=entry.shifts)
     return entries, "; ".join(reasons)
 
 

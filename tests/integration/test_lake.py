@@ -2,9 +2,11 @@
 
 import io
 import json
+import os
 import re
 import shutil
 import tracemalloc
+import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -222,6 +224,62 @@ def test_a_lake_is_made_once_and_then_kept(logs: Path, filled: Path, tmp_path: P
     assert disagreement(lake_place) == Disagreement(missing=(), unknown=(), twice=())
 
 
+def test_a_log_that_was_moved_is_in_the_lake_once_whatever_the_version(logs: Path, tmp_path: Path) -> None:
+    before, now, address = tmp_path / "before" / "car1", tmp_path / "now" / "car1", tmp_path / "lake"
+    before.mkdir(parents=True)
+    shutil.copy(logs / "car1" / "drive001.log", before)
+    job, place = Job.of(CONFIG, str(address), "EngineSpeed", 60.0), Place(str(address))
+    maker = Maker(job)
+    first, then = (replace(maker.job, settings=settings) for settings in (job.settings, "of a newer algorithm"))
+
+    def fill_by(job: Job, folder: Path) -> None:
+        maker.job = job
+        _ = maker._analyst if job is first else None
+        with Ledger(Manifest(place), place) as ledger:
+            for log in found_in(folder.parent, place):
+                ledger.add(maker.make(log, 1))
+
+    fill_by(first, before)
+    now.parent.mkdir()
+    before.rename(now)
+    fill_by(first, now)
+    fill_by(then, now)
+    assert shifts_of(address) == [("car1", SHIFT_COUNT)]
+    assert disagreement(place) == Disagreement(missing=(), unknown=(), twice=())
+    rows = Manifest(place).rows
+    assert {row.settings for row in rows} == {then.settings}
+    assert len({row.parts for row in rows}) == 1
+    aside = next(row for row in rows if str(now) not in row.source)
+    Manifest(place).add([replace(aside, settings="s", parts=("shifts/date=2026-01-01/vehicle=car1/0.parquet",))])
+    (address / "shifts" / "date=2026-01-01" / "vehicle=car1" / "0.parquet").write_bytes(b"PAR1")
+    assert len(disagreement(place).twice) == 1
+    lake.execute(COMMAND_LINE.parse(["lake", "check", str(address), "--repair"]), Controls())
+
+
+def test_signals_of_several_logs_in_an_archive_are_parts_of_their_own(logs: Path, tmp_path: Path) -> None:
+    (folder := tmp_path / "logs").mkdir()
+    with zipfile.ZipFile(folder / "drives.zip", "w") as archive:
+        for name in ("drive000.log", "drive001.log"):
+            archive.write(logs / "car1" / name, name)
+    job = Job.of(CONFIG, str(tmp_path / "lake"), "EngineSpeed", 60.0)
+    (log,) = find_logs([str(folder)], Place(job.lake), "car", has_vehicles=False)
+    row = Maker(job).make(log, 1)
+    assert (row.outcome, row.shifts, row.reason) == (DONE, 2 * SHIFT_COUNT, "")
+    assert sorted(files_in(tmp_path / "lake")) == sorted(row.parts)
+    kinds = [part.partition("/")[0] for part in sorted(row.parts)]
+    assert kinds == ["shifts", "signals", "signals"]
+
+
+def test_a_log_whose_signals_cannot_be_had_leaves_no_part(logs: Path, tmp_path: Path) -> None:
+    job = Job.of(CONFIG, str(tmp_path / "lake"), "EngineSpeed", 60.0)
+    log = next(one for one in found_in(logs, Place(job.lake)) if one.held.name.endswith("1.log"))
+    maker = Maker(job)
+    maker.__dict__["_plan"] = None
+    row = maker.make(log, 1)
+    assert (row.outcome, row.parts) == (FAILED, ())
+    assert not (tmp_path / "lake").exists()
+
+
 def test_the_questions_of_page_and_example_have_answers(filled: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(filled.parent)
     (shown,) = re.findall(r"```sql\n(.*?)```", page_text("docs/lake.md"), re.DOTALL)
@@ -281,7 +339,7 @@ def test_nothing_names_a_forgotten_vehicle(filled: Path, tmp_path: Path) -> None
         forget(Place(str(address)), "car2")
 
 
-def test_what_a_killed_run_left_is_told_and_can_be_removed(filled: Path, tmp_path: Path) -> None:
+def test_what_a_killed_run_left_is_told_and_can_be_removed(logs: Path, filled: Path, tmp_path: Path) -> None:
     address = Path(shutil.copytree(filled, tmp_path / "lake"))
     (part,) = address.glob("shifts/*/vehicle=car2/*.parquet")
     orphan = part.with_name("0-0.parquet")
@@ -294,8 +352,11 @@ def test_what_a_killed_run_left_is_told_and_can_be_removed(filled: Path, tmp_pat
     assert not orphan.exists()
     assert not unfinished.exists()
     part.unlink()
-    with pytest.raises(IncompleteError):
+    with pytest.raises(IncompleteError, match="--repair, and then another run"):
         lake.execute(COMMAND_LINE.parse(["lake", "check", str(address), "--repair"]), Controls())
+    rows = fill(Job.of(CONFIG, str(address), SIGNALS, 60.0), str(logs))
+    assert [row.parts for row in rows] == [tuple(one for one in rows[0].parts if "vehicle=car2" in one)]
+    lake.execute(COMMAND_LINE.parse(["lake", "check", str(address)]), Controls())
 
 
 def test_a_log_that_takes_too_long_or_breaks_the_program_is_a_row(tmp_path: Path, logs: Path) -> None:
@@ -367,6 +428,35 @@ def test_a_link_is_what_it_leads_to(logs: Path, tmp_path: Path) -> None:
     row = Maker(Job.of(CONFIG, place.address, None, 60.0)).make(found[1], 1)
     assert row.outcome == FAILED
     assert "No such file" in row.reason
+
+
+def test_an_object_that_has_gone_or_is_archived_is_a_row_and_a_folder_nobody_may_read_is_told(
+    port: int, logs: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    files, content = store(port), (logs / "car1" / "drive001.log").read_bytes()
+    job = Job.of(CONFIG, str(tmp_path / "lake"), None, 60.0)
+    files.pipe(f"{BUCKET}/old/gone.log", content)
+    files.pipe(f"{BUCKET}/old/archived.log", content, StorageClass="GLACIER")
+    found = find_logs([f"s3://{BUCKET}/old"], Place(job.lake), "car", has_vehicles=False)
+    files.rm(f"{BUCKET}/old/gone.log")
+    rows = [Maker(job).make(log, 1) for log in found]
+    assert [row.outcome for row in rows] == [FAILED, FAILED]
+    assert all(row.reason.startswith(f"cannot read {row.source}: ") for row in rows)
+    lost = StoreError("the credentials have expired")
+    lost.__cause__ = ConnectionError()
+    assert not Place(f"s3://{BUCKET}").has_refused("old/archived.log", lost)
+    (tmp_path / "secret" / "car9").mkdir(parents=True)
+    scanned = os.scandir
+
+    def refused(path: str) -> Iterator[os.DirEntry[str]]:
+        if path.endswith("car9"):
+            raise PermissionError(13, "Permission denied", path)
+        return scanned(path)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "scandir", refused)
+        assert not Place(str(tmp_path / "secret")).held()
+    assert f"left out: {tmp_path}/secret/car9: Permission denied" in caplog.text
 
 
 def test_a_store_that_refuses_for_good_is_told(port: int, tmp_path: Path) -> None:
