@@ -31,7 +31,7 @@ MASTERS, TIME, NUMBERS = {2, 3}, 1, range(6)
 UNIT_OF_CONVERSION, FIRST_REFERENCE = 1, 4  # links of a conversion
 FORMULA, TO_NUMBERS = 3, range(9)  # kinds of conversion; the last two name numbers in words, which are left alone
 SAFE_FORMULA = re.compile(r"[-+*/(). \dEeX]{1,200}")
-BUS_EVENTS = 0x0006  # flags of a channel group
+PLAIN_BUS_EVENTS = 0x0004  # flag of a channel group: its records are frames; those of signals decoded of them lack it
 BUS_FRAMES = re.compile(r"(?:CAN|LIN|FLX|ETH|MOST|KLINE|K)_?\w*(?:Frame|Error|Event|Message)\w*")
 LONGEST_TEXT = 64 * 1024
 TEXT_IN_XML = re.compile(r"<TX>(.*?)</TX>", re.DOTALL)
@@ -150,7 +150,7 @@ class Mf4File:
                 if not unit and at:
                     unit = self._text(self._need(at, b"##CC").links[UNIT_OF_CONVERSION])
                 channels.append(Channel(block.at, name, unit))
-        is_bus = bool(flags & BUS_EVENTS) or any(BUS_FRAMES.fullmatch(one) for one in others)
+        is_bus = bool(flags & PLAIN_BUS_EVENTS) or any(BUS_FRAMES.fullmatch(one) for one in others)
         return MeasuredGroup(group.at, tuple(channels), has_times, is_bus, tuple(others))
 
     def _is_number(self, conversion_at: int) -> bool:

@@ -1,11 +1,13 @@
 """Measured channels of MDF 4 files: names, units, conversions, rates, invalid values; cut off or beside frames."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pytest
 from asammdf import MDF, Signal
+from asammdf.blocks.v4_constants import FLAG_CG_BUS_EVENT
 
 from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.errors import SourceError
@@ -134,6 +136,19 @@ def test_frames_beside_channels_are_the_log_and_the_channels_are_told(tmp_path: 
         assert reader.columns == ()
         assert sum(map(len, reader)) > 0
     assert any("1 measured channels beside the frames of buses are left out" in note for note in reader.counts.notes)
+
+
+def test_signals_that_were_decoded_of_a_bus_are_channels(tmp_path: Path) -> None:
+    """As asammdf writes them: groups of bus events, without the flag of plain ones."""
+    path = tmp_path / "extracted.mf4"
+    with MDF(version="4.10") as file:
+        file.append([Signal(np.arange(50.0), np.arange(50.0) / 100.0, name="EngineSpeed", unit="rpm")])
+        group: Any = file.groups[0].channel_group
+        group.flags |= FLAG_CG_BUS_EVENT
+        file.save(path)
+    reader, found = values(path)
+    assert [(one.name, one.unit) for one in reader.columns] == [("EngineSpeed", "rpm")]
+    assert found["EngineSpeed"][0] == np.arange(50.0).tolist()
 
 
 @pytest.mark.parametrize("layout", Layout)
