@@ -80,8 +80,7 @@ class LogCounts:
         self.first_rejected = self.first_rejected or other.first_rejected
         for reason, count in other.rejected.items():
             self.reject(reason, "", count)
-        for text in other.notes:
-            self.note(text)
+        self.notes = tuple(dict.fromkeys((*self.notes, *other.notes)))
 
     def snapshot(self) -> "LogCounts":
         """Return the counts of now."""

@@ -228,7 +228,7 @@ def checked_rows(
 
 def signal_columns(names: Sequence[str], units: Sequence[str] = ()) -> tuple[list[SignalColumn], list[str]]:
     """Return columns by the names and units of a header, and notes: a name that comes twice is numbered."""
-    columns, notes, seen = list[SignalColumn](), list[str](), dict[str, int]()
+    columns, seen = list[SignalColumn](), dict[str, int]()
     for place, text in enumerate(names):
         bracketed = UNIT_IN_BRACKETS.search(text)
         has_unit = bracketed is not None and bracketed.start() > 0
@@ -237,10 +237,10 @@ def signal_columns(names: Sequence[str], units: Sequence[str] = ()) -> tuple[lis
         name = (text[: bracketed.start()] if bracketed and has_unit else text).strip()
         seen[name] = seen.get(name, 0) + 1
         if name and seen[name] > 1:
-            notes.append(f"several columns are called {name!r}: the others are numbered")
             name = f"{name} ({seen[name]})"
         columns.append(SignalColumn(name, unit))
-    return columns, notes
+    several = ", ".join(repr(name) for name, count in seen.items() if name and count > 1)
+    return columns, [f"several columns are called {several}: the others are numbered"] * bool(several)
 
 
 def time_unit_us(unit: str, times: FloatArray, name: str) -> tuple[float, list[str]]:
@@ -304,7 +304,7 @@ def _header_at(rows: Sequence[Sequence[str]], place: int, separator: str) -> Tab
         return None
     notes += [f"{columns[one].name!r} has no value at {', '.join(words)}" for one, words in blanks.items() if words]
     return TableHeader(
-        separator=separator, lines=first, width=width, time_place=clock, us_per_unit=unit, notes=(*notes, *said),
+        separator=separator, lines=first, width=width, time_place=clock, us_per_unit=unit, notes=(*said, *notes),
         has_decimal_comma=has_comma, columns=tuple(columns[one] for one in blanks), places=tuple(blanks),
         worded=frozenset(one for one, words in blanks.items() if words),
     )  # fmt: skip

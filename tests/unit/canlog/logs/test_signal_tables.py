@@ -203,6 +203,17 @@ def test_a_name_that_comes_twice_is_numbered() -> None:
     assert [note for note in counts.notes if "'A'" in note]
 
 
+def test_many_names_that_come_twice_hide_no_unit_that_was_assumed_nor_the_notes_of_other_logs() -> None:
+    names = [f"S{number}" for number in range(12)]
+    rows = "".join(f"{10 * row},{','.join(['1.5'] * 24)}\n" for row in range(50))
+    _, counts = read(f"Time,{','.join(2 * names)}\n{rows}".encode())
+    assert "times are taken as ms: their steps are 10" in counts.notes
+    total = LogCounts()
+    for number in range(12):
+        total.add(LogCounts(notes=(f"log{number}: times are taken as ms",)))
+    assert len(total.notes) == 12
+
+
 def test_times_of_day_go_on_over_midnight() -> None:
     rows = b"".join(b"00:00:00.%d,2\n" % tenth for tenth in range(10))
     batch, _ = read(b"Time,A\n23:59:59.8,0\n23:59:59.9,1\n" + rows)
