@@ -186,9 +186,9 @@ def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
 
 
 def newest_causes(results: Iterable[ShiftResult]) -> Causes | None:
-    """Return what is known last of why a vehicle is as it is."""
-    known = [one.verdict.causes for one in results if one.verdict.causes is not None]
-    return max(known, key=lambda one: one.event_count, default=None)
+    """Return what is known last of why a vehicle is as it is; its order goes by the same result."""
+    newest = max(results, key=lambda one: one.estimate.end_ns, default=None)
+    return None if newest is None else newest.verdict.causes
 
 
 def cause_lines(causes: Causes | None) -> list[str]:

@@ -1,5 +1,6 @@
 """What a store tells of the past: the friction of each clutch, fluid by fluid, and all of one shift."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -48,6 +49,7 @@ class FluidPeriod:
 
     fill: FluidFill | None  # None: the fluid was there before anything was known
     rows: tuple[Row, ...]
+    until: float = math.inf  # the place of the first result of a later fluid, of any clutch
 
     @property
     def name(self) -> str:
@@ -58,7 +60,9 @@ class FluidPeriod:
 
     @property
     def last_verdict(self) -> ClutchVerdict | None:
-        return self.rows[-1].result.verdict if self.rows else None
+        """The last one while the fluid was in; an event whose log came later was judged by itself."""
+        timely = [row for row in self.rows if row.position < self.until] or self.rows
+        return timely[-1].result.verdict if timely else None
 
     @property
     def known_shift_count(self) -> int:
@@ -68,17 +72,15 @@ class FluidPeriod:
 
 def periods_of(found: Findings, clutch: int) -> list[FluidPeriod]:
     """Return the results of a clutch, fluid by fluid; a fluid without any is one of them too."""
-    rows = [row for row in found.rows if row.result.estimate.clutch == clutch]
-    starts = [utc_from_bus_ns(row.result.estimate.start_ns) for row in rows]
+    dated = [(row, utc_from_bus_ns(row.result.estimate.start_ns)) for row in found.rows]
     fills: list[FluidFill | None] = [None, *found.fills]
     periods = []
     for fill, following in zip(fills, [*fills[1:], None], strict=True):
-        since, until = "" if fill is None else fill.filled_at, None if following is None else following.filled_at
-        own = [
-            row for row, start in zip(rows, starts, strict=True) if since <= start and (until is None or start < until)
-        ]
+        since, until = "" if fill is None else fill.filled_at, "~" if following is None else following.filled_at
+        own = [row for row, start in dated if since <= start < until and row.result.estimate.clutch == clutch]
+        later = min((row.position for row, start in dated if start >= until), default=math.inf)
         if own or fill is not None:
-            periods.append(FluidPeriod(fill=fill, rows=tuple(own)))
+            periods.append(FluidPeriod(fill=fill, rows=tuple(own), until=later))
     return periods
 
 

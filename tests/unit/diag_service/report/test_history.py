@@ -9,12 +9,12 @@ from rich.text import Text
 
 from clutch_model.calibration import TorqueSource, nominal_calibration
 from diag_service.diagnosis.prognosis import ChannelName, PeerGroup, Peers, Population, Usual
-from diag_service.diagnosis.records import FluidFill, ShiftQuality, shift_record, utc_from_bus_ns
+from diag_service.diagnosis.records import Condition, FluidFill, ShiftQuality, shift_record, utc_from_bus_ns
 from diag_service.errors import StoreError
 from diag_service.report.findings import findings_of_store
 from diag_service.report.history import history_lines, history_records, periods_of, shift_lines
 from diag_service.service.session import versions_for
-from diag_service.store import Versions
+from diag_service.store import Row, Versions
 from tests.support.histories import VERSIONS, fill_store, findings, history, of_version
 
 CALIBRATION = nominal_calibration()
@@ -31,6 +31,16 @@ def test_results_belong_to_the_fluid_of_their_moment() -> None:
     assert [row.position for row in old.rows] == list(range(1, 21, 2))
     assert [row.position for row in new.rows] == list(range(21, 41, 2))
     assert (old.name, new.name.startswith("DCTF-II since 2026-01-01")) == ("fluid of unknown age", True)
+
+
+def test_a_log_of_the_old_fluid_that_comes_late_is_not_what_was_last_said_of_it() -> None:
+    found = replace(findings(40), fills=(fill_at(21),))
+    late = found.rows[2].result
+    alone = replace(late, verdict=replace(late.verdict, friction=None, shift_count=1, condition=Condition.NO_VERDICT))
+    old, new = periods_of(replace(found, rows=(*found.rows, Row(position=41, result=alone))), 1)
+    assert [row.position for row in old.rows][-2:] == [19, 41]
+    assert old.last_verdict == found.rows[18].result.verdict
+    assert new.last_verdict == found.rows[38].result.verdict
 
 
 def test_a_fluid_without_a_shift_yet_is_in_the_list() -> None:
