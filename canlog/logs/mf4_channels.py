@@ -95,7 +95,8 @@ def _group(
         )
         for place in coded:  # else a code were a number in the unit of the others, and the others were not scaled
             found[place] = mdf.select([wanted[place]], record_offset=done, record_count=count, copy_master=False)[0]
-        time_us = start_ns // NS_PER_US + np.rint(np.asarray(found[0].timestamps, np.float64) * 1e6)
+        elapsed_us = np.asarray(found[0].timestamps, np.float64) * 1e6
+        time_us = start_ns // NS_PER_US + np.rint(elapsed_us + start_ns % NS_PER_US / NS_PER_US)
         if not len(time_us):
             counts.cut_off(f"record {done + 1} of group {number}", stated - done)
             return

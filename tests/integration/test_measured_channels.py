@@ -142,13 +142,14 @@ def test_signals_that_were_decoded_of_a_bus_are_channels(tmp_path: Path) -> None
     """As asammdf writes them: groups of bus events, without the flag of plain ones."""
     path = tmp_path / "extracted.mf4"
     with MDF(version="4.10") as file:
-        file.append([Signal(np.arange(50.0), np.arange(50.0) / 100.0, name="EngineSpeed", unit="rpm")])
+        file.append([Signal(np.arange(50.0), np.arange(50.0) / 100.0 - 880e-9, name="EngineSpeed", unit="rpm")])
+        file.header.abs_time = round(START.timestamp()) * 10**9 + 880
         group: Any = file.groups[0].channel_group
         group.flags |= FLAG_CG_BUS_EVENT
         file.save(path)
     reader, found = values(path)
     assert [(one.name, one.unit) for one in reader.columns] == [("EngineSpeed", "rpm")]
-    assert found["EngineSpeed"][0] == np.arange(50.0).tolist()
+    assert found["EngineSpeed"] == (np.arange(50.0).tolist(), (10_000 * np.arange(50)).tolist())
 
 
 @pytest.mark.parametrize("layout", Layout)
