@@ -216,8 +216,8 @@ class TableWriter:
 
     def write(self, task: TableTask) -> TableDone:
         """Return what became of a log; raises OutputError."""
-        task.output.parent.mkdir(parents=True, exist_ok=True)
         try:
+            task.output.parent.mkdir(parents=True, exist_ok=True)
             if task.columns not in self.plans:
                 self.plans[task.columns] = self.choice.plan(task.messages(self.messages))
             plan, columns = self.plans[task.columns], self.choice.columns
@@ -226,6 +226,8 @@ class TableWriter:
             reason = str(exc).removeprefix(f"{task.log}: ")
             record: JsonObject = {"path": str(task.log), "output": None, "error": reason}
             return TableDone(record=record, line=f"{task.log}: not read: {reason}", error=reason)
+        except OSError as exc:
+            raise OutputError(f"cannot write {task.output}: {exc.strerror or exc}") from exc
         return _done(task, decoded)
 
 

@@ -343,6 +343,8 @@ def test_every_log_of_an_archive_becomes_a_table(folder: Path) -> None:
     told = ended("decode", "drives.zip", "--dbc", "car.dbc", "-o", "tables", "--layout", "wide", "--jobs", "1")
     assert told.status == 0, told.err
     assert "left out: drives.zip/read me.txt" in told.err
+    refused = ended("decode", "drives.zip", "--dbc", "car.dbc", "-o", "drive.log/tables", "--jobs", "1")
+    assert (refused.status, "error: cannot write drive.log/tables/week 1/" in refused.err) == (4, True), refused.err
     written = sorted(str(path.relative_to(folder / "tables")) for path in (folder / "tables").rglob("*.parquet"))
     assert written == ["week 1/monday.log.parquet", "week 1/tuesday.log.parquet"]
     alone = str(decoded("drive.log"))  # as a text: nan is not equal to itself
