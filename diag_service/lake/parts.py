@@ -35,7 +35,6 @@ DONE, FAILED = "done", "failed"
 FULL_ROWS: Final = 50_000  # of the manifest that are of any vehicle; more are shared out
 PARTITIONS: Final = 64  # of a manifest: a year of 10,000 vehicles has 57,000 rows in each
 GROUP_ROWS: Final = 128  # with all that logs said of themselves, held for each partition while rows are shared out
-NO_ACCOUNT: Final = '{"logs":[]}'
 _SEPARATOR: Final = ";"
 _TYPES: Final = {"size_bytes": "int64", "shifts": "int64", "attempts": "int64", "made_at": TIME_TYPE}
 
@@ -222,7 +221,7 @@ def mend(place: Place, missing: Collection[str]) -> None:
         last = {(row.content, row.vehicle): row for row in done}
         lost = (replace(row, key="") for row in rows if not absent.isdisjoint(row.parts))
         changed |= {row.source: row for row in (*copies(rows, last.values()), *lost)}
-    Manifest(place, ()).add([replace(row, account=NO_ACCOUNT) for row in changed.values()])
+    Manifest(place, ()).add([replace(row, account='{"logs":[]}') for row in changed.values()])
 
 
 def partitions(place: Place) -> Iterator[tuple[LogRow, ...]]:
