@@ -159,13 +159,12 @@ class Place:
         """Return the files below a folder of this machine; a folder that nobody may look into is told."""
         found, waiting = dict[str, Any](), [top]
         while waiting:
+            folder, listed = waiting.pop(), list[Any]()
             try:
-                listed = self._files.ls(folder := waiting.pop(), detail=True)
-            except FileNotFoundError:
-                continue
-            except PermissionError as exc:
-                _LOG.warning("left out: %s: %s", folder, exc.strerror)
-                continue
+                listed = self._files.ls(folder, detail=True)
+            except (FileNotFoundError, PermissionError) as exc:
+                if isinstance(exc, PermissionError):  # else it is not there, or has gone meanwhile
+                    _LOG.warning("left out: %s: %s", folder, exc.strerror)
             waiting += [one["name"] for one in listed if one["type"] == "directory"]
             found |= {one["name"]: one for one in listed if one["type"] != "directory"}
         return found

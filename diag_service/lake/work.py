@@ -3,7 +3,7 @@
 import hashlib
 import os
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -157,8 +157,7 @@ class Maker:
                 entries, reason, parts = {}, str(exc).replace(str(path), log.source), []
             except Exception as exc:  # noqa: BLE001 - one log, whatever is wrong with it, must not stop the others
                 entries, reason, parts = {}, f"{type(exc).__name__}: {exc}", []
-        told = list(entries.values())
-        return row_of(self.job, log, attempts, content=content, reason=reason, parts=parts, entries=told)
+        return row_of(self.job, log, attempts, content=content, reason=reason, parts=parts, entries=entries.values())
 
     def _parts(self, log: LakeLog, content: str, entries: Mapping[Path, Entry], folder: Path) -> list[str]:
         """Write the parts of a log, all of them or none, and return their names."""
@@ -187,7 +186,7 @@ def row_of(
     content: str = "",
     reason: str = "",
     parts: Sequence[str] = (),
-    entries: Sequence[Entry] = (),
+    entries: Collection[Entry] = (),
 ) -> LogRow:
     """Return the row of a log; without entries it failed."""
     return LogRow(
