@@ -27,6 +27,7 @@ LET_GO_ROWS = 10  # of the grid, 0.05 s: a clutch without load for so long was l
 RELEASED_RATIO = 0.1  # an off-going clutch that is asked for less than this share has let go
 MIN_TORQUE_NM = 10.0  # below it a ratio of torques says nothing
 SMOOTH_S = 0.06  # half width of the parabola that differentiates the engine speed
+LEAST_APART = 1e-6  # a determinant: three samples a few milliseconds apart have as much
 ENGINE, ON, OFF, CAR, PRESSURE_ON, PRESSURE_OFF, COMMAND, ASKED, TORQUE, SLOPE, ROW_COUNT = range(11)  # of rows
 
 
@@ -110,7 +111,10 @@ def pick_asked(
 
 @array_kernel
 def fit_slopes(t_s: FloatArray, value: FloatArray, at_s: FloatArray, slopes: FloatArray) -> None:
-    """Fit a parabola by least squares around each of some rising times; the slope of fewer than 3 samples stays."""
+    """Fit a parabola by least squares around each of some rising times; the slope of fewer than 3 samples stays.
+
+    So does that of samples of fewer than 3 times: a log may tell them by the tenth of a second.
+    """
     first, last = 0, 0
     for row in range(len(at_s)):
         while first < len(t_s) and t_s[first] < at_s[row] - SMOOTH_S:
@@ -125,7 +129,7 @@ def fit_slopes(t_s: FloatArray, value: FloatArray, at_s: FloatArray, slopes: Flo
         if count >= 3:  # Cramer's rule
             whole = count * (x2 * x4 - x3 * x3) - x1 * (x1 * x4 - x2 * x3) + x2 * (x1 * x3 - x2 * x2)
             slope = count * (xy * x4 - x3 * xxy) - y * (x1 * x4 - x3 * x2) + x2 * (x1 * xxy - xy * x2)
-            slopes[row] = slope / whole / SMOOTH_S
+            slopes[row] = slope / whole / SMOOTH_S if whole > LEAST_APART else slopes[row]
 
 
 @array_kernel
@@ -283,7 +287,7 @@ def _fill_told(
         if full < 0 and pressure[row] > touch_pa + LOADED_PA and pressure[row + 1] > touch_pa + LOADED_PA:
             full = row if pulse > 0 else -1
         row += 1
-    if row >= stop or pulse == 0:
+    if row >= stop or pulse == 0 or stroke_pa <= 0.0:  # such a spring does not tell how far its piston has gone
         return np.nan, np.nan, np.nan, np.nan
     if full >= 0:
         return 1.0, pulse * GRID_S, pulse * GRID_S, max((ended - full) * GRID_S, 0.0)

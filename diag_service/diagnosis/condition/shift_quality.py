@@ -36,6 +36,7 @@ LEAST_CHANGE: Final = {"touch_error_pa": 2.0e3, "fill_error_s": 0.04}  # a small
 USUAL_M_S2: Final = 1.5  # acceleration of the car at which `free` and `felt` hold: a faster one hides more [C]
 USUAL_S = 1.2  # from the request to the end of slip [C]
 INTENDED_S: Final = {EventKind.COAST_SKIP: 1.8, EventKind.POWER_ON_SKIP: 1.8, EventKind.KICKDOWN: 1.5}  # other kinds
+MOST = 1e12  # of any part, whatever its unit: a damaged value of a log may be any number
 INDEX_GRID_S = 0.005
 MIN_WINDOW_S = 0.1
 CORRELATION_S = 0.1  # residuals are alike for about as long as torque lags
@@ -269,7 +270,7 @@ def _judged(
         "life1_ratio": energies_j[is_second] / packs[is_second].life_j,
         "life2_ratio": energies_j[not is_second] / packs[not is_second].life_j,
     }
-    parts = {name: float(told[name]) for name in _PUBLIC if math.isfinite(told.get(name, math.nan))}
+    parts = {name: float(told[name]) for name in _PUBLIC if abs(told.get(name, math.nan)) < MOST}
     score, reasons = weighed(parts) if event.kind in GEAR_CHANGES else (None, [])
     sure = [name for name, one in adaptable.items() if one.is_sure and abs(one.value) > LEAST_CHANGE[name]]
     corrections = tuple(sure) if event.kind in GEAR_CHANGES else ()
@@ -452,7 +453,8 @@ def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibrati
         spread.torque_offset_nm * by_offset,
         INERTIA_STD_RATIO * by_inertia,
     )
-    return by_engine - by_inertia, math.hypot(*parts)
+    ratio, std = by_engine - by_inertia, math.hypot(*parts)
+    return (ratio, std) if abs(ratio) + std < MOST else None
 
 
 def _asked(grid: _Grid) -> tuple[FloatArray, FloatArray, bool] | None:

@@ -349,7 +349,7 @@ class Estimator:
             return float(known.mean[row])
         return (mean_pa + variance_pa2 * float(empty.vector[row])) / (1.0 + told)
 
-    def _linearised(
+    def _linearised(  # noqa: PLR0911 - as above
         self, samples: Samples, state: Posterior, at: FloatArray, earlier: _Seen | None, *, is_near: bool = False
     ) -> "_Seen | Reason | _TooFew":
         """Linearise an event about ``at`` with what an earlier pass found: its clutch; near by all but the residual."""
@@ -380,6 +380,8 @@ class Estimator:
         seen = measured(balance, near.measurements if near else ())
         empty = zeros_seen(signals, point)
         evidence = Evidence.of(seen, at, empty, own_variance(balance, clutch))
+        if not np.isfinite(evidence.constant):  # by laws that no lining or oil has
+            return Reason.MISFIT
         return _Seen(
             clutch=earlier.clutch if earlier else clutch,
             before=before,

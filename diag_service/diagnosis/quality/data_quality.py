@@ -105,6 +105,7 @@ LIMITS: Final = QualityLimits()
 
 UNSCHEDULED_PERIODS: Final = 1.5  # of the nominal one: what comes more seldom without schedule was asked for
 MOST_NOISES: Final = 3e4  # of its sensor: no speed, torque or pressure is larger
+MOST: Final = 1e9  # SI: likewise; a signal of a bus that is a floating-point number may say anything
 SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
 _LAG_NS: Final = round(COMMAND_LAG_S / NS_TO_S)
 _NEVER: Final = np.empty(0, np.int64)
@@ -293,6 +294,8 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     for one, times_s in sampled.items():
         series = event.columns[one]
+        if len(series.value) and np.abs(series.value).max() > MOST:
+            return Reason.OUT_OF_RANGE
         own_s = series.period_ns * NS_TO_S or limits.nominal_period_s
         period_s = row_s if row_s and is_of_rows(series) else own_s
         silence_s = longest_silence_s(times_s, -2.0 * period_s, duration_s)

@@ -73,6 +73,19 @@ def test_torque_capacity_is_transmitted_over_asked(ratio: float, sign: float) ->
     assert 0.03 < found.std_torque_capacity_ratio < 0.1  # gain 3 %, offset 5 Nm, inertia 20 % of 16 Nm
 
 
+def test_times_by_the_tenth_of_a_second_tell_no_inertia() -> None:
+    event = shift()
+    columns = {one: replace(told, t_ns=told.t_ns // 10**8 * 10**8) for one, told in event.columns.items()}
+    found = measure(replace(event, columns=columns), CALIBRATION)
+    assert found.torque_capacity_ratio == pytest.approx(0.9 - 16.0 / ASKED_NM, abs=0.01)
+
+
+def test_a_damaged_torque_tells_no_capacity() -> None:
+    event = shift()
+    event.columns[Signal.ENGINE_TORQUE].value[60] = 1e300
+    assert measure(event, CALIBRATION).torque_capacity_ratio is None
+
+
 def test_the_torque_that_the_controller_states_serves_as_well() -> None:
     commands = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
     found = measure(without(shift(), *commands, clutch_torque_nm=series(ASKED_NM)), CALIBRATION)

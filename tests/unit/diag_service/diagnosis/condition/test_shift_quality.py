@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray, Series
-from clutch_model.calibration import nominal_calibration
+from clutch_model.calibration import both_clutches, nominal_calibration
 from clutch_model.pack import film_law
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.condition.shift_quality import PARTS, ShiftScorer
@@ -203,6 +203,23 @@ def test_what_is_missing_at_a_touch_point_two_deviations_earlier_is_named() -> N
         assert found is not None
         assert found.fill_error_s == pytest.approx(0.15 * short_pa / (stroke_pa - short_pa), rel=0.01)
         assert found.corrections == named
+
+
+def test_a_spring_without_a_rate_does_not_tell_how_full_its_cavity_is() -> None:
+    clutches = both_clutches(
+        replace(one, piston=replace(one.piston, spring_preload_n=750.0, spring_rate_n_m=0.0))
+        for one in CALIBRATION.clutches
+    )
+    found = ShiftScorer(replace(CALIBRATION, clutches=clutches), None).score(event(), KNOWN)
+    assert found is not None
+    assert (found.fill_error_s, found.fill_time_s) == (None, None)
+    assert found.lock_rate_rad_s2 == quality(event()).lock_rate_rad_s2
+
+
+def test_a_damaged_command_is_no_part() -> None:
+    command_pa = TOUCH_PA + ASKED_NM / NM_PER_PA
+    command_pa[110] = 1e300
+    assert quality(event(CLUTCH2_PRESSURE_COMMAND=command_pa)).pressure_short_pa is None
 
 
 def test_what_signals_do_not_tell_is_left_out() -> None:

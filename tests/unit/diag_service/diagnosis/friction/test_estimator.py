@@ -142,6 +142,10 @@ def test_the_numbers_of_an_earlier_stream_are_not_those_of_this_one() -> None:
         (lambda event: replace(event, columns={}), Reason.SIGNAL_MISSING),
         (lambda event: thinned(event, Signal.HUB_SPEED, slice(60, 68)), Reason.FRAMES_MISSING),
         (lambda event: changed(event, Signal.INPUT1_SPEED, lambda _, value: value + 3.0), Reason.SPEEDS_DISAGREE),
+        (
+            lambda event: changed(event, Signal.ENGINE_TORQUE, lambda t_s, value: np.where(t_s > 0.8, 1e30, value)),
+            Reason.OUT_OF_RANGE,
+        ),
     ],
 )
 def test_a_rejected_shift_leaves_the_state_as_it_was(spoil: Callable[[Event], Event], reason: Reason) -> None:
@@ -151,6 +155,14 @@ def test_a_rejected_shift_leaves_the_state_as_it_was(spoil: Callable[[Event], Ev
     assert state is before
     assert reason in estimate.reasons
     assert estimate == without_friction(event, Status.REJECTED, *estimate.reasons)
+
+
+def test_laws_that_lead_to_no_number_are_a_misfit() -> None:
+    thick = replace(CALIBRATION, viscosity=replace(CALIBRATION.viscosity, b_k=1e9))
+    event, fresh = first_shifts()[0], Posterior.fresh(thick)
+    state, estimate = Estimator(thick).estimate(event, usable_samples(event), fresh)
+    assert state is fresh
+    assert estimate == without_friction(event, Status.REJECTED, Reason.MISFIT)
 
 
 def test_a_zero_that_jumped_rejects_the_shift() -> None:
