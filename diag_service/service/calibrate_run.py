@@ -133,6 +133,8 @@ def calibrated(
     start = config.calibration
     if start.torque is not TorqueSource.MEASURED:
         raise ConfigError("no self-calibration: without measured engine torque nothing tells the scale of friction")
+    if start.converter is not None:
+        raise ConfigError("no self-calibration: a lock-up clutch needs none, each run learns more of its converter")
     with (
         line or ReadingLine(io.StringIO()) as shown,
         open_drive(logs, is_stopped=lambda: stop.is_set, watch=shown.watch, columns=config.columns) as drive,

@@ -444,7 +444,7 @@ def judge_lockup(
     kept = memory.conditions[0], memory.grounds[0]
     finding = decide(now, since, reference, state.shift_count, *kept, launches, margin, counted=SLIP_MINUTES)
     if memory.misfit_text:
-        finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
+        finding = nothing(Silence.CONVERTER_MISFIT, memory.misfit_text.partition(";")[0])
     elif memory.refused[0] >= REFUSED_COUNT:
         finding = nothing(Silence.DATA_CONTRADICT, f"{Silence.DATA_CONTRADICT} ({memory.refused[0]} events)")
     verdict = ClutchVerdict(

@@ -72,6 +72,7 @@ class Silence(StrEnum):
     LAUNCHES_JUDDER = "it slips again after it has stuck when the car starts off, and its friction does not say why"
     SLIP_SWINGS = "its slip swings by itself, and its friction does not say why"
     CALIBRATION_MISFIT = "the calibration does not fit this vehicle; diag-service calibrate makes one that does"
+    CONVERTER_MISFIT = "the description of its converter does not fit this vehicle; have its numbers looked at"
     SIGNALS_MISSING = "the signals of this vehicle do not tell its friction"
     LEVEL_UNKNOWN = (
         "the torque of the engine is not measured: friction is known up to a scale at best and cannot be called sound"

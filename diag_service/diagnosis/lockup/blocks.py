@@ -96,14 +96,15 @@ def samples_of(columns: Columns) -> Samples | None:
         after = np.clip(t_ns.searchsorted(speed.t_ns), 1, len(t_ns) - 1)
         is_bridged |= t_ns[after] - t_ns[after - 1] > LONGEST_GAP_NS
 
-    oil = there(Signal.SUMP_TEMPERATURE) if Signal.SUMP_TEMPERATURE in columns else np.full(len(at_s), OIL_K)
+    sump = columns.get(Signal.SUMP_TEMPERATURE)
+    is_told = sump is not None and len(sump.t_ns) > 0  # a message may stop amid a drive
     return Samples(
         t_ns=speed.t_ns,
         engine_rad_s=speed.value,
         turbine_rad_s=there(Signal.TURBINE_SPEED),
         torque_nm=there(Signal.ENGINE_TORQUE),
         pressure_pa=there(Signal.LOCKUP_PRESSURE),
-        oil_k=oil,
+        oil_k=there(Signal.SUMP_TEMPERATURE) if is_told else np.full(len(at_s), OIL_K),
         is_bridged=is_bridged,
     )
 

@@ -39,6 +39,7 @@ EXPECTED_WEIGHT: Final = 60.0  # blocks that the expectation counts for
 BLOCK_STD_NM: Final = 2.0  # likewise, of one block
 LOAD_RATIO: Final = 0.01  # of the clutch's torque: pressure, heat and lining differ from minute to minute
 UNKNOWN_STD: Final = 0.1  # of friction
+LEAST_STD: Final = 1e-6  # of what a description calls certain: a covariance must have an inverse
 SHAPE_RATIO: Final = 0.03  # of capacities, each by itself
 EVENT_OFFSET_NM: Final = 0.7  # per stretch: what else the engine drives
 EVENT_FRICTION_STD: Final = 1e-4  # per stretch: heat and running-in
@@ -93,7 +94,7 @@ class LockupState:
             math.hypot(spread.pressure_zero_pa, spread.touch_pressure_pa),
             math.hypot(spread.engine_inertia_ratio, spread.torque_gain_ratio),
         )
-        covariance[np.arange(len(own)), np.arange(len(own))] = np.array(own) ** 2
+        covariance[np.arange(len(own)), np.arange(len(own))] = np.maximum(own, LEAST_STD) ** 2
         covariance[PARAMETER_START:, PARAMETER_START:] = converter.capacity_ratio**2 + spread.torque_gain_ratio**2
         covariance[PARAMETER_START:, PARAMETER_START:] += SHAPE_RATIO**2 * np.eye(len(converter.speed_ratios))
         expected = BLOCK_STD_NM**2 * np.power(EXPECTED_CORRELATION, np.arange(LAG_COUNT, dtype=np.float64))

@@ -11,7 +11,7 @@ import pytest
 from canlog.e2e.e2e_state import E2eState
 from clutch_model.calibration import shipped_calibration
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.condition import REFUSED_COUNT, SLIP_MINUTES, ConditionMemory, judge_lockup
+from diag_service.diagnosis.condition.condition import REFUSED_COUNT, SLIP_MINUTES, ConditionMemory, Fit, judge_lockup
 from diag_service.diagnosis.condition.verdict import Launches, Silence, decide
 from diag_service.diagnosis.events import Event, EventKind, Shudder
 from diag_service.diagnosis.lockup.blocks import BLOCK_NS, MICRO_SLIP_RAD_S, cut, samples_of
@@ -221,6 +221,35 @@ def test_signals_that_are_missing_tell_nothing() -> None:
     assert (estimate.status, estimate.reasons, swings) == (Status.UNOBSERVED, (Reason.SIGNAL_MISSING,), None)
     _, refused, _ = ESTIMATOR.estimate(event, state, (Reason.LOW_DATA_QUALITY,))
     assert refused.status is Status.REJECTED
+
+
+def test_an_oil_temperature_that_stops_amid_a_drive_is_taken_for_a_usual_one() -> None:
+    event = stretches("new")[0]
+    told = event.columns[Signal.SUMP_TEMPERATURE]
+    stopped = {**event.columns, Signal.SUMP_TEMPERATURE: told.between(0, 0)}
+    without = dict(event.columns)
+    del without[Signal.SUMP_TEMPERATURE]
+    states = [ESTIMATOR.estimate(replace(event, columns=one), diagnosed("new")[0])[0] for one in (stopped, without)]
+    assert states[0].to_json() == states[1].to_json()
+
+
+def test_a_description_may_be_sure_of_something() -> None:
+    sure = replace(CALIBRATION.uncertainty, friction_temperature_1_k=0.0, torque_offset_nm=0.0)
+    calibration = replace(CALIBRATION, uncertainty=sure)
+    assert CONVERTER is not None
+    state = LockupState.fresh(calibration)
+    for event in stretches("new"):
+        state, _, _ = LockupEstimator(calibration, CONVERTER).estimate(event, state)
+    assert state.shift_count == diagnosed("new")[0].shift_count
+    assert abs(state.mean[2]) < 1e-6  # friction over temperature
+    assert state.friction().mu_c == pytest.approx(diagnosed("new")[0].friction().mu_c, rel=0.02)
+
+
+def test_what_fits_no_converter_is_not_sent_to_a_calibration_that_knows_none() -> None:
+    memory = ConditionMemory(fits=(Fit.MISFITS,) * 4)
+    verdict = judge_lockup(memory, diagnosed("new")[0], CALIBRATION, None)[1]
+    assert verdict.reason == "calibration does not fit: 4 of the last 4 shifts contradict it"
+    assert verdict.advice == f"Lock-up clutch: {Silence.CONVERTER_MISFIT}."
 
 
 def test_frames_that_are_missing_cost_their_blocks() -> None:
