@@ -110,6 +110,8 @@ class Uncertainty(Ranged):
 class SensorNoise(Ranged):
     """White noise of the readings, quantisation included, as the estimator assumes it."""
 
+    ABOVE_ZERO = ("pressure_pa",)
+
     engine_speed_rad_s: float
     hub_speed_rad_s: float
     input_speed_rad_s: float
@@ -273,7 +275,7 @@ class FilmSurface(Ranged):
 class ClutchThermal(Ranged):
     """Lumped thermal mass of one clutch pack."""
 
-    ABOVE_ZERO = ("heat_capacity_j_k",)
+    ABOVE_ZERO = ("heat_capacity_j_k", "convection_w_k")
 
     heat_capacity_j_k: float  # C_th
     convection_w_k: float  # hA
@@ -441,9 +443,18 @@ def read_calibration(path: Path) -> Calibration:
     """
     table = calibration_table(path)
     try:
-        return Calibration.from_mapping(table)
+        return believed_calibration(table)
     except CalibrationError as exc:
         raise CalibrationError(f"{path}: {exc}") from exc
+
+
+def believed_calibration(table: Mapping[str, Any]) -> Calibration:
+    """Return the calibration that friction is held against: that of new fluid; raises CalibrationError."""
+    calibration = Calibration.from_mapping(table)
+    for clutch, one in enumerate(calibration.clutches, 1):
+        message = f"clutch {clutch} friction.mu_s must be below mu_c: these are of new fluid, which does not shudder"
+        require(one.friction.mu_s < one.friction.mu_c, message)
+    return calibration
 
 
 def calibration_toml(calibration: Calibration) -> str:

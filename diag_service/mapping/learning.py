@@ -15,7 +15,7 @@ from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.prediction import LEAST_EVENTS, SlipPhase, fitted
-from diag_service.mapping.proposal import LEAST_SAMPLES, LEAST_SPEED, GearRatio, densest
+from diag_service.mapping.proposal import LEAST_SAMPLES, LEAST_SPEED, GearRatio, densest, is_complete
 
 MOST_ROWS: Final = 400_000  # that are kept of all drives: beyond, every second one goes
 STRETCH_S: Final = 1.0  # samples that are further apart are of another stretch, whose error is its own
@@ -84,10 +84,11 @@ class LearnedVehicle:
 
     @property
     def ratios(self) -> GearRatios | None:
-        """The ratios of all gears; None if one between them is missing."""
-        if sorted(self.gears) != list(range(1, len(self.gears) + 1)) or not self.gears:
+        """The ratios of all gears; None if one is missing, or they do not fall."""
+        told = {gear: self.gears[gear].ratio for gear in sorted(self.gears)}
+        if not is_complete(told):
             return None
-        return GearRatios(over=self.over, ratios=tuple(self.gears[one].ratio.ratio for one in sorted(self.gears)))
+        return GearRatios(over=self.over, ratios=tuple(one.ratio for one in told.values()))
 
     def touch_point(self, clutch: int) -> Found | None:
         """Return where a clutch touches; one that is not held is taken for as wide apart as clutches of a type are."""

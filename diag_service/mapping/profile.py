@@ -333,7 +333,7 @@ def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
             problems.append(f"{key}: {error}")
     gears, asking = None, AskingRules()
     try:
-        gears = _gears(table.get("gears"))
+        gears = gear_ratios(table.get("gears"))
         asking = record_from(AskingRules, table.get("asking", {}), "asking.", error=ConfigError)
         sizes_of(one.asked for one in sources.values() if one.is_asked)
     except (ConfigError, DefinitionError) as error:
@@ -379,16 +379,16 @@ def _canonical(key: str) -> Signal:
         raise ConfigError("not a canonical signal") from error
 
 
-def _gears(entry: object) -> GearRatios | None:
-    """Return the checked table of ratios, if there is one."""
+def gear_ratios(entry: object, error: type[Exception] = ConfigError) -> GearRatios | None:
+    """Return the checked table of ratios, if there is one; raises ``error``."""
     if entry is None:
         return None
-    gears = record_from(GearRatios, entry, "gears: ", error=ConfigError)
+    gears = record_from(GearRatios, entry, "gears: ", error=error)
     if gears.over not in {Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED}:
-        raise ConfigError(f"gears: over must be {Signal.OUTPUT_SPEED.value} or {Signal.VEHICLE_SPEED.value}")
+        raise error(f"gears: over must be {Signal.OUTPUT_SPEED.value} or {Signal.VEHICLE_SPEED.value}")
     ratios = gears.ratios
     if not all(math.isfinite(one) for one in ratios):
-        raise ConfigError("gears: ratios must be finite")
+        raise error("gears: ratios must be finite")
     if len(ratios) < 2 or any(high <= low for high, low in pairwise(ratios)) or ratios[-1] <= 0.0:
-        raise ConfigError("gears: ratios must fall from gear to gear and stay above 0")
+        raise error("gears: ratios must fall from gear to gear and stay above 0")
     return gears

@@ -8,10 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from clutch_model.calibration import Calibration, ClutchCalibration, calibration_table, calibration_toml, with_clutch
+from clutch_model.calibration import (
+    Calibration,
+    ClutchCalibration,
+    believed_calibration,
+    calibration_table,
+    calibration_toml,
+    with_clutch,
+)
 from clutch_model.errors import CalibrationError
-from clutch_model.tables import record_from
 from diag_service.diagnosis.columns import GearRatios
+from diag_service.mapping.profile import gear_ratios
 
 if TYPE_CHECKING:
     from diag_service.mapping.learning import Found, LearnedVehicle
@@ -35,8 +42,8 @@ def read_description(path: Path) -> Described:
     gears = table.pop("gears", None)
     table.pop(LEARNED, None)
     try:
-        ratios = None if gears is None else record_from(GearRatios, gears, "gears.")
-        return Described(Calibration.from_mapping(table), ratios)
+        ratios = gear_ratios(gears, CalibrationError)
+        return Described(believed_calibration(table), ratios)
     except CalibrationError as exc:
         raise CalibrationError(f"{path}: {exc}") from exc
 

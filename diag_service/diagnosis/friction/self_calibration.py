@@ -192,6 +192,7 @@ LOOSE_STD = {
     Considered.MOTORING_GAIN: 0.05,
 }
 """What a vehicle that never calibrated itself may differ by from its type, where that is more than the type states."""
+LEAST_STD = 1e-6  # of what a type calls certain: a covariance must have an inverse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -289,7 +290,8 @@ def self_calibrate(
 
 def advice_on_oil(shifts: Sequence[Event]) -> str:
     """Return the advice to drive in warmer oil, if most of the shifts were in cold one."""
-    oil_k = [float(one.columns[Signal.SUMP_TEMPERATURE].value.mean()) for one in shifts]
+    told = [one.columns[Signal.SUMP_TEMPERATURE].value for one in shifts if Signal.SUMP_TEMPERATURE in one.columns]
+    oil_k = [float(one.mean()) for one in told if len(one)]
     middle_k = float(np.median(oil_k)) if oil_k else COOL_K
     if middle_k >= COOL_K:
         return ""
@@ -326,6 +328,7 @@ def _loosened(covariance: FloatArray) -> FloatArray:
     for parameter, std in LOOSE_STD.items():
         row = STATE_COUNT + parameter
         loose[row, row] = max(loose[row, row], std**2)
+    loose += np.diag(np.where(loose.diagonal() > 0.0, 0.0, LEAST_STD**2))
     return loose
 
 

@@ -29,6 +29,7 @@ def test_the_shipped_calibration_loads() -> None:
         (("input_side", "engine_inertia_kg_m2"), 0.0, "engine_inertia_kg_m2"),
         (("input_side", "hub_inertia_kg_m2"), "0.04", "must be a number"),
         (("noise", "pressure_pa"), float("nan"), "finite"),
+        (("noise", "pressure_pa"), 0.0, r"noise\.pressure_pa must be > 0"),
     ],
 )
 def test_a_number_outside_its_range_is_named(path: tuple[str, str], value: object, message: str) -> None:
@@ -46,6 +47,7 @@ def test_a_number_outside_its_range_is_named(path: tuple[str, str], value: objec
         ("geometry", "inner_radius_m", 0.2),
         ("film", "roughness_m", 0.0),
         ("thermal", "heat_capacity_j_k", 0.0),
+        ("thermal", "convection_w_k", 0.0),
     ],
 )
 def test_a_clutch_outside_its_range_is_named(part: str, key: str, value: float) -> None:
@@ -79,6 +81,17 @@ def test_a_file_that_cannot_be_used_is_named(tmp_path: Path) -> None:
     path.write_text("name = ", encoding="utf-8")
     with pytest.raises(CalibrationError, match=r"bad\.toml is not TOML"):
         read_calibration(path)
+
+
+@pytest.mark.parametrize("mu_s", [0.14, 0.15])
+def test_friction_that_would_shudder_with_new_fluid_is_no_belief(mu_s: float, tmp_path: Path) -> None:
+    path = tmp_path / "car.toml"
+    path.write_text(f'like = "nominal"\n[[clutch]]\n[[clutch]]\nfriction.mu_s = {mu_s}\n', encoding="utf-8")
+    with pytest.raises(CalibrationError, match=r"clutch 2 friction\.mu_s must be below mu_c"):
+        read_calibration(path)
+    table = shipped_table()
+    table["clutch"][1]["friction"]["mu_s"] = mu_s
+    assert Calibration.from_mapping(table).clutches[1].friction.mu_s == mu_s  # a car may be like that
 
 
 def test_a_calibration_may_name_its_vehicle() -> None:

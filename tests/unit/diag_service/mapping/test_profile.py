@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import TorqueSource
+from clutch_model.errors import CalibrationError
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, GearRatios, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import SignalSource, find_profile, load_profile, shipped_profiles, to_si
+from diag_service.mapping.vehicle_file import read_description
 
 
 def write(folder: Path, text: str) -> Path:
@@ -73,6 +75,8 @@ def test_ratios_of_gears(tmp_path: Path) -> None:
 def test_ratios_that_cannot_be_are_refused(tmp_path: Path, gears: str, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         load_profile(write(tmp_path, f"gears = {gears}\n[signals]\n"))
+    with pytest.raises(CalibrationError, match=rf"some\.toml: .*{text}"):  # of a description of a vehicle
+        read_description(write(tmp_path, f'like = "nominal"\ngears = {gears}\n'))
 
 
 def test_sources_by_j1939_numbers_and_with_validity(tmp_path: Path) -> None:

@@ -254,7 +254,15 @@ def test_every_parameter_has_a_name() -> None:
 def test_drives_in_cold_oil_are_told_what_mends_them() -> None:
     warm, cold = first_shifts(), [in_oil(one, 20.0) for one in first_shifts()]
     assert advice_on_oil(cold) == "; half of the shifts were in oil below 20 degC: a drive with warm oil mends it"
-    assert advice_on_oil(warm) == advice_on_oil(()) == ""
+    assert advice_on_oil(warm) == advice_on_oil(()) == advice_on_oil([replace(warm[0], columns={})]) == ""
+
+
+def test_a_type_may_be_sure_of_something() -> None:
+    sure = replace(NOMINAL, uncertainty=replace(NOMINAL.uncertainty, viscosity_ratio=0.0, motoring_gain_ratio=0.0))
+    result = self_calibrate(unlike_its_type()[0], (), sure, "test")
+    assert isinstance(result, SelfCalibration), result
+    assert result.std("viscosity") < 1e-5
+    assert result.calibration.bias.torque_latency_s == pytest.approx(TORQUE_LATENCY_S - SPEED_LATENCY_S, abs=0.004)
 
 
 def test_noise_of_one_signal_for_engine_and_hub_is_in_what_both_share_with_the_residual() -> None:
