@@ -2,23 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Final
 
 import numpy as np
 
-from canlog.arrays import Series
+from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.alive_counter import compile_now, own_period_ns
 from canlog.e2e.e2e_state import E2eChange, E2eState
 from canlog.frames import BEFORE_ALL_NS
-from diag_service.diagnosis.columns import ColumnBatch, Columns, Signal
-
-if TYPE_CHECKING:
-    from canlog.arrays import Int64Array
-from typing import Final
-
-from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel
-from diag_service.diagnosis.columns import BlockLayout, SampleBlock, Samples, empty_rows
+from diag_service.diagnosis.columns import BlockLayout, ColumnBatch, Columns, SampleBlock, Samples, Signal, empty_rows
 
 FIRST_CAPACITY: Final = 256  # samples of a signal; grows by doubling
 _FULL: Final = -1
