@@ -417,8 +417,8 @@ class RelativeSurvey:
         """Take up an event."""
         self._standing.add(event)
         phase = slip_phase(event, gears)
-        if isinstance(phase, SlipPhase) and phase.is_powered and phase.sign > 0.0:
-            self._phases.append(phase)
+        if isinstance(phase, SlipPhase) and phase.is_powered and phase.sign > 0.0 and len(phase.drive) > 1:
+            self._phases.append(phase)  # without fuel or torque the law tells nothing
 
     def found(self) -> tuple[RelativeFriction, ...]:
         """Return what they tell of each clutch; nothing if they are too few."""
