@@ -383,7 +383,7 @@ def gear_ratios(entry: object, error: type[Exception] = ConfigError) -> GearRati
     """Return the checked table of ratios, if there is one; raises ``error``."""
     if entry is None:
         return None
-    gears = record_from(GearRatios, entry, "gears: ", error=error)
+    gears = record_from(GearRatios, entry, "gears.", error=error)
     if gears.over not in {Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED}:
         raise error(f"gears: over must be {Signal.OUTPUT_SPEED.value} or {Signal.VEHICLE_SPEED.value}")
     ratios = gears.ratios

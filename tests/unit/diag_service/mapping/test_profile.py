@@ -64,7 +64,7 @@ def test_ratios_of_gears(tmp_path: Path) -> None:
     ("gears", "text"),
     [
         ("3", "must be a table"),
-        ('{ over = "output_speed_rad_s" }', "gears: ratios is missing"),
+        ('{ over = "output_speed_rad_s" }', "gears.ratios is missing"),
         ('{ over = "pedal_ratio", ratios = [2.0, 1.0] }', "over must be"),
         ('{ over = "output_speed_rad_s", ratios = [1.0, 2.0] }', "must fall"),
         ('{ over = "output_speed_rad_s", ratios = [1.0, 0.0] }', "above 0"),
