@@ -8,6 +8,7 @@ message, so what it acknowledged shortly before a connection broke is sent again
 
 import asyncio
 import logging
+import math
 import random
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
@@ -81,14 +82,17 @@ class Outbox:
         self.wake()
 
     async def run(self) -> None:
-        """Connect, send, reconnect; return after ``close`` once all is sent or a fresh attempt has sent nothing."""
+        """Connect, send, reconnect; return after ``close`` once all is sent or a fresh attempt has sent nothing.
+
+        A connection that did some good, new results arrived or it lasted, is no failure when it breaks.
+        """
         failure_count = 0
         while True:
             is_last_attempt = self._closing.is_set()
-            sent_before = self.counts.sent
+            sent_before, arrived_before, lasts_s = self.counts.sent, self._arrived_count, math.inf
             try:
                 async with self._connect() as link:
-                    failure_count = 0
+                    lasts_s = self._now_s() + self.limits.longest_pause_s
                     await self._serve(link)
                     return
             except (PublishError, StoreFullError) as exc:  # a full disk cannot note receipts; they come again
@@ -98,6 +102,8 @@ class Outbox:
                 self._delivery = None
             if is_last_attempt and self.counts.sent == sent_before:
                 return
+            if self._arrived_count > arrived_before or self._now_s() > lasts_s:
+                failure_count = 0
             await self._pause(failure_count)
             failure_count += 1
 
@@ -116,13 +122,15 @@ class Outbox:
         delivery = self._delivery = Delivery(self._state, link)
         self._unsent.clear()
         await delivery.begin([*self._greetings, *self._lasting.values()])
-        if self._is_down:
-            self._is_down = False
-            _LOG.log(NOTICE, "broker %s takes results again", self._where)
+        sent_before = self.counts.sent
         while True:
-            while await delivery.step():
+            is_going_on = True
+            while is_going_on:
+                is_going_on = await delivery.step()
+                if self._is_down and (self.counts.sent > sent_before or not is_going_on):
+                    self._is_down = False
+                    _LOG.log(NOTICE, "broker %s takes results again", self._where)
                 await self._send_metrics(link)
-            await self._send_metrics(link)
             await self._send_states(link)
             if self._closing.is_set() and not delivery.awaits_receipts and not delivery.wake.is_set():
                 return
@@ -168,6 +176,11 @@ class Outbox:
             "outbox_failure_count": counts.failed,
         }
         return make(numbers)
+
+    @property
+    def _arrived_count(self) -> int:
+        """How many results have arrived, those not counted that were sent again."""
+        return self.counts.acknowledged - self.counts.repeated
 
     def _unpublished_count(self) -> int:
         return self._state.store.unpublished_count(self._state.vehicle)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from canlog.errors import NOTICE
 from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
 from diag_service.diagnosis.records import FluidFill, shift_record
 from diag_service.errors import PublishError, StoreFullError
@@ -164,6 +165,31 @@ async def test_a_refused_result_blocks_the_queue_not_the_run(store: ResultStore)
     await until(lambda: not broker.links)
     broker.is_absent = True
     assert await outbox.close(sender) == 2
+
+
+async def test_a_broker_that_lets_us_in_and_refuses_results_is_told_of_once_and_asked_less_and_less_often(
+    store: ResultStore, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Refusing(MemoryLink):
+        async def send(self, messages: Sequence[Outgoing]) -> None:
+            if any(message.topic.endswith("/shift") for message in messages):
+                raise PublishError("clutchdiag/v1/car1/shift was refused")
+
+    caplog.set_level(NOTICE)
+    broker = Broker(*(Refusing() for _ in range(100)))
+    outbox = Outbox(store, "car1", broker.connect, "broker", limits=DeliveryLimits(first_pause_s=0.01))
+    put(store, 1)
+    sender = asyncio.create_task(outbox.run())
+    await until(lambda: broker.attempt_count > 2)
+    await asyncio.sleep(0.6)
+    assert broker.attempt_count < 15
+    assert [record.getMessage() for record in caplog.records] == [
+        "broker broker: clutchdiag/v1/car1/shift was refused; 1 results wait in the store, trying again"
+    ]
+    broker.links[0] = link = MemoryLink()
+    await until(lambda: seqs(link) == [1])
+    await outbox.close(sender)
+    assert caplog.records[-1].getMessage() == "broker broker takes results again"
 
 
 async def test_closing_an_outbox_whose_broker_is_absent_takes_one_attempt(store: ResultStore) -> None:
