@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 STREAM: Final = "CLUTCHDIAG"
 ACK_WAIT_S: Final = 60.0  # then a message goes to another worker; a batch takes far less
 MOST_UNSETTLED: Final = 50_000  # of all workers together
+_NAMES_BYTES: Final = 4096  # subject, headers and reply, which the server counts as parts of a message
 _EXPIRES_S: Final = 20.0  # of a question for messages
 _GRACE_S: Final = 10.0  # that its answer may be late
 _TIMEOUT_S: Final = 5
@@ -73,7 +74,8 @@ class JetStream:
     ) -> Self:
         """Connect; make the stream of these topics and its group unless they are there.
 
-        A batch has no more than so many bytes, but one message at least. ``is_for_groups``: of each message a copy.
+        A batch has no more than so many bytes, or as many as the longest message that the server takes, which would
+        else never come. ``is_for_groups``: of each message a copy.
 
         Raises
         ------
@@ -205,7 +207,8 @@ class JetStream:
             return
         self._question += 1
         self._due = self._limit = limit
-        asked = {"batch": limit, "expires": int(_EXPIRES_S * 1e9), "max_bytes": self._batch_bytes}
+        most_bytes = max(self._batch_bytes, self._client.max_payload + _NAMES_BYTES)
+        asked = {"batch": limit, "expires": int(_EXPIRES_S * 1e9), "max_bytes": most_bytes}
         body = json.dumps(asked).encode()
         await self._publish([(self._next, body)], reply=f"{self._inbox_name}.{self._question}")
 
