@@ -252,7 +252,7 @@ class Session:
             self.fluid = fill
         if fill is not None and (since is None or fill.filled_at > since):
             since = self._fluid_since = fill.filled_at
-            is_new = (first_end := self._store.first_end(self.vehicle)) is None or first_end <= since
+            is_new = not self._store.began_after(self.vehicle, since)
             self.stages.note_fluid(since, is_new=is_new)
             if is_new:
                 _LOG.log(NOTICE, "new fluid since %s: a new baseline begins", since)

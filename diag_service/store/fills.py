@@ -69,21 +69,21 @@ def note_fill(path: Path, fill: FluidFill, *, is_insisted: bool = False) -> Flui
         results before and after it, and nobody insists.
     """
     with closing(_open(path)) as connection, translated(str(path)), connection:
-        connection.execute("BEGIN IMMEDIATE")
         (end_ns,) = connection.execute(_LAST, (fill.vehicle,)).fetchone() or (DATED_NS,)
         if end_ns < DATED_NS:
             raise ConfigError(f"the results of {fill.vehicle} have no date: nobody can tell which are of new fluid")
+        if fill.odometer_m is not None and not is_insisted:  # looks at all results: a service must not wait for that
+            readings = [connection.execute(_READING.format(*how), (fill.vehicle, fill.filled_at)) for how in _HOW]
+            before_m, after_m = ((reading.fetchone() or [None])[0] for reading in readings)
+            if complaint := odometer_complaint(fill.odometer_m, before_m, after_m):
+                raise ConfigError(complaint)
+        connection.execute("BEGIN IMMEDIATE")
         known = all_fills(connection, fill.vehicle)
         near = [one for one in known if abs(_moment(one) - _moment(fill)) < SAME_WITHIN and not one.is_withdrawn]
         if near:
             raise StoreError(
                 f"the fill of {fill.vehicle} at {near[0].filled_at} is noted already; --undo takes it back"
             )
-        readings = [connection.execute(_READING.format(*how), (fill.vehicle, fill.filled_at)) for how in _HOW]
-        before_m, after_m = ((reading.fetchone() or [None])[0] for reading in readings)
-        complaint = odometer_complaint(fill.odometer_m, before_m, after_m)
-        if complaint and not is_insisted:
-            raise ConfigError(complaint)
         while any(one.filled_at == fill.filled_at for one in known):  # withdrawn: that moment is taken for good
             fill = replace(fill, filled_at=iso_utc(_moment(fill) + _NEXT))
         add_fills(connection, [fill])

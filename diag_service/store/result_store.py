@@ -278,11 +278,14 @@ class ResultStore:
             rows = sql.execute(_ROWS + _LATEST, (vehicle, *(own or ("", "")), DATED_NS))
             return list({row.clutch: row for row in map(_stored_result, rows)}.values())
 
-    def first_end(self, vehicle: str) -> str | None:
-        """Return when the first event of a vehicle ended; None: there is none, or the disk budget took some."""
+    def began_after(self, vehicle: str, moment: str) -> bool:
+        """Return whether all events of a vehicle ended after a moment; not if none is known, or the budget took some."""
         with self._transaction() as sql:
-            found = sql.execute("SELECT min(json_extract(json, '$.end_utc')) FROM result WHERE vehicle = ?", (vehicle,))
-            return None if any(astuple(_read_dropped(sql))) else found.fetchone()[0]
+            known = "SELECT 1 FROM result WHERE vehicle = ?"
+            earlier = sql.execute(f"{known} AND json_extract(json, '$.end_utc') <= ? LIMIT 1", (vehicle, moment))
+            if earlier.fetchone() is not None or any(astuple(_read_dropped(sql))):
+                return False
+            return sql.execute(f"{known} LIMIT 1", (vehicle,)).fetchone() is not None
 
     def note_controller(self, vehicle: str, controller: str, said: str, text: str) -> bool:
         """Keep what a controller said, False if it said the same the last time."""
@@ -501,8 +504,9 @@ class NoStore:
         """Return nothing."""
         return ()
 
-    def first_end(self, _: str) -> None:
-        """Return nothing."""
+    def began_after(self, *_: str) -> bool:
+        """Return that nothing is known."""
+        return False
 
     def fluid_at(self, *_: object) -> None:
         """Return nothing."""

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from diag_service.diagnosis.records import FluidFill
-from diag_service.store import ResultStore
+from diag_service.store import ResultStore, fills, note_fill
+from fleet_contract.orders import odometer_complaint
 from tests.golden.analyses import RECORDINGS
 from tests.support.histories import fill_store, history
 from tests.support.in_process import ended
@@ -170,6 +171,22 @@ def test_an_odometer_is_held_against_what_came_later_too(tmp_path: Path) -> None
     words: list[str | Path] = ["fluid-changed", path, "--at", "2025-02-01", "--odometer"]
     ended(*words, "13000").assert_one_line(2, "the odometer cannot read 13,000 km: after that it read 12,346 km")
     assert ended(*words, "900").status == 0
+
+
+def test_a_service_stores_while_all_results_are_looked_at_for_the_odometer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, results = tmp_path / "car1.sqlite", history(2)
+    fill_store(path, results[:1])
+    with closing(ResultStore.open(path)) as service, monkeypatch.context() as patched:
+
+        def complaint(*readings: float | None) -> str:
+            assert service.add(results[1], None)
+            return odometer_complaint(*readings)
+
+        patched.setattr(fills, "odometer_complaint", complaint)
+        fill = note_fill(path, FluidFill(vehicle="car1", filled_at="2026-02-01T12:00:00.000000Z", odometer_m=9e3))
+        assert service.fills("car1") == [fill]
 
 
 def test_a_fill_is_taken_back_and_noted_again_at_its_moment(tmp_path: Path) -> None:
