@@ -112,6 +112,10 @@ def parse_broker_url(text: str, *, may_be_nats: bool = False) -> BrokerUrl:
         raise BrokerUrlError(_FORM)
     if port == 0:
         raise BrokerUrlError(f"{_FORM}: 0 is not a port")
+    try:
+        parts.hostname.encode("idna")
+    except UnicodeError:
+        raise BrokerUrlError(f"{_FORM}: a part of the host's name is empty or too long") from None
     return BrokerUrl(
         host=parts.hostname,
         port=port or ports[parts.scheme],

@@ -251,7 +251,10 @@ def parse_listen_address(text: str) -> ListenAddress:
 
 
 def default_store(vehicle: str) -> Path:
-    """Return where a live service keeps its results: the user's state directory."""
+    """Return where a live service keeps its results: the user's state directory; raises ConfigError without one."""
     home = os.environ.get("XDG_STATE_HOME", "")
-    state = Path(home) if Path(home).is_absolute() else Path.home() / ".local" / "state"
+    try:
+        state = Path(home) if Path(home).is_absolute() else Path.home() / ".local" / "state"
+    except RuntimeError:  # a container's user may have no home
+        raise ConfigError("this user has no home folder to keep results in: name a file with --store") from None
     return state / "clutchdiag" / f"{vehicle}.sqlite"

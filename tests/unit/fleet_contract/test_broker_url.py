@@ -33,7 +33,16 @@ def test_a_password_is_read_and_not_shown() -> None:
     assert "p@ss" not in repr(named)
 
 
-@pytest.mark.parametrize("text", ["mqtt://car:hunter/2@broker", "mqtt://car:hunter2@broker:x", "http://car:hunter2@x"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "mqtt://car:hunter/2@broker",
+        "mqtt://car:hunter2@broker:x",
+        "http://car:hunter2@x",
+        "mqtt://car:hunter2@broker..example",
+        f"mqtt://car:hunter2@{'b' * 64}.example",
+    ],
+)
 def test_what_is_none_is_refused_without_repeating_it(text: str) -> None:
     with pytest.raises(BrokerUrlError, match="the broker must be mqtt") as caught:
         parse_broker_url(text)

@@ -57,3 +57,13 @@ def test_the_default_store_is_in_the_state_directory(monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("XDG_STATE_HOME", "relative/is/ignored")
     monkeypatch.setenv("HOME", "/home/driver")
     assert default_store("car1") == Path("/home/driver/.local/state/clutchdiag/car1.sqlite")
+
+
+def test_who_has_no_home_is_told_to_name_a_store(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", no_home)
+    with pytest.raises(ConfigError, match="name a file with --store"):
+        default_store("car1")
