@@ -86,13 +86,6 @@ class BusOpener:
         return await asyncio.to_thread(restart_controller, present_name(settings.channel, self._last))
 
 
-async def open_source(
-    interface: str | None = None, channel: str | None = None, bitrate: int | None = None, *, fd: bool = False
-) -> FrameSource:
-    """Open a live bus once; arguments and errors as ``BusOpener``."""
-    return await BusOpener(interface, channel, bitrate, fd=fd).open()
-
-
 def complete_settings(interface: str | None, channel: str | None, bitrate: int | None, *, fd: bool) -> BusSettings:
     """Return the settings with what the user left out taken from environment and configuration files.
 

@@ -279,7 +279,7 @@ class ResultStore:
             return list({row.clutch: row for row in map(_stored_result, rows)}.values())
 
     def began_after(self, vehicle: str, moment: str) -> bool:
-        """Return whether all events of a vehicle ended after a moment; not if none is known, or the budget took some."""
+        """Return whether all events of a vehicle ended after a moment; not if none is known or the budget took some."""
         with self._transaction() as sql:
             known = "SELECT 1 FROM result WHERE vehicle = ?"
             earlier = sql.execute(f"{known} AND json_extract(json, '$.end_utc') <= ? LIMIT 1", (vehicle, moment))
@@ -288,14 +288,36 @@ class ResultStore:
             return sql.execute(f"{known} LIMIT 1", (vehicle,)).fetchone() is not None
 
     def note_controller(self, vehicle: str, controller: str, said: str, text: str) -> bool:
-        """Keep what a controller said, False if it said the same the last time."""
+        """Keep what a controller said, False if it said the same the last time.
+
+        The oldest go when there are too many; the newest stays. ``said`` is what counts of the report, all but its
+        time, and ``text`` is the report, as JSON.
+        """
+        most_bytes = MOST_REPORT_BYTES if self._budget_bytes is None else self._budget_bytes // _REPORTS_SHARE
         with self._transaction() as sql:
-            return _note_report(sql, vehicle, controller, said, text, self._budget_bytes)
+            last = sql.execute(
+                "SELECT said FROM controller WHERE vehicle = ? AND controller = ? ORDER BY position DESC LIMIT 1",
+                (vehicle, controller),
+            ).fetchone()
+            if last is not None and last[0] == said:
+                return False
+            sql.execute(
+                "INSERT INTO controller (vehicle, controller, said, json) VALUES (?, ?, ?, ?)",
+                (vehicle, controller, said, text),
+            )
+            sql.execute(
+                "DELETE FROM controller WHERE position < (SELECT max(position) FROM controller) AND position IN"
+                " (SELECT position FROM (SELECT position, sum(length(json) + length(said))"
+                " OVER (ORDER BY position DESC) AS total FROM controller) WHERE total > ?)",
+                (most_bytes,),
+            )
+            return True
 
     def controller_reports(self, vehicle: str) -> list[str]:
         """Return what controllers said, the oldest first, as JSON."""
         with self._transaction() as sql:
-            return _read_reports(sql, vehicle)
+            rows = sql.execute("SELECT json FROM controller WHERE vehicle = ? ORDER BY position", (vehicle,))
+            return [str(text) for (text,) in rows]
 
     def dropped_counts(self) -> DroppedCounts:
         """Return how many results were given up for the disk budget since the store exists."""
@@ -410,7 +432,10 @@ def _enforce_budget(sql: sqlite3.Connection, budget_bytes: int, own_position: in
     for name, condition in _ORDER.items():
         while _used_bytes(sql) > budget_bytes:
             dropped = _drop(sql, condition, own_position)
-            _count_dropped(sql, name, dropped)
+            sql.execute(
+                "INSERT INTO meta VALUES (?, ?) ON CONFLICT (key) DO UPDATE SET value = CAST(value AS INTEGER) + ?",
+                (f"dropped.{name}", str(dropped), dropped),
+            )
             if dropped < _ROWS_AT_ONCE:
                 break
 
@@ -427,53 +452,6 @@ def _drop(sql: sqlite3.Connection, condition: str, own_position: int) -> int:
         " AND position NOT IN (SELECT max(position) FROM result GROUP BY vehicle, clutch) ORDER BY position LIMIT ?)",
         (own_position, _ROWS_AT_ONCE),
     ).rowcount
-
-
-def _count_dropped(sql: sqlite3.Connection, name: str, dropped: int) -> None:
-    sql.execute(
-        "INSERT INTO meta VALUES (?, ?) ON CONFLICT (key) DO UPDATE SET value = CAST(value AS INTEGER) + ?",
-        (f"dropped.{name}", str(dropped), dropped),
-    )
-
-
-def _note_report(
-    sql: sqlite3.Connection, vehicle: str, controller: str, said: str, text: str, budget_bytes: int | None
-) -> bool:
-    """Keep a report, inside a transaction; False if the controller said the same the last time.
-
-    The oldest go when there are too many; the newest stays.
-
-    Parameters
-    ----------
-    said
-        What counts of the report: all but its time.
-    text
-        The report, as JSON.
-    """
-    last = sql.execute(
-        "SELECT said FROM controller WHERE vehicle = ? AND controller = ? ORDER BY position DESC LIMIT 1",
-        (vehicle, controller),
-    ).fetchone()
-    if last is not None and last[0] == said:
-        return False
-    sql.execute(
-        "INSERT INTO controller (vehicle, controller, said, json) VALUES (?, ?, ?, ?)",
-        (vehicle, controller, said, text),
-    )
-    most_bytes = MOST_REPORT_BYTES if budget_bytes is None else budget_bytes // _REPORTS_SHARE
-    sql.execute(
-        "DELETE FROM controller WHERE position < (SELECT max(position) FROM controller) AND position IN"
-        " (SELECT position FROM (SELECT position, sum(length(json) + length(said)) OVER (ORDER BY position DESC)"
-        " AS total FROM controller) WHERE total > ?)",
-        (most_bytes,),
-    )
-    return True
-
-
-def _read_reports(sql: sqlite3.Connection, vehicle: str) -> list[str]:
-    """Return the reports of a vehicle as JSON, the oldest first."""
-    rows = sql.execute("SELECT json FROM controller WHERE vehicle = ? ORDER BY position", (vehicle,)).fetchall()
-    return [str(text) for (text,) in rows]
 
 
 class NoStore:

@@ -10,7 +10,7 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, MAX_GAP_NS, FrameBatch, join
-from canlog.live import FrameSource, Silence, open_source
+from canlog.live import BusOpener, FrameSource, Silence
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
 from tests.support.patience import HANG_S
@@ -53,7 +53,7 @@ def send(transport: Transport, frames: EncodedFrames) -> TransmitReport:
 
 
 async def transfer(transport: Transport, frames: EncodedFrames) -> tuple[FrameBatch, FrameSource, TransmitReport]:
-    source = await open_source(transport.interface, transport.channel)
+    source = await BusOpener(transport.interface, transport.channel).open()
     collector = asyncio.create_task(collect(source))
     report = await asyncio.to_thread(send, transport, frames)
     await asyncio.sleep(0.1)  # what python-can's transports still carry
@@ -82,7 +82,7 @@ async def test_times_are_whole_microseconds_of_the_epoch_that_follow_the_schedul
 
 async def test_a_source_reads_from_the_moment_it_is_open(transport: Transport) -> None:
     frames = random_frames(50, mean_gap_s=20e-6)
-    source = await open_source(transport.interface, transport.channel)
+    source = await BusOpener(transport.interface, transport.channel).open()
     await asyncio.to_thread(send, transport, frames)
     await asyncio.sleep(0.1)
     await source.aclose()
@@ -91,7 +91,7 @@ async def test_a_source_reads_from_the_moment_it_is_open(transport: Transport) -
 
 async def test_a_bus_that_falls_silent_says_so_and_is_heard_again(transport: Transport) -> None:
     frames = random_frames(20, mean_gap_s=20e-6)
-    source = await open_source(transport.interface, transport.channel)
+    source = await BusOpener(transport.interface, transport.channel).open()
     heard: list[FrameBatch] = []
     silence_count = 0
     await asyncio.to_thread(send, transport, frames)
@@ -111,7 +111,7 @@ async def test_a_bus_that_falls_silent_says_so_and_is_heard_again(transport: Tra
 
 
 async def test_closing_ends_the_iteration_and_may_be_repeated(transport: Transport) -> None:
-    source = await open_source(transport.interface, transport.channel)
+    source = await BusOpener(transport.interface, transport.channel).open()
     collector = asyncio.create_task(collect(source))
     await asyncio.sleep(0.01)
     await source.aclose()
@@ -121,7 +121,7 @@ async def test_closing_ends_the_iteration_and_may_be_repeated(transport: Transpo
 
 
 async def test_remote_and_error_frames_carry_their_flags(transport: Transport) -> None:
-    source = await open_source(transport.interface, transport.channel)
+    source = await BusOpener(transport.interface, transport.channel).open()
     with open_bus(transport.interface, transport.channel) as bus:
         bus.send(can.Message(arbitration_id=0x123, is_extended_id=False, is_remote_frame=True, dlc=4))
         bus.send(can.Message(arbitration_id=0x40, is_extended_id=False, is_error_frame=True, dlc=8, data=bytes(8)))
@@ -135,7 +135,7 @@ async def test_remote_and_error_frames_carry_their_flags(transport: Transport) -
 async def test_can_fd_frames_keep_their_payload_and_flags(transport: Transport) -> None:
     is_fd = transport.interface != "virtual"  # which carries them anyway and knows no such option
     long = bytes(range(1, 65))
-    source = await open_source(transport.interface, transport.channel, fd=is_fd)
+    source = await BusOpener(transport.interface, transport.channel, fd=is_fd).open()
     with open_bus(transport.interface, transport.channel, fd=is_fd) as bus:
         bus.send(can.Message(arbitration_id=0x123, is_extended_id=False, is_fd=True, data=long))
         bus.send(can.Message(arbitration_id=0x124, is_extended_id=False, data=b"\x01"))
@@ -157,10 +157,10 @@ async def test_environment_fills_in_what_is_not_given(
     transport: Transport, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(name, transport.interface if name == "CAN_INTERFACE" else transport.channel)
-    source = await open_source(
+    source = await BusOpener(
         None if name == "CAN_INTERFACE" else transport.interface,
         None if name == "CAN_CHANNEL" else transport.channel,
-    )
+    ).open()
     await source.aclose()
     assert source.description == f"{transport.interface} {transport.channel}"
 
@@ -172,18 +172,18 @@ async def test_a_bus_that_is_not_named_is_one_clear_line(
     monkeypatch.delenv("CAN_INTERFACE", raising=False)
     monkeypatch.setenv("HOME", "/nonexistent")
     with pytest.raises(SourceError, match=text) as caught:
-        await open_source(interface, "vcan0")
+        await BusOpener(interface, "vcan0").open()
     assert "\n" not in str(caught.value)
 
 
 async def test_a_channel_that_cannot_be_opened_is_one_clear_line() -> None:
     with pytest.raises(SourceError, match="udp_multicast not-an-address cannot be opened") as caught:
-        await open_source("udp_multicast", "not-an-address")
+        await BusOpener("udp_multicast", "not-an-address").open()
     assert "\n" not in str(caught.value)
 
 
 async def test_the_death_of_a_reader_thread_reaches_the_consumer(monkeypatch: pytest.MonkeyPatch) -> None:
-    source = await open_source("virtual", "contract")
+    source = await BusOpener("virtual", "contract").open()
     collector = asyncio.create_task(collect(source))
 
     def fail(*_: object, **__: object) -> None:

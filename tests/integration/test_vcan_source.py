@@ -10,7 +10,7 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch, join
-from canlog.live import FrameSource, Silence, open_source
+from canlog.live import BusOpener, FrameSource, Silence
 from canlog.live.bus_clock import ClockAlarm
 from canlog.live.socketcan import SocketCanSource
 from canlog.live.sources import FrameQueue, ReadSchedule
@@ -53,7 +53,7 @@ def send_numbers(channel: str, count: int, *, gap_s: float = 0.0) -> int:
 async def test_a_candump_of_the_same_bus_is_identical(vcan: str, tmp_path: Path) -> None:
     path = tmp_path / "bus.log"
     with candump(vcan, path):
-        source = await open_source("socketcan", vcan)
+        source = await BusOpener("socketcan", vcan).open()
         collector = asyncio.create_task(collect(source))
         sent = await asyncio.to_thread(send_numbers, vcan, 3_000, gap_s=0.0002)
         await source.aclose()
@@ -94,7 +94,7 @@ async def test_a_consumer_that_is_too_slow_costs_frames_of_the_queue_and_not_of_
 
 
 async def test_bytes_past_the_length_are_cleared(vcan: str) -> None:
-    source = await open_source("socketcan", vcan)
+    source = await BusOpener("socketcan", vcan).open()
     send_numbers(vcan, 300)
     await source.aclose()
     batch = join(await collect(source))
@@ -103,7 +103,7 @@ async def test_bytes_past_the_length_are_cleared(vcan: str) -> None:
 
 
 async def test_frames_received_before_the_interface_goes_down_are_delivered_then_the_error(vcan: str) -> None:
-    source = await open_source("socketcan", vcan)
+    source = await BusOpener("socketcan", vcan).open()
     collector = asyncio.create_task(collect(source))
     await asyncio.sleep(0.05)
     send_numbers(vcan, 20)
@@ -121,7 +121,7 @@ async def test_frames_received_before_the_interface_goes_down_are_delivered_then
 
 
 async def test_an_interface_switched_off_while_reading_is_an_error_and_no_hang(vcan: str) -> None:
-    source = await open_source("socketcan", vcan)
+    source = await BusOpener("socketcan", vcan).open()
     collector = asyncio.create_task(collect(source))
     await asyncio.sleep(0.05)
     assert ip_link("set", vcan, "down")
@@ -131,7 +131,7 @@ async def test_an_interface_switched_off_while_reading_is_an_error_and_no_hang(v
 
 
 async def test_an_interface_removed_while_reading_is_an_error_and_no_hang(vcan: str) -> None:
-    source = await open_source("socketcan", vcan)
+    source = await BusOpener("socketcan", vcan).open()
     collector = asyncio.create_task(collect(source))
     await asyncio.sleep(0.05)
     assert ip_link("delete", vcan)
@@ -143,7 +143,7 @@ async def test_an_interface_removed_while_reading_is_an_error_and_no_hang(vcan: 
 async def test_an_interface_that_is_down_is_one_clear_line(vcan: str) -> None:
     assert ip_link("set", vcan, "down")
     with pytest.raises(SourceError, match=f"is down: switch it on .ip link set {vcan} up"):
-        await open_source("socketcan", vcan)
+        await BusOpener("socketcan", vcan).open()
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ async def test_an_interface_that_is_down_is_one_clear_line(vcan: str) -> None:
 )
 async def test_a_channel_that_is_no_can_interface_is_one_clear_line(channel: str, text: str) -> None:
     with pytest.raises(SourceError, match=text) as caught:
-        await open_source("socketcan", channel)
+        await BusOpener("socketcan", channel).open()
     assert "\n" not in str(caught.value)
 
 

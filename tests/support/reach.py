@@ -10,7 +10,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 
-from canlog.live import Silence, open_source
+from canlog.live import BusOpener, Silence
 from ecu_emulator.bus.sender import open_bus, transmit
 from tests.support.patience import HANG_S
 from tests.support.traffic import random_frames
@@ -70,7 +70,7 @@ class Cable:
 
 async def _meet(group: str) -> int:
     """Send from the emulator's end to the service's; return how many frames arrived."""
-    source = await open_source("udp_multicast", group)
+    source = await BusOpener("udp_multicast", group).open()
     frames = random_frames(FRAME_COUNT, mean_gap_s=200e-6)
     with open_bus("udp_multicast", group) as bus:
         await asyncio.to_thread(transmit, bus, [frames], threading.Event())
