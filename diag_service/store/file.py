@@ -13,7 +13,7 @@ from clutchdiag_io.files import OPEN_FLAGS, PRIVATE_MODE, create_private, lock
 from diag_service.errors import StoreError, StoreFullError
 
 APPLICATION_ID: Final = 0x434C4449  # "CLDI", in the header of every store
-SCHEMA_VERSION: Final = 5
+SCHEMA_VERSION: Final = 6
 
 WAITING, DELIVERED, QUARANTINED = range(3)  # values of result.published
 
@@ -36,6 +36,15 @@ CREATE TABLE fill (
   PRIMARY KEY (vehicle, filled_at)
 );
 """
+# What goes for the disk budget, oldest first within each class; signals and metrics are never kept at its cost.
+GIVEN_UP: Final = {
+    "delivered": f"published != {WAITING}",
+    "empty": f"published = {WAITING} AND CASE WHEN json_valid(json) THEN json_extract(json, '$.status') != 'valid' END",
+    "undelivered": f"published = {WAITING}",
+}
+_FOUND_BY: Final = "".join(  # the last in the order of the table; else all of a store is read for the few that go
+    f"CREATE INDEX IF NOT EXISTS {name} ON result (position) WHERE {GIVEN_UP[name]};" for name in ("delivered", "empty")
+)
 _WITHDRAWN: Final = "ALTER TABLE fill ADD COLUMN is_withdrawn INTEGER NOT NULL DEFAULT 0;"
 _CREATE: Final = f"""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
@@ -54,6 +63,7 @@ CREATE TABLE result (
 );
 CREATE INDEX unpublished ON result (vehicle, position) WHERE published = {WAITING};
 CREATE INDEX latest ON result (vehicle, clutch, position);
+{_FOUND_BY}
 CREATE TABLE state (
   vehicle TEXT PRIMARY KEY,
   belief TEXT NOT NULL,
@@ -74,6 +84,7 @@ _STEPS: Final = {
     2: f"{_CONTROLLER} PRAGMA user_version = 3;",  # what a controller says of its trouble codes
     3: f"{_CREATE_FILL} PRAGMA user_version = 4;",  # which fluid since when
     4: f"{_WITHDRAWN} PRAGMA user_version = 5;",  # which fills were noted by mistake
+    5: f"{_FOUND_BY} PRAGMA user_version = 6;",  # what goes for the disk budget
 }
 
 

@@ -19,7 +19,7 @@ from clutchdiag_io.files import keep_private
 from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.records import FluidFill, ShiftResult, StoredResult, dump, parse_shift, shift_record
 from diag_service.errors import ResultError, StoreError
-from diag_service.store.file import DELIVERED, QUARANTINED, WAITING, connect, connect_in_memory, own, store_error
+from diag_service.store.file import DELIVERED, GIVEN_UP, QUARANTINED, connect, connect_in_memory, own, store_error
 from diag_service.store.fills import add_fills, all_fills, latest_fill, read_fills
 from fleet_contract import JsonObject, Outcome, Receipt, ResultKey
 
@@ -38,14 +38,6 @@ class DroppedCounts:
     def lost(self) -> int:
         """Results that nobody will ever have."""
         return self.empty + self.undelivered
-
-
-# Oldest first within each class. A store holds results only: signals and metrics are never kept at their cost.
-_ORDER: Final = {
-    "delivered": f"published != {WAITING}",
-    "empty": f"published = {WAITING} AND json_extract(json, '$.status') != 'valid'",
-    "undelivered": f"published = {WAITING}",
-}
 
 
 MOST_REPORT_BYTES: Final = 16 * 2**20  # of them all, unless the store has a budget
@@ -397,10 +389,7 @@ class ResultStore:
 
 
 def _mark(sql: sqlite3.Connection, changes: Iterable[tuple[int, str | None, int]]) -> None:
-    sql.executemany(
-        "UPDATE result SET published = ?, refusal = ? WHERE position = ? AND published = ?",
-        [(*change, WAITING) for change in changes],
-    )
+    sql.executemany("UPDATE result SET published = ?, refusal = ? WHERE position = ? AND published = 0", changes)
 
 
 def _state_row(vehicle: str, state: VehicleState) -> tuple[str, ...]:
@@ -429,7 +418,7 @@ def _enforce_budget(sql: sqlite3.Connection, budget_bytes: int, own_position: in
 
     Runs inside the transaction that adds a result, so what is dropped and what is added are one step.
     """
-    for name, condition in _ORDER.items():
+    for name, condition in GIVEN_UP.items():
         while _used_bytes(sql) > budget_bytes:
             dropped = _drop(sql, condition, own_position)
             sql.execute(

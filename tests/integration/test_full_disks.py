@@ -43,7 +43,7 @@ MESSAGE_COUNT = 150
 def test_a_vehicle_whose_disk_fills_up_goes_on_and_delivers_everything(
     mount: Mount, cycle_log: Path, tmp_path: Path, broker: Mosquitto, sqlite_url: str
 ) -> None:
-    disk = mount("size=1m")
+    disk = mount("size=2m")  # for what SQLite writes before it tidies up, too
     program = (sys.executable, "-m", "tests.support.fast_bus", str(cycle_log), "0")
     arguments = ("run", "--store", disk / "car.sqlite", "--json", "--vehicle", "car1", "--acknowledge", "backend")
     with (
