@@ -389,7 +389,9 @@ class ResultStore:
 
 
 def _mark(sql: sqlite3.Connection, changes: Iterable[tuple[int, str | None, int]]) -> None:
-    sql.executemany("UPDATE result SET published = ?, refusal = ? WHERE position = ? AND published = 0", changes)
+    sql.executemany(  # of those that wait
+        "UPDATE result SET published = ?, refusal = ? WHERE position = ? AND published = 0", changes
+    )
 
 
 def _state_row(vehicle: str, state: VehicleState) -> tuple[str, ...]:
