@@ -69,10 +69,13 @@ class Powertrain(Course):
 
     @property
     def endless_shift(self) -> str:
-        """What is to be said of a shift that does not end; empty: there is none."""
+        """What is to be said of a shift that does not end, or never begins; empty: there is none."""
         memory = self._machine.memory
         if memory[tcu_data.IS_FINISHED] != tcu_data.IS_STUCK:
             return ""
+        if memory[tcu_data.PHASE] == tcu_data.HOLD:
+            gear, most_s = memory[tcu_data.CURRENT_GEAR], tcu_data.LONGEST_GEAR_S
+            return f"no shift begins: gear {gear:.0f} for {most_s:.0f} s, the car does not reach the speed of the next"
         gears = f"gear {memory[tcu_data.CURRENT_GEAR]:.0f} to {memory[tcu_data.TARGET_GEAR]:.0f}"
         return f"the shift does not end: {gears} slips for {tcu_data.LONGEST_SHIFT_S:.0f} s, the clutch cannot hold"
 

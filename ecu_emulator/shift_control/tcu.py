@@ -260,7 +260,8 @@ def control(
     """Take one step of 1 ms: read ``sense``, update ``memory``, write ``commands``."""
     tick(memory, sense, p)
     drive(memory, commands, cycles, p)
-    if memory[at.PHASE] != at.HOLD and memory[at.PHASE_TIME] > at.LONGEST_SHIFT_S:
+    is_slipping = memory[at.PHASE] != at.HOLD and memory[at.PHASE_TIME] > at.LONGEST_SHIFT_S
+    if is_slipping or memory[at.DWELL] > at.LONGEST_GEAR_S:
         memory[at.IS_FINISHED] = at.IS_STUCK
     if memory[at.IS_FINISHED] != 0.0:
         return

@@ -67,7 +67,7 @@ COAST_TIME = 11
 CYCLE = 12
 IS_FILLED = 13
 RAMP_START = 14
-IS_FINISHED = 15  # 1: driven to the end; `IS_STUCK`: a shift does not end
+IS_FINISHED = 15  # 1: driven to the end; `IS_STUCK`: a shift does not end, or never begins
 ROUTINE = 16  # stage of the workshop routine
 REV = 17  # number of the rev within its stage, 0 between revs
 REV_TIME = 18  # since the rev or the wait before it began
@@ -81,6 +81,7 @@ STEP_COUNT = 25
 STEP = 26  # steps that are over
 MEMORY_COUNT = 27
 IS_STUCK, LONGEST_SHIFT_S = 2.0, 20.0  # of one phase: its clutch cannot carry what the engine gives
+LONGEST_GEAR_S = 300.0  # in one gear: by then the car is as fast, and the oil as warm, as they get
 
 # Columns of the table of cycles.
 CYCLE_PEDAL = 0

@@ -34,6 +34,16 @@ def test_a_drive_ends_and_stays_ended(driven_cycle: tuple[Powertrain, FloatArray
     assert train.advance(1.0).shape == (0, len(Col))
 
 
+def test_a_car_that_never_reaches_the_next_shift_ends_its_drive() -> None:
+    train = powertrain(DriveSettings(seed=10, pedal_ratio=0.25, vary_ratio=0.05))
+    last_s = 0.0
+    while not train.finished and last_s < 600.0:
+        train.advance(10.0)
+        last_s = train.time_s
+    assert train.finished
+    assert train.endless_shift.startswith("no shift begins: gear 5 for 300 s")
+
+
 def test_the_same_seed_gives_the_same_drive_to_the_bit() -> None:
     drive = DriveSettings(seed=7, vary_ratio=0.05)
     first, second = (powertrain(drive).advance(SHORT_S) for _ in range(2))
