@@ -93,6 +93,10 @@ def complain(
 
 def refusal(*paths: Path | None, is_forced: bool) -> str:
     """Return why these files must not be written; empty if they may be, as devices and pipes always may."""
+    given = [path.absolute() for path in paths if path is not None]
+    for path in given:
+        if given.count(path) > 1 and (path.is_file() or not path.exists()):
+            return f"two outputs cannot both be {path}"
     there = next((path for path in paths if path is not None and not is_forced and path.is_file()), None)
     return "" if there is None else f"{there} is there already; --force writes over it"
 

@@ -289,7 +289,7 @@ def write_log(
                 if stop.is_set():
                     break
             writer.totals(drive.totals)
-    except RecordError:
+    except (ConfigError, RecordError, KeyboardInterrupt):
         if writer is not None and path != STANDARD_STREAM and truth_file.is_file():
             truth_file.unlink()  # nobody needs the truth of a log that is not there
         raise

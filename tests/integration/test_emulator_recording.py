@@ -141,6 +141,14 @@ def test_a_shift_that_does_not_end_ends_the_drive(tmp_path: Path, capsys: pytest
     assert read_truth(tmp_path / "weak.log.truth.jsonl").totals is not None
 
 
+def test_no_truth_is_left_of_a_log_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "own.toml"
+    path.write_text('name = "own"\ndrive = "city"\n[ambient]\noil_temperature_k = 253.15\n')
+    assert main(["record", str(tmp_path / "x.log"), "--scenario", str(path)]) == 2
+    assert "oil_k must be" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_a_drive_that_the_plant_cannot_make_is_refused() -> None:
     scenario = replace(drive_scenario("noise_only"), truth=Truth(plant={"control.dwell_s": -1.0}))
     with pytest.raises(ConfigError, match=r"control\.dwell_s"):
