@@ -143,6 +143,7 @@ def crowded(
 
 LATE_CYCLES: Final = 1.5  # behind the successor, before the one after it
 SPOOF_CYCLES: Final = 0.5  # the second sender keeps clear of the first
+GAP_S: Final = 1.5e-3  # rows that are farther apart belong to different trips
 
 
 class FrameLoss:
@@ -177,10 +178,17 @@ class _Injector:
         self._free_s = -np.inf
         self.count = 0
 
-    def feed(self, frames: EncodedFrames, span_s: tuple[float, float], end_s: float, *, is_last: bool) -> EncodedFrames:
-        """Return the frames that leave up to ``end_s``, those of this stretch and those held back before."""
-        start_s, stop_s = span_s
+    def feed(
+        self, frames: EncodedFrames, span_s: tuple[float, float], drive_s: tuple[float, float], *, is_last: bool
+    ) -> EncodedFrames:
+        """Return the frames that leave by now, those of this stretch and those held back before.
+
+        ``drive_s`` is since when the car drives, and now.
+        """
+        (start_s, stop_s), (driven_from_s, end_s) = span_s, drive_s
         if start_s <= end_s:
+            if self._fault.kind is BusFaultKind.OVERLOAD:
+                start_s = min(max(start_s, driven_from_s), stop_s)  # the bus of a parked car is silent
             frames = self._changed(frames, start_s, stop_s, end_s)
         if len(self._held):
             frames = merge([self._held, frames])
@@ -306,6 +314,7 @@ class BusFaults:
         self._faults: list[BusFault] = []
         self._injectors: list[_Injector] = []
         self._onsets = Onsets(())
+        self._driven_from_s = self._end_s = -np.inf
         for fault in faults:
             self.add(fault)
 
@@ -349,8 +358,11 @@ class BusFaults:
             Nothing follows: what is held back leaves as well.
         """
         self._onsets.feed(rows, first_ms)
+        if first_ms / MS_PER_S > self._end_s + GAP_S:
+            self._driven_from_s = first_ms / MS_PER_S
+        self._end_s = end_s
         for injector, span_s in zip(self._injectors, self.spans_s, strict=True):
-            frames = injector.feed(frames, span_s, end_s, is_last=is_last)
+            frames = injector.feed(frames, span_s, (self._driven_from_s, end_s), is_last=is_last)
         return frames
 
 

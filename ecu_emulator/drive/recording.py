@@ -241,7 +241,7 @@ class Drive:
         truths = sorted([*self._begun_trip(), *self._watched(rows, is_last=is_last)], key=known_at_s)
         frames = self._loss.surviving(self._encoder.encode_all(self._sensors.read(rows)))
         first_s, self._end_s = (round(float(rows[row, Col.T_S]), 3) for row in (0, -1))
-        frames = self._bus_faults.feed(frames, rows, round(first_s * MS_PER_S), self._end_s, is_last=is_last)
+        frames = self._bus_faults.feed(frames, rows, round(first_s * MS_PER_S), self._end_s, is_last=self.finished)
         if len(frames) and not self._frame_count:
             self.ignition.appendleft(float(frames.t_s[0]))
         self._counts.update(map(type, truths))

@@ -20,6 +20,7 @@ from ecu_emulator.errors import ConfigError
 from ecu_emulator.live.live_drive import SentTruth
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.faults import BusFault, BusFaultKind
 from ecu_emulator.scenario.scenario import Ambient, Fluid, FluidCondition, Truth
 from ecu_emulator.scenario.signals import generator
 from ecu_emulator.truth import EventTruth, ShiftTruth, TripTruth, TruthWriter, read_truth
@@ -45,6 +46,16 @@ def _stretches() -> list[Stretch]:
 @pytest.fixture(name="frames", scope="module")
 def _frames(stretches: list[Stretch]) -> EncodedFrames:
     return merge([stretch.frames for stretch in stretches])
+
+
+def test_frames_held_back_at_the_end_of_a_trip_are_in_order_with_those_of_the_next() -> None:
+    late = BusFault(kind=BusFaultKind.REORDER)
+    drive = Drive(
+        replace(road_scenario("ideal"), bus_faults=(late,)), planned=iter([short_trip("there"), short_trip("on")])
+    )
+    times_s = np.concatenate([stretch.frames.t_s for stretch in drive.stretches(10.0)])
+    assert np.diff(times_s).min() >= 0.0
+    assert times_s[-1] > 2.0 * TRIP_S
 
 
 def test_every_event_is_told_with_its_trip(stretches: list[Stretch]) -> None:

@@ -215,6 +215,19 @@ def test_the_frames_do_not_depend_on_how_the_stream_was_cut(one: list[BusFault],
     assert np.array_equal(cut.data, whole.data)
 
 
+def test_an_overload_leaves_the_bus_of_a_parked_car_silent() -> None:
+    stage, rows = (
+        BusFaults([fault("overload", message="", share=0.5, duration_s=math.inf)], SEED, CONTRACTS),
+        made_up_rows(400),
+    )
+    stage.feed(FRAMES[:0], rows, 0, 0.399, is_last=False)
+    (before,) = stage.counts
+    parted = stage.feed(FRAMES[:0], rows, 3_600_000, 3600.399, is_last=True)
+    assert before == pytest.approx(0.5 * 0.099 / FRAME_S, abs=1)
+    assert stage.counts[0] - before == pytest.approx(0.5 * 0.399 / FRAME_S, abs=1)
+    assert parted.t_s.min() >= 3600.0
+
+
 def test_a_message_that_is_not_on_the_bus_is_named() -> None:
     with pytest.raises(ConfigError, match="'TCU_Presure' is not on the bus; known: ECM_TorqueSpeed"):
         BusFaults([fault("loss", message="TCU_Presure")], SEED, CONTRACTS)
