@@ -25,6 +25,7 @@ DAY_GRADE_RATIO: Range = (0.0, 0.04)
 # Assumed: half of what oil and coolant are warmer than the air is gone after two hours, the sealed engine bay included.
 OIL_PARKED_TIME_CONSTANT_S: Final = 9_000.0
 COOLANT_PARKED_TIME_CONSTANT_S: Final = 10_000.0
+COLDEST_PARKED_K: Final = 258.15  # colder oil lets no gear in: in a harder winter the car is kept under a roof
 MS_PER_S: Final = 1000.0
 
 
@@ -198,15 +199,13 @@ class Journey:
 
     def _set_off(self, trip: PlannedTrip) -> MovingCar:
         self._clock_ms += round(min(trip.parked_s, self._longest_stay_s) * MS_PER_S)
+        least_k = COLDEST_PARKED_K if trip.parked_s > 0.0 else 0.0
+        oil_k = cooled_k(self._warmth.oil_k, self._ambient_k, trip.parked_s, OIL_PARKED_TIME_CONSTANT_S)
+        coolant_k = cooled_k(self._warmth.coolant_k, self._ambient_k, trip.parked_s, COOLANT_PARKED_TIME_CONSTANT_S)
         self.departure = Departure(
             number=1 if self.departure is None else self.departure.number + 1,
             trip=trip,
             t_start_s=self._clock_ms / MS_PER_S,
-            warmth=Warmth(
-                oil_k=cooled_k(self._warmth.oil_k, self._ambient_k, trip.parked_s, OIL_PARKED_TIME_CONSTANT_S),
-                coolant_k=cooled_k(
-                    self._warmth.coolant_k, self._ambient_k, trip.parked_s, COOLANT_PARKED_TIME_CONSTANT_S
-                ),
-            ),
+            warmth=Warmth(oil_k=max(oil_k, least_k), coolant_k=max(coolant_k, least_k)),
         )
         return self._depart(self.departure)
