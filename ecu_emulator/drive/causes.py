@@ -37,7 +37,7 @@ from typing import Final, Self
 
 import numpy as np
 
-from clutch_model.calibration import Calibration, ClutchCalibration, with_clutch
+from clutch_model.calibration import CONVERTERS, Calibration, ClutchCalibration, with_clutch
 from ecu_emulator.plant.parameters import PlantParameters
 from ecu_emulator.scenario.faults import Cause, CauseKind
 from ecu_emulator.scenario.scenario import Scenario
@@ -79,6 +79,7 @@ class CausedChanges:
         for cause in scenario.causes:
             strength = cause.strength_at(scenario.odometer_m)
             clutch, drawn = _drawn(cause, scenario.seed_of_vehicle)
+            clutch = min(clutch, 1) if scenario.transmission in CONVERTERS else clutch  # whose only one is the first
             if strength == 0.0:
                 continue
             changes = {name: strength * size for name, size in drawn.items()}
@@ -122,7 +123,7 @@ class CausedChanges:
         """Return how the sensors err."""
         drifted = dict(sound)
         errors = {f"{clutch}_pressure_pa": (own, "pressure") for clutch, own in zip(_EACH, self.each, strict=True)}
-        errors["engine_torque_nm"] = self.both, "torque"
+        errors |= {"lockup_pressure_pa": (self.each[0], "pressure"), "engine_torque_nm": (self.both, "torque")}
         for quantity, (own, name) in errors.items():
             unit = "pa" if name == "pressure" else "nm"
             sensor = drifted[quantity]

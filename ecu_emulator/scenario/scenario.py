@@ -55,9 +55,9 @@ class Fluid:
     ageing_cycles: int = 20
 
     def __post_init__(self) -> None:
-        """Check that ageing takes some time."""
-        if self.ageing_cycles < 1:
-            raise ConfigError(f"ageing_cycles must be >= 1, got {self.ageing_cycles}")
+        """Check that ageing takes some time, and ends."""
+        if not 1 <= self.ageing_cycles <= MAX_CYCLES:
+            raise ConfigError(f"ageing_cycles must be 1..{MAX_CYCLES}, got {self.ageing_cycles}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,6 +255,8 @@ class Scenario(_Ranged):
             raise ConfigError(f"transmission must be one of {', '.join(SHIPPED)}, got {self.transmission!r}")
         if self.transmission in CONVERTERS and not self.is_on_the_road:
             raise ConfigError("a car with a torque converter is driven on the road: its drive cannot be cycle")
+        if self.transmission in CONVERTERS and any(cause.clutch == 2 for cause in self.causes):
+            raise ConfigError("a car with a torque converter has one clutch: that of a cause cannot be 2")
         for name in ("seed", "vehicle_seed", "drive_seed"):
             seed = getattr(self, name)
             if seed is not None and not 0 <= seed < 2**63:

@@ -52,6 +52,22 @@ def test_some_causes_are_in_one_clutch(kind: str, group: str, name: str, is_more
     assert (ratio(faulty, 1, group, name) > 1.0) is is_more
 
 
+def test_causes_of_one_clutch_are_those_of_a_lock_up_clutch() -> None:
+    car = load_scenario("lockup")
+    for seed in range(4):  # of which some draw clutch 2
+        for kind in (CauseKind.GLAZED_LINING, CauseKind.PRESSURE_SENSOR):
+            sound = replace(car, seed=seed)
+            faulty = replace(sound, causes=(Cause(kind=kind, strength=2.0),))
+            before, after = build_vehicle(sound), build_vehicle(faulty)
+            first, drifted = after.calibration.clutches[0], after.sensors["lockup_pressure_pa"]
+            is_lining = kind is CauseKind.GLAZED_LINING
+            assert (first.friction != before.calibration.clutches[0].friction) is is_lining
+            assert (drifted != before.sensors["lockup_pressure_pa"]) is not is_lining
+            assert [cause.clutch for cause in after.causes] == [1]
+    with pytest.raises(ConfigError, match="has one clutch"):
+        replace(car, causes=(Cause(kind=CauseKind.GLAZED_LINING, clutch=2),))
+
+
 def test_worn_lining_leaves_friction_alone_and_moves_the_touch_point() -> None:
     first, second = (built("worn-lining:2:1").calibration.clutches, SOUND.calibration.clutches)
     assert first[0].friction == second[0].friction

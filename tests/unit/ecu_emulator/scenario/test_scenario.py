@@ -134,6 +134,7 @@ def test_every_key_reaches_its_place() -> None:
         (MINIMAL + 'fluid = "case1"', "fluid must be a table"),
         (MINIMAL + 'fluid = {condition = "new"}', r"fluid\.condition must be one of"),
         (MINIMAL + "fluid = {ageing_cycles = 0}", r"fluid\.ageing_cycles must be"),
+        (MINIMAL + "fluid = {ageing_cycles = 1_000_000_000}", r"fluid\.ageing_cycles must be"),
         (MINIMAL + 'driver = {pedal_ratio = "0.5"}', r"driver\.pedal_ratio must be a number"),
         (MINIMAL + "driver = {pedal_ratio = 1.5}", r"driver\.pedal_ratio must be"),
         (MINIMAL + "driver = {pedal_ratio = nan}", r"driver\.pedal_ratio must be"),
