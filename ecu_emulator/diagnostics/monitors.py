@@ -109,6 +109,7 @@ WARMED_BY_K: Final = 22.2  # 40 degF, that it has become warmer in it at least
 PRESSURE_SENSOR_CODES: Final = {1: "P0841", 2: "P0846"}  # by clutch
 STUCK_ON_CODES: Final = {1: "P0747", 2: "P0777"}
 STUCK_OFF_CODES: Final = {1: "P0746", 2: "P0776"}
+RATIO_CODES: Final = ("P0731", "P0732", "P0733", "P0734", "P0735", "P0729", "P076F", "P07D9")  # by gear
 LOST_CODES: Final = {"ECM": "U0100", "ABS": "U0121", "IC": "U0155"}  # by sender
 _SHAFT_SPEEDS: Final = ("hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_rad_s")
 
@@ -328,4 +329,4 @@ def _ratio_samples(gear: int, name: str, known: Mapping[str, float], limits: Mon
         return
     error = shaft / output / limits.input_output_ratios[gear - 1] - 1.0
     is_failed = abs(error) > limits.most_ratio_error
-    yield _sample(f"P073{gear}" if gear <= 5 else "P0729", is_failed=is_failed)
+    yield _sample(RATIO_CODES[gear - 1], is_failed=is_failed)

@@ -123,6 +123,18 @@ def test_a_temperature_that_jumps_is_the_sensors_and_says_nothing_of_heat() -> N
     assert failing(HOLDING, HOLDING | {"sump_temperature_k": 395.0}) == {"P0711"}
 
 
+def test_a_wrong_ratio_names_its_own_gear() -> None:
+    limits = MonitorLimits(input_output_ratios=(4.780, 2.933, 2.153, 1.678, 1.390, 1.203, 1.0))
+    for gear, code in ((6, "P0729"), (7, "P076F")):
+        held = HOLDING | {"current_gear": gear, "target_gear": gear, "output_speed_rad_s": 120.0}
+        shaft = "input1" if gear == 7 else "input2"
+        watch, _ = judge(Watch(), held, 100.0, limits)
+        _, samples = judge(
+            watch, held | {f"{shaft}_speed_rad_s": 1.04 * 120.0 * (1.203 if gear == 6 else 1.0)}, 101.0, limits
+        )
+        assert {said for said, result in samples if said[:3] == "P07" and result is TestResult.PREFAILED} == {code}
+
+
 def test_a_shift_that_never_ends_fails() -> None:
     shifting = HOLDING | {"target_gear": 4.0, "shift_phase": 2.0}
     assert failing(shifting, shifting, shifting) == set()
