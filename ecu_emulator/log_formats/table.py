@@ -115,7 +115,8 @@ def _rows_s(times_ns: list[Int64Array], options: TableOptions, rng: np.random.Ge
     first_s = max(int(one[0]) for one in times_ns) / NS_PER_S + SETTLED_S
     last_s = min(int(one[-1]) for one in times_ns) / NS_PER_S - ENDING_S
     rows_s = np.arange(first_s, last_s, 1.0 / options.rate_hz)
-    return np.sort(rows_s + rng.normal(0.0, options.jitter_s, len(rows_s)))
+    rows_s = np.sort(rows_s + rng.normal(0.0, options.jitter_s, len(rows_s)))
+    return rows_s[rows_s > first_s - SETTLED_S]  # before it some column has no value at all
 
 
 def _joined(times: list[int], values: list[list[float]]) -> list[tuple[float, ...]]:

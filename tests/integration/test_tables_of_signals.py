@@ -14,6 +14,7 @@ from benchmarks.scan_tool import OF_FRICTION, OUTPUT, with_fuel, written
 from dbc.contract import load_contract
 from diag_service.mapping.profile import PROFILE_PATH
 from ecu_emulator.cli import main as emulator
+from ecu_emulator.log_formats.table import TableOptions, write_table
 from tests.support.documents import ROOT
 from tests.support.in_process import ended
 
@@ -230,6 +231,15 @@ def test_record_writes_a_table_beside_its_log(tmp_path: Path) -> None:
     assert np.abs(steps - np.round(steps)).max() < 1e-3
     changed = np.flatnonzero(np.diff(cells[:, place]))
     assert np.diff(changed).min() == 3
+
+
+def test_no_row_is_older_than_what_it_tells(log: Path, tmp_path: Path) -> None:
+    table = tmp_path / "uneven.csv"
+    write_table(log, TableOptions(path=table, jitter_s=0.5), 1)
+    _, *rows = table.read_text(encoding="utf-8").splitlines()
+    times_ms = np.array([row.split(",")[0] for row in rows], np.float64)
+    assert times_ms.min() >= 1e3 * float(log.read_text()[1:18]) - 1.0
+    assert np.diff(times_ms).min() >= 0.0
 
 
 def test_values_that_are_held_make_no_launch(tmp_path: Path) -> None:
