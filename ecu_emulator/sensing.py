@@ -30,8 +30,8 @@ class Onsets:
         self._start_ms: list[float] = []
         for one in scheduled:
             self.add(one)
-        self._phase = int(PhaseCode.HOLD)
-        self._shift_count = 0
+        self._last = np.array((0.0, 0.0, PhaseCode.HOLD))  # current gear, target gear, phase
+        self._shift_count = 0  # completed, as the truth counts them
 
     def add(self, one: Scheduled, origin_ms: float = 0.0) -> None:
         """Schedule one more; without a shift its start counts from ``origin_ms``."""
@@ -40,13 +40,14 @@ class Onsets:
 
     def feed(self, rows: FloatArray, first_ms: int) -> None:
         """Look for the phases of shifts in the next plant rows, one per millisecond."""
-        phases = rows[:, Col.SHIFT_PHASE].astype(np.int64)
-        for row in np.flatnonzero(np.diff(phases, prepend=self._phase)).tolist():
-            self._phase = int(phases[row])
-            self._shift_count += self._phase == PhaseCode.PREFILL
-            for index, one in enumerate(self._scheduled):
-                if one.shift == self._shift_count and self._phase == PhaseCode[one.phase.name]:
+        seen = np.vstack((self._last, rows[:, (Col.CURRENT_GEAR, Col.TARGET_GEAR, Col.SHIFT_PHASE)]))
+        for row in np.flatnonzero(np.any(np.diff(seen, axis=0), axis=1)).tolist():
+            (was, wanted, before), (gear, _, phase) = seen[row : row + 2].tolist()
+            self._shift_count += was != gear == wanted and was > 0.0
+            for index, one in enumerate(self._scheduled if gear and phase != before else ()):
+                if one.shift == self._shift_count + 1 and phase == PhaseCode[one.phase.name]:
                     self._start_ms[index] = first_ms + row + math.ceil(one.start_s * MS_PER_S)
+        self._last = seen[-1]
 
     def span_ms(self, index: int) -> tuple[float, float]:
         """Return begin and end [ms] of one of them; what is at the end is outside."""

@@ -9,7 +9,8 @@ from canlog.arrays import FloatArray
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import Phase, PhaseCode, SensorFault, SensorFaultKind
 from ecu_emulator.sensing import SensorFaults
-from tests.unit.ecu_emulator.rows import made_up_rows
+from ecu_emulator.truth import ShiftWatcher
+from tests.unit.ecu_emulator.rows import made_up_rows, with_shift
 
 QUANTITY = "hub_speed_rad_s"
 SEND_MS = np.arange(0, 1000, 10)
@@ -76,7 +77,8 @@ def rows_with_shifts() -> FloatArray:
     """Return 900 ms with a shift at 100 ms and another at 500 ms, each phase 50 ms long."""
     rows = made_up_rows(900)
     rows[:, Col.SHIFT_PHASE] = PhaseCode.HOLD
-    for start_ms in (100, 500):
+    for gear, start_ms in enumerate((100, 500), start=1):
+        rows = with_shift(rows, start_ms, start_ms + 200, gear, gear + 1)
         for step, phase in enumerate((PhaseCode.PREFILL, PhaseCode.TORQUE, PhaseCode.INERTIA, PhaseCode.LOCK_UP)):
             rows[start_ms + 50 * step : start_ms + 50 * step + 50, Col.SHIFT_PHASE] = phase
     return rows
@@ -99,6 +101,21 @@ def test_a_fault_can_be_timed_by_a_shift(shift: int, phase: Phase, start_s: floa
     assert span_s == pytest.approx((begins_s, begins_s + 0.1))
     assert SEND_MS[np.flatnonzero(np.concatenate(wrong))[0]] / 1000.0 == pytest.approx(math.ceil(begins_s * 100) / 100)
     assert stage.changed_counts == (10,)
+
+
+@pytest.mark.parametrize("chunk", [900, 100, 37])
+def test_shifts_are_counted_as_the_truth_counts_them(chunk: int) -> None:
+    rows = rows_with_shifts()
+    rows[:100, Col.CURRENT_GEAR], rows[50:80, Col.SHIFT_PHASE] = 0.0, PhaseCode.PREFILL  # a start from neutral
+    rows[350:400, Col.SHIFT_PHASE] = PhaseCode.PREFILL  # the driver's mind changes
+    rows[410:420, Col.TARGET_GEAR], rows[420:, Col.CURRENT_GEAR] = 1.0, 1.0  # with open clutches, without phases
+    rows[420:500, Col.TARGET_GEAR], rows[700:, Col.CURRENT_GEAR] = 1.0, 3.0
+    stage = SensorFaults([fault("offset", size=1.0, shift=number) for number in (1, 2, 3)])
+    for first_ms in range(0, len(rows), chunk):
+        stage.feed(rows[first_ms : first_ms + chunk], first_ms)
+    assert [round(1e3 * span[0]) for span in stage.spans_s] == [100, 350, 500]
+    truths = ShiftWatcher().feed(rows)
+    assert [round(1e3 * shift.t_start_s) for shift in truths] == [100, 410, 500]
 
 
 def test_a_shift_that_does_not_come_triggers_nothing() -> None:
