@@ -181,10 +181,7 @@ class _Injector:
     def feed(
         self, frames: EncodedFrames, span_s: tuple[float, float], drive_s: tuple[float, float], *, is_last: bool
     ) -> EncodedFrames:
-        """Return the frames that leave by now, those of this stretch and those held back before.
-
-        ``drive_s`` is since when the car drives, and now.
-        """
+        """Return the frames that leave by now, held back before or not; ``drive_s``: since when the car drives, now."""
         (start_s, stop_s), (driven_from_s, end_s) = span_s, drive_s
         if start_s <= end_s:
             if self._fault.kind is BusFaultKind.OVERLOAD:

@@ -1,12 +1,7 @@
 """The emulated vehicle: engine, hydraulics, wet dual clutch, driveline, road."""
 
 from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
-from ecu_emulator.plant.parameters import (
-    PlantParameters,
-    nominal_parameters,
-    plant_table,
-    read_parameters,
-)
+from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters, plant_table
 from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.plant.state import Col
 
@@ -18,5 +13,4 @@ __all__ = [
     "Powertrain",
     "nominal_parameters",
     "plant_table",
-    "read_parameters",
 ]

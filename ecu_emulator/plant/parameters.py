@@ -5,12 +5,11 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from importlib.resources import files
-from pathlib import Path
 from typing import Final, NamedTuple, Self
 
 from clutch_model.calibration import overlaid
 from clutch_model.errors import CalibrationError
-from clutch_model.tables import read_table, record_from, require
+from clutch_model.tables import record_from, require
 from ecu_emulator.plant.clutch import LiningParameters
 from ecu_emulator.plant.driveline import (
     FlywheelParameters,
@@ -170,18 +169,3 @@ def _shipped(name: str) -> dict[str, object]:
 def nominal_parameters(transmission: str = "nominal") -> PlantParameters:
     """Return the plant parameters that ship with the package, with a transmission."""
     return PlantParameters.from_mapping(plant_table(transmission))
-
-
-def read_parameters(path: Path) -> PlantParameters:
-    """Read a file of plant parameters.
-
-    Raises
-    ------
-    CalibrationError
-        If the file is missing, not TOML, or holds a value outside its range.
-    """
-    table = read_table(path, "plant parameters")
-    try:
-        return PlantParameters.from_mapping(table)
-    except CalibrationError as exc:
-        raise CalibrationError(f"{path}: {exc}") from exc

@@ -296,7 +296,6 @@ READERS: Mapping[str, str] = {
     ".calibration": "clutch_model.calibration:read_calibration",
     ".config": "diag_service.settings.options:read_settings",
     ".password": "fleet_link.address:read_secret",
-    ".plant": "ecu_emulator.plant.parameters:read_parameters",
     ".scenario": "ecu_emulator.scenario.scenario_file:load_scenario",
     ".truth": "ecu_emulator.truth:read_truth",
 }  # by suffix; everything else is a log

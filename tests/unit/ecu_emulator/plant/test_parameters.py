@@ -1,11 +1,10 @@
-from pathlib import Path
 from typing import cast
 
 import pytest
 
 from clutch_model.errors import CalibrationError, DomainError
 from ecu_emulator.plant.course import as_record
-from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters, plant_table, read_parameters
+from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters, plant_table
 from ecu_emulator.plant.powertrain import overall_ratios
 
 
@@ -56,15 +55,6 @@ def test_unknown_and_missing_keys_are_named() -> None:
     table["shaft"] = [{}]
     with pytest.raises(CalibrationError, match="exactly 2"):
         PlantParameters.from_mapping(table)
-
-
-def test_a_file_that_cannot_be_used_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "plant.toml"
-    with pytest.raises(CalibrationError, match=r"plant\.toml"):
-        read_parameters(path)
-    path.write_text("[engine]\n", encoding="utf-8")
-    with pytest.raises(CalibrationError, match=r"plant\.toml: plant needs exactly 2"):
-        read_parameters(path)
 
 
 def test_a_record_reads_like_the_tuple_it_was_made_of() -> None:
