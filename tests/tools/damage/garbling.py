@@ -125,7 +125,7 @@ GARBLERS: Mapping[str, Garbler] = MappingProxyType(
         "blf": garble_blf,
         "mf4": garble_mf4,
         "pcap": garble_capture(24, 32, 20),
-        "pcapng": garble_capture(48, 48, 32),
+        "pcapng": garble_capture(548, 56, 32),
         "sqlite": garble_sqlite,
     }
 )

@@ -2,11 +2,9 @@
 
 import gzip
 import sqlite3
-import struct
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
@@ -29,6 +27,9 @@ from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.log_formats.record import DEFAULT_START_NS, open_log
 from tests.support.builders import drive_scenario
+from tests.support.capture_grammars import CAPTURE_GRAMMARS
+from tests.support.log_grammars import GRAMMARS, Frame, Grammar
+from tests.support.wild_grammars import WILD_GRAMMARS
 
 RECORDED = MappingProxyType(
     {
@@ -107,194 +108,53 @@ def write_sqlite(path: Path, frames: EncodedFrames) -> None:
         database.commit()
 
 
-def write_busmaster(path: Path, frames: EncodedFrames) -> None:
-    """Write a log of BUSMASTER; its clock counts tenths of milliseconds."""
-    start = datetime.fromtimestamp(DEFAULT_START_NS / 1e9, UTC).astimezone()
-    day_us = ((start.hour * 60 + start.minute) * 60 + start.second) * US_PER_S
-    head = (
-        "***BUSMASTER Ver 3.2.2***\n"
-        f"***START DATE AND TIME {start.day}:{start.month}:{start.year} {start:%H:%M:%S}:000***\n***SYSTEM MODE***\n"
-    )
-    path.write_text(head + "".join(busmaster_line(day_us + t_us, row) for t_us, row in rows_of(frames)), "ascii")
-
-
-def busmaster_line(t_us: int, row: EncodedFrames) -> str:
-    """Return the line of one frame."""
-    seconds, rest_us = divmod(t_us, US_PER_S)
-    clock = f"{seconds // 3600:02}:{seconds // 60 % 60:02}:{seconds % 60:02}:{rest_us // 100:04}"
-    payload = row.data[0, : row.length[0]].tobytes().hex(" ").upper()
-    return f"{clock} Rx 1 0x{row.can_id[0]:X} s {row.length[0]} {payload}\n"
-
-
-def write_crtd(path: Path, frames: EncodedFrames) -> None:
-    """Write a log of the Open Vehicles project."""
-    start_us = DEFAULT_START_NS // NS_PER_US
-    lines = [
-        f"{(start_us + t_us) // US_PER_S}.{t_us % US_PER_S:06} 1R11 {row.can_id[0]:X} "
-        f"{row.data[0, : row.length[0]].tobytes().hex(' ').upper()}\n"
-        for t_us, row in rows_of(frames)
+def as_sent(frames: EncodedFrames) -> list[Frame]:
+    """Return frames one by one, as the grammars of random logs take them."""
+    columns = times_us(frames).tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data
+    return [
+        Frame(t_us=t_us, can_id=can_id, is_extended=False, length=length, data=data[:length].tobytes())
+        for t_us, can_id, length, data in zip(*columns, strict=True)
     ]
-    path.write_text(f"{start_us // US_PER_S}.000000 CXX short drive\n" + "".join(lines), "ascii")
-
-
-def write_console(path: Path, frames: EncodedFrames) -> None:
-    """Write what ``candump -t a -x`` prints."""
-    start_us = DEFAULT_START_NS // NS_PER_US
-    lines = [
-        f" ({(start_us + t_us) // US_PER_S:010}.{t_us % US_PER_S:06})  can0  RX - -  {row.can_id[0]:03X}   "
-        f"[{row.length[0]}]  {row.data[0, : row.length[0]].tobytes().hex(' ').upper()}\n"
-        for t_us, row in rows_of(frames)
-    ]
-    path.write_text("".join(lines), "ascii")
-
-
-def write_columns(path: Path, frames: EncodedFrames) -> None:
-    """Write a table whose header names its columns."""
-    start_us = DEFAULT_START_NS // NS_PER_US
-    lines = [
-        f"{(start_us + t_us) // US_PER_S}.{t_us % US_PER_S:06};{row.can_id[0]:X};{row.length[0]};"
-        f"{row.data[0, : row.length[0]].tobytes().hex(' ')}\n"
-        for t_us, row in rows_of(frames)
-    ]
-    path.write_text("Time [s];CAN ID;DLC;Data\n" + "".join(lines), "ascii")
-
-
-def write_carbus(path: Path, frames: EncodedFrames) -> None:
-    """Write a trace of CARBUS Analyzer, whose times begin again every minute."""
-    lines = [
-        f"{t_us // US_PER_S % 60:02},{t_us % US_PER_S:06}\t1\t00000004\t{row.can_id[0]:03X}\t{row.length[0]}\t"
-        f"{row.data[0, : row.length[0]].tobytes().hex(' ').upper():23}\t00000000\t        \t\n"
-        for t_us, row in rows_of(frames)
-    ]
-    path.write_text("@ TEXT @ 3 @ 64 @ 0 @ 0 @ 0 @ 00:00:00.000 @\n" + "".join(lines), "ascii")
-
-
-def write_canhacker(path: Path, frames: EncodedFrames) -> None:
-    """Write a trace of CANHacker, in milliseconds of the minute."""
-    lines = [
-        f"{t_us // US_PER_S % 60:02}.{t_us % US_PER_S // 1_000:03} {row.can_id[0]:08X} {row.length[0]} "
-        f"{row.data[0, : row.length[0]].tobytes().hex(' ').upper()} \n"
-        for t_us, row in rows_of(frames)
-    ]
-    path.write_text("Time   ID     DLC Data                    Comment\n" + "".join(lines), "ascii")
-
-
-def write_microchip(path: Path, frames: EncodedFrames) -> None:
-    """Write a log of Microchip's CAN Bus Analyzer, in milliseconds."""
-    start = datetime.fromtimestamp(DEFAULT_START_NS / 1e9, UTC).astimezone()
-    head = (
-        "//---\nMicrochip Technology Inc.\nCAN BUS Analyzer\n"
-        f"Logging Started: {start.day}/{start.month}/{start.year} {start:%H:%M:%S}\n//---\n"
-    )
-    lines = [
-        f"{t_us // 1_000};RX;0x{row.can_id[0]:X};{row.length[0]};"
-        f"{''.join(f'0x{byte:02X};' for byte in row.data[0, : row.length[0]].tolist())}\n"
-        for t_us, row in rows_of(frames)
-    ]
-    path.write_text(head + "".join(lines), "ascii")
-
-
-def write_clx000(path: Path, frames: EncodedFrames) -> None:
-    """Write a log of a CLX000, whose times have the day of the month, and milliseconds."""
-    start = datetime.fromtimestamp(DEFAULT_START_NS / 1e9, UTC).astimezone()
-    lines = []
-    for t_us, row in rows_of(frames):
-        moment = start + timedelta(microseconds=t_us)
-        data = row.data[0, : row.length[0]].tobytes().hex()
-        lines.append(f"{moment:%dT%H%M%S}{moment.microsecond // 1_000:03};0;{row.can_id[0]:x};{data}\n")
-    head = f'# Logger type: CL2000\n# Time: {start:%Y%m%dT%H%M%S}\n# Value separator: ";"\nTimestamp;Type;ID;Data\n'
-    path.write_text(head + "".join(lines), "ascii")
-
-
-def write_canking(path: Path, frames: EncodedFrames) -> None:
-    """Write a text of Kvaser's CanKing."""
-    lines = [
-        f" 0    {row.can_id[0]:08X}       {row.length[0]:3}  "
-        f"{row.data[0, : row.length[0]].tobytes().hex(' ').upper()} {t_us // US_PER_S:7}.{t_us % US_PER_S:06} R\n"
-        for t_us, row in rows_of(frames)
-    ]
-    path.write_text("Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir\n" + "".join(lines))
-
-
-def write_yacht_devices(path: Path, frames: EncodedFrames) -> None:
-    """Write what gateways of Yacht Devices send: milliseconds of the day, and no header."""
-    lines = [
-        f"{t_us // 3600 // US_PER_S:02}:{t_us // 60 // US_PER_S % 60:02}:{t_us // US_PER_S % 60:02}."
-        f"{t_us % US_PER_S // 1_000:03} R {row.can_id[0]:03X} "
-        f"{row.data[0, : row.length[0]].tobytes().hex(' ').upper()}\n"
-        for t_us, row in rows_of(frames)
-    ]
-    path.write_text("".join(lines))
-
-
-def write_pcap(path: Path, frames: EncodedFrames) -> None:
-    """Write a capture of SocketCAN in pcap, little-endian."""
-    start_us = DEFAULT_START_NS // NS_PER_US
-    pieces = [struct.pack("<LHHLLLL", 0xA1B2C3D4, 2, 4, 0, 0, 262_144, 227)]
-    for t_us, row in rows_of(frames):
-        seconds, part_us = divmod(start_us + t_us, US_PER_S)
-        packet = struct.pack(">LB3x", row.can_id[0], row.length[0]) + row.data[0, :8].tobytes()
-        pieces.append(struct.pack("<LLLL", seconds, part_us, len(packet), len(packet)) + packet)
-    path.write_bytes(b"".join(pieces))
-
-
-def write_pcapng(path: Path, frames: EncodedFrames) -> None:
-    """Write a capture of SocketCAN in pcapng, big-endian."""
-    start_us = DEFAULT_START_NS // NS_PER_US
-    pieces = [struct.pack(">LLLHHqL", 0x0A0D0D0A, 28, 0x1A2B3C4D, 1, 0, -1, 28)]
-    pieces.append(struct.pack(">LLHHLL", 1, 20, 227, 0, 0, 20))
-    for t_us, row in rows_of(frames):
-        high, low = divmod(start_us + t_us, 1 << 32)
-        packet = struct.pack(">LB3x", row.can_id[0], row.length[0]) + row.data[0, :8].tobytes()
-        pieces.append(struct.pack(">7L", 6, 48, 0, high, low, 16, 16) + packet + struct.pack(">L", 48))
-    path.write_bytes(b"".join(pieces))
-
-
-def rows_of(frames: EncodedFrames) -> list[tuple[int, EncodedFrames]]:
-    """Return frames one by one, with their times."""
-    return [(t_us, frames[row : row + 1]) for row, t_us in enumerate(times_us(frames).tolist())]
 
 
 Writer = Callable[[Path, EncodedFrames], None]
+
+
+def writer_of(grammar: Grammar) -> Writer:
+    """Return what writes a format that the emulator does not record."""
+    return lambda path, frames: grammar.write(path, as_sent(frames))
+
+
+OTHERS: Mapping[str, tuple[str, Grammar]] = MappingProxyType(
+    {
+        "busmaster": (".bus.log", GRAMMARS["busmaster"]),
+        "crtd": (".crtd", GRAMMARS["crtd"]),
+        "console": (".txt", WILD_GRAMMARS["candump-console -ta"]),
+        "columns": (".table", WILD_GRAMMARS["columns with commas"]),
+        "carbus": (".carbus.trc", WILD_GRAMMARS["carbus"]),
+        "canhacker": (".hacker.trc", WILD_GRAMMARS["canhacker"]),
+        "microchip": (".can", WILD_GRAMMARS["microchip"]),
+        "clx000": (".clx.txt", WILD_GRAMMARS["clx000 with days"]),
+        "canking": (".king.txt", WILD_GRAMMARS["canking"]),
+        "pcap": (".pcap", CAPTURE_GRAMMARS["pcap"]),
+        "pcapng": (".pcapng", CAPTURE_GRAMMARS["pcapng"]),
+        "yacht-devices": (".yd.txt", WILD_GRAMMARS["yacht-devices"]),
+    }
+)
+"""Formats that others write, by name, with their suffixes and grammars."""
+
 WRITERS: Mapping[str, Writer] = MappingProxyType(
     {
         **dict.fromkeys(RECORDED, write_recorded),
+        **{name: writer_of(grammar) for name, (_, grammar) in OTHERS.items()},
         "sqlite": write_sqlite,
-        "busmaster": write_busmaster,
-        "crtd": write_crtd,
-        "console": write_console,
-        "columns": write_columns,
-        "carbus": write_carbus,
-        "canhacker": write_canhacker,
-        "microchip": write_microchip,
-        "clx000": write_clx000,
-        "canking": write_canking,
-        "pcap": write_pcap,
-        "pcapng": write_pcapng,
-        "yacht-devices": write_yacht_devices,
         "gzip": write_gzip,
     }
 )
 """How every format is written."""
 
 SUFFIXES: Mapping[str, str] = MappingProxyType(
-    {
-        **RECORDED,
-        "sqlite": ".db",
-        "busmaster": ".bus.log",
-        "crtd": ".crtd",
-        "console": ".txt",
-        "columns": ".table",
-        "carbus": ".carbus.trc",
-        "canhacker": ".hacker.trc",
-        "microchip": ".can",
-        "clx000": ".clx.txt",
-        "canking": ".king.txt",
-        "pcap": ".pcap",
-        "pcapng": ".pcapng",
-        "yacht-devices": ".yd.txt",
-        "gzip": ".log.gz",
-    }
+    {**RECORDED, **{name: suffix for name, (suffix, _) in OTHERS.items()}, "sqlite": ".db", "gzip": ".log.gz"}
 )
 CLOCK_US: Mapping[str, int] = MappingProxyType(
     {"busmaster": 100, "canhacker": 1_000, "microchip": 1_000, "clx000": 1_000, "yacht-devices": 1_000}
