@@ -3,7 +3,7 @@
 import json
 import re
 from ast import literal_eval
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from random import Random
@@ -31,7 +31,7 @@ from ecu_emulator.diagnostics.table_file import shipped_table
 from tests.support.documents import page_text
 from tests.support.uds.full_table import full_table
 from tests.support.uds.pair import MORE, PARKED
-from tests.support.uds.pdx_client import PdxClient, read_back
+from tests.support.uds.pdx_client import PdxClient, read_back, templates_compiled_once
 
 Draw: TypeAlias = Callable[..., Any]  # of hypothesis
 OPEN = Access(sessions=(0x01, 0x03, 0x40))
@@ -39,6 +39,12 @@ LOCKED = Access(sessions=(0x03, 0x40), levels=(0x01, 0x03), conditions=("standst
 SOURCES = st.sampled_from([*PARKED, *MORE, "nothing"])
 NAMES = st.one_of(st.sampled_from(["speed", "Speed", "count", "über", "trouble code", "data"]), st.text(max_size=12))
 NUMBERS = st.integers(0x0100, 0x0104)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_once() -> Iterator[None]:
+    with templates_compiled_once():
+        yield
 
 
 @st.composite
@@ -166,7 +172,7 @@ def test_obd_is_a_layer_of_its_own_of_which_everything_is_answered_and_understoo
 def test_so_it_is_with_tables_of_ones_own(table: DiagnosticTable, seed: int) -> None:
     client = PdxClient(table, Random(seed))  # noqa: S311 - to be repeated
     assert client.ask_everything(most_situations=3).problems == []
-    assert pdx_package(table) == pdx_package(replace(table))
+    assert client.package == pdx_package(replace(table))
 
 
 def test_the_command_writes_the_package(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

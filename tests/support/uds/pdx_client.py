@@ -4,10 +4,13 @@ import io
 import struct
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from random import Random
 from typing import Any, TypeAlias
+from unittest.mock import patch
 
+from jinja2 import Environment
 from odxtools.database import Database
 from odxtools.diaglayers.diaglayer import DiagLayer
 from odxtools.diagservice import DiagService
@@ -51,6 +54,20 @@ def read_back(package: bytes, container: int = 0) -> DiagLayer:
     return database.diag_layer_containers[container].base_variants[0]
 
 
+@contextmanager
+def templates_compiled_once() -> Iterator[None]:
+    """Have each template of odxtools compiled once while this is entered, which is most of the work of a package."""
+    plain, found = Environment.compile, dict[tuple[object, object], Any]()
+
+    def compiled(self: Environment, source: Any, name: Any = None, *more: Any) -> Any:  # noqa: ANN401
+        if (name, source) not in found:
+            found[name, source] = plain(self, source, name, *more)
+        return found[name, source]
+
+    with patch.object(Environment, "compile", compiled):
+        yield
+
+
 class PdxClient:
     """One controller, its PDX, and a client between them."""
 
@@ -59,7 +76,8 @@ class PdxClient:
     ) -> None:
         self.table = table
         self.random = random
-        self.layer = read_back(pdx_package(table), container)
+        self.package = pdx_package(table)
+        self.layer = read_back(self.package, container)
         self.moment = Instant(t_s=T_S, values={**PARKED, **MORE} if values is None else values, chance=SEED)
         self.figures = Figures()
         self.codes: dict[tuple[str, bytes, bytes | None], str | None] = {}

@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, TypeAlias
 from xml.etree import ElementTree as ET
@@ -15,9 +16,15 @@ from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.diagnostics.values import decode_number
 from ecu_emulator.errors import ConfigError
 from tests.support.uds.full_table import full_table
-from tests.support.uds.pdx_client import read_back
+from tests.support.uds.pdx_client import read_back, templates_compiled_once
 
 Layer: TypeAlias = Any  # of odxtools, which finds names at run time
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled_once() -> Iterator[None]:
+    with templates_compiled_once():
+        yield
 
 
 @pytest.fixture(scope="module")
