@@ -64,15 +64,24 @@ class Checkout:
         return set(done.stdout.split())
 
 
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a cache that a first checkout has filled."""
+    cache = tmp_path_factory.mktemp("filled") / "cache"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("NUMBA_CACHE_DIR", raising=False)
+        assert Checkout(cache.with_name("first"), cache).compiled() == COLD
+    return cache
+
+
 @pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def cache(filled: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    return tmp_path / "cache"
+    return shutil.copytree(filled, tmp_path / "cache")
 
 
 def test_a_comment_and_another_folder_compile_nothing_and_a_law_what_it_is_part_of(tmp_path: Path, cache: Path) -> None:
     first = Checkout(tmp_path / "first", cache)
-    assert first.compiled() == COLD
     second = Checkout(tmp_path / "second", cache)
     second.comment_everywhere()
     assert second.compiled() == set()
@@ -84,7 +93,6 @@ def test_a_comment_and_another_folder_compile_nothing_and_a_law_what_it_is_part_
 def test_the_forms_of_a_kernel_do_not_pile_up(tmp_path: Path, cache: Path) -> None:
     checkout = Checkout(tmp_path / "only", cache)
     checkout.edit("canlog/jit.py", "KEPT_VERSIONS = 8", "KEPT_VERSIONS = 1")
-    checkout.compiled()
     before = sorted(path.suffix for path in cache.rglob("*.nb?"))
     checkout.edit("clutch_model/pack.py", "np.exp(-excess)", "np.exp(-2.0 * excess)")
     checkout.compiled()
@@ -100,7 +108,6 @@ def test_where_nothing_can_be_kept_the_laws_are_compiled_each_time(tmp_path: Pat
 
 def test_a_law_that_moved_to_another_module_is_compiled_there(tmp_path: Path, cache: Path) -> None:
     checkout = Checkout(tmp_path / "only", cache)
-    assert checkout.compiled() == COLD
     checkout.move("pack", "clutch_pack")
     assert checkout.compiled("clutch_pack") == COLD
     assert checkout.compiled("clutch_pack") == set()
@@ -114,7 +121,6 @@ def test_the_time_of_a_first_compilation_is_told_in_one_way() -> None:
 
 def test_machine_code_that_cannot_be_loaded_is_made_anew(tmp_path: Path, cache: Path) -> None:
     checkout = Checkout(tmp_path / "only", cache)
-    checkout.compiled()
     for index in cache.rglob("*.nbi"):
         index.write_bytes(index.read_bytes()[:-20])
     assert checkout.compiled() == COLD
