@@ -8,12 +8,14 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import pytest
 
 from tests.support.patience import HANG_S
 from tests.support.replay import free_bus
+
+Bus: TypeAlias = tuple[list[str], dict[str, str]]  # words of the command line, and variables
 
 
 @contextmanager
@@ -40,16 +42,15 @@ def asked(bus: Sequence[str], variables: dict[str, str], *more: str) -> dict[str
     return found
 
 
-@pytest.fixture(params=["udp_multicast", pytest.param("socketcan", marks=pytest.mark.vcan)])
-def bus(request: pytest.FixtureRequest) -> tuple[list[str], dict[str, str]]:
-    if request.param == "socketcan":
-        return ["-i", "socketcan", "-c", str(request.getfixturevalue("vcan"))], {}
+def udp_bus() -> Bus:
     place = free_bus()
     return ["-i", "udp_multicast", "-c", place.group], place.variables
 
 
-def test_a_workshop_tester_asks_a_car_that_drives(bus: tuple[list[str], dict[str, str]], tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["udp_multicast", pytest.param("socketcan", marks=pytest.mark.vcan)])
+def test_a_workshop_tester_asks_a_car_that_drives(kind: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     memory = tmp_path / "tcu.json"
+    bus: Bus = (["-i", kind, "-c", str(request.getfixturevalue("vcan"))], {}) if kind == "socketcan" else udp_bus()
     with emulator(*bus, "--diagnostic-memory", str(memory)) as program:
         told = asked(*bus)
         program.send_signal(signal.SIGINT)
@@ -87,9 +88,8 @@ kind = "not_available"
 """
 
 
-def test_a_sensor_that_fails_in_two_drives_is_a_confirmed_code(
-    bus: tuple[list[str], dict[str, str]], tmp_path: Path
-) -> None:
+def test_a_sensor_that_fails_in_two_drives_is_a_confirmed_code(tmp_path: Path) -> None:
+    bus = udp_bus()
     memory, scenario = tmp_path / "tcu.json", tmp_path / "faulty.toml"
     scenario.write_text(FAULTY, encoding="utf-8")
     told = []

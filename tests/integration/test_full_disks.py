@@ -24,6 +24,7 @@ from fleet_backend.migrate import migrate
 from fleet_contract import Outgoing, shift_message
 from tests.plugins.broker import Mosquitto
 from tests.plugins.disk import Mount, fill_up
+from tests.plugins.drives import SHIFT_COUNT as FEW_SHIFTS
 from tests.support.builders import shift_result
 from tests.support.fleet import fleet_result
 from tests.support.fleet_worker import worker
@@ -70,23 +71,23 @@ def test_a_vehicle_whose_disk_fills_up_goes_on_and_delivers_everything(
 
 
 def test_a_vehicle_that_starts_on_a_full_disk_goes_on_when_there_is_room(
-    mount: Mount, cycle_log: Path, tmp_path: Path
+    mount: Mount, drive_log: Path, tmp_path: Path
 ) -> None:
     store = mount("size=1m") / "car.sqlite"
     ResultStore.open(store).close()  # an earlier start
     filler = fill_up(store.parent)
-    program = (sys.executable, "-m", "tests.support.fast_bus", str(cycle_log), "0")
+    program = (sys.executable, "-m", "tests.support.fast_bus", str(drive_log), "0")
     arguments = ("run", "--store", store, "--json", "--vehicle", "car1")
     with service(tmp_path / "edge", *arguments, program=program) as running:
         running.wait_for(lambda: "results wait in memory" in running.err, HANG_S)
         filler.unlink()
-        running.wait_for(lambda: running.out.count("\n") == SHIFT_COUNT, HANG_S)
+        running.wait_for(lambda: running.out.count("\n") == FEW_SHIFTS, HANG_S)
         running.send(signal.SIGTERM)
         ended = running.wait()
     assert ended.status == 0, ended.err
     assert "car.sqlite is full; until the next start no other program can read it" in ended.err
     with closing(ResultStore.open(store)) as again:
-        assert [result.seq for result in again.results("car1")] == list(range(1, SHIFT_COUNT + 1))
+        assert [result.seq for result in again.results("car1")] == list(range(1, FEW_SHIFTS + 1))
 
 
 def test_a_store_with_a_budget_never_fills_its_disk_and_counts_what_goes(mount: Mount) -> None:

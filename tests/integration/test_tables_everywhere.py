@@ -20,11 +20,11 @@ NAMES = {"csv": "{}", "mf4": "{}\\ETKC:1"}
 
 @pytest.fixture(name="folder", scope="module")
 def _folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a drive of 20 gear changes as a table of text and as a measurement, and profiles of both."""
+    """Return a folder with a drive of 10 gear changes as a table of text and as a measurement, and profiles of both."""
     folder = tmp_path_factory.mktemp("everywhere")
     log, table = folder / "car.log", folder / "csv" / "car.csv"
     table.parent.mkdir()
-    assert emulator(["record", str(log), "--seed", "5", "--cycles", "2"]) == 0
+    assert emulator(["record", str(log), "--seed", "5", "--cycles", "1"]) == 0
     written(log, table, np.random.default_rng(5), rate_hz=50.0, left_out=OUTPUT - OF_FRICTION)
     (folder / "mf4").mkdir()
     measurements.of_table(table, folder / "mf4" / "car.mf4", slow=["Oil Temperature"], names=NAMES["mf4"])
@@ -47,22 +47,22 @@ def test_every_command_takes_a_table(folder: Path, tmp_path: Path, kind: str) ->
     assert {one["message"] for one in record["ids"]} >= {NAMES[kind].format("Clutch 1 Pressure")}
     found = tmp_path / "found.jsonl"
     assert ended("analyze", table, *words, "-o", found).status == 0
-    assert [one["status"] for one in results(found)] == ["valid"] * 20
+    assert [one["status"] for one in results(found)] == ["valid"] * 10
     assert ended("calibrate", table, *words, "-o", tmp_path / "car.toml", "--vehicle", "car7").status == 0
     assert ended("analyze", table, *words, "-o", found, "--force", "--calibration", tmp_path / "car.toml").status == 0
     assert {one["vehicle"] for one in results(found)} == {"car7"}
     assert ended("report", table, *words, "-o", tmp_path / "car.html").status == 0
-    assert '"valid": 20' in (tmp_path / "car.html").read_text(encoding="utf-8")
+    assert '"valid": 10' in (tmp_path / "car.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("kind", NAMES)
 def test_folders_and_lakes_take_tables(folder: Path, tmp_path: Path, kind: str) -> None:
     words = ("--profile", folder / f"{kind}.toml")
-    run = ended("analyze", folder / kind, *words)
-    assert "20 shifts (20 valid)" in run.out, run.err
+    run = ended("analyze", folder / kind, *words, "--jobs", "1")
+    assert "10 shifts (10 valid)" in run.out, run.err
     run = ended("analyze", folder / kind, *words, "--lake", tmp_path / "lake", "--jobs", "1")
     assert run.status == 0, run.err
-    assert pl.read_parquet(tmp_path / "lake" / "shifts").height == 20
+    assert pl.read_parquet(tmp_path / "lake" / "shifts").height == 10
 
 
 @pytest.mark.parametrize("kind", NAMES)
@@ -83,13 +83,13 @@ def test_a_table_through_a_pipe_says_its_columns(
     run("decode", "-", "-o", tmp_path / "piped.parquet")
     assert ended("decode", table, "-o", tmp_path / "named.parquet").status == 0
     assert pl.read_parquet(tmp_path / "piped.parquet").equals(pl.read_parquet(tmp_path / "named.parquet"))
-    assert "20 shifts (20 valid)" in run("analyze", "-", "--profile", profile)
+    assert "10 shifts (10 valid)" in run("analyze", "-", "--profile", profile)
 
 
 @pytest.mark.parametrize("kind", NAMES)
 def test_python_takes_a_table(folder: Path, kind: str) -> None:
     table, profile = folder / kind / f"car.{kind}", folder / f"{kind}.toml"
-    assert len(diag_service.analyze(table, profile=profile).shifts) == 20
+    assert len(diag_service.analyze(table, profile=profile).shifts) == 10
     name = NAMES[kind].format("Engine Speed")
     assert f"{name}.{name}" in diag_service.read(table).signals()
     assert diag_service.inspect(table).values is not None
