@@ -1,16 +1,16 @@
 """What the documents show exists: programs, commands, options, modules, make targets and variables."""
 
+import importlib
 import importlib.util
+import io
 import re
-import subprocess
-import sys
+from contextlib import redirect_stdout, suppress
 from functools import cache
 from pathlib import Path
 
 import pytest
 
 from tests.support.documents import MODULES, PAGES, ROOT, Shown, all_commands, page_text
-from tests.support.patience import HANG_S
 
 OPTION = re.compile(r"(?<![\w-])--?[a-z][a-z-]*")
 PROGRAM_COMMANDS = [one for one in all_commands() if one.line.split()[0] in MODULES and len(one.line.split()) > 1]
@@ -28,10 +28,11 @@ def options_in(words: list[str]) -> set[str]:
 
 @cache
 def help_text(*words: str) -> str:
-    answer = subprocess.run(
-        [sys.executable, "-m", *words, "--help"], capture_output=True, text=True, check=True, cwd=ROOT, timeout=HANG_S
-    )
-    return answer.stdout
+    module, *inner = words
+    out = io.StringIO()
+    with redirect_stdout(out), suppress(SystemExit):
+        importlib.import_module(f"{module}.cli").main([*inner, "--help"])
+    return out.getvalue()
 
 
 @cache
