@@ -36,8 +36,7 @@ def _database(sqlite_url: str) -> str:
     return sqlite_url
 
 
-@pytest.mark.parametrize("width", [60, 80])
-@pytest.mark.parametrize("question", QUESTIONS, ids=" ".join)
+@pytest.mark.parametrize(("question", "width"), [*zip(QUESTIONS, (60, 80, 60, 80, 60), strict=True)], ids=str)
 def test_a_terminal_breaks_no_word_and_loses_no_vehicle(
     capsys: pytest.CaptureFixture[str], database: str, question: list[str], width: int
 ) -> None:
@@ -55,12 +54,13 @@ def test_a_terminal_breaks_no_word_and_loses_no_vehicle(
 
 @pytest.mark.parametrize("question", QUESTIONS, ids=" ".join)
 def test_a_pipe_gets_a_line_per_record_in_columns(
-    capsys: pytest.CaptureFixture[str], database: str, question: list[str]
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, database: str, question: list[str]
 ) -> None:
-    told = in_pipe(MODULE, *question, "--database", database, COLUMNS="20")
-    assert (told.status, told.err) == (0, b"")
-    _title, head, *rows = told.lines
-    assert "\x1b" not in told.out.decode()
+    monkeypatch.setenv("COLUMNS", "20")
+    assert main([*question, "--database", database]) == 0
+    told = capsys.readouterr()
+    _title, head, *rows = told.out.splitlines()
+    assert ("\x1b" in told.out, told.err) == (False, "")
     assert main([*question, "--json", "--database", database]) == 0
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     fields = [re.split(r" {2,}", row) for row in rows]
@@ -70,9 +70,9 @@ def test_a_pipe_gets_a_line_per_record_in_columns(
         assert [row[place] for row in fields] == [record["vehicle"] for record in records]
 
 
-def test_a_width_can_be_asked_for(database: str) -> None:
-    told = in_pipe(MODULE, "seen", "--width", "50", "--database", database)
-    assert max(len(line) for line in told.lines if LONGEST not in line) <= 50
+def test_a_width_can_be_asked_for(capsys: pytest.CaptureFixture[str], database: str) -> None:
+    assert main(["seen", "--width", "50", "--database", database]) == 0
+    assert max(len(line) for line in capsys.readouterr().out.splitlines() if LONGEST not in line) <= 50
 
 
 def test_a_wide_terminal_shows_all_columns(database: str) -> None:
@@ -82,17 +82,15 @@ def test_a_wide_terminal_shows_all_columns(database: str) -> None:
     ]
 
 
-@pytest.mark.parametrize("more", [[], ["--json"]], ids=["text", "json"])
-def test_a_reader_who_hangs_up_is_no_error(sqlite_url: str, more: list[str]) -> None:
+def test_a_reader_who_hangs_up_is_no_error(sqlite_url: str) -> None:
     engine = open_database(sqlite_url)
     rows = [row_of(fleet_result(1, vehicle=f"vehicle-{number:040}")) for number in range(1500)]  # above a pipe's 64 KiB
     Writer(engine).store(Batch(shifts=rows, quarantined=[]))
     engine.dispose()
-    words = ("seen", *more, "--database", sqlite_url)
-    told = before_head(MODULE, *words)
+    told = before_head(MODULE, "seen", "--database", sqlite_url)
     assert (told.status, told.err) == (0, b"")
     assert told.out.count(b"\n") == 1
-    broken = in_broken_pipe(MODULE, *words)
+    broken = in_broken_pipe(MODULE, "seen", "--json", "--database", sqlite_url)
     assert (broken.status, broken.err) == (0, b"")
 
 
