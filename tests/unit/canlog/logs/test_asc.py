@@ -1,23 +1,21 @@
 """Vector ASC: header lines that decide how the others are read, and the kinds of line there are."""
 
-import io
 from datetime import datetime
 
 import pytest
 
-from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch, join
+from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.logs.asc import AscLog, is_asc_header
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_log import reader_of
+from tests.support.whole_logs import read_whole
 
 HEADER = b"date Thu Jan 01 10:00:00.500 2026\nbase hex  timestamps absolute\ninternal events logged\n"
 START_NS = int(datetime(2026, 1, 1, 10).timestamp()) * 10**9 + 500_000_000  # noqa: DTZ001 - local, as in the format
 
 
-def read(text: bytes) -> tuple[FrameBatch | None, LogCounts]:
-    counts = LogCounts()
-    batches = list(reader_of(AscLog)(io.BytesIO(text), counts))
-    return (join(batches) if batches else None), counts
+def read(text: bytes) -> tuple[FrameBatch, LogCounts]:
+    return read_whole(reader_of(AscLog), text)
 
 
 @pytest.mark.parametrize(
@@ -37,7 +35,6 @@ def read(text: bytes) -> tuple[FrameBatch | None, LogCounts]:
 )
 def test_an_event_becomes_a_frame(event: bytes, can_id: int, length: int, data: str) -> None:
     batch, counts = read(HEADER + b"   1.000002 " + event + b"\n")
-    assert batch is not None
     assert batch.t_ns.tolist() == [START_NS + 1_000_002_000]
     assert (batch.can_id.tolist(), batch.length.tolist()) == ([can_id], [length])
     assert batch.data[0].tobytes() == bytes.fromhex(data).ljust(8, b"\0")
@@ -61,7 +58,6 @@ def test_an_event_becomes_a_frame(event: bytes, can_id: int, length: int, data: 
 def test_what_looks_like_a_frame_and_is_none_is_counted(event: bytes, reason: LogReject) -> None:
     good = b"1.0 1  A0  Rx   d 1 11\n"
     batch, counts = read(HEADER + good + b"1.5 " + event + b"\n" + good)
-    assert batch is not None
     assert len(batch) == 2
     assert counts.rejected == {reason: 1}
     assert counts.first_rejected == f"line 5: {reason}"
@@ -81,7 +77,6 @@ def test_what_looks_like_a_frame_and_is_none_is_counted(event: bytes, reason: Lo
 def test_can_fd_is_taken(event: bytes, flags: int) -> None:
     good = b"1.0 1  A0  Rx   d 1 11\n"
     batch, counts = read(HEADER + good + b"1.5 " + event + b"\n" + good)
-    assert batch is not None
     assert batch.can_id.tolist() == [0xA0, 0x123, 0xA0]
     assert batch.length.tolist() == [1, 12, 1]
     assert batch.flags.tolist() == [0, flags, 0]
@@ -97,7 +92,6 @@ def test_events_of_other_kinds_and_comments_are_skipped() -> None:
         b"1.2 1  A0 TxRq d 1 11\n1.2 1  A0 R d 1 11\n1.3 1  A0 Rx d 1 11\nEnd TriggerBlock\n"
     )
     batch, counts = read(HEADER + others)
-    assert batch is not None
     assert batch.t_ns.tolist() == [START_NS + 1_300_000_000]
     assert counts == LogCounts(frames=1, skipped=12)
 
@@ -108,7 +102,6 @@ def test_relative_times_add_up_over_every_event() -> None:
         b"1.0 1 A0 Rx d 0\n0.25 CAN 1 Status:ok\n0.25 1 A0 Rx d 0\n"
     )
     batch, _ = read(text)
-    assert batch is not None
     assert (batch.t_ns - START_NS).tolist() == [1_000_000_000, 1_500_000_000]
 
 
@@ -116,14 +109,12 @@ def test_relative_times_add_up_over_every_event() -> None:
 def test_a_time_beyond_what_can_be_told_is_no_frame(kind: bytes) -> None:
     lines = b"1.0 1 A0 Rx d 0\n" + b"9999999999.0 1 A0 Rx d 0\n" * 1_000
     batch, counts = read(b"date Thu Jan 01 10:00:00.500 2026\nbase hex timestamps %s\n%s" % (kind, lines))
-    assert batch is not None
     assert (batch.t_ns - START_NS).tolist() == [1_000_000_000]
     assert counts.rejected == {LogReject.MALFORMED: 1_000}
 
 
 def test_decimal_base() -> None:
     batch, counts = read(b"base dec timestamps absolute\n1.0 1 160 Rx d 3 10 255 7\n1.1 1 A0 Rx d 0\n")
-    assert batch is not None
     assert batch.can_id.tolist() == [160]
     assert batch.data[0, :3].tolist() == [10, 255, 7]
     assert counts.rejected == {LogReject.MALFORMED: 1}
@@ -133,7 +124,6 @@ def test_decimal_base() -> None:
 def test_a_frame_cut_off_by_the_end_is_counted(missing: int) -> None:
     whole = b"1.0 1  A0  Rx   d 8 11 22 33 44 55 66 77 88\n"
     batch, counts = read(HEADER + whole + whole[:-missing])
-    assert batch is not None
     assert len(batch) == 1
     assert counts.truncated
     assert counts.rejected == {LogReject.CUT_OFF: 1}
@@ -141,7 +131,6 @@ def test_a_frame_cut_off_by_the_end_is_counted(missing: int) -> None:
 
 def test_a_last_line_without_newline_counts_if_nothing_can_be_missing() -> None:
     batch, counts = read(HEADER + b"1.0 1  A0  Rx   d 2 11 22")
-    assert batch is not None
     assert batch.length.tolist() == [2]
     assert counts == LogCounts(frames=1, skipped=3)
 
@@ -167,7 +156,6 @@ def test_a_last_line_without_newline_counts_if_nothing_can_be_missing() -> None:
 def test_a_length_and_bytes_that_disagree_are_no_frame(event: bytes, base: bytes) -> None:
     good = b"1.0 1  16  Rx   d 1 11\n"
     batch, counts = read(b"date Thu Jan 01 10:00:00.500 2026\n" + base + b"\n" + good + b"1.5 " + event + b"\n")
-    assert batch is not None
     assert len(batch) == 1
     assert counts.rejected == {LogReject.MALFORMED: 1}
     assert counts.first_rejected == "line 4: malformed"
@@ -175,7 +163,7 @@ def test_a_length_and_bytes_that_disagree_are_no_frame(event: bytes, base: bytes
 
 def test_the_numbers_behind_a_payload_are_no_bytes_of_it() -> None:
     batch, counts = read(HEADER + b"1.0 CANFD 1 Rx 123 0 0 2 2 01 0 0 1000 0 0 0 0 0\n")
-    assert batch is None
+    assert len(batch) == 0
     assert counts.rejected == {LogReject.MALFORMED: 1}
 
 
@@ -195,7 +183,6 @@ def test_the_numbers_behind_a_payload_are_no_bytes_of_it() -> None:
 )
 def test_a_trailing_comment_changes_nothing(event: bytes, length: int, comment: bytes) -> None:
     batch, counts = read(HEADER + b"1.0 " + event + comment + b"\n1.0 " + event + b"\n")
-    assert batch is not None
     assert batch.length.tolist() == [length, length]
     assert batch.flags[0] == batch.flags[1]
     assert counts == LogCounts(frames=2, skipped=3)
@@ -203,7 +190,6 @@ def test_a_trailing_comment_changes_nothing(event: bytes, length: int, comment: 
 
 def test_a_remote_frame_of_a_fd_line_has_the_length_of_its_code() -> None:
     batch, _ = read(HEADER + b"1.0 CANFD 1 Tx 123 0 0 8 0 0 0 10 0 0 0 0 0\n")
-    assert batch is not None
     assert (batch.can_id.tolist(), batch.length.tolist()) == ([0x123 | REMOTE_FLAG], [8])
 
 
@@ -214,7 +200,6 @@ def test_directions() -> None:
         b"CANFD 1 Rx 123 1 0 0 0 0 0 1000 0 0 0 0 0",
     )  # fmt: skip
     batch, _ = read(HEADER + b"".join(b"1.0 " + event + b"\n" for event in events))
-    assert batch is not None
     assert batch.width == 8 or batch.flags.any()
     assert (batch.flags & TX_FLAG != 0).tolist() == [False, True, True, True, True, False, True, True, False]
 
@@ -223,14 +208,12 @@ def test_a_date_that_is_not_understood_is_said_once() -> None:
     frame = b"1.0 1 123 Rx d 0\n"
     text = b"date Thu Foo 01 10:00:00 2026\nbase hex\nBegin Triggerblock Thu Foo 01 10:00:00 2026\n" + frame
     batch, counts = read(text)
-    assert batch is not None
     assert batch.t_ns.tolist() == [1_000_000_000]
     assert counts.notes == ("the date 'Thu Foo 01 10:00:00 2026' is not understood: times count from 1970",)
 
 
 def test_a_date_that_is_understood_stays_where_a_later_one_is_not() -> None:
     batch, counts = read(HEADER + b"Begin Triggerblock someday\n1.0 1 123 Rx d 0\n")
-    assert batch is not None
     assert batch.t_ns.tolist() == [START_NS + 1_000_000_000]
     assert not counts.notes
 
@@ -263,7 +246,6 @@ def test_more_than_eight_bytes_behind_a_d_are_those_of_can_fd(code: bytes, base:
     shown = b" ".join(b"%02x" % byte if base == b"hex" else b"%d" % byte for byte in payload)
     text = b"base " + base + b" timestamps absolute\n1.0 1 100 Rx d " + code + b" " + shown
     batch, counts = read(text + b"  Length = 0 BitCount = 64\n1.1 1 100 Rx d 1 10\n")
-    assert batch is not None
     assert counts == LogCounts(frames=2, skipped=1)
     assert (batch.length.tolist(), batch.flags.tolist()) == ([length, 1], [FD_FLAG, 0])
     assert batch.data[0, :length].tobytes() == payload
@@ -273,14 +255,12 @@ def test_more_than_eight_bytes_behind_a_d_are_those_of_can_fd(code: bytes, base:
 @pytest.mark.parametrize("code", [b"9", b"f", b"d"])
 def test_a_classic_frame_has_eight_bytes_whatever_its_code(code: bytes) -> None:
     batch, counts = read(HEADER + b"1.0 1 100 Rx d " + code + b" 11 22 33 44 55 66 77 88\n")
-    assert batch is not None
     assert (batch.length.tolist(), batch.flags.tolist(), counts.rejected) == ([8], [0], {})
 
 
 @pytest.mark.parametrize("name", [b"2ndGear", b"1_Name", b"0x1", b"10"])
 def test_the_name_of_a_message_may_begin_with_a_digit(name: bytes) -> None:
     batch, counts = read(HEADER + b"1.0 CANFD 1 Rx 123 " + name + b" 1 0 2 2 11 22 0 0 1000 0 0 0 0 0\n")
-    assert batch is not None
     assert (batch.length.tolist(), batch.can_id.tolist(), counts.rejected) == ([2], [0x123], {})
 
 
@@ -297,7 +277,7 @@ def test_the_name_of_a_message_may_begin_with_a_digit(name: bytes) -> None:
 )
 def test_a_frame_of_a_channel_that_is_none_is_counted(event: bytes) -> None:
     batch, counts = read(HEADER + b"   1.000002 " + event + b"\n")
-    assert batch is None
+    assert len(batch) == 0
     assert counts.rejected == {LogReject.MALFORMED: 1}
     assert counts.first_rejected == "line 4: malformed"
 
@@ -314,5 +294,5 @@ def test_a_frame_of_a_channel_that_is_none_is_counted(event: bytes) -> None:
 )
 def test_events_of_other_buses_stay_skipped(event: bytes) -> None:
     batch, counts = read(HEADER + b"   1.000002 " + event + b"\n")
-    assert batch is None
+    assert len(batch) == 0
     assert counts == LogCounts(skipped=4)
