@@ -33,29 +33,11 @@ CONNECT_S: Final = 5.0
 RESET_S: Final = 3.0  # after ATZ
 ANSWER_S: Final = 1.0  # the adapter itself says NO DATA before
 LOOK_S: Final = 0.1
-_SETTINGS: Final = (
-    "ATE0",
-    "ATL0",
-    "ATS0",
-    "ATH0",
-    "ATAL",
-    "ATCAF1",
-    "ATSP6",
-)  # no echo, no blanks, 11 bits, 500 kbit/s
+_PROTOCOL_11: Final = "ATSP6"
+_SETTINGS: Final = ("ATE0", "ATL0", "ATS0", "ATH0", "ATAL", "ATCAF1", _PROTOCOL_11)  # no echo, no blanks, 500 kbit/s
 _PROTOCOL_29: Final = "ATSP7"
 _PROMPT: Final = b">"
-_NO_ANSWER: Final = (
-    "NO DATA",
-    "?",
-    "STOPPED",
-    "SEARCHING",
-    "BUS",
-    "CAN ERROR",
-    "UNABLE",
-    "BUFFER",
-    "DATA ERROR",
-    "ERR",
-)
+_NO_ANSWER: Final = ("NODATA", "?", "STOPPED", "SEARCHING", "BUS", "CANERROR", "UNABLE", "BUFFER", "DATAERROR", "ERR")
 
 
 class Line(Protocol):
@@ -97,7 +79,7 @@ class ElmLine:
         self._finish()
         if address == self._address:
             return
-        self._command(_PROTOCOL_29 if is_extended(address.request_id) else _SETTINGS[-1])
+        self._command(_PROTOCOL_29 if is_extended(address.request_id) else _PROTOCOL_11)
         if is_extended(address.request_id):
             self._command(f"ATCP{address.request_id >> 24:02X}")
         self._command(f"ATSH{address.request_id & 0xFFFFFF:0{6 if is_extended(address.request_id) else 3}X}")
@@ -171,7 +153,7 @@ def messages_in(text: str) -> list[bytes]:
     found, long, length = list[bytes](), b"", 0
     for line in text.replace("\n", "\r").split("\r"):
         words = line.strip().replace(" ", "").upper()
-        if not words or words.startswith(tuple(one.replace(" ", "") for one in _NO_ANSWER)):
+        if not words or words.startswith(_NO_ANSWER):
             continue
         _, colon, rest = words.rpartition(":")
         try:

@@ -37,15 +37,8 @@ _WITHOUT_SUB_FUNCTION: Final = frozenset({READ_DATA})
 _LENGTHS: Final[Mapping[int, tuple[int, int | None]]] = {
     SESSION: (6, 6), CLEAR: (1, 1), READ_DATA: (4, None), ROUTINE: (4, None), TESTER_PRESENT: (2, 2),
 }  # fmt: skip
-COUNT_BY_MASK, BY_MASK, SNAPSHOTS, EXTENDED, SUPPORTED, WITH_RECORD, READINESS = (
-    0x01,
-    0x02,
-    0x04,
-    0x06,
-    0x0A,
-    0x1A,
-    0x56,
-)
+COUNT_BY_MASK, BY_MASK, SNAPSHOTS, EXTENDED, SUPPORTED = 0x01, 0x02, 0x04, 0x06, 0x0A  # sub-functions of service 19
+WITH_RECORD, READINESS = 0x1A, 0x56
 HEAD_BYTES: Final[Mapping[int, int]] = {  # of service 19, by its sub-function: what comes before codes and records
     COUNT_BY_MASK: 6, BY_MASK: 3, SNAPSHOTS: 6, EXTENDED: 6, SUPPORTED: 3, WITH_RECORD: 4, READINESS: 6,
 }  # fmt: skip

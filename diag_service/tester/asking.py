@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
 import can
@@ -37,6 +36,8 @@ DOIP_PORT: Final = 13400
 DOIP_TLS_PORT: Final = 3496
 CONNECT_S: Final = 5.0
 LARGEST_LOGICAL: Final = 0xFFFF
+CLASSIC_BYTES: Final = 8  # of a frame of a request
+PADDING: Final = 0xCC  # what fills it, ISO 15765-2: the bits stuffed least
 MOST_WAITING: Final = 100_000  # frames on a bus that was handed over, from before anybody listened
 _LARGEST_PORT: Final = 0xFFFF
 LONGEST_S: Final = 3600.0
@@ -65,6 +66,22 @@ class Traffic:
         return tuple(sorted(can_id for can_id in self.can_ids if is_request(can_id) or can_id in own))
 
 
+def send(bus: can.BusABC, message: can.Message) -> None:
+    """Put a frame on a bus; raises ControllerError if the bus does not take it."""
+    try:
+        bus.send(message, timeout=1.0)
+    except (can.CanError, OSError, ValueError) as exc:
+        raise ControllerError(f"the bus does not take a request: {one_line(exc)}") from exc
+
+
+def receive(bus: can.BusABC, patience_s: float) -> can.Message | None:
+    """Return the next frame, None if none comes in time; raises ControllerError if the bus cannot be read."""
+    try:
+        return bus.recv(patience_s)
+    except (can.CanError, OSError, ValueError) as exc:
+        raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
+
+
 def listen(bus: can.BusABC, duration_s: float = LISTEN_S, goes_on: Callable[[], bool] = lambda: True) -> Traffic:
     """Return what is heard on a bus for so long.
 
@@ -76,10 +93,7 @@ def listen(bus: can.BusABC, duration_s: float = LISTEN_S, goes_on: Callable[[], 
     while (left_s := until_s - time.monotonic()) > 0.0:
         if not goes_on():
             raise StoppedError("stopped early: nothing was asked")
-        try:
-            message = bus.recv(min(_PATIENCE_S, left_s))
-        except (can.CanError, OSError, ValueError) as exc:
-            raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
+        message = receive(bus, min(_PATIENCE_S, left_s))
         if message is None:
             continue
         if message.is_error_frame:
@@ -172,7 +186,9 @@ def opened_bus(place: BusName | can.BusABC) -> Iterator[can.BusABC]:
     check_libraries()
     if not isinstance(place, BusName):
         filters = place.filters
-        _forget_waiting(place)
+        for _ in range(MOST_WAITING):  # from before anybody listened: a tester of long ago disturbs nobody
+            if receive(place, 0.0) is None:
+                break
         try:
             yield place
         finally:
@@ -184,16 +200,6 @@ def opened_bus(place: BusName | can.BusABC) -> Iterator[can.BusABC]:
         yield bus
     finally:
         bus.shutdown()
-
-
-def _forget_waiting(bus: can.BusABC) -> None:
-    """Read what came before anybody listened: a tester that was here long ago disturbs nobody."""
-    try:
-        for _ in range(MOST_WAITING):
-            if bus.recv(0.0) is None:
-                return
-    except (can.CanError, OSError, ValueError) as exc:
-        raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
 
 
 def dialogue_on(
@@ -283,9 +289,7 @@ class AskingThread(ABC):
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.end()
 
     def end(self) -> None:

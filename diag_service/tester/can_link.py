@@ -7,11 +7,10 @@ from typing import Final
 
 import can
 
-from canlog.live.pythoncan import one_line
-from diag_service.errors import ControllerError, SilentError, StoppedError
+from diag_service.errors import SilentError, StoppedError
 from diag_service.tester.addresses import CanAddress, is_extended
 from diag_service.tester.answers import STOPPED, request_text
-from diag_service.tester.frames import CLASSIC_BYTES, PADDING, send
+from diag_service.tester.asking import CLASSIC_BYTES, PADDING, receive, send
 from diag_service.tester.libraries import BaseConnection, TimeoutException, isotp
 
 LONGEST_MESSAGE: Final = 65_535
@@ -35,8 +34,6 @@ class CanConnection(BaseConnection):
         An open bus, and who is asked on it.
     is_fd
         Whether requests go out in CAN FD frames.
-    padding
-        What fills frames up to eight bytes.
     goes_on
         Asked while a message is on its way; False ends that with StoppedError.
     """
@@ -47,7 +44,6 @@ class CanConnection(BaseConnection):
         address: CanAddress,
         *,
         is_fd: bool = False,
-        padding: int = PADDING,
         goes_on: Callable[[], bool] = lambda: True,
     ) -> None:
         super().__init__("CAN")
@@ -65,7 +61,7 @@ class CanConnection(BaseConnection):
             params={
                 "stmin": 0,
                 "blocksize": 0,
-                "tx_padding": padding,
+                "tx_padding": PADDING,
                 "tx_data_min_length": CLASSIC_BYTES,
                 "tx_data_length": FD_BYTES if is_fd else CLASSIC_BYTES,
                 "can_fd": is_fd,
@@ -146,10 +142,7 @@ class CanConnection(BaseConnection):
         self._layer.process()
 
     def _receive(self, patience_s: float) -> isotp.CanMessage | None:
-        try:
-            message = self._bus.recv(patience_s)
-        except (can.CanError, OSError, ValueError) as exc:
-            raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
+        message = receive(self._bus, patience_s)
         if message is None or message.is_error_frame or message.is_remote_frame:
             return None
         return isotp.CanMessage(

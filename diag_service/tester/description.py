@@ -208,11 +208,8 @@ def _finite(value: Value) -> Value:
 
 
 def _float(entry: Field, piece: bytes) -> Value:
-    """Return a number to the last bit, unless it is scaled; what is none is not available."""
-    number = float(struct.unpack(_FLOATS[entry.size_bytes], piece)[0])
-    if not math.isfinite(number):
-        return None
-    return number * entry.resolution + entry.offset
+    """Return a number to the last bit, unless it is scaled."""
+    return float(struct.unpack(_FLOATS[entry.size_bytes], piece)[0]) * entry.resolution + entry.offset
 
 
 def readable(data: bytes) -> str:

@@ -15,7 +15,6 @@ from diag_service.tester.addresses import LARGEST_ID
 from diag_service.tester.answers import POSITIVE, READ_DATA, ROUTINE
 from diag_service.tester.description import (
     STANDARD_DATA,
-    SYSTEMS,
     UNKNOWN,
     Coding,
     Datum,
@@ -26,6 +25,7 @@ from diag_service.tester.description import (
     Trouble,
     Value,
     Values,
+    code_text,
 )
 
 PDX_SUFFIXES: Final = frozenset({".pdx", ".odx-d", ".odx"})
@@ -227,9 +227,8 @@ def _troubles(layer: Any) -> Iterator[Trouble]:  # noqa: ANN401 - see above
             if number in seen:
                 continue
             seen.add(number)
-            upper = number >> 8 & 0xFFFF
-            code = f"{SYSTEMS[upper >> 14]}{upper & 0x3FFF:04X}"
-            yield Trouble(code=code, text=str(getattr(dtc.text, "text", dtc.text)), failure_type=number & 0xFF)
+            text = str(getattr(dtc.text, "text", dtc.text))
+            yield Trouble(code=code_text(number), text=text, failure_type=number & 0xFF)
 
 
 def _name(service: Any) -> str:  # noqa: ANN401 - see above

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 import can
 
 from canlog.errors import NOTICE
-from canlog.live.pythoncan import one_line
 from diag_service.errors import (
     ConfigError,
     ControllerError,
@@ -45,7 +44,9 @@ from diag_service.tester.answers import (
     request_text,
 )
 from diag_service.tester.asking import (
+    CLASSIC_BYTES,
     LISTEN_S,
+    PADDING,
     BusName,
     DoipPlace,
     Traffic,
@@ -54,9 +55,10 @@ from diag_service.tester.asking import (
     dialogue_over_ip,
     listen,
     opened_bus,
+    receive,
+    send,
 )
 from diag_service.tester.description import STANDARD_DATA, UNKNOWN, Description
-from diag_service.tester.frames import CLASSIC_BYTES, PADDING, send
 from diag_service.tester.questions import FAILED_MASK, DataAnswer, read_data, recognised
 
 if TYPE_CHECKING:
@@ -107,14 +109,29 @@ class Found:
     code_count: int | None  # trouble codes that have failed; None: it does not tell
 
 
-def standard_requests(first: int = 0x700, last: int = LARGEST_STANDARD_ID) -> list[int]:
-    """Return identifiers of 11 bits to try, without the one that all controllers hear."""
-    return [can_id for can_id in range(first, last + 1) if can_id != FUNCTIONAL_ID]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanPlan:
+    """Where controllers are looked for, and what each is asked."""
 
+    place: BusName | can.BusABC | DoipPlace
+    request_ids: Sequence[int] = ()  # to try on a bus
+    data: Sequence[int] = STANDARD_NUMBERS  # to try on each controller
+    is_fd: bool = False
+    timing: Timing = field(default_factory=Timing)
+    listen_s: float = LISTEN_S
+    wait_s: float = WAIT_S  # how long each identifier may take to answer
 
-def fixed_requests(first: int = 0x00, last: int = 0xFF) -> list[int]:
-    """Return identifiers of 29 bits to try: normal fixed addressing, for each address of a controller."""
-    return [FIXED_PHYSICAL | target << 8 | TESTER_ADDRESS for target in range(first, last + 1)]
+    @property
+    def requests(self) -> list[str]:
+        """What would be sent, for people."""
+        asked = [*(request_text(request) for _, request in PROBES), f"22 {min(self.data):04X}-{max(self.data):04X}"]
+        if isinstance(self.place, DoipPlace):
+            return asked
+        span = f"{id_text(self.request_ids[0])}-{id_text(self.request_ids[-1])}"
+        return [
+            f"{request_text(bytes([TESTER_PRESENT, 0]))} to {span}",
+            *(f"each that answers: {question}" for question in asked),
+        ]
 
 
 def find_addresses(
@@ -170,10 +187,7 @@ def _answering(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: i
     until_s = time.monotonic() + wait_s
     found = set[int]()
     while (left_s := until_s - time.monotonic()) > 0.0 and (wanted is None or wanted not in found):
-        try:
-            message = bus.recv(left_s)
-        except (can.CanError, OSError, ValueError) as exc:
-            raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
+        message = receive(bus, left_s)
         if message is None or message.is_error_frame:
             continue
         if is_request(message.arbitration_id) and bytes(message.data) != _FRAME:  # ours may come back
@@ -186,18 +200,19 @@ def _answering(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: i
     return frozenset(found)
 
 
-def explore(
-    tester: "Dialogue", description: Description, numbers: Sequence[int] = tuple(STANDARD_DATA), *,
-    address: CanAddress | None = None,
-) -> Found:  # fmt: skip
+def _explored(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) -> Found:
     """Return what one controller can be asked; its data are tried by number."""
+    try:
+        known = recognised(tester)
+    except PendingError:
+        known = UNKNOWN
     services = tuple(_tried(tester, number, request) for number, request in PROBES)
     answered = {one.number for one in services if one.is_there and not one.remark}
     return Found(
         where=tester.where,
         address=address,
         services=services,
-        data=tuple(_data_of(tester, description, numbers)) if READ_DATA in answered else (),
+        data=tuple(_data_of(tester, known, plan.data)) if READ_DATA in answered else (),
         code_count=_code_count(tester) if READ_TROUBLE in answered else None,
     )
 
@@ -240,31 +255,6 @@ def _code_count(tester: "Dialogue") -> int | None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ScanPlan:
-    """Where controllers are looked for, and what each is asked."""
-
-    place: BusName | can.BusABC | DoipPlace
-    request_ids: Sequence[int] = ()  # to try on a bus
-    data: Sequence[int] = STANDARD_NUMBERS  # to try on each controller
-    is_fd: bool = False
-    timing: Timing = field(default_factory=Timing)
-    listen_s: float = LISTEN_S
-    wait_s: float = WAIT_S  # how long each identifier may take to answer
-
-    @property
-    def requests(self) -> list[str]:
-        """What would be sent, for people."""
-        asked = [*(request_text(request) for _, request in PROBES), f"22 {min(self.data):04X}-{max(self.data):04X}"]
-        if isinstance(self.place, DoipPlace):
-            return asked
-        span = f"{id_text(self.request_ids[0])}-{id_text(self.request_ids[-1])}"
-        return [
-            f"{request_text(bytes([TESTER_PRESENT, 0]))} to {span}",
-            *(f"each that answers: {question}" for question in asked),
-        ]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
     """What a scan heard and found."""
 
@@ -273,13 +263,19 @@ class Scan:
 
 
 def request_ids(first: int | None, last: int | None, *, is_extended: bool) -> list[int]:
-    """Return the identifiers to try, or of 29 bits those of the addresses; None: from the first one, to the last.
+    """Return the identifiers to try, without the one that all controllers hear; None: from the first one, to the last.
+
+    Of 29 bits they are those of normal fixed addressing, and ``first`` and ``last`` addresses of controllers.
 
     Raises ConfigError if there is none.
     """
     low = (0 if is_extended else FIRST_STANDARD_ID) if first is None else first
     high = largest_id(is_extended=is_extended) if last is None else last
-    found = fixed_requests(low, high) if is_extended else standard_requests(low, high)
+    numbers = range(low, high + 1)
+    if is_extended:
+        found = [FIXED_PHYSICAL | target << 8 | TESTER_ADDRESS for target in numbers]
+    else:
+        found = [can_id for can_id in numbers if can_id != FUNCTIONAL_ID]
     if not found:
         raise ConfigError(f"there is no identifier from {low:X} to {high:X}")
     return found
@@ -319,14 +315,6 @@ def _controllers(
             except StoppedError:  # what was found before is shown
                 return
         yield found
-
-
-def _explored(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) -> Found:
-    try:
-        known = recognised(tester)
-    except PendingError:
-        known = UNKNOWN
-    return explore(tester, known, plan.data, address=address)
 
 
 # What services are tried with. None changes a session, or what a controller keeps or does: neither 10, 11, 14, 2E, 31

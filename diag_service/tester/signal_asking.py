@@ -19,7 +19,6 @@ import can
 
 from canlog.database.addressing import parameter_group
 from canlog.errors import NOTICE, CanlogError
-from canlog.live.pythoncan import one_line
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError, ControllerError, DiagServiceError, SilentError, StoppedError
 from diag_service.mapping.asked_signals import (
@@ -54,9 +53,8 @@ from diag_service.tester.addresses import (
     is_request,
 )
 from diag_service.tester.answers import MOST_PENDING_S, PENDING_S, is_pending, refusal_text, tells
-from diag_service.tester.asking import LISTEN_S, AskingThread, BusName, opened_bus
+from diag_service.tester.asking import LISTEN_S, AskingThread, BusName, opened_bus, receive, send
 from diag_service.tester.can_link import CanConnection
-from diag_service.tester.frames import send
 from diag_service.tester.libraries import TimeoutException
 
 MOST_LOAD: Final = 0.05  # of the bus, by requests and answers together
@@ -476,10 +474,7 @@ class WatchedBus:
         """Return the next answer, None if none comes in time; raises ControllerError if the bus cannot be read."""
         until_s = time.monotonic() + (timeout or 0.0)
         while True:
-            try:
-                message = self._bus.recv(max(0.0, until_s - time.monotonic()))
-            except (can.CanError, OSError, ValueError) as exc:
-                raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
+            message = receive(self._bus, max(0.0, until_s - time.monotonic()))
             if message is None or message.is_error_frame:
                 return None
             can_id = message.arbitration_id

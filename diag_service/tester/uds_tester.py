@@ -1,7 +1,6 @@
 """One controller from Python: ``UdsTester`` listens first, then asks it."""
 
 from contextlib import ExitStack
-from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self, TypeVar
 
 from diag_service.api.choices import AnyPath, check_one_bus, optional_path
@@ -273,9 +272,7 @@ class UdsTester:
             self.traffic = heard(self._place, self._listen_s)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._is_at_work = False
         self._stack.close()
 

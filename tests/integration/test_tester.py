@@ -13,7 +13,7 @@ import pytest
 from diag_service.console import ReadingLine
 from diag_service.service.stopping import Trigger
 from diag_service.tester.commands import waiting
-from diag_service.tester.scanning import find_addresses, standard_requests
+from diag_service.tester.scanning import find_addresses
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.link import DiagnosticLink
 from ecu_emulator.diagnostics.memory import TestResult as Result
@@ -256,7 +256,7 @@ def test_an_answer_that_comes_while_the_next_is_asked_is_of_the_one_before() -> 
         can.Bus("late", "virtual") as far,
         can.Notifier(near, [hear], timeout=0.05),
     ):
-        (found,) = find_addresses(far, standard_requests(0x7E0, 0x7E3), frozenset(), wait_s=0.3)
+        (found,) = find_addresses(far, range(0x7E0, 0x7E4), frozenset(), wait_s=0.3)
         for timer in timers:
             timer.join()
     assert (found.request_id, found.response_id) == (0x7E1, 0x7E9)
