@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Final, Self
 
 import can
 
-from canlog.extras import load_extra
 from canlog.files import check_plain_file
 from canlog.live.factory import complete_settings
 from canlog.live.pythoncan import one_line, open_bus
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
 
 LISTEN_S: Final = 5.0  # S3 of a controller (ISO 14229-2): a tester that keeps a session speaks at least so often
 _PATIENCE_S: Final = 0.1
-EXTRA: Final = "uds"
 DOIP_PORT: Final = 13400
 DOIP_TLS_PORT: Final = 3496
 CONNECT_S: Final = 5.0
@@ -174,6 +172,8 @@ def check_libraries() -> None:
 def opened_bus(place: BusName | can.BusABC) -> Iterator[can.BusABC]:
     """Open a bus for the time of the block; one that is open is lent, and stays open with the filters that it had.
 
+    Meanwhile it has none: behind them another tester could not be heard.
+
     Raises
     ------
     ExtraMissingError
@@ -186,10 +186,11 @@ def opened_bus(place: BusName | can.BusABC) -> Iterator[can.BusABC]:
     check_libraries()
     if not isinstance(place, BusName):
         filters = place.filters
-        for _ in range(MOST_WAITING):  # from before anybody listened: a tester of long ago disturbs nobody
-            if receive(place, 0.0) is None:
-                break
         try:
+            place.set_filters(None)
+            for _ in range(MOST_WAITING):  # from before anybody listened: a tester of long ago disturbs nobody
+                if receive(place, 0.0) is None:
+                    break
             yield place
         finally:
             place.set_filters(filters)
@@ -233,19 +234,18 @@ def dialogue_over_ip(
         If doipclient is not installed.
     """
     from diag_service.tester.dialogue import Dialogue  # noqa: PLC0415 - libraries of an extra
+    from diag_service.tester.doip_link import DoipNode, connector  # noqa: PLC0415 - likewise
 
-    doipclient = load_extra("doipclient", "DoIP needs doipclient", EXTRA)
-    connectors = load_extra("doipclient.connectors", "DoIP needs doipclient", EXTRA)
     try:
         context = None if place.authority is None else _tls_context(place.authority)
         _find(place, context)
-        node = doipclient.DoIPClient(
+        node = DoipNode(
             place.host, place.logical_address, tcp_port=place.port, udp_port=place.port, use_secure=context or False
         )
     except (OSError, ValueError) as exc:
         raise ControllerError(f"{place}: {' '.join(str(exc).split())}") from exc
     try:
-        with Dialogue(connectors.DoIPClientUDSConnector(node), str(place), timing, goes_on=goes_on) as tester:
+        with Dialogue(connector(node), str(place), timing, goes_on=goes_on) as tester:
             yield tester
     finally:
         node.close()

@@ -1,8 +1,11 @@
 """``UdsTester``, ``scan_controllers`` and ``diagnose(poll=...)``: what the commands find, as Python values."""
 
 import asyncio
+import socket
+import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +21,7 @@ from diag_service.tester.trouble import trouble_record
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from tests.integration.test_tester import MASK, SLIPS, Vehicle, another_tester, failing_car, told, vehicle
+from tests.support.doip.desk import framed
 from tests.support.doip.tester import entity
 from tests.support.in_process import ended, never_a_program
 from tests.support.patience import HANG_S
@@ -135,6 +139,17 @@ def test_another_tester_is_left_in_peace(car: Vehicle, bus: can.BusABC) -> None:
         assert set(car.heard) == {0x7E0}
 
 
+def test_another_tester_is_heard_on_a_bus_that_was_handed_over_with_filters(car: Vehicle, bus: can.BusABC) -> None:
+    filters: list[CanFilter] = [{"can_id": 0x7E9, "can_mask": 0x7FF, "extended": False}]
+    bus.set_filters(filters)
+    with another_tester(CHANNEL, 0x7E0):
+        tester = diag_service.UdsTester(bus, is_active=True, listen_s=0.6)
+        with pytest.raises(diag_service.ControllerError, match="another tester is asking"), tester:
+            pass
+    assert bus.filters == filters
+    assert len(car.heard) > 0
+
+
 def test_a_bus_is_lent(bus: can.BusABC, car: Vehicle) -> None:
     with can.Bus(CHANNEL, "virtual") as other:  # long ago, when nobody listened
         other.send(can.Message(arbitration_id=0x7E0, is_extended_id=False, data=b"\x02\x3e\x00"))
@@ -186,6 +201,43 @@ def test_over_ip() -> None:
             assert tester.traffic is None
         (found,) = diag_service.scan_controllers(**place).controllers
         assert found.address is None
+
+
+@contextmanager
+def slow_node(*steps: bytes | float) -> Iterator[int]:
+    """Run a node on the port that is returned: it takes a question, sends the steps or waits [s], and hangs up."""
+
+    def serve() -> None:
+        listener.accept()[0].close()  # this one only looks
+        with suppress(OSError), listener, listener.accept()[0] as line:
+            line.recv(100)
+            line.sendall(framed(0x0006, "0E001011 10 00000000"))
+            line.recv(100)
+            line.sendall(framed(0x8002, "10110E00 00"))
+            for step in steps:
+                time.sleep(step) if isinstance(step, float) else line.sendall(step)
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield listener.getsockname()[1]
+        finally:
+            thread.join()
+
+
+@pytest.mark.parametrize("before", [(), (framed(0x8001, "10110E00 7F2278"), framed(0x0007))], ids=["late", "pending"])
+def test_an_answer_over_ip_that_takes_its_time_is_not_lost(
+    before: tuple[bytes, ...], capfd: pytest.CaptureFixture[str]
+) -> None:
+    answer = framed(0x8001, "10110E00 621234 414243")
+    with slow_node(*before, 0.4, answer[:9], 0.2, answer[9:]) as port:
+        place: dict[str, Any] = {"doip": f"127.0.0.1:{port}", "ecu": 0x1011, "description": "dct"}
+        with diag_service.UdsTester(**place, is_active=True, timeout_s=HANG_S) as tester:
+            assert tester.data(0x1234)[0].data == b"ABC"
+            with pytest.raises(diag_service.ControllerError, match=r"the node has closed the connection|Broken|reset"):
+                tester.data(0x1234)
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize(
