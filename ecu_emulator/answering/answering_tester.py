@@ -133,7 +133,8 @@ class Answering:
         self._is_over = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="monitors", daemon=True)
         self._error: BaseException | None = None
-        described = load_table(Path(table)) if table else table_like(like) if like else table_of(transmission)
+        shipped = table_like(like, transmission) if like else table_of(transmission)
+        described = load_table(Path(table)) if table else shipped
         least_s, most_s = described.timing.least_answer_s, described.timing.most_answer_s
         times = random.Random()  # noqa: S311 - no secret: how long an answer takes
         store = None if memory is None else self._stack.enter_context(MemoryFile(memory, described))

@@ -1,5 +1,6 @@
 """What a table describes, one record of each kind: data, routines, trouble codes, locks, and who may use them."""
 
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -58,8 +59,9 @@ class Field:
         is_scaled = self.resolution != 1.0 or self.offset != 0.0
         if self.kind is Coding.FLOAT and (self.size_bytes not in FLOAT_BYTES or is_scaled):
             raise ConfigError(f"{self.name}: a float has 4 or 8 bytes and is not scaled")
-        if not self.resolution > 0.0:
-            raise ConfigError(f"{self.name}: resolution must be > 0, got {self.resolution}")
+        numbers = (self.resolution, self.offset, self.minimum or 0.0, self.maximum or 0.0)
+        if not (all(map(math.isfinite, numbers)) and self.resolution > 0.0):
+            raise ConfigError(f"{self.name}: resolution must be > 0 and all numbers finite: leave out what is no limit")
         try:
             re.compile(self.pattern)
         except re.error as exc:

@@ -93,23 +93,23 @@ def personalities() -> tuple[str, ...]:
 
 
 @cache
-def table_like(name: str) -> DiagnosticTable:
-    """Return the shipped table with the data that another controller has besides, and with its times to answer.
+def table_like(name: str, transmission: str = "nominal") -> DiagnosticTable:
+    """Return the table of a transmission with the data that another controller has besides, and its times to answer.
 
     Raises ConfigError if there is no such personality.
     """
     if name not in personalities():
         raise ConfigError(f"nobody answers like {name}: there are {', '.join(personalities())}")
     file = files("ecu_emulator").joinpath(f"diagnostics/{_LIKE}{name}.toml")
-    document, shipped = tomllib.loads(file.read_text(encoding="utf-8")), shipped_table()
-    access = {"open": Access(sessions=tuple(shipped.sessions))}
+    document, own = tomllib.loads(file.read_text(encoding="utf-8")), table_of(transmission)
+    access = {"open": Access(sessions=tuple(own.sessions))}
     data = _numbered(_records(Datum, document, "data", access), "data")
     return replace(
-        shipped,
+        own,
         name=document["name"],
-        timing=replace(shipped.timing, **document["timing"]),
-        limits=replace(shipped.limits, **document["limits"]),
-        data={**shipped.data, **data},
+        timing=replace(own.timing, **document["timing"]),
+        limits=replace(own.limits, **document["limits"]),
+        data={**own.data, **data},
     )
 
 

@@ -11,7 +11,7 @@ from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.bus.sent_values import SentValues
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.monitors import NOMINAL_LIMITS, MonitorLimits, Watch, is_warm, judge
-from ecu_emulator.diagnostics.table_file import shipped_table, table_of
+from ecu_emulator.diagnostics.table_file import shipped_table, table_like, table_of
 from ecu_emulator.drive.recording import Drive, frames_of
 from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
@@ -322,6 +322,9 @@ def test_the_controller_of_an_automatic_has_its_codes_beside_the_shared_ones() -
     own, shared = ({one.code for one in table.troubles.values()} for table in (table_of("lockup"), shipped_table()))
     assert own - shared == {"P0741", "P0742", "P2757", "P2758"}
     assert table_of("gs7") is shipped_table()
+    alike = table_like("vw_dsg", "lockup")
+    assert {one.code for one in alike.troubles.values()} == own
+    assert {*alike.data} == {*table_of("lockup").data, *table_like("vw_dsg").data}
     assert {one.name for one in table_of("lockup").data.values()} >= {
         "speed of the turbine",
         "slip of the lock-up clutch",

@@ -67,6 +67,8 @@ def test_a_worn_fluid_does_not_light_the_lamp() -> None:
         ('number = 0x03\nname = "maker"', 'number = 0x04\nname = "maker"', "its number must be odd"),
         ("key_mask = 0x5AA5C33C", "key_mask = 0", "key_mask must fit 4 bytes and not be 0"),
         ("resolution = 0.25", "resolution = 0.0", "resolution must be > 0"),
+        ("minimum = 10000.0", "minimum = -inf", "all numbers finite: leave out what is no limit"),
+        ("maximum = 60000.0", "maximum = nan", "all numbers finite: leave out what is no limit"),
         ("[limits]", "[limits", "is not TOML"),
         ("response_id = 0x7E9", "response_id = 0x7E1", "three identifiers, of 29 bits at most, must differ"),
         ("most_response_bytes = 4095", "most_response_bytes = 4096", "most_response_bytes must be 8..4095"),
