@@ -1,6 +1,7 @@
 """Descriptions of controllers in files: TOML, or ODX (ISO 22901-1), which odxtools reads."""
 
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -197,25 +198,27 @@ def _reader(service: Any, number: int) -> Reader:  # noqa: ANN401 - see above
         except Exception:  # noqa: BLE001 - whatever the library makes of bytes that do not fit the file
             return {"": data.hex(" ").upper()}
         fixed = {part.short_name for part in service.positive_responses[0].parameters if part.parameter_type != "VALUE"}
-        return dict(_flat({name: value for name, value in found.items() if name not in fixed}))
+        values = list(_flat({name: value for name, value in found.items() if name not in fixed}))
+        inner = Counter(path[-1] for path, _ in values)
+        return {path[-1] if inner[path[-1]] == 1 else " ".join(path): value for path, value in values}
 
     return read
 
 
-def _flat(value: object, name: str = "") -> Iterator[tuple[str, Value]]:
-    """Yield the values within nested ones, by the innermost name."""
+def _flat(value: object, path: tuple[str, ...] = ("",)) -> Iterator[tuple[tuple[str, ...], Value]]:
+    """Yield the values within nested ones, each with its names, the innermost last."""
     if isinstance(value, Mapping):
         for key, inner in value.items():
-            yield from _flat(inner, str(key))
+            yield from _flat(inner, (*filter(None, path), str(key)))
     elif isinstance(value, list | tuple):
         for place, inner in enumerate(value, 1):
-            yield from _flat(inner, f"{name} {place}")
+            yield from _flat(inner, (*path[:-1], f"{path[-1]} {place}"))
     elif isinstance(value, bytes | bytearray):
-        yield name, value.hex(" ").upper()
+        yield path, value.hex(" ").upper()
     elif isinstance(value, int | float | str):
-        yield name, value
+        yield path, value
     else:
-        yield name, None if value is None else str(value)
+        yield path, None if value is None else str(value)
 
 
 def _troubles(layer: Any) -> Iterator[Trouble]:  # noqa: ANN401 - see above

@@ -136,6 +136,44 @@ def test_a_pdx_says_the_same_as_the_table_it_was_made_of(tmp_path: Path) -> None
     assert from_pdx.trouble_text(0x081107) == from_toml.trouble_text(0x081107) == "Excessive Clutch Slippage"
 
 
+def _part(kind: str, name: str, place: int, more: str) -> str:
+    head = f'<PARAM xsi:type="{kind}"><SHORT-NAME>{name}</SHORT-NAME><BYTE-POSITION>{place}</BYTE-POSITION>'
+    return f"{head}{more}</PARAM>"
+
+
+def _coded(bits: int) -> str:
+    kind = 'BASE-DATA-TYPE="A_UINT32" xsi:type="STANDARD-LENGTH-TYPE"'
+    return f"<DIAG-CODED-TYPE {kind}><BIT-LENGTH>{bits}</BIT-LENGTH></DIAG-CODED-TYPE>"
+
+
+WHEELS = f"""<ODX MODEL-VERSION="2.2.0" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance">
+<DIAG-LAYER-CONTAINER ID="C"><SHORT-NAME>C</SHORT-NAME>
+<BASE-VARIANTS><BASE-VARIANT ID="B"><SHORT-NAME>B</SHORT-NAME><DIAG-DATA-DICTIONARY-SPEC>
+<DATA-OBJECT-PROPS><DATA-OBJECT-PROP ID="D"><SHORT-NAME>d</SHORT-NAME>
+<COMPU-METHOD><CATEGORY>IDENTICAL</CATEGORY></COMPU-METHOD>{_coded(8)}<PHYSICAL-TYPE BASE-DATA-TYPE="A_UINT32"/>
+</DATA-OBJECT-PROP></DATA-OBJECT-PROPS><STRUCTURES><STRUCTURE ID="S"><SHORT-NAME>wheel</SHORT-NAME><PARAMS>
+{_part("VALUE", "speed", 0, '<DOP-REF ID-REF="D"/>')}</PARAMS></STRUCTURE></STRUCTURES>
+<END-OF-PDU-FIELDS><END-OF-PDU-FIELD ID="E"><SHORT-NAME>wheels</SHORT-NAME><BASIC-STRUCTURE-REF ID-REF="S"/>
+</END-OF-PDU-FIELD></END-OF-PDU-FIELDS></DIAG-DATA-DICTIONARY-SPEC><DIAG-COMMS><DIAG-SERVICE ID="V">
+<SHORT-NAME>Read_wheels</SHORT-NAME><REQUEST-REF ID-REF="Q"/><POS-RESPONSE-REFS><POS-RESPONSE-REF ID-REF="R"/>
+</POS-RESPONSE-REFS></DIAG-SERVICE></DIAG-COMMS><REQUESTS><REQUEST ID="Q"><SHORT-NAME>q</SHORT-NAME><PARAMS>
+{_part("CODED-CONST", "sid", 0, f"<CODED-VALUE>34</CODED-VALUE>{_coded(8)}")}
+{_part("CODED-CONST", "did", 1, f"<CODED-VALUE>8192</CODED-VALUE>{_coded(16)}")}
+</PARAMS></REQUEST></REQUESTS><POS-RESPONSES><POS-RESPONSE ID="R"><SHORT-NAME>r</SHORT-NAME><PARAMS>
+{_part("CODED-CONST", "sid", 0, f"<CODED-VALUE>98</CODED-VALUE>{_coded(8)}")}
+{_part("CODED-CONST", "did", 1, f"<CODED-VALUE>8192</CODED-VALUE>{_coded(16)}")}
+{_part("VALUE", "state", 3, '<DOP-REF ID-REF="D"/>')}{_part("VALUE", "spare", 4, '<DOP-REF ID-REF="S"/>')}
+{_part("VALUE", "wheels", 5, '<DOP-REF ID-REF="E"/>')}</PARAMS></POS-RESPONSE></POS-RESPONSES>
+</BASE-VARIANT></BASE-VARIANTS></DIAG-LAYER-CONTAINER></ODX>"""
+
+
+def test_values_of_one_name_in_an_odx_file_are_all_told(tmp_path: Path) -> None:
+    path = tmp_path / "x.odx-d"
+    path.write_text(WHEELS, encoding="utf-8")
+    values = find_description(path).values(0x2000, bytes([1, 2, 3, 4]))
+    assert values == {"state": 1, "spare speed": 2, "wheels 1 speed": 3, "wheels 2 speed": 4}
+
+
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 no zip", b"<ODX/>"])
 def test_what_is_no_pdx_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "x.pdx"
