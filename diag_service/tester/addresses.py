@@ -79,6 +79,8 @@ def usual_response_id(request_id: int) -> int:
             raise ConfigError(f"--reply is needed: how {id_text(request_id)} is answered cannot be derived from it")
         target, source = request_id >> 8 & 0xFF, request_id & 0xFF
         return FIXED_PHYSICAL | source << 8 | target
+    if request_id == FUNCTIONAL_ID:
+        raise ConfigError(f"--reply is needed: {id_text(request_id)} asks all controllers; rather ask one, such as 7E1")
     if request_id + RESPONSE_OFFSET > LARGEST_STANDARD_ID:
         raise ConfigError(f"--reply is needed: {id_text(request_id)} and 8 are more than 7FF")
     return request_id + RESPONSE_OFFSET

@@ -46,6 +46,7 @@ QUESTIONS: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
 HARMLESS: Final = {  # valid answers: the truth said more than once, and other values in bytes that repeat nothing
     *((name, "twice") for name in QUESTIONS),
     *((name, "other identifier") for name in ("10 session", "19 01 count", "19 02 codes", "27 seed")),
+    ("10 session", "head alone"),  # the edition of 2006
 }
 UNREAD: Final = {("31 start", way) for way in ("a byte short", "a byte long")}  # valid: maker's own bytes
 

@@ -34,6 +34,7 @@ def test_words_become_an_address() -> None:
         (("7G0", None), "--ecu must be hexadecimal, 0 to 1FFFFFFF, got '7G0'"),
         (("20000000", "1"), "--ecu must be hexadecimal"),
         (("7E0", "18DAF110"), "both have 11 bits or both 29"),
+        (("7DF", None), "--reply is needed: 7DF asks all controllers"),
         (("7E0", "7E0"), "the same identifier 7E0"),
         (("7E0", None, "100"), "--address must be hexadecimal, 0 to FF, got '100'"),
     ],

@@ -51,7 +51,7 @@ def test_codes_have_text_and_states() -> None:
         ("19 56 33 01", "59 56 33 FF 04 02", "it is about 02, not about 01"),
         ("19 56 33 01", "59 56 D0 FF 04 01", "it is about D0, not about 33"),
         ("19 56 33 01", "59 56 33 FF 09 01", "its trouble codes have the unknown format 09"),
-        ("10 03", "50 03", "6 bytes are due, and it has 2"),
+        ("10 03", "50 03 00", "6 bytes are due, and it has 3"),
         ("14 FFFFFF", "54 00", "1 byte is due, and it has 2"),
         ("22 F190", "62 F190", "at least 4 bytes are due, and it has 3"),
         ("22 F190", "62 F190 41 62 F190 41", "it holds the same answer twice"),
@@ -66,6 +66,7 @@ def test_codes_have_text_and_states() -> None:
         ("19 1A 91", "59 1A FF", ""),
         ("19 56 33 01", "59 56 33 FF 04 01 081107 2F", ""),
         ("31 01 0301", "71 01 0301", ""),
+        ("10 03", "50 03", ""),  # the edition of 2006
     ],
 )
 def test_what_breaks_the_rules_is_named(request_hex: str, response_hex: str, text: str) -> None:
