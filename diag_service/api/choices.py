@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 from clutch_model.calibration import Calibration
 from diag_service.delivery import Acknowledge
@@ -88,22 +88,26 @@ def configuration(
     is_strict: bool = False,
     delivery: Delivery | None = None,
     store_budget_mib: int | None = None,
-    **meaning: Unpack[LogMeaning],
+    vehicle: str | None = None,
+    dbc: AnyPath | None = None,
+    profile: AnyPath | None = None,
+    calibration: Calibration | AnyPath | None = None,
+    is_lenient: bool = False,
+    columns: str = "",
 ) -> DiagnosisConfig:
-    """Return how frames become results; raises ConfigError or CalibrationError."""
-    calibration = meaning.get("calibration")
+    """Return how frames become results; raises ConfigError or CalibrationError, and TypeError for another keyword."""
     named = calibration if isinstance(calibration, Calibration) else optional_path(calibration)
-    chosen, gears = described_by(named, optional_path(meaning.get("profile")))
+    chosen, gears = described_by(named, optional_path(profile))
     return DiagnosisConfig(
-        vehicle=vehicle_of(meaning.get("vehicle"), chosen),
-        calibration=as_profiled(chosen, optional_path(meaning.get("profile"))),
+        vehicle=vehicle_of(vehicle, chosen),
+        calibration=as_profiled(chosen, optional_path(profile)),
         gears=gears,
         vehicle_file=None if gears is None or isinstance(named, Calibration) else named,
-        dbc=optional_path(meaning.get("dbc")),
-        profile=optional_path(meaning.get("profile")),
-        is_lenient=meaning.get("is_lenient", False),
+        dbc=optional_path(dbc),
+        profile=optional_path(profile),
+        is_lenient=is_lenient,
         is_strict=is_strict,
-        columns=meaning.get("columns", ""),
+        columns=columns,
         broker=None if delivery is None else broker_of(_options(delivery)),
         acknowledge=Acknowledge.BROKER if delivery is None else _acknowledge(delivery.acknowledge),
         budget_bytes=None if store_budget_mib is None else store_budget_mib * BYTES_PER_MIB,

@@ -152,6 +152,8 @@ def test_what_cannot_be_done_is_an_exception_with_the_words_of_the_program(drive
             drive_log,
             delivery=diag_service.Delivery(broker="mqtt://localhost", acknowledge="nobody"),  # type: ignore[arg-type]  # as a user may type it
         )
+    with pytest.raises(TypeError, match="calibraton"):
+        diag_service.analyze(drive_log, calibraton="car7.toml")  # type: ignore[call-arg]  # as a user may type it
     with pytest.raises(diag_service.OutputError, match=r"cannot write .*picture\.xyz"):
         diag_service.analyze(drive_log).plot(tmp_path / "picture.xyz")
     ended("analyze", missing).assert_one_line(3, str(failure.value))
