@@ -207,8 +207,8 @@ def _new_fluids(history: History, fills: Sequence[FluidFill]) -> tuple[int, ...]
     for number in np.unique(history.fluid_number).tolist():
         first = int(np.searchsorted(history.fluid_number, number))
         since_m = 0.0 if not number else filled_m[number - 1]
-        if since_m is None and first:  # nobody noted the odometer: it was filled after the row before
-            since_m = float(history.odometer_m[first - 1])
+        if first:  # it was filled after the row before, also where nobody noted the odometer or it was another one
+            since_m = max(since_m or 0.0, float(history.odometer_m[first - 1]))
         if since_m is not None and history.odometer_m[first] - since_m <= NEW_WITHIN_M:
             new.append(number)
     return tuple(new)

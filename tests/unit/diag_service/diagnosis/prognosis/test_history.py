@@ -107,8 +107,17 @@ def test_a_fill_begins_another_fluid_that_was_new_when_seen_soon_after() -> None
     assert found.new_fluids == (0, 1)
     without = history_of(results, (replace(known_m, odometer_m=None),), 1)
     assert without.new_fluids == (0, 1)
-    long_ago = [with_odometer(one, 1.0e8 + (one.estimate.odometer_m or 0.0)) for one in results]
-    assert history_of(long_ago, (replace(known_m, odometer_m=6.0e7),), 1).new_fluids == ()
+    unseen = [*results[:30], *(with_odometer(one, 9.0e7 + (one.estimate.odometer_m or 0.0)) for one in results[30:])]
+    assert history_of(unseen, (replace(known_m, odometer_m=6.0e7),), 1).new_fluids == (0,)
+    assert history_of(unseen, (replace(known_m, odometer_m=8.9e7),), 1).new_fluids == (0, 1)
+
+
+def test_a_fluid_is_new_also_by_the_odometer_of_another_instrument() -> None:
+    results = own_valid(90)
+    worn = [with_odometer(one, 1.0e8 + (one.estimate.odometer_m or 0.0)) for one in results[:15]]
+    at = utc_from_bus_ns(results[30].estimate.start_ns)
+    fill = FluidFill(vehicle="car1", filled_at=at, odometer_m=results[29].estimate.odometer_m)
+    assert history_of([*worn, *results[15:]], (fill,), 1).new_fluids == (1,)
 
 
 def test_columns_that_are_no_past_are_refused() -> None:
