@@ -32,7 +32,7 @@ from diag_service.diagnosis.records import (
     order_record,
     utc_from_bus_ns,
 )
-from diag_service.diagnosis.summary import cause_lines, newest_causes
+from diag_service.diagnosis.summary import cause_lines, latest_of, newest_causes
 from diag_service.report.findings import Findings, moment_words
 from diag_service.store import Row
 from fleet_contract import JsonObject
@@ -62,7 +62,7 @@ class FluidPeriod:
     def last_verdict(self) -> ClutchVerdict | None:
         """The last one while the fluid was in; an event whose log came later was judged by itself."""
         timely = [row for row in self.rows if row.position < self.until] or self.rows
-        return timely[-1].result.verdict if timely else None
+        return latest_of(row.result for row in timely)[0].verdict if timely else None
 
     @property
     def known_shift_count(self) -> int:

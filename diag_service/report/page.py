@@ -137,8 +137,10 @@ def _subtitle(found: Findings) -> str:
     names = ", ".join(legible(name) for name in found.sources)
     if not found.rows:
         return f"no event in {names}"
-    first, last = found.rows[0].result.estimate, found.rows[-1].result.estimate
-    days = dict.fromkeys(utc_from_bus_ns(t_ns)[:10] for t_ns in (first.start_ns, last.end_ns))  # one twice is one
+    # Logs may have been analysed in any order.
+    begin_ns = min(result.estimate.start_ns for result in found.results)
+    end_ns = max(result.estimate.end_ns for result in found.results)
+    days = dict.fromkeys(utc_from_bus_ns(t_ns)[:10] for t_ns in (begin_ns, end_ns))  # one twice is one
     when = " to ".join(days) if found.is_dated else "without a date"
     return f"{len(found.rows)} events, {when}, from {names}"
 

@@ -43,6 +43,13 @@ def test_a_log_of_the_old_fluid_that_comes_late_is_not_what_was_last_said_of_it(
     assert new.last_verdict == found.rows[38].result.verdict
 
 
+def test_what_is_last_said_of_a_fluid_is_what_the_order_goes_by() -> None:
+    found = findings(40)
+    early, late = found.rows[:20], found.rows[20:]
+    (fluid,) = periods_of(replace(found, rows=(*late, *early)), 1)
+    assert fluid.last_verdict == found.latest[0].verdict != fluid.rows[-1].result.verdict
+
+
 def test_a_fluid_without_a_shift_yet_is_in_the_list() -> None:
     later = FluidFill(vehicle="car1", filled_at="2027-01-01T00:00:00.000000Z")
     old, new = periods_of(replace(findings(10), fills=(later,)), 2)

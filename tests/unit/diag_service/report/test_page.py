@@ -27,6 +27,7 @@ from diag_service.errors import StoreError
 from diag_service.report.findings import Album, Findings
 from diag_service.report.page import course_sections, html_of, page_of, record_of, write_page
 from diag_service.report.pictures import Trend
+from diag_service.store import Row
 from fleet_contract.orders import Action
 from tests.support.builders import shift_result
 from tests.support.histories import findings, history
@@ -159,6 +160,17 @@ def test_logs_without_a_date_tell_their_own_seconds() -> None:
     assert ("2 events, without a date" in text, "start in the log" in text, "3704.4 s" in text) == (True, True, True)
     assert "start (UTC)" in html(found)
     assert ("end in the log" in text, "end (UTC)" in text) == (True, False)
+
+
+def test_the_days_are_in_order_whatever_log_was_analysed_first() -> None:
+    found = findings(2)
+    old, late = found.results
+    day_ns = 86_400 * 10**9
+    late_estimate = replace(
+        late.estimate, start_ns=late.estimate.start_ns + day_ns, end_ns=late.estimate.end_ns + day_ns
+    )
+    rows = [Row(position=1, result=replace(late, estimate=late_estimate)), Row(position=2, result=old)]
+    assert "2 events, 2026-01-01 to 2026-01-02, from" in html(replace(found, rows=tuple(rows)))
 
 
 def test_a_history_without_anything_says_so() -> None:
