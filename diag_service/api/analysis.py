@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from canlog.column_files import arrow_schema, row_table
 from canlog.extras import load_extra
+from clutchdiag_io.program import legible
 from diag_service.api.choices import AnyPath, AnyPaths, Delivery, LogMeaning, configuration, optional_path, path_list
 from diag_service.batch.tables import columns, drive_rows, flattened, record_columns
 from diag_service.console import collected_notices
@@ -162,8 +163,7 @@ class Analysis:
     @property
     def shifts(self) -> ResultTable:
         """A row for each shift, as all of them judge it; the table that ``analyze -o`` writes."""
-        gaps = tuple(Gap(gap) for gap in self.summary["incomplete"])
-        records = (shift_record(unjudged(result, gaps)) for result in with_revisions(self.results))
+        records = map(shift_record, self._judged)
         return ResultTable(columns(), list(drive_rows(self.paths, records, is_complete=self.is_complete)))
 
     @property
@@ -197,7 +197,7 @@ class Analysis:
         """
         from diag_service.api.picture import draw, save  # noqa: PLC0415 - matplotlib, an extra
 
-        figure = draw(self.results, ", ".join(one.name for one in self.paths) or self.vehicle)
+        figure = draw(self._judged, legible(", ".join(one.name for one in self.paths) or self.vehicle))
         if path is not None:
             save(figure, Path(path))
         return figure
@@ -216,8 +216,14 @@ class Analysis:
         yield dump(dict(self.summary))
 
     @property
+    def _judged(self) -> list[ShiftResult]:
+        """The shifts as all of them judge them; of a part of a drive without a verdict."""
+        gaps = tuple(Gap(gap) for gap in self.summary["incomplete"])
+        return [unjudged(result, gaps) for result in with_revisions(self.results)]
+
+    @property
     def _name(self) -> str:
-        return ", ".join(map(str, self.paths)) or self.vehicle
+        return legible(", ".join(map(str, self.paths)) or self.vehicle)
 
     @property
     def _said(self) -> str:

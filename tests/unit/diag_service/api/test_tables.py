@@ -1,14 +1,18 @@
 """Results as rows, and as what libraries call a table."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pyarrow as pa
 import pytest
+from matplotlib.colors import to_hex
 
 from diag_service import Analysis, ShiftResult
 from diag_service.api.analysis import ResultTable
+from diag_service.api.picture import CONDITION_COLOUR
+from diag_service.diagnosis.records import Condition, Reason, Revision, Status
 from tests.support.histories import history
 
 TYPES = {"seq": "int64", "friction.mu_c": "float64", "reasons": "string", "complete": "bool"}
@@ -47,9 +51,14 @@ def test_a_notebook_shows_the_columns_that_have_values() -> None:
     assert html.endswith("<p>and 10 more rows</p>")
 
 
+def analysis_of(results: list[ShiftResult], *incomplete: str, name: str = "drive.log") -> Analysis:
+    summary = {"vehicle": "car1", "complete": not incomplete, "incomplete": incomplete, "clutches": [], "order": ""}
+    return Analysis(paths=(Path(name),), results=tuple(results), summary=summary)
+
+
 def levels_and_words(results: list[ShiftResult]) -> list[tuple[list[float], str]]:
     """Return for each clutch the heights of the lines across its panel, and the words in it."""
-    figure = Analysis(paths=(), results=tuple(results), summary={"vehicle": "car1"}).plot()
+    figure = analysis_of(results).plot()
     return [
         (
             [
@@ -73,3 +82,35 @@ def test_the_thresholds_of_the_verdict_are_drawn() -> None:
 def test_without_a_level_there_is_no_threshold() -> None:
     unknown = [replace(one, verdict=replace(one.verdict, level_ratio=None)) for one in history(4)]
     assert levels_and_words(unknown) == [([], ""), ([], "")]
+
+
+def test_the_picture_shows_shifts_as_the_table_has_them() -> None:
+    first, *others, last = history(5)
+    revision = Revision(
+        clutch=first.estimate.clutch,
+        end_bus_ns=first.estimate.end_ns,
+        status=Status.REJECTED,
+        reasons=(Reason.IMPLAUSIBLE,),
+        friction=None,
+        scale_free=None,
+    )
+    revised = [first, *others, replace(last, estimate=replace(last.estimate, revisions=(revision,)))]
+    for results, count in ((history(5), 3), (revised, 2)):
+        analysis = analysis_of(results)
+        is_shown = [row["clutch"] == 1 and row["status"] == "valid" for row in analysis.shifts]
+        dots = analysis.plot().axes[0].containers[0][0].get_xdata()
+        assert (len(dots), sum(is_shown)) == (count, count)
+
+
+def test_the_picture_of_a_part_of_a_drive_tells_no_verdict() -> None:
+    for incomplete, is_told in (((), True), (("log_cut",), False)):
+        axes = analysis_of(history(9), *incomplete).plot().axes[0]
+        colours = {to_hex(strip.get_facecolor()) for strip in axes.patches}
+        assert (colours != {CONDITION_COLOUR[Condition.NO_VERDICT]}) == is_told
+
+
+def test_a_name_that_is_no_text_is_shown_all_the_same() -> None:
+    analysis = analysis_of(history(2), name="log\udce9.log")
+    assert "log\\xe9.log" in repr(analysis)
+    assert "log\\xe9.log" in analysis._repr_html_()
+    assert analysis.plot().axes[0].get_title(loc="right") == "log\\xe9.log"
