@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Protocol, TextIO
 
 from canlog.errors import NOTICE, SourceError
-from clutchdiag_io.program import replacement_refusal
+from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.batch.drives import Drive, LeftOut, find_drives, left_out_record
 from diag_service.batch.journal import Entry, Journal
 from diag_service.batch.processes import job_count, progress_bar, shared_out
@@ -179,7 +179,7 @@ class FolderLines:
             for record in (*entry.shifts, entry.drive):
                 self._write(dump(record))
             return
-        self._write(f"{drive.name}: {drive_line(entry)}")
+        self._write(f"{legible(drive.name)}: {drive_line(entry)}")
 
     def leave_out(self, files: Sequence[LeftOut]) -> None:
         """Tell of files that are no drives: people on standard error, each with its reason."""

@@ -115,6 +115,8 @@ def test_tables_are_written_under_such_names(odd: Path) -> None:
     output = odd / odd_name(".jsonl")
     told = run("diag_service", "analyze", odd, "--json", "--jobs", "1", "-o", output, cwd=odd)
     assert told.status == 0
+    again = run("diag_service", "analyze", odd, "--jobs", "1", cwd=odd)
+    assert again.out.startswith(f"{odd_text(odd)}.log: ")
     written = output.read_text(encoding="utf-8")  # strict: what is written is UTF-8
     for text in (told.out, written):
         records = [strict(line) for line in text.splitlines()]
