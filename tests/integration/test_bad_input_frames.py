@@ -70,9 +70,7 @@ def with_payloads(batch: FrameBatch, rows: Int64Array, payloads: UInt8Array) -> 
 def without(batch: FrameBatch, rows: Int64Array) -> FrameBatch:
     is_kept = np.ones(len(batch), np.bool_)
     is_kept[rows] = False
-    return FrameBatch(
-        t_ns=batch.t_ns[is_kept], can_id=batch.can_id[is_kept], length=batch.length[is_kept], data=batch.data[is_kept]
-    )
+    return batch[is_kept]
 
 
 def bad_crc(log: Path, name: str, rows: Int64Array) -> FrameBatch:

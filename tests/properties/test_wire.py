@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canlog.frames import FrameBatch
+from canlog.frames import FrameBatch, join
 from clutch_model.units import m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.summary import FrameCounts
@@ -54,10 +54,7 @@ CLEAN: Final = samples(decode([DRIVE])[0])
 
 
 def take(batch: FrameBatch, rows: Sequence[int]) -> FrameBatch:
-    index = np.array(rows, np.int64)
-    return FrameBatch(
-        t_ns=batch.t_ns[index], can_id=batch.can_id[index], length=batch.length[index], data=batch.data[index]
-    )
+    return batch[np.array(rows, np.int64)]
 
 
 def damage(row: int, kind: str, batch: FrameBatch, bits: Sequence[int]) -> None:
@@ -144,13 +141,7 @@ def joined(parts: Sequence[ColumnBatch]) -> list[dict[str, list[float]]]:
 
 @given(cut_streams())
 def test_cutting_the_stream_changes_nothing(pieces: list[FrameBatch]) -> None:
-    whole = FrameBatch(
-        t_ns=np.concatenate([piece.t_ns for piece in pieces]),
-        can_id=np.concatenate([piece.can_id for piece in pieces]),
-        length=np.concatenate([piece.length for piece in pieces]),
-        data=np.concatenate([piece.data for piece in pieces]),
-    )
-    at_once, counts = decode([whole])
+    at_once, counts = decode([join(pieces)])
     in_pieces, piecewise_counts = decode(pieces)
     assert joined(in_pieces) == joined(at_once)
     assert piecewise_counts == counts

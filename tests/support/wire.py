@@ -45,19 +45,7 @@ def received(frames: EncodedFrames) -> FrameBatch:
     return FrameBatch(t_ns=t_ns, can_id=frames.can_id, length=frames.length, data=frames.data)
 
 
-def joined(batches: list[FrameBatch]) -> FrameBatch:
-    """Return several batches as one."""
-    return FrameBatch(
-        t_ns=np.concatenate([batch.t_ns for batch in batches]),
-        can_id=np.concatenate([batch.can_id for batch in batches]),
-        length=np.concatenate([batch.length for batch in batches]),
-        data=np.concatenate([batch.data for batch in batches]),
-    )
-
-
 def of_message(batch: FrameBatch, name: str) -> FrameBatch:
     """Return the frames of one message."""
     rows = np.flatnonzero(batch.can_id == CONTRACTS[name].can_id)
-    return FrameBatch(
-        t_ns=batch.t_ns[rows], can_id=batch.can_id[rows], length=batch.length[rows], data=batch.data[rows]
-    )
+    return batch[rows]

@@ -10,6 +10,7 @@ from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, Frame
 from canlog.live import SupervisedSource
 from canlog.logs import read_log
 from canlog.traffic import ERROR_BITS, TrafficMeter, frame_bits
+from tests.support.batches import frames_at
 from tests.unit.canlog.live.test_supervisor import Script, ShortSource, numbered, parts_of
 
 RECORDINGS: Final = Path(__file__).parents[2] / "golden" / "recordings"
@@ -44,13 +45,7 @@ def sent_bits(can_id: int, payload: bytes) -> int:
 
 
 def one_frame(can_id: int = 0x100, length: int = 8, *, is_fd: bool = False) -> FrameBatch:
-    return FrameBatch(
-        t_ns=np.zeros(1, np.int64),
-        can_id=np.array([can_id], np.uint32),
-        length=np.array([length], np.uint8),
-        data=np.zeros((1, 64), np.uint8),
-        flags=np.array([FD_FLAG if is_fd else 0], np.uint8),
-    )
+    return frames_at([0], can_id, length, np.zeros(64), flags=FD_FLAG if is_fd else 0)
 
 
 @pytest.mark.parametrize("name", ["ideal", "foreign", "j1939", "faults"])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from canlog.frames import ERROR_FLAG, BusTrouble, FrameBatch, count_errors, empty_batch, is_error, reports
+from tests.support.batches import frames_at
 
 CASES = [
     (0x001, 0x00, {BusTrouble.TRANSMIT_TIMEOUT}),
@@ -29,12 +30,7 @@ def error_frames(*frames: tuple[int, int]) -> FrameBatch:
     """Return error frames of given classes and controller bytes."""
     data = np.zeros((len(frames), 8), np.uint8)
     data[:, 1] = [controller for _, controller in frames]
-    return FrameBatch(
-        t_ns=np.arange(len(frames), dtype=np.int64),
-        can_id=np.array([ERROR_FLAG | classes for classes, _ in frames], np.uint32),
-        length=np.full(len(frames), 8, np.uint8),
-        data=data,
-    )
+    return frames_at(range(len(frames)), [ERROR_FLAG | classes for classes, _ in frames], data=data)
 
 
 @pytest.mark.parametrize(("classes", "controller", "told"), CASES)
@@ -50,12 +46,7 @@ def test_counts_add_up_over_a_batch() -> None:
 
 
 def test_frames_of_the_bus_are_no_errors_whatever_their_identifier() -> None:
-    plain = FrameBatch(
-        t_ns=np.zeros(2, np.int64),
-        can_id=np.array([0x040, 0x8000_0040], np.uint32),
-        length=np.full(2, 8, np.uint8),
-        data=np.full((2, 8), 0xFF, np.uint8),
-    )
+    plain = frames_at([0, 0], [0x040, 0x8000_0040], data=0xFF)
     assert not is_error(plain).any()
     assert not count_errors(plain)
     assert not count_errors(empty_batch())

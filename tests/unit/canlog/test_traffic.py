@@ -9,21 +9,14 @@ import pytest
 from canlog.arrays import Int64Array
 from canlog.frames import ERROR_FLAG, FrameBatch
 from canlog.traffic import IdTraffic, Jump, TrafficMeter, TrafficReport
+from tests.support.batches import frames_at
 
 MS = 1_000_000
 START_NS = 1_700_000_000_000_000_000
 
 
 def frames(t_ns: Int64Array, can_id: int = 0x100, length: int = 8, flags: int = 0, channel: int = 0) -> FrameBatch:
-    count = len(t_ns)
-    return FrameBatch(
-        t_ns=START_NS + np.asarray(t_ns, np.int64),
-        can_id=np.full(count, can_id, np.uint32),
-        length=np.full(count, length, np.uint8),
-        data=np.zeros((count, 8), np.uint8),
-        flags=np.full(count, flags, np.uint8),
-        channel=np.full(count, channel, np.uint8),
-    )
+    return frames_at(START_NS + np.asarray(t_ns), can_id, length, flags=flags, channel=channel)
 
 
 def measured(*batches: FrameBatch, bitrate: int = 500_000) -> TrafficReport:
@@ -97,12 +90,7 @@ def test_cutting_the_stream_changes_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     count = 400
     steps = rng.choice([0, MS, 10 * MS, 400 * MS, 2000 * MS, -50 * MS], count, p=[0.1, 0.4, 0.4, 0.05, 0.03, 0.02])
-    batch = FrameBatch(
-        t_ns=START_NS + np.cumsum(steps),
-        can_id=rng.integers(1, 5, count).astype(np.uint32),
-        length=rng.integers(0, 9, count).astype(np.uint8),
-        data=np.zeros((count, 8), np.uint8),
-    )
+    batch = frames_at(START_NS + np.cumsum(steps), rng.integers(1, 5, count), rng.integers(0, 9, count))
     cuts = [0, *sorted(set(rng.integers(1, count, 12).tolist())), count]
     whole = measured(batch)
     pieces = measured(*(batch[first:last] for first, last in pairwise(cuts)))

@@ -22,6 +22,7 @@ from canlog.decode.codec import Codec
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import DefinitionError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
+from tests.support.batches import frames_at
 from tests.support.wire import DATABASE
 
 CORNERS: Final = Path(__file__).parents[3] / "data" / "corners.dbc"
@@ -48,14 +49,7 @@ def slots(addresses: list[MessageAddress], *can_ids: int) -> list[int]:
 
 
 def batch(can_ids: list[int], channels: list[int] | None = None, length: int = 8) -> FrameBatch:
-    count = len(can_ids)
-    return FrameBatch(
-        t_ns=np.arange(count) * 10_000_000,
-        can_id=np.array(can_ids, np.uint32),
-        length=np.full(count, length, np.uint8),
-        data=np.zeros((count, 8), np.uint8),
-        channel=np.array(channels if channels is not None else [0] * count, np.uint8),
-    )
+    return frames_at(np.arange(len(can_ids)) * 10_000_000, can_ids, length, channel=channels or 0)
 
 
 def reasons(monitor: LinkMonitor, frames: FrameBatch) -> list[FrameReason]:

@@ -14,8 +14,9 @@ from cantools.database.can import Database
 from canlog.database.loading import MAX_FILE_BYTES, PARSER_TIME_S, load_database
 from canlog.decode.codec import Codec
 from canlog.errors import DefinitionError
-from canlog.frames import EXTENDED_FLAG, FrameBatch
+from canlog.frames import EXTENDED_FLAG
 from dbc.contract import load_contract
+from tests.support.batches import frames_at
 from tests.support.cantools_oracle import reference, same_bits
 from tests.support.wire import DATABASE
 
@@ -356,12 +357,8 @@ def test_every_format_decodes_to_the_bits_of_cantools(tmp_path: Path, text: str,
     assert len(database.messages) == count
     message = database.get_message_by_name(name)
     data = np.random.default_rng(3).integers(0, 256, (50, 8)).astype(np.uint8)
-    batch = FrameBatch(
-        t_ns=np.arange(50),
-        can_id=np.full(50, message.frame_id | (EXTENDED_FLAG if message.is_extended_frame else 0), np.uint32),
-        length=np.full(50, 8, np.uint8),
-        data=data,
-    )
+    can_id = message.frame_id | (EXTENDED_FLAG if message.is_extended_frame else 0)
+    batch = frames_at(np.arange(50), can_id, data=data)
     (found,) = Codec([message], check_range=False).decode(batch)
     wanted = reference(message, [row.tobytes() for row in data])
     for signal, decoded in found.signals.items():

@@ -12,6 +12,7 @@ from cantools.database.errors import DecodeError
 
 from canlog.decode.codec import Codec, FrameFate, MessageValues
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
+from tests.support.batches import frames_at
 from tests.support.cantools_oracle import reference, same_bits
 from tests.support.wire import DATABASE
 
@@ -34,9 +35,7 @@ def frames(messages: list[Message], rows: int, seed: int) -> FrameBatch:
     length = np.tile([message.length for message in messages], rows)
     data = rng.integers(0, 256, (count, 64)).astype(np.uint8)
     data[np.arange(64) >= length[:, None]] = 0
-    return FrameBatch(
-        t_ns=np.arange(count), can_id=np.tile(ids, rows).astype(np.uint32), length=length.astype(np.uint8), data=data
-    )
+    return frames_at(np.arange(count), np.tile(ids, rows), length, data)
 
 
 def assert_as_cantools(message: Message, batch: FrameBatch, found: MessageValues) -> None:
@@ -76,12 +75,7 @@ def test_every_page_of_a_multiplexer_is_met() -> None:
 def test_every_frame_has_one_fate() -> None:
     message = DATABASE.messages[0]
     ids = [message.frame_id | flag for flag in (0, REMOTE_FLAG, ERROR_FLAG, EXTENDED_FLAG, 0)]
-    batch = FrameBatch(
-        t_ns=np.arange(5),
-        can_id=np.array(ids, np.uint32),
-        length=np.array([8, 8, 8, 8, 7], np.uint8),
-        data=np.zeros((5, 8), np.uint8),
-    )
+    batch = frames_at(np.arange(5), ids, [8, 8, 8, 8, 7])
     codec = Codec(DATABASE.messages)
     whole, part = codec.decode(batch)
     assert (whole.rows.tolist(), part.rows.tolist()) == ([0], [4])
@@ -122,10 +116,7 @@ def test_short_frames_give_the_signals_that_fit_as_cantools_does(database: Datab
 
 def test_what_lies_behind_the_end_of_a_short_frame_is_counted() -> None:
     message = Message(0x100, "M", 8, [Signal("A", start=0, length=8), Signal("B", start=56, length=8)])
-    batch = FrameBatch(
-        t_ns=np.arange(3), can_id=np.full(3, 0x100, np.uint32), length=np.array([0, 7, 8], np.uint8),
-        data=np.ones((3, 8), np.uint8),
-    )  # fmt: skip
+    batch = frames_at(np.arange(3), 0x100, [0, 7, 8], 1)
     found = list(Codec([message]).decode(batch))
     assert [(one.rows.tolist(), list(one.signals), dict(one.cut_off)) for one in found] == [
         ([2], ["A", "B"], {}), ([0], [], {"A": 1, "B": 1}), ([1], ["A"], {"B": 1}),
@@ -149,10 +140,7 @@ def test_messages_longer_than_their_frames_need_a_transport_protocol(
     size: int, is_fd: bool, fd_flag: int, length: int, fate: FrameFate
 ) -> None:
     message = Message(0x100, "M", size, [Signal("A", start=0, length=8)], is_fd=is_fd)
-    batch = FrameBatch(
-        t_ns=np.arange(1), can_id=np.full(1, 0x100, np.uint32), length=np.array([length], np.uint8),
-        data=np.ones((1, 64), np.uint8), flags=np.array([fd_flag], np.uint8),
-    )  # fmt: skip
+    batch = frames_at([0], 0x100, length, np.ones(64), flags=fd_flag)
     codec = Codec([message])
     assert np.flatnonzero(codec.match(batch).counts[0]).tolist() == [fate]
     assert len(list(codec.decode(batch))) == (fate is not FrameFate.TRANSPORTED)

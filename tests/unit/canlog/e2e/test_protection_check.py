@@ -12,6 +12,7 @@ from canlog.e2e.profile1 import protect
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from canlog.errors import DefinitionError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from tests.support.batches import frames_at
 from tests.support.wire import CONTRACTS, DATABASE, START_NS
 
 NAME: Final = "TCU_Pressures"
@@ -31,12 +32,7 @@ def frames(counters: Sequence[int], t_ms: Sequence[float] | None = None, damaged
     times = np.arange(count) * float(CYCLE_MS) if t_ms is None else np.array(t_ms, np.float64)
     data = protect(np.full((count, 8), 0x50, np.uint8), DATA_ID, np.array(counters, np.int64))
     data[list(damaged), 0] ^= 0x55
-    return FrameBatch(
-        t_ns=START_NS + (times * 1e6).astype(np.int64),
-        can_id=np.full(count, CONTRACTS[NAME].can_id, np.uint32),
-        length=np.full(count, 8, np.uint8),
-        data=data,
-    )
+    return frames_at(START_NS + (times * 1e6).astype(np.int64), CONTRACTS[NAME].can_id, data=data)
 
 
 def monitor() -> LinkMonitor:
@@ -158,13 +154,7 @@ def _crc_of(data: np.ndarray[tuple[int, int], np.dtype[np.uint8]]) -> int:
     """Find the CRC by trial: the monitor must then not call it bad."""
     for crc in range(256):
         data[0, 0] = crc
-        trial = FrameBatch(
-            t_ns=np.array([START_NS]),
-            can_id=np.array([CONTRACTS[NAME].can_id], np.uint32),
-            length=np.array([8], np.uint8),
-            data=data,
-        )
-        if reasons(check(trial)[1]) != [BAD_CRC]:
+        if reasons(check(frames_at([START_NS], CONTRACTS[NAME].can_id, data=data))[1]) != [BAD_CRC]:
             return crc
     raise AssertionError("no CRC fits")
 
@@ -249,14 +239,8 @@ def foreign(extra: str = "") -> list[Message]:
 
 def test_foreign_messages_are_checked_for_their_length_only() -> None:
     link = LinkMonitor(foreign())
-    verdicts = link.check(
-        FrameBatch(
-            t_ns=np.array([1, 2, 3, 3]),
-            can_id=np.array([0x18FEF1FE | EXTENDED_FLAG, 0x100, 0x100, 0x18FEF1FE], np.uint32),
-            length=np.array([8, 2, 3, 8], np.uint8),
-            data=np.full((4, 8), 0xA5, np.uint8),
-        )
-    )
+    can_ids = [0x18FEF1FE | EXTENDED_FLAG, 0x100, 0x100, 0x18FEF1FE]
+    verdicts = link.check(frames_at([1, 2, 3, 3], can_ids, [8, 2, 3, 8], 0xA5))
     assert reasons(verdicts) == [OK, SHORT, OK, FrameReason.UNKNOWN_ID]
     assert verdicts.sequence.tolist() == [-1] * 4
     assert verdicts.slot.tolist() == [0, 1, 1, -1]
@@ -268,14 +252,7 @@ def test_counter_without_a_known_cycle_time() -> None:
     numbers = [0, 1, 3, 3, 4, 12, 13, 14]
     data = protect(np.zeros((len(numbers), 8), np.uint8), 4660, np.array(numbers))
     link = LinkMonitor([message])
-    verdicts = link.check(
-        FrameBatch(
-            t_ns=np.arange(len(numbers)) * 7_000_000,
-            can_id=np.full(len(numbers), 0x18FEF1FE | EXTENDED_FLAG, np.uint32),
-            length=np.full(len(numbers), 8, np.uint8),
-            data=data,
-        )
-    )
+    verdicts = link.check(frames_at(np.arange(len(numbers)) * 7_000_000, 0x18FEF1FE | EXTENDED_FLAG, data=data))
     assert reasons(verdicts) == [OK, OK, OK, REPEATED, OK, WRONG_SEQUENCE, OK, OK]
     assert link.missing.tolist() == [1]
     assert (np.diff(verdicts.sequence[verdicts.sequence >= 0]) > 0).all()

@@ -1,5 +1,6 @@
 """Bus time does not follow the wall clock: moved by hours or stepped during a shift, every bit of an estimate stays."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -66,14 +67,7 @@ def heard(steps: dict[int, int]) -> tuple[list[FrameBatch], BusClock]:
         clocks.true_ns = int(drains[len(batches) + 1])
         clock.look()
         piece = batch[earlier:now]
-        batches.append(
-            FrameBatch(
-                t_ns=clock.bus_time_ns(stamps[earlier:now]),
-                can_id=piece.can_id,
-                length=piece.length,
-                data=piece.data,
-            )
-        )
+        batches.append(replace(piece, t_ns=clock.bus_time_ns(stamps[earlier:now])))
     return batches, clock
 
 
@@ -99,9 +93,7 @@ def test_a_clock_that_steps_again_and_again_changes_no_bit() -> None:
 
 
 def test_a_clock_moved_before_the_start_moves_times_and_nothing_else() -> None:
-    moved = FrameBatch(
-        t_ns=frames().t_ns + HOURS_NS, can_id=frames().can_id, length=frames().length, data=frames().data
-    )
+    moved = replace(frames(), t_ns=frames().t_ns + HOURS_NS)
     for there, here in zip(diagnosed([moved]).diagnoses, undisturbed().diagnoses, strict=True):
         assert there.estimate.friction == here.estimate.friction
         assert there.estimate.data_quality == here.estimate.data_quality

@@ -1,21 +1,14 @@
 """The state of a bus: what is heard moves it, and trouble is forgotten."""
 
-import numpy as np
-
 from canlog.frames import ERROR_FLAG, BusTrouble, FrameBatch
 from canlog.live.supervisor import TROUBLE_S, BusState, BusWatch
+from tests.support.batches import frames_at
 
 DATA, BUS_OFF, RESTART, ARBITRATION = 0x123, ERROR_FLAG | 0x40, ERROR_FLAG | 0x100, ERROR_FLAG | 0x2
 
 
 def heard(*can_ids: int) -> FrameBatch:
-    count = len(can_ids)
-    return FrameBatch(
-        t_ns=np.arange(count, dtype=np.int64),
-        can_id=np.array(can_ids, np.uint32),
-        length=np.full(count, 8, np.uint8),
-        data=np.zeros((count, 8), np.uint8),
-    )
+    return frames_at(range(len(can_ids)), can_ids)
 
 
 def test_a_bus_that_delivers_is_up() -> None:

@@ -4,13 +4,13 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator
 
-import numpy as np
 import pytest
 
 from canlog.errors import NOTICE, SourceError
 from canlog.frames import ERROR_FLAG, FrameBatch
 from canlog.live import BusState, LinkBreak, Silence, SourceCounts, SupervisedSource, supervise
 from canlog.live.supervisor import Backoff
+from tests.support.batches import frames_at
 from tests.support.patience import HANG_S
 from tests.support.virtual_time import in_virtual_time
 
@@ -18,13 +18,7 @@ QUICK = Backoff(retry_s=0.001, restart_s=0.01)
 
 
 def numbered(*numbers: int, flags: int = 0) -> FrameBatch:
-    count = len(numbers)
-    return FrameBatch(
-        t_ns=np.array(numbers, np.int64),
-        can_id=np.full(count, 0x40 | flags, np.uint32),
-        length=np.full(count, 8, np.uint8),
-        data=np.zeros((count, 8), np.uint8),
-    )
+    return frames_at(numbers, 0x40 | flags)
 
 
 class ShortSource:

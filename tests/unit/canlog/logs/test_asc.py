@@ -8,7 +8,7 @@ from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG
 from canlog.logs.asc import AscLog, is_asc_header
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_log import reader_of
-from tests.support.whole_logs import read_whole
+from tests.support.batches import read_whole
 
 HEADER = b"date Thu Jan 01 10:00:00.500 2026\nbase hex  timestamps absolute\ninternal events logged\n"
 START_NS = int(datetime(2026, 1, 1, 10).timestamp()) * 10**9 + 500_000_000  # noqa: DTZ001 - local, as in the format

@@ -11,7 +11,7 @@ from canlog.errors import SourceError
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.logs.blf import FILE_HEADER, read_blf
 from canlog.logs.log_counts import LogCounts, LogReject
-from tests.support.whole_logs import read_whole
+from tests.support.batches import read_whole
 
 START_NS = 1_767_225_600_123_000_000  # 2026-01-01 00:00:00.123
 SYSTEMTIME = (2026, 1, 4, 1, 0, 0, 0, 123)

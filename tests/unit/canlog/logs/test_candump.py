@@ -9,7 +9,7 @@ from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG
 from canlog.logs.candump import CandumpLog
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_log import frames_of, reader_of
-from tests.support.whole_logs import read_whole
+from tests.support.batches import read_whole
 
 
 def read(text: bytes) -> tuple[FrameBatch, LogCounts]:

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from canlog.errors import SourceError
-from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch, join
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
 from canlog.logs.captures import capture_of, read_capture
 from canlog.logs.log_counts import LogCounts, LogReject
+from tests.support.batches import read_whole
 from tests.support.capture_grammars import COOKED, ETHERNET, SOCKETCAN, block, option, pcap, pcapng, socketcan
 from tests.support.log_grammars import Frame
 
@@ -22,9 +23,7 @@ SECTION = block("<", 0x0A0D0D0A, struct.pack("<LHHq", 0x1A2B3C4D, 1, 0, -1))
 
 
 def read(contents: bytes) -> tuple[FrameBatch, LogCounts]:
-    counts = LogCounts()
-    batches = list(read_capture(io.BytesIO(contents), counts))
-    return join(batches), counts
+    return read_whole(read_capture, contents)
 
 
 def record(packet: bytes, seconds: int = 1, part: int = 5, stated: int | None = None) -> bytes:

@@ -12,6 +12,7 @@ from canlog.frames import EXTENDED_FLAG, FrameBatch
 from canlog.logs.detection import PROBE_BYTES, LogFormat, detect
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.signal_tables import read_signal_table, table_header
+from tests.support.batches import read_whole
 
 SPEEDS, PRESSURES = [1000.5, 1001.5, 1002.5, 1003.5], [100.0, 105.86, 111.72, 117.58]
 TIMES_S = [10.0, 10.037, 10.074, 10.111]
@@ -60,15 +61,7 @@ WRITERS = {
 
 
 def read(text: bytes) -> tuple[FrameBatch, LogCounts]:
-    counts = LogCounts()
-    batches = list(read_signal_table(io.BytesIO(text), counts))
-    return (batches[0] if len(batches) == 1 else joined(batches)), counts
-
-
-def joined(batches: list[FrameBatch]) -> FrameBatch:
-    return FrameBatch(**{
-        name: np.concatenate([getattr(one, name) for one in batches]) for name in ("t_ns", "can_id", "length", "data")
-    })  # fmt: skip
+    return read_whole(read_signal_table, text)
 
 
 def values(batch: FrameBatch, name: str) -> list[float]:

@@ -10,7 +10,7 @@ from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG
 from canlog.logs.detection import TEXT_LOGS, LogFormat
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_log import frames_of, reader_of
-from tests.support.whole_logs import read_whole
+from tests.support.batches import read_whole
 
 CSV_HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data\n"
 GVRET_HEADER = b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"

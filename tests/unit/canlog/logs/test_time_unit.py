@@ -1,20 +1,18 @@
 """The load that times mean: what no bus can have tells a wrong unit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, FrameBatch
 from canlog.logs.log_counts import MICROSECONDS, MILLISECONDS, SECONDS, bus_load_ratio, is_plausible, likely_unit
+from tests.support.batches import frames_at
 
 
 def batch_of(gap_us: float, count: int = 100, *, length: int = 8, can_id: int = 0x123, flags: int = 0) -> FrameBatch:
-    return FrameBatch(
-        t_ns=np.rint(np.arange(count) * gap_us * 1e3).astype(np.int64),
-        can_id=np.full(count, can_id, np.uint32),
-        length=np.full(count, length, np.uint8),
-        data=np.zeros((count, 64 if flags else 8), np.uint8),
-        flags=np.full(count, flags, np.uint8),
-    )
+    t_ns = np.rint(np.arange(count) * gap_us * 1e3)
+    return frames_at(t_ns, can_id, length, np.zeros(64 if flags else 8), flags=flags)
 
 
 def test_the_load_of_known_traffic() -> None:
@@ -27,10 +25,7 @@ def test_the_load_of_known_traffic() -> None:
 
 def test_channels_do_not_add_up() -> None:
     one = batch_of(150.0)
-    two = FrameBatch(
-        t_ns=np.repeat(one.t_ns, 2), can_id=np.repeat(one.can_id, 2), length=np.repeat(one.length, 2),
-        data=np.repeat(one.data, 2, axis=0), channel=np.tile(np.array([0, 1], np.uint8), len(one)),
-    )  # fmt: skip
+    two = replace(one[np.repeat(np.arange(len(one)), 2)], channel=np.tile(np.array([0, 1], np.uint8), len(one)))
     assert bus_load_ratio(two) == pytest.approx(bus_load_ratio(one))
 
 

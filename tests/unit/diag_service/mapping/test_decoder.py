@@ -10,7 +10,7 @@ import pytest
 from cantools.database.can import Database
 
 from canlog.e2e.protection_check import FrameReason
-from canlog.frames import ERROR_FLAG, FrameBatch, empty_batch
+from canlog.frames import ERROR_FLAG, FrameBatch, empty_batch, join
 from clutch_model.units import pa_from_bar, rad_s_from_rpm
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.errors import ConfigError
@@ -20,7 +20,8 @@ from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder
 from ecu_emulator.drive.build import ROAD_MESSAGES
 from ecu_emulator.sensing import Readings
 from tests.support import wire
-from tests.support.wire import CONTRACTS, DATABASE, START_NS, drive, joined, of_message
+from tests.support.batches import frames_at
+from tests.support.wire import CONTRACTS, DATABASE, START_NS, drive, of_message
 
 TCU_SHIFT: Final = CONTRACTS["TCU_Shift"].can_id
 CORNERS: Final = Path(__file__).parents[3] / "data" / "corners.dbc"
@@ -109,9 +110,7 @@ def test_bad_and_missing_frames_are_timed() -> None:
     shift_rows = np.flatnonzero(batch.can_id == CONTRACTS["TCU_Shift"].can_id)
     batch.data[shift_rows[5], 0] ^= 1
     kept = np.delete(np.arange(len(batch)), shift_rows[[20, 21]])
-    lossy = FrameBatch(
-        t_ns=batch.t_ns[kept], can_id=batch.can_id[kept], length=batch.length[kept], data=batch.data[kept]
-    )
+    lossy = batch[kept]
     stage = decoder()
     (columns,) = stage.feed(lossy)
     expected = batch.t_ns[shift_rows[[5, 22, 22]]]
@@ -149,7 +148,7 @@ def test_jump_of_bus_time_starts_a_new_segment(shift_ns: int, together: bool) ->
     later_ns = first.t_ns + (first.t_ns[-1] - first.t_ns[0]) + shift_ns
     second = FrameBatch(t_ns=later_ns, can_id=first.can_id, length=first.length, data=first.data)
     stage = decoder()
-    parts = stage.feed(joined([first, second])) if together else [*stage.feed(first), *stage.feed(second)]
+    parts = stage.feed(join([first, second])) if together else [*stage.feed(first), *stage.feed(second)]
     assert [part.breaks_before for part in parts] == [False, True]
     assert [part.watermark_ns for part in parts] == [first.t_ns[-1], later_ns[-1]]
     assert stage.counts.decoded == 2 * len(first)
@@ -160,13 +159,8 @@ def test_jump_of_bus_time_starts_a_new_segment(shift_ns: int, together: bool) ->
 
 def test_silence_of_up_to_a_second_is_no_jump() -> None:
     batch = received(drive(0.1))
-    later = FrameBatch(
-        t_ns=batch.t_ns + (batch.t_ns[-1] - batch.t_ns[0]) + 1_000_000_000,
-        can_id=batch.can_id,
-        length=batch.length,
-        data=batch.data,
-    )
-    assert len(decoder().feed(joined([batch, later]))) == 1
+    later = replace(batch, t_ns=batch.t_ns + (batch.t_ns[-1] - batch.t_ns[0]) + 1_000_000_000)
+    assert len(decoder().feed(join([batch, later]))) == 1
 
 
 def test_jump_at_every_frame() -> None:
@@ -296,13 +290,8 @@ def eec1(senders: list[int], channels: list[int] | None = None) -> FrameBatch:
     count = len(senders)
     data = np.zeros((count, 8), np.uint8)
     data[:, 4] = np.arange(1, count + 1)
-    return FrameBatch(
-        t_ns=START_NS + np.arange(count) * 20_000_000,
-        can_id=np.array([0x8CF0_0400 | sender for sender in senders], np.uint32),
-        length=np.full(count, 8, np.uint8),
-        data=data,
-        channel=np.array(channels or [0] * count, np.uint8),
-    )
+    can_ids = [0x8CF0_0400 | sender for sender in senders]
+    return frames_at(START_NS + np.arange(count) * 20_000_000, can_ids, data=data, channel=channels or 0)
 
 
 def test_one_sender_of_a_parameter_group_gives_the_values_and_the_others_do_no_harm() -> None:
@@ -330,13 +319,8 @@ def test_named_sender_and_several_of_them() -> None:
 
 def test_one_identifier_on_two_channels_is_never_mixed() -> None:
     batch = received(drive(1.0))
-    twice = FrameBatch(
-        t_ns=np.repeat(batch.t_ns, 2),
-        can_id=np.repeat(batch.can_id, 2),
-        length=np.repeat(batch.length, 2),
-        data=np.repeat(batch.data, 2, axis=0),
-        channel=np.tile(np.array([1, 2], np.uint8), len(batch)),
-    )
+    rows = np.repeat(np.arange(len(batch)), 2)
+    twice = replace(batch[rows], channel=np.tile(np.array([1, 2], np.uint8), len(batch)))
     twice.data[1::2, 2:] ^= 0xFF  # the other bus says something else
     alone, both, named = decoder(), decoder(), Decoder(DATABASE, replace(load_profile(), channel=1))
     (wanted,) = alone.feed(batch)

@@ -12,6 +12,7 @@ from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.mapping.decoder import PIECE_FRAMES, Decoder, SamplePass
 from diag_service.mapping.mapped_messages import MessageColumns, map_signals
 from diag_service.mapping.profile import PROFILE_FOLDER, Profile, load_profile, load_shipped
+from tests.support.batches import frames_at
 from tests.support.wire import drive, received
 
 
@@ -69,12 +70,7 @@ def test_values_that_are_no_measurements_are_counted_alike_by_reason() -> None:
     count = 5_000
     data = np.zeros((count, 8), np.uint8)
     data[:, 4] = np.arange(count) % 256  # the high byte of the engine speed, of which FB to FF say something else
-    batch = FrameBatch(
-        t_ns=np.arange(count) * 10_000_000,
-        can_id=np.full(count, 0x0CF0_0400 | EXTENDED_FLAG, np.uint32),
-        length=np.full(count, 8, np.uint8),
-        data=data,
-    )
+    batch = frames_at(np.arange(count) * 10_000_000, 0x0CF0_0400 | EXTENDED_FLAG, data=data)
     database = load_database(PROFILE_FOLDER / "j1939.dbc")
     whole, pieces = Decoder(database, load_shipped("j1939")), Decoder(database, load_shipped("j1939"))
     whole.feed(batch)
@@ -103,12 +99,8 @@ def any_frames(messages: tuple[MessageColumns, ...], count: int, width: int) -> 
     rng = np.random.default_rng(count + width)
     slot = rng.integers(-1, len(messages), count)
     reason = np.where(slot < 0, FrameReason.UNKNOWN_ID, rng.choice([FrameReason.OK, FrameReason.BAD_CRC], count))
-    batch = FrameBatch(
-        t_ns=np.cumsum(rng.integers(0, 10**7, count)),
-        can_id=np.full(count, 1, np.uint32),
-        length=np.full(count, width, np.uint8),
-        data=rng.integers(0, 256, (count, width), dtype=np.uint8),
-    )
+    t_ns = np.cumsum(rng.integers(0, 10**7, count))
+    batch = frames_at(t_ns, 1, width, rng.integers(0, 256, (count, width), dtype=np.uint8))
     sequence, missing = np.arange(count), np.zeros(count, np.int64)
     return batch, FrameVerdicts(reason=reason.astype(np.uint8), slot=slot, sequence=sequence, missing=missing)
 

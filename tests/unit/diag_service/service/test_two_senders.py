@@ -21,13 +21,7 @@ def interleaved(*batches: FrameBatch) -> FrameBatch:
     """Return the frames of several senders in the order of their times."""
     frames = join(list(batches))
     order = frames.t_ns.argsort(kind="stable")
-    return FrameBatch(
-        t_ns=frames.t_ns[order],
-        can_id=frames.can_id[order],
-        length=frames.length[order],
-        data=frames.data[order],
-        flags=frames.flags[order],
-    )
+    return frames[order]
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.003, 0.05, 1.234])  # in step, or counting apart
