@@ -75,8 +75,7 @@ class Program:
     @property
     def last_words(self) -> str:
         """The last line of standard error."""
-        words = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        return words[-1] if words else "it said nothing"
+        return last_line(self._log)
 
     async def lines(self) -> AsyncIterator[str]:
         """Yield the lines of standard output as they come; raises DemoError when the program has ended."""
@@ -141,6 +140,12 @@ def output_files(module: str, folder: Path) -> Sequence[Path]:
     """Return where standard output and standard error of a program go."""
     name = module.replace("_", "-")
     return folder / f"{name}.out", folder / f"{name}.log"
+
+
+def last_line(log: Path) -> str:
+    """Return what a program said last in its log, for people."""
+    lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    return lines[-1] if lines else "it said nothing"
 
 
 def free_port() -> int:

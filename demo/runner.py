@@ -34,6 +34,7 @@ from demo.programs import BACKEND, EMULATOR, HOST, LOOK_S, SERVICE, DemoError, P
 from demo.scan_tool import ScanTool
 from diag_service.diagnosis.records import SHIFT_SCHEMA, ShiftResult, shift_from, verdict_from
 from diag_service.errors import ResultError
+from diag_service.service.application import first_error
 from ecu_emulator.truth import read_truth
 from fleet_contract import Channel
 from fleet_link import BrokerAddress
@@ -198,13 +199,7 @@ async def _watched(listening: Any, service: Program) -> AsyncIterator[None]:  # 
             for watcher in watchers:
                 watcher.cancel()
     except BaseExceptionGroup as group:
-        raise _first(group) from group
-
-
-def _first(group: BaseExceptionGroup[BaseException]) -> BaseException:
-    """Return the first error inside nested groups."""
-    error = group.exceptions[0]
-    return _first(error) if isinstance(error, BaseExceptionGroup) else error
+        raise first_error(group) from group
 
 
 @asynccontextmanager

@@ -1,7 +1,6 @@
 """A scan tool at the emulated controller: it asks over IP, so that the bus carries the drive alone, until its end."""
 
 import threading
-from types import TracebackType
 from typing import Final, Self
 
 from demo.programs import HOST, free_port
@@ -38,9 +37,7 @@ class ScanTool:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._is_over.set()
         self._thread.join()
 

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from demo.programs import HOST, DemoError, free_port
+from demo.programs import HOST, DemoError, free_port, last_line
 
 _PROGRAM_FOLDERS: Final = ("/usr/local/sbin", "/usr/sbin", "/sbin")
 ROLE: Final = "clutchdiag"
@@ -116,7 +116,7 @@ class PostgresServer:
         deadline_s = time.monotonic() + _START_S
         while self._answer("pg_isready", "-q", "-h", HOST, "-p", str(self.port)) != 0:
             if self._process.poll() is not None or time.monotonic() > deadline_s:
-                raise DemoError(f"PostgreSQL does not start: {self._last_words()}")
+                raise DemoError(f"PostgreSQL does not start: {last_line(self._log)}")
             time.sleep(0.05)
 
     def create(self, database: str, template: str = "template1") -> str:
@@ -167,10 +167,6 @@ class PostgresServer:
 
     def _program(self, name: str) -> str:
         return str((self._programs or Path()) / name)
-
-    def _last_words(self) -> str:
-        lines = self._log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        return lines[-1] if lines else "it said nothing"
 
 
 def program_folder() -> Path | None:
