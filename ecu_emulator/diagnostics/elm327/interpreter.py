@@ -4,8 +4,9 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
+from canlog.transport.isotp import segments
 from ecu_emulator.diagnostics.iso14229 import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.table import Addressing, Transport
 
@@ -97,24 +98,10 @@ class Settings:
         return f"{'A' if self.is_automatic else ''}{self.protocol:X}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
-    """What a command does: the settings after it, and the line that is shown."""
-
-    settings: Settings
-    line: str = OK
-
-
 _SWITCHES: Final[Mapping[str, str]] = {
-    "E": "echoes",
-    "L": "has_line_feeds",
-    "S": "has_spaces",
-    "H": "shows_headers",
-    "D": "shows_length",
-    "R": "shows_responses",
-    "CAF": "is_formatted",
-    "CFC": "controls_flow",
-}
+    "E": "echoes", "L": "has_line_feeds", "S": "has_spaces", "H": "shows_headers", "D": "shows_length",
+    "R": "shows_responses", "CAF": "is_formatted", "CFC": "controls_flow",
+}  # fmt: skip
 _NO_MATTER: Final = re.compile(
     r"AL|NL|AT[012]|ST[0-9A-F]{2}|CTM[15]|M[01]|V[01]|CSM[01]|LP|SS|BI|FE|STPX|JE|JS|JHF[01]|JTM[15]|PP[0-9A-F]{2}OFF"
     r"|IB(10|12|15|48|96)|IIA[0-9A-F]{2}|KW[01]|SW[0-9A-F]{2}|WM([0-9A-F]{2}){1,6}|(TA|RA|SR)[0-9A-F]{2}"
@@ -122,120 +109,86 @@ _NO_MATTER: Final = re.compile(
 """Commands that are taken and change nothing: answers are there at once, other buses not; no parameter is ever on."""
 
 
-def told(settings: Settings, command: str) -> Told:
-    """Return what a command does; it comes in capitals, without blanks and without its ``AT``."""
-    if switch := re.fullmatch(r"(E|L|S|H|D|R|CAF|CFC)([01])", command):
-        is_on = switch[2] == "1"
-        return Told(settings=replace(settings, **{_SWITCHES[switch[1]]: is_on}))  # type: ignore[arg-type]  # all are bool
+_Changed = dict[str, Any] | None  # settings with their new values; None: there is no such command
+_LINES: Final[Mapping[str, str]] = {
+    "I": VERSION, "@1": DESCRIPTION, "RV": VOLTAGE, "IGN": "ON", "CS": "T:00 R:00", MONITOR: MONITOR,
+}  # fmt: skip
+
+
+def told(settings: Settings, command: str) -> tuple[Settings, str]:
+    """Return the settings after a command, and the line that is shown.
+
+    It comes in capitals, without blanks and without its ``AT``.
+    """
+    lines = {**_LINES, "DP": settings.protocol_name, "DPN": settings.protocol_number}
+    if command in lines:
+        return settings, lines[command]
+    if command in {"Z", "WS"}:
+        return Settings(), VERSION
+    if command == "D":  # forget everything but which protocol was found
+        return Settings(protocol=settings.protocol, is_automatic=settings.is_automatic), OK
     if _NO_MATTER.fullmatch(command):
-        return Told(settings=settings)
-    for pattern, handler in _COMMANDS:
-        if found := pattern.fullmatch(command):
-            return handler(settings, found)
-    return Told(settings=settings, line=UNKNOWN)
+        return settings, OK
+    for pattern, change in _CHANGES:
+        if found := re.fullmatch(pattern, command):
+            changed = change(settings, found)
+            return (settings, UNKNOWN) if changed is None else (replace(settings, **changed), OK)
+    return settings, UNKNOWN
 
 
-def _reset(_settings: Settings, _found: re.Match[str]) -> Told:
-    return Told(settings=Settings(), line=VERSION)
-
-
-def _defaults(settings: Settings, _found: re.Match[str]) -> Told:
-    """Forget everything but which protocol was found."""
-    return Told(settings=Settings(protocol=settings.protocol, is_automatic=settings.is_automatic))
-
-
-def _shown(text: Callable[[Settings], str]) -> Callable[[Settings, re.Match[str]], Told]:
-    return lambda settings, _found: Told(settings=settings, line=text(settings))
-
-
-def _protocol(settings: Settings, found: re.Match[str]) -> Told:
+def _protocol(_settings: Settings, found: re.Match[str]) -> _Changed:
     """Choose a protocol; with an A before it, another one is looked for if it is the wrong one."""
     if found[1] == "A" and not found[2]:  # protocol A, not automatic
-        return Told(settings=replace(settings, protocol=0xA, is_automatic=False))
+        return {"protocol": 0xA, "is_automatic": False}
     if not found[2]:
-        return Told(settings=settings, line=UNKNOWN)
+        return None
     number = int(found[2], 16)
     is_automatic = bool(found[1]) or number == AUTOMATIC
-    return Told(settings=replace(settings, protocol=AUTOMATIC if is_automatic else number, is_automatic=is_automatic))
+    return {"protocol": AUTOMATIC if is_automatic else number, "is_automatic": is_automatic}
 
 
-def _closed(settings: Settings, _found: re.Match[str]) -> Told:
-    return Told(settings=replace(settings, protocol=AUTOMATIC) if settings.is_automatic else settings)
-
-
-def _header(settings: Settings, found: re.Match[str]) -> Told:
+def _header(settings: Settings, found: re.Match[str]) -> _Changed:
     """Set the header of requests: three digits, or six; of eight the first two are the priority."""
     number = int(found[1], 16)
     priority = number >> 24 & _PRIORITY_BITS if len(found[1]) == 8 else settings.priority
-    return Told(settings=replace(settings, header=number & _HEADER_BITS, priority=priority))
+    return {"header": number & _HEADER_BITS, "priority": priority}
 
 
-def _priority(settings: Settings, found: re.Match[str]) -> Told:
-    return Told(settings=replace(settings, priority=int(found[1], 16) & _PRIORITY_BITS))
-
-
-def _extended_address(settings: Settings, found: re.Match[str]) -> Told:
-    """Put an address before every message, or none any more."""
-    return Told(settings=replace(settings, extended_address=int(found[1], 16) if found[1] else None))
-
-
-def _receive_address(settings: Settings, found: re.Match[str]) -> Told:
+def _receive_address(_settings: Settings, found: re.Match[str]) -> _Changed:
     """Show responses with this identifier only; X stands for any digit, no digits for the usual ones."""
     digits = found[1]
     if not digits:
-        return Told(settings=replace(settings, receive_id=None, receive_mask=ALL_ID_BITS))
+        return {"receive_id": None, "receive_mask": ALL_ID_BITS}
     mask = int("".join("0" if digit == "X" else "F" for digit in digits), 16)
     number = int(digits.replace("X", "0"), 16)
-    return Told(settings=replace(settings, receive_id=number, receive_mask=mask | ~((1 << 4 * len(digits)) - 1)))
+    return {"receive_id": number, "receive_mask": mask | ~((1 << 4 * len(digits)) - 1)}
 
 
-def _filter(settings: Settings, found: re.Match[str]) -> Told:
-    number = int(found[2], 16)
-    if found[1] == "F":
-        return Told(settings=replace(settings, receive_id=number))
-    return Told(settings=replace(settings, receive_mask=number, receive_id=settings.receive_id or 0))
-
-
-def _flow_mode(settings: Settings, found: re.Match[str]) -> Told:
+def _flow_mode(settings: Settings, found: re.Match[str]) -> _Changed:
     mode = int(found[1])
     lacks_header = mode == 1 and settings.flow_header is None
-    if lacks_header or (mode in {1, 2} and not settings.flow_data):
-        return Told(settings=settings, line=UNKNOWN)
-    return Told(settings=replace(settings, flow_mode=mode))
+    return None if lacks_header or (mode in {1, 2} and not settings.flow_data) else {"flow_mode": mode}
 
 
-def _flow_header(settings: Settings, found: re.Match[str]) -> Told:
-    return Told(settings=replace(settings, flow_header=int(found[1], 16) & ALL_ID_BITS))
-
-
-def _flow_data(settings: Settings, found: re.Match[str]) -> Told:
-    return Told(settings=replace(settings, flow_data=bytes.fromhex(found[1])))
-
-
-_COMMANDS: Final[tuple[tuple[re.Pattern[str], Callable[[Settings, re.Match[str]], Told]], ...]] = tuple(
-    (re.compile(pattern), handler)
-    for pattern, handler in (
-        (r"Z|WS", _reset),
-        (r"D", _defaults),
-        (r"I", _shown(lambda _: VERSION)),
-        (r"@1", _shown(lambda _: DESCRIPTION)),
-        (r"RV", _shown(lambda _: VOLTAGE)),
-        (r"IGN", _shown(lambda _: "ON")),
-        (r"CS", _shown(lambda _: "T:00 R:00")),
-        (r"DP", _shown(lambda settings: settings.protocol_name)),
-        (r"DPN", _shown(lambda settings: settings.protocol_number)),
-        (r"MA", _shown(lambda _: MONITOR)),
-        (r"[ST]P(A?)(00|[0-9A-C]|)", _protocol),
-        (r"PC", _closed),
-        (r"SH([0-9A-F]{3}|[0-9A-F]{6}|[0-9A-F]{8})", _header),
-        (r"CP([0-9A-F]{2})", _priority),
-        (r"CEA([0-9A-F]{2}|)", _extended_address),
-        (r"(?:CRA|AR)([0-9A-FX]{3}|[0-9A-FX]{8}|)", _receive_address),
-        (r"C([FM])([0-9A-F]{3}|[0-9A-F]{8})", _filter),
-        (r"FCSM([012])", _flow_mode),
-        (r"FCSH([0-9A-F]{3}|[0-9A-F]{6}|[0-9A-F]{8})", _flow_header),
-        (r"FCSD((?:[0-9A-F]{2}){1,5})", _flow_data),
-    )
+_CHANGES: Final[tuple[tuple[str, Callable[[Settings, re.Match[str]], _Changed]], ...]] = (
+    (r"(E|L|S|H|D|R|CAF|CFC)([01])", lambda _, found: {_SWITCHES[found[1]]: found[2] == "1"}),
+    (r"[ST]P(A?)(00|[0-9A-C]|)", _protocol),
+    (r"PC", lambda settings, _: {"protocol": AUTOMATIC} if settings.is_automatic else {}),
+    (r"SH([0-9A-F]{3}|[0-9A-F]{6}|[0-9A-F]{8})", _header),
+    (r"CP([0-9A-F]{2})", lambda _, found: {"priority": int(found[1], 16) & _PRIORITY_BITS}),
+    (r"CEA([0-9A-F]{2}|)", lambda _, found: {"extended_address": int(found[1], 16) if found[1] else None}),
+    (r"(?:CRA|AR)([0-9A-FX]{3}|[0-9A-FX]{8}|)", _receive_address),
+    (r"CF([0-9A-F]{3}|[0-9A-F]{8})", lambda _, found: {"receive_id": int(found[1], 16)}),
+    (
+        r"CM([0-9A-F]{3}|[0-9A-F]{8})",
+        lambda settings, found: {"receive_mask": int(found[1], 16), "receive_id": settings.receive_id or 0},
+    ),
+    (r"FCSM([012])", _flow_mode),
+    (
+        r"FCSH([0-9A-F]{3}|[0-9A-F]{6}|[0-9A-F]{8})",
+        lambda _, found: {"flow_header": int(found[1], 16) & ALL_ID_BITS},
+    ),
+    (r"FCSD((?:[0-9A-F]{2}){1,5})", lambda _, found: {"flow_data": bytes.fromhex(found[1])}),
 )
 
 
@@ -250,26 +203,11 @@ _ON_K_LINE: Final = range(0x3, 0x6)
 
 Ask = Callable[[bytes, bool], bytes | None]  # a request, whether to all; the response
 MOST_SINGLE_BYTES: Final = 7
-_FIRST_BYTES: Final = 6
-_FRAME_BYTES: Final = 8
-_FIRST: Final = 0x1000
-_CONSECUTIVE: Final = 0x20
-
-
-def framed(payload: bytes, padding: int | None) -> list[bytes]:
-    """Return the frames that carry a message; those that are not full are filled up, if anything is to be."""
-    if len(payload) <= MOST_SINGLE_BYTES:
-        return [_filled(bytes([len(payload)]) + payload, padding)]
-    rest = payload[_FIRST_BYTES:]
-    pieces = [rest[place : place + MOST_SINGLE_BYTES] for place in range(0, len(rest), MOST_SINGLE_BYTES)]
-    return [
-        (_FIRST | len(payload)).to_bytes(2, "big") + payload[:_FIRST_BYTES],
-        *(_filled(bytes([_CONSECUTIVE | place & 0x0F]) + piece, padding) for place, piece in enumerate(pieces, 1)),
-    ]
 
 
 def _filled(frame: bytes, padding: int | None) -> bytes:
-    return frame if padding is None else frame.ljust(_FRAME_BYTES, bytes([padding]))
+    """Return a frame filled up, if anything is to fill it."""
+    return frame if padding is None else frame.ljust(MOST_RAW_BYTES, bytes([padding]))
 
 
 def shown(frames: Sequence[bytes], can_id: int, settings: Settings) -> list[str]:
@@ -359,9 +297,8 @@ class Interpreter:
         if not words:
             return Shown()
         if words.startswith("AT"):
-            outcome = told(self.settings, words[2:])
-            self.settings = outcome.settings
-            return Shown(monitors=True) if outcome.line == MONITOR else Shown(lines=(outcome.line,))
+            self.settings, line = told(self.settings, words[2:])
+            return Shown(monitors=True) if line == MONITOR else Shown(lines=(line,))
         if re.fullmatch(r"[0-9A-F]{2,}", words):
             return self._requested(bytes.fromhex(words[: len(words) & ~1]))  # an odd digit: how many may answer
         return Shown(lines=(UNKNOWN,))
@@ -411,9 +348,7 @@ class Interpreter:
         length = int.from_bytes(data[:2], "big") & 0xFFF
         self._parts = _Parts(length=length, data=data[2:])
         flow = bytes([0x30, 0, self._transport.separation_time])
-        fill = self._transport.padding
-        frame = flow if fill is None else flow.ljust(MOST_RAW_BYTES, bytes([fill]))
-        return Shown(lines=self._taken([frame]))
+        return Shown(lines=self._taken([_filled(flow, self._transport.padding)]))
 
     def _continued(self, parts: _Parts, data: bytes) -> Shown:
         parts.data += data
@@ -441,7 +376,7 @@ class Interpreter:
         return Shown(lines=self.lines(response), awaited=payload[0] if is_pending else None)
 
     def lines(self, response: bytes) -> tuple[str, ...]:
-        frames = framed(response, self._transport.padding)
+        frames = [_filled(frame, self._transport.padding) for frame in segments(response)]
         if len(frames) > 1 and not self._lets_go_on():
             self._held = frames[1:]
             frames = frames[:1]
