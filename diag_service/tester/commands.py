@@ -11,6 +11,7 @@ from diag_service.console import PeopleConsole, ReadingLine, is_confirmed
 from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.service.stopping import Controls, Trigger
+from diag_service.tester import questions, scanning
 from diag_service.tester.addresses import hexadecimal, id_text, parse_address
 from diag_service.tester.answers import Timing
 from diag_service.tester.asking import (
@@ -28,31 +29,6 @@ from diag_service.tester.asking import (
 )
 from diag_service.tester.description import Description
 from diag_service.tester.description_files import find_description
-from diag_service.tester.questions import (
-    LARGEST_LEVEL,
-    LARGEST_SESSION,
-    Clearing,
-    ClearQuestion,
-    DataAnswer,
-    DataQuestion,
-    Lock,
-    Question,
-    RoutineAnswer,
-    RoutineQuestion,
-    TroubleQuestion,
-    parse_group,
-    recognised,
-)
-from diag_service.tester.scanning import (
-    ALL_NUMBERS,
-    SHORTEST_WAIT_S,
-    STANDARD_NUMBERS,
-    Found,
-    ScanPlan,
-    largest_id,
-    request_ids,
-)
-from diag_service.tester.scanning import scan as find_controllers
 from diag_service.tester.trouble import (
     Record,
     TroubleCode,
@@ -76,7 +52,7 @@ def dtc(options: SimpleNamespace, controls: Controls) -> None:
             None if text is None else hexadecimal(text, name, LARGEST_GROUP)
             for text, name in ((options.readiness, "--readiness"), (options.record, "--record"))
         )
-        question = TroubleQuestion(mask=mask, has_details=not options.brief, group=group, record=record)
+        question = questions.TroubleQuestion(mask=mask, has_details=not options.brief, group=group, record=record)
         ask_one(options, question, _shown_codes, controls.stop)
     elif (options.readiness, options.record) != (None, None):
         raise ConfigError("--readiness and --record read trouble codes: they do not go with --clear")
@@ -84,32 +60,31 @@ def dtc(options: SimpleNamespace, controls: Controls) -> None:
         ask_one(options, _clear_question(options, controls, mask), _shown_clearing, controls.stop)
 
 
-def _clear_question(options: SimpleNamespace, controls: Controls, mask: int) -> ClearQuestion:
-    session = hexadecimal(options.session, "--session", LARGEST_SESSION)
-    group = parse_group(options.clear)
+def _clear_question(options: SimpleNamespace, controls: Controls, mask: int) -> questions.ClearQuestion:
+    session = hexadecimal(options.session, "--session", questions.LARGEST_SESSION)
+    group = questions.parse_group(options.clear)
 
     def is_agreed(where: str, codes: Sequence[TroubleCode]) -> bool:
         told = ", ".join(map(code_words, codes)) or "no trouble codes"
         return is_confirmed(f"{where} tells {told}; clear {group.word}?", lambda: not controls.stop.is_set)
 
-    return ClearQuestion(group=group, mask=mask, session=session, is_agreed=is_agreed)
+    return questions.ClearQuestion(group=group, mask=mask, session=session, is_agreed=is_agreed)
 
 
 def _shown_codes(codes: Sequence[TroubleCode]) -> tuple[Record, Iterable[str]]:
     return {"codes": [trouble_record(code) for code in codes]}, trouble_lines(codes)
 
 
-def _shown_clearing(cleared: Clearing) -> tuple[Record, Iterable[str]]:
+def _shown_clearing(cleared: questions.Clearing) -> tuple[Record, Iterable[str]]:
     codes = [trouble_record(code) for code in cleared.after]
     return {"codes": codes, "cleared": cleared_record(cleared)}, cleared_lines(cleared)
 
 
 def did(options: SimpleNamespace, controls: Controls) -> None:
     """Read data and show them; without names, all that the description has. ControllerError: not all was told."""
-    session = hexadecimal(options.session, "--session", LARGEST_SESSION)
-    answers = (
-        ask_one(options, DataQuestion(words=tuple(options.data), session=session), _shown_data, controls.stop) or ()
-    )
+    session = hexadecimal(options.session, "--session", questions.LARGEST_SESSION)
+    question = questions.DataQuestion(words=tuple(options.data), session=session)
+    answers = ask_one(options, question, _shown_data, controls.stop) or ()
     missing = [one for one in answers if one.values is None]
     if any(one.fault for one in missing) or (missing and (options.data or len(missing) == len(answers))):
         named = [f"{one.number:04X}: {one.trouble}" for one in missing[:MOST_NAMED]]
@@ -117,35 +92,35 @@ def did(options: SimpleNamespace, controls: Controls) -> None:
         raise ControllerError(f"{len(missing)} of {len(answers)} data were not told: {'; '.join(named + more)}")
 
 
-def _shown_data(answers: Sequence[DataAnswer]) -> tuple[Record, Iterable[str]]:
+def _shown_data(answers: Sequence[questions.DataAnswer]) -> tuple[Record, Iterable[str]]:
     return {"data": [data_record(answer) for answer in answers]}, data_lines(answers)
 
 
 def routine(options: SimpleNamespace, controls: Controls) -> None:
     """Do what was asked, in a session of its own and unlocked if need be."""
     check_time("--patience", options.patience, least_s=SHORTEST_ANSWER_S)
-    question = RoutineQuestion(
+    question = questions.RoutineQuestion(
         routine=options.routine,
         action=options.action,
         options=hex_bytes(options.options, "--options"),
-        session=hexadecimal(options.session, "--session", LARGEST_SESSION),
+        session=hexadecimal(options.session, "--session", questions.LARGEST_SESSION),
         lock=None if options.unlock is None else _lock(options.unlock),
         patience_s=options.patience,
     )
     ask_one(options, question, _shown_routine, controls.stop)
 
 
-def _shown_routine(answer: RoutineAnswer) -> tuple[Record, Iterable[str]]:
+def _shown_routine(answer: questions.RoutineAnswer) -> tuple[Record, Iterable[str]]:
     return {"routine": routine_record(answer)}, routine_lines(answer)
 
 
-def _lock(text: str) -> Lock:
+def _lock(text: str) -> questions.Lock:
     """Return the level and the mask that ``LEVEL=MASK`` names."""
     level, equals, mask = text.partition("=")
-    number = hexadecimal(level, "--unlock LEVEL", LARGEST_LEVEL)
+    number = hexadecimal(level, "--unlock LEVEL", questions.LARGEST_LEVEL)
     if not equals or not mask or number % 2 == 0:
         raise ConfigError(f"--unlock must be LEVEL=MASK, an odd level and a mask in hexadecimal, got {text!r}")
-    return Lock(level=number, mask=hex_bytes(mask, "--unlock MASK"))
+    return questions.Lock(level=number, mask=hex_bytes(mask, "--unlock MASK"))
 
 
 def scan(options: SimpleNamespace, controls: Controls) -> None:
@@ -158,7 +133,7 @@ def scan(options: SimpleNamespace, controls: Controls) -> None:
         )
     else:
         with ReadingLine() as line:
-            found = find_controllers(plan, goes_on=waiting(line, _scan_text(plan), stop))
+            found = scanning.scan(plan, goes_on=waiting(line, _scan_text(plan), stop))
         traffic = {} if found.traffic is None else {"bus": traffic_record(found.traffic)}
         record = outcome("scan", is_asked=True, **traffic, controllers=[found_record(one) for one in found.controllers])
         write(record, found_lines(found.controllers), is_json=options.json)
@@ -166,19 +141,19 @@ def scan(options: SimpleNamespace, controls: Controls) -> None:
         raise StoppedError("stopped early: what was shown is a part of what is there")
 
 
-def _scan_plan(options: SimpleNamespace) -> ScanPlan:
+def _scan_plan(options: SimpleNamespace) -> scanning.ScanPlan:
     timing = timing_of(options)
-    check_time("--wait", options.wait, least_s=SHORTEST_WAIT_S)
+    check_time("--wait", options.wait, least_s=scanning.SHORTEST_WAIT_S)
     place = doip_place(options)
-    most = largest_id(is_extended=options.extended)
+    most = scanning.largest_id(is_extended=options.extended)
     first, last = (
         None if text is None else hexadecimal(text, name, most)
         for text, name in ((options.first, "--first"), (options.last, "--last"))
     )
-    return ScanPlan(
+    return scanning.ScanPlan(
         place=place or bus_name(options),
-        request_ids=() if place else request_ids(first, last, is_extended=options.extended),
-        data=ALL_NUMBERS if options.all_data else STANDARD_NUMBERS,
+        request_ids=() if place else scanning.request_ids(first, last, is_extended=options.extended),
+        data=scanning.ALL_NUMBERS if options.all_data else scanning.STANDARD_NUMBERS,
         is_fd=options.fd,
         timing=timing,
         listen_s=options.listen,
@@ -186,14 +161,14 @@ def _scan_plan(options: SimpleNamespace) -> ScanPlan:
     )
 
 
-def _scan_text(plan: ScanPlan) -> str:
+def _scan_text(plan: scanning.ScanPlan) -> str:
     count = len(plan.request_ids)
     return f"asking {count} identifiers, which takes {count * plan.wait_s:.0f} s or more" if count else "asking"
 
 
 def ask_one(
     options: SimpleNamespace,
-    question: Question[_AnswerT],
+    question: questions.Question[_AnswerT],
     show: Callable[[_AnswerT], tuple[Record, Iterable[str]]],
     stop: Trigger,
 ) -> _AnswerT | None:
@@ -221,7 +196,7 @@ def ask_one(
         ReadingLine() as line,
         asking(target, timing, goes_on=waiting(line, "waiting for the controller", stop)) as (tester, _),
     ):
-        known = recognised(tester, description)
+        known = questions.recognised(tester, description)
         answer = question.ask(tester, known)
         record, lines = show(answer)
         line.clear()
@@ -317,7 +292,7 @@ def traffic_record(traffic: Traffic) -> Record:
     }
 
 
-def data_record(answer: DataAnswer) -> Record:
+def data_record(answer: questions.DataAnswer) -> Record:
     """Return what a controller said of one datum."""
     return {
         "number": f"{answer.number:04X}",
@@ -330,7 +305,7 @@ def data_record(answer: DataAnswer) -> Record:
     }
 
 
-def routine_record(answer: RoutineAnswer) -> Record:
+def routine_record(answer: questions.RoutineAnswer) -> Record:
     return {
         "number": f"{answer.number:04X}",
         "name": answer.name,
@@ -340,7 +315,7 @@ def routine_record(answer: RoutineAnswer) -> Record:
     }
 
 
-def cleared_record(cleared: Clearing) -> Record:
+def cleared_record(cleared: questions.Clearing) -> Record:
     """Return what was cleared, as JSON; nothing was if no group is there."""
     return {
         "groups": [f"{number:06X}" for number in cleared.groups],
@@ -350,7 +325,7 @@ def cleared_record(cleared: Clearing) -> Record:
     }
 
 
-def cleared_lines(cleared: Clearing) -> Iterator[str]:
+def cleared_lines(cleared: questions.Clearing) -> Iterator[str]:
     if not cleared.groups:
         yield "nothing was cleared"
         return
@@ -360,7 +335,7 @@ def cleared_lines(cleared: Clearing) -> Iterator[str]:
     yield from trouble_lines(cleared.after)
 
 
-def found_record(found: Found) -> Record:
+def found_record(found: scanning.Found) -> Record:
     """Return a controller and what it can be asked."""
     return {
         "where": found.where,
@@ -375,7 +350,7 @@ def found_record(found: Found) -> Record:
     }
 
 
-def data_lines(answers: Sequence[DataAnswer]) -> Iterator[str]:
+def data_lines(answers: Sequence[questions.DataAnswer]) -> Iterator[str]:
     rows = [
         (f"{one.number:04X}", one.name, one.trouble if one.values is None else values_text(one.values))
         for one in answers
@@ -383,7 +358,7 @@ def data_lines(answers: Sequence[DataAnswer]) -> Iterator[str]:
     yield from columns(("data", "name", "value"), rows)
 
 
-def routine_lines(answer: RoutineAnswer) -> Iterator[str]:
+def routine_lines(answer: questions.RoutineAnswer) -> Iterator[str]:
     name = f" {answer.name}" if answer.name else ""
     bytes_text = answer.data.hex(" ").upper() or "nothing more"
     yield f"routine {answer.number:04X}{name}, {answer.action}: {bytes_text}"
@@ -391,7 +366,7 @@ def routine_lines(answer: RoutineAnswer) -> Iterator[str]:
         yield f"  {values_text(answer.values)}"
 
 
-def found_lines(controllers: Sequence[Found]) -> Iterator[str]:
+def found_lines(controllers: Sequence[scanning.Found]) -> Iterator[str]:
     yield f"{len(controllers)} controllers answer" if len(controllers) != 1 else "1 controller answers"
     for found in controllers:
         codes = "" if found.code_count is None else f", trouble codes: {found.code_count}"

@@ -19,6 +19,7 @@ from diag_service.errors import (
     SilentError,
     StoppedError,
 )
+from diag_service.tester import asking
 from diag_service.tester.addresses import (
     FIXED_PHYSICAL,
     FUNCTIONAL_ID,
@@ -43,21 +44,6 @@ from diag_service.tester.answers import (
     refusal_text,
     request_text,
 )
-from diag_service.tester.asking import (
-    CLASSIC_BYTES,
-    LISTEN_S,
-    PADDING,
-    BusName,
-    DoipPlace,
-    Traffic,
-    check_alone,
-    dialogue_on,
-    dialogue_over_ip,
-    listen,
-    opened_bus,
-    receive,
-    send,
-)
 from diag_service.tester.description import STANDARD_DATA, UNKNOWN, Description
 from diag_service.tester.questions import FAILED_MASK, DataAnswer, read_data, recognised
 
@@ -76,7 +62,7 @@ WAIT_S: Final = 0.06  # P2 of a controller, and a little for the bus
 SUSPECTS: Final = 4  # addresses whose answer may come so late that it seems to be the next one's
 MOST_SILENT: Final = 3  # questions without an answer after which a controller is left alone
 _PRESENT: Final = bytes([0x02, TESTER_PRESENT, 0x00])  # a single frame: TesterPresent
-_FRAME: Final = _PRESENT.ljust(CLASSIC_BYTES, bytes([PADDING]))
+_FRAME: Final = _PRESENT.ljust(asking.CLASSIC_BYTES, bytes([asking.PADDING]))
 _ANSWERS: Final = (bytes([0x02, TESTER_PRESENT + POSITIVE, 0x00]), bytes([0x03, NEGATIVE, TESTER_PRESENT]))
 PROBES: Final = (
     (TESTER_PRESENT, bytes([TESTER_PRESENT, 0x00])),
@@ -113,19 +99,19 @@ class Found:
 class ScanPlan:
     """Where controllers are looked for, and what each is asked."""
 
-    place: BusName | can.BusABC | DoipPlace
+    place: asking.BusName | can.BusABC | asking.DoipPlace
     request_ids: Sequence[int] = ()  # to try on a bus
     data: Sequence[int] = STANDARD_NUMBERS  # to try on each controller
     is_fd: bool = False
     timing: Timing = field(default_factory=Timing)
-    listen_s: float = LISTEN_S
+    listen_s: float = asking.LISTEN_S
     wait_s: float = WAIT_S  # how long each identifier may take to answer
 
     @property
     def requests(self) -> list[str]:
         """What would be sent, for people."""
         asked = [*(request_text(request) for _, request in PROBES), f"22 {min(self.data):04X}-{max(self.data):04X}"]
-        if isinstance(self.place, DoipPlace):
+        if isinstance(self.place, asking.DoipPlace):
             return asked
         span = f"{id_text(self.request_ids[0])}-{id_text(self.request_ids[-1])}"
         return [
@@ -183,11 +169,11 @@ def _confirmed(bus: can.BusABC, suspects: Iterable[int], response_id: int, wait_
 def _answering(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: int | None = None) -> frozenset[int]:
     """Ask once and return the identifiers of the answers that come in time; the wanted one ends the wait."""
     if request_id is not None:
-        send(bus, can.Message(arbitration_id=request_id, is_extended_id=is_extended(request_id), data=_FRAME))
+        asking.send(bus, can.Message(arbitration_id=request_id, is_extended_id=is_extended(request_id), data=_FRAME))
     until_s = time.monotonic() + wait_s
     found = set[int]()
     while (left_s := until_s - time.monotonic()) > 0.0 and (wanted is None or wanted not in found):
-        message = receive(bus, left_s)
+        message = asking.receive(bus, left_s)
         if message is None or message.is_error_frame:
             continue
         if is_request(message.arbitration_id) and bytes(message.data) != _FRAME:  # ours may come back
@@ -258,7 +244,7 @@ def _code_count(tester: "Dialogue") -> int | None:
 class Scan:
     """What a scan heard and found."""
 
-    traffic: Traffic | None  # before anything was sent; None: over IP there is nothing to hear
+    traffic: asking.Traffic | None  # before anything was sent; None: over IP there is nothing to hear
     controllers: tuple[Found, ...]
 
 
@@ -292,12 +278,12 @@ def scan(plan: ScanPlan, *, goes_on: Callable[[], bool] = lambda: True) -> Scan:
     Raises SourceError, ControllerError if the bus cannot be used, another tester is at work, or a node is not there,
     ExtraMissingError if a library is missing.
     """
-    if isinstance(plan.place, DoipPlace):
-        with dialogue_over_ip(plan.place, plan.timing, goes_on=goes_on) as tester:
+    if isinstance(plan.place, asking.DoipPlace):
+        with asking.dialogue_over_ip(plan.place, plan.timing, goes_on=goes_on) as tester:
             return Scan(traffic=None, controllers=(_explored(tester, plan, None),))
-    with opened_bus(plan.place) as bus:
-        traffic = listen(bus, plan.listen_s, goes_on)
-        check_alone(traffic)
+    with asking.opened_bus(plan.place) as bus:
+        traffic = asking.listen(bus, plan.listen_s, goes_on)
+        asking.check_alone(traffic)
         _LOG.log(NOTICE, "listened: %s; asking %d identifiers", traffic, len(plan.request_ids))
         addresses = find_addresses(bus, plan.request_ids, traffic.can_ids, wait_s=plan.wait_s, goes_on=goes_on)
         return Scan(traffic=traffic, controllers=tuple(_controllers(bus, addresses, plan, goes_on)))
@@ -309,7 +295,7 @@ def _controllers(
     for address in addresses:
         if not goes_on():
             return
-        with dialogue_on(bus, address, plan.timing, is_fd=plan.is_fd, goes_on=goes_on) as tester:
+        with asking.dialogue_on(bus, address, plan.timing, is_fd=plan.is_fd, goes_on=goes_on) as tester:
             try:
                 found = _explored(tester, plan, address)
             except StoppedError:  # what was found before is shown

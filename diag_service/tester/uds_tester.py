@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Final, Self, TypeVar
 
 from diag_service.api.choices import AnyPath, check_one_bus, optional_path
 from diag_service.errors import ConfigError
+from diag_service.tester import questions, scanning
 from diag_service.tester.addresses import CanAddress, usual_response_id
 from diag_service.tester.answers import DEFAULT_SESSION, DialogueCounts, Timing
 from diag_service.tester.asking import (
@@ -22,35 +23,6 @@ from diag_service.tester.asking import (
     parse_doip,
 )
 from diag_service.tester.description_files import find_description
-from diag_service.tester.questions import ALL as ALL_CODES
-from diag_service.tester.questions import (
-    EXTENDED_SESSION,
-    FAILED_MASK,
-    PATIENCE_S,
-    Clearing,
-    ClearQuestion,
-    DataAnswer,
-    DataQuestion,
-    Lock,
-    Question,
-    RoutineAnswer,
-    RoutineQuestion,
-    TroubleQuestion,
-    check_number,
-    parse_group,
-    recognised,
-)
-from diag_service.tester.scanning import (
-    ALL_NUMBERS,
-    SHORTEST_WAIT_S,
-    STANDARD_NUMBERS,
-    WAIT_S,
-    Scan,
-    ScanPlan,
-    largest_id,
-    request_ids,
-    scan,
-)
 from diag_service.tester.trouble import TroubleCode
 
 if TYPE_CHECKING:
@@ -87,7 +59,7 @@ def place_of(
     if doip is not None:
         if ecu is None:
             raise ConfigError("doip needs ecu: the logical address of the controller, such as 0x1011")
-        check_number("ecu", ecu, LARGEST_LOGICAL)
+        questions.check_number("ecu", ecu, LARGEST_LOGICAL)
         return parse_doip(doip, ecu, optional_path(doip_authority))
     if doip_authority is not None:
         raise ConfigError("doip_authority needs doip")
@@ -101,7 +73,7 @@ def address_of(ecu: int | None, reply: int | None, address: int | None) -> CanAd
             raise ConfigError("reply and address need ecu")
         return None
     if address is not None:
-        check_number("address", address, 0xFF)
+        questions.check_number("address", address, 0xFF)
     response_id = usual_response_id(ecu) if reply is None else reply
     return CanAddress(request_id=ecu, response_id=response_id, target_byte=address)
 
@@ -123,8 +95,8 @@ def scan_controllers(
     is_active: bool = False,
     listen_s: float = LISTEN_S,
     timeout_s: float = ANSWER_S,
-    wait_s: float = WAIT_S,
-) -> Scan:
+    wait_s: float = scanning.WAIT_S,
+) -> scanning.Scan:
     """Find controllers and what each can be asked, by questions that change nothing: ``diag-service scan``.
 
     Parameters
@@ -152,16 +124,16 @@ def scan_controllers(
     ConfigError, SourceError, ControllerError
         If an argument or the bus cannot be used, another tester is at work, or a node is not there.
     """
-    check_time("wait_s", wait_s, least_s=SHORTEST_WAIT_S)
-    most = largest_id(is_extended=is_extended)
+    check_time("wait_s", wait_s, least_s=scanning.SHORTEST_WAIT_S)
+    most = scanning.largest_id(is_extended=is_extended)
     for name, value in (("first", first), ("last", last)):
         if value is not None:
-            check_number(name, value, most)
+            questions.check_number(name, value, most)
     place = place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd, doip_authority=doip_authority)
-    plan = ScanPlan(
+    plan = scanning.ScanPlan(
         place=place,
-        request_ids=() if isinstance(place, DoipPlace) else request_ids(first, last, is_extended=is_extended),
-        data=ALL_NUMBERS if has_all_data else STANDARD_NUMBERS,
+        request_ids=() if isinstance(place, DoipPlace) else scanning.request_ids(first, last, is_extended=is_extended),
+        data=scanning.ALL_NUMBERS if has_all_data else scanning.STANDARD_NUMBERS,
         is_fd=is_fd,
         timing=timing_of(listen_s, timeout_s),
         listen_s=listen_s,
@@ -169,7 +141,7 @@ def scan_controllers(
     )
     if not is_active:
         raise ConfigError(f"nothing was sent; with is_active=True this would be asked: {'; '.join(plan.requests)}")
-    return scan(plan)
+    return scanning.scan(plan)
 
 
 class UdsTester:
@@ -278,7 +250,7 @@ class UdsTester:
 
     def trouble_codes(
         self,
-        mask: int = FAILED_MASK,
+        mask: int = questions.FAILED_MASK,
         *,
         is_all: bool = False,
         has_details: bool = True,
@@ -299,16 +271,16 @@ class UdsTester:
             A readiness group, or a record of extended data, whose codes are wanted instead (SAE J1979-2).
         """
         mask = 0 if is_all else mask
-        return self._ask(TroubleQuestion(mask=mask, has_details=has_details, group=readiness, record=record))
+        return self._ask(questions.TroubleQuestion(mask=mask, has_details=has_details, group=readiness, record=record))
 
     def clear_trouble_codes(
         self,
-        group: int | str = ALL_CODES,
+        group: int | str = questions.ALL,
         *,
-        mask: int = FAILED_MASK,
+        mask: int = questions.FAILED_MASK,
         is_all: bool = False,
         session: int = DEFAULT_SESSION,
-    ) -> Clearing:
+    ) -> questions.Clearing:
         """Clear trouble codes and return what was told before and after: ``diag-service dtc --clear``. Asks nobody.
 
         Parameters
@@ -321,10 +293,10 @@ class UdsTester:
             In which to clear; it is left in the end.
         """
         word = group if isinstance(group, str) else f"{group:06X}"
-        wanted = parse_group(word, "group")
-        return self._ask(ClearQuestion(group=wanted, mask=0 if is_all else mask, session=session))
+        wanted = questions.parse_group(word, "group")
+        return self._ask(questions.ClearQuestion(group=wanted, mask=0 if is_all else mask, session=session))
 
-    def data(self, *data: int | str, session: int = DEFAULT_SESSION) -> tuple[DataAnswer, ...]:
+    def data(self, *data: int | str, session: int = DEFAULT_SESSION) -> tuple[questions.DataAnswer, ...]:
         """Return data by number, as an int or in hexadecimal, or by name: ``diag-service did``.
 
         Parameters
@@ -335,7 +307,7 @@ class UdsTester:
             In which to ask; it is left in the end.
         """
         words = tuple(one if isinstance(one, str) else f"{one:04X}" for one in data)
-        return self._ask(DataQuestion(words=words, session=session))
+        return self._ask(questions.DataQuestion(words=words, session=session))
 
     def routine(
         self,
@@ -343,10 +315,10 @@ class UdsTester:
         action: str,
         *,
         options: bytes = b"",
-        session: int = EXTENDED_SESSION,
+        session: int = questions.EXTENDED_SESSION,
         unlock: tuple[int, bytes] | None = None,
-        patience_s: float = PATIENCE_S,
-    ) -> RoutineAnswer:
+        patience_s: float = questions.PATIENCE_S,
+    ) -> questions.RoutineAnswer:
         """Start or stop a routine, or ask for its results: ``diag-service routine``.
 
         Parameters
@@ -365,21 +337,21 @@ class UdsTester:
             How long it is given if it says that it takes longer [s].
         """
         word = routine if isinstance(routine, str) else f"{routine:04X}"
-        lock = None if unlock is None else Lock(level=unlock[0], mask=unlock[1])
+        lock = None if unlock is None else questions.Lock(level=unlock[0], mask=unlock[1])
         check_time("patience_s", patience_s, least_s=SHORTEST_ANSWER_S)
         return self._ask(
-            RoutineQuestion(
+            questions.RoutineQuestion(
                 routine=word, action=action, options=options, session=session, lock=lock, patience_s=patience_s
             )
         )
 
-    def _ask(self, question: Question[_AnswerT]) -> _AnswerT:
+    def _ask(self, question: questions.Question[_AnswerT]) -> _AnswerT:
         if not self._is_active:
             wanted = "; ".join(question.requests(self._described))
             raise ConfigError(f"nothing was sent; with is_active=True this would be asked: {wanted}")
         if self._dialogue is None or not self._is_at_work:
             raise ConfigError("the tester is not at work: use it in a with block")
         if not self._is_recognised:
-            self._known = recognised(self._dialogue, self._described)
+            self._known = questions.recognised(self._dialogue, self._described)
             self._is_recognised = True
         return question.ask(self._dialogue, self._known)

@@ -5,17 +5,7 @@ from functools import partial
 from typing import Final
 
 from clutch_model.calibration import CONVERTERS
-from ecu_emulator.diagnostics.clutches import (
-    ADAPTATION_CODE,
-    FLUID_CODE,
-    LIMIT_CODE,
-    OnBoardEstimates,
-    adaptation_test,
-    failed_codes,
-    fluid_test,
-    limit_test,
-    packs_of,
-)
+from ecu_emulator.diagnostics import clutches
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.memory import TestResult
@@ -49,10 +39,10 @@ class Monitoring:
         self._limits = MonitorLimits(
             most_clutch_k=controller.table.clutches.most_temperature_k,
             input_output_ratios=nominal_parameters(transmission).gearbox.input_output_ratios,
-            packs=packs_of(transmission),
+            packs=clutches.packs_of(transmission),
             has_converter=transmission in CONVERTERS,
         )
-        self._judged: OnBoardEstimates | None = None
+        self._judged: clutches.OnBoardEstimates | None = None
         self._adaptation = controller.state.adaptation
         self.problem: str | None = None  # why something could not be kept, for people
 
@@ -73,7 +63,7 @@ class Monitoring:
         if is_new_cycle:
             self._keep(self._controller.cycle)
 
-    def judge_clutches(self, estimates: OnBoardEstimates) -> None:
+    def judge_clutches(self, estimates: clutches.OnBoardEstimates) -> None:
         """Let each new estimate of the clutches be a test, with the controller's values of that moment.
 
         What is adapted is tested with it, when it changes, and once in every operation cycle.
@@ -84,20 +74,22 @@ class Monitoring:
         self._judged, self._adaptation = estimates, adaptation
         results: dict[str, TestResult | None] = {}
         if is_new:
-            failed = failed_codes(self._controller.state.memory.records, self._codes)
-            results[FLUID_CODE] = fluid_test(estimates, failed)
+            failed = clutches.failed_codes(self._controller.state.memory.records, self._codes)
+            results[clutches.FLUID_CODE] = clutches.fluid_test(estimates, failed)
             if estimates:
                 self._keep(lambda: self._controller.keep_estimates(estimates))
-        if is_changed or self._is_untested(ADAPTATION_CODE):
-            results[ADAPTATION_CODE] = adaptation_test(adaptation, estimates, was_adapted=self._was_adapted)
-        if is_changed or self._is_untested(LIMIT_CODE):
-            results[LIMIT_CODE] = limit_test(adaptation)
+        if is_changed or self._is_untested(clutches.ADAPTATION_CODE):
+            results[clutches.ADAPTATION_CODE] = clutches.adaptation_test(
+                adaptation, estimates, was_adapted=self._was_adapted
+            )
+        if is_changed or self._is_untested(clutches.LIMIT_CODE):
+            results[clutches.LIMIT_CODE] = clutches.limit_test(adaptation)
         self._report({code: result for code, result in results.items() if result is not None})
 
     def note_cleared(self) -> None:
         """Note that what was learned of the clutches is cleared: that fails a test until they are known again."""
         self._keep(lambda: self._controller.keep_estimates({}))
-        self._report({ADAPTATION_CODE: TestResult.FAILED})
+        self._report({clutches.ADAPTATION_CODE: TestResult.FAILED})
 
     def _is_untested(self, code: str) -> bool:
         """Return whether a test has not run in this operation cycle."""

@@ -5,23 +5,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
+from ecu_emulator.diagnostics import server
 from ecu_emulator.diagnostics.clutches import Adaptation, OnBoardEstimates
 from ecu_emulator.diagnostics.iso14229 import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.server import (
-    advance,
-    answer,
-    broadcast,
-    cycled,
-    driven,
-    held,
-    left,
-    refusal,
-    switched_on,
-    tested,
-    warmed_up,
-)
 from ecu_emulator.diagnostics.services.call import under_control
 from ecu_emulator.diagnostics.services.data import data_of
 from ecu_emulator.diagnostics.services.routines import failed, finished
@@ -74,7 +62,7 @@ class Controller:
         self._store = store
         self._work = work
         self._lock = threading.Lock()
-        self._state = switched_on(table, store.load() if store is not None else None, clock())
+        self._state = server.switched_on(table, store.load() if store is not None else None, clock())
         if store is not None:
             store.save(self._state)
 
@@ -95,13 +83,13 @@ class Controller:
         """Return the same as ``ask`` with what was kept back, for a transport that has told the client to wait."""
         request = Request(payload=payload, is_functional=is_functional, client=client)
         if not self._lock.acquire(blocking=False):  # a disk that takes its time is no reason to wait for a refusal
-            refused = None if self.is_asleep else refusal(self.table, self._state, request)
+            refused = None if self.is_asleep else server.refusal(self.table, self._state, request)
             if refused is not None:
                 return refused
             self._lock.acquire()
         try:
             self._work()
-            reply = self._kept(answer(self.table, self._state, request, self._moment()), payload)
+            reply = self._kept(server.answer(self.table, self._state, request, self._moment()), payload)
             self._work()
             return reply
         finally:
@@ -109,7 +97,7 @@ class Controller:
 
     def refuses(self, payload: bytes, client: int = 0) -> bool:
         """Return whether a request is not supported at all, so that nobody is told to wait for its answer."""
-        return refusal(self.table, self._state, Request(payload=payload, client=client)) is not None
+        return server.refusal(self.table, self._state, Request(payload=payload, client=client)) is not None
 
     def tick(self, client: int = 0) -> bytes | None:
         """Return a client's response that has become due; to be called about every 10 ms, never waits."""
@@ -120,7 +108,7 @@ class Controller:
             if waiting is not None and waiting.request.client != client:
                 return None
             payload = waiting.request.payload if waiting is not None else b""
-            return self._kept(advance(self.table, self._state, self._moment()), payload).payload
+            return self._kept(server.advance(self.table, self._state, self._moment()), payload).payload
         finally:
             self._lock.release()
 
@@ -136,14 +124,14 @@ class Controller:
 
     def leave(self, client: int) -> None:
         """Note that a client has gone, and with it the session that it held; raises RecordError as ``report``."""
-        self._change(lambda state: left(self.table, state, client))
+        self._change(lambda state: server.left(self.table, state, client))
 
     def broadcast(self, client: int = 0) -> tuple[bytes, ...]:
         """Return what is to be sent now to the client who holds the session, without being asked again; as ``tick``."""
         if not self._state.periodic or self._state.holder != client or not self._lock.acquire(blocking=False):
             return ()
         try:
-            messages, self._state = broadcast(self.table, self._state, self._moment())
+            messages, self._state = server.broadcast(self.table, self._state, self._moment())
             return messages
         finally:
             self._lock.release()
@@ -154,25 +142,25 @@ class Controller:
             return
         try:
             if self._state.holder == 0:  # CAN's own: other transports have no messages of many frames
-                self._state = held(self.table, self._state, self._moment())
+                self._state = server.held(self.table, self._state, self._moment())
         finally:
             self._lock.release()
 
     def report(self, number: int, result: TestResult) -> None:
         """Take the result of a monitor; raises RecordError if it cannot be kept."""
-        self._change(lambda state: tested(self.table, state, number, result, self._moment()))
+        self._change(lambda state: server.tested(self.table, state, number, result, self._moment()))
 
     def warm_up(self) -> None:
         """Note that the vehicle has become warm in this operation cycle; raises RecordError as ``report``."""
-        self._change(warmed_up)
+        self._change(server.warmed_up)
 
     def drive(self) -> None:
         """Note that this operation cycle was driven for long enough to count; raises RecordError as ``report``."""
-        self._change(driven)
+        self._change(server.driven)
 
     def cycle(self) -> None:
         """Begin a new operation cycle; raises RecordError as ``report``."""
-        self._change(lambda state: cycled(self.table, state))
+        self._change(lambda state: server.cycled(self.table, state))
 
     def finish(self, routine: int) -> None:
         """Note that the vehicle has done what a routine asked for."""
@@ -204,8 +192,8 @@ class Controller:
             self._save(reply.state)
         except RecordError:
             self._state = replace(self._state, waiting=None)
-            refusal = bytes([NEGATIVE, payload[0], Nrc.PROGRAMMING_FAILURE]) if payload else None
-            return Reply(payload=refusal, state=self._state)
+            refused = bytes([NEGATIVE, payload[0], Nrc.PROGRAMMING_FAILURE]) if payload else None
+            return Reply(payload=refused, state=self._state)
         self._state = reply.state
         return reply
 

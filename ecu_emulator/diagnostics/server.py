@@ -6,6 +6,7 @@ security; then length, sub-function, the session that one is in; then what each 
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 from ecu_emulator.diagnostics.descriptions import Profile
@@ -29,40 +30,9 @@ from ecu_emulator.diagnostics.memory import (
     note_warm_up,
     report,
 )
+from ecu_emulator.diagnostics.services import data, routines, sessions
 from ecu_emulator.diagnostics.services.call import Call, Outcome, Result, is_unlocked, under_control
-from ecu_emulator.diagnostics.services.data import (
-    CLEAR_DEFINITION,
-    DEFINE_BY_IDENTIFIER,
-    control_data,
-    define_data,
-    due,
-    frozen_pids,
-    odometer_m,
-    only_allowed,
-    read_data,
-    read_periodically,
-    write_data,
-)
 from ecu_emulator.diagnostics.services.obd import OBD_HANDLERS
-from ecu_emulator.diagnostics.services.routines import RESULTS, START, STOP, answered, routine_control, timed_out
-from ecu_emulator.diagnostics.services.sessions import (
-    CODES_OFF,
-    CODES_ON,
-    HARD_RESET,
-    KEY_OFF_ON_RESET,
-    SOFT_RESET,
-    after_guest,
-    as_guest,
-    communication_control,
-    control_code_setting,
-    delay_over,
-    ecu_reset,
-    in_session,
-    security_access,
-    session_control,
-    started,
-    tester_present,
-)
 from ecu_emulator.diagnostics.services.trouble import EMISSION_REPORTS, REPORTS, capture, clear_codes, read_codes
 from ecu_emulator.diagnostics.state import Instant, Reply, Request, ServerState, Waiting
 from ecu_emulator.diagnostics.table import DiagnosticTable
@@ -71,35 +41,35 @@ AGAIN_RATIO: Final = 0.7  # of P2*, after which 78 is sent again
 KEEP_ALIVE: Final = bytes([Service.TESTER_PRESENT, SUPPRESS])  # wants no answer, not even 78: nothing is done
 
 _HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
-    Service.SESSION_CONTROL: session_control,
-    Service.ECU_RESET: ecu_reset,
+    Service.SESSION_CONTROL: sessions.session_control,
+    Service.ECU_RESET: sessions.ecu_reset,
     Service.CLEAR_CODES: clear_codes,
     Service.READ_CODES: read_codes,
-    Service.READ_DATA: read_data,
-    Service.SECURITY_ACCESS: security_access,
-    Service.COMMUNICATION_CONTROL: communication_control,
-    Service.READ_PERIODICALLY: read_periodically,
-    Service.DEFINE_DATA: define_data,
-    Service.WRITE_DATA: write_data,
-    Service.CONTROL_DATA: control_data,
-    Service.ROUTINE_CONTROL: routine_control,
-    Service.TESTER_PRESENT: tester_present,
-    Service.CONTROL_CODE_SETTING: control_code_setting,
+    Service.READ_DATA: data.read_data,
+    Service.SECURITY_ACCESS: sessions.security_access,
+    Service.COMMUNICATION_CONTROL: sessions.communication_control,
+    Service.READ_PERIODICALLY: data.read_periodically,
+    Service.DEFINE_DATA: data.define_data,
+    Service.WRITE_DATA: data.write_data,
+    Service.CONTROL_DATA: data.control_data,
+    Service.ROUTINE_CONTROL: routines.routine_control,
+    Service.TESTER_PRESENT: sessions.tester_present,
+    Service.CONTROL_CODE_SETTING: sessions.control_code_setting,
 }
 _SUB_FUNCTIONS: Final[Mapping[int, frozenset[int]]] = {
-    Service.ECU_RESET: frozenset({HARD_RESET, KEY_OFF_ON_RESET, SOFT_RESET}),
+    Service.ECU_RESET: frozenset({sessions.HARD_RESET, sessions.KEY_OFF_ON_RESET, sessions.SOFT_RESET}),
     Service.READ_CODES: REPORTS,
     Service.COMMUNICATION_CONTROL: frozenset({0x00, 0x01, 0x02, 0x03}),
-    Service.DEFINE_DATA: frozenset({DEFINE_BY_IDENTIFIER, CLEAR_DEFINITION}),
-    Service.ROUTINE_CONTROL: frozenset({START, STOP, RESULTS}),
+    Service.DEFINE_DATA: frozenset({data.DEFINE_BY_IDENTIFIER, data.CLEAR_DEFINITION}),
+    Service.ROUTINE_CONTROL: frozenset({routines.START, routines.STOP, routines.RESULTS}),
     Service.TESTER_PRESENT: frozenset({0x00}),
-    Service.CONTROL_CODE_SETTING: frozenset({CODES_ON, CODES_OFF}),
+    Service.CONTROL_CODE_SETTING: frozenset({sessions.CODES_ON, sessions.CODES_OFF}),
 }  # those of 10 and 27 are in the table
 
 
 def switched_on(table: DiagnosticTable, kept: ServerState | None, t_s: float) -> ServerState:
     """Return the state of a controller that gets its current at this moment; ``kept`` is what its file holds."""
-    return started(kept or ServerState(memory=empty_memory(table.troubles)), table, t_s)
+    return sessions.started(kept or ServerState(memory=empty_memory(table.troubles)), table, t_s)
 
 
 def answer(table: DiagnosticTable, state: ServerState, request: Request, moment: Instant) -> Reply:
@@ -141,12 +111,12 @@ def _outcome(call: Call) -> Outcome:
     """Return what a service does for the client who holds the session, or for a guest of it."""
     before = call.state
     is_guest = before.session != DEFAULT_SESSION and call.request.client != before.holder
-    seen = as_guest(before) if is_guest else replace(before, heard_s=call.moment.t_s)
+    seen = sessions.as_guest(before) if is_guest else replace(before, heard_s=call.moment.t_s)
     call = replace(call, state=seen, is_guest=is_guest)
     result = _checked(call)
     if isinstance(result, Nrc):
         result = Outcome(response=result, state=call.state)
-    return replace(result, state=after_guest(before, result.state)) if is_guest else result
+    return replace(result, state=sessions.after_guest(before, result.state)) if is_guest else result
 
 
 def advance(table: DiagnosticTable, state: ServerState, moment: Instant) -> Reply:
@@ -166,14 +136,14 @@ def advance(table: DiagnosticTable, state: ServerState, moment: Instant) -> Repl
     if run.failed_nrc:
         return Reply(payload=_negative(waiting.request, Nrc(run.failed_nrc)), state=state)
     call = Call(table=table, state=state, moment=moment, sensed=sensed, request=waiting.request)
-    response = answered(call, table.routines[waiting.routine], run).response
+    response = routines.answered(call, table.routines[waiting.routine], run).response
     return Reply(payload=response if isinstance(response, bytes) else None, state=state)
 
 
 def broadcast(table: DiagnosticTable, state: ServerState, moment: Instant) -> tuple[tuple[bytes, ...], ServerState]:
     """Return what is sent now because a client asked to have it again and again (2A), and the state after it."""
     moment = under_control(table, state, moment)
-    return due(table, _settled(table, state, moment), moment)
+    return data.due(table, _settled(table, state, moment), moment)
 
 
 def held(table: DiagnosticTable, state: ServerState, moment: Instant) -> ServerState:
@@ -188,7 +158,7 @@ def left(table: DiagnosticTable, state: ServerState, client: int) -> ServerState
     kept = {number: pieces for number, pieces in state.defined.items() if pieces[0].client != client}
     state = replace(state, defined=kept)
     is_held = state.session != DEFAULT_SESSION and state.holder == client
-    return in_session(state, table, DEFAULT_SESSION) if is_held else state
+    return sessions.in_session(state, table, DEFAULT_SESSION) if is_held else state
 
 
 def tested(table: DiagnosticTable, state: ServerState, number: int, result: TestResult, moment: Instant) -> ServerState:
@@ -199,9 +169,9 @@ def tested(table: DiagnosticTable, state: ServerState, number: int, result: Test
     is_new = needs_capture(state.memory, trouble, result)
     captured = capture(table, trouble, state, moment) if is_new else NOTHING_CAPTURED
     memory = report(state.memory, trouble, result, captured)
-    emissions = after_test(
-        state.emissions, trouble, state.memory, memory, odometer_m(moment), lambda: frozen_pids(table, state, moment)
-    )
+    odometer_m = data.odometer_m(moment)
+    frozen = partial(data.frozen_pids, table, state, moment)
+    emissions = after_test(state.emissions, trouble, state.memory, memory, odometer_m, frozen)
     return replace(state, memory=memory, emissions=emissions)
 
 
@@ -224,13 +194,13 @@ def cycled(table: DiagnosticTable, state: ServerState) -> ServerState:
 
 def _settled(table: DiagnosticTable, state: ServerState, moment: Instant) -> ServerState:
     """Return the state with everything done that time alone does."""
-    state = timed_out(state, table, moment)
+    state = routines.timed_out(state, table, moment)
     for level in table.levels.values():
-        state = delay_over(state, level, moment.t_s)
+        state = sessions.delay_over(state, level, moment.t_s)
     is_over = moment.t_s - state.heard_s >= table.timing.s3_s
     if state.session != DEFAULT_SESSION and state.waiting is None and is_over:
-        return in_session(state, table, DEFAULT_SESSION)
-    return only_allowed(state, table)
+        return sessions.in_session(state, table, DEFAULT_SESSION)
+    return data.only_allowed(state, table)
 
 
 def _while_waiting(state: ServerState, request: Request) -> Reply:
@@ -244,7 +214,7 @@ def refusal(table: DiagnosticTable, state: ServerState, request: Request) -> Rep
     """Return the refusal of what is not supported at all, for which nobody is to wait; None if it is."""
     is_guest = state.session != DEFAULT_SESSION and request.client != state.holder
     nowhere = Instant(t_s=0.0, values={})
-    seen = as_guest(state) if is_guest else state
+    seen = sessions.as_guest(state) if is_guest else state
     call = Call(table=table, state=seen, moment=nowhere, sensed=nowhere, request=request, is_guest=is_guest)
     nrc = None if not request.payload or _is_obd(call) else _refusal(call)
     if nrc is None:
@@ -277,10 +247,10 @@ def _refusal(call: Call) -> Nrc | None:
 def _sub_function_refusal(call: Call) -> Nrc | None:
     if len(call.payload) < 2:
         return Nrc.INCORRECT_LENGTH
-    sessions = _sessions_of_sub_function(call)
-    if not sessions:
+    there = _sessions_of_sub_function(call)
+    if not there:
         return Nrc.SUB_FUNCTION_NOT_SUPPORTED
-    return None if call.state.session in sessions else Nrc.SUB_FUNCTION_NOT_SUPPORTED_IN_SESSION
+    return None if call.state.session in there else Nrc.SUB_FUNCTION_NOT_SUPPORTED_IN_SESSION
 
 
 def _has_sub_function(service: int) -> bool:

@@ -6,16 +6,7 @@ import struct
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from clutch_model.units import (
-    bar_from_pa,
-    degc_from_k,
-    k_from_degc,
-    km_h_from_m_s,
-    m_s_from_km_h,
-    pa_from_bar,
-    rad_s_from_rpm,
-    rpm_from_rad_s,
-)
+from clutch_model import units
 from ecu_emulator.diagnostics.descriptions import Coding, Condition, Field
 
 Value = float | str | bytes
@@ -25,11 +16,11 @@ _FORMATS: Final = {4: ">f", 8: ">d"}  # of IEEE 754, by bytes
 
 _Conversion = tuple[Callable[[float], float], Callable[[float], float]]
 _CONVERSIONS: Final[Mapping[tuple[str, str], _Conversion]] = {
-    ("rad_s", "rpm"): (rpm_from_rad_s, rad_s_from_rpm),
-    ("pa", "bar"): (bar_from_pa, pa_from_bar),
+    ("rad_s", "rpm"): (units.rpm_from_rad_s, units.rad_s_from_rpm),
+    ("pa", "bar"): (units.bar_from_pa, units.pa_from_bar),
     ("pa", "kPa"): (lambda pressure_pa: pressure_pa / 1e3, lambda pressure_kpa: pressure_kpa * 1e3),
-    ("k", "degC"): (degc_from_k, k_from_degc),
-    ("m_s", "km/h"): (km_h_from_m_s, m_s_from_km_h),
+    ("k", "degC"): (units.degc_from_k, units.k_from_degc),
+    ("m_s", "km/h"): (units.km_h_from_m_s, units.m_s_from_km_h),
     ("m", "km"): (lambda length_m: length_m / 1e3, lambda length_km: length_km * 1e3),
     ("ratio", "%"): (lambda ratio: ratio * 1e2, lambda percent: percent / 1e2),
 }  # from SI, to SI

@@ -13,20 +13,9 @@ from types import TracebackType
 from typing import Final, Self
 
 from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.doip import streams
 from ecu_emulator.diagnostics.doip.listening import Listening, Place, listen
 from ecu_emulator.diagnostics.doip.messages import announcement, datagram_reply
-from ecu_emulator.diagnostics.doip.streams import (
-    Ask,
-    Close,
-    Send,
-    Step,
-    advanced,
-    closed,
-    most_connections,
-    opened,
-    received,
-    responded,
-)
 from ecu_emulator.diagnostics.iso14229 import NEGATIVE, Nrc, Service
 from ecu_emulator.diagnostics.server import AGAIN_RATIO, KEEP_ALIVE
 from ecu_emulator.diagnostics.table import DoipEntity
@@ -171,9 +160,9 @@ class DoipServer:
     def __init__(self, controller: Controller, place: Place) -> None:
         self._controller = controller
         self._entity = controller.table.doip
-        self._step = Step(sockets={})
+        self._step = streams.Step(sockets={})
         self._writers: dict[int, asyncio.StreamWriter] = {}
-        self._asks: dict[int, asyncio.Queue[Ask]] = {}
+        self._asks: dict[int, asyncio.Queue[streams.Ask]] = {}
         self._reset_s = controller.state.asleep_until_s  # until when the last reset takes
         self._asking_count = 0
         self._silent: set[int] = set()  # connections whose periodic data wait for the response that announces them
@@ -272,14 +261,14 @@ class DoipServer:
         return task
 
     def _accept(self, group: asyncio.TaskGroup, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if self._controller.is_asleep or len(self._writers) >= most_connections(self._entity):
+        if self._controller.is_asleep or len(self._writers) >= streams.most_connections(self._entity):
             self._counts.refused_connections += 1
             writer.transport.abort()
             return
         self._counts.connections += 1
         number = self._counts.connections
         self._writers[number], self._asks[number] = writer, asyncio.Queue()
-        self._step = opened(self._step, number, time.monotonic())
+        self._step = streams.opened(self._step, number, time.monotonic())
         self._start(group, self._converse(group, number, reader))
 
     async def _converse(self, group: asyncio.TaskGroup, number: int, reader: asyncio.StreamReader) -> None:
@@ -288,7 +277,7 @@ class DoipServer:
         writer = self._writers[number]
         try:
             while data := await reader.read(READ_BYTES):
-                self._do(received(self._entity, self._step, number, data, time.monotonic()))
+                self._do(streams.received(self._entity, self._step, number, data, time.monotonic()))
                 if number in self._step.sockets:
                     await writer.drain()
         except OSError:  # the tester has gone without saying so
@@ -298,19 +287,19 @@ class DoipServer:
             writer.transport.abort() if reader.exception() else writer.close()
             del self._writers[number], self._asks[number]
             self._silent.discard(number)
-            self._do(closed(self._entity, self._step, number, time.monotonic()))
+            self._do(streams.closed(self._entity, self._step, number, time.monotonic()))
             self._pool.submit(self._controller.leave, number)
 
-    def _do(self, step: Step) -> None:
+    def _do(self, step: streams.Step) -> None:
         self._step = step.done()
         for action in step.actions:
             match action:
-                case Send(number=number, data=data):
+                case streams.Send(number=number, data=data):
                     if not self._writers[number].is_closing():  # it may have gone a moment ago
                         self._writers[number].write(data)
-                case Ask(number=number):
+                case streams.Ask(number=number):
                     self._asks[number].put_nowait(action)
-                case Close(number=number):
+                case streams.Close(number=number):
                     self._close(self._writers[number])
 
     def _close(self, writer: asyncio.StreamWriter) -> None:
@@ -326,7 +315,7 @@ class DoipServer:
         while True:
             await asyncio.sleep(TICK_S)
             self._note_reset(group)
-            self._do(advanced(self._entity, self._step, time.monotonic()))
+            self._do(streams.advanced(self._entity, self._step, time.monotonic()))
             for number in self._writers.keys() - self._silent:
                 for message in self._controller.broadcast(number):
                     self._respond(number, message, is_final=False)
@@ -365,7 +354,7 @@ class DoipServer:
         except OSError:  # the tester has gone; who reads from it finds out as well
             return
 
-    async def _ask(self, number: int, ask: Ask) -> None:
+    async def _ask(self, number: int, ask: streams.Ask) -> None:
         """Answer one request, with 78 first if the disk takes its time."""
         self._counts.requests += 1
         timing = self._controller.table.timing
@@ -384,4 +373,4 @@ class DoipServer:
 
     def _respond(self, number: int, response: bytes | None, *, is_final: bool) -> None:
         self._counts.responses += response is not None
-        self._do(responded(self._entity, self._step, number, response, time.monotonic(), is_final=is_final))
+        self._do(streams.responded(self._entity, self._step, number, response, time.monotonic(), is_final=is_final))
