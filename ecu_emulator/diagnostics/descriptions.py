@@ -61,7 +61,7 @@ class Field:
             raise ConfigError(f"{self.name}: a float has 4 or 8 bytes and is not scaled")
         numbers = (self.resolution, self.offset, self.minimum or 0.0, self.maximum or 0.0)
         if not (all(map(math.isfinite, numbers)) and self.resolution > 0.0):
-            raise ConfigError(f"{self.name}: resolution must be > 0 and all numbers finite: leave out what is no limit")
+            raise ConfigError(f"{self.name}: resolution must be > 0 and all numbers finite: leave a missing limit out")
         try:
             re.compile(self.pattern)
         except re.error as exc:
