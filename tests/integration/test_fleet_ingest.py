@@ -19,7 +19,7 @@ from sqlalchemy import Engine, select
 from clutch_model.calibration import nominal_calibration
 from demo.fleet.servers import PostgresServer
 from diag_service.diagnosis.records import shift_record
-from fleet_backend import queries
+from fleet_backend import application, queries
 from fleet_backend.application import run_ingest
 from fleet_backend.choices import Pace, Part, Quotas
 from fleet_backend.database import open_database
@@ -234,9 +234,13 @@ def test_a_worker_ends_well_when_it_is_told_to(tmp_path: Path, broker: Mosquitto
     assert "Traceback" not in log
 
 
-def test_an_error_that_nobody_expected_is_told_by_itself(engine: Engine) -> None:
-    address = parse_broker(f"mqtt://{'x' * 64}", TlsFiles())
-    with pytest.raises(UnicodeError, match="label too long"):
+def test_an_error_that_nobody_expected_is_told_by_itself(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    def connected(*_: object, **__: object) -> None:
+        raise LookupError("of all things")
+
+    monkeypatch.setattr(application, "connected", connected)
+    address = parse_broker("mqtt://127.0.0.1:1", TlsFiles())
+    with pytest.raises(LookupError, match="of all things"):
         run_ingest(engine, address, Pace(), "worker", group="group", part=Part(), quotas=Quotas())
 
 
