@@ -407,14 +407,14 @@ def read_samples(
     Times are counted from ``origin_ns`` in units of so many nanoseconds; the signal has one sample at least.
     """
     sample, last = 0, len(t_ns) - 1
+    before, after = (t_ns[0] - origin_ns) / unit_ns, (t_ns[min(1, last)] - origin_ns) / unit_ns
     for row in range(len(at)):
-        while sample < last and (t_ns[sample + 1] - origin_ns) / unit_ns <= at[row]:
-            sample += 1
-        before = (t_ns[sample] - origin_ns) / unit_ns
+        while sample < last and after <= at[row]:
+            sample, before = sample + 1, after
+            after = (t_ns[min(sample + 1, last)] - origin_ns) / unit_ns
         reading[row] = value[sample]
         if sample < last and before < at[row]:
-            step = (t_ns[sample + 1] - origin_ns) / unit_ns - before
-            reading[row] += (value[sample + 1] - value[sample]) / step * (at[row] - before)
+            reading[row] += (value[sample + 1] - value[sample]) / (after - before) * (at[row] - before)
 
 
 @array_kernel

@@ -97,8 +97,10 @@ _PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
 _SHAFTS: Final = (Signal.INPUT1_SPEED, Signal.INPUT2_SPEED)
 _COMMANDS: Final = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
 _ASKINGS: Final = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
-_SPEEDS: Final = (Signal.ENGINE_SPEED, Signal.HUB_SPEED, Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED)
-_SIGNALS: Final = (*_SPEEDS, *_SHAFTS, *_PRESSURES, *_COMMANDS, *_ASKINGS, Signal.ENGINE_TORQUE)
+_SPEEDS: Final = (Signal.ENGINE_SPEED, Signal.HUB_SPEED, Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED, *_SHAFTS)
+_SIGNALS: Final = tuple(  # by which clutch comes on
+    (*_SPEEDS, *_PRESSURES, *of_clutch, Signal.ENGINE_TORQUE) for of_clutch in zip(_COMMANDS, _ASKINGS, strict=True)
+)
 
 
 _NO_HEAT: Final = (math.nan, math.nan, math.nan, 0.0)
@@ -168,9 +170,8 @@ class ShiftScorer:
         on, off = clutch_of_gear(event.to_gear) - 1, clutch_of_gear(event.from_gear) - 1
         grid_s = np.arange(-BEFORE_S, duration_s + AFTER_S, loops.GRID_S)
         rows, packs = np.full((loops.ROW_COUNT, len(grid_s)), np.nan), (self._packs[on], self._packs[off])
-        values = readings(
-            event.columns, _SIGNALS if self._gears is None else (*_SIGNALS, self._gears.over), event.start_ns, grid_s
-        )
+        signals = _SIGNALS[on] if self._gears is None else (*_SIGNALS[on], self._gears.over)
+        values = readings(event.columns, signals, event.start_ns, grid_s)
         skew_s = self._fill_speeds(event, (on, off), values, rows)
         touch_pa = packs[0].touch_pa, packs[1].touch_pa
         if known is not None:
@@ -336,21 +337,9 @@ def borne(before: Mapping[int, Load], estimate: ShiftEstimate) -> dict[int, Load
     return found
 
 
-_INDEX_SPEEDS: Final = (
-    Signal.HUB_SPEED,
-    Signal.ENGINE_SPEED,
-    Signal.INPUT1_SPEED,
-    Signal.INPUT2_SPEED,
-    Signal.INPUT_SPEED,
-)
-_INDEX_SIGNALS: Final = (
-    *_INDEX_SPEEDS,
-    Signal.CLUTCH_SLIP,
-    *_PRESSURES,
-    *_ASKINGS,
-    Signal.CLUTCH_TORQUE,
-    Signal.ENGINE_TORQUE,
-)
+_INDEX_SPEEDS: Final = (Signal.HUB_SPEED, Signal.ENGINE_SPEED, *_SHAFTS, Signal.INPUT_SPEED)
+_TORQUES: Final = (Signal.CLUTCH_TORQUE, Signal.ENGINE_TORQUE)
+_INDEX_SIGNALS: Final = (*_INDEX_SPEEDS, Signal.CLUTCH_SLIP, *_PRESSURES, *_ASKINGS, *_TORQUES)
 
 
 class _Grid(NamedTuple):

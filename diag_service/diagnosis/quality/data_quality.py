@@ -294,7 +294,7 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     for one, times_s in sampled.items():
         series = event.columns[one]
-        if len(series.value) and np.abs(series.value).max() > MOST:
+        if _largest(series.value) > MOST:
             return Reason.OUT_OF_RANGE
         own_s = series.period_ns * NS_TO_S or limits.nominal_period_s
         period_s = row_s if row_s and is_of_rows(series) else own_s
@@ -355,7 +355,7 @@ def aligned(
     gaps, rows = gaps_s(times, samples.event, limits, samples.row_s), NO_ROWS
     if samples.row_s:
         noise_std = noise_of_signals(calibration.noise)
-        if any(np.abs(samples.event.columns[one].value).max() > MOST_NOISES * noise_std[one] for one in times):
+        if any(_largest(samples.event.columns[one].value) > MOST_NOISES * noise_std[one] for one in times):
             return Reason.OUT_OF_RANGE  # a cell may hold any number
         rows = Rows(
             period_s=samples.row_s,
@@ -364,6 +364,15 @@ def aligned(
             noise_std=noise_std,
         )
     return align(times, samples.event, samples.oil_k, gaps, other, rows)
+
+
+@array_kernel
+def _largest(value: FloatArray) -> float:
+    """Return the largest absolute value; 0 of none."""
+    most = 0.0
+    for one in value:
+        most = max(most, abs(one))
+    return most
 
 
 @array_kernel
@@ -408,6 +417,7 @@ def _step_range_s(times_s: FloatArray) -> tuple[float, float]:
 def compile_usability() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     longest_silence_s(np.zeros(2), 0.0, 0.0)
+    _largest(np.zeros(1))
     _step_range_s(np.zeros(2))
 
 
