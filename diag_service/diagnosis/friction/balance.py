@@ -302,7 +302,10 @@ class ContactAnswers(NamedTuple):
 
 def coldness(tracks: tuple[FilmTrack, FilmTrack], rows: slice) -> tuple[float, ...]:
     """Return how cold each pack is on some rows: 0 at work, 1 where its oil is 60 K colder."""
-    return tuple(max(0.0, (WORKING_K - float(track.clutch_k[rows].mean())) / COLD_SPAN_K) for track in tracks)
+    return tuple(
+        max(0.0, (WORKING_K - float(own_k.sum() / len(own_k))) / COLD_SPAN_K)  # `mean` takes twice as long
+        for own_k in (track.clutch_k[rows] for track in tracks)
+    )
 
 
 def slower_films(balance: Balance, drives: tuple[PressureDrive, PressureDrive]) -> tuple[FilmTrack, FilmTrack]:
@@ -387,7 +390,7 @@ class Sensitivity:
             slope[:, FRICTION_ROWS[m]] = plain.by_friction
             considered[:, Considered.FRICTION_TEMPERATURE] += plain.by_warm_friction @ mu
             considered[:, Considered.OPEN_DRAG] += bias.torque_gain * plain.opened
-            if np.max(np.abs(plain.viscous + plain.by_friction @ mu) / std_nms) > IDLE_RATIO:
+            if (np.abs(plain.viscous + plain.by_friction @ mu) / std_nms).max() > IDLE_RATIO:
                 self._add_film(slope, m, mu)
                 answers = self._answers[m]
                 considered[:, Considered.STRIBECK_SPEED] += weights.value @ answers.by_stribeck_speed_nm
@@ -501,7 +504,7 @@ class Sensitivity:
                     of_blocks.setdefault(id(blocks), (blocks, []))[1].append(squares)
         for blocks, variances in of_blocks.values():
             for place, weight in enumerate(blocks):
-                scaled = weight * np.sqrt(np.sum([squares[place] for squares in variances], axis=0))
+                scaled = weight * np.sqrt(sum(squares[place] for squares in variances))
                 noises[place] += scaled @ scaled.T
 
     def _row_noises(self) -> list[FloatArray]:

@@ -350,9 +350,9 @@ def aligned(
     What no calibration moves is taken over from ``other``: the same samples as another calibration has them.
     """
     times = measured_times(samples.times, samples.event, calibration)
-    if min(_step_range_s(one)[0] for one in times.values()) <= 0.0:
-        return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock cannot be believed
     gaps, rows = gaps_s(times, samples.event, limits, samples.row_s), NO_ROWS
+    if gaps is None:
+        return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock cannot be believed
     if samples.row_s:
         noise_std = noise_of_signals(calibration.noise)
         if any(_largest(samples.event.columns[one].value) > MOST_NOISES * noise_std[one] for one in times):
@@ -389,15 +389,21 @@ def longest_silence_s(times_s: FloatArray, from_s: float, duration_s: float) -> 
     return max(longest_s, duration_s - latest_s) if count > 1 else np.inf
 
 
-def gaps_s(times: SampleTimes, event: Event, limits: QualityLimits = LIMITS, row_s: float = 0.0) -> FloatArray:
-    """Return between which instants [s] two samples of any signal or more are missing in a row, shape (n, 2)."""
+def gaps_s(times: SampleTimes, event: Event, limits: QualityLimits = LIMITS, row_s: float = 0.0) -> FloatArray | None:
+    """Return between which instants [s] two samples of any signal or more are missing in a row, shape (n, 2).
+
+    None if the times of a signal do not rise.
+    """
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     found = []
     for signal, times_s in times.items():
         period_s = event.columns[signal].period_ns * NS_TO_S or limits.nominal_period_s
         is_row = row_s and is_of_rows(event.columns[signal])
         longest_s = limits.row_gap_periods * row_s if is_row else limits.gap_periods * period_s
-        if _step_range_s(times_s)[1] > longest_s:
+        least_step_s, longest_step_s = _step_range_s(times_s)
+        if least_step_s <= 0.0:
+            return None
+        if longest_step_s > longest_s:
             found += [times_s[row : row + 2] for row in np.flatnonzero(np.diff(times_s) > longest_s)]
         if duration_s - times_s[-1] > longest_s:
             found.append(np.array((times_s[-1], duration_s)))

@@ -105,7 +105,9 @@ def test_a_gap_in_any_signal_is_told_on_the_grid() -> None:
     event = thinned(first_shifts()[0], Signal.CLUTCH2_PRESSURE, slice(80, 82))
     signals = usable_signals(event, CALIBRATION)
     assert isinstance(signals, AlignedSignals)
-    (gap_s,) = gaps_s({Signal.CLUTCH2_PRESSURE: signals.pressure[1].times_s}, event)
+    gaps = gaps_s({Signal.CLUTCH2_PRESSURE: signals.pressure[1].times_s}, event)
+    assert gaps is not None
+    (gap_s,) = gaps
     assert gap_s[1] - gap_s[0] == pytest.approx(0.03)
     inside = (signals.grid_s > gap_s[0]) & (signals.grid_s < gap_s[1])
     assert np.array_equal(signals.is_seen, ~inside)
