@@ -15,15 +15,7 @@ from typing import Any, Final, Self
 
 import can
 
-from ecu_emulator.arguments import (
-    DELAY_RANGE_S,
-    LIVE_PARKED_S,
-    MASS_RANGE_KG,
-    MOST_PARKED_S,
-    OIL_RANGE_DEGC,
-    PARKED_RANGE_S,
-    ns_of,
-)
+from ecu_emulator import arguments
 from ecu_emulator.bus.sender import open_bus
 from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, save_dbc, write_log
 from ecu_emulator.drive.recording import Drive
@@ -199,10 +191,10 @@ class Emulator:
         start_delay_s: float = 0.0,
         parked_s: float | None = None,
     ) -> None:
-        check_range("oil_degc", oil_degc, OIL_RANGE_DEGC)
-        check_range("mass_kg", mass_kg, MASS_RANGE_KG)
-        check_range("start_delay_s", start_delay_s, DELAY_RANGE_S)
-        check_range("parked_s", parked_s, PARKED_RANGE_S)
+        check_range("oil_degc", oil_degc, arguments.OIL_RANGE_DEGC)
+        check_range("mass_kg", mass_kg, arguments.MASS_RANGE_KG)
+        check_range("start_delay_s", start_delay_s, arguments.DELAY_RANGE_S)
+        check_range("parked_s", parked_s, arguments.PARKED_RANGE_S)
         check_word("fluid", fluid, [one.value for one in FluidCondition])
         check_word("drive", drive, [one.value for one in DriveName])
         driven = DriveOptions(
@@ -268,17 +260,17 @@ class Emulator:
         log = LogOptions(
             path=Path(path),
             log_format=log_format,
-            start_ns=DEFAULT_START_NS if start_time is None else ns_of(start_time),
+            start_ns=DEFAULT_START_NS if start_time is None else arguments.ns_of(start_time),
             channel=channel,
             truth=self._truth_path,
-            longest_stay_s=MOST_PARKED_S if self._parked_s is None else self._parked_s,
+            longest_stay_s=arguments.MOST_PARKED_S if self._parked_s is None else self._parked_s,
         )
         return write_log(self.scenario, log, Event())  # that of the bus is set when the drive there is over
 
     def __enter__(self) -> Self:
         if self._thread is not None:
             raise ConfigError("an emulator drives only once; make another one")
-        self._drive = Drive(self.scenario, LIVE_PARKED_S if self._parked_s is None else self._parked_s)
+        self._drive = Drive(self.scenario, arguments.LIVE_PARKED_S if self._parked_s is None else self._parked_s)
         bus = open_bus(
             self._choice.interface, self._choice.channel, self._choice.bitrate, fd=self._choice.is_fd,
             options=self._options,

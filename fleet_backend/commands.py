@@ -12,20 +12,10 @@ from typing import Final
 from sqlalchemy import Engine
 
 from clutchdiag_io.program import part
-from fleet_backend import queries, report
+from fleet_backend import config, queries, report
 from fleet_backend.application import run_ingest
 from fleet_backend.arguments import BROKER_VARIABLE
 from fleet_backend.choices import Axis
-from fleet_backend.config import (
-    Place,
-    parse_broker,
-    parse_group,
-    parse_listen,
-    parse_moment,
-    parse_pace,
-    parse_part,
-    parse_quotas,
-)
 from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import ConfigError
 from fleet_backend.layout import Sheet
@@ -51,22 +41,22 @@ def execute(options: SimpleNamespace) -> None:
 
 
 def _ingest(options: SimpleNamespace, engine: Engine) -> None:
-    pace = parse_pace(options.batch, options.patience, takes_bundles=not options.no_bundles)
+    pace = config.parse_pace(options.batch, options.patience, takes_bundles=not options.no_bundles)
     run_ingest(
         engine,
         broker_of(options, may_be_nats=True),
         pace,
         options.worker,
         options.alive,
-        group=parse_group(options.group),
-        quotas=parse_quotas(options.quotas),
-        part=parse_part(options.part),
+        group=config.parse_group(options.group),
+        quotas=config.parse_quotas(options.quotas),
+        part=config.parse_part(options.part),
         metrics=metrics_of(options),
     )
 
 
-def metrics_of(options: SimpleNamespace) -> Place | None:
-    return None if options.metrics is None else parse_listen(options.metrics, option="--metrics")
+def metrics_of(options: SimpleNamespace) -> config.Place | None:
+    return None if options.metrics is None else config.parse_listen(options.metrics, option="--metrics")
 
 
 def user_name() -> str:
@@ -81,7 +71,7 @@ def broker_of(options: SimpleNamespace, *, may_be_nats: bool = False) -> BrokerA
     if not options.broker:
         raise ConfigError(f"no broker: give --broker or set {BROKER_VARIABLE}")
     files = {"ca": options.ca, "certificate": options.cert, "key": options.key}
-    return parse_broker(options.broker, **files, may_be_nats=may_be_nats)
+    return config.parse_broker(options.broker, **files, may_be_nats=may_be_nats)
 
 
 def _migrate(_options: SimpleNamespace, engine: Engine) -> None:
@@ -130,7 +120,7 @@ def _codes(options: SimpleNamespace, engine: Engine) -> None:
 
 def _fill(options: SimpleNamespace, engine: Engine) -> None:
     queries.check_vehicle(engine, options.vehicle)
-    at = None if options.at is None else parse_moment(options.at)
+    at = None if options.at is None else config.parse_moment(options.at)
     if options.undo:
         gone = queries.withdraw_fill(engine, options.vehicle, at, by=user_name())
         sys.stdout.write(f"{options.vehicle}: the fill at {gone.isoformat()} is taken back\n")

@@ -9,16 +9,7 @@ from typing import Any, Final
 from sqlalchemy import Connection, RowMapping, select
 
 from fleet_backend.schema import CLUTCH, FLUID_FILL, SHIFT_RESULT
-from fleet_contract.orders import (
-    NO_VERDICT,
-    UNKNOWN_FLUID,
-    Finding,
-    Suspect,
-    distinct,
-    is_of_earlier_fluid,
-    order_of,
-    unseen_since_new,
-)
+from fleet_contract import orders
 
 Row = Mapping[str, Any] | RowMapping
 # What a row keeps of a clutch whose fluid was changed since: all else is of the earlier one.
@@ -38,7 +29,7 @@ def present_fluids(connection: Connection, vehicles: Sequence[str] | None = None
     known: dict[str, list[PresentFluid]] = {}
     for row in connection.execute(statement):
         known.setdefault(row.vehicle, []).append((row.filled_at, row.product))
-    return {vehicle: distinct(own, itemgetter(0))[-1] for vehicle, own in known.items()}
+    return {vehicle: orders.distinct(own, itemgetter(0))[-1] for vehicle, own in known.items()}
 
 
 def clutch_names(connection: Connection) -> dict[tuple[str, int], str]:
@@ -57,14 +48,14 @@ def with_orders(
         by_vehicle.setdefault(row["vehicle"], []).append(row)
     for vehicle, own in by_vehicle.items():
         filled_at, product = fluids.get(vehicle, (None, own[0]["fluid"]))
-        order = order_of([_finding(row, names) for row in own], filled_at)
+        order = orders.order_of([_finding(row, names) for row in own], filled_at)
         news = {"action": order.action.value, "order": order.text, "fluid_since": filled_at, "fluid": product}
         for row in own:
             told, element = dict(row), names.get((vehicle, row["clutch"]))
-            if is_of_earlier_fluid(told["end_at"], filled_at):
-                told.update(dict.fromkeys(told.keys() - _KEPT), condition=NO_VERDICT, shift_count=0)
-                unseen = unseen_since_new(told["clutch"], element)
-                told.update(condition_reason=UNKNOWN_FLUID, advice=unseen)
+            if orders.is_of_earlier_fluid(told["end_at"], filled_at):
+                told.update(dict.fromkeys(told.keys() - _KEPT), condition=orders.NO_VERDICT, shift_count=0)
+                unseen = orders.unseen_since_new(told["clutch"], element)
+                told.update(condition_reason=orders.UNKNOWN_FLUID, advice=unseen)
             yield told | news | {"element": element}
 
 
@@ -87,8 +78,8 @@ def without_old_fluid(connection: Connection, alarms: Iterable[Row]) -> list[dic
     return told
 
 
-def _finding(row: Row, names: Mapping[tuple[str, int], str]) -> Finding:
-    return Finding(
+def _finding(row: Row, names: Mapping[tuple[str, int], str]) -> orders.Finding:
+    return orders.Finding(
         clutch=row["clutch"],
         condition=row["condition"],
         text=row["advice"],
@@ -99,7 +90,7 @@ def _finding(row: Row, names: Mapping[tuple[str, int], str]) -> Finding:
     )
 
 
-def _suspects(causes: str | None) -> tuple[Suspect, ...]:
+def _suspects(causes: str | None) -> tuple[orders.Suspect, ...]:
     """Return the causes that an order may name, by what a row holds of them."""
     told = [] if causes is None else json.loads(causes)["likely"]
-    return tuple(Suspect(one["cause"], one["clutch"], one["probability"]) for one in told)
+    return tuple(orders.Suspect(one["cause"], one["clutch"], one["probability"]) for one in told)

@@ -9,17 +9,8 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self, Unpack
 
 from canlog.live import LiveSource, ReadSchedule
+from diag_service.api import choices
 from diag_service.api.analysis import Analysis
-from diag_service.api.choices import (
-    AnyPath,
-    Delivery,
-    Meaning,
-    Poll,
-    check_one_bus,
-    configuration,
-    optional_path,
-    poll_config,
-)
 from diag_service.console import collected_notices
 from diag_service.delivery import ControllerNews, News
 from diag_service.diagnosis.records import ShiftResult
@@ -165,12 +156,12 @@ class LiveDiagnosis:
         named: BusConfig,
         *,
         bus: "can.BusABC | None" = None,  # in place of the one that is named
-        store: AnyPath | None = None,
+        store: choices.AnyPath | None = None,
     ) -> None:
         self._config = config
         self._named = named
         self._bus = bus
-        self._store_path = optional_path(store)
+        self._store_path = choices.optional_path(store)
         self._stop = Trigger()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._task: asyncio.Task[None] | None = None
@@ -344,13 +335,13 @@ def diagnose(
     is_fd: bool = False,
     is_only_mapped: bool = False,
     duration_s: float | None = None,
-    store: AnyPath | None = None,
+    store: choices.AnyPath | None = None,
     store_budget_mib: int | None = None,
-    delivery: Delivery | None = None,
-    poll: Poll | None = None,
+    delivery: choices.Delivery | None = None,
+    poll: choices.Poll | None = None,
     asks: bool = False,
     adapter: str | None = None,
-    **meaning: Unpack[Meaning],
+    **meaning: Unpack[choices.Meaning],
 ) -> LiveDiagnosis:
     """Diagnose a live bus, as ``diag-service run`` does.
 
@@ -391,7 +382,7 @@ def diagnose(
         While iterating: if the bus cannot be opened or, when it was handed over open, fails; a database or the store
         cannot be used.
     """
-    check_one_bus(bus, interface, channel, bitrate, is_fd, is_only_mapped)
+    choices.check_one_bus(bus, interface, channel, bitrate, is_fd, is_only_mapped)
     if bus is not None and poll is not None and poll.bus is None:
         raise ConfigError("an open bus has only one reader: give Poll(bus=...) a connection of its own")
     if bus is not None and asks:
@@ -402,7 +393,7 @@ def diagnose(
         interface, channel = adapter_bus()
     named = BusConfig(
         interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd, duration_s=duration_s,
-        is_filtered=is_only_mapped, poll=poll_config(poll), asks=asks, adapter=adapter,
+        is_filtered=is_only_mapped, poll=choices.poll_config(poll), asks=asks, adapter=adapter,
     )  # fmt: skip
-    config = configuration(delivery=delivery, store_budget_mib=store_budget_mib, **meaning)
+    config = choices.configuration(delivery=delivery, store_budget_mib=store_budget_mib, **meaning)
     return LiveDiagnosis(config, named, bus=bus, store=store)

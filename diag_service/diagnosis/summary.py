@@ -26,17 +26,7 @@ from diag_service.diagnosis.records import (
     to_plain,
     utc_from_bus_ns,
 )
-from fleet_contract import JsonObject
-from fleet_contract.orders import (
-    UNKNOWN_FLUID,
-    Finding,
-    Order,
-    Suspect,
-    cause_words,
-    is_of_earlier_fluid,
-    order_of,
-    unseen_since_new,
-)
+from fleet_contract import JsonObject, orders
 
 if TYPE_CHECKING:  # a live service tells no friction up to a scale
     from diag_service.diagnosis.prediction import RelativeFriction
@@ -138,7 +128,7 @@ class Summary:
         return of_present_fluid(own, self.fluid)
 
     @property
-    def order(self) -> Order:
+    def order(self) -> orders.Order:
         """What the vehicle is told, by the last result of each clutch, earlier runs counted."""
         known = {**{one.verdict.clutch: one for one in self.latest}, **self.earlier}
         return order_by(known.values(), self.fluid, self.capability.elements)
@@ -196,22 +186,24 @@ def cause_lines(causes: Causes | None) -> list[str]:
     if causes is None:
         return []
     told = ", ".join(
-        f"{cause_words(one.cause, one.clutch)} {100.0 * one.probability:.0f} %" for one in causes.likely[:3]
+        f"{orders.cause_words(one.cause, one.clutch)} {100.0 * one.probability:.0f} %" for one in causes.likely[:3]
     )
     lines = [f"Why: {told} (by {causes.event_count} events).", f"  {causes.likely[0].evidence}", f"  {causes.advice}"]
     return lines if causes.test is None else [*lines, f"  {causes.test}"]
 
 
-def suspects_of(causes: Causes | None) -> tuple[Suspect, ...]:
+def suspects_of(causes: Causes | None) -> tuple[orders.Suspect, ...]:
     """Return the causes that an order may name."""
-    return () if causes is None else tuple(Suspect(one.cause, one.clutch, one.probability) for one in causes.likely)
+    return (
+        () if causes is None else tuple(orders.Suspect(one.cause, one.clutch, one.probability) for one in causes.likely)
+    )
 
 
 def of_present_fluid(results: Iterable[ShiftResult], fluid: FluidFill | None) -> tuple[ShiftResult, ...]:
     """Return the last results of clutches; those of an earlier fluid without what they say of that."""
     filled_at = None if fluid is None else datetime.fromisoformat(fluid.filled_at)
     return tuple(
-        replace(one, verdict=_unknown(one.verdict)) if is_of_earlier_fluid(_end_at(one), filled_at) else one
+        replace(one, verdict=_unknown(one.verdict)) if orders.is_of_earlier_fluid(_end_at(one), filled_at) else one
         for one in results
     )
 
@@ -220,11 +212,11 @@ def _unknown(verdict: ClutchVerdict) -> ClutchVerdict:
     return ClutchVerdict(
         clutch=verdict.clutch,
         condition=Condition.NO_VERDICT,
-        reason=UNKNOWN_FLUID,
+        reason=orders.UNKNOWN_FLUID,
         level_ratio=None,
         friction=None,
         shift_count=0,
-        advice=unseen_since_new(verdict.clutch, verdict.element),
+        advice=orders.unseen_since_new(verdict.clutch, verdict.element),
         element=verdict.element,
     )
 
@@ -233,10 +225,10 @@ def _end_at(result: ShiftResult) -> datetime:
     return datetime.fromisoformat(utc_from_bus_ns(result.estimate.end_ns))
 
 
-def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None, elements: Iterable[str] = ()) -> Order:
+def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None, elements: Iterable[str] = ()) -> orders.Order:
     """Return the order for a vehicle by the last result of each clutch and the fluid that is in."""
     findings = [
-        Finding(
+        orders.Finding(
             clutch=one.verdict.clutch,
             element=one.verdict.element,
             condition=one.verdict.condition.name.lower(),
@@ -247,7 +239,7 @@ def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None, elements: 
         )
         for one in results
     ]
-    return order_of(findings, None if fluid is None else datetime.fromisoformat(fluid.filled_at), elements)
+    return orders.order_of(findings, None if fluid is None else datetime.fromisoformat(fluid.filled_at), elements)
 
 
 def gaps_line(gaps: tuple[Gap, ...]) -> str:

@@ -17,20 +17,11 @@ from clutchdiag_io.program import legible
 from dbc.contract import DBC_PATH
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import StoppedError
+from diag_service.mapping import proposal
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.interpretation import open_database
 from diag_service.mapping.learning import VehicleSurvey
 from diag_service.mapping.profile import Profile
-from diag_service.mapping.proposal import (
-    Candidate,
-    GearRatio,
-    SignalStatistics,
-    candidates,
-    gears_text,
-    is_complete,
-    profile_text,
-    unfit_units,
-)
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
 
 
@@ -41,7 +32,7 @@ class Survey:
         self._codec = codec
         self._are_columns = are_columns
         self._counts: Counter[int] = Counter()  # by slot, as all here
-        self._signals: dict[int, dict[str, SignalStatistics]] = {}
+        self._signals: dict[int, dict[str, proposal.SignalStatistics]] = {}
         self._ends_ns: list[int] = []  # first and last
         self.frames = 0
         self.is_cut = False
@@ -64,13 +55,13 @@ class Survey:
                     table, seen = self._codec.tables[found.slot], self._signals.setdefault(found.slot, {})
                     for name, decoded in found.signals.items():
                         unit = table.definitions[name].unit or ""
-                        fresh = SignalStatistics(
+                        fresh = proposal.SignalStatistics(
                             message=table.message.name, signal=name, unit=unit, is_column=self._are_columns
                         )
                         seen.setdefault(name, fresh).add(decoded)
         self.is_cut = reader.counts.truncated
 
-    def statistics(self) -> list[SignalStatistics]:
+    def statistics(self) -> list[proposal.SignalStatistics]:
         return [one for _, seen in sorted(self._signals.items()) for _, one in sorted(seen.items())]
 
     def listing(self) -> Iterator[str]:
@@ -110,9 +101,9 @@ def proposed_profile(
     survey = Survey(Codec(database.messages, check_codes=True), are_columns=are_columns)
     survey.add(log, is_stopped, watch, columns)
     name, stem = (shown_name(log), "piped") if log == STANDARD_INPUT else (log.name, log.stem)
-    best = candidates(survey.statistics())
+    best = proposal.candidates(survey.statistics())
     over, ratios = _shown_ratios(log, database, best, columns)
-    knows_gears = is_complete(ratios)
+    knows_gears = proposal.is_complete(ratios)
     tier = tier_of(best.keys(), knows_gears=knows_gears)
     reach = f"tier {tier:d} ({PURPOSE[tier]})" if tier else "no tier"
     remarks = [
@@ -121,16 +112,17 @@ def proposed_profile(
         "",
         *(["The log is cut off."] if survey.is_cut else []),
         f"{survey.frames} frames, {survey.unknown} of them not in the database.",
-        *unfit_units(survey.statistics(), best),
+        *proposal.unfit_units(survey.statistics(), best),
         *survey.listing(),
         "",
     ]
-    return profile_text(legible(stem), best, [legible(remark) for remark in remarks]) + gears_text(over, ratios)
+    signals = proposal.profile_text(legible(stem), best, [legible(remark) for remark in remarks])
+    return signals + proposal.gears_text(over, ratios)
 
 
 def _shown_ratios(
-    log: Path, database: Database, best: Mapping[Signal, Sequence[Candidate]], columns: str
-) -> tuple[Signal, Mapping[int, GearRatio]]:
+    log: Path, database: Database, best: Mapping[Signal, Sequence[proposal.Candidate]], columns: str
+) -> tuple[Signal, Mapping[int, proposal.GearRatio]]:
     """Return over which speed a log shows the ratios of which gears; none where they are not needed."""
     over = next((one for one in (Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED) if one in best), None)
     knows_slip = tier_of(best.keys()) is not None and best.keys() & {Signal.INPUT1_SPEED, Signal.INPUT_SPEED}

@@ -11,27 +11,10 @@ from rich.text import Text
 
 from clutchdiag_io.pages.content import spread
 from diag_service.delivery.console import condition_words, order_lines
-from diag_service.diagnosis.condition.shift_course import (
-    COURSE_COUNT,
-    adapting_lines,
-    correction_lines,
-    courses,
-    load_line,
-    loads,
-    part_words,
-)
+from diag_service.diagnosis import records
+from diag_service.diagnosis.condition import shift_course
 from diag_service.diagnosis.prognosis import Population, history_of, prognose, without
 from diag_service.diagnosis.prognosis.sentence import outlook_line
-from diag_service.diagnosis.records import (
-    ClutchVerdict,
-    FluidFill,
-    FrictionEstimate,
-    FrictionTrend,
-    LiningChange,
-    fill_record,
-    order_record,
-    utc_from_bus_ns,
-)
 from diag_service.diagnosis.summary import cause_lines, latest_of, newest_causes
 from diag_service.report.findings import Findings, moment_words
 from diag_service.store import Row
@@ -47,7 +30,7 @@ _MINUTE: Final = 16  # characters of an ISO moment up to its minutes
 class FluidPeriod:
     """The results of one clutch with one fluid."""
 
-    fill: FluidFill | None  # None: the fluid was there before anything was known
+    fill: records.FluidFill | None  # None: the fluid was there before anything was known
     rows: tuple[Row, ...]
     until: float = math.inf  # the place of the first result of a later fluid, of any clutch
 
@@ -59,7 +42,7 @@ class FluidPeriod:
         return f"{self.fill.product or 'fluid'} since {_minute(self.fill.filled_at)}"
 
     @property
-    def last_verdict(self) -> ClutchVerdict | None:
+    def last_verdict(self) -> records.ClutchVerdict | None:
         """The last one while the fluid was in; an event whose log came later was judged by itself."""
         timely = [row for row in self.rows if row.position < self.until] or self.rows
         return latest_of(row.result for row in timely)[0].verdict if timely else None
@@ -72,8 +55,8 @@ class FluidPeriod:
 
 def periods_of(found: Findings, clutch: int) -> list[FluidPeriod]:
     """Return the results of a clutch, fluid by fluid; a fluid without any is one of them too."""
-    dated = [(row, utc_from_bus_ns(row.result.estimate.start_ns)) for row in found.rows]
-    fills: list[FluidFill | None] = [None, *found.fills]
+    dated = [(row, records.utc_from_bus_ns(row.result.estimate.start_ns)) for row in found.rows]
+    fills: list[records.FluidFill | None] = [None, *found.fills]
     periods = []
     for fill, following in zip(fills, [*fills[1:], None], strict=True):
         since, until = "" if fill is None else fill.filled_at, "~" if following is None else following.filled_at
@@ -96,9 +79,9 @@ def history_records(found: Findings, clutches: Sequence[int]) -> Iterator[JsonOb
         "schema": HISTORY_SCHEMA,
         "record": "fills",
         "vehicle": found.vehicle,
-        "fills": [fill_record(fill) for fill in found.fills],
+        "fills": [records.fill_record(fill) for fill in found.fills],
         "left_out_count": found.left_out_count,
-        **order_record(found.order),
+        **records.order_record(found.order),
         "algorithm_version": found.versions.algorithm,
         "calibration_version": found.versions.calibration,
     }
@@ -130,7 +113,7 @@ def history_lines(
 def _course(found: Findings) -> Iterator[Text | Table]:
     """Yield how well the gear changes went, if that is known, and what a control should adapt."""
     estimates = [result.estimate for result in found.results]
-    known = courses(estimates)
+    known = shift_course.courses(estimates)
     if not known:
         return
     table = _table("How well it shifts: scores by kind, gears and oil; 100 is faultless")
@@ -138,8 +121,8 @@ def _course(found: Findings) -> Iterator[Text | Table]:
         "change",
         "gears",
         "count",
-        f"first {COURSE_COUNT}",
-        f"last {COURSE_COUNT}",
+        f"first {shift_course.COURSE_COUNT}",
+        f"last {shift_course.COURSE_COUNT}",
         "cold",
         "warm",
         "hot",
@@ -149,10 +132,10 @@ def _course(found: Findings) -> Iterator[Text | Table]:
     for one in known:
         scores = (_NONE if score is None else f"{score:.0f}" for score in (one.first, one.last, *one.by_oil))
         kind, gears = one.kind.value.replace("_", " "), f"{one.from_gear}-{one.to_gear}"
-        table.add_row(kind, gears, str(one.count), *scores, part_words(one.reason) or _NONE)
+        table.add_row(kind, gears, str(one.count), *scores, shift_course.part_words(one.reason) or _NONE)
     yield table
-    yield from map(Text, adapting_lines(known, correction_lines(estimates)))
-    yield from (Text(load_line(load)) for load in loads(estimates))
+    yield from map(Text, shift_course.adapting_lines(known, shift_course.correction_lines(estimates)))
+    yield from (Text(shift_course.load_line(load)) for load in shift_course.loads(estimates))
 
 
 def _outlook(found: Findings, population: Population | None) -> Text:
@@ -191,7 +174,7 @@ def _value_lines(table: Mapping[str, object], indent: str) -> Iterator[Text]:
             yield Text(f"{indent}{name}  {_NONE if value is None else value}")
 
 
-def _event_record(row: Row, clutch: int, number: int, fill: FluidFill | None) -> JsonObject:
+def _event_record(row: Row, clutch: int, number: int, fill: records.FluidFill | None) -> JsonObject:
     result, running = row.result, row.result.verdict.friction
     own = result.estimate.friction
     return {
@@ -201,7 +184,7 @@ def _event_record(row: Row, clutch: int, number: int, fill: FluidFill | None) ->
         "clutch": clutch,
         "number": number,
         "shift": row.position,
-        "end_utc": utc_from_bus_ns(result.estimate.end_ns),
+        "end_utc": records.utc_from_bus_ns(result.estimate.end_ns),
         "odometer_m": result.estimate.odometer_m,
         "kind": result.estimate.kind.value,
         "status": result.estimate.status.value,
@@ -263,11 +246,11 @@ def _table(title: str) -> Table:
     )
 
 
-def _friction(friction: FrictionEstimate | None) -> str:
+def _friction(friction: records.FrictionEstimate | None) -> str:
     return _NONE if friction is None else f"{friction.mu_c:.4f} ± {friction.std_mu_c:.4f}"
 
 
-def _change(since: FrictionTrend | LiningChange | None) -> str:
+def _change(since: records.FrictionTrend | records.LiningChange | None) -> str:
     if since is None:
         return _NONE
     return f"{100.0 * since.change_mu_c_ratio:+.1f} ± {100.0 * since.std_change_mu_c_ratio:.1f} %"

@@ -14,20 +14,10 @@ from clutch_model.units import NS_PER_S
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Key, Section, Table, number, spread, templates_of
 from clutchdiag_io.program import legible, legible_record
 from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
+from diag_service.diagnosis import records
 from diag_service.diagnosis.condition.shift_course import adapting_lines, correction_lines, courses, loads
 from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.prediction import SLIP_RAD_S, RelativeFriction
-from diag_service.diagnosis.records import (
-    SHIFT_SCHEMA,
-    ClutchVerdict,
-    QualityPart,
-    ShiftResult,
-    Status,
-    clutch_record,
-    order_record,
-    shift_record,
-    utc_from_bus_ns,
-)
 from diag_service.diagnosis.summary import (
     capability_line,
     frames_line,
@@ -108,8 +98,8 @@ def record_of(found: Findings) -> JsonObject:
     return {
         "schema": REPORT_SCHEMA,
         "vehicle": found.vehicle,
-        **order_record(found.order),
-        "clutches": [clutch_record(shift_record(result), found.order) for result in found.latest],
+        **records.order_record(found.order),
+        "clutches": [records.clutch_record(records.shift_record(result), found.order) for result in found.latest],
         "summary": None if found.summary is None else summary_record(found.summary),
     }
 
@@ -140,7 +130,7 @@ def _subtitle(found: Findings) -> str:
     # Logs may have been analysed in any order.
     begin_ns = min(result.estimate.start_ns for result in found.results)
     end_ns = max(result.estimate.end_ns for result in found.results)
-    days = dict.fromkeys(utc_from_bus_ns(t_ns)[:10] for t_ns in (begin_ns, end_ns))  # one twice is one
+    days = dict.fromkeys(records.utc_from_bus_ns(t_ns)[:10] for t_ns in (begin_ns, end_ns))  # one twice is one
     when = " to ".join(days) if found.is_dated else "without a date"
     return f"{len(found.rows)} events, {when}, from {names}"
 
@@ -168,7 +158,7 @@ def _versions_section(found: Findings, made_at: str) -> Section:
         ("program", f"clutchdiag {version('clutchdiag')}"),
         ("algorithm", found.versions.algorithm),
         ("calibration", found.versions.calibration),
-        ("results", SHIFT_SCHEMA),
+        ("results", records.SHIFT_SCHEMA),
         ("made at (UTC)", made_at[:19].replace("T", " ")),
     )
     table = Table(caption="Versions", head=("what", "version"), rows=rows)
@@ -227,9 +217,9 @@ def shifts_section(found: Findings) -> Section:
     if found.summary is None:
         texts.append("A store keeps no signals; the report of a log shows single shifts as pictures.")
     kept = {example.result.estimate.status for example in found.examples}
-    if found.summary is not None and Status.VALID not in kept:
+    if found.summary is not None and records.Status.VALID not in kept:
         texts.append("No shift could be used.")
-    if found.summary is not None and Status.REJECTED not in kept:
+    if found.summary is not None and records.Status.REJECTED not in kept:
         texts.append("No shift was rejected.")
     figures = [figure for example in found.examples for figure in shift_figures(example)]
     return Section(name="shifts", title="Single shifts", texts=tuple(texts), figures=tuple(figures))
@@ -265,7 +255,7 @@ def quality_section(found: Findings) -> Section:
     counts = Counter(result.estimate.status for result in found.results)
     reasons = Counter(reason for result in found.results for reason in result.estimate.reasons)
     total = len(found.results)
-    by_status = {status.value: counts[status] for status in Status}
+    by_status = {status.value: counts[status] for status in records.Status}
     tables = [_share_table("Quality of the data of the events", by_status, total)]
     if reasons:
         named = {reason.value.replace("_", " "): count for reason, count in reasons.most_common()}
@@ -277,7 +267,7 @@ def quality_section(found: Findings) -> Section:
     return Section(name="quality", title="Data quality", tables=tuple(tables))
 
 
-def _numbers_table(verdict: ClutchVerdict) -> Table:
+def _numbers_table(verdict: records.ClutchVerdict) -> Table:
     count, title = verdict.shift_count, title_of(verdict.clutch, verdict.element)
     return Table(
         caption=f"{title}: running estimate from {count} {'shift' if count == 1 else 'shifts'}",
@@ -297,7 +287,7 @@ def _relative_table(found: RelativeFriction) -> Table:
     )
 
 
-def _number_rows(verdict: ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
+def _number_rows(verdict: records.ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
     friction, slope = verdict.friction, verdict.slope
     if friction is not None:
         yield "mu_C, at high slip", number(friction.mu_c), number(friction.std_mu_c)
@@ -331,7 +321,7 @@ def _number_rows(verdict: ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
             )
 
 
-def _trend_figure(trend: Trend, results: list[ShiftResult]) -> Figure:
+def _trend_figure(trend: Trend, results: list[records.ShiftResult]) -> Figure:
     rows = tuple(_trend_cells(place, results[place]) for place in spread(trend.mu_c, TREND_ROWS))
     clutch = trend.clutch
     end = "end (UTC)" if results[0].estimate.end_ns >= DATED_NS else "end in the log"
@@ -352,7 +342,7 @@ def _trend_figure(trend: Trend, results: list[ShiftResult]) -> Figure:
     )
 
 
-def _trend_cells(place: int, result: ShiftResult) -> tuple[Cell, ...]:
+def _trend_cells(place: int, result: records.ShiftResult) -> tuple[Cell, ...]:
     friction, odometer_m = result.verdict.friction, result.estimate.odometer_m
     return (
         str(place + 1),
@@ -419,12 +409,12 @@ def _share_table(caption: str, counts: dict[str, int], total: int) -> Table:
     return Table(caption=caption, head=("", "events", "share"), rows=rows)
 
 
-def _quality_rows(results: tuple[ShiftResult, ...]) -> Iterator[tuple[Cell, ...]]:
+def _quality_rows(results: tuple[records.ShiftResult, ...]) -> Iterator[tuple[Cell, ...]]:
     known = [result.estimate.data_quality for result in results if result.estimate.data_quality is not None]
     if not known:
         return
     values = {"all": [one.score for one in known]}
-    values |= {part.value: [one.parts[part] for one in known if part in one.parts] for part in QualityPart}
+    values |= {part.value: [one.parts[part] for one in known if part in one.parts] for part in records.QualityPart}
     for name, scores in values.items():
         if scores:
             yield name, number(float(np.mean(scores)), "{:.2f}"), number(min(scores), "{:.2f}"), str(len(scores))

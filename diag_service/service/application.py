@@ -16,16 +16,8 @@ from typing import Final, TypeVar
 from rich.console import Console
 
 from clutchdiag_io.program import discard, legible
+from diag_service import delivery
 from diag_service.console import PeopleConsole
-from diag_service.delivery import (
-    Acknowledge,
-    ConsoleReporter,
-    JsonLinesReporter,
-    MqttConnector,
-    Outbox,
-    PipeReporter,
-    Reporter,
-)
 from diag_service.delivery.outbox import MetricsMessage
 from diag_service.diagnosis.records import ServiceStatus, status_record
 from diag_service.errors import StoreError
@@ -57,7 +49,7 @@ def opened_store(config: DiagnosisConfig, path: Path | None, *, keeps_results: b
             raise
 
 
-def reporter_of(stop: Trigger, *, as_json: bool, is_detailed: bool = False) -> Reporter:
+def reporter_of(stop: Trigger, *, as_json: bool, is_detailed: bool = False) -> delivery.Reporter:
     """Return who tells a run: lines for people or JSON; a reader who hangs up stops the run."""
 
     def hang_up() -> None:
@@ -65,11 +57,13 @@ def reporter_of(stop: Trigger, *, as_json: bool, is_detailed: bool = False) -> R
         stop.set()
 
     if as_json:
-        return PipeReporter(JsonLinesReporter(sys.stdout, Console(stderr=True)), hang_up)
-    return PipeReporter(ConsoleReporter(PeopleConsole(), is_detailed=is_detailed), hang_up)
+        return delivery.PipeReporter(delivery.JsonLinesReporter(sys.stdout, Console(stderr=True)), hang_up)
+    return delivery.PipeReporter(delivery.ConsoleReporter(PeopleConsole(), is_detailed=is_detailed), hang_up)
 
 
-def outbox_of(config: DiagnosisConfig, store: ResultStore, session: Session, *, is_live: bool) -> Outbox | None:
+def outbox_of(
+    config: DiagnosisConfig, store: ResultStore, session: Session, *, is_live: bool
+) -> delivery.Outbox | None:
     """Return what sends results to the broker, None without one."""
     if config.broker is None:
         return None
@@ -89,13 +83,13 @@ def outbox_of(config: DiagnosisConfig, store: ResultStore, session: Session, *, 
         },
     )
     told = status_message(status_record(replace(status, is_online=False, connected_at=NEVER)))
-    connector = MqttConnector(
+    connector = delivery.MqttConnector(
         config.broker,
         f"clutchdiag-{config.vehicle}-{_secret_of(store)}" if is_live else f"clutchdiag-{uuid.uuid4()}",
         status if is_live else None,
-        is_persistent=is_live and config.acknowledge is Acknowledge.BACKEND,
+        is_persistent=is_live and config.acknowledge is delivery.Acknowledge.BACKEND,
     )
-    return Outbox(
+    return delivery.Outbox(
         store,
         config.vehicle,
         lambda: connector.connect(utc_now()),

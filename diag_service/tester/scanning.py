@@ -10,15 +10,7 @@ from typing import TYPE_CHECKING, Final
 import can
 
 from canlog.errors import NOTICE
-from diag_service.errors import (
-    ConfigError,
-    ControllerError,
-    MalformedError,
-    PendingError,
-    RefusedError,
-    SilentError,
-    StoppedError,
-)
+from diag_service import errors
 from diag_service.tester import asking
 from diag_service.tester.addresses import (
     FIXED_PHYSICAL,
@@ -178,7 +170,7 @@ def _answering(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: i
             continue
         if is_request(message.arbitration_id) and bytes(message.data) != _FRAME:  # ours may come back
             asked = id_text(message.arbitration_id)
-            raise ControllerError(
+            raise errors.ControllerError(
                 f"another tester began to ask on this bus (requests on {asked}): the scan gave way to it"
             )
         if bytes(message.data[:3]) in _ANSWERS:
@@ -190,7 +182,7 @@ def _explored(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) ->
     """Return what one controller can be asked; its data are tried by number."""
     try:
         known = recognised(tester)
-    except PendingError:
+    except errors.PendingError:
         known = UNKNOWN
     services = tuple(_tried(tester, number, request) for number, request in PROBES)
     answered = {one.number for one in services if one.is_there and not one.remark}
@@ -206,13 +198,13 @@ def _explored(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) ->
 def _tried(tester: "Dialogue", number: int, request: bytes) -> ServiceAnswer:
     try:
         tester.ask(request)
-    except RefusedError as exc:
+    except errors.RefusedError as exc:
         is_there = exc.code not in NOT_SUPPORTED
         remark = refusal_text(exc.code) if exc.code in NOT_SUPPORTED | ONLY_ELSEWHERE else ""
         return ServiceAnswer(number=number, is_there=is_there, remark=remark)
-    except SilentError as exc:
-        return ServiceAnswer(number=number, is_there=isinstance(exc, PendingError), remark=str(exc))
-    except MalformedError as exc:
+    except errors.SilentError as exc:
+        return ServiceAnswer(number=number, is_there=isinstance(exc, errors.PendingError), remark=str(exc))
+    except errors.MalformedError as exc:
         return ServiceAnswer(number=number, is_there=True, remark=str(exc))
     return ServiceAnswer(number=number, is_there=True, remark="")
 
@@ -222,9 +214,9 @@ def _data_of(tester: "Dialogue", description: Description, numbers: Iterable[int
     for number in numbers:
         try:
             (answer,) = read_data(tester, description, [number])
-        except SilentError as exc:
+        except errors.SilentError as exc:
             silent += 1
-            if silent >= MOST_SILENT or isinstance(exc, PendingError):
+            if silent >= MOST_SILENT or isinstance(exc, errors.PendingError):
                 return
             continue
         if answer.refusal is None:
@@ -235,7 +227,7 @@ def _code_count(tester: "Dialogue") -> int | None:
     """Return how many trouble codes have failed."""
     try:
         response = tester.ask(bytes([READ_TROUBLE, COUNT_BY_MASK, FAILED_MASK]))
-    except ControllerError:
+    except errors.ControllerError:
         return None
     return int.from_bytes(response[4:6], "big")
 
@@ -263,7 +255,7 @@ def request_ids(first: int | None, last: int | None, *, is_extended: bool) -> li
     else:
         found = [can_id for can_id in numbers if can_id != FUNCTIONAL_ID]
     if not found:
-        raise ConfigError(f"there is no identifier from {low:X} to {high:X}")
+        raise errors.ConfigError(f"there is no identifier from {low:X} to {high:X}")
     return found
 
 
@@ -298,7 +290,7 @@ def _controllers(
         with asking.dialogue_on(bus, address, plan.timing, is_fd=plan.is_fd, goes_on=goes_on) as tester:
             try:
                 found = _explored(tester, plan, address)
-            except StoppedError:  # what was found before is shown
+            except errors.StoppedError:  # what was found before is shown
                 return
         yield found
 

@@ -4,20 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from ecu_emulator.diagnostics.descriptions import (
-    IN_USE,
-    Access,
-    Condition,
-    Datum,
-    ExtendedRecord,
-    Obd,
-    Profile,
-    Routine,
-    SecurityLevel,
-    ServiceAccess,
-    Session,
-    Trouble,
-)
+from ecu_emulator.diagnostics import descriptions
 from ecu_emulator.diagnostics.iso14229 import DEFAULT_SESSION, Service
 from ecu_emulator.errors import ConfigError
 
@@ -163,16 +150,16 @@ class DiagnosticTable:
     transport: Transport
     timing: Timing
     limits: Limits
-    sessions: Mapping[int, Session]
-    levels: Mapping[int, SecurityLevel]
-    services: Mapping[int, ServiceAccess]
-    conditions: Mapping[str, Condition]
-    data: Mapping[int, Datum]
-    routines: Mapping[int, Routine]
-    troubles: Mapping[int, Trouble]
-    extended: Mapping[int, ExtendedRecord]
+    sessions: Mapping[int, descriptions.Session]
+    levels: Mapping[int, descriptions.SecurityLevel]
+    services: Mapping[int, descriptions.ServiceAccess]
+    conditions: Mapping[str, descriptions.Condition]
+    data: Mapping[int, descriptions.Datum]
+    routines: Mapping[int, descriptions.Routine]
+    troubles: Mapping[int, descriptions.Trouble]
+    extended: Mapping[int, descriptions.ExtendedRecord]
     snapshot: tuple[int, ...]  # data kept with every trouble code that names none itself
-    obd: Obd | None = None
+    obd: descriptions.Obd | None = None
     doip: DoipEntity = field(default_factory=DoipEntity)
     periodic: Periodic | None = None
     clutches: ClutchLimits = field(default_factory=ClutchLimits)
@@ -236,20 +223,22 @@ class DiagnosticTable:
                     f"data {datum.name}: what is sent periodically has at most {self.most_periodic_bytes} bytes",
                 )
 
-    def has_obd(self, profile: Profile) -> bool:
+    def has_obd(self, profile: descriptions.Profile) -> bool:
         """Return whether OBD is spoken in this way."""
         return self.obd is not None and self.obd.profile is profile
 
-    def snapshot_of(self, trouble: Trouble) -> tuple[int, ...]:
+    def snapshot_of(self, trouble: descriptions.Trouble) -> tuple[int, ...]:
         """Return the data identifiers of a trouble code's snapshots."""
         return self.snapshot if trouble.snapshot is None else trouble.snapshot
 
-    def extended_of(self, trouble: Trouble) -> tuple[int, ...]:
+    def extended_of(self, trouble: descriptions.Trouble) -> tuple[int, ...]:
         """Return the numbers of a trouble code's extended records."""
         numbers = tuple(self.extended) if trouble.extended is None else trouble.extended
-        return tuple(number for number in numbers if trouble.lights_lamp or self.extended.get(number) is not IN_USE)
+        return tuple(
+            number for number in numbers if trouble.lights_lamp or self.extended.get(number) is not descriptions.IN_USE
+        )
 
-    def _accesses(self) -> Iterable[tuple[Access | ServiceAccess, str]]:
+    def _accesses(self) -> Iterable[tuple[descriptions.Access | descriptions.ServiceAccess, str]]:
         for service in self.services.values():
             yield service, f"service {service.name}"
         for datum in self.data.values():

@@ -13,17 +13,7 @@ from clutch_model.errors import CalibrationError
 from dbc.contract import load_contract
 from ecu_emulator.bus.bus_faults import BusFaults, FrameLoss
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
-from ecu_emulator.drive.build import (
-    WHOLE_STAY_S,
-    build_vehicle,
-    drive_settings,
-    drive_truth,
-    installation,
-    journey,
-    scenario_trips,
-    schedules,
-    trip_truth,
-)
+from ecu_emulator.drive import build
 from ecu_emulator.driving.journey import Departure, Journey, PlannedTrip
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.powertrain import Powertrain
@@ -89,11 +79,11 @@ class Drive:
     def __init__(
         self,
         scenario: Scenario,
-        longest_stay_s: float = WHOLE_STAY_S,
+        longest_stay_s: float = build.WHOLE_STAY_S,
         planned: Iterator[PlannedTrip] | None = None,
     ) -> None:
         self._scenario = scenario
-        self._vehicle = vehicle = build_vehicle(scenario)
+        self._vehicle = vehicle = build.build_vehicle(scenario)
         database = load_contract(scenario.transmission)
         self._encoder = FrameEncoder(database)
         self._touch_pa = None if scenario.adapted else nominal_touch_pressures_pa(scenario.transmission)
@@ -103,9 +93,9 @@ class Drive:
         self._shudder = ShudderWatcher()
         self._watchers = (self._shudder,) if has_converter else (ShiftWatcher(), RevWatcher(), EventWatcher())
         self._sensors = SensorSuite(
-            schedules=schedules(scenario, message_contracts(database), self._encoder),
+            schedules=build.schedules(scenario, message_contracts(database), self._encoder),
             sensors=vehicle.sensors,
-            installation=installation(scenario, vehicle),
+            installation=build.installation(scenario, vehicle),
             startup_s=scenario.startup.by_sender(),
             seed=scenario.seed_of_drive,
             faults=scenario.sensor_faults,
@@ -119,7 +109,7 @@ class Drive:
         self._end_s = 0.0
         self._driven_ms = 0
         self._odometer_m = scenario.odometer_m
-        self.truth: Final = drive_truth(scenario, vehicle)
+        self.truth: Final = build.drive_truth(scenario, vehicle)
 
     @property
     def totals(self) -> Totals:
@@ -206,9 +196,9 @@ class Drive:
         scenario, vehicle = self._scenario, self._vehicle
         try:
             if scenario.is_on_the_road:
-                trips = planned or scenario_trips(scenario)
-                return journey(scenario, vehicle, longest_stay_s, trips, lambda: self._touch_pa)
-            settings = drive_settings(scenario)
+                trips = planned or build.scenario_trips(scenario)
+                return build.journey(scenario, vehicle, longest_stay_s, trips, lambda: self._touch_pa)
+            settings = build.drive_settings(scenario)
             touch_pa = self._touch_pa
             return Powertrain(vehicle.calibration, vehicle.parameters, settings, touch_pressures_pa=touch_pa)
         except CalibrationError as exc:
@@ -261,7 +251,7 @@ class Drive:
             self._sensors.switch_on(departure.t_start_s)
             self._encoder.restart()
             self.ignition.append(departure.t_start_s)
-        return [trip_truth(departure, self._scenario, self._vehicle.calibration)]
+        return [build.trip_truth(departure, self._scenario, self._vehicle.calibration)]
 
     def _watched(self, rows: FloatArray, *, is_last: bool) -> list[Happened]:
         truths: list[Happened] = [truth for watcher in self._watchers for truth in watcher.feed(rows)]

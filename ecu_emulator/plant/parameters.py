@@ -10,14 +10,8 @@ from typing import Final, NamedTuple, Self
 from clutch_model.calibration import overlaid
 from clutch_model.errors import CalibrationError
 from clutch_model.tables import record_from, require
+from ecu_emulator.plant import driveline
 from ecu_emulator.plant.clutch import LiningParameters
-from ecu_emulator.plant.driveline import (
-    FlywheelParameters,
-    OutputParameters,
-    ShaftParameters,
-    SynchroniserParameters,
-    VehicleParameters,
-)
 from ecu_emulator.plant.engine import EngineParameters
 from ecu_emulator.plant.hydraulics import HydraulicsParameters
 from ecu_emulator.shift_control.tcu_data import MOST_GEARS, ControlParameters, WorkshopParameters
@@ -102,12 +96,12 @@ class PlantParameters:
 
     engine: EngineParameters
     hydraulics: HydraulicsParameters
-    flywheel: FlywheelParameters
-    shafts: tuple[ShaftParameters, ShaftParameters]
+    flywheel: driveline.FlywheelParameters
+    shafts: tuple[driveline.ShaftParameters, driveline.ShaftParameters]
     gearbox: GearboxParameters
-    synchroniser: SynchroniserParameters
-    output: OutputParameters
-    vehicle: VehicleParameters
+    synchroniser: driveline.SynchroniserParameters
+    output: driveline.OutputParameters
+    vehicle: driveline.VehicleParameters
     sump: SumpParameters
     lining: LiningParameters
     control: ControlParameters
@@ -152,7 +146,7 @@ class PlantParameters:
         shafts = table.get("shaft")
         if not isinstance(shafts, list) or len(shafts) != 2:
             raise CalibrationError("plant needs exactly 2 [[shaft]] tables")
-        both = tuple(record_from(ShaftParameters, one, f"shaft {m}.") for m, one in enumerate(shafts, 1))
+        both = tuple(record_from(driveline.ShaftParameters, one, f"shaft {m}.") for m, one in enumerate(shafts, 1))
         return record_from(cls, {key: value for key, value in table.items() if key != "shaft"}, shafts=both)
 
 

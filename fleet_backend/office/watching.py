@@ -17,28 +17,9 @@ from sqlalchemy import Engine, func, select
 
 from clutchdiag_io.metrics import gauge
 from fleet_backend import queries
-from fleet_backend.alarms import book
+from fleet_backend.alarms import book, rules
 from fleet_backend.alarms.book import Letter
 from fleet_backend.alarms.carriers import LONGEST_WAIT_S, Carrier, deliver_all
-from fleet_backend.alarms.rules import (
-    Finding,
-    Limits,
-    Rule,
-    Subject,
-    Transition,
-    Whose,
-    cause_finding,
-    correction_finding,
-    due_finding,
-    heard_last,
-    odometer_finding,
-    quality_finding,
-    quota_findings,
-    score_finding,
-    silence_finding,
-    transitions,
-    verdict_finding,
-)
 from fleet_backend.config import Place
 from fleet_backend.database import transaction
 from fleet_backend.errors import DatabaseError
@@ -68,7 +49,7 @@ class Orders:
     """What a watch is to do."""
 
     carriers: Sequence[Carrier] = ()
-    limits: Limits = field(default_factory=Limits)
+    limits: rules.Limits = field(default_factory=rules.Limits)
     service_distance_m: float = 1.5e7
 
 
@@ -88,7 +69,7 @@ class Watch:
         self._told: tuple[Metric, ...] = ()  # of the last round
         self._judged: dict[str, tuple[ClutchNow, ...]] = {}  # as they were then, those of the longest ago first
 
-    def round(self, judging_s: float = JUDGING_S, *, is_drawn: bool = False) -> list[Transition]:
+    def round(self, judging_s: float = JUDGING_S, *, is_drawn: bool = False) -> list[rules.Transition]:
         """Look at everything once; return what was raised and cleared.
 
         Raises DatabaseError if the database does not answer; what is written stays, the rest follows in the next round.
@@ -106,9 +87,9 @@ class Watch:
         now = self._now()
         names = [carrier.name for carrier in self._orders.carriers]
         is_open = book.open_alarms(self._engine)
-        quotas = quota_findings(self._withheld(now), is_open)
+        quotas = rules.quota_findings(self._withheld(now), is_open)
         findings = chain(quotas, self._findings(now, is_open), self._pasts(judging_s, is_drawn=is_drawn))
-        steps = list(transitions(findings, is_open, now))
+        steps = list(rules.transitions(findings, is_open, now))
         written = book.write(self._engine, steps, names)
         for step in written:
             _LOG.info("%s: %s of %s", step.event, step.subject.rule, step.subject)
@@ -127,7 +108,7 @@ class Watch:
         yield gauge("watch_waiting_vehicles", "Vehicles with news that it did not get to.", self.waiting_count)
 
     def _database_families(self, now: datetime) -> Iterator[Metric]:
-        open_counts = dict.fromkeys((rule.value for rule in Rule), 0)
+        open_counts = dict.fromkeys((rule.value for rule in rules.Rule), 0)
         open_counts |= Counter(subject.rule.value for subject in book.open_alarms(self._engine))
         yield gauge("fleet_open_alarms", "Alarms that are not cleared, by their rule.", open_counts, "rule")
         own = ALARM_MESSAGE.c.carrier.in_([carrier.name for carrier in self._orders.carriers])  # others may be history
@@ -169,20 +150,20 @@ class Watch:
         with transaction(self._engine) as connection:
             return {str(vehicle): count for vehicle, count in connection.execute(told)}
 
-    def _findings(self, now: datetime, is_open: Container[Subject]) -> Iterator[Finding]:
+    def _findings(self, now: datetime, is_open: Container[rules.Subject]) -> Iterator[rules.Finding]:
         for one in self._keeper.snapshot.clutches:
-            subject = Subject(vehicle=one.vehicle, clutch=one.clutch, rule=Rule.VERDICT)
+            subject = rules.Subject(vehicle=one.vehicle, clutch=one.clutch, rule=rules.Rule.VERDICT)
             is_old = subject in is_open and self._speaks_of_old_fluid(one)
-            yield verdict_finding(_whose(one), one.condition, one.order, is_old_fluid=is_old)
+            yield rules.verdict_finding(_whose(one), one.condition, one.order, is_old_fluid=is_old)
         arrivals = last_arrivals(self._engine)
         for record in queries.last_seen(self._engine):
             vehicle = str(record["vehicle"])
             told = (record["last_result_at"] or record["connected_at"], arrivals.get(vehicle))
-            heard_at = heard_last(told, now)
+            heard_at = rules.heard_last(told, now)
             if heard_at is not None:
-                yield silence_finding(vehicle, heard_at, now, self._orders.limits)
+                yield rules.silence_finding(vehicle, heard_at, now, self._orders.limits)
 
-    def _pasts(self, judging_s: float, *, is_drawn: bool) -> Iterator[Finding]:
+    def _pasts(self, judging_s: float, *, is_drawn: bool) -> Iterator[rules.Finding]:
         """Judge vehicles with news: those that never were, the worst first, then those of the longest ago.
 
         Thus the worst, which may have news in each round, keep none of the others waiting for ever.
@@ -209,32 +190,32 @@ class Watch:
         with transaction(self._engine) as connection:
             return not is_alarming_since(connection, one.vehicle, one.clutch, one.fluid_since)
 
-    def _judge(self, vehicle: str, clutches: Sequence[ClutchNow], kept: Kept | None) -> Iterator[Finding]:
+    def _judge(self, vehicle: str, clutches: Sequence[ClutchNow], kept: Kept | None) -> Iterator[rules.Finding]:
         limits, fills, founds, readings = self._orders.limits, fills_of(self._engine, vehicle), [], []
         for one in clutches:
             rows = past.results_of(self._engine, vehicle, one.clutch)
             last = rows[-limits.unused_events :]
             unused = sum(row["status"] == "rejected" for row in last)
-            yield quality_finding(_whose(one), unused, len(last), limits)
+            yield rules.quality_finding(_whose(one), unused, len(last), limits)
             fall, named, lines = shifting_of(rows)
-            yield score_finding(_whose(one), fall, limits)
-            yield correction_finding(_whose(one), named, lines, limits)
+            yield rules.score_finding(_whose(one), fall, limits)
+            yield rules.correction_finding(_whose(one), named, lines, limits)
             readings_m = [row["odometer_m"] for row in last if row["odometer_m"] is not None]
-            yield odometer_finding(_whose(one), readings_m, limits)
+            yield rules.odometer_finding(_whose(one), readings_m, limits)
             readings.append([(row["end_at"], row["odometer_m"]) for row in rows])
             founds.append(outlook_of(one.clutch, rows, fills, self._orders.service_distance_m, kept) if rows else None)
-        yield cause_finding(vehicle, clutches[0].action, clutches[0].order)
+        yield rules.cause_finding(vehicle, clutches[0].action, clutches[0].order)
         now = self._now()
         due = [due_of(one, founds, own, now.date()) for one, own in zip(clutches, readings, strict=True)]
         keep_due(self._engine, clutches, due, now)
         text = f"{clutches[0].order} {outlook_text(founds, clutches[0])}"
         for one, found in zip(clutches, founds, strict=True):
             if found is not None:
-                yield due_finding(_whose(one), chance_of(found), text, limits)
+                yield rules.due_finding(_whose(one), chance_of(found), text, limits)
 
 
-def _whose(one: ClutchNow) -> Whose:
-    return Whose(one.vehicle, one.clutch, one.element)
+def _whose(one: ClutchNow) -> rules.Whose:
+    return rules.Whose(one.vehicle, one.clutch, one.element)
 
 
 def run_watch(engine: Engine, orders: Orders, metrics: Place | None = None, *, is_once: bool = False) -> None:

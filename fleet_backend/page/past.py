@@ -9,37 +9,27 @@ from typing import Any, Final
 from sqlalchemy import Connection, Engine, Interval, Select, and_, func, literal, or_, select, tuple_
 
 from diag_service.diagnosis.records import Causes, ShiftQuality, from_plain
+from fleet_backend import schema
 from fleet_backend.database import transaction
 from fleet_backend.months import CLUTCH_BLOCK, has_partitions, months_with
 from fleet_backend.orders import without_old_fluid
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchAlarm, Quarantined, ShiftAnswer
 from fleet_backend.queries import CLUTCH_ALARM
-from fleet_backend.schema import (
-    BLOCK,
-    DATED_NS,
-    FRICTION_COLUMNS,
-    QUARANTINE,
-    REVISION,
-    RUNNING,
-    SCALE_FREE,
-    SCALE_FREE_COLUMNS,
-    SHIFT_RESULT,
-)
 
 SAME_RATIO: Final = 0.5
 MOST_RESULTS: Final = 4000  # of one clutch, the newest; two years of a taxi
 _NEAR: Final = literal(timedelta(days=31), Interval())
-_NEWER: Final = SHIFT_RESULT.alias("newer")
+_NEWER: Final = schema.SHIFT_RESULT.alias("newer")
 # What pictures, tables and prognoses are made of; a row has twice as many columns.
 _TREND_COLUMNS: Final = (
     *("vehicle", "stream", "seq", "clutch", "number", "kind", "produced_at", "stored_at"),
     *("end_at", "start_bus_ns", "end_bus_ns"),
     *("from_gear", "to_gear", "status", "reasons", "sample_count", "window_s", "chi_square_ratio", "quality"),
     *("sump_temperature_k", "clutch_temperature_k", "slip_energy_j", "duration_s", "odometer_m", "level_ratio"),
-    *("condition", "algorithm_version", "calibration_version", *FRICTION_COLUMNS),
-    *(RUNNING + name for name in ("mu_c", "std_mu_c", "mu_s", "std_mu_s", "correlation")),
-    *(SCALE_FREE + name for name in SCALE_FREE_COLUMNS),
+    *("condition", "algorithm_version", "calibration_version", *schema.FRICTION_COLUMNS),
+    *(schema.RUNNING + name for name in ("mu_c", "std_mu_c", "mu_s", "std_mu_s", "correlation")),
+    *(schema.SCALE_FREE + name for name in schema.SCALE_FREE_COLUMNS),
     "shift_quality",
 )
 _SHIFT_NAMES: Final = tuple(field.name for field in fields(ShiftAnswer))
@@ -52,7 +42,7 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_b
     Where results are kept ``is_by_month``, a newer version is looked for only in blocks of positions that hold several,
     and among those made within a month of the older one: both say when the event ended.
     """
-    table = SHIFT_RESULT
+    table = schema.SHIFT_RESULT
     newer = select(_NEWER.c.seq).where(
         _NEWER.c.vehicle == table.c.vehicle,
         _NEWER.c.stream == table.c.stream,
@@ -65,7 +55,7 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_b
         block = CLUTCH_BLOCK.c
         mixed = select(block.stream, block.block).where(block.vehicle == vehicle).group_by(block.stream, block.block)
         mixed = mixed.having(func.min(block.version_rank) < func.max(block.version_rank))
-        is_current = or_(tuple_(table.c.stream, table.c.seq // BLOCK).not_in(mixed), ~newer.exists())
+        is_current = or_(tuple_(table.c.stream, table.c.seq // schema.BLOCK).not_in(mixed), ~newer.exists())
     order = (table.c.vehicle, table.c.clutch, table.c.produced_at, table.c.stream)
     return (
         select(*(table.c[name] for name in _TREND_COLUMNS))
@@ -87,7 +77,7 @@ def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
         remember(connection, {(row["vehicle"], row["calibration_version"]) for row in rows})
     last: dict[str, datetime] = {}
     for row in rows:
-        happened_at = row["end_at"] if row["end_bus_ns"] >= DATED_NS else row["produced_at"]
+        happened_at = row["end_at"] if row["end_bus_ns"] >= schema.DATED_NS else row["produced_at"]
         at = min(row["produced_at"], row["stored_at"], happened_at)  # as the databases rank
         last[row["stream"]] = max(at, last.get(row["stream"], at))
     return sorted(_once(rows), key=lambda row: (last[row["stream"]], row["stream"], row["seq"]))
@@ -95,7 +85,7 @@ def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
 
 def _revised(connection: Connection, rows: list[Row]) -> list[Row]:
     """Return results of one vehicle as later ones have judged them."""
-    table = REVISION.c
+    table = schema.REVISION.c
     statement = select(table.clutch, table.end_bus_ns, table.content).order_by(table.stream, table.seq)
     told = connection.execute(statement.where(table.vehicle == rows[0]["vehicle"])) if rows else ()
     now = {(one.clutch, one.end_bus_ns): one.content for one in told}
@@ -111,7 +101,7 @@ def _once(rows: list[Row]) -> list[Row]:
     found: list[Row] = []
     for row in sorted(rows, key=lambda row: (row["start_bus_ns"], row["produced_at"])):
         before = found[-1] if found else None
-        if before is not None and row["start_bus_ns"] > DATED_NS and _is_same(before, row):
+        if before is not None and row["start_bus_ns"] > schema.DATED_NS and _is_same(before, row):
             if row["produced_at"] < before["produced_at"]:
                 found[-1] = row
             continue
@@ -138,7 +128,7 @@ def alarms_of(engine: Engine, vehicle: str) -> tuple[ClutchAlarm, ...]:
 
 def shift_of(engine: Engine, vehicle: str, stream: str, seq: int) -> ShiftAnswer | None:
     """Return one event by its newest version; None if there is none."""
-    table = SHIFT_RESULT
+    table = schema.SHIFT_RESULT
     own = and_(table.c.vehicle == vehicle, table.c.stream == stream, table.c.seq == seq)
     with transaction(engine) as connection:
         if has_partitions(engine):
@@ -156,7 +146,7 @@ def shift_of(engine: Engine, vehicle: str, stream: str, seq: int) -> ShiftAnswer
 
 def quarantined(engine: Engine, after: tuple[datetime, str] | None, limit: int) -> tuple[Quarantined, ...]:
     """Return what was kept aside, the latest first, behind the message that ``after`` names."""
-    table = QUARANTINE
+    table = schema.QUARANTINE
     statement = select(table).order_by(table.c.received_at.desc(), table.c.digest).limit(limit)
     if after is not None:
         at, digest = after
@@ -170,7 +160,7 @@ def friction_in(row: Row, prefix: str) -> dict[str, float] | None:
     """Return the friction in a row: that of the event, or with a prefix the running one."""
     if row[prefix + "mu_c"] is None:
         return None
-    return {name: row[prefix + name] for name in FRICTION_COLUMNS}
+    return {name: row[prefix + name] for name in schema.FRICTION_COLUMNS}
 
 
 def quality_in(row: Row) -> ShiftQuality | None:
@@ -201,7 +191,7 @@ def _shift(row: Row, older: Sequence[Row]) -> ShiftAnswer:
     made: dict[str, Any] = {
         "reasons": words_in(row),
         "friction": friction_in(row, ""),
-        "running": friction_in(row, RUNNING),
+        "running": friction_in(row, schema.RUNNING),
         "trust_parts": parts,
         "shift_quality": quality_in(row),
         "causes": _causes_in(row),

@@ -51,14 +51,8 @@ from diag_service.diagnosis.friction.evidence import (
 from diag_service.diagnosis.friction.film import compile_film, compile_tangents, pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, compile_selection, omission_cost
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
+from diag_service.diagnosis.quality import plausibility
 from diag_service.diagnosis.quality.data_quality import Samples, aligned, compile_usability
-from diag_service.diagnosis.quality.plausibility import (
-    PressureZeros,
-    SlippingClutch,
-    compile_plausibility,
-    plausibility_faults,
-    zero_has_jumped,
-)
 from diag_service.diagnosis.records import LEAST_SLIP_ROWS, FrictionSlope, Reason, Revision, ShiftEstimate, Status
 
 TOUCH_PRESSURE_PA: Final = 20e3
@@ -186,7 +180,7 @@ class Estimator:
         compile_selection()
         compile_alignment()
         compile_usability()
-        compile_plausibility()
+        plausibility.compile_plausibility()
         compile_window()
         compile_balance(self._calibration)
         compile_sensitivity(self._calibration)
@@ -213,13 +207,13 @@ class Estimator:
         first = self._linearised(samples, state, state.fusion.knowledge.mean, None)
         if not isinstance(first, _Seen):
             return state, _untold(event, first, against)
-        slipping = SlippingClutch(
+        slipping = plausibility.SlippingClutch(
             number=first.clutch,
             rows=first.balance.window.slip_rows,
             pressure_zero_pa=self._zero_pa(first.empty, state.fusion.knowledge, first.clutch),
             touch_pressure_pa=self._calibration.clutches[first.clutch - 1].touch_pressure_pa,
         )
-        if faults := plausibility_faults(event, first.balance.signals, slipping):
+        if faults := plausibility.plausibility_faults(event, first.balance.signals, slipping):
             return state, without_friction(event, Status.REJECTED, *faults)
         settled = self._settled(samples, state, first)
         if settled is None:  # where event and all that is believed meet, the film carries too much
@@ -439,7 +433,7 @@ def _untold(event: Event, why: Reason | _TooFew, against: tuple[Reason, ...]) ->
 
 def _why_left_out(before: Knowledge, alone: Fusion, count: int) -> Reason:
     """Return why an event of ``count`` residuals does not belong with the others, which know ``before``."""
-    if zero_has_jumped(_zeros(before), _zeros(alone.knowledge)):
+    if plausibility.zero_has_jumped(_zeros(before), _zeros(alone.knowledge)):
         return Reason.ZERO_JUMPED
     return Reason.MISFIT if _is_misfit(before, alone, count) else Reason.NOT_UPDATED
 
@@ -458,8 +452,8 @@ def misfit_gate(count: int) -> float:
     return min(MAX_MISFIT, 1.0 + MAX_EXCESS / count)
 
 
-def _zeros(known: Knowledge) -> PressureZeros:
-    return PressureZeros(mean_pa=known.mean[_ZEROS], variance_pa2=known.covariance.diagonal()[_ZEROS])
+def _zeros(known: Knowledge) -> plausibility.PressureZeros:
+    return plausibility.PressureZeros(mean_pa=known.mean[_ZEROS], variance_pa2=known.covariance.diagonal()[_ZEROS])
 
 
 def without_friction(event: Event, status: Status, *reasons: Reason) -> ShiftEstimate:

@@ -12,13 +12,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.events import Shudder
-from diag_service.diagnosis.lockup.blocks import (
-    LEAST_PRESSURE_PA,
-    LEAST_SLIP_RAD_S,
-    MOST_SLIP_RAD_S,
-    MOST_SLIP_RATE_RAD_S2,
-    Samples,
-)
+from diag_service.diagnosis.lockup import blocks
 
 BAND_HZ: Final = (5.0, 20.0)
 STEP_S: Final = 0.01
@@ -33,7 +27,7 @@ ORDER_HZ: Final = 1.0
 ENGINE_SHARE: Final = 0.6  # engine's swing over the turbine's: it has several times the inertia, so it swings less
 
 
-def shudder(samples: Samples, calibration: Calibration) -> Shudder | None:
+def shudder(samples: blocks.Samples, calibration: Calibration) -> Shudder | None:
     """Return what swings in a stretch; None where signals are too slow, or the clutch never slips for long enough."""
     at_s = (samples.t_ns - samples.t_ns[0]) / NS_PER_S
     if float(np.median(np.diff(at_s))) > SLOWEST_S:
@@ -50,10 +44,10 @@ def shudder(samples: Samples, calibration: Calibration) -> Shudder | None:
     trend = np.linspace(-0.5, 0.5, WINDOW)
     rise = slips @ trend / (trend @ trend)
     held = (
-        (pressed_pa[rows].min(axis=1) > LEAST_PRESSURE_PA)
-        & (mean > LEAST_SLIP_RAD_S)
-        & (mean < MOST_SLIP_RAD_S)
-        & (np.abs(rise) < MOST_SLIP_RATE_RAD_S2 * WINDOW * STEP_S)
+        (pressed_pa[rows].min(axis=1) > blocks.LEAST_PRESSURE_PA)
+        & (mean > blocks.LEAST_SLIP_RAD_S)
+        & (mean < blocks.MOST_SLIP_RAD_S)
+        & (np.abs(rise) < blocks.MOST_SLIP_RATE_RAD_S2 * WINDOW * STEP_S)
     )
     if not held.any():
         return None

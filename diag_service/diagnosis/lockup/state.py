@@ -14,6 +14,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
+from diag_service.diagnosis import records
 from diag_service.diagnosis.events import MicroSlip, Shudder
 from diag_service.diagnosis.lockup.blocks import (
     FRICTION_COUNT,
@@ -21,13 +22,6 @@ from diag_service.diagnosis.lockup.blocks import (
     PARAMETER_START,
     Blocks,
     weight_at_40_rpm,
-)
-from diag_service.diagnosis.records import (
-    FrictionEstimate,
-    FrictionTrend,
-    ScaleFreeFriction,
-    from_plain,
-    to_plain,
 )
 from fleet_contract import JsonObject
 
@@ -220,22 +214,22 @@ class LockupState:
         spread = self.calibration.uncertainty
         return math.hypot(spread.torque_gain_ratio, spread.piston_area_ratio)
 
-    def scale_free(self) -> ScaleFreeFriction:
+    def scale_free(self) -> records.ScaleFreeFriction:
         mu_c, mu_s, _ = (self._by_level() @ self.mean[:FRICTION_COUNT]).tolist()
         covariance = self._covariance()
         std_c, std_s = math.sqrt(covariance[0, 0]), math.sqrt(covariance[1, 1])
-        return ScaleFreeFriction(
+        return records.ScaleFreeFriction(
             mu_c=mu_c, mu_s=mu_s, std_mu_c=std_c, std_mu_s=std_s, correlation=float(covariance[0, 1] / (std_c * std_s))
         )
 
-    def friction(self) -> FrictionEstimate:
+    def friction(self) -> records.FrictionEstimate:
         free, covariance = self.scale_free(), self._covariance()[:2, :2]
         level = np.array([free.mu_c, free.mu_s]) / self.calibration.bias.torque_gain
         total = covariance + self.scale_ratio() ** 2 * np.outer(level, level)
         std_c, std_s = np.sqrt(total.diagonal()).tolist()
         speed = self.calibration.clutches[0].friction.stribeck_speed_rad_s
         margin = NormalDist(float(level[0] - level[1]), self._margin_std())
-        return FrictionEstimate(
+        return records.FrictionEstimate(
             mu_c=float(level[0]),
             mu_s=float(level[1]),
             std_mu_c=std_c,
@@ -272,7 +266,7 @@ class LockupState:
             shudder=shudder,
         )
 
-    def trend(self) -> FrictionTrend | None:
+    def trend(self) -> records.FrictionTrend | None:
         """Return the change since the baseline; the errors of both count as independent, which is too much."""
         if (baseline := self.baseline) is None:
             return None
@@ -283,7 +277,7 @@ class LockupState:
         then, now = before.scale_free(), self.scale_free()
         ratio_c, ratio_s = now.mu_c / then.mu_c, now.mu_s / then.mu_s
         gain = self.calibration.bias.torque_gain
-        return FrictionTrend(
+        return records.FrictionTrend(
             change_mu_c=(now.mu_c - then.mu_c) / gain,
             change_mu_s=(now.mu_s - then.mu_s) / gain,
             std_change_mu_c=math.hypot(now.std_mu_c, then.std_mu_c) / gain,
@@ -300,7 +294,7 @@ class LockupState:
     def to_json(self) -> JsonObject:
         """Return the state as JSON-ready values; floats survive the round trip bit by bit."""
         kept = _Stored(**{name: getattr(self, name) for name in _Stored.__dataclass_fields__})
-        return {"format": STATE_FORMAT, **to_plain(kept)}
+        return {"format": STATE_FORMAT, **records.to_plain(kept)}
 
     @classmethod
     def from_json(cls, table: Mapping[str, object], calibration: Calibration) -> Self:
@@ -309,7 +303,7 @@ class LockupState:
         if table.get("format") != STATE_FORMAT:
             raise ValueError(f"running state of format {table.get('format')!r}, expected {STATE_FORMAT}")
         try:
-            kept = from_plain({key: value for key, value in table.items() if key != "format"}, _Stored)
+            kept = records.from_plain({key: value for key, value in table.items() if key != "format"}, _Stored)
         except (TypeError, ValueError) as exc:
             raise ValueError(f"not a running state: {exc}") from exc
         for name in ("mean", "covariance", "lag_sums", "lag_counts"):

@@ -8,6 +8,7 @@ import numpy as np
 
 from clutch_model.calibration import FrictionCurve
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO
+from diag_service.diagnosis.prognosis import trend
 from diag_service.diagnosis.prognosis.assumptions import (
     LEAST_ROWS,
     LEVEL_OF_NEW,
@@ -25,18 +26,6 @@ from diag_service.diagnosis.prognosis.changes import FluidStart, fluid_starts
 from diag_service.diagnosis.prognosis.channels import Channel, ChannelName, Clock, channels_of, clocks_of
 from diag_service.diagnosis.prognosis.history import History
 from diag_service.diagnosis.prognosis.population import Ageing, Course, Hindsight, PeerGroup, Peers, Population
-from diag_service.diagnosis.prognosis.trend import (
-    Fit,
-    Mixture,
-    Part,
-    Passage,
-    aged,
-    fallen,
-    fit,
-    log_evidence,
-    passage,
-    summary,
-)
 
 MOST_CLOCKS = 6  # that are looked at for bends
 LEAST_LOG_EVIDENCE = -4.6  # of a clock against the best: one in a hundred
@@ -58,8 +47,8 @@ class AgedChannel:
     """One channel with one fluid: what each clock makes of it."""
 
     prior: ChannelPrior
-    by_distance: Fit  # where the fluid ages by distance alone
-    mixtures: tuple[Mixture, ...]  # of the likely clocks; all weights together sum to one
+    by_distance: trend.Fit  # where the fluid ages by distance alone
+    mixtures: tuple[trend.Mixture, ...]  # of the likely clocks; all weights together sum to one
 
     @property
     def rate_per_m(self) -> Value:
@@ -123,7 +112,7 @@ def _prior(name: ChannelName, before: FluidLife | None, peers: Peers | None, *, 
     prior = _OF_NEW[name] if peers is None else peers.prior(name, _OF_NEW[name])
     if before is not None:
         last = before.channels[name]
-        start, std = summary(last.by_distance, Part.START)
+        start, std = trend.summary(last.by_distance, trend.Part.START)
         rate = -last.rate_per_m.mean
         prior = replace(
             prior,
@@ -142,17 +131,17 @@ def _aged_channel(channel: Channel, clocks: tuple[Clock, ...], prior: ChannelPri
     """Return what the likely clocks make of a channel, each with the amounts of random wear that are likely."""
     random_per_m = (prior.usual_wear * np.array(list(RANDOMNESS))) ** 2 / USUAL_LIFE_M
     log_prior = np.add.outer([one.log_prior for one in clocks], np.log(list(RANDOMNESS.values())))
-    likely = log_prior + log_evidence(channel, prior, random_per_m)
+    likely = log_prior + trend.log_evidence(channel, prior, random_per_m)
 
-    def fitted(clock: int, amount: int) -> Fit:
-        return fit(channel, clock, float(clocks[clock].age_m[-1]), prior, float(random_per_m[amount]))
+    def fitted(clock: int, amount: int) -> trend.Fit:
+        return trend.fit(channel, clock, float(clocks[clock].age_m[-1]), prior, float(random_per_m[amount]))
 
     mixtures, evidence = [], []
     for place in np.argsort(-likely, axis=None)[:MOST_CLOCKS]:
         clock, amount = divmod(int(place), len(random_per_m))
         if likely[clock, amount] < likely.max() + LEAST_LOG_EVIDENCE:
             break
-        mixture, of_ageing = aged(fitted(clock, amount), prior, clocks[clock], float(random_per_m[amount]))
+        mixture, of_ageing = trend.aged(fitted(clock, amount), prior, clocks[clock], float(random_per_m[amount]))
         mixtures.append(mixture)
         evidence.append(of_ageing + log_prior[clock, amount])
     share = np.exp(np.array(evidence) - max(evidence))
@@ -166,10 +155,10 @@ def _aged_channel(channel: Channel, clocks: tuple[Clock, ...], prior: ChannelPri
     )
 
 
-def either(life: FluidLife, margin_limit: float, level_limit: float) -> Passage:
+def either(life: FluidLife, margin_limit: float, level_limit: float) -> trend.Passage:
     """Return when the margin or the level passes its limit; the level that of new fluid or that of its own start."""
-    margin = passage(life.channels[ChannelName.MARGIN].mixtures, [(margin_limit, 0.0)])
-    level = passage(life.channels[ChannelName.LEVEL].mixtures, [(level_limit, 0.0), (0.0, level_limit)])
+    margin = trend.passage(life.channels[ChannelName.MARGIN].mixtures, [(margin_limit, 0.0)])
+    level = trend.passage(life.channels[ChannelName.LEVEL].mixtures, [(level_limit, 0.0), (0.0, level_limit)])
     return margin.or_(level)
 
 
@@ -263,7 +252,7 @@ def _at(
     return fluid_lives(history.first(stop), so_far, reference, peers)[-1]
 
 
-def _end(life: FluidLife) -> Passage:
+def _end(life: FluidLife) -> trend.Passage:
     return either(life, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO)
 
 
@@ -273,8 +262,8 @@ def _has_ended(life: FluidLife) -> bool:
 
 def _course(channel: AgedChannel, distance_m: float) -> Course:
     """Return start and mean loss of a channel; by distance, whatever clock explains it better."""
-    start, start_std = summary(channel.by_distance, Part.SEEN_START)
-    fall, fall_std = fallen(channel.by_distance)
+    start, start_std = trend.summary(channel.by_distance, trend.Part.SEEN_START)
+    fall, fall_std = trend.fallen(channel.by_distance)
     return Course(
         start=start,
         start_std=start_std,
