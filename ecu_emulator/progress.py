@@ -3,7 +3,6 @@
 import json
 import sys
 from collections.abc import Mapping
-from types import TracebackType
 from typing import Final, Self
 
 from rich.console import Console
@@ -43,9 +42,7 @@ class ProgressLine:
             self._status.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._status is not None:
             self._status.stop()
 

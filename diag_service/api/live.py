@@ -5,7 +5,6 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import closing, suppress
-from types import TracebackType
 from typing import TYPE_CHECKING, Self, Unpack
 
 from canlog.live import LiveSource, ReadSchedule
@@ -53,9 +52,7 @@ class BackgroundDiagnosis:
         self._raise()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         self._diagnosis.stop()
         self._thread.join()
         if error is None:
@@ -211,9 +208,7 @@ class LiveDiagnosis:
         await self._start()
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         await self._end(is_failing=error is not None)
 
     async def __aiter__(self) -> AsyncIterator[ShiftResult]:

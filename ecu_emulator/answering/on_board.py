@@ -11,9 +11,8 @@ import tempfile
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Final, Protocol, Self
 
 from ecu_emulator.diagnostics.clutches import OnBoardEstimates, OnBoardFriction, read_line
@@ -40,7 +39,7 @@ runpy.run_module("diag_service", run_name="__main__")
 """
 
 
-class EstimateSource(Protocol):
+class EstimateSource(AbstractContextManager[object], Protocol):
     """Where the controller's estimate of its clutches comes from, while it is entered."""
 
     @property
@@ -57,12 +56,6 @@ class EstimateSource(Protocol):
 
     def begin_anew(self) -> bool:
         """Forget what was learned of the old fluid; return whether that is done. May take seconds."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
 
 class FixedEstimate:

@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Event
-from types import TracebackType
 from typing import Final, Protocol, Self
 
 import can
@@ -149,9 +148,7 @@ class OtherSenders:
         self._thread.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._is_over.set()
         self._thread.join(JOIN_S)
 
@@ -243,7 +240,7 @@ class Link(Protocol):
         """Take a frame of one of them."""
 
 
-class Answering(Protocol):
+class Answering(AbstractContextManager["Answering"], Protocol):
     """A controller that answers testers; frames of the drive go out through it."""
 
     @property
@@ -264,12 +261,6 @@ class Answering(Protocol):
 
     def send(self, message: can.Message) -> None:
         """Put a frame on the bus, unless a tester has forbidden that."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
 
 
 class AnswersTesters(Protocol):
