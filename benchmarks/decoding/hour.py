@@ -11,7 +11,7 @@ import numpy as np
 from canlog.frames import FrameBatch, join
 from canlog.logs import read_log
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.log_formats import BlfWriter, CandumpWriter, FrameWriter, Header, Mf4Writer
+from ecu_emulator.log_formats.writers import BlfWriter, CandumpWriter, FrameWriter, Header, Mf4Writer
 
 NS_PER_US: Final = 1_000
 NS_PER_S: Final = 1_000_000_000

@@ -5,25 +5,14 @@ from collections.abc import Mapping
 from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 from typing import BinaryIO, Final, Self
 
 import numpy as np
 
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.errors import RecordError
-from ecu_emulator.log_formats import (
-    AscWriter,
-    BlfWriter,
-    CandumpWriter,
-    CsvWriter,
-    FrameWriter,
-    GvretWriter,
-    Header,
-    Mf4Writer,
-    TrcWriter,
-)
-from ecu_emulator.log_formats.writers import ERROR_FLAG, Int64Array
+from ecu_emulator.log_formats import writers
 
 DEFAULT_START_NS: Final = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
 US_PER_S: Final = 1e6
@@ -49,9 +38,10 @@ FORMAT_OF_SUFFIX: Final[Mapping[str, LogFormat]] = MappingProxyType({
 })  # fmt: skip
 NOT_STREAMED: Final = frozenset({LogFormat.BLF, LogFormat.MF4})
 STREAM_NAME: Final = "standard output"
-_WRITERS: Final[Mapping[LogFormat, type[FrameWriter]]] = MappingProxyType({
-    LogFormat.CANDUMP: CandumpWriter, LogFormat.BLF: BlfWriter, LogFormat.ASC: AscWriter, LogFormat.MF4: Mf4Writer,
-    LogFormat.TRC: TrcWriter, LogFormat.CSV: CsvWriter, LogFormat.GVRET: GvretWriter,
+_WRITERS: Final[Mapping[LogFormat, type[writers.FrameWriter]]] = MappingProxyType({
+    LogFormat.CANDUMP: writers.CandumpWriter, LogFormat.BLF: writers.BlfWriter, LogFormat.ASC: writers.AscWriter,
+    LogFormat.MF4: writers.Mf4Writer, LogFormat.TRC: writers.TrcWriter, LogFormat.CSV: writers.CsvWriter,
+    LogFormat.GVRET: writers.GvretWriter,
 })  # fmt: skip
 
 
@@ -61,7 +51,7 @@ class LogFile:
     If the block ends with an exception, nothing is left behind, and a file that was there before stays as it was.
     """
 
-    def __init__(self, path: Path, log_format: LogFormat, header: Header) -> None:
+    def __init__(self, path: Path, log_format: LogFormat, header: writers.Header) -> None:
         self._path = path
         self._temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
         self._header = header
@@ -94,9 +84,7 @@ class LogFile:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         if error is not None:
             self._discard()
             return
@@ -123,7 +111,7 @@ class LogFile:
 class LogStream:
     """A log being written to a stream as it comes; formats that write their beginning last do not go there."""
 
-    def __init__(self, stream: BinaryIO, log_format: LogFormat, header: Header) -> None:
+    def __init__(self, stream: BinaryIO, log_format: LogFormat, header: writers.Header) -> None:
         self._stream = stream
         self._header = header
         self._format = log_format
@@ -138,9 +126,7 @@ class LogStream:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         if error is None:
             self._writer.close()
             self._stream.flush()
@@ -186,20 +172,20 @@ def open_log_stream(
     return LogStream(stream, log_format, _header(start_ns, channel))
 
 
-def _header(start_ns: int, channel: str) -> Header:
+def _header(start_ns: int, channel: str) -> writers.Header:
     if not 0 <= start_ns <= LAST_START_NS:
         raise RecordError(f"start of the log out of range: {start_ns} ns since 1970")
     if not channel or any(character.isspace() for character in channel):
         raise RecordError(f"not a channel name: {channel!r}")
-    return Header(start_us=start_ns // NS_PER_US, channel=channel)
+    return writers.Header(start_us=start_ns // NS_PER_US, channel=channel)
 
 
 def _check_error_frames(frames: EncodedFrames, log_format: LogFormat, name: str) -> None:
-    if log_format is not LogFormat.CANDUMP and np.any(frames.can_id & np.uint32(ERROR_FLAG)):
+    if log_format is not LogFormat.CANDUMP and np.any(frames.can_id & np.uint32(writers.ERROR_FLAG)):
         raise RecordError(f"cannot write {name}: error frames are written to candump logs only")
 
 
-def _t_us(frames: EncodedFrames, header: Header) -> Int64Array:
+def _t_us(frames: EncodedFrames, header: writers.Header) -> writers.Int64Array:
     """Return the times of frames in whole microseconds since the epoch."""
     return header.start_us + np.rint(frames.t_s * US_PER_S).astype(np.int64)
 

@@ -14,7 +14,7 @@ from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG
 from canlog.logs import LogFormat, LogReader, read_log
 from canlog.logs.signal_tables import signal_columns
-from ecu_emulator.log_formats import Header, Mf4Writer
+from ecu_emulator.log_formats.writers import Header, Mf4Writer
 from tests.support.measurements import START, Measured, written
 from tests.support.mf4_layouts import Layout, laid_out
 from tests.support.traffic import START_NS, as_received, random_frames

@@ -11,7 +11,7 @@ from canlog.logs.blf import read_blf
 from canlog.logs.candump import CandumpLog
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_log import reader_of
-from ecu_emulator.log_formats import BlfWriter, CandumpWriter, Header
+from ecu_emulator.log_formats.writers import BlfWriter, CandumpWriter, Header
 from tests.support.traffic import START_NS, as_received, random_frames
 
 FRAMES = random_frames(60)

@@ -43,7 +43,12 @@ from canlog.logs.reading import read_log
 from canlog.logs.signal_tables import read_signal_table
 from canlog.logs.text_kernels import IS_LENGTH
 from canlog.logs.text_log import LOOK_AHEAD_BYTES, ends_by_returns, reader_of
-from ecu_emulator.log_formats import (
+from ecu_emulator.log_formats.writers import (
+    CONTAINER_HEADER,
+    DEFLATED,
+    FILE_HEADER,
+    LOG_CONTAINER,
+    OBJECT_MAGIC,
     AscWriter,
     BlfWriter,
     CandumpWriter,
@@ -53,7 +58,6 @@ from ecu_emulator.log_formats import (
     Header,
     TrcWriter,
 )
-from ecu_emulator.log_formats.writers import CONTAINER_HEADER, DEFLATED, FILE_HEADER, LOG_CONTAINER, OBJECT_MAGIC
 from tests.support import measurements
 from tests.support.capture_grammars import COOKED, COOKED_2, SOCKETCAN, pcap, pcapng
 from tests.support.log_grammars import Frame

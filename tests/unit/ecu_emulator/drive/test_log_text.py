@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.log_formats import (
+from ecu_emulator.log_formats.writers import (
     AscWriter,
     CandumpWriter,
     CsvWriter,
