@@ -131,12 +131,9 @@ def line_of(event: Incoming) -> str:
     verdict = data["verdict"]
     advice = verdict.get("advice") if isinstance(verdict, dict) else None
     clutch = data.get("element") or f"clutch {data['clutch']}"
-    head = f"{event.time} {vehicle}: {clutch}, {data.get('kind', 'shift')} {_gears(data)}"
+    gears = f"{data['from_gear']}-{data['to_gear']}"
+    head = f"{event.time} {vehicle}: {clutch}, {data.get('kind', 'shift')} {gears}"
     return " ".join([f"{head}: {_finding(data)}.", str(advice or "")]).rstrip()
-
-
-def _gears(data: JsonObject) -> str:
-    return f"{data['from_gear']}-{data['to_gear']}"
 
 
 def _finding(data: JsonObject) -> str:

@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Final
 
-from sqlalchemy import Connection, Engine, bindparam, delete, insert, select
+from sqlalchemy import Engine, bindparam, delete, insert, select
 
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError
@@ -87,14 +87,10 @@ def store_lots(engine: Engine, rows: Sequence[LotRow], *, at: datetime, by: str)
             connection.execute(old, keys[first : first + _ROWS_PER_WRITE])
         for first in range(0, len(known), _ROWS_PER_WRITE):
             connection.execute(insert(VEHICLE_LOT), known[first : first + _ROWS_PER_WRITE])
-        heard = _heard(connection)
+        heard = {str(name) for name in connection.execute(select(VEHICLE.c.vehicle)).scalars()}
         told = f"{len(known)} properties of {len(vehicles)} vehicles"
         note_change(connection, at=at, who=by, role=COMMAND_LINE, action="read lots", subject=told)
     return Imported(vehicle_count=len(vehicles), lot_count=len(known), unheard_count=len(vehicles - heard))
-
-
-def _heard(connection: Connection) -> set[str]:
-    return {str(name) for name in connection.execute(select(VEHICLE.c.vehicle)).scalars()}
 
 
 def lots_of(engine: Engine) -> Mapping[str, list[tuple[str, str]]]:

@@ -28,7 +28,6 @@ from cantools.database.can import Database, Message
 from canlog.database import database_child
 from canlog.database.addressing import J1939, is_of_groups
 from canlog.database.database_parsing import Parsed
-from canlog.database.dbc_sieve import Offence
 from canlog.errors import NOTICE, DefinitionError
 from canlog.files import read_small_file, replacing
 
@@ -111,7 +110,8 @@ def load_database(
         raise DefinitionError(_refusal(parsed, file))
     if not parsed.database.messages:
         raise DefinitionError(f"{file} is not {database_format.in_words}, or it has no messages")
-    _warn_each(file, [_said(offence) for offence in parsed.offences], parsed.offence_count)
+    offences = [f"{one}{'' if one.is_mended else ' (left out)'}" for one in parsed.offences]
+    _warn_each(file, offences, parsed.offence_count)
     complaints = [f"does not load strictly: {complaint}" for complaint in parsed.complaints]
     _warn_each(file, complaints, len(complaints))
     chosen = _chosen_messages(parsed.database, bus, file, is_lenient=is_lenient)
@@ -129,10 +129,6 @@ def load_database(
 def _refusal(parsed: Parsed, path: Path) -> str:
     more = f"; {parsed.offence_count - 1} more like this" if parsed.offence_count > 1 else ""
     return f"{path} does not load strictly: {parsed.offences[0]}{more} (--lenient leaves out what cannot be right)"
-
-
-def _said(offence: Offence) -> str:
-    return f"{offence}{'' if offence.is_mended else ' (left out)'}"
 
 
 def _warn_each(path: Path, said: Sequence[str], count: int) -> None:

@@ -41,7 +41,8 @@ def merged_by_time(
         parts = list(zip(waiting, due, strict=True))
         begun.update(number for (number, *_), count in parts if count)
         leaving = [marked(number, batch[:count]) for (number, _, batch), count in parts if count]
-        yield leaving[0] if len(leaving) == 1 else _sorted(join(leaving))
+        together = join(leaving)
+        yield together if len(leaving) == 1 else together[np.argsort(together.t_ns, kind="stable")]
         left = [(number, stream, batch[count:]) for (number, stream, batch), count in parts]
         refilled = [(number, stream, batch if len(batch) else _next(stream)) for number, stream, batch in left]
         waiting = [(number, stream, batch) for number, stream, batch in refilled if batch is not None]
@@ -52,10 +53,6 @@ def merged_by_time(
 
 def _next(stream: Iterator[FrameBatch]) -> FrameBatch | None:
     return next((batch for batch in stream if len(batch)), None)
-
-
-def _sorted(batch: FrameBatch) -> FrameBatch:
-    return batch[np.argsort(batch.t_ns, kind="stable")]
 
 
 def _due(batch: FrameBatch, horizon_ns: int) -> int:

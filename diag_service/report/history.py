@@ -39,7 +39,7 @@ class FluidPeriod:
         """The fluid and since when, for people."""
         if self.fill is None:
             return UNKNOWN_FLUID
-        return f"{self.fill.product or 'fluid'} since {_minute(self.fill.filled_at)}"
+        return f"{self.fill.product or 'fluid'} since {self.fill.filled_at[:_MINUTE].replace('T', ' ')}"
 
     @property
     def last_verdict(self) -> records.ClutchVerdict | None:
@@ -254,7 +254,3 @@ def _change(since: records.FrictionTrend | records.LiningChange | None) -> str:
     if since is None:
         return _NONE
     return f"{100.0 * since.change_mu_c_ratio:+.1f} ± {100.0 * since.std_change_mu_c_ratio:.1f} %"
-
-
-def _minute(moment: str) -> str:
-    return moment[:_MINUTE].replace("T", " ")

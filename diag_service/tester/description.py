@@ -185,8 +185,8 @@ def _value(entry: Field, piece: bytes) -> Value:
             return readable(piece)
         case Coding.BYTES:
             return piece.hex(" ").upper()
-        case Coding.FLOAT:
-            return _float(entry, piece)
+        case Coding.FLOAT:  # to the last bit, unless it is scaled
+            return float(struct.unpack(_FLOATS[entry.size_bytes], piece)[0]) * entry.resolution + entry.offset
         case _:
             return _whole_number(entry, piece)
 
@@ -205,11 +205,6 @@ def _whole_number(entry: Field, piece: bytes) -> Value:
 def _finite(value: Value) -> Value:
     """Return a value; a number that is none, or larger than all numbers, is not available."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _float(entry: Field, piece: bytes) -> Value:
-    """Return a number to the last bit, unless it is scaled."""
-    return float(struct.unpack(_FLOATS[entry.size_bytes], piece)[0]) * entry.resolution + entry.offset
 
 
 def readable(data: bytes) -> str:

@@ -100,7 +100,8 @@ def write_table(
         cells.append(np.round(np.round(values / step) * step, 3))
     heads = [f"{name} [{unit}]" if (unit := COLUMNS[name][1]) else name for name in found]
     times, values = np.round(1e3 * rows_s).astype(np.int64).tolist(), np.column_stack(cells).tolist()
-    lines = [",".join(["Time [ms]", *heads]), *(",".join(map(str, row)) for row in _joined(times, values)), ""]
+    rows_of_cells = ([t, *row] for t, row in zip(times, values, strict=True))
+    lines = [",".join(["Time [ms]", *heads]), *(",".join(map(str, row)) for row in rows_of_cells), ""]
     try:
         options.path.write_text("\n".join(lines), encoding="utf-8")
     except OSError as exc:
@@ -117,7 +118,3 @@ def _rows_s(times_ns: list[Int64Array], options: TableOptions, rng: np.random.Ge
     rows_s = np.arange(first_s, last_s, 1.0 / options.rate_hz)
     rows_s = np.sort(rows_s + rng.normal(0.0, options.jitter_s, len(rows_s)))
     return rows_s[rows_s > first_s - SETTLED_S]  # before it some column has no value at all
-
-
-def _joined(times: list[int], values: list[list[float]]) -> list[tuple[float, ...]]:
-    return [(t, *row) for t, row in zip(times, values, strict=True)]

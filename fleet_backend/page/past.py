@@ -1,7 +1,7 @@
 """The past of one vehicle, one of its events, and what was kept aside: read from the database by its indexes."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from datetime import datetime, timedelta
 from typing import Any, Final
@@ -195,11 +195,7 @@ def _shift(row: Row, older: Sequence[Row]) -> ShiftAnswer:
         "trust_parts": parts,
         "shift_quality": quality_in(row),
         "causes": _causes_in(row),
-        "older_versions": tuple(_versions(older)),
+        "older_versions": tuple(f"{one['algorithm_version']}, {one['calibration_version']}" for one in older),
     }
     made |= {name: row[name] for name in _SHIFT_NAMES if name not in made}
     return ShiftAnswer(**made)
-
-
-def _versions(rows: Iterable[Row]) -> Iterable[str]:
-    return (f"{row['algorithm_version']}, {row['calibration_version']}" for row in rows)

@@ -5,8 +5,9 @@ The last is proposed where names do not tell; it is never taken.
 
 import csv
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from types import MappingProxyType
 from typing import Final
@@ -378,10 +379,10 @@ def _roles(names: Sequence[str], rows: Rows, width: int) -> dict[str, list[int]]
             found.setdefault("data", []).append(place)
     free = [place for place in range(width) if not any(place in places for places in found.values())]
     for word, places_of in (
-        ("time", _time_places),
+        ("time", partial(_first, _are_times)),
         ("data", _data_places),
-        ("id", _id_places),
-        ("length", _length_places),
+        ("id", partial(_first, _are_identifiers)),
+        ("length", partial(_first, partial(_all, LENGTH))),
     ):
         if word not in found and (places := places_of(cells, free)):
             found[word] = places
@@ -391,7 +392,7 @@ def _roles(names: Sequence[str], rows: Rows, width: int) -> dict[str, list[int]]
 
 def _data_places(cells: Cells, free: Sequence[int]) -> list[int]:
     """Return the column that holds several bytes, else the longest row of columns that hold one each."""
-    packed = [place for place in free if _all(cells[place], BYTES) and any(len(one) > 2 for one in cells[place])]
+    packed = [place for place in free if _all(BYTES, cells[place]) and any(len(one) > 2 for one in cells[place])]
     if packed:
         return [max(packed, key=lambda place: (any(" " in one for one in cells[place]), max(map(len, cells[place]))))]
     runs: list[list[int]] = [[]]
@@ -406,24 +407,20 @@ def _data_places(cells: Cells, free: Sequence[int]) -> list[int]:
     return best if len(best) >= LEAST_COLUMNS else []
 
 
-def _time_places(cells: Cells, free: Sequence[int]) -> list[int]:
-    """Return the first column of which most values are later than those before them."""
-    return next(([place] for place in free if _are_times(cells[place])), [])
+def _first(can_be: Callable[[Sequence[str]], bool], cells: Cells, free: Sequence[int]) -> list[int]:
+    """Return the first column whose values can be what is looked for."""
+    return next(([place] for place in free if can_be(cells[place])), [])
 
 
 def _are_times(cells: Sequence[str]) -> bool:
-    if _all(cells, CLOCK):
+    """Return whether most values are later than those before them."""
+    if _all(CLOCK, cells):
         return True
-    if len(cells) < LEAST_ROWS or not _all(cells, NUMBER):
+    if len(cells) < LEAST_ROWS or not _all(NUMBER, cells):
         return False
     steps = [after - before for before, after in pairwise(float(cell.replace(",", ".")) for cell in cells)]
     is_rising = sum(step >= 0.0 for step in steps) >= LEAST_RISING * len(steps)
     return is_rising and sum(step == 0.0 for step in steps) <= MOST_STANDING * len(steps)
-
-
-def _id_places(cells: Cells, free: Sequence[int]) -> list[int]:
-    """Return the first column whose values may all be identifiers."""
-    return next(([place] for place in free if _are_identifiers(cells[place])), [])
 
 
 def _are_identifiers(cells: Sequence[str]) -> bool:
@@ -432,12 +429,7 @@ def _are_identifiers(cells: Sequence[str]) -> bool:
     return is_fitting and all(int(one, 16) <= LARGEST_ID or one.isdigit() for one in digits)
 
 
-def _length_places(cells: Cells, free: Sequence[int]) -> list[int]:
-    """Return the first column whose values may all be lengths."""
-    return next(([place] for place in free if _all(cells[place], LENGTH)), [])
-
-
-def _all(cells: Sequence[str], pattern: re.Pattern[str]) -> bool:
+def _all(pattern: re.Pattern[str], cells: Sequence[str]) -> bool:
     return bool(cells) and all(pattern.fullmatch(cell) for cell in cells)
 
 

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array
+from canlog.arrays import FloatArray, Int64Array
 from diag_service.diagnosis.prognosis.assumptions import REFERENCE_K
 from diag_service.diagnosis.prognosis.history import History, robust_noise_ratio
 
@@ -129,7 +129,8 @@ def _scan(sums: _Sums, relative: FloatArray, correlation: float, count: int) -> 
         chi_square = np.full(len(ends), np.inf)
         for before, share in BEFORE_COUNTS.items():
             steps, stds = _steps(sums.outer, moments, np.maximum(changes - before, 0), changes, ends)
-            better = np.where(_is_towards_new(steps), _chi_square(steps / stds, correlation), 0.0)
+            is_towards_new = steps[0] > steps[1]  # mu_C rises against mu_S; a step the other way is something else
+            better = np.where(is_towards_new, _chi_square(steps / stds, correlation), 0.0)
             chi_square = np.minimum(chi_square, better / (share * after_share))
         is_better = chi_square > best[ends - 1]
         rows = ends[is_better] - 1
@@ -161,8 +162,3 @@ def _chi_square(z: FloatArray, correlation: float) -> FloatArray:
     """Return the chi-square of two steps in their deviations, which are correlated."""
     both = z[0] ** 2 + z[1] ** 2 - 2.0 * correlation * z[0] * z[1]
     return np.asarray(both / (1.0 - correlation**2))
-
-
-def _is_towards_new(steps: FloatArray) -> BoolArray:
-    """Return where mu_C rises against mu_S: new fluid; a step the other way is something else."""
-    return np.asarray(steps[0] > steps[1])
