@@ -1,5 +1,7 @@
 """The clutches of the fleet, worst first."""
 
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Final
 from urllib.parse import urlencode
 
@@ -47,7 +49,8 @@ def find(sources: Sources, ask: Ask) -> FleetAnswer:
 def show(answer: FleetAnswer, ask: Ask, sources: Sources) -> Shown:
     """Return the page of the clutches."""
     counted = f"{answer.matching_count} of {answer.clutch_count} clutches"
-    table = Table(caption=f"Clutches, worst first: {counted}", head=_HEAD, rows=tuple(map(_cells, answer.clutches)))
+    rows = tuple(tuple(cell(now) for cell in _COLUMNS.values()) for now in answer.clutches)
+    table = Table(caption=f"Clutches, worst first: {counted}", head=tuple(_COLUMNS), rows=rows)
     texts = () if answer.clutches else ("No vehicle matches these filters." if answer.clutch_count else EMPTY,)
     return Shown(
         title="Clutches",
@@ -70,40 +73,21 @@ def next_of(path: str, ask: Ask, after: str | None) -> str | None:
 
 
 EMPTY: Final = "No vehicle has been heard from yet. fleet-backend ingest brings results into this database."
-_HEAD: Final = (
-    *(
-        "vehicle",
-        "clutch",
-        "verdict",
-        "what to do",
-        "mu_C",
-        "std",
-        "of new",
-        "P(falling slope)",
-        "shifts",
-        "score",
-        "km",
-    ),
-    *("fluid", "last event (UTC)"),
-)
-
-
-def _cells(now: ClutchNow) -> tuple[Cell, ...]:
-    return (
-        wording.vehicle_link(now.vehicle),
-        now.element or str(now.clutch),
-        wording.badge(now.condition),
-        now.order,
-        wording.friction(now.mu_c),
-        wording.friction(now.std_mu_c),
-        wording.share(now.level_ratio),
-        wording.probability(now.probability_negative_slope),
-        str(now.shift_count),
-        number(now.score, "{:.0f}"),
-        wording.km(now.odometer_m),
-        wording.plain(now.fluid),
-        wording.minute(now.end_at),
-    )
+_COLUMNS: Final[Mapping[str, Callable[[ClutchNow], Cell]]] = MappingProxyType({
+    "vehicle": lambda now: wording.vehicle_link(now.vehicle),
+    "clutch": lambda now: now.element or str(now.clutch),
+    "verdict": lambda now: wording.badge(now.condition),
+    "what to do": lambda now: now.order,
+    "mu_C": lambda now: wording.friction(now.mu_c),
+    "std": lambda now: wording.friction(now.std_mu_c),
+    "of new": lambda now: wording.share(now.level_ratio),
+    "P(falling slope)": lambda now: wording.probability(now.probability_negative_slope),
+    "shifts": lambda now: str(now.shift_count),
+    "score": lambda now: number(now.score, "{:.0f}"),
+    "km": lambda now: wording.km(now.odometer_m),
+    "fluid": lambda now: wording.plain(now.fluid),
+    "last event (UTC)": lambda now: wording.minute(now.end_at),
+})  # fmt: skip
 
 
 def choices(ask: Ask, sources: Sources) -> tuple[Choice, ...]:

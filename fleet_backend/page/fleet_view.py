@@ -68,20 +68,21 @@ def answer_of(
 
 
 _SORT: Final = Parameter(name="sort", text="column to sort by, - for downwards; the worst first", choices=SORTS)
-_COLUMNS: Final = (
-    *(
-        ("vehicle", "vehicle"),
-        ("verdict", ""),
-        ("what to do", ""),
-        ("of new", "level"),
-        ("last score", ""),
-        ("km", "km"),
-    ),
-    *(("fluid", "fluid"), ("type", "type"), ("last event (UTC)", "last")),
+_COLUMNS: Final[tuple[tuple[str, str, Callable[[ClutchNow], Cell]], ...]] = (  # head, by which word it sorts, cells
+    ("vehicle", "vehicle", lambda one: wording.vehicle_link(one.vehicle)),
+    ("verdict", "", lambda one: wording.badge(one.condition)),
+    ("what to do", "", lambda one: one.order),
+    ("of new", "level", lambda one: wording.share(one.level_ratio)),
+    ("last score", "", lambda one: number(one.score, "{:.0f}")),
+    ("km", "km", lambda one: wording.km(one.odometer_m)),
+    ("fluid", "fluid", lambda one: wording.plain(one.fluid)),
+    ("type", "type", vehicle_type),
+    ("last event (UTC)", "last", lambda one: wording.minute(one.end_at)),
 )
+_NAMES: Final = tuple((text, name) for text, name, _ in _COLUMNS)
 _ORDERS: Final = (  # for screens that show no heads of columns
     ("", "worst first"),
-    *((sign + name, f"{text} {way}") for text, name in _COLUMNS if name for sign, way in (("", "up"), ("-", "down"))),
+    *((sign + name, f"{text} {way}") for text, name in _NAMES if name for sign, way in (("", "up"), ("-", "down"))),
 )
 
 
@@ -97,9 +98,9 @@ def show(answer: VehiclesAnswer, ask: Ask, sources: Sources) -> Shown:
     way = "descending" if sort.startswith("-") else "ascending"
     table = Table(
         caption=f"Vehicles: {answer.matching_count} of {answer.vehicle_count}",
-        head=tuple(_head(text, name, ask) for text, name in _COLUMNS),
-        rows=tuple(map(_cells, answer.vehicles)),
-        sorted_by=([name for _, name in _COLUMNS].index(sort.removeprefix("-")), way) if sort else None,
+        head=tuple(_head(text, name, ask) for text, name in _NAMES),
+        rows=tuple(tuple(cell(one) for *_, cell in _COLUMNS) for one in answer.vehicles),
+        sorted_by=([name for _, name in _NAMES].index(sort.removeprefix("-")), way) if sort else None,
     )
     texts = () if answer.vehicles else ("No vehicle matches these filters." if answer.vehicle_count else EMPTY,)
     title = "In the order of a column" if sort else "Worst first"
@@ -122,20 +123,6 @@ def _head(text: str, name: str, ask: Ask) -> str | Link:
     said = {key: value for key, value in ask.values.items() if key != "after"}
     word = f"-{name}" if ask.text("sort") == name else name
     return Link(text=text, href=f"/?{urlencode({**said, 'sort': word})}")
-
-
-def _cells(one: ClutchNow) -> tuple[Cell, ...]:
-    return (
-        wording.vehicle_link(one.vehicle),
-        wording.badge(one.condition),
-        one.order,
-        wording.share(one.level_ratio),
-        number(one.score, "{:.0f}"),
-        wording.km(one.odometer_m),
-        wording.plain(one.fluid),
-        vehicle_type(one),
-        wording.minute(one.end_at),
-    )
 
 
 VIEW: Final = View(

@@ -30,6 +30,10 @@ from fleet_contract.orders import Action
 
 Row = Mapping[str, Any]
 _KINDS: Final = frozenset(EventKind)
+_SAME_IN_ROWS: Final = (  # of an estimate
+    *("number", "from_gear", "to_gear", "clutch", "sample_count", "window_s", "chi_square_ratio", "quality"),
+    *("sump_temperature_k", "clutch_temperature_k", "slip_energy_j", "duration_s", "odometer_m"),
+)
 NO_PROGNOSIS: Final = (
     "No prognosis: its service has not told what calibration these results are of, or their numbers are of no clutch."
 )
@@ -45,24 +49,12 @@ def friction_of(values: Mapping[str, float] | None) -> FrictionEstimate | None:
 def estimate_of(row: Row) -> ShiftEstimate:
     """Return what one event said of the friction; what no prognosis asks for is left out."""
     return ShiftEstimate(
-        number=row["number"],
-        from_gear=row["from_gear"],
-        to_gear=row["to_gear"],
-        clutch=row["clutch"],
+        **{name: row[name] for name in _SAME_IN_ROWS},
         start_ns=row["start_bus_ns"],
         end_ns=row["end_bus_ns"],
         status=Status(row["status"]),
         reasons=(),
         friction=friction_of(friction_in(row, "")),
-        sample_count=row["sample_count"],
-        window_s=row["window_s"],
-        chi_square_ratio=row["chi_square_ratio"],
-        quality=row["quality"],
-        sump_temperature_k=row["sump_temperature_k"],
-        clutch_temperature_k=row["clutch_temperature_k"],
-        slip_energy_j=row["slip_energy_j"],
-        duration_s=row["duration_s"],
-        odometer_m=row["odometer_m"],
         scale_free=_scale_free(row),
         kind=EventKind(row["kind"]) if row["kind"] in _KINDS else EventKind.SHIFT,  # newer programs may know more
         shift_quality=past.quality_in(row),
