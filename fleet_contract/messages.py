@@ -71,40 +71,10 @@ def key_of(record: Mapping[str, object]) -> ResultKey:
     SchemaError
         If a part of it is missing or of another type; the rest of the record does not matter.
     """
-    texts = [record.get(name) for name in ("vehicle", "stream", "algorithm_version", "calibration_version")]
-    seq = record.get("seq")
-    vehicle, stream, algorithm, calibration = texts
-    if (
-        isinstance(vehicle, str)
-        and isinstance(stream, str)
-        and isinstance(algorithm, str)
-        and isinstance(calibration, str)
-        and type(seq) is int
-    ):
-        return ResultKey(
-            vehicle=vehicle,
-            stream=stream,
-            seq=seq,
-            algorithm_version=algorithm,
-            calibration_version=calibration,
-        )
-    raise SchemaError("a record without the key of a result")
-
-
-def ack_records(
-    vehicle: str, receipts: Sequence[Receipt], sent_at: str, *, takes_bundles: bool = False
-) -> Iterator[JsonObject]:
-    """Yield the data of the acknowledgements for results of one vehicle, ``MAX_RECEIPTS`` at a time."""
-    more: JsonObject = {"takes_bundles": True} if takes_bundles else {}
-    for first in range(0, len(receipts), MAX_RECEIPTS):
-        entries = [_entry(receipt) for receipt in receipts[first : first + MAX_RECEIPTS]]
-        yield {
-            "schema": Channel.ACK.schema_name,
-            "vehicle": vehicle,
-            "sent_at": sent_at,
-            "results": entries,
-            **more,
-        }
+    try:
+        return msgspec.convert(record, ResultKey)
+    except msgspec.ValidationError as exc:
+        raise SchemaError("a record without the key of a result") from exc
 
 
 def receipts_of(ack: Mapping[str, object]) -> list[Receipt]:
@@ -121,15 +91,9 @@ def takes_bundles(ack: Mapping[str, object]) -> bool:
 
 
 def _entry(receipt: Receipt) -> JsonObject:
-    key = receipt.key
-    return {
-        "stream": key.stream,
-        "seq": key.seq,
-        "algorithm_version": key.algorithm_version,
-        "calibration_version": key.calibration_version,
-        "outcome": receipt.outcome.value,
-        "reason": None if receipt.reason is None else receipt.reason[:_MAX_REASON],
-    }
+    named = {name: value for name, value in msgspec.to_builtins(receipt.key).items() if name != "vehicle"}
+    reason = None if receipt.reason is None else receipt.reason[:_MAX_REASON]
+    return {**named, "outcome": receipt.outcome.value, "reason": reason}
 
 
 def _receipt(entry: Mapping[str, object]) -> Receipt:
@@ -230,18 +194,12 @@ def status_message(record: Mapping[str, object]) -> Outgoing:
 
 def metrics_message(vehicle: str, produced_at: str, metrics: Mapping[str, float]) -> Outgoing:
     """Return the message of the numbers of a running service."""
-    record = _head(Channel.METRICS, vehicle, produced_at) | {"metrics": dict(metrics)}
-    return _outgoing(
-        Channel.METRICS, vehicle, dump(record), source=vehicle, event_id=f"metrics/{produced_at}", time=produced_at
-    )
+    return _told(Channel.METRICS, vehicle, produced_at, {"metrics": dict(metrics)})
 
 
 def config_message(vehicle: str, produced_at: str, settings: Mapping[str, str | float | bool | None]) -> Outgoing:
     """Return the message of what a service runs with; the caller has masked the secrets."""
-    record = _head(Channel.CONFIG, vehicle, produced_at) | {"settings": dict(settings)}
-    return _outgoing(
-        Channel.CONFIG, vehicle, dump(record), source=vehicle, event_id=f"config/{produced_at}", time=produced_at
-    )
+    return _told(Channel.CONFIG, vehicle, produced_at, {"settings": dict(settings)})
 
 
 def controller_message(record: Mapping[str, object]) -> Outgoing:
@@ -260,17 +218,14 @@ def fluid_message(vehicle: str, produced_at: str, fills: Sequence[JsonObject], *
     """
     withdrawn = [one["filled_at"] for one in fills if one.get("is_withdrawn")]
     fills = [one for one in fills if not one.get("is_withdrawn")]
-    channel = Channel.FILLS if is_to_vehicle else Channel.FLUID
-    record = _head(channel, vehicle, produced_at) | {"fills": fills[-MAX_FILLS:]}
-    record |= {"withdrawn": withdrawn[-MAX_FILLS:]} if withdrawn else {}
-    event_id = f"{channel.label}/{produced_at}"
-    return _outgoing(channel, vehicle, dump(record), source=vehicle, event_id=event_id, time=produced_at)
+    told: JsonObject = {"fills": fills[-MAX_FILLS:]} | ({"withdrawn": withdrawn[-MAX_FILLS:]} if withdrawn else {})
+    return _told(Channel.FILLS if is_to_vehicle else Channel.FLUID, vehicle, produced_at, told)
 
 
 def ack_messages(
     vehicle: str, receipts: Sequence[Receipt], *, sent_at: str, worker: str, takes_bundles: bool = False
 ) -> Iterator[Outgoing]:
-    """Yield the acknowledgements of committed results of one vehicle.
+    """Yield the acknowledgements of committed results of one vehicle, ``MAX_RECEIPTS`` at a time.
 
     Parameters
     ----------
@@ -281,15 +236,19 @@ def ack_messages(
     takes_bundles :
         Whether the vehicle may send several results in one message.
     """
-    for number, record in enumerate(ack_records(vehicle, receipts, sent_at, takes_bundles=takes_bundles)):
-        event_id = f"ack/{sent_at}/{number}"
-        yield _outgoing(
-            Channel.ACK, vehicle, dump(record), source=f"{worker}/{vehicle}", event_id=event_id, time=sent_at
-        )
+    more: JsonObject = {"takes_bundles": True} if takes_bundles else {}
+    for number, first in enumerate(range(0, len(receipts), MAX_RECEIPTS)):
+        entries = [_entry(receipt) for receipt in receipts[first : first + MAX_RECEIPTS]]
+        head: JsonObject = {"schema": Channel.ACK.schema_name, "vehicle": vehicle, "sent_at": sent_at}
+        text, event_id = dump({**head, "results": entries, **more}), f"ack/{sent_at}/{number}"
+        yield _outgoing(Channel.ACK, vehicle, text, source=f"{worker}/{vehicle}", event_id=event_id, time=sent_at)
 
 
-def _head(channel: Channel, vehicle: str, produced_at: str) -> JsonObject:
-    return {"schema": channel.schema_name, "vehicle": vehicle, "produced_at": produced_at}
+def _told(channel: Channel, vehicle: str, produced_at: str, told: JsonObject) -> Outgoing:
+    """Return the message of what is said of a vehicle at a moment."""
+    head: JsonObject = {"schema": channel.schema_name, "vehicle": vehicle, "produced_at": produced_at}
+    event_id = f"{channel.label}/{produced_at}"
+    return _outgoing(channel, vehicle, dump(head | told), source=vehicle, event_id=event_id, time=produced_at)
 
 
 def _time(record: Mapping[str, object]) -> str:
@@ -318,26 +277,16 @@ def _checked_key(address: Address, event: JsonObject, data: JsonObject) -> Resul
     """Return the key of what has one; raises IdentityError if topic, envelope and data do not agree on who speaks."""
     channel = address.channel
     key = key_of(data) if channel is Channel.SHIFT or channel is Channel.CLUTCH else None
-    is_agreed = (
-        data["vehicle"] == address.vehicle
-        and event["type"] == channel.event_type
-        and event["dataschema"] == channel.schema_id
-        and (channel is not Channel.CLUTCH or data["clutch"] == address.clutch)
-        and (key is None or event["id"] == key.text)
-    )
-    if is_agreed:
-        return key
-    expected: list[tuple[str, object, object]] = [
+    for name, said, wanted in (
         ("vehicle", data["vehicle"], address.vehicle),
         ("type", event["type"], channel.event_type),
         ("dataschema", event["dataschema"], channel.schema_id),
-    ]
-    if channel is Channel.CLUTCH:
-        expected.append(("clutch", data["clutch"], address.clutch))
-    if key is not None:
-        expected.append(("id", event["id"], key.text))
-    name, said, wanted = next(one for one in expected if one[1] != one[2])
-    raise IdentityError(f"{name} is {shown(str(said))} where {shown(str(wanted))} belongs")
+        ("clutch", data["clutch"] if channel is Channel.CLUTCH else None, address.clutch),
+        ("id", event["id"], event["id"] if key is None else key.text),
+    ):
+        if said != wanted:
+            raise IdentityError(f"{name} is {shown(str(said))} where {shown(str(wanted))} belongs")
+    return key
 
 
 MAX_BUNDLED: Final = 50  # results of a bundle; twice as many take a tenth less on air
