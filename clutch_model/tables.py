@@ -18,6 +18,7 @@ _WORDS: Final[Mapping[object, str]] = {
     int: "a whole number",
     bool: "true or false",
     str: "a string",
+    Mapping: "a table",
 }
 
 
@@ -115,4 +116,4 @@ def _word(hint: Any) -> str:  # noqa: ANN401 - an annotation
         inner, *others = get_args(hint)
         count = "" if others == [...] else f"{1 + len(others)} "
         return f"a list of {count}{_word(inner).removeprefix('a ')}s"
-    return _WORDS.get(hint, "something else")
+    return _WORDS.get(get_origin(hint) or hint, "something else")

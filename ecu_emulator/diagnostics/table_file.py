@@ -2,33 +2,17 @@
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass, replace
-from enum import StrEnum
+from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, Final, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Final, TypeVar
 
 from canlog.files import read_small_file
 from clutch_model.calibration import CONVERTERS
-from ecu_emulator.diagnostics.descriptions import (
-    IN_USE,
-    Access,
-    Condition,
-    Datum,
-    ExtendedRecord,
-    MonitorTest,
-    Obd,
-    Pid,
-    Profile,
-    Routine,
-    SecurityLevel,
-    ServiceAccess,
-    Session,
-    Trouble,
-    VehicleInfo,
-)
+from clutch_model.tables import record_from
+from ecu_emulator.diagnostics import descriptions
+from ecu_emulator.diagnostics.descriptions import Access, Datum, Profile, Routine, Trouble
 from ecu_emulator.diagnostics.table import (
     Addressing,
     ClutchLimits,
@@ -44,22 +28,37 @@ from ecu_emulator.errors import ConfigError
 RecordT = TypeVar("RecordT")
 KeyT = TypeVar("KeyT", int, str)
 
-_LISTS: Final = (
-    "session",
-    "security",
-    "service",
-    "condition",
-    "data",
-    "routine",
-    "trouble",
-    "extended",
-    "pid",
-    "vehicle_info",
-    "monitor",
-)
 _LIKE: Final = "like_"
-_OPTIONAL: Final = ("clutches", "doip", "obd", "obd_clear_conditions", "periodic")
-_TABLES: Final = ("name", "snapshot", "addressing", "transport", "timing", "limits", "access")
+_ACCESSES: Final = ("access", "read", "write", "control")  # members that name one of the table [access]
+_MAY_BE_NEGATIVE: Final = frozenset({"offset", "minimum", "maximum"})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableFile:
+    """What a TOML file may hold, but for the table that says who may use what."""
+
+    name: str
+    snapshot: tuple[int, ...]
+    addressing: Addressing
+    transport: Transport
+    timing: Timing
+    limits: Limits
+    session: tuple[descriptions.Session, ...] = ()
+    security: tuple[descriptions.SecurityLevel, ...] = ()
+    service: tuple[descriptions.ServiceAccess, ...] = ()
+    condition: tuple[descriptions.Condition, ...] = ()
+    data: tuple[Datum, ...] = ()
+    routine: tuple[Routine, ...] = ()
+    trouble: tuple[Trouble, ...] = ()
+    extended: tuple[descriptions.ExtendedRecord, ...] = ()
+    obd: Profile | None = None
+    obd_clear_conditions: tuple[str, ...] = ()
+    pid: tuple[descriptions.Pid, ...] = ()
+    vehicle_info: tuple[descriptions.VehicleInfo, ...] = ()
+    monitor: tuple[descriptions.MonitorTest, ...] = ()
+    doip: DoipEntity = field(default_factory=DoipEntity)
+    periodic: Periodic | None = None
+    clutches: ClutchLimits = field(default_factory=ClutchLimits)
 
 
 @cache
@@ -77,11 +76,11 @@ def table_of(transmission: str) -> DiagnosticTable:
         return shipped
     document = tomllib.loads(files("ecu_emulator").joinpath("diagnostics/converter.toml").read_text(encoding="utf-8"))
     access = {"open": Access(sessions=tuple(shipped.sessions))}
-    own = _numbered(_records(Trouble, document, "trouble", {}), "trouble")
+    own = _numbered(_records(Trouble, document, "trouble"), "trouble")
     return replace(
         shipped,
         name=document["name"],
-        data={**shipped.data, **_numbered(_records(Datum, document, "data", access), "data")},
+        data={**shipped.data, **_numbered(_records(Datum, _with_access(document, access), "data"), "data")},
         troubles={**shipped.troubles, **own},
     )
 
@@ -103,7 +102,7 @@ def table_like(name: str, transmission: str = "nominal") -> DiagnosticTable:
     file = files("ecu_emulator").joinpath(f"diagnostics/{_LIKE}{name}.toml")
     document, own = tomllib.loads(file.read_text(encoding="utf-8")), table_of(transmission)
     access = {"open": Access(sessions=tuple(own.sessions))}
-    data = _numbered(_records(Datum, document, "data", access), "data")
+    data = _numbered(_records(Datum, _with_access(document, access), "data"), "data")
     return replace(
         own,
         name=document["name"],
@@ -147,64 +146,84 @@ def parse_table(text: str, where: str) -> DiagnosticTable:
         raise ConfigError(f"{where}: {exc}") from exc
 
 
-def _table(document: Mapping[str, Any]) -> DiagnosticTable:
-    _check_keys(document, {*_LISTS, *_OPTIONAL, *_TABLES}, set(_TABLES), "the table")
-    access = {
-        name: _record(Access, entry, f"access.{name}", {})
-        for name, entry in _mapping(document["access"], "access").items()
-    }
-    data = _numbered(_records(Datum, document, "data", access), "data")
-    routines = _numbered(_records(Routine, document, "routine", access), "routine")
-    name, obd = _value(str, document["name"], "name", {}), _obd(document)
-    extended = _numbered(_records(ExtendedRecord, document, "extended", {}), "extended")
-    if obd is not None and obd.profile is Profile.UDS:
-        extended.setdefault(IN_USE.number, IN_USE)
+def _table(document: dict[str, Any]) -> DiagnosticTable:
+    _check_signs(document)
+    told = document.pop("access", None)
+    if not isinstance(told, Mapping):
+        raise ConfigError("access is missing: a table that says who may use what")
+    access = {name: record_from(Access, one, f"access.{name}: ", error=ConfigError) for name, one in told.items()}
+    file = record_from(TableFile, _with_access(document, access), error=ConfigError)
+    extended = _numbered(file.extended, "extended")
+    if file.obd is Profile.UDS:
+        extended.setdefault(descriptions.IN_USE.number, descriptions.IN_USE)
     return DiagnosticTable(
-        name=str(name),
-        addressing=_record(Addressing, document["addressing"], "addressing", {}),
-        transport=_record(Transport, document["transport"], "transport", {}),
-        timing=_record(Timing, document["timing"], "timing", {}),
-        limits=_record(Limits, document["limits"], "limits", {}),
-        sessions=_numbered(_records(Session, document, "session", {}), "session"),
-        levels=_numbered(_records(SecurityLevel, document, "security", {}), "security"),
-        services=_numbered(_records(ServiceAccess, document, "service", {}), "service"),
-        conditions=_unique(
-            [(entry.name, entry) for entry in _records(Condition, document, "condition", {})], "condition"
-        ),
-        data=data,
-        routines=routines,
-        troubles=_numbered(_records(Trouble, document, "trouble", {}), "trouble"),
+        name=file.name,
+        addressing=file.addressing,
+        transport=file.transport,
+        timing=file.timing,
+        limits=file.limits,
+        sessions=_numbered(file.session, "session"),
+        levels=_numbered(file.security, "security"),
+        services=_numbered(file.service, "service"),
+        conditions=_unique([(entry.name, entry) for entry in file.condition], "condition"),
+        data=_numbered(file.data, "data"),
+        routines=_numbered(file.routine, "routine"),
+        troubles=_numbered(file.trouble, "trouble"),
         extended=extended,
-        snapshot=_value(tuple[int, ...], document["snapshot"], "snapshot", {}),
-        obd=obd,
-        doip=_record(DoipEntity, document.get("doip", {}), "doip", {}),
-        periodic=_record(Periodic, document["periodic"], "periodic", {}) if "periodic" in document else None,
-        clutches=_record(ClutchLimits, document.get("clutches", {}), "clutches", {}),
+        snapshot=file.snapshot,
+        obd=_obd(file),
+        doip=file.doip,
+        periodic=file.periodic,
+        clutches=file.clutches,
     )
 
 
-def _obd(document: Mapping[str, Any]) -> Obd | None:
-    if "obd" not in document:
-        if unused := sorted({"pid", "vehicle_info", "monitor", "obd_clear_conditions"} & set(document)):
+def _obd(file: TableFile) -> descriptions.Obd | None:
+    if file.obd is None:
+        if unused := [one for one in ("monitor", "obd_clear_conditions", "pid", "vehicle_info") if getattr(file, one)]:
             raise ConfigError(f"{unused[0]} is there, but key obd is missing: it says how OBD is spoken")
         return None
-    conditions = document.get("obd_clear_conditions", [])
-    return Obd(
-        profile=_value(Profile, document["obd"], "obd", {}),
-        clear_conditions=_value(tuple[str, ...], conditions, "obd_clear_conditions", {}),
-        pids=_numbered(_records(Pid, document, "pid", {}), "pid"),
-        infos=_numbered(_records(VehicleInfo, document, "vehicle_info", {}), "vehicle_info"),
-        monitors=_numbered(_records(MonitorTest, document, "monitor", {}), "monitor"),
+    return descriptions.Obd(
+        profile=file.obd,
+        clear_conditions=file.obd_clear_conditions,
+        pids=_numbered(file.pid, "pid"),
+        infos=_numbered(file.vehicle_info, "vehicle_info"),
+        monitors=_numbered(file.monitor, "monitor"),
     )
 
 
-def _records(
-    record: type[RecordT], document: Mapping[str, Any], key: str, access: Mapping[str, Access]
-) -> tuple[RecordT, ...]:
-    entries = document.get(key, [])
-    if not isinstance(entries, list):
-        raise ConfigError(f"{key} must be an array of tables")
-    return tuple(_record(record, entry, f"{key} {place}", access) for place, entry in enumerate(entries, start=1))
+def _records(record: type[RecordT], document: Mapping[str, Any], key: str) -> tuple[RecordT, ...]:
+    """Return records of a file that ships."""
+    return tuple(record_from(record, one, f"{key}: ", error=ConfigError) for one in document[key])
+
+
+def _check_signs(value: object, where: str = "") -> None:
+    """Raise ConfigError if a whole number is negative that must not be."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            _check_signs(None if key in _MAY_BE_NEGATIVE else inner, f"{where}{key}.")
+    elif isinstance(value, list):
+        for row, inner in enumerate(value, 1):
+            _check_signs(inner, f"{where.rstrip('.')} {row}.")
+    elif isinstance(value, int) and value < 0:
+        raise ConfigError(f"{where.rstrip('.')} must not be negative, got {value!r}")
+
+
+def _with_access(document: Mapping[str, Any], access: Mapping[str, Access]) -> dict[str, Any]:
+    """Return a document in which who may use data and routines stands in place of the names for that."""
+    told = {key: document[key] for key in ("data", "routine") if key in document}
+    return {**document, **{key: _resolved(entries, key, access) for key, entries in told.items()}}
+
+
+def _resolved(entries: object, where: str, access: Mapping[str, Access]) -> object:
+    if not isinstance(entries, list) or not all(isinstance(one, Mapping) for one in entries):
+        return entries
+    for row, entry in enumerate(entries, 1):
+        for key in entry.keys() & set(_ACCESSES):
+            if not isinstance(entry[key], str) or entry[key] not in access:
+                names = ", ".join(sorted(access))
+                raise ConfigError(f"{where} {row}: {key} must be one of {names}, got {entry[key]!r}")
+    return [{key: access[one] if key in _ACCESSES else one for key, one in entry.items()} for entry in entries]
 
 
 def _numbered(records: tuple[RecordT, ...], where: str) -> dict[int, RecordT]:
@@ -218,69 +237,3 @@ def _unique(pairs: list[tuple[KeyT, RecordT]], where: str) -> dict[KeyT, RecordT
             raise ConfigError(f"{where} {key if isinstance(key, str) else f'0x{key:02X}'} is there twice")
         found[key] = record
     return found
-
-
-def _record(record: type[RecordT], entry: object, where: str, access: Mapping[str, Access]) -> RecordT:
-    table = _mapping(entry, where)
-    members = {member.name: member for member in fields(record)}  # type: ignore[arg-type]  # every caller passes a dataclass
-    required = {
-        name for name, member in members.items() if member.default is MISSING and member.default_factory is MISSING
-    }
-    _check_keys(table, set(members), required, where)
-    hints = get_type_hints(record)
-    values = {key: _value(hints[key], value, f"{where}: {key}", access) for key, value in table.items()}
-    try:
-        return record(**values)
-    except ConfigError as exc:
-        raise ConfigError(f"{where}: {exc}") from exc
-
-
-def _value(wanted: Any, value: object, where: str, access: Mapping[str, Access]) -> Any:  # noqa: ANN401 - by annotation
-    if get_origin(wanted) is UnionType:
-        wanted = next(choice for choice in get_args(wanted) if choice is not NoneType)  # TOML has no null
-    if wanted is Access:
-        return _named_access(value, where, access)
-    if get_origin(wanted) is tuple:
-        if not isinstance(value, list):
-            raise ConfigError(f"{where} must be a list, got {value!r}")
-        return tuple(
-            _value(get_args(wanted)[0], entry, f"{where} {place}", access) for place, entry in enumerate(value, 1)
-        )
-    if get_origin(wanted) is Mapping:
-        return {key: _value(str, text, f"{where}.{key}", access) for key, text in _mapping(value, where).items()}
-    if is_dataclass(wanted):
-        return _record(wanted, value, where, access)  # type: ignore[arg-type]  # a class, not an instance
-    return _scalar(wanted, value, where)
-
-
-def _scalar(wanted: Any, value: object, where: str) -> Any:  # noqa: ANN401 - by annotation
-    if issubclass(wanted, StrEnum):
-        if value not in set(wanted):
-            raise ConfigError(f"{where} must be one of {', '.join(wanted)}, got {value!r}")
-        return wanted(value)
-    kinds = {int: "a whole number", float: "a number", str: "a string", bool: "true or false"}
-    is_right = isinstance(value, int | float) if wanted is float else isinstance(value, wanted)
-    if not is_right or (wanted is not bool and isinstance(value, bool)):
-        raise ConfigError(f"{where} must be {kinds[wanted]}, got {value!r}")
-    if wanted is int and value < 0:  # type: ignore[operator]  # an int, by the line above
-        raise ConfigError(f"{where} must not be negative, got {value!r}")
-    return float(value) if wanted is float else value  # type: ignore[arg-type]  # likewise
-
-
-def _named_access(value: object, where: str, access: Mapping[str, Access]) -> Access:
-    if not isinstance(value, str) or value not in access:
-        raise ConfigError(f"{where} must be one of {', '.join(sorted(access))}, got {value!r}")
-    return access[value]
-
-
-def _mapping(value: object, where: str) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise ConfigError(f"{where} must be a table, got {value!r}")
-    return value
-
-
-def _check_keys(table: Mapping[str, object], known: set[str], required: set[str], where: str) -> None:
-    if unknown := sorted(set(table) - known):
-        raise ConfigError(f"{where}: key {unknown[0]} is unknown; known: {', '.join(sorted(known))}")
-    if missing := sorted(required - set(table)):
-        raise ConfigError(f"{where}: key {missing[0]} is missing")

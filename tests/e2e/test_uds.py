@@ -116,7 +116,7 @@ def test_a_memory_without_anybody_who_uses_it_is_refused(tmp_path: Path) -> None
     ("content", "option", "status", "message"),
     [
         ("{", "--diagnostic-memory", 4, "is damaged (not JSON); move it away to begin with an empty memory"),
-        ('name = "x"', "--diagnostics", 2, "the table: key access is missing"),
+        ('name = "x"', "--diagnostics", 2, "access is missing: a table that says who may use what"),
     ],
 )
 def test_a_file_that_cannot_be_used_ends_the_program_in_one_line(

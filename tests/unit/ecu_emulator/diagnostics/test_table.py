@@ -28,12 +28,12 @@ def test_a_worn_fluid_does_not_light_the_lamp() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('name = "TCU"', 'names = "TCU"', "the table: key names is unknown"),
-        ("[limits]\n", "[limits]\nmore = 1\n", "limits: key more is unknown"),
-        ("p2_s = 0.05\n", "", "timing: key p2_s is missing"),
+        ('name = "TCU"', 'names = "TCU"', "names is unknown; known: addressing"),
+        ("[limits]\n", "[limits]\nmore = 1\n", "limits.more is unknown; known: most_data"),
+        ("p2_s = 0.05\n", "", "timing.p2_s is missing"),
         ("p2_s = 0.05", "p2_s = 0.0", "timing.p2_s must be above 0"),
-        ("p2_s = 0.05", 'p2_s = "fast"', "timing: p2_s must be a number"),
-        ("s3_s = 5.0", "s3_s = true", "timing: s3_s must be a number"),
+        ("p2_s = 0.05", 'p2_s = "fast"', "timing.p2_s must be a number"),
+        ("s3_s = 5.0", "s3_s = true", "timing.s3_s must be a number"),
         ("request_id = 0x7E1", "request_id = -1", "request_id must not be negative"),
         ('code = "P0811"', 'code = "X0811"', "trouble code X0811 is none"),
         ('code = "P0811"', 'code = "P4811"', "trouble code P4811 is none"),
