@@ -18,10 +18,9 @@ from ecu_emulator.driving.indices import DriveState, EngineState
 from ecu_emulator.driving.laws import DrivingLaw, overrun_nm, pedal_for_force, pulls_on_wheels
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.driveline import ENGAGED, road_load_n
-from ecu_emulator.plant.integration import advance_millisecond, settle
-from ecu_emulator.plant.loop import Machine, hold_car, obey, record_bodies, record_clutches, sense_plant
+from ecu_emulator.plant.loop import Machine, advance, hold_car, obey, record_control, record_plant, sense_plant
 from ecu_emulator.plant.state import Col
-from ecu_emulator.shift_control import tcu, tcu_data
+from ecu_emulator.shift_control import tcu_data
 
 
 class Road(NamedTuple):
@@ -81,11 +80,7 @@ def obey_drive(machine: Machine, law: DrivingLaw) -> None:
 def record_drive(machine: Machine, road: Road, row: FloatArray) -> None:
     """Write what driver and controllers show of themselves."""
     memory, modes, u = machine.memory, machine.modes, machine.u
-    idle = 1 - tcu.clutch_of(int(memory[tcu_data.CURRENT_GEAR]))
-    row[Col.CURRENT_GEAR] = memory[tcu_data.CURRENT_GEAR]
-    row[Col.TARGET_GEAR] = memory[tcu_data.TARGET_GEAR]
-    row[Col.PRESELECTED_GEAR] = modes[at.GEAR + idle] if modes[at.LINK + idle] == ENGAGED else 0
-    row[Col.SHIFT_PHASE] = memory[tcu_data.PHASE]
+    record_control(machine, row)
     row[Col.ROUTINE] = row[Col.REV] = 0.0
     for k in range(2):
         row[Col.SHAFT1_GEAR + k] = modes[at.GEAR + k] if modes[at.LINK + k] == ENGAGED else 0
@@ -121,19 +116,9 @@ def run(machine: Machine, road: Road, law: DrivingLaw, rows: FloatArray) -> int:
         warm(machine, law)
         obey_drive(machine, law)
         hold_car(machine, plant, law.driving.surroundings.hold_m_s)
-        settle(machine.y, machine.u, machine.modes, machine.work.slope1, plant)
-        record_bodies(machine, plant, rows[index])
-        record_clutches(machine, plant, rows[index])
+        record_plant(machine, plant, rows[index])
         record_drive(machine, road, rows[index])
-        advance_millisecond(
-            machine.y,
-            machine.u,
-            machine.modes,
-            machine.work,
-            law.drive.steps_per_millisecond,
-            plant,
-        )
-        machine.clock[0] += 1
+        advance(machine, law.drive.steps_per_millisecond, plant)
     return int(rows.shape[0])
 
 

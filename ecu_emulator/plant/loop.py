@@ -140,6 +140,14 @@ def record_clutches(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
 
 
 @array_kernel
+def record_plant(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
+    """Bring the clutch modes into agreement with the torques, and write what the plant shows of itself."""
+    settle(machine.y, machine.u, machine.modes, machine.work.slope1, law)
+    record_bodies(machine, law, row)
+    record_clutches(machine, law, row)
+
+
+@array_kernel
 def record_surroundings(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     """Write the gears of the shafts and what lies around the transmission; a cycle has no events."""
     modes = machine.modes
@@ -185,6 +193,13 @@ def hold_car(machine: Machine, law: PlantLaw, hold_m_s: float) -> None:
 
 
 @array_kernel
+def advance(machine: Machine, step_count: int, law: PlantLaw) -> None:
+    """Advance plant and clock by one millisecond."""
+    advance_millisecond(machine.y, machine.u, machine.modes, machine.work, step_count, law)
+    machine.clock[0] += 1
+
+
+@array_kernel
 def act(machine: Machine, law: DriveLaw) -> None:
     """Let the control take its step: the workshop routine first, if one was asked for, then the cycles."""
     memory, sense, commands = machine.memory, machine.sense, machine.commands
@@ -210,18 +225,8 @@ def run(machine: Machine, law: DriveLaw, rows: FloatArray) -> int:
             hold_car(machine, law.plant, WORKSHOP_HOLD_M_S)
         else:
             machine.modes[at.HELD] = 0
-        settle(machine.y, machine.u, machine.modes, machine.work.slope1, law.plant)
-        record_bodies(machine, law.plant, rows[index])
-        record_clutches(machine, law.plant, rows[index])
+        record_plant(machine, law.plant, rows[index])
         record_surroundings(machine, law.plant, rows[index])
         record_control(machine, rows[index])
-        advance_millisecond(
-            machine.y,
-            machine.u,
-            machine.modes,
-            machine.work,
-            law.steps_per_millisecond,
-            law.plant,
-        )
-        machine.clock[0] += 1
+        advance(machine, law.steps_per_millisecond, law.plant)
     return int(rows.shape[0])
