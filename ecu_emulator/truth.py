@@ -272,18 +272,10 @@ def truth_path(recording: Path) -> Path:
 
 def truth_log(drive: DriveTruth, truths: Iterable[Happened], totals: Totals | None) -> TruthLog:
     """Return the whole truth of a drive, sorted by what kind of thing happened."""
-    kept: dict[type[Happened], list[Any]] = {record: [] for record in _KINDS}
+    kept: dict[str, list[Any]] = {f"{kind}s": [] for kind in _KINDS.values()}
     for truth in truths:
-        kept[type(truth)].append(truth)
-    return TruthLog(
-        drive=drive,
-        totals=totals,
-        shifts=tuple(kept[ShiftTruth]),
-        revs=tuple(kept[RevTruth]),
-        trips=tuple(kept[TripTruth]),
-        events=tuple(kept[EventTruth]),
-        shudders=tuple(kept[ShudderTruth]),
-    )
+        kept[f"{_KINDS[type(truth)]}s"].append(truth)
+    return TruthLog(drive=drive, totals=totals, **{name: tuple(found) for name, found in kept.items()})
 
 
 def read_truth(path: Path) -> TruthLog:

@@ -22,6 +22,7 @@ _ALL_GROUPS: Final = b"\xff\xff\xff"
 _NORMAL: Final = 0x01  # bits of the communication type
 _MANAGEMENT: Final = 0x02
 _RESERVED: Final = 0x0C
+_OF_SESSION: Final = ("session", "holder", "heard_s", "unlocked", "seed_level", "seed")
 
 
 def session_control(call: Call) -> Result:
@@ -70,15 +71,7 @@ def after_guest(before: ServerState, after: ServerState) -> ServerState:
     """Return the state after a guest's request: the session and its security stay as they were, but for a reset."""
     if after.asleep_until_s != before.asleep_until_s:
         return after
-    return replace(
-        after,
-        session=before.session,
-        holder=before.holder,
-        heard_s=before.heard_s,
-        unlocked=before.unlocked,
-        seed_level=before.seed_level,
-        seed=before.seed,
-    )
+    return replace(after, **{name: getattr(before, name) for name in _OF_SESSION})
 
 
 def ecu_reset(call: Call) -> Result:
