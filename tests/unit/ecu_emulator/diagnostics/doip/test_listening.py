@@ -54,7 +54,7 @@ def test_what_is_no_place_is_refused(text: str) -> None:
         ("announce_wait_s = 60", "announce_wait_s must be 0..10 s"),
         ("announce_count = 11", "announce_count must be at most 10"),
         ("activation_types = [256]", "activation_types must be"),
-        ("ecu = 1", "key ecu is unknown"),
+        ("ecu = 1", "doip.ecu is unknown"),
     ],
 )
 def test_an_entity_that_cannot_be_is_named(line: str, message: str) -> None:
