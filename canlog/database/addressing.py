@@ -31,6 +31,7 @@ _ID_MASK: Final = 0x1FFF_FFFF
 _EXTENDED: Final = int(EXTENDED_FLAG)
 _SENDER_BITS: Final = 9
 _ANY_SENDER: Final = 0x100  # beside the 256 source addresses
+_EVERYBODY: Final = 0xFF  # the address of all; in a key of PDU 1 any destination
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,8 +95,8 @@ def address_book(addresses: Sequence[MessageAddress]) -> AddressBook:
     """Return the tables of some addresses.
 
     Of messages of one parameter group that several senders have each to themselves, each is known by group and source
-    address, as the database writes it; the null address stands for all the others. Raises DefinitionError if two
-    messages cannot be told apart.
+    address, as the database writes it; the null address stands for all the others. Those of one sender are known by
+    their destination, too; there the address of all does. Raises DefinitionError if two messages cannot be told apart.
     """
     slots: dict[_Table, dict[int, int]] = {table: {} for table in _Table}
     for slot, (table, key) in enumerate(_places(addresses)):
@@ -150,12 +151,19 @@ def _places(addresses: Sequence[MessageAddress]) -> list[tuple[_Table, int]]:
         if not address.is_group:
             places.append((_Table.EXTENDED if address.is_extended else _Table.STANDARD, address.can_id))
             continue
-        group = parameter_group(address.can_id)
         source = address.can_id & 0xFF if address.sender == ANY else address.sender
-        if count[group] == 1 or source == NULL_ADDRESS:
+        if count[parameter_group(address.can_id)] == 1 or source == NULL_ADDRESS:
             source = _ANY_SENDER
-        places.append((_Table.GROUP, group << _SENDER_BITS | source))
-    return places
+        places.append((_Table.GROUP, (address.can_id >> 8 & 0x3FFFF) << _SENDER_BITS | source))
+    shared = Counter(_for_all(place) for place in set(places))
+    return [place if shared[_for_all(place)] > 1 else _for_all(place) for place in places]
+
+
+def _for_all(place: tuple[_Table, int]) -> tuple[_Table, int]:
+    """Return the place of a message whatever its destination is."""
+    table, key = place
+    is_addressed = table is _Table.GROUP and key >> _SENDER_BITS + 8 & 0xFF < PDU2_FORMATS
+    return table, key | _EVERYBODY << _SENDER_BITS if is_addressed else key
 
 
 def _sorted_table(slots: dict[int, int]) -> tuple[Int64Array, Int64Array]:
@@ -174,12 +182,13 @@ def find_slot(book: AddressBook, can_id: int) -> int:
     if place >= 0:
         return int(book.extended_slot[place])
     if book.group.size:
-        key = _group_of(bare) << _SENDER_BITS
-        place = find(book.group, key | (bare & 0xFF))
-        if place < 0:
-            place = find(book.group, key | _ANY_SENDER)
-        if place >= 0:
-            return int(book.group_slot[place])
+        named = (bare >> 8) & 0x3FFFF
+        anybody = named | _EVERYBODY if (named >> 8) & 0xFF < PDU2_FORMATS else named
+        for source in (bare & 0xFF, _ANY_SENDER):
+            for group in (named, anybody):
+                place = find(book.group, group << _SENDER_BITS | source)
+                if place >= 0:
+                    return int(book.group_slot[place])
     return NOBODY
 
 

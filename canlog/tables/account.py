@@ -1,6 +1,6 @@
 """What became of a log that was decoded, to the frame; and how that is told."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Final
@@ -53,7 +53,7 @@ class DecodeAccount:
     transfers: TransferCounts = field(default_factory=TransferCounts)  # messages longer than a frame
     long_counts: dict[int, int] = field(default_factory=dict)  # of these the ones with signals, by slot
     counts: Int64Array = field(init=False)  # (messages + 1, fates)
-    signals: dict[Place, SignalCounts] = field(default_factory=dict)
+    signals: defaultdict[Place, SignalCounts] = field(default_factory=lambda: defaultdict(SignalCounts))
     frames_of_id: Counter[int] = field(default_factory=Counter)  # data frames by identifier with its flags
     unlisted_count: int = 0  # data frames whose identifiers came when there were too many to be listed
 
@@ -85,25 +85,15 @@ class DecodeAccount:
     def add_values(self, found: MessageValues) -> None:
         """Count the values of some frames of one message."""
         for name, decoded in found.signals.items():
-            place = found.slot, name
-            if (counts := self.signals.get(place)) is None:
-                counts = self.signals[place] = SignalCounts()
-            present = decoded.is_present
+            counts, present = self.signals[found.slot, name], decoded.is_present
             counts.values += len(found.rows) if present is None else int(np.count_nonzero(present))
             counts.out_of_range += decoded.invalid.out_of_range
             counts.not_a_number += decoded.invalid.not_available
         for name, count in found.cut_off.items():
-            self.of_signal(found.slot, name).cut_off += count
+            self.signals[found.slot, name].cut_off += count
 
     def leave_out(self, count: int) -> None:
         self.counts[-1, FrameFate.LEFT_OUT] += count
-
-    def of_signal(self, slot: int, name: str) -> SignalCounts:
-        """Return the counts of one signal, to be added to."""
-        place = slot, name
-        if place not in self.signals:
-            self.signals[place] = SignalCounts()
-        return self.signals[place]
 
     @property
     def fates(self) -> dict[FrameFate, int]:

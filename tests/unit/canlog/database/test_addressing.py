@@ -94,6 +94,15 @@ def test_messages_of_one_group_are_told_apart_by_sender() -> None:
     assert slots([engine, retarder], EEC1, EEC1 | 0x0F, EEC1 | 0x21) == [0, 1, -1]
 
 
+def test_messages_of_one_sender_and_group_are_told_apart_by_destination() -> None:
+    engine, retarder, other = group(0x0C00_000B), group(0x0C00_0F0B), group(0x0C00_0003)
+    sent = 0x0C00_000B, 0x0400_0F0B, 0x0C00_210B, 0x0C00_2103, 0x0C00_0021
+    assert slots([engine, retarder, other], *sent) == [0, 1, -1, 2, -1]
+    assert slots([engine, retarder, group(0x0C00_FF0B), other], *sent) == [0, 1, 2, 3, -1]
+    assert slots([group(0x0C00_00FE), group(0x0C00_0FFE), group(0x0C00_FF0B)], *sent) == [2, 2, 2, -1, 0]
+    assert overwritten([engine, retarder, group(0x1800_000B)]) == {0: 2}
+
+
 @pytest.mark.parametrize(
     "addresses",
     [
