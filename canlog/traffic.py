@@ -18,6 +18,7 @@ GAP_RATIO = 3.0  # an interval beyond so many typical ones is a gap: two frames 
 JUMP_NS = NS_PER_S  # bus time that stands still for longer, or goes back, starts a new segment
 CHANNELS = 256
 MAX_JUMPS = 20  # that are listed; all are counted
+MAX_IDS = 8192  # likewise, with their channels: no bus has as many, a log of noise has
 # Bits of a frame (ISO 11898-1) in which five of a kind are followed by a stuff bit, payload apart.
 CLASSIC_BITS: Final = 34.0  # start of frame, 11-bit identifier, control field, checksum
 FD_BITS: Final = 22.0  # the same without the checksum, which has stuff bits of its own at fixed places
@@ -81,6 +82,7 @@ class TrafficReport:
     first_ns: int
     last_ns: int
     ids: tuple[IdTraffic, ...]
+    unlisted_frames: int  # whose identifiers came when there were too many to be listed
     error_frames: int
     remote_frames: int
     fd_frames: int
@@ -97,14 +99,12 @@ class TrafficMeter:
     def __init__(self, bitrate: int) -> None:
         self._bitrate = bitrate
         self._slots: dict[int, int] = {}  # channel and identifier -> row
-        self._count = np.zeros(0, np.int64)
-        self._length = np.zeros(0, np.int64)
-        self._last_ns = np.zeros(0, np.int64)
-        self._elapsed_ns = np.zeros(0, np.int64)  # intervals inside segments, summed
-        self._longest_ns = np.zeros(0, np.int64)
-        self._bins = np.zeros((0, BIN_COUNT), np.int64)
-        self._sums_s = np.zeros((0, BIN_COUNT))
-        self._squares_s2 = np.zeros((0, BIN_COUNT))
+        self._unlisted = 0
+        self._last_ns = np.full(MAX_IDS, BEFORE_ALL_NS)
+        # Intervals inside segments, summed. Rows that nothing is written to take no memory.
+        self._count, self._length, self._elapsed_ns, self._longest_ns = np.zeros((4, MAX_IDS), np.int64)
+        self._bins = np.zeros((MAX_IDS, BIN_COUNT), np.int64)
+        self._sums_s, self._squares_s2 = np.zeros((2, MAX_IDS, BIN_COUNT))
         self._jumps: list[Jump] = []
         self._jump_count = 0
         self._kinds = dict.fromkeys((ERROR_FLAG, REMOTE_FLAG, FD_FLAG, TX_FLAG), 0)
@@ -138,10 +138,11 @@ class TrafficMeter:
         duration_s = self._bus_ns / NS_PER_S
         load_ratio = float(self._bits.max()) / (self._bitrate * duration_s) if duration_s else 0.0
         return TrafficReport(
-            frames=int(self._count.sum()),
+            frames=int(self._count.sum()) + self._unlisted,
             first_ns=first_ns,
             last_ns=last_ns,
             ids=tuple(self._id_traffic(key, row) for key, row in sorted(self._slots.items())),
+            unlisted_frames=self._unlisted,
             error_frames=self._kinds[ERROR_FLAG],
             remote_frames=self._kinds[REMOTE_FLAG],
             fd_frames=self._kinds[FD_FLAG],
@@ -171,7 +172,10 @@ class TrafficMeter:
         key = segment.channel.astype(np.int64) << 32 | segment.can_id
         unique, inverse = np.unique(key, return_inverse=True)
         rows = np.array([self._row(one) for one in unique.tolist()], np.int64)[inverse]
-        order = np.argsort(rows, kind="stable")
+        order = np.argsort(rows, kind="stable")[: np.count_nonzero(rows < MAX_IDS)]
+        self._unlisted += len(rows) - len(order)
+        if not len(order):
+            return
         rows, t_ns = rows[order], segment.t_ns[order]
         begins = np.flatnonzero(np.diff(rows, prepend=-1))
         before_ns = np.concatenate((t_ns[:1], t_ns[:-1]))
@@ -185,22 +189,14 @@ class TrafficMeter:
         np.maximum.at(self._longest_ns, row, step_ns)
         cell = row * BIN_COUNT + _bin_of(step_ns)
         step_s = step_ns / NS_PER_S
-        size = self._bins.size
-        self._bins += np.bincount(cell, minlength=size).reshape(self._bins.shape)
-        self._sums_s += np.bincount(cell, step_s, size).reshape(self._bins.shape)
-        self._squares_s2 += np.bincount(cell, step_s**2, size).reshape(self._bins.shape)
+        np.add.at(self._bins.reshape(-1), cell, 1)
+        np.add.at(self._sums_s.reshape(-1), cell, step_s)
+        np.add.at(self._squares_s2.reshape(-1), cell, step_s**2)
 
     def _row(self, key: int) -> int:
-        """Return the row of a channel and identifier, a new one if need be."""
-        row = self._slots.setdefault(key, len(self._slots))
-        if row == len(self._count):
-            for name in ("_count", "_length", "_elapsed_ns", "_longest_ns"):
-                setattr(self, name, np.append(getattr(self, name), 0))
-            self._last_ns = np.append(self._last_ns, BEFORE_ALL_NS)
-            for name in ("_bins", "_sums_s", "_squares_s2"):
-                table = getattr(self, name)
-                setattr(self, name, np.vstack((table, np.zeros((1, BIN_COUNT), table.dtype))))
-        return row
+        """Return the row of a channel and identifier, MAX_IDS if there are too many."""
+        is_listed = key in self._slots or len(self._slots) < MAX_IDS
+        return self._slots.setdefault(key, len(self._slots)) if is_listed else MAX_IDS
 
     def _add_load(self, batch: FrameBatch) -> None:
         """Count the bits of each channel, and find the busiest second of any."""

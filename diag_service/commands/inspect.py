@@ -20,7 +20,7 @@ from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader, is_folder, read_log
 from canlog.logs.log_counts import assumed_texts, lost_texts
 from canlog.logs.reading import Watch
-from canlog.traffic import NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
+from canlog.traffic import MAX_IDS, NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
 from diag_service.batch.drives import LeftOut, TakenFor, left_out_record, sorted_out
 from diag_service.commands.talks import Conversations, conversations_of
 from diag_service.console import PeopleConsole, ReadingLine
@@ -315,6 +315,8 @@ def _head(inspection: Inspection, bitrate: int) -> list[str]:
         lines = [f"{inspection.reader.name}: {what} {since}"]
     lines.append(f"taken for {inspection.reader.format.value}: {inspection.reader.evidence}")
     lines += [*assumed_texts(counts), *lost_texts(counts)]
+    if unlisted := traffic.unlisted_frames:
+        lines.append(f"{unlisted} frames have identifiers beyond the first {MAX_IDS}, not listed one by one")
     lines.append(f"{traffic.jump_count} jumps of time" if traffic.jump_count else "no jump of time")
     lines += [f"  at {utc_from_bus_ns(jump.at_ns)} by {jump.by_ns / NS_PER_S:+.6f} s" for jump in traffic.jumps]
     return lines
