@@ -9,7 +9,8 @@ data widens the permitted jump by one. Where profile 1 leaves room, this receive
   restarted). A restart of a sender therefore costs one frame at most.
 - A counter that does not move rejects every frame until it moves. The same counter after one or more whole periods
   of lost frames, on time to a cycle, is not stuck; but once stuck, time is no excuse.
-- Losses longer than the counter's period are counted by time. If the frames turn out to have been late instead (the
+- Losses longer than the counter's period are counted by time, those longer than ``SILENT_CYCLES`` not at all: the
+  sender was off, or the car parked, and any counter is accepted. If the frames turn out to have been late instead (the
   next ones come in a burst), the count of missing frames is taken back; sequence numbers only ever grow. A late
   sender may catch up. Only a loss of a whole period while its sender was late cannot be counted: it leaves no trace.
 """
@@ -26,6 +27,7 @@ from canlog.jit import array_kernel
 MAX_DELTA_COUNTER: Final = 3  # permitted jump between frames one cycle apart: two frames may be lost in silence
 LATE_CYCLES: Final = 1.0  # jitter within which a gap still counts as whole counter periods
 BURST_CYCLES: Final = 0.5  # frames closer than this were held back, not sent one cycle apart
+SILENT_CYCLES: Final = 8.0 * COUNTER_PERIOD  # of which nothing came: by chance one counter in five would fit any pause
 
 IN_SEQUENCE, REPEATED, WRONG_SEQUENCE = range(3)  # what is said of one frame
 
@@ -128,7 +130,7 @@ def is_repeated(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: 
     """Return whether the counter has not moved since the last frame; remember the frame."""
     same = counter == state.seen_counter[slot]
     cycles = elapsed_cycles(t_ns - state.seen_ns[slot], cycle_ns)
-    repeated = same and (state.is_stuck[slot] == 1 or whole_periods(0, cycles) == 0)
+    repeated = same and (state.is_stuck[slot] == 1 or (whole_periods(0, cycles) == 0 and cycles <= SILENT_CYCLES))
     if repeated and cycles >= BURST_CYCLES:
         state.rejected[slot] += 1
         state.rejected_after_stray[slot] += 1
@@ -146,10 +148,12 @@ def judge(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: int) -
         return WRONG_SEQUENCE, 0
     if is_repeated(state, slot, counter, t_ns, cycle_ns):
         return REPEATED, 0
-    if state.valid_counter[slot] == _NONE:
-        state.rejected[slot] = 0
-        return IN_SEQUENCE, accept(state, slot, counter, t_ns, 1, 1, -1.0)
+    is_first = state.valid_counter[slot] == _NONE
     cycles = elapsed_cycles(t_ns - state.valid_ns[slot], cycle_ns)
+    if is_first or cycles - state.rejected[slot] > SILENT_CYCLES:
+        by_time = 1 if is_first else int(np.rint(cycles))
+        accept(state, slot, counter, t_ns, by_time, by_time, -1.0)
+        return IN_SEQUENCE, 0
     advance = permitted_advance(counter, state.valid_counter[slot], cycles, state.late[slot])
     if advance > 0:
         proven = (counter - state.valid_counter[slot]) % COUNTER_PERIOD

@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -179,9 +180,12 @@ def inspect_log(
                 values.add(batch)
             if conversations is not None:
                 conversations.add(batch)
-            if last_ns is not None and not 0 <= int(batch.t_ns[0]) - last_ns <= NS_PER_S:
-                monitor.reset()
-            monitor.check(batch)
+            steps_ns = np.diff(batch.t_ns, prepend=batch.t_ns[0] if last_ns is None else last_ns)
+            jumps = np.flatnonzero((steps_ns < 0) | (steps_ns > NS_PER_S)).tolist()
+            for number, (first, end) in enumerate(pairwise([0, *jumps, len(batch)])):
+                if number:
+                    monitor.reset()
+                monitor.check(batch[first:end])
             last_ns = int(batch.t_ns[-1])
     except InputLeftError:
         is_whole = False

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canlog.e2e.profile1 import protect
 from canlog.frames import EXTENDED_FLAG, join
 from canlog.logs import read_log
 from tests.support.in_process import ended as run
@@ -81,3 +82,11 @@ def test_a_log_of_noise_is_inspected_and_the_identifiers_that_are_not_listed_are
     log.write_text("".join(f"({k / 1000:.6f}) can0 {k:08X}#00\n" for k in range(9_000)), "ascii")
     assert "808 frames have identifiers beyond the first 8192, not listed one by one" in run("inspect", log).out
     assert json.loads(run("inspect", log, "--json").out)["unlisted_frames"] == 808
+
+
+def test_a_parked_car_loses_no_frames(tmp_path: Path) -> None:
+    log, data = tmp_path / "parked.log", protect(np.zeros((40, 8), np.uint8), 41185, np.arange(40))
+    lines = (f"({k * 0.01 + 600 * (k > 19):.6f}) can0 0A0#{row.tobytes().hex()}\n" for k, row in enumerate(data))
+    log.write_text("".join(lines), "ascii")
+    record = json.loads(run("inspect", log, "--json").out)
+    assert record["protection"] == {"ECM_TorqueSpeed": {"good": 40, "errors": {}, "missing": 0}}

@@ -127,6 +127,22 @@ def test_restart_of_a_sender_costs_no_more_than_promised(before: int, pause_ms: 
     assert (np.diff(verdicts.sequence[verdicts.sequence >= 0]) > 0).all()
 
 
+@pytest.mark.parametrize("first", range(15))
+def test_a_sender_that_was_off_for_long_has_lost_nothing_and_may_begin_with_any_counter(first: int) -> None:
+    link, verdicts = check(
+        frames([7, 8, 9, *((first + k) % 15 for k in range(9))], [0, 10, 20, *range(60_020, 60_110, 10)])
+    )
+    assert reasons(verdicts) == [OK] * 12
+    assert verdicts.sequence.tolist() == [0, 1, 2, *range(6002, 6011)]
+    assert link.missing.tolist() == [0]
+
+
+def test_frames_that_cannot_be_used_are_no_silence() -> None:
+    link, verdicts = check(frames([*(k % 15 for k in range(199)), 200 % 15, 201 % 15], damaged=range(2, 199)))
+    assert reasons(verdicts) == [OK, OK, *[BAD_CRC] * 197, OK, OK]
+    assert link.missing.tolist() == [1]
+
+
 def test_restart_is_numbered_by_time() -> None:
     link, verdicts = check(frames([8, 9, 3, 4, 5]))
     assert reasons(verdicts) == [OK, OK, WRONG_SEQUENCE, OK, OK]
