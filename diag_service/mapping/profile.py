@@ -137,6 +137,10 @@ class SignalSource:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.scale) and math.isfinite(self.offset)) or self.scale == 0.0:
             raise ConfigError(f"scale {self.scale} and offset {self.offset} are not usable")
+        if self.valid is not None and not self.valid[0] < self.valid[1]:
+            raise ConfigError(f"valid {list(self.valid)} is no range")
+        if not all(math.isfinite(one) for one in (*(self.valid or ()), *self.invalid)):
+            raise ConfigError("valid and invalid must be finite")
         if self.column and (self.message or self.signal or self.pgn is not None or self.spn is not None):
             raise ConfigError("has a column of a table beside a message or signal of a bus")
         if self.is_asked:
@@ -148,10 +152,6 @@ class SignalSource:
             raise ConfigError("lacks message, or has it beside pgn" if self.message else "lacks message")
         if bool(self.signal_name) is (self.spn is not None):
             raise ConfigError("lacks signal, or has it beside spn" if self.signal else "lacks signal")
-        if self.valid is not None and not self.valid[0] < self.valid[1]:
-            raise ConfigError(f"valid {list(self.valid)} is no range")
-        if not all(math.isfinite(one) for one in (*(self.valid or ()), *self.invalid)):
-            raise ConfigError("valid and invalid must be finite")
         if self.source_address is not None and not 0 <= self.source_address <= MAX_NUMBER:
             raise ConfigError(f"source_address {self.source_address} is not one of J1939")
 

@@ -122,6 +122,7 @@ def test_bits_order_and_sign_are_as_the_profile_says() -> None:
         ("did = 0x38EB", 'lacks at: the identifier of requests, such as "7E1"'),
         ('did = 0x138EB, at = "7E1"', "0x138EB is no number of service 22"),
         ('did = 1, pid = 2, at = "7E1"', "more than one of did, pid, local"),
+        ('did = 1, at = "7E1", valid = [30, 0]', r"valid \[30.0, 0.0\] is no range"),
         ('did = 1, at = "XYZ"', "at must be hexadecimal"),
         ('did = 1, at = "123456"', "reply is needed"),
         ('did = 1, at = "7E1", length = 40', "length must be 1 to 32 bits"),
