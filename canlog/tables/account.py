@@ -104,9 +104,6 @@ class DecodeAccount:
     def is_balanced(self) -> bool:
         return sum(self.fates.values()) == self.log.frames
 
-    def of_message(self, slot: int) -> dict[FrameFate, int]:
-        return {fate: int(self.counts[slot, fate]) for fate in FrameFate if self.counts[slot, fate]}
-
     @property
     def seen_slots(self) -> list[int]:
         """The messages that came, in the order of the database."""
@@ -165,6 +162,11 @@ class DecodeAccount:
         """How many identifiers of the log are of messages of the database."""
         return sum(self.codec.knows(can_id) for can_id in self.frames_of_id)
 
+    @property
+    def knows_nothing(self) -> bool:
+        """Whether there are data frames, and none is of the database, not even as a piece of a longer message."""
+        return bool(self.frames_of_id) and not self.known_count and not self.long_counts
+
     def nearest(self, count: int = 3) -> list[Nearest]:
         """Return the most frequent unknown identifiers, each with the message that comes nearest."""
         tables = self.codec.tables
@@ -203,7 +205,7 @@ def losses(account: DecodeAccount) -> Iterator[str]:
     """Yield for people what of the log is not in the table though it should be."""
     fates = account.fates
     yield from lost_texts(account.log)
-    if account.frames_of_id and not account.known_count:
+    if account.knows_nothing:
         yield _why_nothing(account)
     if count := account.of_group_count:
         yield (
@@ -244,7 +246,7 @@ def remarks(account: DecodeAccount) -> Iterator[str]:
     short_count, unknown = account.fates[FrameFate.SHORT], account.unknown_ids
     if short_count and not any(counts.cut_off for counts in account.signals.values()):
         yield f"{short_count} frames are shorter than their message, but hold all its signals"
-    if unknown and account.known_count:
+    if unknown and not account.knows_nothing:
         frames = {identifier_text(can_id): count for can_id, count in unknown}
         yield f"{len(unknown)} of {len(account.frames_of_id)} identifiers are not in the database: {listing(frames)}"
     if account.unlisted_count:
@@ -309,7 +311,7 @@ def account_record(account: DecodeAccount) -> JsonObject:
             "unknown": [{**_identifier(can_id), "frames": count} for can_id, count in account.unknown_ids],
             "nearest": [
                 {**_identifier(one.can_id), "message": one.message, "message_id": identifier_text(one.message_id)}
-                for one in (() if account.known_count else account.nearest())
+                for one in (account.nearest() if account.knows_nothing else ())
             ],
         },
         "long_messages": {
@@ -329,13 +331,12 @@ def account_record(account: DecodeAccount) -> JsonObject:
 def _message(account: DecodeAccount, slot: int) -> JsonObject:
     """Return one message that came, with all of its signals that were looked for."""
     message = account.codec.tables[slot].message
-    fates = account.of_message(slot)
     return {
         "message": account.names.messages[slot],
         "id": identifier_text(flagged_id(message)),
         "is_extended": message.is_extended_frame,
         "bytes": message.length,
-        "frames": {fate.name.lower(): fates[fate] for fate in FrameFate if fate in fates},
+        "frames": {fate.name.lower(): int(count) for fate in FrameFate if (count := account.counts[slot, fate])},
         "put_together": account.long_counts.get(slot, 0),
         "signals": {
             name: {"column": account.names.columns[slot, name], **asdict(account.signals[slot, name])}

@@ -143,7 +143,7 @@ def _show(options: SimpleNamespace, decoded: Decoded, console: PeopleConsole) ->
         lines.append(f"taken for {reader.format.value}: {reader.evidence}")
     lines += [f"{account.log.frames} frames: {fates}"] if len(decoded.readers) > 1 else []
     lines += [f"{account.row_count} rows in {_place(options)}: {values_text(account)}"]
-    hint = [NOTHING_KNOWN] if account.frames_of_id and not account.known_count else []
+    hint = [NOTHING_KNOWN] if account.knows_nothing else []
     for line in (*lines, *losses(account), *remarks(account), *hint):
         console.print(line)
 
