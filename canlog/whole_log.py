@@ -144,9 +144,9 @@ class Log:
         t_ns = np.concatenate(times) if times else np.empty(0, np.int64)
         signals: dict[str, Samples] = {}
         for (slot, name), column in self._plan.names.columns.items():
-            if (slot, name) not in rows:
-                continue
-            row = np.concatenate(rows[slot, name])
+            row = np.concatenate(rows.get((slot, name), [np.empty(0, np.int64)]))
+            if not len(row):
+                continue  # its message, or its page of a multiplexer, did not come
             order = np.argsort(row, kind="stable")  # short frames come apart from the others of their message
             signals[column] = Samples(
                 t_ns=t_ns[row[order]],

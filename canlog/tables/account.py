@@ -52,6 +52,7 @@ class DecodeAccount:
     row_count: int = 0
     transfers: TransferCounts = field(default_factory=TransferCounts)  # messages longer than a frame
     long_counts: dict[int, int] = field(default_factory=dict)  # of these the ones with signals, by slot
+    short_long_count: int = 0  # of these the ones that end before their last signal
     counts: Int64Array = field(init=False)  # (messages + 1, fates)
     signals: defaultdict[Place, SignalCounts] = field(default_factory=lambda: defaultdict(SignalCounts))
     frames_of_id: Counter[int] = field(default_factory=Counter)  # data frames by identifier with its flags
@@ -77,28 +78,24 @@ class DecodeAccount:
         """Return what the signals of a group say, message by message; it enters the account."""
         found = list(self.codec.decode_slots(group.frames, group.slot_in_frames, group.has_short))
         if group.long is not None:
-            found += group.long.values(self.codec)
+            found += (longer := list(group.long.values(self.codec)))
+            self.short_long_count += sum(len(one.rows) for one in longer if one.cut_off)
         for one in found:
-            self.add_values(one)
+            for name, decoded in one.signals.items():
+                counts, present = self.signals[one.slot, name], decoded.is_present
+                counts.values += len(one.rows) if present is None else int(np.count_nonzero(present))
+                counts.out_of_range += decoded.invalid.out_of_range
+                counts.not_a_number += decoded.invalid.not_available
+            for name, count in one.cut_off.items():
+                self.signals[one.slot, name].cut_off += count
         return found
-
-    def add_values(self, found: MessageValues) -> None:
-        """Count the values of some frames of one message."""
-        for name, decoded in found.signals.items():
-            counts, present = self.signals[found.slot, name], decoded.is_present
-            counts.values += len(found.rows) if present is None else int(np.count_nonzero(present))
-            counts.out_of_range += decoded.invalid.out_of_range
-            counts.not_a_number += decoded.invalid.not_available
-        for name, count in found.cut_off.items():
-            self.signals[found.slot, name].cut_off += count
 
     def leave_out(self, count: int) -> None:
         self.counts[-1, FrameFate.LEFT_OUT] += count
 
     @property
     def fates(self) -> dict[FrameFate, int]:
-        total = self.counts.sum(axis=0).tolist()
-        return {fate: total[fate] for fate in FrameFate}
+        return dict(zip(FrameFate, self.counts.sum(axis=0).tolist(), strict=True))
 
     @property
     def is_balanced(self) -> bool:
@@ -203,7 +200,6 @@ SHOWN_COUNT: Final = 8  # of a list for people; a program gets all
 
 def losses(account: DecodeAccount) -> Iterator[str]:
     """Yield for people what of the log is not in the table though it should be."""
-    fates = account.fates
     yield from lost_texts(account.log)
     if account.knows_nothing:
         yield _why_nothing(account)
@@ -213,7 +209,9 @@ def losses(account: DecodeAccount) -> Iterator[str]:
             "--match group decodes them"
         )
     if cut_off := sum(counts.cut_off for counts in account.signals.values()):
-        yield f"{fates[FrameFate.SHORT]} frames are shorter than their message: {cut_off} values are not in them"
+        counts = {"frames": account.fates[FrameFate.SHORT], "messages of several frames": account.short_long_count}
+        short = " and ".join(f"{count} {what}" for what, count in counts.items() if count)
+        yield f"{short} are shorter than the database says: {cut_off} values are not in them"
     if transported := account.transported:
         sizes = {f"{name} ({size} bytes)": frames for name, (size, frames) in transported.items()}
         yield (
@@ -284,8 +282,8 @@ def frame_texts(account: DecodeAccount) -> Iterator[str]:
 
 def values_text(account: DecodeAccount) -> str:
     """Return how many values there are, in words."""
-    values = sum(counts.values for counts in account.signals.values())
-    return f"{values} values of {len(account.signals)} signals in {len(account.valued_slots)} messages"
+    values = [counts.values for counts in account.signals.values() if counts.values]
+    return f"{sum(values)} values of {len(values)} signals in {len(account.valued_slots)} messages"
 
 
 def account_record(account: DecodeAccount) -> JsonObject:

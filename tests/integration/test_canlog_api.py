@@ -66,7 +66,7 @@ def test_every_frame_and_line_is_accounted_for(log: canlog.Log) -> None:
     }
     assert log.losses == [
         "1 pieces of the log are not frames (1 malformed), the first: line 7: malformed",
-        "1 frames are shorter than their message: 1 values are not in them",
+        "1 frames are shorter than the database says: 1 values are not in them",
     ]
 
 

@@ -255,7 +255,7 @@ def test_people_are_told_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[
         "taken for candump: ",
         "5 rows in",
         "1 pieces of the log are not frames (1 malformed), the first: line 10",
-        "2 frames are shorter than their message: 3 values are not in them",
+        "2 frames are shorter than the database says: 3 values are not in them",
         "1 frames are pieces of messages longer than a frame, that could not be put together: Long (20 bytes) 1",
         "1 signals cannot be decoded: Bad.Outside lies outside its message",
         "1 values outside [min|max], written as sent: Whole.Low 1",

@@ -13,7 +13,7 @@ from cantools.database.can import Database
 import canlog
 from canlog.column_files import TableFormat
 from canlog.frames import FrameBatch
-from canlog.tables.account import remarks
+from canlog.tables.account import remarks, values_text
 from canlog.tables.decoding import Plan, TableShape, decode_logs
 from canlog.transport import LongMessages
 from tests.support.transport_traffic import Sent, batch_of, fast_packets, generator, iso_tp, j1939
@@ -133,3 +133,10 @@ def test_a_log_of_pieces_alone_is_of_its_database(tmp_path: Path) -> None:
     log = pieces_alone(tmp_path)
     assert "2 of 2 identifiers are not in the database: 0x1CEBFF03 6, 0x1CECFF03 2" in remarks(log.account)
     assert not any("identifiers" in loss for loss in log.losses)
+
+
+def test_what_never_came_of_a_longer_message_is_no_signal_and_its_end_is_counted(tmp_path: Path) -> None:
+    log = pieces_alone(tmp_path)
+    assert log.signals().keys() == {"Long0.Number", "Long0.Page", "Long0.Some0"}
+    assert values_text(log.account) == "6 values of 3 signals in 1 messages"
+    assert log.losses == ["2 messages of several frames are shorter than the database says: 2 values are not in them"]
