@@ -95,7 +95,7 @@ class Trouble:
 
     def __post_init__(self) -> None:
         if not _CODE.fullmatch(self.code):
-            raise ConfigError(f"trouble code {self.code} is none: a letter of {SYSTEMS}, a digit 0-3, three of 0-F")
+            raise ConfigError(f"trouble code {self.code} is none: in capitals, as P0741, its failure_type apart")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

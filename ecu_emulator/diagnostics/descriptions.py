@@ -59,9 +59,9 @@ class Field:
         is_scaled = self.resolution != 1.0 or self.offset != 0.0
         if self.kind is Coding.FLOAT and (self.size_bytes not in FLOAT_BYTES or is_scaled):
             raise ConfigError(f"{self.name}: a float has 4 or 8 bytes and is not scaled")
-        numbers = (self.resolution, self.offset, self.minimum or 0.0, self.maximum or 0.0)
-        if not (all(map(math.isfinite, numbers)) and self.resolution > 0.0):
-            raise ConfigError(f"{self.name}: resolution must be > 0 and all numbers finite: leave a missing limit out")
+        if not (math.isfinite(self.resolution) and math.isfinite(self.offset) and self.resolution > 0.0):
+            raise ConfigError(f"{self.name}: resolution must be > 0, and it and the offset finite")
+        _check_limits(self)
         try:
             re.compile(self.pattern)
         except re.error as exc:
@@ -101,6 +101,14 @@ class Condition:
     def __post_init__(self) -> None:
         if self.nrc not in set(Nrc):
             raise ConfigError(f"condition {self.name}: nrc 0x{self.nrc:02X} is unknown")
+        _check_limits(self)
+
+
+def _check_limits(entry: Field | Condition) -> None:
+    """Raise ConfigError unless the limits that are given can be kept."""
+    given = [limit for limit in (entry.minimum, entry.maximum) if limit is not None]
+    if not all(map(math.isfinite, given)) or given != sorted(given):
+        raise ConfigError(f"{entry.name}: minimum and maximum {given} are not a range: leave a missing limit out")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,7 +237,7 @@ class Trouble:
 
     def __post_init__(self) -> None:
         if not _CODE.fullmatch(self.code):
-            raise ConfigError(f"trouble code {self.code} is none: a letter of {_SYSTEMS}, a digit 0-3, three of 0-F")
+            raise ConfigError(f"trouble code {self.code} is none: in capitals, as P0741, its failure_type apart")
         for name, value, most in (
             ("failure_type", self.failure_type, 255), ("severity", self.severity, 255),
             ("confirm_cycles", self.confirm_cycles, 255), ("heal_cycles", self.heal_cycles, 255),
