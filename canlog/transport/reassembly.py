@@ -77,9 +77,9 @@ class Reassembler:
         distinct, place = np.unique(can_ids, return_inverse=True)
         kinds = []
         for can_id in distinct.tolist():
-            if can_id not in self._kinds:
-                self._kinds[can_id] = self._kind_of(can_id)
-            kinds.append(bool(self._kinds[can_id]))
+            if kind := self._kinds.get(can_id) or self._kind_of(can_id):
+                self._kinds[can_id] = kind  # the others are not kept: noise has any number of them
+            kinds.append(bool(kind))
         is_part: BoolArray = np.array(kinds, np.bool_)[place]
         return is_part
 

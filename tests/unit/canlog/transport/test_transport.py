@@ -1,11 +1,15 @@
 """What each protocol says of messages that are not whole, and how whole ones are decoded."""
 
+import tracemalloc
+
+import numpy as np
 import pytest
 from cantools.database import load_string
 from cantools.database.can import Database
 
 from canlog.frames import EXTENDED_FLAG
 from canlog.transport import Exchanges, Fault, LongMessages, Protocol, Reassembler, Transfer
+from tests.support.batches import frames_at
 from tests.support.transport_traffic import MS, Sent, batch_of, generator, j1939
 
 DBC = """VERSION ""
@@ -255,3 +259,13 @@ def test_j1939_is_put_together_in_one_batch_or_frame_by_frame() -> None:
     one_by_one = [one for frame in traffic.frames for one in single.feed(batch_of([frame]))] + single.close()
     assert at_once == one_by_one
     assert whole.counts == single.counts
+
+
+def test_noise_of_any_length_takes_no_memory() -> None:
+    reassembler = Reassembler()
+    tracemalloc.start()
+    for first in range(0, 200_000, 20_000):
+        reassembler.feed(frames_at(np.arange(20_000) * MS, EXTENDED_FLAG + first + np.arange(20_000)))
+    held_bytes = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert held_bytes < 1_000_000  # a few bytes for each identifier would be more
