@@ -44,6 +44,7 @@ class MessageAddress:
     is_group: bool  # by its J1939 parameter group; else by the whole identifier
     sender: int = ANY  # J1939 source address
     channel: int = ANY
+    is_for_one: bool = False  # of J1939: what its sender tells others is another message of the database
 
 
 class _Table(Enum):
@@ -64,12 +65,20 @@ class AddressBook(NamedTuple):
 
 
 def message_address(
-    message: Message, *, is_j1939: bool = False, sender: int | None = None, channel: int | None = None
+    message: Message,
+    *,
+    is_j1939: bool = False,
+    sender: int | None = None,
+    channel: int | None = None,
+    others: Sequence[Message] = (),
 ) -> MessageAddress:
     """Return how frames of a message are known; without J1939 source address or channel, by the first that is heard.
 
-    With ``is_j1939`` a message with a 29-bit identifier is taken for one of J1939, whatever the database says.
+    With ``is_j1939`` a message with a 29-bit identifier is taken for one of J1939, whatever the database says. Frames
+    to destinations for which ``others`` of its group and sender are there are none of its own.
     """
+    group, own = parameter_group(message.frame_id), message.frame_id
+    rivals = (one.frame_id for one in others if one.is_extended_frame and parameter_group(one.frame_id) == group)
     return MessageAddress(
         name=message.name,
         can_id=message.frame_id,
@@ -77,6 +86,7 @@ def message_address(
         is_group=message.is_extended_frame and (is_j1939 or message.protocol == J1939),
         sender=ANY if sender is None else sender,
         channel=ANY if channel is None else channel,
+        is_for_one=any((rival ^ own) & 0xFF00 and not (rival ^ own) & 0xFF for rival in rivals),
     )
 
 
@@ -129,8 +139,7 @@ def _kernel_filter(address: MessageAddress) -> tuple[int, int]:
         return address.can_id, STANDARD_IDS - 1 | _EXTENDED | REMOTE_FLAG
     mask = _ID_MASK
     if address.is_group:
-        is_addressed = (address.can_id >> 16) & 0xFF < PDU2_FORMATS
-        mask = 0x03FF_0000 if is_addressed else 0x03FF_FF00
+        mask = 0x03FF_0000 if (address.can_id >> 16) & 0xFF < PDU2_FORMATS else 0x03FF_FF00
     return address.can_id & mask | _EXTENDED, mask | _EXTENDED | REMOTE_FLAG
 
 
@@ -156,7 +165,10 @@ def _places(addresses: Sequence[MessageAddress]) -> list[tuple[_Table, int]]:
             source = _ANY_SENDER
         places.append((_Table.GROUP, (address.can_id >> 8 & 0x3FFFF) << _SENDER_BITS | source))
     shared = Counter(_for_all(place) for place in set(places))
-    return [place if shared[_for_all(place)] > 1 else _for_all(place) for place in places]
+    return [
+        place if shared[_for_all(place)] > 1 or address.is_for_one else _for_all(place)
+        for place, address in zip(places, addresses, strict=True)
+    ]
 
 
 def _for_all(place: tuple[_Table, int]) -> tuple[_Table, int]:

@@ -21,8 +21,6 @@ from canlog.logs.streams import kept, never, open_standard_input
 from canlog.transport import Reassembler, Transfer, TransferCounts
 from canlog.transport.reassembly import fast_groups
 
-_FIRST: Final = 0
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origins:
@@ -100,7 +98,7 @@ class LogSet:
             self.readers.append(self._open(path))
         origins = self.origins
         if origins is None:
-            yield from self.readers[_FIRST]
+            yield from self.readers[0]
             return
         marks = SourceMarks(origins.names, origins.begin)
         yield from merged_by_time([self._of(number, marks) for number in range(len(self.readers))], marks.marked)
@@ -109,7 +107,7 @@ class LogSet:
     def counts(self) -> LogCounts:
         """What the logs held, those of several added up."""
         if self.origins is None:
-            return self.readers[_FIRST].counts
+            return self.readers[0].counts
         total = LogCounts()
         for reader in self.readers:
             total.add(_with_name(reader.counts, reader.name))

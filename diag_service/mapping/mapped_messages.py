@@ -35,7 +35,7 @@ class SourceTable:
         found = self.main.decode(words)
         if self.less is None and self.times is None and self.valid is None and not self.invalid:
             return found
-        good = _all(found)
+        good = np.ones(len(found.value), np.bool_) if found.is_good is None else found.is_good
         is_valid, is_code = self._profile_says(found.value)
         invalid = found.invalid.plus(
             InvalidCounts(
@@ -105,8 +105,7 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
     for signal, source in profile.sources.items():
         try:
             message = find_message(database.messages, source)
-            is_j1939 = profile.is_j1939 and not source.is_asked
-            column = _column(message, signal, source, is_j1939=is_j1939)
+            column = _column(message, signal, source, is_j1939=profile.is_j1939 and not source.is_asked)
         except (ConfigError, DefinitionError) as error:
             if source.optional:
                 continue
@@ -125,6 +124,7 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
                 is_j1939=profile.is_j1939 and not columns[0].is_asked,
                 sender=min(senders.get(name, ()), default=None),
                 channel=profile.channel,
+                others=database.messages,
             ),
             period_ns=(messages[name].cycle_time or 0) * NS_PER_MS,
             columns=tuple(columns),
@@ -184,11 +184,8 @@ def find_message(messages: Sequence[Message], source: SignalSource) -> Message:
     Raises ConfigError if the database has none.
     """
     for message in messages:
-        if source.pgn is None:
-            is_meant = message.name == source.message_name
-        else:
-            is_meant = message.is_extended_frame and parameter_group(message.frame_id) == source.pgn
-        if is_meant:
+        is_of_group = message.is_extended_frame and parameter_group(message.frame_id) == source.pgn
+        if is_of_group or message.name == source.message_name:
             return message
     raise ConfigError(f"the database has no message {source.message_name or f'of PGN {source.pgn}'}")
 
@@ -208,8 +205,3 @@ def _combined(other: Decoded, good: BoolArray, value: FloatArray, operation: np.
     """Return a value combined with another signal of the same frames, and where both are measurements."""
     combined: FloatArray = operation(value, other.value)
     return combined, good if other.is_good is None else good & other.is_good
-
-
-def _all(found: Decoded) -> BoolArray:
-    """Return which values are good, also if all are."""
-    return np.ones(len(found.value), np.bool_) if found.is_good is None else found.is_good

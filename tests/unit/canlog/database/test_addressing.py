@@ -132,6 +132,21 @@ def test_database_or_profile_says_that_a_message_is_of_j1939() -> None:
     assert message_address(plain, is_j1939=True).is_group
 
 
+def test_a_message_whose_sender_has_another_one_for_others_is_known_by_its_destination() -> None:
+    engine, retarder, other, alone = (
+        Message(can_id, name, 8, [], is_extended_frame=True, protocol="j1939")
+        for can_id, name in ((0x0C00_000B, "E"), (0x0C00_0F0B, "R"), (0x0C00_0003, "O"), (0x0CEF_000B, "A"))
+    )
+    frames = batch([can_id | EXTENDED_FLAG for can_id in (0x0C00_000B, 0x0C00_0F0B, 0x0C00_0003)])
+    messages = [engine, retarder, other, alone]
+    known = LinkMonitor([engine], [message_address(engine, others=messages)])
+    assert reasons(known, frames) == [OK, UNKNOWN_ID, OTHER_SENDER]
+    known = LinkMonitor([alone], [message_address(alone, others=messages)])
+    assert reasons(known, batch([0x0CEF_000B | EXTENDED_FLAG, 0x0CEF_210B | EXTENDED_FLAG])) == [OK, OK]
+    named = LinkMonitor([other], [message_address(other, others=messages, sender=3)])
+    assert reasons(named, frames) == [OTHER_SENDER, OTHER_SENDER, OK]
+
+
 def test_the_first_sender_is_followed_and_the_others_are_counted() -> None:
     monitor = LinkMonitor([eec1()])
     ids = [can_id | EXTENDED_FLAG for can_id in (EEC1 | 7, EEC1 | 3, EEC1 | 7, 0x18F0_0407, EEC1 | 9)]
