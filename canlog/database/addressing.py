@@ -197,10 +197,11 @@ def find_slot(book: AddressBook, can_id: int) -> int:
         named = (bare >> 8) & 0x3FFFF
         anybody = named | _EVERYBODY if (named >> 8) & 0xFF < PDU2_FORMATS else named
         for source in (bare & 0xFF, _ANY_SENDER):
-            for group in (named, anybody):
-                place = find(book.group, group << _SENDER_BITS | source)
-                if place >= 0:
-                    return int(book.group_slot[place])
+            place = find(book.group, named << _SENDER_BITS | source)
+            if place < 0 and anybody != named:
+                place = find(book.group, anybody << _SENDER_BITS | source)
+            if place >= 0:
+                return int(book.group_slot[place])
     return NOBODY
 
 
