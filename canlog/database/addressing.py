@@ -155,27 +155,23 @@ def rows_by_slot(slot: Int64Array, count: int) -> Iterator[tuple[int, Int64Array
 def _places(addresses: Sequence[MessageAddress]) -> list[tuple[_Table, int]]:
     """Return in which table each message is looked up, and its key there."""
     count = Counter(parameter_group(address.can_id) for address in addresses if address.is_group)
-    places: list[tuple[_Table, int]] = []
+    places: list[tuple[tuple[_Table, int], tuple[_Table, int]]] = []  # to its destination, and to any
     for address in addresses:
         if not address.is_group:
-            places.append((_Table.EXTENDED if address.is_extended else _Table.STANDARD, address.can_id))
+            place = _Table.EXTENDED if address.is_extended else _Table.STANDARD, address.can_id
+            places.append((place, place))
             continue
         source = address.can_id & 0xFF if address.sender == ANY else address.sender
         if count[parameter_group(address.can_id)] == 1 or source == NULL_ADDRESS:
             source = _ANY_SENDER
-        places.append((_Table.GROUP, (address.can_id >> 8 & 0x3FFFF) << _SENDER_BITS | source))
-    shared = Counter(_for_all(place) for place in set(places))
+        key = (address.can_id >> 8 & 0x3FFFF) << _SENDER_BITS | source
+        anybody = _EVERYBODY << _SENDER_BITS if address.can_id >> 16 & 0xFF < PDU2_FORMATS else 0
+        places.append(((_Table.GROUP, key), (_Table.GROUP, key | anybody)))
+    shared = Counter(every for _, every in set(places))
     return [
-        place if shared[_for_all(place)] > 1 or address.is_for_one else _for_all(place)
-        for place, address in zip(places, addresses, strict=True)
+        place if shared[every] > 1 or address.is_for_one else every
+        for address, (place, every) in zip(addresses, places, strict=True)
     ]
-
-
-def _for_all(place: tuple[_Table, int]) -> tuple[_Table, int]:
-    """Return the place of a message whatever its destination is."""
-    table, key = place
-    is_addressed = table is _Table.GROUP and key >> _SENDER_BITS + 8 & 0xFF < PDU2_FORMATS
-    return table, key | _EVERYBODY << _SENDER_BITS if is_addressed else key
 
 
 def _sorted_table(slots: dict[int, int]) -> tuple[Int64Array, Int64Array]:
