@@ -39,7 +39,7 @@ EARLY_MARGIN_STD_RATIO = 0.15  # worse known, the margin of one clutch is believ
 COLD_K = 333.15  # of a pack: below it nobody knows the laws of film and drag well, and a drive has many looks at them
 COLD_CHANGE_PROBABILITY = 0.99
 COLD_WATCH_PROBABILITY = 0.95
-SLIP_WATCH_PROBABILITY = 0.999  # of a lock-up clutch: its slip is judged every minute, for hours
+SLIP_PROBABILITY = 0.999  # of a lock-up clutch, for either: its slip is judged every minute, for hours
 COMMON_THIN_PROBABILITY = 0.003  # the same by both clutches together: they slip in one oil
 LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
 FIT_WINDOW = 20  # shifts of both clutches: two cycles
@@ -307,7 +307,7 @@ def decide(
     change_at = COLD_CHANGE_PROBABILITY if is_cold else CHANGE_PROBABILITY
     watch_at = COLD_WATCH_PROBABILITY if is_cold else WATCH_PROBABILITY
     if counted != SHIFTS:
-        watch_at = SLIP_WATCH_PROBABILITY
+        change_at = watch_at = SLIP_PROBABILITY
     if shift_count < MIN_SHIFT_COUNT:
         few, some = (Silence.FEW_SHIFTS, "shift(s)") if counted == SHIFTS else (Silence.FEW_EVENTS, counted)
         return nothing(few, f"{shift_count} usable {some}, {MIN_SHIFT_COUNT} needed")

@@ -12,7 +12,7 @@ from canlog.e2e.e2e_state import E2eState
 from clutch_model.calibration import shipped_calibration
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import REFUSED_COUNT, SLIP_MINUTES, ConditionMemory, Fit, judge_lockup
-from diag_service.diagnosis.condition.verdict import Launches, Silence, decide
+from diag_service.diagnosis.condition.verdict import SHIFTS, Launches, Silence, decide
 from diag_service.diagnosis.events import Event, EventKind, Shudder
 from diag_service.diagnosis.lockup.blocks import BLOCK_NS, MICRO_SLIP_RAD_S, cut, samples_of
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
@@ -68,7 +68,7 @@ def diagnosed(fluid: str, seed: int = 900) -> tuple[LockupState, list[tuple[Shif
 
 
 def test_slip_whose_sensors_contradict_each_other_takes_the_verdict_back() -> None:
-    state, told = diagnosed("worn")
+    state, told = diagnosed("worn", 903)
     refused = replace(told[-1][0], status=Status.REJECTED, reasons=(Reason.SPEEDS_DISAGREE,))
     memory = ConditionMemory.fresh()
     for count in range(REFUSED_COUNT):
@@ -210,6 +210,19 @@ def test_silence_is_told_in_words_that_fit_a_clutch_that_slips() -> None:
     )
     found = decide(friction, None, curve, 9, Condition.GOOD, None, swung, known / 0.014, counted=SLIP_MINUTES)
     assert (found.ground, "launches" in found.reason) == (Silence.SLIP_SWINGS, False)
+
+
+def test_slip_that_is_judged_each_minute_takes_more_to_order_new_fluid() -> None:
+    curve = CALIBRATION.clutches[0].friction
+    friction = replace(
+        diagnosed("new")[0].friction(), mu_c=curve.mu_c, mu_s=curve.mu_c + 1e-4, std_mu_c=1e-4, std_slope_s_rad=1e-6
+    )
+    both, none = NormalDist(-0.1, 0.01), Launches()
+    for probability, by_slip in ((0.98, Condition.WATCH), (0.9995, Condition.CHANGE_FLUID)):
+        known = replace(friction, probability_negative_slope=probability)
+        for counted, condition in ((SLIP_MINUTES, by_slip), (SHIFTS, Condition.CHANGE_FLUID)):
+            found = decide(known, None, curve, 9, Condition.NO_VERDICT, None, none, both, counted=counted)
+            assert found.condition is condition
 
 
 def test_signals_that_are_missing_tell_nothing() -> None:
