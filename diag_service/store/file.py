@@ -103,11 +103,12 @@ _BUSY_TIMEOUT_S: Final = 5.0  # for a person who reads the store with another pr
 _NO_ROOM: Final = frozenset({
     *(sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE, sqlite3.SQLITE_IOERR_FSYNC, sqlite3.SQLITE_IOERR_SHMSIZE)
 })  # fmt: skip
+_MARK_AT, _LONGEST_LOCK = 32, 256  # in a lock [bytes]: behind the process stands the mark
 _LOG = logging.getLogger(__name__)
 
 
-def own(path: Path) -> int:
-    """Return a descriptor that holds the exclusive lock beside a store."""
+def own(path: Path) -> tuple[int, str | None]:
+    """Return a descriptor that holds the exclusive lock beside a store, and its mark; None: of an earlier program."""
     lock_path = path.with_name(path.name + ".lock")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -116,26 +117,44 @@ def own(path: Path) -> int:
         raise StoreError(f"cannot use store {path}: {exc.strerror} ({exc.filename})") from exc
     try:
         lock(descriptor)
+        text = os.read(descriptor, _LONGEST_LOCK)
         _sign(descriptor)
     except BlockingIOError as exc:
         os.lseek(descriptor, 0, os.SEEK_SET)
-        owner = os.read(descriptor, 32).decode("ascii", "replace").strip()
+        owner = os.read(descriptor, _MARK_AT).decode("ascii", "replace").strip()
         os.close(descriptor)
         raise StoreError(f"store {path} is in use by another diag-service (process {owner or 'unknown'})") from exc
     except OSError as exc:
         os.close(descriptor)
         raise StoreError(f"cannot lock store {path}: {exc.strerror}") from exc
-    return descriptor
+    return descriptor, None if 0 < len(text) < _MARK_AT else text[_MARK_AT:].decode("ascii", "replace")
 
 
 def _sign(descriptor: int) -> None:
     """Write into a lock whose it is; a full disk does without."""
     try:
-        os.ftruncate(descriptor, 0)
-        os.write(descriptor, f"{os.getpid()}\n".encode())
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        os.write(descriptor, f"{os.getpid():<{_MARK_AT - 1}}\n".encode())
     except OSError as exc:
         if exc.errno != errno.ENOSPC:
             raise
+
+
+def note_mark(descriptor: int, stream: str, seq: int) -> None:
+    """Note in a lock, as well as the disk lets us, how far the stream of its store has come."""
+    with suppress(OSError):
+        os.lseek(descriptor, _MARK_AT, os.SEEK_SET)
+        os.write(descriptor, f"{_mark_of(descriptor, stream)} {seq:020}\n".encode())
+
+
+def is_put_back(descriptor: int, mark: str, stream: str, seq: int) -> bool:
+    """Return whether a store, by the mark beside it, was copied or has been further: its next numbers may be used."""
+    head, _, furthest = mark.strip().rpartition(" ")
+    return head != _mark_of(descriptor, stream) or not furthest.isdecimal() or int(furthest) > seq
+
+
+def _mark_of(descriptor: int, stream: str) -> str:
+    return f"{stream} {os.fstat(descriptor).st_ino}"  # whoever copies a lock makes another file
 
 
 def connect(path: Path) -> sqlite3.Connection:

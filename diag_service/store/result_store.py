@@ -5,12 +5,13 @@ left alone, so nothing is counted twice. One service at a time owns a store: an 
 """
 
 import json
+import logging
 import os
 import sqlite3
 import threading
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Final, Self
@@ -18,12 +19,13 @@ from typing import Final, Self
 from clutchdiag_io.files import keep_private
 from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.records import FluidFill, ShiftResult, StoredResult, dump, parse_shift, shift_record
-from diag_service.errors import ResultError, StoreError
-from diag_service.store.file import DELIVERED, GIVEN_UP, QUARANTINED, connect, connect_in_memory, own, store_error
+from diag_service.errors import ResultError, StoreError, StoreFullError
+from diag_service.store import file
 from diag_service.store.fills import add_fills, all_fills, latest_fill, read_fills
 from fleet_contract import JsonObject, Outcome, Receipt, ResultKey
 
 _ROWS_AT_ONCE: Final = 16
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +58,7 @@ _LATEST: Final = (  # of the last of each stream, which an index finds, those co
     " (SELECT DISTINCT clutch FROM result WHERE vehicle = ?1)) AS own)"
     " ORDER BY clutch, max(json_extract(json, '$.end_bus_ns'), ?4), position"
 )
-_OUTCOMES: Final = {Outcome.ACCEPTED: DELIVERED, Outcome.QUARANTINED: QUARANTINED}
+_OUTCOMES: Final = {Outcome.ACCEPTED: file.DELIVERED, Outcome.QUARANTINED: file.QUARANTINED}
 _END: Final = 2**63 - 1  # beyond the last position
 
 
@@ -88,6 +90,7 @@ class ResultStore:
         budget_bytes: int | None = None,
         *,
         keeps_state: bool = True,
+        mark: str | None = None,  # what the lock said of the stream
     ) -> None:
         self.keeps_state = keeps_state
         self._connection = connection
@@ -98,9 +101,18 @@ class ResultStore:
         with self._transaction() as sql:
             self.stream = self._read_stream()
             row = sql.execute("SELECT value FROM meta WHERE key = 'last_seq'").fetchone()
-        self._last_seq = (
-            0 if row is None else int(row[0])
-        )  # of the live stream; who owns the store alone writes results
+        self._last_seq = 0 if row is None else int(row[0])  # of the live stream, which its owner alone writes
+        if lock_descriptor is not None:
+            if (
+                mark is not None
+                and (row or mark)
+                and file.is_put_back(lock_descriptor, mark, self.stream, self._last_seq)
+            ):
+                _LOG.warning("store %s is a copy or was put back: its next results begin a new stream", where)
+                self.stream, self._last_seq = str(uuid.uuid4()), 0
+                with suppress(StoreFullError), self._transaction() as sql:
+                    self._keep_stream(sql, 0)
+            file.note_mark(lock_descriptor, self.stream, self._last_seq)
 
     @classmethod
     def open(cls, path: Path, budget_bytes: int | None = None) -> Self:
@@ -110,9 +122,9 @@ class ResultStore:
         cannot be created, read or written, is not a store, is newer than this program or is in use.
         """
         path = path.absolute()
-        descriptor, is_new = own(path), not path.exists()
+        (descriptor, mark), is_new = file.own(path), not path.exists()
         try:
-            store = cls(connect(path), descriptor, str(path), budget_bytes)
+            store = cls(file.connect(path), descriptor, str(path), budget_bytes, mark=None if is_new else mark)
         except BaseException:
             if is_new:  # what a full disk left of it is no store
                 for suffix in ("", "-wal", "-shm"):
@@ -125,7 +137,7 @@ class ResultStore:
     @classmethod
     def in_memory(cls, *, keeps_state: bool = False) -> Self:
         """Return a store that ends with the process; nobody takes up a state in it unless a session follows another."""
-        return cls(connect_in_memory(), None, "memory", keeps_state=keeps_state)
+        return cls(file.connect_in_memory(), None, "memory", keeps_state=keeps_state)
 
     def close(self) -> None:
         """Close the store and let others have it; closing twice does no harm."""
@@ -174,9 +186,11 @@ class ResultStore:
                 sql.execute("INSERT OR REPLACE INTO state VALUES (?, ?, ?, ?, ?)", running)
             last_seq = max(self._last_seq, result.seq) if result.stream == self.stream else self._last_seq
             if last_seq != self._last_seq:
-                sql.execute("INSERT OR REPLACE INTO meta VALUES ('last_seq', ?)", (str(last_seq),))
+                self._keep_stream(sql, last_seq)
             if self._budget_bytes is not None:
                 _enforce_budget(sql, self._budget_bytes, int(inserted.lastrowid or 0))
+        if last_seq != self._last_seq and self._lock_descriptor is not None:
+            file.note_mark(self._lock_descriptor, self.stream, last_seq)
         self._last_seq = last_seq
         return True
 
@@ -235,7 +249,7 @@ class ResultStore:
     def mark_published(self, positions: Iterable[int]) -> None:
         """Note that results need no further delivery."""
         with self._transaction() as sql:
-            _mark(sql, [(DELIVERED, None, position) for position in positions])
+            _mark(sql, [(file.DELIVERED, None, position) for position in positions])
 
     def note_receipts(self, receipts: Sequence[Receipt]) -> list[int]:
         """Note what a backend acknowledged; return the positions of what is known here, repetitions included."""
@@ -357,6 +371,10 @@ class ResultStore:
         self._connection.execute("INSERT INTO meta VALUES ('stream', ?)", (stream,))
         return stream
 
+    def _keep_stream(self, sql: sqlite3.Connection, seq: int) -> None:
+        own = (("stream", self.stream), ("last_seq", str(seq)))
+        sql.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", own)
+
     def _parse(self, text: str) -> ShiftResult:
         try:
             return parse_shift(text)
@@ -384,7 +402,7 @@ class ResultStore:
                 if self._connection.in_transaction:
                     self._connection.execute("ROLLBACK")
                 if isinstance(exc, sqlite3.Error):
-                    raise store_error(self.where, exc) from exc
+                    raise file.store_error(self.where, exc) from exc
                 raise
 
 
@@ -420,7 +438,7 @@ def _enforce_budget(sql: sqlite3.Connection, budget_bytes: int, own_position: in
 
     Runs inside the transaction that adds a result, so what is dropped and what is added are one step.
     """
-    for name, condition in GIVEN_UP.items():
+    for name, condition in file.GIVEN_UP.items():
         while _used_bytes(sql) > budget_bytes:
             dropped = _drop(sql, condition, own_position)
             sql.execute(

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
@@ -76,6 +77,31 @@ def test_sequence_numbers_outlive_their_results(path: Path) -> None:
     edit(path, "DELETE FROM result")
     with closing(ResultStore.open(path)) as store:
         assert store.next_seq() == 4
+
+
+@pytest.mark.parametrize("lock", ["of the lost store", "of the backup", "none"])
+def test_a_store_that_was_put_back_uses_no_number_again(
+    path: Path, lock: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    stream, backup = fill(path, 3), path.parent / "backup"
+    backup.mkdir()
+    for name in (path.name, f"{path.name}.lock"):
+        shutil.copyfile(path.parent / name, backup / name)
+    fill(path, 5)  # the fleet has these; then the disk is lost, but for the lock perhaps
+    path.unlink()
+    shutil.move(backup / path.name, path)
+    if lock != "of the lost store":
+        path.with_name(f"{path.name}.lock").unlink()
+    if lock == "of the backup":
+        shutil.move(backup / f"{path.name}.lock", path.parent)
+    with closing(ResultStore.open(path)) as store:
+        assert (store.stream != stream, store.next_seq()) == (True, 1)
+    assert "is a copy or was put back: its next results begin a new stream" in caplog.text
+    caplog.clear()
+    fill(path, 2)
+    with closing(ResultStore.open(path)) as again:
+        assert (again.stream, again.next_seq(), len(list(again.results("car1")))) == (store.stream, 3, 5)
+    assert not caplog.text
 
 
 def test_every_commit_is_durable(path: Path, connections: list[sqlite3.Connection]) -> None:

@@ -29,6 +29,7 @@ FLEET_HASH = "fbdbd0a37cfbe9c19f8e1258cb6e6405e3ffd5b2fa672e43197c429b84061864"
 
 @pytest.fixture(name="store_path")
 def _store_path(tmp_path: Path) -> Path:
+    (tmp_path / "edge.sqlite.lock").write_text("1234\n", "ascii")  # all that the lock of then said
     return earlier.database("edge.sql", tmp_path / "edge.sqlite")
 
 
