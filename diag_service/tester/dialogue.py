@@ -186,11 +186,11 @@ class Dialogue:
     @contextmanager
     def patience(self, longest_s: float) -> Iterator[None]:
         """Give each question so much time, however often the controller says that it takes longer."""
-        self._client.set_config("request_timeout", longest_s)
+        self._client.set_config("request_timeout", max(longest_s, self.timing.p2_s))
         try:
             yield
         finally:
-            self._client.set_config("request_timeout", self.timing.longest_s)
+            self._client.set_config("request_timeout", max(self.timing.longest_s, self.timing.p2_s))
 
     def unlock(self, level: int, mask: bytes) -> None:
         """Unlock a security level whose key is its seed XOR a mask; one that is unlocked stays so."""
@@ -206,7 +206,7 @@ class Dialogue:
 def _client_config(timing: Timing, on_pending: Callable[[], None]) -> Any:  # noqa: ANN401 - a typed dictionary of the library, of which this is a part
     return {
         **default_client_config,
-        "request_timeout": timing.longest_s,
+        "request_timeout": max(timing.longest_s, timing.p2_s),
         "p2_timeout": timing.p2_s,
         "p2_star_timeout": timing.p2_star_s,
         "nrc78_callback": on_pending,

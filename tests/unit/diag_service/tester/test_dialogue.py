@@ -194,3 +194,13 @@ def test_who_shall_stop_waits_no_longer() -> None:
     tester = Dialogue(Scripted(), "7E1", Timing(p2_s=60.0), goes_on=lambda: next(looks))
     with pytest.raises(StoppedError, match="not everything was asked"):
         tester.ask(VIN)
+
+
+def test_an_answer_may_begin_as_late_as_was_said_however_short_a_question_is_to_take() -> None:
+    tester = Dialogue(Scripted(), "7E1", Timing(p2_s=0.3, longest_s=0.02, most_silent=1, gap_s=0.0))
+    begun_s = time.monotonic()
+    with pytest.raises(SilentError):
+        tester.ask(VIN)
+    with tester.patience(0.01), pytest.raises(SilentError):
+        tester.ask(VIN)
+    assert time.monotonic() - begun_s >= 0.6
