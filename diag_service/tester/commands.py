@@ -45,7 +45,7 @@ _AnswerT = TypeVar("_AnswerT")
 
 
 def dtc(options: SimpleNamespace, controls: Controls) -> None:
-    """Read trouble codes and show them, or clear them and show what is left."""
+    """Read trouble codes and show them, or clear them and show what is left. ControllerError: not all was told."""
     mask = 0 if options.all else hexadecimal(options.mask, "--mask", 0xFF)
     if options.clear is None:
         group, record = (
@@ -53,7 +53,9 @@ def dtc(options: SimpleNamespace, controls: Controls) -> None:
             for text, name in ((options.readiness, "--readiness"), (options.record, "--record"))
         )
         question = questions.TroubleQuestion(mask=mask, has_details=not options.brief, group=group, record=record)
-        ask_one(options, question, _shown_codes, controls.stop)
+        codes = ask_one(options, question, _shown_codes, controls.stop) or ()
+        if faults := [code.fault for code in codes if code.fault]:
+            raise ControllerError(f"what was kept of {len(faults)} of {len(codes)} codes was not told: {faults[0]}")
     elif (options.readiness, options.record) != (None, None):
         raise ConfigError("--readiness and --record read trouble codes: they do not go with --clear")
     else:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
-from diag_service.errors import ConfigError, ControllerError, MalformedError, PendingError, RefusedError
+from diag_service.errors import ConfigError, ControllerError, MalformedError, PendingError, RefusedError, SilentError
 from diag_service.tester.answers import (
     BY_MASK,
     CLEAR,
@@ -26,7 +26,7 @@ from diag_service.tester.answers import (
 )
 from diag_service.tester.description import SYSTEMS, UNKNOWN, Description, Values, fields_size_bytes, read_fields
 from diag_service.tester.description_files import shipped
-from diag_service.tester.trouble import CODE_BYTES, TroubleCode, read_codes, read_extended, read_snapshots
+from diag_service.tester.trouble import CODE_BYTES, Snapshot, TroubleCode, read_codes, read_extended, read_snapshots
 
 if TYPE_CHECKING:
     from diag_service.tester.dialogue import Dialogue
@@ -112,25 +112,42 @@ def read_troubles(
 ) -> tuple[TroubleCode, ...]:
     """Return the trouble codes for which a `trouble_request` asks.
 
-    With details each comes with its snapshots and extended data, as far as the controller has them.
+    With details each comes with its snapshots and extended data, as far as the controller has them and tells them.
     """
     codes = read_codes(tester.ask(request), description)
     if not has_details:
         return codes
     record = request[2] if request[1] == WITH_RECORD else ALL_RECORDS
-    return tuple(_with_details(tester, description, code, record) for code in codes)
+    details = _Details(tester, description)
+    return tuple(details.added(code, record) for code in codes)
 
 
-def _with_details(tester: "Dialogue", description: Description, code: TroubleCode, record: int) -> TroubleCode:
-    """Return a code with what was kept of it; a controller that keeps nothing, or will not tell, is no error."""
-    number = code.number.to_bytes(3, "big")
-    snapshots = tester.may_ask(bytes([READ_TROUBLE, SNAPSHOTS]) + number + bytes([ALL_RECORDS]))
-    extended = tester.may_ask(bytes([READ_TROUBLE, EXTENDED]) + number + bytes([record]))
-    return replace(
-        code,
-        snapshots=() if isinstance(snapshots, RefusedError) else read_snapshots(snapshots, description),
-        extended=() if isinstance(extended, RefusedError) else read_extended(extended, description),
-    )
+_Read = Callable[[bytes, Description], tuple[Snapshot, ...]]
+
+
+class _Details:
+    """Asks for what was kept of codes; who keeps nothing, or will not tell, is no error, and silence ends one kind."""
+
+    def __init__(self, tester: "Dialogue", description: Description) -> None:
+        self._tester, self._description = tester, description
+        self._silent: dict[int, str] = {}  # what is not asked any more, and why
+
+    def added(self, code: TroubleCode, record: int) -> TroubleCode:
+        snapshots, fault = self._told(SNAPSHOTS, code.number, ALL_RECORDS, read_snapshots)
+        extended, other = self._told(EXTENDED, code.number, record, read_extended)
+        return replace(code, snapshots=snapshots, extended=extended, fault=fault or other)
+
+    def _told(self, kind: int, number: int, record: int, read: _Read) -> tuple[tuple[Snapshot, ...], str]:
+        if kind in self._silent:
+            return (), self._silent[kind]
+        try:
+            answer = self._tester.may_ask(bytes([READ_TROUBLE, kind]) + number.to_bytes(3, "big") + bytes([record]))
+            return () if isinstance(answer, RefusedError) else read(answer, self._description), ""
+        except MalformedError as exc:
+            return (), str(exc)
+        except SilentError as exc:
+            self._silent[kind] = str(exc)
+            return (), str(exc)
 
 
 def read_data(tester: "Dialogue", description: Description, numbers: Iterable[int]) -> list[DataAnswer]:

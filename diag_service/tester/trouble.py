@@ -41,6 +41,7 @@ class TroubleCode:
     text: str = ""
     snapshots: tuple[Snapshot, ...] = field(default=())
     extended: tuple[Snapshot, ...] = field(default=())
+    fault: str = ""  # why what was kept of it is not told, or not all
 
     @property
     def code(self) -> str:

@@ -8,8 +8,10 @@ import pytest
 
 from diag_service.errors import ControllerError, MalformedError, PendingError, RefusedError, SilentError, StoppedError
 from diag_service.tester.answers import Timing
+from diag_service.tester.description import UNKNOWN
 from diag_service.tester.dialogue import Dialogue
 from diag_service.tester.libraries import BaseConnection, TimeoutException
+from diag_service.tester.questions import read_troubles
 
 QUICK = Timing(p2_s=0.02, p2_star_s=0.05, longest_s=0.2, gap_s=0.0)
 VIN = bytes.fromhex("22 F1 90")
@@ -204,3 +206,15 @@ def test_an_answer_may_begin_as_late_as_was_said_however_short_a_question_is_to_
     with tester.patience(0.01), pytest.raises(SilentError):
         tester.ask(VIN)
     assert time.monotonic() - begun_s >= 0.6
+
+
+def test_silence_about_what_was_kept_costs_no_code_and_is_met_once() -> None:
+    extended = [["59 06 08 11 07 2f 01 05"], ["59 06 08 11 09 2f 01 06"]]
+    tester, controller, _ = dialogue_of(["59 02 ff 08 11 07 2f 08 11 09 2f"], [], [], *extended)
+    codes = read_troubles(tester, UNKNOWN)
+    assert [(code.number, code.snapshots, len(code.extended)) for code in codes] == [
+        (0x081107, (), 1),
+        (0x081109, (), 1),
+    ]
+    assert {code.fault for code in codes} == {"7E1 does not answer 19 04 08 11 07 FF"}
+    assert [one[:5] for one in controller.asked] == ["19 02", "19 04", "19 04", "19 06", "19 06"]
