@@ -100,9 +100,11 @@ class Span:
 
     @classmethod
     def of(cls, begin: str | float | None, end: str | float | None) -> "Span":
-        """Return the stretch between two moments, or without a limit; raises SourceError if one of them is none."""
-        ends = [None if one is None else TimeLimit.of(str(one)) for one in (begin, end)]
-        return cls(*ends)
+        """Return the stretch between two moments, or without a limit; raises SourceError if it can be none."""
+        first, last = (None if one is None else TimeLimit.of(str(one)) for one in (begin, end))
+        if first and last and first.is_elapsed is last.is_elapsed and first.ns >= last.ns:
+            raise SourceError(f"nothing lies between {begin} and {end}: the first time must be before the second")
+        return cls(first, last)
 
     def part(self, batches: Iterable[FrameBatch], left_out: Callable[[int], None]) -> Iterator[FrameBatch]:
         """Yield what of some batches lies inside; ``left_out`` is called with how many frames do not.

@@ -287,6 +287,11 @@ def test_a_part_that_cannot_be_is_told(folder: Path) -> None:
     for words, text in (
         (("--signals", "Brake.Sped"), "no signal is called Brake.Sped; there is Brake.Speed"),
         (("--from", "noon"), "'noon' is not a time"),
+        (("--from", "5", "--to", "2"), "nothing lies between 5 and 2: the first time must be before the second"),
+        (
+            ("--from", "2026-01-01T00:00:05", "--to", "2026-01-01T00:00:05Z"),
+            "nothing lies between 2026-01-01T00:00:05 and",
+        ),
     ):
         told = ended("decode", "drive.log", *words, "-o", "part.csv")
         assert (told.status, text in told.err) == (2, True), told.err
