@@ -8,7 +8,7 @@ from difflib import get_close_matches
 from types import SimpleNamespace
 from typing import Final
 
-from canlog.errors import NOTICE
+from canlog.errors import NOTICE, SourceError
 from canlog.logs import STANDARD_INPUT
 from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoreError
@@ -75,7 +75,11 @@ def _check(options: SimpleNamespace, lake: Place) -> None:
 
 
 def fill(options: SimpleNamespace, controls: Controls) -> None:
-    """Bring a lake up to date; raises ConfigError if the words contradict each other, and what ``fill_lake`` raises."""
+    """Bring a lake up to date.
+
+    Raises ConfigError if the words contradict each other, SourceError if no log could be analysed, now or before, and
+    what ``fill_lake`` raises.
+    """
     _check_words(options)
     scheduler = None if options.scheduler == LOCAL else ClusterAddress.parse(options.scheduler, tls_files(options))
     options.ca = options.cert = options.key = options.broker = None  # the scheduler's, and nothing is published
@@ -120,6 +124,8 @@ def _show_totals(totals: LakeTotals, lake: Place) -> None:
         f"{totals.found} logs: {totals.before} in the lake before, {totals.done} analysed with {totals.shifts} shifts, "
         f"{totals.failed} not\n"
     )
+    if not totals.holds_any:
+        raise SourceError(f"none of {totals.found} logs could be analysed; --retry tries them again")
     _LOG.log(NOTICE, "the lake is %s", lake.address)
 
 

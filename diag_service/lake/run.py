@@ -39,6 +39,7 @@ class LakeTotals:
     done: int
     failed: int
     shifts: int
+    holds_any: bool  # whether any of them, now or before, was analysed
 
 
 def find_logs(places: Sequence[str], lake: Place, vehicle: str, *, has_vehicles: bool) -> list[LakeLog]:
@@ -95,7 +96,7 @@ def fill_lake(
     was stopped before everything was done.
     """
     lake = Place(job.lake)
-    before, counts = 0, Counter[str]()
+    before, holds_any, counts = 0, False, Counter[str]()
     for group, partitions in _groups(logs, lake):
         manifest = Manifest(lake, partitions)
         missing = to_do(job, group, manifest, is_retried=is_retried)
@@ -115,6 +116,8 @@ def fill_lake(
                     bar.update(task, advance=row.size_bytes, done=counts[DONE] + counts[FAILED])
                     stream.write(line_of(row) + "\n")
                     stream.flush()
+        rows = (manifest.row(log.source) for log in group)
+        holds_any = holds_any or any(row is not None and row.outcome == DONE for row in rows)
         manifest.put_together()
         if stop.is_set:
             break
@@ -123,7 +126,8 @@ def fill_lake(
         raise StoppedError(
             f"stopped early: {finished} of {len(logs)} logs are done; run the same command again to continue"
         )
-    return LakeTotals(found=len(logs), before=before, done=counts[DONE], failed=counts[FAILED], shifts=counts["shifts"])
+    made = {"done": counts[DONE], "failed": counts[FAILED], "shifts": counts["shifts"]}
+    return LakeTotals(found=len(logs), before=before, holds_any=holds_any, **made)
 
 
 def _groups(logs: Sequence[LakeLog], lake: Place) -> Iterator[tuple[list[LakeLog], set[str]]]:

@@ -15,6 +15,7 @@ import duckdb
 import pyarrow.parquet as pq
 import pytest
 
+from canlog.errors import SourceError
 from clutch_model.calibration import nominal_calibration
 from diag_service.commands import analyze, lake
 from diag_service.commands.arguments import COMMAND_LINE
@@ -413,6 +414,15 @@ def test_what_cannot_be_done_with_a_lake_is_told(
     filled = [word.format(logs=logs, tmp=tmp_path) for word in words]
     with pytest.raises(error, match=text):
         analyze.execute(COMMAND_LINE.parse(["analyze", *filled]), Controls())
+
+
+def test_a_lake_of_which_no_log_could_be_analysed_is_an_error_each_time(tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "notes.txt").write_text("no log", "ascii")
+    words = ["analyze", str(tmp_path / "logs"), "--lake", str(tmp_path / "lake"), "--jobs", "1"]
+    for _ in range(2):
+        with pytest.raises(SourceError, match="none of 1 logs could be analysed; --retry tries them again"):
+            analyze.execute(COMMAND_LINE.parse(words), Controls())
 
 
 def test_a_link_is_what_it_leads_to(logs: Path, tmp_path: Path) -> None:
