@@ -162,8 +162,8 @@ def _input_speeds(event: Event, t_ns: Int64Array, gears: GearRatios | None) -> t
 class Standing:
     """The pressure of a clutch in gear while the car stands: where it begins to carry."""
 
-    def __init__(self) -> None:
-        self._found: list[FloatArray] = []
+    def __init__(self, most: int | None = None) -> None:
+        self._found = deque[FloatArray](maxlen=most)  # the last batches in which it stood
 
     def add(self, batch: ColumnBatch | Event) -> None:
         """Take up the pressures of one batch."""
@@ -171,7 +171,8 @@ class Standing:
         if output is None or pressure is None or not len(output.t_ns):
             return
         is_standing = np.interp(pressure.t_ns, output.t_ns, output.value) < STANDING_RAD_S
-        self._found.append(pressure.value[is_standing & (pressure.value > HELD_PA)])
+        if (held := is_standing & (pressure.value > HELD_PA)).any():
+            self._found.append(pressure.value[held])
 
     @property
     def touch_pa(self) -> float | None:
@@ -411,7 +412,7 @@ class RelativeSurvey:
     """Takes up the events of a drive whose signals tell no level of friction; keeps its last power upshifts."""
 
     def __init__(self) -> None:
-        self._standing, self._phases = Standing(), deque[SlipPhase](maxlen=MOST_EVENTS)
+        self._standing, self._phases = Standing(MOST_EVENTS), deque[SlipPhase](maxlen=MOST_EVENTS)
 
     def take(self, event: Event, gears: GearRatios | None) -> None:
         """Take up an event."""

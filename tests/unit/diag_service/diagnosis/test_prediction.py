@@ -14,6 +14,7 @@ from diag_service.diagnosis.prediction import (
     NoPhase,
     RelativeSurvey,
     SlipPhase,
+    Standing,
     fitted,
     predicted,
     predicted_simply,
@@ -150,6 +151,18 @@ def test_friction_up_to_a_scale_takes_a_signal_that_goes_with_torque() -> None:
         untold.take(event, GEARS)
     assert [one.clutch for one in told.found()] == [2]
     assert untold.found() == ()
+
+
+def test_a_survey_looks_at_the_last_times_that_the_car_stood() -> None:
+    """A log that goes on for months is a pipe of them."""
+    standing, event = Standing(2), upshift()
+    standing_still = replace(
+        event.columns[Signal.OUTPUT_SPEED], value=np.zeros(len(event.columns[Signal.OUTPUT_SPEED].t_ns))
+    )
+    for touch_pa in (1e5, 2e5, 3e5, 0.0):  # the last is no clutch that is held
+        held = replace(event.columns[Signal.CLUTCH1_PRESSURE], value=np.full(len(standing_still.t_ns), touch_pa))
+        standing.add(replace(event, columns={Signal.OUTPUT_SPEED: standing_still, Signal.CLUTCH1_PRESSURE: held}))
+    assert standing.touch_pa == 2.5e5
 
 
 def with_friction(ratios: FloatArray, rng: np.random.Generator) -> list[SlipPhase]:
