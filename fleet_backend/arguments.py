@@ -149,7 +149,7 @@ _FILL: Final = Command(
     Option(
         "--insist", "note an odometer that does not fit to the results, as after a change of the instrument cluster"
     ),
-    Option("--undo", "take back the last fill, or the one at --at: it was noted by mistake"),
+    Option("--undo", "take back the last fill, or the one within a day of --at: it was noted by mistake"),
     examples=(
         f"{PROGRAM} fill car1 DCTF-II --at 2026-01-31 --odometer-km 61200",
         f"{PROGRAM} fill car1 --undo",

@@ -39,7 +39,7 @@ from fleet_backend.schema import (
     WITHDRAWN_FILL,
     UtcDateTime,
 )
-from fleet_contract.orders import SAME_WITHIN, distinct, name_of, odometer_complaint
+from fleet_contract.orders import SAME_WITHIN, fill_meant, name_of, odometer_complaint
 
 Record = Mapping[str, object]
 SEVERITIES: Final = ("no_verdict", "good", "watch", "change_fluid")
@@ -295,18 +295,18 @@ def note_fill(
 
 
 def withdraw_fill(engine: Engine, vehicle: str, at: datetime | None, *, by: str) -> datetime:
-    """Take back the last fill of a vehicle, or that of a moment; return which. Raises ConfigError if there is none."""
+    """Take back the last fill of a vehicle, or the one nearest a moment; return which. ConfigError if there is none."""
     table = FLUID_FILL.c
     with transaction(engine) as connection:
         known: Sequence[datetime] = connection.scalars(select(table.filled_at).where(table.vehicle == vehicle)).all()
-        meant = [one for one in distinct(known, lambda one: one) if at is None or one == at]
-        if not meant:
+        meant = fill_meant(known, lambda one: one, at)
+        if meant is None:
             raise ConfigError(f"no fill of {vehicle} is noted{f' at {at.isoformat()}' if at else ''}")
-        gone = [one for one in known if timedelta(0) <= one - meant[-1] < SAME_WITHIN]
+        gone = [one for one in known if timedelta(0) <= one - meant < SAME_WITHIN]
         connection.execute(insert(WITHDRAWN_FILL), [{"vehicle": vehicle, "filled_at": one} for one in gone])
         connection.execute(delete(FLUID_FILL).where(table.vehicle == vehicle, table.filled_at.in_(gone)))
-        _note(connection, datetime.now(UTC), by, "withdraw fluid fill", f"{vehicle}: {meant[-1].isoformat()}")
-    return meant[-1]
+        _note(connection, datetime.now(UTC), by, "withdraw fluid fill", f"{vehicle}: {meant.isoformat()}")
+    return meant
 
 
 def _readings(connection: Connection, vehicle: str, at: datetime) -> Iterator[float | None]:

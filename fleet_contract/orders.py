@@ -30,6 +30,15 @@ def distinct(fills: Iterable[FillT], moment: Callable[[FillT], datetime]) -> lis
     return found
 
 
+def fill_meant(fills: Iterable[FillT], moment: Callable[[FillT], datetime], at: datetime | None) -> FillT | None:
+    """Return the fill that somebody means: the nearest within a day of a moment, without one the last."""
+    known = distinct(fills, moment)
+    if at is None:
+        return known[-1] if known else None
+    near = (one for one in known if abs(moment(one) - at) < SAME_WITHIN)
+    return min(near, key=lambda one: abs(moment(one) - at), default=None)
+
+
 def odometer_complaint(odometer_m: float | None, before_m: float | None, after_m: float | None) -> str:
     """Return why a fill cannot have this odometer, by the readings before and after it; empty if it can."""
     if odometer_m is None:

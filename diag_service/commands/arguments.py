@@ -411,7 +411,7 @@ _FLUID_CHANGED: Final = Command(
     Option(
         "--insist", "note an odometer that does not fit to the results, as after a change of the instrument cluster"
     ),
-    Option("--undo", "take back the last fill, or the one at --at: it was noted by mistake"),
+    Option("--undo", "take back the last fill, or the one within a day of --at: it was noted by mistake"),
     VERBOSE,
     description="Note that the vehicle got new fluid. The shifts after that begin a new baseline; what is known of "
     "sensors and lining stays. A service that is running takes it up before its next shift.",

@@ -12,7 +12,7 @@ from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.records import FluidFill, iso_utc
 from diag_service.errors import ConfigError, StoreError
 from diag_service.store.file import connect, translated
-from fleet_contract.orders import SAME_WITHIN, distinct, odometer_complaint
+from fleet_contract.orders import SAME_WITHIN, distinct, fill_meant, odometer_complaint
 
 _LAST: Final = "SELECT json_extract(json, '$.end_bus_ns') FROM result WHERE vehicle = ? ORDER BY position DESC LIMIT 1"
 _NEXT: Final = timedelta(microseconds=1)
@@ -91,16 +91,16 @@ def note_fill(path: Path, fill: FluidFill, *, is_insisted: bool = False) -> Flui
 
 
 def withdraw_fill(path: Path, vehicle: str, moment: str | None) -> FluidFill:
-    """Take back the last fill, or the one of a moment, in a store; return it. Raises StoreError if there is none."""
+    """Take back the last fill, or the nearest within a day of a moment, and return it; StoreError if there is none."""
     with closing(_open(path)) as connection, translated(str(path)), connection:
         connection.execute("BEGIN IMMEDIATE")
         known = [one for one in all_fills(connection, vehicle) if not one.is_withdrawn]
-        meant = [one for one in distinct(known, _moment) if moment is None or one.filled_at == moment]
-        if not meant:
+        meant = fill_meant(known, _moment, None if moment is None else datetime.fromisoformat(moment))
+        if meant is None:
             raise StoreError(f"no fill of {vehicle} is noted{f' at {moment}' if moment else ''}")
-        same = [one for one in known if timedelta(0) <= _moment(one) - _moment(meant[-1]) < SAME_WITHIN]
+        same = [one for one in known if timedelta(0) <= _moment(one) - _moment(meant) < SAME_WITHIN]
         add_fills(connection, [replace(one, is_withdrawn=True) for one in same])
-    return meant[-1]
+    return meant
 
 
 _HOW: Final = (("<=", "DESC"), (">", "ASC"))  # before a fill, after it

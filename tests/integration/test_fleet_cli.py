@@ -241,6 +241,9 @@ def test_a_fill_closes_the_order_in_the_table_and_is_taken_back(
     assert alarm["cleared_at"] == "2026-03-01T00:00:00+00:00"
     told(capsys, filled, "fill", "worn", "--undo")
     assert told_json(capsys, filled, "table") == before
+    told(capsys, filled, "fill", "worn", "DCTF-II", "--at", "2026-03-01", "--odometer-km", "1")  # a microsecond later
+    told(capsys, filled, "fill", "worn", "--undo", "--at", "2026-03-01")
+    assert told_json(capsys, filled, "table") == before
 
 
 @pytest.mark.parametrize(

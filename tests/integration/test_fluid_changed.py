@@ -205,6 +205,11 @@ def test_a_fill_is_taken_back_and_noted_again_at_its_moment(tmp_path: Path) -> N
     again = ended("fluid-changed", path, "--at", "2026-02-01", "--product", "DCTF-II")
     assert "DCTF-II since 2026-02-01T00:00:00.000001Z" in again.out
     assert len(ended("history", path, "--json").records[-1]["fills"]) == 1
+    undo = ("fluid-changed", path, "--undo", "--at")
+    ended(*undo, "2026-02-02T00:00:01").assert_one_line(4, "no fill of car1 is noted at 2026-02-02T00:00:01.000000Z")
+    assert ended("fluid-changed", path, "--at", "2026-02-02T12:00").status == 0
+    assert "2026-02-01T00:00:00.000001Z is taken back" in ended(*undo, "2026-02-01").out  # the moment that was said
+    assert "2026-02-02T12:00:00.000000Z is taken back" in ended(*undo, "2026-02-02").out
 
 
 def test_a_store_of_before_loses_no_fill(tmp_path: Path) -> None:
