@@ -11,6 +11,7 @@ from typing import Final
 import fleet_link
 from fleet_backend.choices import Pace, Part, Quotas
 from fleet_backend.errors import ConfigError, ExtraMissingError
+from fleet_contract.orders import EARLIEST
 from fleet_link import AddressError, BrokerAddress, TlsFiles
 
 _MAX_BATCH: Final = 30_000  # twice as many are in flight; MQTT counts to 65,535
@@ -115,10 +116,13 @@ def parse_listen(text: str, *, has_login: bool = False, option: str = "--listen"
 def parse_moment(text: str) -> datetime:
     """Return an ISO 8601 moment; without a zone it is UTC.
 
-    Raises ConfigError if the text is none.
+    Raises ConfigError if the text is none, or too long ago.
     """
     try:
         moment = datetime.fromisoformat(text)
-    except ValueError as exc:
+        moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    except (ValueError, OverflowError) as exc:
         raise ConfigError(f"{text!r} is not a date, such as 2026-01-31 or 2026-01-31T12:00Z") from exc
-    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    if moment < EARLIEST:
+        raise ConfigError(f"{text} is too long ago")
+    return moment

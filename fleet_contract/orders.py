@@ -7,12 +7,13 @@ likely enough: that comes first. An order is about now; what is foretold may onl
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 from typing import Final, NamedTuple, TypeVar
 
 from fleet_contract.topics import CLUTCHES
 
+EARLIEST: Final = datetime(1970, 1, 1, tzinfo=UTC)  # of a fill: an earlier one is a slip of the pen
 SAME_WITHIN: Final = timedelta(days=1)  # nobody changes the fluid twice a day, but two people may note it
 FARTHEST_M: Final = 2.0e7  # that a vehicle drives unheard of between its last result and a fill
 READING_M: Final = 1.0e4  # by which two readings of one moment may differ

@@ -25,6 +25,7 @@ from diag_service.service.session import utc_now
 from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import DiagnosisConfig, diagnosis_config
 from diag_service.store import StoreReader, is_store, note_fill, withdraw_fill
+from fleet_contract.orders import EARLIEST
 
 MOST_CHARACTERS: Final = 200  # of a name or a note
 _CLOCK_ERROR: Final = timedelta(minutes=5)  # by which the clocks of people and machines may differ
@@ -123,7 +124,7 @@ def undone_fill(path: Path, vehicle: str | None, *, at: str | None) -> FluidFill
 def moment_of(text: str | None, now: datetime) -> str:
     """Return the moment of a fill: what was said, in UTC unless it has a zone, or now.
 
-    Raises ConfigError if the text is no moment, or one that is still to come.
+    Raises ConfigError if the text is no moment, one that is still to come or too long ago.
     """
     if text is None:
         return iso_utc(now)
@@ -132,6 +133,8 @@ def moment_of(text: str | None, now: datetime) -> str:
         moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
     except (ValueError, OverflowError) as exc:
         raise ConfigError(f"--at {text!r} is not a date, such as 2026-01-31 or 2026-01-31T12:00Z") from exc
+    if moment < EARLIEST:
+        raise ConfigError(f"--at {text} is too long ago")
     if moment > now + _CLOCK_ERROR:
         raise ConfigError(f"--at {text} is still to come: note a fill when it is done")
     return iso_utc(moment)

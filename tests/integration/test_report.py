@@ -78,6 +78,7 @@ def test_single_shifts_of_a_log_are_shown(log_report: Path) -> None:
         (("show", "drive.log", "1"), 4, "is not a result store"),
         (("fluid-changed", "car1.sqlite", "--at", "yesterday"), 2, "is not a date"),
         (("fluid-changed", "car1.sqlite", "--at", "2999-01-01"), 2, "still to come"),
+        (("fluid-changed", "car1.sqlite", "--at", "1026-01-31"), 2, "--at 1026-01-31 is too long ago"),
         (("fluid-changed", "car1.sqlite", "--odometer", "nan"), 2, "--odometer must be 0 km or more"),
         (("fluid-changed", "car1.sqlite", "--product", "a\nb"), 2, "--product must be"),
         (("fluid-changed", "nowhere.sqlite"), 4, "there is no store"),

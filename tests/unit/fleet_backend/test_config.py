@@ -73,6 +73,13 @@ def test_a_moment_without_a_zone_is_utc() -> None:
     assert parse_moment("2026-01-31T12:00+02:00") == datetime(2026, 1, 31, 10, tzinfo=UTC)
     with pytest.raises(ConfigError, match="not a date"):
         parse_moment("yesterday")
+    for text, why in (
+        ("1026-01-31", "too long ago"),
+        ("0001-01-01", "too long ago"),
+        ("0001-01-01T00:00+05:00", "not a date"),
+    ):
+        with pytest.raises(ConfigError, match=why):
+            parse_moment(text)
 
 
 @pytest.mark.parametrize("address", ["", "nonsense", "mysql://host/name", "oracle://x"])
