@@ -14,6 +14,11 @@ from diag_service.diagnosis.columns import Columns
 DATED_NS: Final = 10**18  # since 1970: in 2001; earlier bus times have no date
 
 
+def events_text(count: int) -> str:
+    """Return how many events there are, for people."""
+    return f"{count} event{'' if count == 1 else 's'}"
+
+
 class EndReason(StrEnum):
     """How an event ended."""
 

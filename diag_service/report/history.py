@@ -13,6 +13,7 @@ from clutchdiag_io.pages.content import spread
 from diag_service.delivery.console import condition_words, order_lines
 from diag_service.diagnosis import records
 from diag_service.diagnosis.condition import shift_course
+from diag_service.diagnosis.events import events_text
 from diag_service.diagnosis.prognosis import Population, history_of, prognose, without
 from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.summary import cause_lines, latest_of, newest_causes
@@ -95,7 +96,7 @@ def history_lines(
     Prognoses begin with what a fleet taught, if that is given.
     """
     left_out = f"; {found.left_out_count} of other versions are left out" if found.left_out_count else ""
-    yield Text(f"{found.vehicle}: {len(found.rows)} events{left_out}")
+    yield Text(f"{found.vehicle}: {events_text(len(found.rows))}{left_out}")
     yield from order_lines(found.order)
     yield from map(Text, cause_lines(newest_causes(found.latest)))
     yield _outlook(found, population)
@@ -223,7 +224,7 @@ def _fluid_table(title: str, periods: Sequence[FluidPeriod]) -> Table:
 
 def _event_table(title: str, rows: Sequence[Row], most_rows: int, end: str) -> Table:
     places = spread(range(len(rows)), most_rows)
-    table = _table(f"{title}: {len(places)} of {len(rows)} events; shift is the number that 'show' takes")
+    table = _table(f"{title}: {len(places)} of {events_text(len(rows))}; shift is the number that 'show' takes")
     for name in ("shift", end, "km", "data", "mu_C", "running mu_C", "verdict"):
         table.add_column(name, justify="left" if name in {"data", "verdict"} else "right", no_wrap=True)
     for place in places:

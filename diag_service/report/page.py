@@ -16,7 +16,7 @@ from clutchdiag_io.program import legible, legible_record
 from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis import records
 from diag_service.diagnosis.condition.shift_course import adapting_lines, correction_lines, courses, loads
-from diag_service.diagnosis.events import DATED_NS
+from diag_service.diagnosis.events import DATED_NS, events_text
 from diag_service.diagnosis.prediction import SLIP_RAD_S, RelativeFriction
 from diag_service.diagnosis.summary import (
     capability_line,
@@ -132,7 +132,7 @@ def _subtitle(found: Findings) -> str:
     end_ns = max(result.estimate.end_ns for result in found.results)
     days = dict.fromkeys(records.utc_from_bus_ns(t_ns)[:10] for t_ns in (begin_ns, end_ns))  # one twice is one
     when = " to ".join(days) if found.is_dated else "without a date"
-    return f"{len(found.rows)} events, {when}, from {names}"
+    return f"{events_text(len(found.rows))}, {when}, from {names}"
 
 
 def _unseen_section(found: Findings) -> Section:
@@ -335,7 +335,7 @@ def _trend_figure(trend: Trend, results: list[records.ShiftResult]) -> Figure:
             *THRESHOLD_KEYS,
         ),
         table=Table(
-            caption=f"{trend.title}: {len(rows)} of {len(results)} events, evenly spread",
+            caption=f"{trend.title}: {len(rows)} of {events_text(len(results))}, evenly spread",
             head=("event", end, "km", "mu_C", BAND_WORDS, "verdict"),
             rows=rows,
         ),

@@ -12,7 +12,7 @@ from typing import Final
 from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import degc_from_k
 from diag_service.diagnosis.condition.shift_quality import PARTS, Load, borne
-from diag_service.diagnosis.events import EventKind
+from diag_service.diagnosis.events import EventKind, events_text
 from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality
 
 COURSE_COUNT: Final = 20  # changes of a kind at either end of a course
@@ -140,6 +140,6 @@ def load_line(load: Load) -> str:
         return f"Launches of clutch {load.clutch}: {load.launch_count}; the signals do not tell what heat it took."
     hottest = "" if load.peak_k is None else f", at most {degc_from_k(load.peak_k):.0f} °C"
     return (
-        f"Clutch {load.clutch} turned {load.energy_j / 1e6:.2f} MJ into heat in {sum(load.counts)} events, "
+        f"Clutch {load.clutch} turned {load.energy_j / 1e6:.2f} MJ into heat in {events_text(sum(load.counts))}, "
         f"launches: {load.launch_count}{hottest}; {100.0 * load.life_ratio:.4f} % of its lining's life, as an index."
     )

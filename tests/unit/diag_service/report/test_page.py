@@ -25,6 +25,7 @@ from diag_service.diagnosis.records import (
 )
 from diag_service.errors import StoreError
 from diag_service.report.findings import Album, Findings
+from diag_service.report.history import history_lines
 from diag_service.report.page import course_sections, html_of, page_of, record_of, write_page
 from diag_service.report.pictures import Trend
 from diag_service.store import Row
@@ -148,6 +149,15 @@ def test_one_shift_is_no_shifts() -> None:
     text = html(replace(found, latest=(replace(last, verdict=replace(last.verdict, shift_count=1)), *rest)))
     assert f"Clutch {last.verdict.clutch}: running estimate from 1 shift<" in text
     assert "1 shifts" not in text
+
+
+def test_one_event_is_no_events() -> None:
+    found = findings(1)
+    found = replace(found, rows=found.rows[:1])
+    told = "\n".join(map(str, history_lines(found, (1, 2), most_rows=9)))
+    assert "car1: 1 event\n" in told
+    assert "1 event, " in html(found)
+    assert not re.search(r"\b1 events", html(found) + told)
 
 
 def test_logs_without_a_date_tell_their_own_seconds() -> None:
