@@ -43,6 +43,7 @@ from ecu_emulator.diagnostics.table_file import load_table, table_like, table_of
 from ecu_emulator.errors import ExtraMissingError
 
 RUNNING_RAD_S: Final = 30.0  # engine speed that no starter reaches
+LEAST_LOOK_S: Final = 0.8 * MONITOR_PERIOD_S  # of the drive between two looks of the monitors, which count them
 
 
 class Car(Performer, AdaptedCar, Protocol):
@@ -260,9 +261,9 @@ class Answering:
             self._monitoring.judge_clutches(self._on_board.estimates)
 
     def _look(self) -> None:
-        """Judge the newest frames once: a sender that the machine keeps waiting makes no shift longer."""
+        """Judge the newest frames: a sender that the machine keeps waiting makes neither shift nor failure longer."""
         driven_s, looked_s = self._driven_s, self._looked_s
-        if driven_s != looked_s:
+        if driven_s - looked_s >= LEAST_LOOK_S:
             self._looked_s = driven_s
             values = self._values()
             if values.get("engine_speed_rad_s", 0.0) >= RUNNING_RAD_S and math.isfinite(looked_s):
