@@ -6,7 +6,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
@@ -19,8 +19,16 @@ from clutchdiag_io.program import refusal
 from dbc.contract import dbc_path
 from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
-from ecu_emulator.errors import ConfigError, RecordError
-from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFile, LogFormat, LogStream, open_log, open_log_stream
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.log_formats.record import (
+    DEFAULT_START_NS,
+    LogFile,
+    LogFormat,
+    LogStream,
+    open_log,
+    open_log_stream,
+    until_whole,
+)
 from ecu_emulator.log_formats.table import TableOptions, write_table
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.scenario.drive_names import DriveName
@@ -184,10 +192,8 @@ def save(content: bytes, path: Path, *, is_forced: bool) -> None:
     """Write a file; raises ConfigError or RecordError if it is there already or cannot be written."""
     if text := refusal(path, is_forced=is_forced):
         raise ConfigError(text)
-    try:
-        path.write_bytes(content)
-    except OSError as exc:
-        raise RecordError(f"cannot write {path}: {exc.strerror or exc}") from exc
+    with until_whole(path) as place:
+        place.write_bytes(content)
 
 
 def hanging(head: str, text: str, width: int | None) -> str:
@@ -275,24 +281,19 @@ def write_log(
         raise ConfigError(f"log and truth cannot both be {path}")
     drive = Drive(scenario, options.longest_stay_s)
     began_s = time.perf_counter()
-    writer: TruthWriter | None = None
-    try:
-        with (
-            _open(options) as log,
-            TruthWriter(truth_file) as writer,
-        ):
-            writer.drive(drive.truth)
-            for stretch in drive.stretches(LONG_STRETCH_S):
-                log.write(stretch.frames)
-                writer.write(stretch.truths)
-                show(drive.totals, time.perf_counter() - began_s)
-                if stop.is_set():
-                    break
-            writer.totals(drive.totals)
-    except (ConfigError, RecordError, KeyboardInterrupt):
-        if writer is not None and path != STANDARD_STREAM and truth_file.is_file():
-            truth_file.unlink()  # nobody needs the truth of a log that is not there
-        raise
+    with (  # nobody needs the truth of a log that is not there, nor loses that of the one before
+        nullcontext(truth_file) if path == STANDARD_STREAM else until_whole(truth_file) as place,
+        _open(options) as log,
+        TruthWriter(truth_file, place=place) as writer,
+    ):
+        writer.drive(drive.truth)
+        for stretch in drive.stretches(LONG_STRETCH_S):
+            log.write(stretch.frames)
+            writer.write(stretch.truths)
+            show(drive.totals, time.perf_counter() - began_s)
+            if stop.is_set():
+                break
+        writer.totals(drive.totals)
     if options.table is not None:
         write_table(path, options.table, scenario.seed_of_drive, scenario.transmission)
     return Recording(

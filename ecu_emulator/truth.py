@@ -199,6 +199,8 @@ class TruthWriter:
     most_bytes
         From this size on a new file is begun, with the line of the drive at its head; the one before is kept with
         ``.1`` behind its name, those before that are gone. None: one file, however long.
+    place
+        Where it is written instead, until somebody lets that take its place.
 
     Raises
     ------
@@ -206,8 +208,8 @@ class TruthWriter:
         On construction or writing, if the file system refuses.
     """
 
-    def __init__(self, path: Path, *, most_bytes: int | None = None) -> None:
-        self._path = path
+    def __init__(self, path: Path, *, most_bytes: int | None = None, place: Path | None = None) -> None:
+        self._path, self._place = path, place or path
         self._drive: DriveTruth | None = None
         self._open()
         is_file = stat.S_ISREG(os.fstat(self._file.fileno()).st_mode)  # and no pipe or device, which must stay
@@ -216,7 +218,7 @@ class TruthWriter:
     def _open(self) -> None:
         self._byte_count = 0
         try:
-            self._file: TextIO = self._path.open("w", encoding="utf-8")
+            self._file: TextIO = self._place.open("w", encoding="utf-8")
         except OSError as exc:
             raise RecordError(f"cannot write truth {self._path}: {exc.strerror}") from exc
 
