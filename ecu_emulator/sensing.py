@@ -17,7 +17,7 @@ from canlog.jit import kernel
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import PhaseCode, Scheduled, SensorFault, SensorFaultKind
-from ecu_emulator.scenario.signals import STATES, Sensor, Sensors, generator, split_unit
+from ecu_emulator.scenario.signals import NOMINAL_SENSORS, STATES, Sensor, Sensors, generator, split_unit
 
 MS_PER_S: Final = 1000.0
 
@@ -319,7 +319,7 @@ class SensorSuite:
     Raises
     ------
     ConfigError
-        If a schedule names a quantity that no sensor measures.
+        If a schedule names a quantity that no sensor measures, or a fault one that no schedule names.
     """
 
     def __init__(
@@ -346,6 +346,14 @@ class SensorSuite:
             for schedule in self._schedules
             for quantity in schedule.quantities
         }
+        for fault in faults:
+            self.check(fault)
+
+    def check(self, fault: SensorFault) -> None:
+        """Raise ConfigError if a fault is one of a quantity that this car does not send."""
+        if fault.quantity not in self._chains:
+            known = ", ".join(sorted(NOMINAL_SENSORS.keys() & self._chains.keys()))
+            raise ConfigError(f"quantity {fault.quantity!r} is not on the bus; known: {known}")
 
     def switch_on(self, t_s: float) -> None:
         """Let the controllers start at this scenario time [s], as when the ignition is switched on."""

@@ -136,12 +136,13 @@ class Drive:
     def add_fault(self, fault: SensorFault | BusFault) -> None:
         """Have a fault happen; its time counts from the next stretch on. Any thread may call.
 
-        Raises ConfigError if it names a message that is not on the bus.
+        Raises ConfigError if it names a message or quantity that is not on the bus.
         """
         if isinstance(fault, BusFault):
             self._bus_faults.check(fault)
             self._asked.put(lambda: self._bus_faults.add(fault, self._end_s))
         else:
+            self._sensors.check(fault)
             self._asked.put(lambda: self._sensors.faults.add(fault, self._end_s))
 
     @property

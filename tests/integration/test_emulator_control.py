@@ -4,6 +4,7 @@ import json
 import socket
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -118,6 +119,11 @@ def test_a_drive_takes_faults_while_it_runs() -> None:
     )
     with pytest.raises(ConfigError, match="not on the bus"):
         drive.add_fault(BusFault(kind=BusFaultKind.LOSS, message="Radio"))
+    foreign = SensorFault(quantity="turbine_speed_rad_s", kind=SensorFaultKind.FROZEN)
+    with pytest.raises(ConfigError, match="'turbine_speed_rad_s' is not on the bus; known: "):
+        drive.add_fault(foreign)
+    with pytest.raises(ConfigError, match="is not on the bus"):
+        Drive(replace(drive_scenario(), sensor_faults=(foreign,)))
     next(stretches)
     offset, crc = drive.totals.faults
     assert (crc.what, crc.count) == ("TCU_Shift", 50)
