@@ -1,9 +1,10 @@
-"""Files that programs keep: for their owner only, locked, touched as signs of life."""
+"""Files that programs keep: for their owner only, locked, whole or as they were, touched as signs of life."""
 
 import logging
 import os
 import stat
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -66,6 +67,25 @@ def _lock_first_byte(descriptor: int) -> None:
         msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]  # where it exists
     except OSError as exc:
         raise BlockingIOError(exc.errno, exc.strerror) from exc
+
+
+@contextmanager
+def until_whole(path: Path) -> Iterator[Path]:
+    """Give the place where a file is written: one that is there stays until the new one is whole, half a one goes.
+
+    A device, a pipe or a link is written itself.
+    """
+    is_new, is_replaced = not path.exists(), path.is_file() and not path.is_symlink()
+    place = path.with_name(f".{path.name}.{os.getpid()}.part") if is_replaced else path
+    try:
+        yield place
+        if is_replaced:
+            place.replace(path)
+    except BaseException:
+        if is_new or is_replaced:
+            with suppress(OSError):
+                place.unlink(missing_ok=True)
+        raise
 
 
 def make_sign(path: Path) -> None:

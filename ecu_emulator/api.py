@@ -19,7 +19,7 @@ from ecu_emulator.bus.sender import open_bus
 from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, save_dbc, write_log
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.live_drive import AnswersTesters, BusChoice, SentTruth, TruthSink, send
+from ecu_emulator.live.live_drive import AnswersTesters, BusChoice, SentTruth, TruthSink, answering_of, send
 from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFormat
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.faults import BusFault, SensorFault
@@ -375,9 +375,13 @@ class Emulator:
 
     def _work(self, bus: can.BusABC, sent: SentTruth) -> None:
         try:
-            with bus, self._file or nullcontext():
+            with (
+                bus,
+                self._file or nullcontext(),
+                answering_of(self._answers, bus, self._choice, self.scenario, sent.drive) as answering,
+            ):
                 self._result = send(
-                    self.scenario, sent, bus, choice=self._choice, answers=self._answers,
+                    self.scenario, sent, bus, choice=self._choice, answering=answering,
                     start_delay_s=self._start_delay_s, stop=self._stop, say=self._said.append, show=lambda *_: None,
                 )  # fmt: skip
         except BaseException as exc:  # noqa: BLE001 - carried to the thread that waits

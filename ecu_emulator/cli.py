@@ -67,7 +67,9 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
             )
             commands.record(scenario, log, stop, is_json=options.json, is_forced=options.force)
             return
-        if text := refusal(options.truth, options.summary, is_forced=options.force):
+        written = (options.truth, options.summary)
+        kept = (options.control, options.alive, vars(options).get("diagnostic_memory"))
+        if text := refusal(*written, is_forced=options.force) or refusal(*written, *kept, is_forced=True):
             raise ConfigError(text)
         live.run(
             scenario,

@@ -15,20 +15,13 @@ from typing import Any
 
 from clutch_model.units import k_from_degc
 from clutchdiag_io.command_line import STANDARD_STREAM
+from clutchdiag_io.files import until_whole
 from clutchdiag_io.program import refusal
 from dbc.contract import dbc_path
 from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
-from ecu_emulator.errors import ConfigError
-from ecu_emulator.log_formats.record import (
-    DEFAULT_START_NS,
-    LogFile,
-    LogFormat,
-    LogStream,
-    open_log,
-    open_log_stream,
-    until_whole,
-)
+from ecu_emulator.errors import ConfigError, RecordError
+from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFile, LogFormat, LogStream, open_log, open_log_stream
 from ecu_emulator.log_formats.table import TableOptions, write_table
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.scenario.drive_names import DriveName
@@ -192,8 +185,11 @@ def save(content: bytes, path: Path, *, is_forced: bool) -> None:
     """Write a file; raises ConfigError or RecordError if it is there already or cannot be written."""
     if text := refusal(path, is_forced=is_forced):
         raise ConfigError(text)
-    with until_whole(path) as place:
-        place.write_bytes(content)
+    try:
+        with until_whole(path) as place:
+            place.write_bytes(content)
+    except OSError as exc:
+        raise RecordError(f"cannot write {path}: {exc.strerror or exc}") from exc
 
 
 def hanging(head: str, text: str, width: int | None) -> str:

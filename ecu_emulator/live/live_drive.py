@@ -4,7 +4,7 @@ import json
 import logging
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
@@ -15,7 +15,7 @@ import can
 import can.typechecking
 
 from canlog.e2e.message_contract import message_contracts
-from clutchdiag_io.files import give_sign, make_sign
+from clutchdiag_io.files import give_sign, make_sign, until_whole
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
@@ -295,13 +295,16 @@ def run(
     most_bytes = ROTATED_BYTES if scenario.endless else None
     with (
         open_bus(choice.interface, choice.channel, choice.bitrate, fd=choice.is_fd) as bus,
-        TruthWriter(truth, most_bytes=most_bytes) if truth is not None else nullcontext() as writer,
+        answering_of(answers, bus, choice, scenario, drive) as answering,
         ControlSocket(control, drive.add_fault) if control is not None else nullcontext(),
-        ProgressLine(console, "preparing the plant") as progress,
+        ExitStack() as begun,
     ):
+        with until_whole(summary) if summary is not None else nullcontext() as report_file:
+            _write_summary(report_file, {})
+            life = SignOfLife(alive) if alive is not None else None
+            writer = begun.enter_context(TruthWriter(truth, most_bytes=most_bytes)) if truth is not None else None
+        progress = begun.enter_context(ProgressLine(console, "preparing the plant"))
         sent = SentTruth(drive, writer)
-        _write_summary(summary, {})
-        life = SignOfLife(alive) if alive is not None else None
 
         def show(sent_s: float, frame_count: int) -> None:
             if life is not None:
@@ -311,7 +314,7 @@ def run(
             )
 
         result = send(
-            scenario, sent, bus, choice=choice, answers=answers, start_delay_s=start_delay_s, stop=stop,
+            scenario, sent, bus, choice=choice, answering=answering, start_delay_s=start_delay_s, stop=stop,
             say=lambda line: console.print(line, markup=False), show=show,
         )  # fmt: skip
     _write_summary(summary, result)
@@ -325,7 +328,7 @@ def send(
     bus: can.BusABC,
     *,
     choice: BusChoice,
-    answers: AnswersTesters | None,
+    answering: Answering | None,
     start_delay_s: float,
     stop: Event,
     say: Callable[[str], None],
@@ -334,19 +337,15 @@ def send(
     """Send a drive in real time and return how that went, as ``--json`` prints it.
 
     ``say`` gets lines for people, ``show`` five times a second the scenario time [s] and the frames sent. Raises
-    ConfigError, BusError, RecordError if the controller that answers testers cannot be used, the bus goes away, or a
-    file cannot be written.
+    BusError, RecordError if the bus goes away, or a file cannot be written.
     """
-    with (
-        _answering(bus, answers, choice, scenario, sent.drive) as answering,
-        OtherSenders(
-            bus,
-            [contract.can_id for contract in message_contracts(load_contract(scenario.transmission)).values()],
-            lambda can_id: say(_mixed_bus_text(can_id)),
-            wanted_ids=answering.link.can_ids if answering is not None else (),
-            pass_on=answering.link.feed if answering is not None else lambda _: None,
-        ) as others,
-    ):
+    with OtherSenders(
+        bus,
+        [contract.can_id for contract in message_contracts(load_contract(scenario.transmission)).values()],
+        lambda can_id: say(_mixed_bus_text(can_id)),
+        wanted_ids=answering.link.can_ids if answering is not None else (),
+        pass_on=answering.link.feed if answering is not None else lambda _: None,
+    ) as others:
         for line in answering.places if answering is not None else ():
             say(line)
         drive = f"{scenario.name}, {scenario.drive}" if scenario.is_on_the_road else scenario.name
@@ -379,9 +378,10 @@ def send(
     return result
 
 
-def _answering(
-    bus: can.BusABC, answers: AnswersTesters | None, choice: BusChoice, scenario: Scenario, drive: Drive
+def answering_of(
+    answers: AnswersTesters | None, bus: can.BusABC, choice: BusChoice, scenario: Scenario, drive: Drive
 ) -> AbstractContextManager[Answering | None]:
+    """Return the controller that answers testers while it is entered; raises ConfigError, RecordError, BusError."""
     if answers is not None:
         return answers.opened(bus, choice, scenario, drive)
     if scenario.routine.on_request:

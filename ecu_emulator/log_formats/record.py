@@ -1,8 +1,8 @@
 """Frames into log files, faster than real time: candump, BLF, ASC, MF4, TRC or CSV, whole or not at all."""
 
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
@@ -10,7 +10,6 @@ from typing import BinaryIO, Final, Self
 
 import numpy as np
 
-from canlog.files import replacing
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.errors import RecordError
 from ecu_emulator.log_formats import writers
@@ -44,24 +43,6 @@ _WRITERS: Final[Mapping[LogFormat, type[writers.FrameWriter]]] = MappingProxyTyp
     LogFormat.MF4: writers.Mf4Writer, LogFormat.TRC: writers.TrcWriter, LogFormat.CSV: writers.CsvWriter,
     LogFormat.GVRET: writers.GvretWriter,
 })  # fmt: skip
-
-
-@contextmanager
-def until_whole(path: Path) -> Iterator[Path]:
-    """Give the place where a file is written: one that is there stays until the new one is whole, half a one goes.
-
-    A device, a pipe or a link is written itself. Raises RecordError if it cannot be written.
-    """
-    is_new, is_replaced = not path.exists(), path.is_file() and not path.is_symlink()
-    with replacing(path, RecordError) as part:
-        try:
-            yield part if is_replaced else path
-        except BaseException:
-            if is_new:
-                path.unlink(missing_ok=True)
-            raise
-        if is_replaced:
-            part.replace(path)
 
 
 class LogFile:

@@ -10,9 +10,9 @@ import numpy as np
 import canlog
 from canlog.arrays import FloatArray, Int64Array
 from canlog.errors import CanlogError
+from clutchdiag_io.files import until_whole
 from dbc.contract import load_contract
 from ecu_emulator.errors import ConfigError, RecordError
-from ecu_emulator.log_formats.record import until_whole
 
 PRESSURE_STEP_KPA: Final = 5.86
 KPA_PER_BAR: Final = 100.0
@@ -103,8 +103,11 @@ def write_table(
     times, values = np.round(1e3 * rows_s).astype(np.int64).tolist(), np.column_stack(cells).tolist()
     rows_of_cells = ([t, *row] for t, row in zip(times, values, strict=True))
     lines = [",".join(["Time [ms]", *heads]), *(",".join(map(str, row)) for row in rows_of_cells), ""]
-    with until_whole(options.path) as file:
-        file.write_text("\n".join(lines), encoding="utf-8")
+    try:
+        with until_whole(options.path) as file:
+            file.write_text("\n".join(lines), encoding="utf-8")
+    except OSError as exc:
+        raise RecordError(f"cannot write {options.path}: {exc.strerror or exc}") from exc
     return len(rows_s)
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from diag_service.errors import StoreError
 from ecu_emulator import cli as emulator
+from ecu_emulator.errors import BusError
 from tests.support.in_process import ended
 
 FRAME = "(1767225600.{:06d}) can0 7AB#00\n"
@@ -65,6 +66,39 @@ def test_the_emulator_asks_for_force(folder: Path, words: tuple[str, ...], capsy
     assert "mine.log is there already; --force writes over it\n" in capsys.readouterr().err
     assert (folder / "mine.log").read_text(encoding="ascii") == "mine"
     assert emulator.main(["pdx", "-o", "mine.log", "--force"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--workshop",), "--diagnostics is needed"),
+        (("--diagnostics", "mine.json"), "mine.json"),
+        (("--diagnostics", "--diagnostic-memory", "mine.json"), "mine.json is damaged"),
+        (("--control", "mine.json"), "there is a file"),
+        (("--diagnostics", "--diagnostic-memory", "mine.jsonl"), "two outputs cannot both be"),
+        (("--alive", "mine.jsonl"), "two outputs cannot both be"),
+    ],
+)
+def test_a_drive_that_does_not_begin_writes_nothing_over(
+    folder: Path, words: tuple[str, ...], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("mine.jsonl", "mine.json"):
+        (folder / name).write_text("mine", encoding="ascii")
+    run = ("run", "-i", "virtual", "-c", "x", "--truth", "mine.jsonl", "--summary", "new.json", "--force", *words)
+    assert emulator.main(run) != 0
+    assert told in capsys.readouterr().err
+    assert {(folder / name).read_text(encoding="ascii") for name in ("mine.jsonl", "mine.json")} == {"mine"}
+    assert not (folder / "new.json").exists()
+
+
+def test_a_drive_that_has_begun_has_no_summary_of_another(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*_: object, **__: object) -> None:
+        raise BusError("the bus went away")
+
+    monkeypatch.setattr("ecu_emulator.live.live_drive.transmit", gone)
+    (folder / "old.json").write_text("mine", encoding="ascii")
+    assert emulator.main(["run", "-i", "virtual", "-c", "x", "--summary", "old.json", "--force"]) == 3
+    assert (folder / "old.json").read_text(encoding="ascii") == "{}\n"
 
 
 @pytest.mark.parametrize("command", ["analyze", "decode", "calibrate"])

@@ -28,7 +28,7 @@ from ecu_emulator.commands import LogOptions, write_log
 from ecu_emulator.diagnostics.clutches import OnBoardFriction, read_line
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.live_drive import BusChoice, SentTruth, send
+from ecu_emulator.live.live_drive import BusChoice, answering_of
 from ecu_emulator.log_formats.record import open_log
 from ecu_emulator.scenario.scenario import Routine, Scenario
 from ecu_emulator.truth import Happened, RevTruth, ShiftTruth
@@ -206,9 +206,6 @@ def test_a_car_that_nobody_can_ask_does_not_wait(tmp_path: Path) -> None:
     scenario, drive = in_workshop(), Drive(in_workshop())
     choice = BusChoice(interface="virtual", channel="nobody", bitrate=None, is_fd=False)
     with can.Bus("nobody", interface="virtual") as bus, pytest.raises(ConfigError, match="--diagnostics is needed"):
-        send(
-            scenario, SentTruth(drive, None), bus, choice=choice, answers=None, start_delay_s=0.0,
-            stop=None, say=lambda _: None, show=lambda *_: None,  # type: ignore[arg-type]  # it does not come so far
-        )  # fmt: skip
+        answering_of(None, bus, choice, scenario, drive)
     with pytest.raises(ConfigError, match="a log has no tester"):
         write_log(scenario, LogOptions(path=tmp_path / "x.log"), None)  # type: ignore[arg-type]  # likewise
