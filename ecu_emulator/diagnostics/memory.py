@@ -194,6 +194,8 @@ def _after_a_good_cycle(record: TroubleRecord, trouble: Trouble, *, is_warmed_up
 ALL_EMISSION_CODES: Final = 0xFFFF33  # the group of SAE J1979-2
 MOST_CYCLES: Final = 0xFFFF  # counters of monitors' use stay there
 
+NOT_YET_M: Final = -1.0  # what no odometer reads
+
 FrozenPids = tuple[tuple[int, bytes], ...]
 
 
@@ -212,8 +214,8 @@ class Emissions:
     permanent: frozenset[int] = frozenset()  # codes that only the controller itself takes back
     frame: FreezeFrame | None = None
     warm_ups: int = 0  # since codes were cleared
-    cleared_at_m: float | None = None  # odometer
-    lamp_at_m: float | None = None  # odometer when the lamp went on
+    cleared_at_m: float | None = None  # odometer; None: never, NOT_YET_M: it was not known then nor since
+    lamp_at_m: float | None = None  # odometer when the lamp went on; None: it is out, or that was not known
     is_driven: bool = False  # this operation cycle was driven as one that counts for the use of monitors
     driven_cycles: int = 0  # such cycles; no client clears them, nor the next
     ran_cycles: Mapping[int, int] = field(default_factory=dict)  # in which a code's test has run
@@ -238,6 +240,16 @@ def after_test(
     if is_lamp_on(after) and not is_lamp_on(before):
         emissions = replace(emissions, lamp_at_m=odometer_m)
     return emissions
+
+
+def located(emissions: Emissions, memory: TroubleMemory, odometer_m: float | None) -> Emissions:
+    """Return the record with the first odometer known where there was none at a clear or as the lamp went on."""
+    if odometer_m is None:
+        return emissions
+    if emissions.cleared_at_m == NOT_YET_M:
+        emissions = replace(emissions, cleared_at_m=odometer_m)
+    is_lamp_lost = emissions.lamp_at_m is None and is_lamp_on(memory)
+    return replace(emissions, lamp_at_m=odometer_m) if is_lamp_lost else emissions
 
 
 def after_warm_up(emissions: Emissions, before: TroubleMemory, after: TroubleMemory) -> Emissions:
@@ -283,7 +295,7 @@ def after_clear(emissions: Emissions, after: TroubleMemory, group: int, odometer
         emissions,
         frame=frame,
         warm_ups=0 if is_whole else emissions.warm_ups,
-        cleared_at_m=odometer_m if is_whole else emissions.cleared_at_m,
+        cleared_at_m=(NOT_YET_M if odometer_m is None else odometer_m) if is_whole else emissions.cleared_at_m,
         lamp_at_m=emissions.lamp_at_m if is_lamp_on(after) else None,
     )
 

@@ -26,6 +26,7 @@ from ecu_emulator.diagnostics.memory import (
     after_warm_up,
     begin_cycle,
     empty_memory,
+    located,
     needs_capture,
     note_warm_up,
     report,
@@ -172,7 +173,7 @@ def tested(table: DiagnosticTable, state: ServerState, number: int, result: Test
     odometer_m = data.odometer_m(moment)
     frozen = partial(data.frozen_pids, table, state, moment)
     emissions = after_test(state.emissions, trouble, state.memory, memory, odometer_m, frozen)
-    return replace(state, memory=memory, emissions=emissions)
+    return replace(state, memory=memory, emissions=located(emissions, memory, odometer_m))
 
 
 def warmed_up(state: ServerState) -> ServerState:

@@ -1,6 +1,8 @@
 """Days of trips with the car parked in between: what becomes of trouble codes, and what counts from the start."""
 
+import math
 from dataclasses import replace
+from pathlib import Path
 
 import can
 import numpy as np
@@ -83,6 +85,23 @@ def test_what_counts_from_the_start_begins_anew_with_each_trip() -> None:
     car.drive(steps=3)
     assert car.ask("01 1F") == "41 1f 00 02"
     assert int(car.ask("22 01 00")[9:].replace(" ", ""), 16) / 100.0 == pytest.approx(11 * STEP_S)
+
+
+def test_distances_begin_where_the_odometer_is_first_known(tmp_path: Path) -> None:
+    """Its message comes once a second: a client that clears right after a reset is sooner."""
+    memory, dead, there = tmp_path / "tcu.json", {"clutch2_pressure_pa": math.nan}, {"odometer_m": 12_345_000.0}
+    car = TripCar(memory=memory)
+    car.drive(changes=STANDING, steps=3, silent={"IC"})
+    assert (car.ask("04"), car.ask("01 31")) == ("44", "41 31 ff ff")
+    for _ in range(2):
+        car.drive(changes=dead, steps=40, silent={"IC"})
+        car.park()
+    assert '"cleared_at_m": -1.0' in memory.read_text(encoding="utf-8")
+    car.drive(changes={**dead, **there}, steps=40)
+    assert car.ask("01 01") == "41 01 82 04 00 00"  # P0846, and U0155: the odometer itself
+    assert car.ask("01 21 31") == "41 21 00 00 31 00 00"
+    car.drive(changes={**dead, "odometer_m": 12_348_000.0}, steps=3)
+    assert car.ask("01 21 31") == "41 21 00 03 31 00 03"
 
 
 def test_a_warm_up_needs_an_engine_that_becomes_warmer() -> None:

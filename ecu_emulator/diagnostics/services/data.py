@@ -6,7 +6,7 @@ from typing import Final
 
 from ecu_emulator.diagnostics.descriptions import BLOCK, Access, Datum, Pid, Profile, VehicleInfo, supported
 from ecu_emulator.diagnostics.iso14229 import Nrc, Service, Status
-from ecu_emulator.diagnostics.memory import FrozenPids, emission_codes, is_lamp_on
+from ecu_emulator.diagnostics.memory import FrozenPids, emission_codes, is_lamp_on, located
 from ecu_emulator.diagnostics.services.call import (
     Call,
     Result,
@@ -357,7 +357,7 @@ def _with_obd(table: DiagnosticTable, state: ServerState, moment: Instant) -> Va
     }
     distance_m = odometer_m(moment)
     if distance_m is not None:
-        more["obd.distance_since_clear_m"] = max(0.0, distance_m - (state.emissions.cleared_at_m or 0.0))
-        lamp_at_m = distance_m if not lamp else state.emissions.lamp_at_m or 0.0
-        more["obd.distance_with_lamp_m"] = max(0.0, distance_m - lamp_at_m)
+        known = located(state.emissions, state.memory, distance_m)
+        more["obd.distance_since_clear_m"] = max(0.0, distance_m - (known.cleared_at_m or 0.0))
+        more["obd.distance_with_lamp_m"] = 0.0 if known.lamp_at_m is None else max(0.0, distance_m - known.lamp_at_m)
     return {**moment.values, **more}
