@@ -2,11 +2,12 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
+from clutch_model import units
 from ecu_emulator.diagnostics.iso14229 import Nrc
 from ecu_emulator.errors import ConfigError
 
@@ -14,6 +15,18 @@ OF_MEMORY: Final = "memory."  # begins the source of a counter of a trouble code
 FLOAT_BYTES: Final = frozenset({4, 8})
 _SYSTEMS: Final = "PCBU"  # powertrain, chassis, body, network: the two upper bits of a code
 _CODE: Final = re.compile(r"[PCBU][0-3][0-9A-F]{3}")
+
+Conversion = tuple[Callable[[float], float], Callable[[float], float]]
+_CONVERSIONS: Final[Mapping[tuple[str, str], Conversion]] = {
+    ("rad_s", "rpm"): (units.rpm_from_rad_s, units.rad_s_from_rpm),
+    ("pa", "bar"): (units.bar_from_pa, units.pa_from_bar),
+    ("pa", "kPa"): (lambda pressure_pa: pressure_pa / 1e3, lambda pressure_kpa: pressure_kpa * 1e3),
+    ("k", "degC"): (units.degc_from_k, units.k_from_degc),
+    ("m_s", "km/h"): (units.km_h_from_m_s, units.m_s_from_km_h),
+    ("m", "km"): (lambda length_m: length_m / 1e3, lambda length_km: length_km * 1e3),
+    ("ratio", "%"): (lambda ratio: ratio * 1e2, lambda percent: percent / 1e2),
+}  # from SI, to SI
+_SI_UNITS: Final = {"rad_s": "rad/s", "m_s": "m/s", "s": "s", "pa": "Pa", "k": "K", "nm": "Nm", "m": "m", "ratio": ""}
 
 
 class Coding(StrEnum):
@@ -62,6 +75,9 @@ class Field:
         if not (math.isfinite(self.resolution) and math.isfinite(self.offset) and self.resolution > 0.0):
             raise ConfigError(f"{self.name}: resolution must be > 0, and it and the offset finite")
         _check_limits(self)
+        known = [_SI_UNITS.get(self.dimension, ""), *(unit for one, unit in _CONVERSIONS if one == self.dimension)]
+        if self.dimension and self.unit not in {"", *known}:
+            raise ConfigError(f"{self.name}: the unit of {self.source} is one of {', '.join(known)}, not {self.unit}")
         try:
             re.compile(self.pattern)
         except re.error as exc:
@@ -69,6 +85,16 @@ class Field:
         bits = 8 * self.size_bytes
         if any(not 0 <= number < 1 << bits for number in self.numbered_meanings):
             raise ConfigError(f"{self.name}: meanings are of numbers from 0 to {(1 << bits) - 1}")
+
+    @property
+    def dimension(self) -> str:
+        """The end of the source's name that tells its unit, empty if it tells none."""
+        return next((one for one in _SI_UNITS if self.source.endswith(f"_{one}")), "")
+
+    @property
+    def conversion(self) -> Conversion:
+        """How its source's value becomes one in the unit on the wire, and the other way round."""
+        return _CONVERSIONS.get((self.dimension, self.unit), (float, float))
 
     @property
     def numbered_meanings(self) -> dict[int, str]:

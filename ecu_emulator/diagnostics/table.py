@@ -195,12 +195,9 @@ class DiagnosticTable:
         for trouble in self.troubles.values():
             _check_known(self.snapshot_of(trouble), self.data, f"trouble code {trouble.code}: data")
             _check_known(self.extended_of(trouble), self.extended, f"trouble code {trouble.code}: extended record")
-        for name, value in (
-            ("p2_s", self.timing.p2_s),
-            ("p2_star_s", self.timing.p2_star_s),
-            ("s3_s", self.timing.s3_s),
-        ):
-            _check(0.0 < value <= 600.0, f"timing.{name} must be above 0 and at most 600 s, got {value}")
+        for name, most_s in (("p2_s", 65.0), ("p2_star_s", 600.0), ("s3_s", 600.0)):  # two bytes of ms, and of 10 ms
+            time_s = getattr(self.timing, name)
+            _check(0.0 < time_s <= most_s, f"timing.{name} must be above 0 and at most {most_s:g} s, got {time_s}")
         least_s, most_s = self.timing.least_answer_s, self.timing.most_answer_s
         _check(0.0 <= least_s <= most_s < self.timing.p2_s, "0 <= timing.least_answer_s <= most_answer_s < p2_s")
 

@@ -3,27 +3,15 @@
 import math
 import re
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Final
 
-from clutch_model import units
 from ecu_emulator.diagnostics.descriptions import Coding, Condition, Field
 
 Value = float | str | bytes
 Values = Mapping[str, Value]  # of the controller, by source; numbers in SI
 
 _FORMATS: Final = {4: ">f", 8: ">d"}  # of IEEE 754, by bytes
-
-_Conversion = tuple[Callable[[float], float], Callable[[float], float]]
-_CONVERSIONS: Final[Mapping[tuple[str, str], _Conversion]] = {
-    ("rad_s", "rpm"): (units.rpm_from_rad_s, units.rad_s_from_rpm),
-    ("pa", "bar"): (units.bar_from_pa, units.pa_from_bar),
-    ("pa", "kPa"): (lambda pressure_pa: pressure_pa / 1e3, lambda pressure_kpa: pressure_kpa * 1e3),
-    ("k", "degC"): (units.degc_from_k, units.k_from_degc),
-    ("m_s", "km/h"): (units.km_h_from_m_s, units.m_s_from_km_h),
-    ("m", "km"): (lambda length_m: length_m / 1e3, lambda length_km: length_km * 1e3),
-    ("ratio", "%"): (lambda ratio: ratio * 1e2, lambda percent: percent / 1e2),
-}  # from SI, to SI
 
 
 def encode(fields: tuple[Field, ...], values: Values, *, keeps_code: bool = True) -> bytes:
@@ -82,15 +70,8 @@ def _number(entry: Field, value: float, *, keeps_code: bool) -> int:
     return high if steps >= high else low if steps <= low else round(steps)
 
 
-def _conversion(entry: Field) -> _Conversion:
-    for (suffix, unit), conversion in _CONVERSIONS.items():
-        if unit == entry.unit and entry.source.endswith(f"_{suffix}"):
-            return conversion
-    return float, float
-
-
 def _in_unit(entry: Field, value: float) -> float:
-    return _conversion(entry)[0](value)
+    return entry.conversion[0](value)
 
 
 def decoded(fields: tuple[Field, ...], raw: bytes) -> dict[str, float]:
@@ -100,7 +81,7 @@ def decoded(fields: tuple[Field, ...], raw: bytes) -> dict[str, float]:
         piece = raw[place : place + entry.size_bytes]
         place += entry.size_bytes
         if _is_available(entry, piece):
-            found[entry.source] = _conversion(entry)[1](decode_number(entry, piece))
+            found[entry.source] = entry.conversion[1](decode_number(entry, piece))
     return found
 
 

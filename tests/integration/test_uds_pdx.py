@@ -53,16 +53,25 @@ def described_fields(draw: Draw, sources: st.SearchStrategy[str], most: int = 3)
 
 
 def numbers(sources: st.SearchStrategy[str]) -> st.SearchStrategy[Field]:
-    return st.builds(
-        Field,
-        name=NAMES,
-        kind=st.sampled_from([Coding.UNSIGNED, Coding.SIGNED]),
-        size_bytes=st.integers(1, 8),
-        source=sources,
-        unit=st.sampled_from(["", "rpm", "%", "m/s²", "km/h"]),
-        resolution=st.sampled_from([1.0, 0.25, 0.1, 1e-5, 3.0]),
-        offset=st.sampled_from([0.0, -40.0, 0.5]),
+    return sources.flatmap(
+        lambda source: st.builds(
+            Field,
+            name=NAMES,
+            kind=st.sampled_from([Coding.UNSIGNED, Coding.SIGNED]),
+            size_bytes=st.integers(1, 8),
+            source=st.just(source),
+            unit=st.sampled_from(units_of(source)),
+            resolution=st.sampled_from([1.0, 0.25, 0.1, 1e-5, 3.0]),
+            offset=st.sampled_from([0.0, -40.0, 0.5]),
+        )
     )
+
+
+def units_of(source: str) -> list[str]:
+    """Return units that a source may be told in; any, if its name tells none."""
+    dimension = Field(name="", kind=Coding.UNSIGNED, size_bytes=1, source=source).dimension
+    own = {"": ["rpm", "%", "m/s²", "km/h"], "rad_s": ["rpm"], "m_s": ["km/h"], "ratio": ["%"]}
+    return ["", *own.get(dimension, [])]
 
 
 def texts(sources: st.SearchStrategy[str]) -> st.SearchStrategy[Field]:
