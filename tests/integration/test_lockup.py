@@ -15,7 +15,7 @@ from tests.support.subscriber import Subscriber
 @pytest.fixture(name="log", scope="module")
 def _log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("lockup") / "old.log"
-    Emulator("lockup", fluid="case2", seed=11).record(path)
+    Emulator("lockup", fluid="case2", seed=13).record(path)
     return path
 
 
