@@ -4,6 +4,7 @@
 
 The profile is what ``diag-service signals`` proposes from the first table. No shift tells anything of its own
 prediction: each is left out, or only the first half is known. Emulated cars are predicted each from its own shifts.
+Downshifts are predicted from the other downshifts, launches from all power upshifts: none of one clutch are many.
 """
 
 import argparse
@@ -15,6 +16,9 @@ import numpy as np
 from scipy.special import stdtrit
 
 from benchmarks.scan_tool import written
+from canlog.arrays import FloatArray
+from canlog.logs import read_log
+from clutch_model.calibration import nominal_calibration
 from diag_service.commands.predict import (
     OURS,
     Shown,
@@ -23,7 +27,23 @@ from diag_service.commands.predict import (
     second_half_from_first,
     slip_phases,
 )
-from diag_service.diagnosis.prediction import SlipPhase, Standing
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.events import EventKind
+from diag_service.diagnosis.prediction import (
+    DELAY_STD_S,
+    FREEDOM,
+    LEAST_EVENTS,
+    LEAST_ROWS,
+    PRESSURES,
+    STEP_RATIO,
+    STEP_S,
+    TORQUE_SOURCES,
+    Scales,
+    SlipPhase,
+    Standing,
+    fitted,
+)
+from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.mapping.interpretation import Interpretation, interpret
 from diag_service.mapping.survey import proposed_profile
 from diag_service.service.stopping import Trigger
@@ -40,13 +60,80 @@ def meaning_of(table: Path, folder: Path) -> Interpretation:
     return interpret(None, profile)
 
 
-def power_upshifts(tables: Sequence[Path], meaning: Interpretation) -> tuple[list[tuple[str, SlipPhase]], float | None]:
-    """Return the slip phases of all power upshifts, with the name of their table, and the touch point."""
+def slips(tables: Sequence[Path], meaning: Interpretation) -> tuple[list[tuple[str, SlipPhase]], float | None]:
+    """Return the slip phases of all gear changes, with the name of their table, and the touch point."""
     standing, named = Standing(), list[tuple[str, SlipPhase]]()
     for table in tables:
         phases, _ = slip_phases(table, meaning, standing, Trigger())
-        named += [(table.name, one) for one in phases if one.sign > 0.0 and one.is_powered]
+        named += [(table.name, one) for one in phases]
     return named, standing.touch_pa
+
+
+def power_upshifts(named: Sequence[tuple[str, SlipPhase]]) -> list[tuple[str, SlipPhase]]:
+    """Return those of the power upshifts."""
+    return [one for one in named if one[1].sign > 0.0 and one[1].is_powered]
+
+
+def launches(table: Path, meaning: Interpretation) -> Iterator[SlipPhase]:
+    """Yield the slip of each launch: clutch 1 drags a shaft that turns by the first ratio; clutch 2 is open."""
+    decoder, calibration = meaning.decoder(), nominal_calibration()
+    gears = decoder.gears
+    if gears is None or Signal.ENGINE_SPEED not in decoder.signals:
+        return
+    finder = DriveFinder(decoder.signals, calibration, gears)
+    with read_log(table) as reader:
+        events = [event for batch in reader for part in decoder.stream(batch) for event in finder.feed(part)]
+    for event in (*events, *finder.flush()):
+        engine, over = event.columns.get(Signal.ENGINE_SPEED), event.columns.get(gears.over)
+        if event.kind is not EventKind.LAUNCH or engine is None or over is None:
+            continue
+        slip_rad_s = engine.value - gears.ratios[0] * np.interp(engine.t_ns, over.t_ns, over.value)
+        rows = (engine.t_ns >= event.start_ns) & (engine.t_ns <= event.end_ns)
+        rows &= np.logical_and.accumulate((slip_rad_s > 0.0) | (engine.t_ns < event.start_ns))
+        if rows.sum() < LEAST_ROWS:
+            continue
+        source = next((event.columns[one] for one in TORQUE_SOURCES if one in event.columns), None)
+        pressures = [event.columns[PRESSURES[clutch]] for clutch in (1, 2)]
+        on_pa, off_pa = (np.column_stack([(one.t_ns - event.start_ns) / 1e9, one.value]) for one in pressures)
+        t_s = (engine.t_ns[rows] - event.start_ns) / 1e9
+        drive = np.array([[0.0, 1.0]])
+        if source is not None:
+            drive = np.column_stack([(source.t_ns - event.start_ns) / 1e9 - t_s[0], source.value])
+        on_pa[:, 0] -= t_s[0]
+        off_pa[:, 0] -= t_s[0]
+        yield SlipPhase(
+            number=event.number, from_gear=2, to_gear=1, is_powered=True, start_ns=event.start_ns, t_s=t_s - t_s[0],
+            speed_rad_s=engine.value[rows], slip_rad_s=slip_rad_s[rows], on_pa=on_pa, off_pa=off_pa, drive=drive,
+        )  # fmt: skip
+
+
+def launched(parameters: FloatArray, scales: Scales, phase: SlipPhase) -> float:
+    """Return the change of engine speed in a launch [rad/s]: no clutch of another gear holds the engine."""
+    drive, drag, gain, _, touch, delay = parameters
+    t_s = np.arange(0.0, phase.t_s[-1], STEP_S)
+    torque = drive * np.interp(t_s, *phase.drive.T) / scales.drive - drag
+    above_pa = np.interp(t_s + delay * DELAY_STD_S, *phase.on_pa.T) - scales.touch_pa - touch * scales.touch_std_pa
+    carried = gain * np.maximum(above_pa, 0.0) / scales.pressure_pa
+    return float(scales.rate_rad_s2 * STEP_S * (torque - carried).sum())
+
+
+def launch_lines(
+    tables: Sequence[Path], meaning: Interpretation, known: Sequence[SlipPhase], touch_pa: float | None
+) -> Iterator[str]:
+    """Yield what the power upshifts say of each launch: the change of engine speed while its clutch slips."""
+    model = fitted(known, touch_pa)
+    steps = STEP_RATIO * np.eye(len(model.parameters))
+    for path in tables:
+        for phase in launches(path, meaning):
+            said, true = launched(model.parameters, model.scales, phase), float(phase.change_rad_s[-1])
+            moved = [launched(model.parameters + one, model.scales, phase) for one in steps]
+            slope = (np.array(moved) - said) / STEP_RATIO
+            scale = np.hypot(np.sqrt(slope @ model.covariance @ slope), model.scatter.scales_rad_s(np.array(said)))
+            half = float(scale * stdtrit(FREEDOM, 0.95))
+            yield (
+                f"launch of {path.name}, {phase.t_s[-1]:.2f} s, {len(phase.t_s)} rows: engine speed changes by "
+                f"{true:.0f} rad/s, predicted {said:.0f} +- {half:.0f} (90 %)"
+            )
 
 
 def emulated(vehicles: int, cycles: int, folder: Path) -> Iterator[Shown]:
@@ -55,16 +142,16 @@ def emulated(vehicles: int, cycles: int, folder: Path) -> Iterator[Shown]:
         log, table = folder / f"{seed}.log", folder / f"{seed}.csv"
         emulator(["record", str(log), "--seed", str(seed), "--cycles", str(cycles)])
         written(log, table, np.random.default_rng(seed))
-        named, touch_pa = power_upshifts([table], meaning_of(table, folder))
-        yield from left_out_one_by_one(named, touch_pa)
+        named, touch_pa = slips([table], meaning_of(table, folder))
+        yield from left_out_one_by_one(power_upshifts(named), touch_pa)
         log.unlink()
 
 
-def table(title: str, shown: Sequence[Shown]) -> Iterator[str]:
+def table(title: str, shown: Sequence[Shown], what: str = "power upshifts") -> Iterator[str]:
     """Yield what each model was worth, as a table."""
     found = scores(shown)
     best = min(score["crps_rad_s"] for name, score in found.items() if name != OURS)
-    yield f"\n{title}: {len(shown)} power upshifts\n"
+    yield f"\n{title}: {len(shown)} {what}\n"
     yield "| model | median error | CRPS rad/s | ends in 50 % | in 90 % | samples in 50 % | in 90 % |"
     yield "|---|---|---|---|---|---|---|"
     for name, score in found.items():
@@ -114,13 +201,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if options.tables:
-            named, touch_pa = power_upshifts(options.tables, meaning_of(options.tables[0], folder))
+            meaning = meaning_of(options.tables[0], folder)
+            named, touch_pa = slips(options.tables, meaning)
+            upshifts, downshifts = power_upshifts(named), [one for one in named if one[1].sign < 0.0]
             for title, split in SPLITS.items():
-                shown = list(split(named, touch_pa))
+                shown = list(split(upshifts, touch_pa))
                 print("\n".join(table(f"Recorded, {title}", shown)), flush=True)
                 if options.picture and split is left_out_one_by_one:
                     drawn = max(shown[1:], key=lambda one: len(one.phase.t_s))
                     options.picture.write_text(picture(drawn), encoding="utf-8")
+            if len(downshifts) > LEAST_EVENTS:
+                shown = list(left_out_one_by_one(downshifts, touch_pa))
+                print("\n".join(table("Recorded, each from all others", shown, "downshifts")))
+            known = [phase for _, phase in upshifts]
+            print("\n" + "\n".join(launch_lines(options.tables, meaning, known, touch_pa)), flush=True)
         if options.vehicles:
             shown = list(emulated(options.vehicles, options.cycles, folder))
             print("\n".join(table("Emulated, each from all others of its car", shown)))
