@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import accumulate, pairwise
+from typing import Final
 
 import numpy as np
 
@@ -332,6 +333,7 @@ EMPTY_PA = 0.30e5  # an idle clutch reads less than this: it is empty, and the r
 EMPTY_S = 0.1
 OVERLAP_NS = 1e9  # the cut of an event may begin in the event before; what is further back is another stretch of time
 PRESSURE_DEGREE = 3
+FILLING_PA: Final = 0.3e5  # so far a pressure is from its command only while oil flows: no sensor's noise reaches it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -400,17 +402,18 @@ def planned_drives(
 ) -> tuple[PressureDrive, PressureDrive]:
     """Return what would drive the films without sensor noise: commanded pressure and smooth slip.
 
-    Without a command on the bus the measured pressure is smoothed, which leaves a tenth of the noise.
+    Without a command on the bus the measured pressure is smoothed, which leaves a tenth of the noise. A piston that is
+    being filled is where the measured pressure says: no film feels the pulse that fills it.
     """
-    first, second = (
-        replace(
-            drive,
-            piston_pa=smoothed(drive.piston_pa, window, PRESSURE_DEGREE) if expected_pa is None else expected_pa,
-            slip_rad_s=smoothed(drive.slip_rad_s, window, SLIP_DEGREE),
-        )
-        for drive, expected_pa in zip(measured, signals.expected_pa, strict=True)
-    )
-    return first, second
+    planned = []
+    for drive, expected_pa in zip(measured, signals.expected_pa, strict=True):
+        if expected_pa is None:
+            piston_pa = smoothed(drive.piston_pa, window, PRESSURE_DEGREE)
+        else:
+            piston_pa = np.where(np.abs(expected_pa - drive.piston_pa) < FILLING_PA, expected_pa, drive.piston_pa)
+        slip_rad_s = smoothed(drive.slip_rad_s, window, SLIP_DEGREE)
+        planned.append(replace(drive, piston_pa=piston_pa, slip_rad_s=slip_rad_s))
+    return planned[0], planned[1]
 
 
 def slip_window(

@@ -116,7 +116,7 @@ def is_carried_by_film(balance: Balance, clutch: int) -> bool:
     return False
 
 
-ALGORITHM_VERSION = "torque-impulse-12"
+ALGORITHM_VERSION = "torque-impulse-13"
 MAX_PASS_COUNT = 4  # of linearisation: the first events of a vehicle move latencies by more than a line follows
 CONVERGED = 0.2  # of a standard deviation
 NEAR_STEP = 0.5  # standard deviations of the type: up to there derivatives are the same

@@ -20,6 +20,7 @@ from diag_service.diagnosis.friction.drives import (
     loaded_clutch,
     measured_drives,
     on_other_grid,
+    planned_drives,
 )
 from diag_service.diagnosis.friction.film import integrate_films, pack_laws
 from diag_service.diagnosis.friction.posterior import Posterior
@@ -166,16 +167,17 @@ def test_what_slips_before_the_event_belongs_to_another() -> None:
 
 
 LET_GO_S = 0.2
+ARRIVED_S = 0.3
 PRESSURES_S = 0.01 * np.arange(51.0)
 STEPS_S = STEP_S * np.arange(250.0)
+CALIBRATION = nominal_calibration()
+TOUCH_PA = CALIBRATION.clutches[0].touch_pressure_pa
 
 
-def drag_after_release_nm(read_over_touch_pa: FloatArray, *, has_command: bool) -> float:
-    """Return what a film shears 0.1 s after its piston was let go, as the sensor reads meanwhile."""
-    calibration, still = nominal_calibration(), Resampled(PRESSURES_S, np.zeros(51), STEPS_S)
-    touch_pa = calibration.clutches[0].touch_pressure_pa
-    read_pa = touch_pa + np.where(PRESSURES_S < LET_GO_S, 1e5, read_over_touch_pa)
-    signals = AlignedSignals(
+def signals_of(read_pa: FloatArray, expected_pa: FloatArray | None) -> AlignedSignals:
+    """Return signals of clutch 1 that slips at 30 rad/s, its pressure as the sensor reads it and as commanded."""
+    still = Resampled(PRESSURES_S, np.zeros(51), STEPS_S)
+    return AlignedSignals(
         grid_s=STEPS_S,
         engine_speed=still,
         engine_torque=still,
@@ -183,13 +185,33 @@ def drag_after_release_nm(read_over_touch_pa: FloatArray, *, has_command: bool) 
         input_speed=(still, still),
         slip_rad_s=(np.full(250, 30.0), np.zeros(250)),
         pressure=(Resampled(PRESSURES_S, read_pa, STEPS_S), still),
-        expected_pa=(np.where(STEPS_S < LET_GO_S, touch_pa + 1e5, 0.0) if has_command else None, None),
+        expected_pa=(expected_pa, None),
         oil_k=353.15,
         is_seen=np.ones(250, np.bool_),
     )
-    laws = pack_laws(calibration)
-    track, _ = integrate_films(measured_drives(signals, Posterior.fresh(calibration).known.mean, None, 0, laws), laws)
+
+
+def drag_after_release_nm(read_over_touch_pa: FloatArray, *, has_command: bool) -> float:
+    """Return what a film shears 0.1 s after its piston was let go, as the sensor reads meanwhile."""
+    read_pa = TOUCH_PA + np.where(PRESSURES_S < LET_GO_S, 1e5, read_over_touch_pa)
+    expected_pa = np.where(STEPS_S < LET_GO_S, TOUCH_PA + 1e5, 0.0) if has_command else None
+    signals, laws = signals_of(read_pa, expected_pa), pack_laws(CALIBRATION)
+    track, _ = integrate_films(measured_drives(signals, Posterior.fresh(CALIBRATION).known.mean, None, 0, laws), laws)
     return float(track.viscous_nm[np.searchsorted(STEPS_S, LET_GO_S + 0.1)])
+
+
+def test_no_film_feels_the_pulse_that_fills_its_piston() -> None:
+    """The command is at 7 bar while oil flows and the pressure waits; the film closes once that arrives."""
+    noise_pa = np.random.default_rng(1).normal(0.0, 4e3, 51)
+    read_pa = TOUCH_PA + np.where(PRESSURES_S < ARRIVED_S, -0.5e5, 1e5) + noise_pa
+    commanded_pa = np.where((STEPS_S > 0.1) & (STEPS_S < ARRIVED_S - 0.02), 7e5, TOUCH_PA + 1e5)
+    signals, laws = signals_of(read_pa, commanded_pa), pack_laws(CALIBRATION)
+    measured = measured_drives(signals, Posterior.fresh(CALIBRATION).known.mean, None, 0, laws)
+    planned = planned_drives(signals, measured, SlipWindow.of((Piece(first=150, stop=250),)))
+    closed_s = [STEPS_S[np.argmax(integrate_films(one, laws)[0].contact_pa > 0.4e5)] for one in (planned, measured)]
+    assert ARRIVED_S < closed_s[0] == pytest.approx(closed_s[1], abs=0.01)
+    late = STEPS_S > ARRIVED_S + 0.05
+    assert np.array_equal(planned[0].piston_pa[late], commanded_pa[late])  # free of noise where oil has stopped
 
 
 def test_noise_does_not_press_the_film_of_a_piston_that_is_on_its_way_back() -> None:
