@@ -17,7 +17,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import row_kernel
+from canlog.jit import row_kernel, unchecked_kernel
 from clutch_model.calibration import Calibration, InputSide, SensorBias, TorqueSource
 from clutch_model.pack import FrictionLaw, row_exponential, row_logarithm, row_stribeck_weight, slower_film
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
@@ -56,6 +56,7 @@ from diag_service.diagnosis.friction.film import (
 
 MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
 SAMPLES_PER_MOMENT = 2
+WORKING_K: Final = 353.15  # of a pack: from there on the film is as believed
 
 
 class ClutchMoments(NamedTuple):
@@ -64,7 +65,7 @@ class ClutchMoments(NamedTuple):
     viscous: FloatArray  # (k,)
     opened: FloatArray  # (k,) the part of it that an open pack drags
     by_friction: FloatArray  # (k, 2)
-    by_warm_friction: FloatArray  # (k, 2) the same times the kelvins by which the pack is warmer than the reference
+    by_warm_friction: FloatArray  # (k, 2) the same times the pack's warmth, see `_over_reference_k`
 
 
 class Torques(NamedTuple):
@@ -72,7 +73,7 @@ class Torques(NamedTuple):
 
     lever_m3: FloatArray  # (2, 2, n) contact torque over its pressure
     contact_nm: FloatArray  # (2, 2, n)
-    parts_nm: FloatArray  # (2, 6, n): contact, the same times the kelvins over the reference, sheared film, open drag
+    parts_nm: FloatArray  # (2, 6, n): contact, the same times its warmth over the reference, sheared film, open drag
 
     @classmethod
     def of(
@@ -219,6 +220,12 @@ class _Rows(NamedTuple):
     open_nm: FloatArray
 
 
+@unchecked_kernel
+def _over_reference_k(clutch_k: float) -> float:
+    """Return how warm a pack is for its friction [K]: what the laws of cold oil err by, alike, makes a kelvin two."""
+    return clutch_k - REFERENCE_K + min(clutch_k - WORKING_K, 0.0)
+
+
 @row_kernel
 def _fill_torques(
     rows: _Rows, law: FrictionLaw, contact_factor_m3: float, lever_m3: FloatArray, parts_nm: FloatArray
@@ -227,14 +234,13 @@ def _fill_torques(
         weight = row_stribeck_weight(rows.slip_rad_s[row], law)
         by_mu_c_m3, by_mu_s_m3 = levers_m3(rows.slip_rad_s[row], weight, contact_factor_m3)
         by_mu_c_nm, by_mu_s_nm = by_mu_c_m3 * rows.contact_pa[row], by_mu_s_m3 * rows.contact_pa[row]
-        warm_k = rows.clutch_k[row] - REFERENCE_K
+        warm_k = _over_reference_k(rows.clutch_k[row])
         lever_m3[0, row], lever_m3[1, row] = by_mu_c_m3, by_mu_s_m3
         parts_nm[0, row], parts_nm[1, row] = by_mu_c_nm, by_mu_s_nm
         parts_nm[2, row], parts_nm[3, row] = by_mu_c_nm * warm_k, by_mu_s_nm * warm_k
         parts_nm[4, row], parts_nm[5, row] = rows.viscous_nm[row], rows.open_nm[row]
 
 
-WORKING_K: Final = 353.15  # of a pack: from there on the film is as believed
 COLD_SPAN_K: Final = 60.0  # below that temperature, where the deviations are as large as these:
 FILM_MOBILITY_LOG: Final = 1.0
 LEAST_SECANT: Final = 0.2  # of that: below it the tangent is near enough

@@ -58,7 +58,6 @@ STATE_COUNT = len(State)
 PARAMETER_COUNT = STATE_COUNT + len(Considered)
 FRICTION_COUNT = 4
 FRICTION_ROWS: Final = (slice(0, 2), slice(2, 4))  # (mu_C, mu_S) of clutch 1 and 2
-LEAST_FRICTION_TEMPERATURE_1_K = 1e-3  # what the laws of cold oil err by, alike in all events, looks like this
 REFERENCE_K = 363.15  # of a pack at work, for which friction is stated
 NAMES = tuple(one.name.lower() for one in (*State, *Considered))
 """Names of all parameters, states first: the order of every joint vector."""
@@ -137,7 +136,7 @@ def type_std(calibration: Calibration) -> list[float]:
         scatter.input_shaft_inertia_ratio,
         scatter.film_mobility_log,
         scatter.stribeck_exponent_log,
-        max(scatter.friction_temperature_1_k, LEAST_FRICTION_TEMPERATURE_1_K),
+        scatter.friction_temperature_1_k,
         scatter.open_drag_log,
     ]
 

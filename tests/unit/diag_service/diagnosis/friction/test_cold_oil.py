@@ -13,7 +13,7 @@ from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
-from diag_service.diagnosis.friction.balance import COLD_SPAN_K, WORKING_K, coldness
+from diag_service.diagnosis.friction.balance import COLD_SPAN_K, WORKING_K, Torques, coldness
 from diag_service.diagnosis.friction.estimator import (
     COLD_FRICTION_RATIO,
     FRICTION_RATIO,
@@ -81,6 +81,16 @@ def test_each_event_has_a_film_of_its_own_the_colder_its_pack(below_k: float, sh
     assert variance[STATE_COUNT + Considered.STRIBECK_SPEED] == 0.0
     ratio = FRICTION_RATIO + share * COLD_FRICTION_RATIO
     assert variance[:FRICTION_COUNT] == pytest.approx((ratio * at[:FRICTION_COUNT]) ** 2)
+
+
+def test_friction_is_known_less_by_every_kelvin_below_work_twice() -> None:
+    pack_k = [np.full(len(GRID), k_from_degc(degc)) for degc in (100.0, 20.0)]
+    drive = PressureDrive(piston_pa=GRID, slip_rad_s=np.full(len(GRID), SLIP_RAD_S), oil_k=350.0, clutch_k=350.0)
+    hot, cool = (track_of([3e5, 3e5], 80.0)._replace(clutch_k=own) for own in pack_k)
+    rows, laws = slice(100, 200), pack_laws(CALIBRATION)
+    parts_nm = Torques.of((drive, drive), (hot, cool), (hot, cool), laws, rows).parts_nm
+    assert parts_nm[0, 2] == pytest.approx(10.0 * parts_nm[0, 0])
+    assert parts_nm[1, 2] == pytest.approx((-70.0 - 60.0) * parts_nm[1, 0])
 
 
 def test_where_the_film_carries_the_torque_nothing_is_said_of_friction() -> None:
