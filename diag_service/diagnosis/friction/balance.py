@@ -202,14 +202,6 @@ def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: Sensor
     return reading_nm - negative_nm + corrected_nm, corrected_nm
 
 
-def compile_balance(calibration: Calibration) -> None:
-    """Have everything compiled before the first shift comes: it must not wait for it."""
-    clutch, zeros = pack_laws(calibration)[0], np.zeros(2)
-    law, factor_m3 = clutch.friction, clutch.film.contact_factor_m3
-    _fill_torques(_Rows(zeros, zeros, zeros, zeros, zeros), law, factor_m3, np.empty((2, 2)), np.empty((6, 2)))
-    heat_w(zeros, zeros, zeros, zeros, law, factor_m3)
-
-
 class _Rows(NamedTuple):
     """Rows of what is known of a clutch, in the form the kernel takes; (n,) each."""
 
@@ -232,10 +224,9 @@ def _fill_torques(
 ) -> None:
     for row in range(len(rows.slip_rad_s)):
         weight = row_stribeck_weight(rows.slip_rad_s[row], law)
-        by_mu_c_m3, by_mu_s_m3 = levers_m3(rows.slip_rad_s[row], weight, contact_factor_m3)
-        by_mu_c_nm, by_mu_s_nm = by_mu_c_m3 * rows.contact_pa[row], by_mu_s_m3 * rows.contact_pa[row]
+        lever_m3[0, row], lever_m3[1, row] = levers_m3(rows.slip_rad_s[row], weight, contact_factor_m3)
+        by_mu_c_nm, by_mu_s_nm = lever_m3[0, row] * rows.contact_pa[row], lever_m3[1, row] * rows.contact_pa[row]
         warm_k = _over_reference_k(rows.clutch_k[row])
-        lever_m3[0, row], lever_m3[1, row] = by_mu_c_m3, by_mu_s_m3
         parts_nm[0, row], parts_nm[1, row] = by_mu_c_nm, by_mu_s_nm
         parts_nm[2, row], parts_nm[3, row] = by_mu_c_nm * warm_k, by_mu_s_nm * warm_k
         parts_nm[4, row], parts_nm[5, row] = rows.viscous_nm[row], rows.open_nm[row]
@@ -600,7 +591,10 @@ def _fill_answers(
         answers.doubt_nm[row] = math.sqrt(film_doubt_nm[row] ** 2 + (DOUBT_RATIO * whole_nm) ** 2)
 
 
-def compile_sensitivity(calibration: Calibration) -> None:
+def compile_balance(calibration: Calibration) -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
-    rows, curve = np.zeros(1), pack_laws(calibration)[0].friction
-    _fill_answers(rows, np.zeros((2, 1)), rows, rows, np.zeros(2), curve, 1.0, ContactAnswers(*np.zeros((5, 1))))
+    law, zeros = pack_laws(calibration)[0], np.zeros(2)
+    factor_m3, answers = law.film.contact_factor_m3, ContactAnswers(*np.zeros((5, 2)))
+    _fill_torques(_Rows(zeros, zeros, zeros, zeros, zeros), law.friction, factor_m3, np.empty((2, 2)), np.empty((6, 2)))
+    heat_w(zeros, zeros, zeros, zeros, law.friction, factor_m3)
+    _fill_answers(zeros, np.zeros((2, 2)), zeros, zeros, zeros, law.friction, 1.0, answers)

@@ -17,7 +17,6 @@ from diag_service.diagnosis.friction.balance import (
     LEAST_SECANT,
     Balance,
     compile_balance,
-    compile_sensitivity,
     measured,
     slower_films,
 )
@@ -183,7 +182,6 @@ class Estimator:
         plausibility.compile_plausibility()
         compile_window()
         compile_balance(self._calibration)
-        compile_sensitivity(self._calibration)
         compile_film(self._calibration)
         compile_tangents(self._calibration)
 
