@@ -76,7 +76,7 @@ MEANING: Final = (
     ),
     Setting(
         "--parser-time S",
-        "seconds of processor time that reading the database may take, with 44 MiB of memory for each (default: 8)",
+        "seconds of processor time that reading the database may take, with 40 MiB of memory for each (default: 8)",
         INT,
     ),
     Setting(

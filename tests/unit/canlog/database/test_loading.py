@@ -225,17 +225,17 @@ WIDE_PAGES: Final = (
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        (HEAD + WIDE_PAGES, "takes more than 352 MiB of memory"),
+        (HEAD + WIDE_PAGES, "takes more than 320 MiB of memory"),
         (HEAD + 'BO_ 1 m: 8 A\n SG_ s m0-4294967295 : 8|8@1+ (1,0) [0|0] "" A\n', "line 4: SG_ s m0-42949"),
-        (kcd('length="4000000000"', 'offset="0" length="8"'), "takes more than 352 MiB of memory"),
-        (kcd('length="auto"', 'offset="4000000000" length="8"'), "takes more than 352 MiB of memory"),
+        (kcd('length="4000000000"', 'offset="0" length="8"'), "takes more than 320 MiB of memory"),
+        (kcd('length="auto"', 'offset="4000000000" length="8"'), "takes more than 320 MiB of memory"),
         (xml("<a>" * 300_000), "not a KCD file"),
         (xml("<Bus/></NetworkDefinition>"), "not a KCD file"),
         (xml("&c;</NetworkDefinition>", ENTITIES), "defines a document type or entities"),
         (xml("</NetworkDefinition>", '<!DOCTYPE a SYSTEM "file:///etc/passwd">'), "defines a document type"),
         ('<?xml version="1.0"?><AUTOSAR xmlns="http://autosar.org/schema/r4.0"/>', "not an ARXML file"),
         ("<html><body/></html>", "neither a DBC file nor a KCD or ARXML"),
-        (sym("Len=8\nVar=s unsigned 0,4000000000"), "takes more than 352 MiB of memory"),
+        (sym("Len=8\nVar=s unsigned 0,4000000000"), "takes more than 320 MiB of memory"),
         ("FormatVersion=6.0\n[[m]\n", "not a SYM file"),
     ],
 )
@@ -333,7 +333,7 @@ def test_time_to_parse_is_limited(tmp_path: Path) -> None:
 
 def test_who_gives_more_time_gives_more_memory(tmp_path: Path) -> None:
     said = refusal(write(tmp_path, kcd('length="4000000000"', 'offset="0" length="8"')), parser_time_s=9)
-    assert said.endswith("takes more than 396 MiB of memory to parse (--parser-time gives more)")
+    assert said.endswith("takes more than 360 MiB of memory to parse (--parser-time gives more)")
 
 
 def as_kcd() -> str:
