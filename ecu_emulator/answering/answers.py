@@ -96,6 +96,8 @@ class Answers:
     def _place(self) -> Place | None:
         """Return where it answers on an IP network, None if it does not."""
         certificate, key = (None if one is None else Path(one) for one in (self.doip_certificate, self.doip_key))
+        if certificate is None and self.doip_tls_port != DOIP_TLS_PORT:
+            raise ConfigError("--doip-tls-port needs --doip-certificate")
         tls = tls_node(certificate, key, self.doip_tls_port)
         if self.doip is not None:
             return replace(parse_place(self.doip), tls=tls)
@@ -126,6 +128,7 @@ def chosen(options: SimpleNamespace) -> Answers | None:
         "--diagnostic-memory": options.diagnostic_memory, "--doip": options.doip, "--elm327": options.elm327,
         "--on-board": options.on_board or None, "--doip-certificate": options.doip_certificate,
         "--doip-key": options.doip_key,
+        "--doip-tls-port": None if options.doip_tls_port == DOIP_TLS_PORT else options.doip_tls_port,
     }  # fmt: skip
     if options.diagnostics is None and options.answers_like is None:
         for option, value in given.items():

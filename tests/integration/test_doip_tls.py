@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import diag_service
+from ecu_emulator.answering.answers import Answers
 from ecu_emulator.diagnostics.doip.listening import TlsNode, tls_node
 from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.memory import TestResult as Result
@@ -138,4 +139,6 @@ def test_tls_needs_what_it_needs() -> None:
         tls_node(None, Path("key"), 3496)
     with pytest.raises(ConfigError, match=r"--doip-tls-port must be 1\.\.65535, got 0"):
         tls_node(Path("certificate"), None, 0)
+    with pytest.raises(ConfigError, match="--doip-tls-port needs --doip-certificate"):
+        Answers(doip="0", doip_tls_port=13401)
     ended("dtc", "--doip-authority", "ca.crt", "--active").assert_one_line(2, "--doip-authority needs --doip")
