@@ -60,6 +60,7 @@ PRESSURE_LATENCY_S: Final = 0.02  # a film that closes or opens earlier or later
 CONTACT_STIFFNESS_RATIO: Final = 0.2
 OPEN_DRAG_LOG: Final = 1.0
 SCALE_RATIO: Final = 0.03  # of gain and inertia: a film whose law is not known is no scale for torques
+SCALE_ROW_S: Final = 0.06  # likewise where rows are so far apart: an engine read often shows what curves leave out
 OPEN_DRAG_SPEED_LOG: Final = 0.7  # also at work: twice or half; how drag goes with the slip is another in every pack
 FRICTION_RATIO: Final = 0.01  # of mu, also at work: heat, oil and load are spread over the linings anew each time
 COLD_FRICTION_RATIO: Final = 0.07  # and by this in oil that is 60 K colder: no law of the cold holds in every car
@@ -88,6 +89,9 @@ def own_variance(balance: Balance, clutch: int) -> FloatArray:
     cold = balance.coldness[clutch - 1]
     variance = _COLD_VARIANCE * cold**2
     variance[STATE_COUNT + Considered.OPEN_DRAG] += OPEN_DRAG_SPEED_LOG**2
+    if balance.signals.engine_speed.curve is None:
+        left_out = SCALE_RATIO * (balance.signals.row_s / SCALE_ROW_S) ** 2
+        variance[[STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA]] += left_out**2
     ratio = FRICTION_RATIO + COLD_FRICTION_RATIO * cold
     variance[:FRICTION_COUNT] = (ratio * balance.at[:FRICTION_COUNT]) ** 2
     return variance

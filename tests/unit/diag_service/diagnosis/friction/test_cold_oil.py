@@ -18,6 +18,7 @@ from diag_service.diagnosis.friction.estimator import (
     COLD_FRICTION_RATIO,
     FRICTION_RATIO,
     SCALE_RATIO,
+    SCALE_ROW_S,
     VISCOSITY_RATIO,
     own_variance,
 )
@@ -74,13 +75,27 @@ def test_a_piston_at_its_touch_point_may_press_or_not() -> None:
 def test_each_event_has_a_film_of_its_own_the_colder_its_pack(below_k: float, share: float) -> None:
     track = SimpleNamespace(clutch_k=np.full(10, WORKING_K - below_k * COLD_SPAN_K / 60.0))
     at, cold = Posterior.fresh(CALIBRATION).known.mean, coldness(cast("Any", (track, track)), slice(0, 10))
-    balance = cast("Any", SimpleNamespace(coldness=cold, at=at))
+    balance = cast("Any", SimpleNamespace(coldness=cold, at=at, signals=signals_of(0.0)))
     variance = own_variance(balance, 1)
     assert variance[STATE_COUNT + Considered.VISCOSITY] == pytest.approx((share * VISCOSITY_RATIO) ** 2)
     assert variance[STATE_COUNT + Considered.TORQUE_GAIN] == pytest.approx((share * SCALE_RATIO) ** 2)
     assert variance[STATE_COUNT + Considered.STRIBECK_SPEED] == 0.0
     ratio = FRICTION_RATIO + share * COLD_FRICTION_RATIO
     assert variance[:FRICTION_COUNT] == pytest.approx((ratio * at[:FRICTION_COUNT]) ** 2)
+
+
+def signals_of(row_s: float, curve: object = None) -> SimpleNamespace:
+    return SimpleNamespace(row_s=row_s, engine_speed=SimpleNamespace(curve=curve))
+
+
+def test_torques_asked_for_seldom_are_no_scale_for_an_engine_that_is_read_often() -> None:
+    """Between rows the torque does what no curve tells, and the engine's speed follows it: the two would agree."""
+    track = SimpleNamespace(clutch_k=np.full(10, WORKING_K))
+    at, warm = Posterior.fresh(CALIBRATION).known.mean, coldness(cast("Any", (track, track)), slice(0, 10))
+    scale = STATE_COUNT + Considered.TORQUE_GAIN
+    for row_s, curve, ratio in ((0.0, None, 0.0), (SCALE_ROW_S, None, SCALE_RATIO), (SCALE_ROW_S, object(), 0.0)):
+        balance = cast("Any", SimpleNamespace(coldness=warm, at=at, signals=signals_of(row_s, curve)))
+        assert own_variance(balance, 1)[[scale, scale + 1]] == pytest.approx([ratio**2, ratio**2])
 
 
 def test_friction_is_known_less_by_every_kelvin_below_work_twice() -> None:
