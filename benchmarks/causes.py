@@ -71,10 +71,10 @@ LEAST_PAIRS, LEAST_UNKNOWN = 0.70, 0.80
 SURE: Final = 0.9
 GROUPS: Final = ("single", SOUND, "pairs", "unknown")
 LEAST_FLOORS: Final = {  # by which any sound car may move, by the beginning of a name: controls adapt, oils differ [C]
-    "level": 0.005, "slope": 0.006, "torque_offset": 0.4, "touch": 1e3, "zero": 5e2, "torque_gain": 0.004,
+    "level": 0.005, "slope": 0.0068, "torque_offset": 0.4, "touch": 1e3, "zero": 5e2, "torque_gain": 0.004,
     "engine_inertia": 0.005, "piston_area": 0.001, "viscosity": 0.03, "torque_latency": 5e-4, "pressure_latency": 8e-4,
-    "motoring_gain": 0.01, "stribeck": 0.03, "contact_stiffness": 0.02, "film_mobility": 0.1, "friction_temp": 2e-4,
-    "open_drag": 0.15, "pressure_lag": 8e-4, "pressure_reach": 5e-3, "pressure_short": 1.5e3, "fill_time": 4e-3,
+    "motoring_gain": 0.01, "stribeck": 0.04, "contact_stiffness": 0.02, "film_mobility": 0.1, "friction_temp": 2e-4,
+    "open_drag": 0.15, "pressure_lag": 8e-4, "pressure_reach": 5e-3, "pressure_short": 1.5e3, "fill_time": 7e-3,
     "believed_touch": 1e3, "scatter": 0.1,
 }  # fmt: skip
 WANDER_PERCENTILE: Final = 75.0
