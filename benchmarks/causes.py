@@ -162,7 +162,8 @@ def fitted(lives: Sequence[Lived]) -> dict[str, Any]:
     sound = [judge.change(course.begun, course.now) for one in lives if not one.truths and one.life.unknown is None
              for course in one.moments]  # fmt: skip
     moved, stated = np.array([one.mean for one in sound]), np.array([one.covariance.diagonal() for one in sound])
-    extra = np.maximum((moved**2).mean(axis=0) - stated.mean(axis=0), 0.02 * stated.mean(axis=0))
+    usual = np.median(stated, axis=0)  # one car that tells next to nothing is not what any may do
+    extra = np.maximum((moved**2).mean(axis=0) - stated.mean(axis=0), 0.02 * usual)
     least = [next((value for stem, value in LEAST_FLOORS.items() if name.startswith(stem)), 0.0) for name in FEATURES]
     floors = dict(zip(FEATURES, map(_rounded, np.maximum(np.sqrt(extra), least)), strict=True))
     judge = CauseJudge(nominal_calibration(), {**blank, "floor": floors})
