@@ -108,9 +108,10 @@ def test_with_its_own_calibration_friction_is_within_what_is_stated(played: Play
         assert abs(error) < 2.0 * std
 
 
-def test_its_own_calibration_serves_better_than_that_of_its_type(played: Played) -> None:
+def test_its_own_calibration_is_surer_than_that_of_its_type(played: Played) -> None:
+    """Which of both errs less on one vehicle is chance; `benchmarks.self_calibration` tells it of many."""
     truth = played.truth("later.log")
     own, nominal = errors(played.own, truth), errors(played.nominal, truth)
     assert all(mine[1] < 0.7 * typical[1] for mine, typical in zip(own, nominal, strict=True))
-    assert sum(error**2 for error, _ in own) < sum(error**2 for error, _ in nominal)
+    assert all(abs(error) < 0.7 * 2.0 * std for (error, _), (_, std) in zip(own, nominal, strict=True))
     assert [clutch["condition"] for clutch in played.own["clutches"]] == ["good", "good"]
