@@ -89,7 +89,7 @@ def own_variance(balance: Balance, clutch: int) -> FloatArray:
     cold = balance.coldness[clutch - 1]
     variance = _COLD_VARIANCE * cold**2
     variance[STATE_COUNT + Considered.OPEN_DRAG] += OPEN_DRAG_SPEED_LOG**2
-    if balance.signals.engine_speed.curve is None:
+    if balance.signals.row_s and balance.signals.engine_speed.curve is None:
         left_out = SCALE_RATIO * (balance.signals.row_s / SCALE_ROW_S) ** 2
         variance[[STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA]] += left_out**2
     ratio = FRICTION_RATIO + COLD_FRICTION_RATIO * cold
