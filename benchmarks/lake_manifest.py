@@ -35,7 +35,7 @@ def rows_of(day: int, vehicle_count: int) -> Iterator[LogRow]:
             content=content,
             settings="5" * 64,
             signals="",
-            algorithm_version="torque-impulse-13",
+            algorithm_version="torque-impulse-14",
             outcome=DONE,
             reason="",
             shifts=300,

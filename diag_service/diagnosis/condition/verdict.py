@@ -318,6 +318,8 @@ def decide(
     negative, thin = friction.probability_negative_slope, own_thin
     if margin.stdev > EARLY_MARGIN_STD_RATIO * reference_margin:  # one clutch may be misread; both rarely are
         negative, thin = min(negative, common.cdf(0.0)), min(own_thin, common_thin)
+    elif own_thin > 0.5:  # then both together tell better
+        thin = max(own_thin, common_thin)
     facts = _facts(friction, level, since, f"{shift_count} {counted}")
     facts += f", {launches.text(counted)}" if launches.speak else ""
     change = {

@@ -327,6 +327,24 @@ class Knowledge:
         return np.sqrt(self.covariance.diagonal())
 
 
+class Prior(NamedTuple):
+    """What was known before the first event."""
+
+    std: FloatArray  # (PARAMETER_COUNT,)
+    information: FloatArray  # (PARAMETER_COUNT, PARAMETER_COUNT), in these deviations
+
+    @classmethod
+    def of(cls, covariance: FloatArray) -> Self:
+        std = np.sqrt(covariance.diagonal())
+        std[std == 0.0] = 1.0
+        return cls(std, np.linalg.pinv(covariance / np.outer(std, std), hermitian=True))
+
+    def share(self, covariance: FloatArray) -> FloatArray:
+        """Return the part of a later covariance that is from then: what drifts is no better known than it was."""
+        kept = covariance / np.maximum(self.std, np.sqrt(covariance.diagonal()))
+        return np.asarray(kept @ self.information @ kept.T)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fusion:
     """Earlier knowledge and evidence, put together."""

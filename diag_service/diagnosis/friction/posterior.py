@@ -10,7 +10,7 @@ the gain is gone, and in one clutch the area too: the second half of this module
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import NormalDist
 from typing import Final, NamedTuple, Self
 
@@ -29,13 +29,14 @@ from diag_service.diagnosis.friction.evidence import (
     Evidence,
     Fusion,
     Knowledge,
+    Prior,
     State,
     fuse,
     prior_covariance,
     prior_mean,
     type_std,
 )
-from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, is_cheap, judge, together
+from diag_service.diagnosis.friction.judgement import EventScatter, JudgedEvent, after_change, is_cheap, judge, together
 from diag_service.diagnosis.records import (
     ClutchRatio,
     FrictionEstimate,
@@ -47,6 +48,7 @@ from diag_service.diagnosis.records import (
 from fleet_contract import JsonObject
 
 BASELINE_SHIFT_COUNT = 15  # of the clutch: three times the shifts that settle a verdict
+SCATTER_LEAST: Final = 3  # likewise: the first ones agree with nothing but what was assumed
 SHAPES = {"mean": (2,), "covariance": (2, 2), "cross": (PARAMETER_COUNT, 2)}
 
 
@@ -91,7 +93,7 @@ VISCOSITY_DRIFT_RATIO: Final = 0.01  # per event: an oil that warms up follows a
 OPEN_DRAG_DRIFT_LOG: Final = 0.05  # per event: likewise
 STATE_FORMAT: Final = 4
 _LOWER: Final = np.tril_indices(PARAMETER_COUNT)
-_STORED: Final = ("base", "folded_counts", "baselines", "packs")
+_STORED: Final = ("base", "folded_counts", "baselines", "packs", "scatter")
 
 
 def _drift() -> FloatArray:
@@ -115,6 +117,8 @@ class Posterior:
     folded_counts: tuple[int, int] = (0, 0)  # events in the base that speak of the friction of clutch 1 and 2
     baselines: tuple[Baseline | None, Baseline | None] = (None, None)  # against the base
     packs: PackTemperatures | None = None
+    scatter: EventScatter = field(default_factory=EventScatter)
+    prior: Prior
     torque: TorqueSource = TorqueSource.MEASURED
     torque_gain: float = 1.0  # of the calibration: the parameters say by how much it is wrong
     stribeck_speed_rad_s: tuple[float, float] = (1.0, 1.0)  # likewise
@@ -134,6 +138,7 @@ class Posterior:
             recent=(),
             is_used=(),
             fusion=fuse(base, Evidence.none()),
+            prior=Prior.of(base.covariance),
             torque=calibration.torque,
             torque_gain=calibration.bias.torque_gain,
             stribeck_speed_rad_s=both_clutches(one.friction.stribeck_speed_rad_s for one in calibration.clutches),
@@ -143,6 +148,17 @@ class Posterior:
     def known(self) -> Knowledge:
         """Everything that is known, with its uncertainty."""
         return self.fusion.knowledge
+
+    @property
+    def stated(self) -> Knowledge:
+        """The same, as sure as events show: the variance that comes from them is scaled by how far they are apart."""
+        known, ratio = self.fusion.knowledge, self.scatter.ratio
+        by_prior = self.prior.share(known.covariance)
+        return Knowledge(mean=known.mean, covariance=ratio * known.covariance + (1.0 - ratio) * by_prior)
+
+    def with_only(self, fusion: Fusion) -> "Posterior":
+        """Return what an event says by itself, put together with what is known of all but its friction."""
+        return replace(self, fusion=fusion, scatter=EventScatter())
 
     def without(self, place: int) -> Knowledge:
         """Return what is known without one of the recent events."""
@@ -160,6 +176,12 @@ class Posterior:
 
         ``room`` is what `with_room` returns, where that is known.
         """
+        state = self._with_event(event, room)
+        if not state.is_used or not state.is_used[-1] or state.shift_counts[event.clutch - 1] < SCATTER_LEAST:
+            return state
+        return replace(state, scatter=self.scatter.with_event(state.fusion.knowledge, event))
+
+    def _with_event(self, event: JudgedEvent, room: "Posterior | None") -> "Posterior":
         recent = (*self.recent, event)
         judged = judge(self.base, recent)
         state = replace(self, recent=recent, is_used=judged.is_used, fusion=judged.fusion)
@@ -214,7 +236,7 @@ class Posterior:
             raise ValueError(f"running state of format {table.get('format')!r}, expected {STATE_FORMAT}")
         blank = cls.fresh(calibration)
         try:
-            kept = from_plain({name: table[name] for name in _STORED}, _Stored)
+            kept = from_plain({name: table[name] for name in _STORED if name != "scatter" or name in table}, _Stored)
             recent = tuple(_restored(one) for one in _rows(table["recent"]))
         except (KeyError, TypeError, ValueError) as exc:
             raise ValueError(f"not a running state: {exc}") from exc
@@ -224,16 +246,7 @@ class Posterior:
                 value = getattr(record, name)
                 if value.shape != shape or not np.all(np.isfinite(value)):
                     raise ValueError(f"not a running state: bad {name} of a {type(record).__name__}")
-        return _judged(
-            replace(
-                blank,
-                base=kept.base,
-                recent=recent,
-                folded_counts=kept.folded_counts,
-                baselines=kept.baselines,
-                packs=kept.packs,
-            )
-        )
+        return _judged(replace(blank, recent=recent, **{name: getattr(kept, name) for name in _STORED}))
 
 
 def _together(state: Posterior) -> Posterior:
@@ -288,6 +301,7 @@ class _Stored:
     folded_counts: tuple[int, int]
     baselines: tuple[Baseline | None, Baseline | None]
     packs: PackTemperatures | None
+    scatter: EventScatter = field(default_factory=EventScatter)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -388,12 +402,15 @@ class _Pair(NamedTuple):
 
 def friction(state: Posterior, clutch: int) -> FrictionEstimate:
     """Return the friction of clutch 1 or 2 as now estimated."""
-    return _with_scale(state, clutch, _without_scale(state, clutch))
+    return both_frictions(state, clutch)[0]
 
 
 def both_frictions(state: Posterior, clutch: int) -> tuple[FrictionEstimate, ScaleFreeFriction]:
     """Return the friction of clutch 1 or 2 as now estimated, and what `scale_free` says of it."""
-    free = _without_scale(state, clutch)
+    known, area = state.stated, _AREAS[clutch - 1]
+    free = _Pair.of(known, clutch, area, 1.0 + float(known.mean[area]), 1.0)
+    if state.torque is not TorqueSource.MEASURED:
+        free = free.with_common(MODELLED_STD_RATIO)
     told = ScaleFreeFriction(
         mu_c=free.mu_c,
         mu_s=free.mu_s,
@@ -401,11 +418,10 @@ def both_frictions(state: Posterior, clutch: int) -> tuple[FrictionEstimate, Sca
         std_mu_s=math.sqrt(free.variance_s),
         correlation=free.correlation,
     )
-    return _with_scale(state, clutch, free), told
+    return _with_scale(state, known, clutch, free), told
 
 
-def _with_scale(state: Posterior, clutch: int, free: _Pair) -> FrictionEstimate:
-    known = state.fusion.knowledge
+def _with_scale(state: Posterior, known: Knowledge, clutch: int, free: _Pair) -> FrictionEstimate:
     gain = state.torque_gain + float(known.mean[_GAIN])
     pair = _Pair.of(known, clutch, _GAIN, 1.0 / gain, -1.0 / gain**2)
     width = state.stribeck_speed_rad_s[clutch - 1] * (1.0 + float(known.mean[_WIDTH]))
@@ -432,20 +448,13 @@ def scale_free(state: Posterior, clutch: int) -> ScaleFreeFriction:
     return both_frictions(state, clutch)[1]
 
 
-def _without_scale(state: Posterior, clutch: int) -> _Pair:
-    area = _AREAS[clutch - 1]
-    known = state.fusion.knowledge
-    pair = _Pair.of(known, clutch, area, 1.0 + float(known.mean[area]), 1.0)
-    return pair if state.torque is TorqueSource.MEASURED else pair.with_common(MODELLED_STD_RATIO)
-
-
 def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalDist:
     """Return which part of ``mu_C - mu_S`` of new fluid is left if both clutches, which slip in one oil, lost the same.
 
     ``new_margins`` are those of new fluid. The better known clutch weighs more, by its variance; what both share is in
     the deviation.
     """
-    known = state.fusion.knowledge
+    known = state.stated
     gain = state.torque_gain + float(known.mean[_GAIN])
     c_1, s_1, c_2, s_2 = known.mean[:FRICTION_COUNT].tolist()
     by_1, by_2 = (1.0 / (gain * new_margin) for new_margin in new_margins)
@@ -461,7 +470,7 @@ def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalD
 
 def common_scale_std_ratio(state: Posterior, clutch: int) -> float:
     """Return the relative deviation of gain times piston area: what all friction of clutch 1 or 2 shares, for good."""
-    known, area = state.fusion.knowledge, _AREAS[clutch - 1]
+    known, area = state.stated, _AREAS[clutch - 1]
     mean, covariance = known.mean, known.covariance
     by_gain, by_area = 1.0 / (state.torque_gain + float(mean[_GAIN])), 1.0 / (1.0 + float(mean[area]))
     gain, both, own = float(covariance[_GAIN, _GAIN]), float(covariance[_GAIN, area]), float(covariance[area, area])
@@ -528,7 +537,7 @@ def clutch_ratio(state: Posterior) -> ClutchRatio | None:
     """Return the friction of clutch 1 over that of clutch 2, or None before both have had a shift."""
     if not all(state.shift_counts):
         return None
-    known = state.fusion.knowledge
+    known = state.stated
     mean, covariance = known.mean[:FRICTION_COUNT].tolist(), known.covariance[:FRICTION_COUNT, :FRICTION_COUNT].tolist()
     (ratio_c, std_c), (ratio_s, std_s) = (_ratio(mean, covariance, one) for one in (State.MU_C1, State.MU_S1))
     return ClutchRatio(mu_c_ratio=ratio_c, mu_s_ratio=ratio_s, std_mu_c_ratio=std_c, std_mu_s_ratio=std_s)
@@ -566,14 +575,8 @@ def new_curve(slip_rad_s: FloatArray, reference: FrictionCurve) -> FloatArray:
 
 
 _LEARNT: Final = np.array((
-    State.TORQUE_OFFSET,
-    State.TOUCH1,
-    State.TOUCH2,
-    State.ZERO1,
-    State.ZERO2,
-    STATE_COUNT + Considered.VISCOSITY,
-    STATE_COUNT + Considered.TORQUE_LATENCY,
-    STATE_COUNT + Considered.PRESSURE_LATENCY,
+    State.TORQUE_OFFSET, State.TOUCH1, State.TOUCH2, State.ZERO1, State.ZERO2, STATE_COUNT + Considered.VISCOSITY,
+    STATE_COUNT + Considered.TORQUE_LATENCY, STATE_COUNT + Considered.PRESSURE_LATENCY,
 ))  # fmt: skip
 """What ordinary shifts tell; gain of torque and piston areas they do not."""
 _AMONG_NUISANCES: Final = (_LEARNT - FRICTION_COUNT).tolist()

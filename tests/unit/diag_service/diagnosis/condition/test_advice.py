@@ -36,7 +36,7 @@ def verdict_on(
     ("mu_c", "mu_s", "sentence"),
     [
         (0.140, 0.119, "Clutch 2: its friction is sound (over 99 % sure)."),
-        (0.133, 0.125, "Clutch 2: more than half of its margin against shudder is gone (94 % sure)."),
+        (0.133, 0.125, "Clutch 2: more than half of its margin against shudder is gone (99 % sure)."),
         (0.119, 0.137, "Clutch 2: it can shudder (over 99 % sure)."),
         (0.105, 0.085, "Clutch 2: its friction is below 80 % of new (98 % sure)."),
     ],

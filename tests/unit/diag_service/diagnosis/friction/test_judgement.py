@@ -21,7 +21,8 @@ from diag_service.diagnosis.friction.evidence import (
     prior_covariance,
     prior_mean,
 )
-from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, judge, step_since
+from diag_service.diagnosis.friction.judgement import EventScatter, JudgedEvent, after_change, judge, step_since
+from diag_service.diagnosis.friction.posterior import Posterior
 
 STD = 0.001  # of friction seen in one event
 MU = np.array([0.140, 0.120])
@@ -146,7 +147,7 @@ def test_what_a_step_saves_is_what_knowledge_before_and_after_it_says(clutch: in
     before, since = Evidence.sum(evidences[:4]), Evidence.sum(evidences[4:])
     together, first = fuse(base(), before.plus(since)), fuse(base(), before)
     changed = fuse(after_change(first.knowledge, clutch), since)
-    saved, _ = step_since(together.knowledge, since, clutch)
+    saved, *_ = step_since(together.knowledge, since, clutch)
     assert saved == pytest.approx(together.chi_square - first.chi_square - changed.chi_square, rel=1e-6)
 
 
@@ -182,3 +183,47 @@ def test_bad_ones_that_agree_do_not_hide_behind_each_other(count: int) -> None:
     ]
     judged = judge(known, alike)
     assert judged.is_used == ((False,) * 2 if count == 2 else (True,) * 4)
+
+
+class Scaled:
+    """Noise of another size than is stated."""
+
+    def __init__(self, ratio: float) -> None:
+        self._ratio, self._rng = ratio, np.random.default_rng(5)
+
+    def normal(self, size: int) -> FloatArray:
+        return self._ratio * self._rng.normal(size=size)
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.7, 1.0, 1.3])
+def test_by_how_much_events_differ_is_learned_from_them_and_scales_what_they_tell(ratio: float) -> None:
+    rng = cast("np.random.Generator", Scaled(ratio))
+    state = Posterior.fresh(nominal_calibration())
+    for number in range(120):
+        state = state.with_event(event(number, 1 + number % 2, MU, rng))
+    assert state.scatter.ratio == pytest.approx(ratio**2, abs=0.1 + 0.15 * ratio**2)
+    known, told = state.fusion.knowledge, state.stated
+    friction, gain = slice(0, 2), STATE_COUNT + Considered.TORQUE_GAIN
+    assert told.std()[friction] == pytest.approx(np.sqrt(state.scatter.ratio) * known.std()[friction], rel=0.01)
+    assert told.std()[gain] == pytest.approx(known.std()[gain], rel=1e-6)  # of which they tell nothing
+
+
+def test_one_event_far_off_is_no_scatter() -> None:
+    known = fuse(base(), Evidence.sum([one.evidence for one in events([1.0] * 12)])).knowledge
+    assert EventScatter().with_event(known, events([1.5])[0]).ratio < 1.5
+
+
+def test_the_first_events_tell_nothing_of_scatter() -> None:
+    state = Posterior.fresh(nominal_calibration())
+    for one in (*events([1.0] * 2), *events([1.0] * 2, clutch=2)):
+        state = state.with_event(one)
+    assert state.scatter == EventScatter()
+
+
+def test_what_drifted_far_is_not_less_than_uncertain() -> None:
+    rng = cast("np.random.Generator", Scaled(1.6))
+    state = Posterior.fresh(nominal_calibration())
+    for number in range(1000):  # of oil and drag they tell nothing
+        state = state.with_event(event(number, 1, MU, rng))
+    assert state.scatter.ratio > 1.5
+    assert np.linalg.eigvalsh(state.stated.covariance / np.outer(state.prior.std, state.prior.std))[0] > -1e-9
