@@ -33,7 +33,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.causes import ELSE, FEATURES, MIRRORED, SOUND, CauseJudge, described
-from diag_service.diagnosis.condition.condition import ConditionMemory, Course
+from diag_service.diagnosis.condition.condition import LEAST_COUNT, ConditionMemory, Course
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import Condition
 from diag_service.mapping.decoder import Decoder
@@ -69,6 +69,7 @@ FILLED_AT: Final = "2026-01-01T12:00:00.000000Z"
 LEAST_FIRST, LEAST_SECOND, MOST_SURE_WRONG, MOST_ERROR, MOST_ACCUSED = 0.80, 0.92, 0.02, 0.05, 0.01
 LEAST_PAIRS, LEAST_UNKNOWN = 0.70, 0.80
 SURE: Final = 0.9
+UNSAID: Final = "nothing said"  # with too few events since friction changed
 GROUPS: Final = ("single", SOUND, "pairs", "unknown")
 LEAST_FLOORS: Final = {  # by which any sound car may move, by the beginning of a name: controls adapt, oils differ [C]
     "level": 0.005, "slope": 0.0068, "torque_offset": 0.4, "touch": 1e3, "zero": 5e2, "torque_gain": 0.004,
@@ -143,7 +144,7 @@ def lived(life: Life) -> list[Lived]:
         for event in (*stages.segment(batch), *stages.flush()):
             diagnosis = stages.conclude(event)
             memory, conditions[diagnosis.verdict.clutch] = diagnosis.memory, diagnosis.verdict.condition
-        if drive - SOUND_DRIVES - ramp + 1 in {4, 7, FAULTY_DRIVES}:
+        if drive - SOUND_DRIVES - ramp + 1 in {1, 4, 7, FAULTY_DRIVES}:
             moments.append(memory.course)
     truths = tuple(
         (one.kind, one.clutch, 1.0 if next(iter(one.changes.values())) > 1.0 else -1.0)
@@ -160,7 +161,7 @@ def fitted(lives: Sequence[Lived]) -> dict[str, Any]:
     blank = {**words, "floor": {}, "moves": {kind: {} for kind in words["cause"]}}
     judge = CauseJudge(nominal_calibration(), blank)
     sound = [judge.change(course.begun, course.now) for one in lives if not one.truths and one.life.unknown is None
-             for course in one.moments]  # fmt: skip
+             for course in one.moments[1:]]  # fmt: skip
     moved, stated = np.array([one.mean for one in sound]), np.array([one.covariance.diagonal() for one in sound])
     usual = np.median(stated, axis=0)  # one car that tells next to nothing is not what any may do
     extra = np.maximum((moved**2).mean(axis=0) - stated.mean(axis=0), 0.02 * usual)
@@ -227,14 +228,17 @@ class Outcome:
     @classmethod
     def of(cls, one: Lived, judge: CauseJudge) -> "Outcome":
         """Return what the service states of a life; where a clutch is not told, the truth does not tell it either."""
-        found = [judge.judge(course) for course in one.moments]
+        found = [judge.judge(course) if course.now.count >= LEAST_COUNT else None for course in one.moments]
         with_clutch = {kind for kind, told in described()["cause"].items() if told["is_of_one_clutch"]}
-        sound = [sum(cause.probability for cause in causes.likely if cause.cause == SOUND) for causes in found]
+        sound = [
+            sum(cause.probability for cause in causes.likely if cause.cause == SOUND) for causes in found if causes
+        ]
+        last = found[-1].likely if found[-1] else ()
         return cls(
             life=one.life,
             truths=frozenset((kind, clutch if kind in with_clutch else None) for kind, clutch, _ in one.truths),
-            stated=tuple((cause.cause, cause.clutch, cause.probability) for cause in found[-1].likely),
-            accused=min(sound) < 0.5,
+            stated=tuple((cause.cause, cause.clutch, cause.probability) for cause in last) or ((UNSAID, None, 0.0),),
+            accused=min(sound, default=1.0) < 0.5,
             conditions=one.conditions,
         )
 
@@ -261,6 +265,7 @@ def reliability(outcomes: Sequence[Outcome]) -> tuple[Table, float]:
         (probability, (cause, clutch) in (one.truths or {(SOUND, None)}))
         for one in outcomes
         for cause, clutch, probability in one.stated
+        if cause != UNSAID
     ]
     error = 0.0
     for low, high in pairwise((0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 1.01)):
@@ -306,7 +311,7 @@ def costs(outcomes: Sequence[Outcome]) -> Table:
 
     def ours(one: Outcome) -> str | None:
         cause, _, probability = one.stated[0]
-        return (cause if probability >= SURE else "test") if cause != SOUND else None
+        return (cause if probability >= SURE else "test") if cause not in {SOUND, UNSAID} else None
 
     def thresholds(one: Outcome) -> str | None:
         return "aged-fluid" if {"CHANGE_FLUID", "WATCH"} & set(one.conditions) else None

@@ -7,8 +7,6 @@ from clutch_model.calibration import Calibration, TorqueSource
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.causes import CauseJudge
 from diag_service.diagnosis.condition.condition import (
-    JUDGED_EVERY,
-    LEAST_COUNT,
     ConditionMemory,
     judge,
     judge_lockup,
@@ -148,7 +146,7 @@ class Stages:
                 ):  # they grow until it has changed
                     self._memory = self._memory.with_changed_friction(clutch)
             course = self._memory.course.with_event(estimate, self._state, state)
-            if has_scale and course.now.count >= LEAST_COUNT and course.event_count % JUDGED_EVERY == 0:
+            if has_scale and course.is_due:
                 course = replace(course, found=self._causes.judge(course))
             memory = self._memory.with_fit(estimate).with_shift(estimate, self._state).with_launch(estimate, course)
             self._memory, verdict = judge(memory, state, estimate.clutch, self._calibration)

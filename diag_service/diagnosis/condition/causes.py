@@ -21,7 +21,7 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
-from diag_service.diagnosis.condition.condition import LEAST_COUNT, LOWER, MEASURED, SENSORS, Course, Stretch
+from diag_service.diagnosis.condition.condition import FILLED_COUNT, LOWER, MEASURED, SENSORS, Course, Stretch
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT, State
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.records import Causes, LikelyCause, Moved
@@ -228,7 +228,7 @@ class CauseJudge:
         ``log_renewed`` is the logarithm of how much less likely renewed fluid is for what the first events were.
         """
         change, filled = self.change(course.begun, course.now), course.filled
-        is_filled = filled is not None and filled.count >= LEAST_COUNT
+        is_filled = filled is not None and filled.count >= FILLED_COUNT
         early = self.change(course.begun, filled) if filled is not None and is_filled else None
         logs = _logs(self._singles, change, early)
         count = len(self.signatures)

@@ -119,7 +119,8 @@ class Fit(StrEnum):
 
 WARM_K: Final = 343.15  # of a pack: below it parameters move with the oil, by laws that differ from car to car
 BEGIN_COUNT: Final = 40  # events of the first stretch: a few drives
-LEAST_COUNT: Final = 15.0  # of the last one, which are twenty events, before anything is said of causes
+LEAST_COUNT: Final = 6.0  # of the last one, before anything is said of causes: of fewer most is wrong
+FILLED_COUNT: Final = 15.0  # of the first ones after a fill
 KEPT: Final = 0.97  # of an event's weight after each later one: some thirty count
 JUDGED_EVERY: Final = 35  # events: a cause does not come within one, and a judgement takes as long as an event
 SENSORS: Final = frozenset({"torque-sensor", "pressure-sensor"})
@@ -193,9 +194,14 @@ class Course:
         if self.begun.count < BEGIN_COUNT:
             return replace(self, begun=self.begun.with_event(estimate, evidence, 1.0), event_count=count)
         filled = self.filled
-        if filled is not None and filled.count < LEAST_COUNT:
+        if filled is not None and filled.count < FILLED_COUNT:
             filled = filled.with_event(estimate, evidence, 1.0)
         return replace(self, now=self.now.with_event(estimate, evidence, KEPT), filled=filled, event_count=count)
+
+    @property
+    def is_due(self) -> bool:
+        """Whether causes are to be told anew: first as soon as they can be, then now and again."""
+        return self.now.count >= LEAST_COUNT and (self.found is None or self.event_count % JUDGED_EVERY == 0)
 
     def with_new_fluid(self) -> Self:
         """Return it after a fill: what was last is of the fluid before."""

@@ -9,6 +9,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.causes import ELSE, FEATURES, MIRRORED, SOUND, CauseJudge, described
 from diag_service.diagnosis.condition.condition import (
     BEGIN_COUNT,
+    JUDGED_EVERY,
     LEAST_COUNT,
     LOWER,
     MEASURED,
@@ -254,6 +255,15 @@ def test_new_fluid_begins_the_last_stretch_again() -> None:
     assert course.found is None
     early = ConditionMemory(course=Course(begun=replace(stretch(), count=LEAST_COUNT), event_count=20))
     assert early.with_new_fluid("2026-01-01T00:00:00.000000Z", FRESH).course == Course()
+
+
+def test_causes_are_told_as_soon_as_they_can_be_after_friction_changed_and_then_now_and_again() -> None:
+    course = Course(begun=stretch(), now=stretch(), event_count=71, found=causes_of()).with_changed_friction()
+    few = replace(course, now=replace(stretch(), count=LEAST_COUNT - 1.0))
+    enough = replace(course, now=replace(stretch(), count=LEAST_COUNT))
+    assert (few.is_due, enough.is_due) == (False, True)
+    told = replace(enough, found=causes_of())
+    assert (told.is_due, replace(told, event_count=2 * JUDGED_EVERY).is_due) == (False, True)
 
 
 @pytest.mark.parametrize(("clutch", "is_held"), [(1, True), (2, False)])
