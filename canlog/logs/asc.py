@@ -5,171 +5,374 @@ gives that in local time without a zone, to the millisecond; python-can reads it
 """
 
 import re
-import unicodedata
-from collections.abc import Mapping
-from datetime import UTC, datetime, timezone
-from types import MappingProxyType
+import string
 
 import numpy as np
 
-from canlog.arrays import Int64Array, UInt8Array
-from canlog.frames import FD_FLAG, FrameBatch
-from canlog.logs.asc_kernel import BASE, CLOCK_FIELDS, DECIMAL, HEXADECIMAL, IS_RELATIVE, NOW_US, START_US, parse_lines
+from canlog.arrays import BoolArray, Int64Array, UInt8Array
+from canlog.frames import (
+    BRS_FLAG,
+    ERROR_FLAG,
+    ESI_FLAG,
+    EXTENDED_FLAG,
+    FD_FLAG,
+    FD_PAYLOAD_BYTES,
+    PAYLOAD_BYTES,
+    REMOTE_FLAG,
+    TX_FLAG,
+    FrameBatch,
+)
+from canlog.jit import array_kernel, inlined_kernel
+from canlog.logs.dates import US_PER_S, date_us, decoded
 from canlog.logs.frame_buffer import FrameRows
+from canlog.logs.text_kernels import (
+    BLANK,
+    FRAME,
+    HEX_VALUE,
+    IS_LENGTH,
+    LENGTH_OF_CODE,
+    LINES,
+    LONGEST_NUMBER,
+    MALFORMED,
+    NEWLINE,
+    OTHER,
+    POSITION,
+    ROWS,
+    SKIPPED,
+    SLASH,
+    STOP,
+    TOO_LONG,
+    count_line,
+    decimal,
+    decimal_parts,
+    digits,
+    skip_blanks,
+    skip_line,
+    skip_word,
+    whole_number,
+)
 from canlog.logs.text_log import TextLog
 
-LONGEST_SHOWN = 60  # bytes of a date
+HEXADECIMAL, DECIMAL = 16, 10
+MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
+MOST_ID_DIGITS = 12
+BYTE_DIGITS, MAX_BYTE = 3, 255
+EQUALS = ord("=")
+LETTER_R, LETTER_T, LETTER_X = ord("r"), ord("t"), ord("x")
+NONE = -1  # in place of a number or a position
 
+IS_LETTER: BoolArray = np.isin(np.arange(256), list(f"{string.ascii_letters}{string.digits}_".encode()))  # of a name
+
+
+@array_kernel
+def is_word(text: UInt8Array, at: int, word: UInt8Array) -> bool:
+    """Return whether a word stands here, in letters of either size."""
+    for index in range(len(word)):
+        if text[at + index] | 32 != word[index]:
+            return False
+    return not IS_LETTER[text[at + len(word)]]
+
+
+@array_kernel
+def decimal_number(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Read a decimal number and the blanks behind it; NONE, and stay, if there is none."""
+    number, behind = decimal(text, at, LONGEST_NUMBER)
+    if behind == at or text[behind] > BLANK:
+        return NONE, at
+    return number, skip_blanks(text, behind)
+
+
+@array_kernel
+def read_direction(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Pass over ``Rx`` or ``Tx`` and the blanks behind it; return 1 for the latter. Else stay: NONE."""
+    is_sent = text[at] | 32 == LETTER_T
+    if (is_sent or text[at] | 32 == LETTER_R) and text[at + 1] | 32 == LETTER_X and not IS_LETTER[text[at + 2]]:
+        return int(is_sent), skip_blanks(text, at + 2)
+    return NONE, at
+
+
+@array_kernel
+def read_identifier(text: UInt8Array, at: int, base: int) -> tuple[int, int]:
+    """Read an identifier and the blanks behind it; NONE if it is none."""
+    begin = at
+    value, at = digits(text, begin, base, MOST_ID_DIGITS)
+    is_extended = text[at] | 32 == LETTER_X
+    at += is_extended
+    if at == begin + is_extended or text[at] > BLANK or value > (MAX_EXTENDED_ID if is_extended else MAX_STANDARD_ID):
+        return NONE, at
+    return (value | EXTENDED_FLAG if is_extended else value), skip_blanks(text, at)
+
+
+@array_kernel
+def payload(text: UInt8Array, at: int, data: UInt8Array, row: int, count: int, base: int, is_fd: int) -> int:
+    """Read bytes, each behind blanks; return the position behind them, or NONE.
+
+    Hexadecimal ones of CAN FD have two digits each: the numbers behind them may have one.
+    """
+    behind = _paired_bytes(text, at, data, row, count) if base == HEXADECIMAL else NONE
+    if behind == NONE:
+        behind = at
+        for index in range(count):
+            begin = skip_blanks(text, behind)
+            value, behind = whole_number(text, begin, base, BYTE_DIGITS)
+            if not 0 <= value <= MAX_BYTE or (is_fd and base == HEXADECIMAL and behind != begin + 2):
+                return NONE
+            data[row, index] = value
+    for index in range(count, data.shape[1]):
+        data[row, index] = 0
+    return behind
+
+
+@array_kernel
+def _paired_bytes(text: UInt8Array, at: int, data: UInt8Array, row: int, count: int) -> int:
+    """Read bytes of two digits, as nearly all are, each behind blanks; return the position behind them, or NONE."""
+    for index in range(count):
+        if text[at] != BLANK:
+            return NONE
+        at = skip_blanks(text, at)
+        high = HEX_VALUE[text[at]]
+        low = HEX_VALUE[text[at + 1]] if high >= 0 else NONE
+        if low < 0:
+            return NONE
+        data[row, index] = high * 16 + low
+        at += 2
+    return at if text[at] <= BLANK else NONE
+
+
+@array_kernel
+def end_of_line(text: UInt8Array, at: int) -> int:
+    """Pass over ``name = anything`` or a comment, if it is there; return the position behind the line, or NONE."""
+    at = skip_blanks(text, at)
+    if text[at] == NEWLINE:
+        return at + 1
+    if text[at] == SLASH and text[at + 1] == SLASH:
+        return skip_line(text, at)
+    begin = at
+    while IS_LETTER[text[at]]:
+        at += 1
+    if at == begin or text[skip_blanks(text, at)] != EQUALS:
+        return NONE
+    return skip_line(text, at)
+
+
+# The clock of a file.
+START_US, NOW_US, IS_RELATIVE, BASE, CLOCK_FIELDS = range(5)
+
+MAX_SECONDS_DIGITS, MAX_FRACTION_DIGITS = 10, 9
+MAX_CHANNEL, MOST_CHANNEL_NUMBER = 255, 999
+MOST_CODES = len(LENGTH_OF_CODE)
+NS_PER_US = 1_000
+LAST_US = 9_200_000_000_000_000  # since the epoch: nanoseconds must fit 64 bits
+POINT, LETTER_D = ord("."), ord("d")
+CANFD_WORD = np.frombuffer(b"canfd", np.uint8)
+ERROR_WORD = np.frombuffer(b"errorframe", np.uint8)
+SAID_REMOTE, SAID_FD = 0x0010, 0x1000  # bits of the flags of a CANFD line
+FLAGS_PLACE = 2  # of the numbers behind a payload, from 0: duration, length, flags
+
+# Characters that are in no text of either encoding.
+IS_CONTROL: BoolArray = np.isin(np.arange(256), [*range(9), *range(14, 32), 127, 255])
+
+
+@array_kernel
+def parse_lines(text: UInt8Array, rows: FrameRows, clock: Int64Array, progress: Int64Array) -> None:
+    """Parse lines from where the progress says up to the first that does not begin with a time."""
+    at, line, row = progress[POSITION], progress[LINES], progress[ROWS]
+    while at < len(text):
+        time_us, event = _time_us(text, skip_blanks(text, at))
+        outcome, behind = (OTHER, at) if time_us < 0 else _event(text, event, rows, row, clock[BASE])
+        if outcome >= TOO_LONG:
+            progress[STOP] = outcome
+            break
+        # What is later than the last is no time, and must stay a number.
+        clock[NOW_US] = min(time_us + (clock[NOW_US] if clock[IS_RELATIVE] else 0), LAST_US + 1)
+        if outcome == FRAME:
+            time_us = clock[START_US] + clock[NOW_US]
+            rows.t_ns[row] = time_us * NS_PER_US
+            outcome = FRAME if time_us <= LAST_US else MALFORMED
+        row += outcome == FRAME
+        line += 1
+        count_line(progress, outcome, line)
+        at = behind
+    progress[POSITION], progress[LINES], progress[ROWS] = at, line, row
+
+
+@array_kernel
+def _time_us(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Read ``seconds.fraction`` and the blanks behind it, rounded to microseconds; NONE if no event follows."""
+    begin = at
+    seconds, at = decimal(text, begin, MAX_SECONDS_DIGITS)
+    if at == begin or text[at] != POINT:
+        return NONE, at
+    begin = at + 1
+    fraction_ns, at = decimal_parts(text, begin, US_PER_S * NS_PER_US, MAX_FRACTION_DIGITS)
+    behind = skip_blanks(text, at)
+    if at == begin or text[at] > BLANK or text[behind] == NEWLINE:
+        return NONE, at
+    return seconds * US_PER_S + (fraction_ns + NS_PER_US // 2) // NS_PER_US, behind
+
+
+@inlined_kernel
+def _event(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> tuple[int, int]:
+    """Read what stands behind a time; return the outcome and the position behind the line."""
+    is_fd = text[at] | 32 == CANFD_WORD[0]
+    number, channel_at = decimal_number(text, skip_blanks(text, skip_word(text, at)) if is_fd else at)
+    end = NONE
+    if 0 <= number <= MOST_CHANNEL_NUMBER:
+        rows.channel[row] = min(number, MAX_CHANNEL)
+        end = _fd_frame(text, channel_at, rows, row, base) if is_fd else _frame(text, channel_at, rows, row, base)
+    if end >= 0:
+        return FRAME, end
+    return _other(text, at, rows, row) if end == NONE else (TOO_LONG, at)
+
+
+@array_kernel
+def _other(text: UInt8Array, at: int, rows: FrameRows, row: int) -> tuple[int, int]:
+    """Read an event that is no frame with a payload; return the outcome and the position behind the line."""
+    begin, is_fd, outcome = at, is_word(text, at, CANFD_WORD), SKIPPED
+    number, at = decimal_number(text, skip_blanks(text, at + len(CANFD_WORD)) if is_fd else at)
+    direction, behind = read_direction(text, at)
+    if 0 <= number <= MOST_CHANNEL_NUMBER and is_word(text, behind, ERROR_WORD):
+        rows.can_id[row], rows.length[row], rows.flags[row] = ERROR_FLAG, 0, TX_FLAG * (direction > 0)
+        rows.data[row, :] = 0
+        return FRAME, skip_line(text, behind)
+    if number < 0:  # a channel that is none, or an event of another bus
+        at = skip_blanks(text, skip_word(text, at))
+        direction, _ = read_direction(text, at)
+    if not is_fd:
+        direction, behind = read_direction(text, skip_blanks(text, skip_word(text, at)))
+        kind = text[behind] | 32
+        is_data = (kind == LETTER_D or kind == LETTER_R) and text[behind + 1] <= BLANK  # noqa: PLR1714, SIM109 - no tuple
+        direction = direction if number >= 0 or is_data else NONE
+    if direction >= 0:  # it looks like a frame
+        outcome = MALFORMED
+    at = begin
+    while text[at] != NEWLINE:
+        if IS_CONTROL[text[at]]:
+            outcome = MALFORMED
+        at += 1
+    return outcome, at + 1
+
+
+@inlined_kernel
+def _frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> int:
+    """Read ``123x  Rx   d 8 11 22 ...``, perhaps without a direction; return what ``_fd_frame`` does."""
+    identifier, at = read_identifier(text, at, base)
+    direction, at = read_direction(text, at)
+    kind = text[at] | 32
+    is_remote = kind == LETTER_R and direction >= 0  # what else begins with R may be a damaged direction
+    if identifier < 0 or not (kind == LETTER_D or is_remote) or text[at + 1] > BLANK:
+        return NONE
+    begin = skip_blanks(text, at + 1)
+    code, at = whole_number(text, begin, base, 2)
+    if code > PAYLOAD_BYTES and not is_remote:
+        count, at = _long_payload(text, begin, rows, row, base)
+        if at < 0:
+            return at
+        rows.length[row], rows.can_id[row] = count, identifier
+        rows.flags[row] = TX_FLAG * (direction > 0) | (FD_FLAG if count > PAYLOAD_BYTES else 0)
+        return end_of_line(text, at)
+    if code >= MOST_CODES or (code < 0 and not is_remote):
+        return NONE
+    count = min(max(code, 0), PAYLOAD_BYTES)
+    rows.length[row], rows.flags[row] = count, TX_FLAG * (direction > 0)
+    rows.can_id[row] = identifier | (REMOTE_FLAG if is_remote else 0)
+    at = payload(text, at, rows.data, row, 0 if is_remote else count, base, 0)
+    while is_remote and code >= 0:  # bytes that some write, though there are none
+        value, behind = whole_number(text, skip_blanks(text, at), HEXADECIMAL, BYTE_DIGITS)
+        if value < 0:
+            break
+        at = behind
+    return end_of_line(text, at) if at >= 0 else NONE
+
+
+@array_kernel
+def _long_payload(text: UInt8Array, begin: int, rows: FrameRows, row: int, base: int) -> tuple[int, int]:
+    """Read a length beyond eight and its bytes; return their number and the position behind, or as ``_fd_frame``.
+
+    The bytes tell what the length is: a code of CAN FD, one of a classic frame, which has eight, or their number.
+    """
+    code, at = whole_number(text, begin, base, 2)
+    number, _ = whole_number(text, begin, DECIMAL, 2)
+    count = 0
+    while count <= FD_PAYLOAD_BYTES:
+        start = skip_blanks(text, at)
+        value, behind = whole_number(text, start, base, BYTE_DIGITS)
+        if not 0 <= value <= MAX_BYTE or (base == HEXADECIMAL and behind != start + 2):
+            break
+        if count < rows.data.shape[1]:
+            rows.data[row, count] = value
+        count += 1
+        at = behind
+    is_by_code = code < MOST_CODES and (count == LENGTH_OF_CODE[code] or count == PAYLOAD_BYTES)
+    if not is_by_code and not (count == number or count == code):  # noqa: PLR1714, SIM109 - no tuple
+        return NONE, NONE
+    if count > FD_PAYLOAD_BYTES or not IS_LENGTH[count]:
+        return NONE, NONE
+    if count > rows.data.shape[1]:
+        return NONE, NONE - 1
+    rows.data[row, count:] = 0
+    return count, at
+
+
+@array_kernel
+def _fd_frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> int:
+    """Read ``Rx 123 [name] 1 0 9 12 11 22 ... duration length flags ...``; return the position behind, or NONE.
+
+    What is below NONE says that the rows are too short.
+    """
+    direction, at = read_direction(text, at)
+    identifier, at = read_identifier(text, at, base)
+    if not 48 <= text[at] <= 49 or text[at + 1] > BLANK:  # the name of a message
+        at = skip_blanks(text, skip_word(text, at))
+    is_fast, at = decimal_number(text, at)
+    is_passive, at = decimal_number(text, at)
+    code, at = whole_number(text, at, base, 2)
+    count, behind = whole_number(text, skip_blanks(text, at), DECIMAL, 3)
+    if min(identifier, is_fast, is_passive, code, count) < 0 or max(is_fast, is_passive) > 1 or code >= MOST_CODES:
+        return NONE
+    if count > rows.data.shape[1]:
+        return NONE if count > FD_PAYLOAD_BYTES else NONE - 1
+    behind = payload(text, behind, rows.data, row, count, base, 1)
+    said, end = _said_flags(text, behind) if behind >= 0 else (NONE, NONE)
+    is_fd, is_remote = said & SAID_FD != 0, said & SAID_REMOTE != 0
+    length = LENGTH_OF_CODE[code] if is_fd else min(code, PAYLOAD_BYTES)
+    if end < 0 or (is_remote and is_fd) or (count != length and not (is_remote and count == 0)):
+        return NONE
+    if is_remote:
+        rows.data[row, :] = 0
+    rows.length[row], rows.can_id[row] = length, identifier | (REMOTE_FLAG if is_remote else 0)
+    kind = FD_FLAG | (BRS_FLAG * is_fast) | (ESI_FLAG * is_passive) if is_fd else 0
+    rows.flags[row] = kind | TX_FLAG * (direction > 0)
+    return end
+
+
+@array_kernel
+def _said_flags(text: UInt8Array, at: int) -> tuple[int, int]:
+    """Read the flags among the numbers behind a payload; return them and the position behind the line, or NONE.
+
+    A line without flags speaks of CAN FD.
+    """
+    for place in range(FLAGS_PLACE + 1):
+        begin = skip_blanks(text, at)
+        if text[begin] == NEWLINE or (text[begin] == SLASH and text[begin + 1] == SLASH):
+            return SAID_FD, skip_line(text, begin)
+        value, at = 0, begin
+        while HEX_VALUE[text[at]] >= 0:
+            value = value << 4 | HEX_VALUE[text[at]]
+            at += 1
+        if at == begin or (text[at] > BLANK and text[at] != SLASH):
+            return NONE, NONE
+        if place == FLAGS_PLACE:
+            return value, skip_line(text, at)
+    return NONE, NONE
+
+
+LONGEST_SHOWN = 60  # bytes of a date
 HEADER = re.compile(rb"(?:date|base|no\s+internal|internal|begin|end|previous|split)\b|//", re.IGNORECASE)
 START = re.compile(rb"(?:date|begin\s+triggerblock)\s+(?P<date>\S.*)", re.IGNORECASE)
 BASE_LINE = re.compile(rb"base\s+(?P<base>hex|dec)(?:\s+timestamps\s+(?P<kind>absolute|relative))?", re.IGNORECASE)
 FIRST_LINE = re.compile(rb"base\s+(?:hex|dec)|(?:date|begin\s+triggerblock)\s+\S", re.IGNORECASE)
 WHOLE_BYTE_AT_END = re.compile(rb"\s[0-9a-f]{2}\s*$", re.IGNORECASE)
-US_PER_S, US_PER_MS = 1_000_000, 1_000
-LONGEST_DATE = 100
-MILLISECOND_DIGITS = 3
-HALF_DAY_HOURS = 12
-
-# Beginnings of the months' names, without accents and in small letters; the longest that fits a word decides.
-_STEMS = (
-    "jan ian gen ene sty led oca tammi янв",
-    "feb fev lut uno sub helmi фев",
-    "mar mrz mrt maerz bre maalis мар",
-    "apr avr abr kwi dub nis huhti апр",
-    "mai may mag mei maj kve touko май мая",
-    "jun juin iun giu cze cvn cerven haz kesa июн",
-    "jul juil iul lug lip cvc cervenec tem heina июл",
-    "aug aou ago sie srp agu elo авг",  # codespell:ignore
-    "sep set szept wrz zar eyl syys сен",  # codespell:ignore
-    "oct okt ott out paz rij eki loka окт",
-    "nov noi lis kas marras ноя",
-    "dec dez dic des gru pro ara joulu дек",
-)
-MONTH_OF_STEM: Mapping[str, int] = MappingProxyType(
-    {stem: number for number, stems in enumerate(_STEMS, 1) for stem in stems.split()}
-)
-ZONES_OF_UTC = {"utc", "gmt", "z"}
-MOST_MONTHS = 12
-MOST_OTHER_WORDS = 1  # the day of the week
-
-CLOCK = re.compile(r"(?<!\d)(?P<hour>\d{1,2}):(?P<minute>\d\d?):(?P<second>\d\d?)(?:[.:,](?P<fraction>\d{1,9}))?(?!\d)")
-HALF = re.compile(r"(?<!\w)(?:(?P<afternoon>p\.?\s?m\.?|nachm\.?|下午|午後)|a\.?\s?m\.?|vorm\.?|上午|午前)(?!\w)")
-YEAR_FIRST = re.compile(r"(?<!\d)(?P<year>\d{4})(?:[-/.]|\s*年)(?P<month>\d\d?)(?:[-/.]|\s*月)(?P<day>\d\d?)日?(?!\d)")
-DAY_FIRST = re.compile(r"(?<!\d)(?P<day>\d\d?)(?P<mark>[.:-])(?P<month>\d\d?)(?P=mark)(?P<year>\d{4})(?!\d)")
-SLASHED = re.compile(r"(?<!\d)(?P<first>\d\d?)/(?P<second>\d\d?)/(?P<year>\d{4})(?!\d)")
-NUMBERED_MONTH = re.compile(r"(?<!\d)(?P<month>\d\d?)\s*[月월]")
-NUMBER = re.compile(r"(?<!\d)\d{1,4}(?!\d)")
-WORD = re.compile(r"[^\W\d_]+")
-
-Day = tuple[int, int, int]  # year, month, day
-
-
-def date_us(text: bytes) -> int | None:
-    """Return a date such as ``Thu Jan  1 10:00:00.005 am 2026`` in microseconds since the epoch, None if it is none.
-
-    Local time, unless it says UTC. Up to three digits behind the seconds count milliseconds: python-can writes
-    5 ms as ``.5``. Of numbers the day is the first, unless that is the year; between slashes it is the one that can be
-    no month: ``3/4/2026`` may be two days and is none.
-    """
-    folded = _folded(text)
-    clock = CLOCK.search(_without_day(folded))
-    if clock is None or len(text) > LONGEST_DATE:
-        return None
-    rest = folded.replace(clock[0], " ", 1)
-    half = HALF.search(rest)
-    if half is not None:
-        rest = rest[: half.start()] + " " + rest[half.end() :]
-    day = _numbered_day(rest) or _named_day(rest)
-    hour = _hour(int(clock["hour"]), None if half is None else bool(half["afternoon"]))
-    if day is None or hour is None:
-        return None
-    words = [word for word in WORD.findall(rest) if month_of(word) is None and word not in {"年", "月", "日", "t"}]
-    zone = UTC if ZONES_OF_UTC & set(words) else None
-    if len([word for word in words if word not in ZONES_OF_UTC]) > MOST_OTHER_WORDS:
-        return None
-    start_s = _epoch_s(day, hour, int(clock["minute"]), int(clock["second"]), zone)
-    return None if start_s is None else start_s * US_PER_S + _fraction_us(clock["fraction"] or "")
-
-
-def local_midnight_us(time_us: int) -> int:
-    """Return the beginning of the day, in local time, of a time since the epoch."""
-    local = datetime.fromtimestamp(time_us // US_PER_S)  # noqa: DTZ006 - local, as the logs mean it
-    return max(0, int(local.replace(hour=0, minute=0, second=0).timestamp())) * US_PER_S
-
-
-def month_of(word: str) -> int | None:
-    """Return the number of the month that a word names, folded as here, None if it names none."""
-    known = (word[:length] for length in range(len(word), 2, -1))
-    return next((MONTH_OF_STEM[stem] for stem in known if stem in MONTH_OF_STEM), None)
-
-
-def decoded(text: bytes) -> str:
-    """Return text of either encoding that is in use."""
-    try:
-        return text.decode()
-    except UnicodeDecodeError:
-        return text.decode("latin-1")
-
-
-def _folded(text: bytes) -> str:
-    """Return a date in small letters, without accents and without the comment that may follow it."""
-    spelled = decoded(text[: LONGEST_DATE + 1]).partition("//")[0].casefold()
-    apart = unicodedata.normalize("NFKD", spelled.replace("й", "\0"))
-    return "".join(character for character in apart if not unicodedata.combining(character)).replace("\0", "й")
-
-
-def _without_day(folded: str) -> str:
-    """Return a date with a blank for the day in numbers, whose colons are not those of a time."""
-    for pattern in (DAY_FIRST, YEAR_FIRST):
-        folded = pattern.sub(lambda found: " " * len(found[0]), folded)
-    return folded
-
-
-def _numbered_day(rest: str) -> Day | None:
-    found = YEAR_FIRST.search(rest) or DAY_FIRST.search(rest)
-    if found:
-        return int(found["year"]), int(found["month"]), int(found["day"])
-    slashed = SLASHED.search(rest)
-    month, day = sorted(map(int, slashed.group("first", "second"))) if slashed else (0, 0)
-    return (int(slashed["year"]), month, day) if slashed and (day > MOST_MONTHS or day == month) else None
-
-
-def _named_day(rest: str) -> Day | None:
-    """Return the day of a date that names its month; of two such words the first is the day of the week."""
-    numbered = NUMBERED_MONTH.search(rest)
-    if numbered is not None:
-        rest = rest.replace(numbered[0], " ", 1)
-    months = [number for word in WORD.findall(rest) if (number := month_of(word)) is not None]
-    numbers = NUMBER.findall(rest)
-    years = [text for text in numbers if len(text) == len("2026")]
-    days = [text for text in numbers if len(text) <= len("31")]
-    if not (months or numbered) or len(years) != 1 or len(days) != 1 or "/" in rest:
-        return None
-    return int(years[0]), int(numbered["month"]) if numbered else months[-1], int(days[0])
-
-
-def _hour(hour: int, is_afternoon: bool | None) -> int | None:  # noqa: FBT001 - None: the clock has 24 hours
-    """Return the hour of the day; some programs write ``pm`` behind hours of 24, too."""
-    if is_afternoon is None:
-        return hour
-    if hour > HALF_DAY_HOURS:
-        return hour if is_afternoon else None
-    return hour % HALF_DAY_HOURS + HALF_DAY_HOURS * is_afternoon
-
-
-def _fraction_us(digits: str) -> int:
-    if len(digits) <= MILLISECOND_DIGITS:
-        return int(digits or 0) * US_PER_MS
-    return int(digits.ljust(6, "0")[:6])
-
-
-def _epoch_s(day: Day, hour: int, minute: int, second: int, zone: timezone | None) -> int | None:
-    """Return seconds since the epoch, None if there is no such time or it lies before."""
-    try:
-        start_s = int(datetime(*day, hour, minute, second, tzinfo=zone).timestamp())
-    except (ValueError, OverflowError, OSError):  # the last two: what the C library says of the year 1
-        return None
-    return start_s if start_s >= 0 else None
 
 
 class AscLog(TextLog):

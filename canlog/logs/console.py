@@ -20,7 +20,7 @@ from canlog.frames import (
     FrameBatch,
 )
 from canlog.jit import array_kernel
-from canlog.logs.asc import date_us
+from canlog.logs.dates import date_us
 from canlog.logs.frame_buffer import ChannelNames, FrameRows, NameWords, channel_number
 from canlog.logs.text_kernels import (
     BLANK,

@@ -9,10 +9,10 @@ from decimal import Decimal, InvalidOperation
 from types import MappingProxyType
 from typing import Final
 
-from canlog.logs.asc import date_us, local_midnight_us
 from canlog.logs.columns.header import names_in
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.roles import BLANKS, DAY_US, DECIMAL, HEXADECIMAL, MINUTE_US, Column, Layout, Meaning, Role
+from canlog.logs.dates import date_us, local_midnight_us
 from canlog.logs.log_counts import MILLISECONDS
 
 DAYS_TO_EPOCH = 25_569  # from 1899-12-30 to 1970-01-01

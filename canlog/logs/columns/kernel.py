@@ -15,7 +15,7 @@ from canlog.frames import (
     TX_FLAG,
 )
 from canlog.jit import array_kernel, inlined_kernel
-from canlog.logs.asc_kernel import is_word
+from canlog.logs.asc import is_word
 from canlog.logs.columns import fields
 from canlog.logs.columns.fields import NO_TIME
 from canlog.logs.columns.message_kernel import (

@@ -9,7 +9,6 @@ import numpy as np
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.logs.asc import date_us
 from canlog.logs.columns.header import (
     NO_BASE,
     Proposal,
@@ -34,6 +33,7 @@ from canlog.logs.columns.message_kernel import (
     WRAP_US,
 )
 from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, Column, Layout, Role
+from canlog.logs.dates import date_us
 from canlog.logs.frame_buffer import MOST_CHANNELS, FrameRows
 from canlog.logs.log_counts import MICROSECONDS, SECONDS, UNIT_NAMES, likely_unit
 from canlog.logs.text_log import TextLog, frames_of

@@ -4,11 +4,11 @@ import re
 from dataclasses import replace
 from functools import partial
 
-from canlog.logs.asc import date_us
 from canlog.logs.columns.fields import REST
 from canlog.logs.columns.header import in_unit
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.roles import BLANKS, COMMA, DAY_US, HEXADECIMAL, MINUTE_US, Column, Layout, Meaning, Role
+from canlog.logs.dates import date_us
 from canlog.logs.log_counts import MICROSECONDS, MILLISECONDS, SECONDS, likely_unit
 from canlog.logs.text_log import frames_of
 

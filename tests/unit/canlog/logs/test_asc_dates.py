@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from canlog.logs.asc import date_us
+from canlog.logs.dates import date_us
 
 
 def local_us(*parts: int) -> int:
