@@ -4,11 +4,22 @@ import numpy as np
 import numpy.typing as npt
 
 from canlog.arrays import Int64Array, UInt8Array
-from canlog.frames import EXTENDED_FLAG, FD_PAYLOAD_BYTES
+from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG
 from canlog.jit import array_kernel, inlined_kernel
 from canlog.logs.columns.roles import BLANKS, HEXADECIMAL, Role, packed_word
 from canlog.logs.frame_buffer import NAME_FACTOR, NAME_SEED
-from canlog.logs.text_kernels import BLANK, HEX_VALUE, LONGEST_NUMBER, NEWLINE, RETURN, TAB, day_number, decimal
+from canlog.logs.text_kernels import (
+    BLANK,
+    LONGEST_NUMBER,
+    NEWLINE,
+    RETURN,
+    TAB,
+    day_number,
+    decimal,
+    decimal_parts,
+    digits,
+    hexadecimal,
+)
 
 NO_TIME = -(1 << 62)  # a time may be negative
 
@@ -33,18 +44,21 @@ IS_BEFORE_CLOCK[list(b"Tt -")] = True  # what stands between a date and a time o
 BASE64_VALUE: npt.NDArray[np.int8] = np.full(256, -1, np.int8)
 for _value, _character in enumerate(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/"):
     BASE64_VALUE[_character] = _value
-# First letters of fields that say yes, by the role of their column: true, yes, x, and what names it, such as Ext or Tx.
+# First letters of fields that say yes, by the role of their column: true, yes, x, and what names it, such as Ext or Tx;
+# and what yes says about a frame: flags of its identifier and its own.
 SAYS_YES: npt.NDArray[np.bool_] = np.zeros((len(Role), 256), np.bool_)
-for _role, _letters in {
-    Role.EXTENDED: "tyxe",
-    Role.REMOTE: "tyxr",
-    Role.ERROR: "tyxe",
-    Role.FD: "tyxf",
-    Role.BIT_RATE_SWITCH: "tyxb",
-    Role.ERROR_STATE: "tyxe",
-    Role.DIRECTION: "tyos",  # out, sent
-}.items():
+MEANING_OF_ROLE: Int64Array = np.zeros(len(Role), np.int64)
+for _role, _letters, _flag in (
+    (Role.EXTENDED, "tyxe", EXTENDED_FLAG),
+    (Role.REMOTE, "tyxr", REMOTE_FLAG),
+    (Role.ERROR, "tyxe", ERROR_FLAG),
+    (Role.FD, "tyxf", FD_FLAG),
+    (Role.BIT_RATE_SWITCH, "tyxb", BRS_FLAG),
+    (Role.ERROR_STATE, "tyxe", ESI_FLAG),
+    (Role.DIRECTION, "tyos", TX_FLAG),  # out, sent
+):
     SAYS_YES[_role, list((_letters + _letters.upper()).encode())] = True
+    MEANING_OF_ROLE[_role] = _flag
 
 
 @array_kernel
@@ -82,29 +96,17 @@ def field(text: UInt8Array, at: int, separator: int) -> tuple[int, int, int]:
 @array_kernel
 def hexadecimal_field(text: UInt8Array, begin: int, stop: int) -> int:
     """Return a hexadecimal number of up to eight digits, -1 if a field is none."""
-    value = 0
-    if not 0 < stop - begin <= 8:
-        return -1
-    for at in range(begin, stop):
-        if HEX_VALUE[text[at]] < 0:
-            return -1
-        value = value * 16 + HEX_VALUE[text[at]]
-    return value
+    value, at = hexadecimal(text, begin, 8)
+    return value if begin < at == stop else -1
 
 
 @array_kernel
 def small_number(text: UInt8Array, begin: int, stop: int) -> int:
     """Return a decimal number, perhaps in brackets, -1 if a field is none or it is larger than any length."""
-    value = 0
     if stop - begin > 2 and text[begin] == SQUARE and text[stop - 1] == SQUARE_END:
         begin, stop = begin + 1, stop - 1
-    if not 0 < stop - begin <= 3:
-        return -1
-    for at in range(begin, stop):
-        if not 48 <= text[at] <= 57:
-            return -1
-        value = value * 10 + text[at] - 48
-    return value if value <= MOST_LENGTH else -1
+    value, at = decimal(text, begin, 3)
+    return value if begin < at == stop and value <= MOST_LENGTH else -1
 
 
 @array_kernel
@@ -146,13 +148,9 @@ def identifier(
     if last == LETTER_X or last == LETTER_H:  # noqa: PLR1714, SIM109 - no tuple in a kernel
         line[meaning] |= EXTENDED_FLAG if last == LETTER_X else 0
         stop, base = stop - 1, (HEXADECIMAL if last == LETTER_H else base)
-    if not 0 < stop - begin <= MOST_ID_DIGITS:
+    value, at = digits(text, begin, base, MOST_ID_DIGITS)
+    if not begin < at == stop:
         return -1
-    value = 0
-    for at in range(begin, stop):
-        if not 0 <= HEX_VALUE[text[at]] < base:
-            return -1
-        value = value * base + HEX_VALUE[text[at]]
     if value > LARGEST_ID and value & EXTENDED_FLAG and value & ~EXTENDED_FLAG <= LARGEST_ID:
         value &= ~EXTENDED_FLAG  # as Linux numbers them
         line[meaning] |= EXTENDED_FLAG
@@ -185,13 +183,10 @@ def data_bytes(
         own_base = base
         if stop - at > 2 and text[at] == ZERO and (text[at + 1] | 32) == LETTER_X:
             at, own_base = at + 2, HEXADECIMAL
-        value, digits = 0, 0
-        most_digits = 2 if own_base == HEXADECIMAL else 3
-        while at < stop and digits < most_digits and 0 <= HEX_VALUE[text[at]] < own_base:
-            value = value * own_base + HEX_VALUE[text[at]]
-            at, digits = at + 1, digits + 1
+        start = at
+        value, at = digits(text, start, own_base, 2 if own_base == HEXADECIMAL else 3)
         is_ended = at == stop or IS_BETWEEN[text[at]]
-        if digits == 0 or value > 255 or (not is_ended and (own_base != HEXADECIMAL or digits < 2)):
+        if at == start or value > 255 or (not is_ended and (own_base != HEXADECIMAL or at < start + 2)):
             return -1
         if count < data.shape[1]:
             data[row, count] = value
@@ -218,19 +213,17 @@ def time_us(text: UInt8Array, begin: int, stop: int, power: int, has_decimal_com
 
     A date is taken as if it were UTC unless an offset stands behind it.
     """
-    digits = begin
-    while digits < stop and 48 <= text[digits] <= 57:
-        digits += 1
-    if digits == stop:
-        return decimal_us_of(text, begin, stop, power)
-    if text[digits] == COLON:
+    mark = begin  # behind the first digits
+    while mark < stop and 48 <= text[mark] <= 57:
+        mark += 1
+    if text[mark] == COLON and mark < stop:
         value_us, at = clock_us(text, begin, stop)
         return value_us if at == stop else NO_TIME
-    if digits - begin == YEAR_DIGITS and (text[digits] == MINUS or text[digits] == SLASH):
+    if mark - begin == YEAR_DIGITS and mark < stop and (text[mark] == MINUS or text[mark] == SLASH):
         return date_us(text, begin, stop)
-    if text[digits] == COMMA and has_decimal_comma and digits > begin:
-        whole_us = decimal_us_of(text, begin, digits, power)
-        part_us = decimal_us_of(text, digits + 1, stop, power - (stop - digits - 1))
+    if text[mark] == COMMA and has_decimal_comma and begin < mark < stop:
+        whole_us = decimal_us_of(text, begin, mark, power)
+        part_us = decimal_us_of(text, mark + 1, stop, power - (stop - mark - 1))
         return NO_TIME if min(whole_us, part_us) == NO_TIME else whole_us + part_us
     return decimal_us_of(text, begin, stop, power)
 
@@ -249,10 +242,8 @@ def clock_us(text: UInt8Array, begin: int, stop: int) -> tuple[int, int]:
     """Read ``hours:minutes:seconds.fraction``; return the time and the position behind it, or NO_TIME."""
     total_s, at = 0, begin
     for part in range(3):
-        value, start = 0, at
-        while at < stop and 48 <= text[at] <= 57 and at - start < 4:
-            value = value * 10 + text[at] - 48
-            at += 1
+        start = at
+        value, at = decimal(text, start, 4)
         if at == start or (part > 0 and value > 59):
             return NO_TIME, at
         total_s = total_s * 60 + value
@@ -262,11 +253,8 @@ def clock_us(text: UInt8Array, begin: int, stop: int) -> tuple[int, int]:
             at += 1
     fraction_us = 0
     if at < stop and (text[at] == POINT or text[at] == COMMA or text[at] == COLON):
-        at, factor_us, start = at + 1, SECOND_US, at + 1
-        while at < stop and 48 <= text[at] <= 57 and at - start < MOST_FRACTION_DIGITS:
-            factor_us //= 10
-            fraction_us += factor_us * (text[at] - 48)
-            at += 1
+        start = at + 1
+        fraction_us, at = decimal_parts(text, start, SECOND_US, MOST_FRACTION_DIGITS)
         if at == start:
             return NO_TIME, at
     return total_s * SECOND_US + fraction_us, at
@@ -322,14 +310,10 @@ def stamp_us(text: UInt8Array, begin: int, stop: int, year: int) -> int:  # noqa
 
 
 @array_kernel
-def _number(text: UInt8Array, at: int, digits: int) -> int:
+def _number(text: UInt8Array, at: int, count: int) -> int:
     """Return a number of so many digits, -1 if it is none."""
-    value = 0
-    for place in range(at, at + digits):
-        if not 48 <= text[place] <= 57:
-            return -1
-        value = value * 10 + text[place] - 48
-    return value
+    value, behind = decimal(text, at, count)
+    return value if behind == at + count else -1
 
 
 @array_kernel
@@ -360,19 +344,19 @@ def decimal_us(text: UInt8Array, at: int, power: int) -> tuple[int, int]:
     """Read a decimal number, perhaps with sign and exponent, as microseconds: times ten to this power, rounded."""
     is_negative = text[at] == MINUS
     at += is_negative or text[at] == PLUS
-    mantissa, digits, begin = 0, 0, at
+    mantissa, digit_count, begin = 0, 0, at
     while 48 <= text[at] <= 57:
         mantissa = mantissa * 10 + text[at] - 48
-        digits += 1
+        digit_count += 1
         at += 1
-        if digits > LONGEST_NUMBER:
+        if digit_count > LONGEST_NUMBER:
             return NO_TIME, -at
     if text[at] == POINT and at > begin:
         at += 1
         while 48 <= text[at] <= 57:
-            if digits < LONGEST_NUMBER:
+            if digit_count < LONGEST_NUMBER:
                 mantissa = mantissa * 10 + text[at] - 48
-                digits += 1
+                digit_count += 1
                 power -= 1
             at += 1
     if at == begin:

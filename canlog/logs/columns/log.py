@@ -20,8 +20,7 @@ from canlog.logs.columns.header import (
     proposal,
     separator_of,
 )
-from canlog.logs.columns.kernel import parse_lines
-from canlog.logs.columns.message_kernel import (
+from canlog.logs.columns.kernel import (
     BASE_US,
     CLOCK_FIELDS,
     CUT_MESSAGES,
@@ -31,6 +30,7 @@ from canlog.logs.columns.message_kernel import (
     LAPS_US,
     NOW_US,
     WRAP_US,
+    parse_lines,
 )
 from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, Column, Layout, Role
 from canlog.logs.dates import date_us
