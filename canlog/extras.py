@@ -34,6 +34,13 @@ def load_extra(module: str, what: str, extra: str = "") -> Any:  # noqa: ANN401 
         raise extra_missing(what, extra) if extra else ExtraMissingError(f"{what}: pip install {module}") from exc
 
 
+def load_asammdf(what: str) -> Any:  # noqa: ANN401 - an untyped library
+    """Return asammdf, as `load_extra` does; a program may have kept itself from loading it before it is needed."""
+    if sys.modules.get("asammdf", ...) is None:
+        del sys.modules["asammdf"]
+    return load_extra("asammdf", what, "mf4")
+
+
 def extra_missing(what: str, extra: str) -> ExtraMissingError:
     """Return the error that says what to install: an extra of the distribution that this package came with."""
     distributions = packages_distributions().get(_OWN_NAME, [_OWN_NAME])

@@ -31,7 +31,6 @@ _PYTHON = f".py{sys.version_info[0]}{sys.version_info[1]}"
 _config: NumbaObject = numba_config  # numba sets its members at run time
 _runtime: NumbaObject = nrt.rtsys
 _listeners: list[Callable[[str], None]] = []
-_names: list[str] = []
 KEY_CHARACTERS = 20  # of a sha256 in hexadecimal: 80 bits
 OPTIONS = "compiled_with"  # attribute of a kernel's function that holds what the compiler was told
 PLAIN_KINDS = (bool, int, float, complex, str, bytes, Enum, np.generic, np.dtype, type(None), type(Ellipsis))
@@ -149,11 +148,6 @@ def on_compiling(listener: Callable[[str], None]) -> None:
     _listeners.append(listener)
 
 
-def kernel_count() -> int:
-    """Return how many kernels the modules have that were imported until now."""
-    return len(_names)
-
-
 def cache_folder(configured: str) -> Path | None:
     """Return where machine code is kept, None where that is nowhere.
 
@@ -203,7 +197,6 @@ class LateCache:
         self._function = dispatcher.py_func
         self._name = f"{self._function.__module__}.{self._function.__qualname__}"
         self._stem = f"{self._name.removeprefix(self._function.__module__.rpartition('.')[0] + '.')}-"
-        _names.append(self._name)
 
     @cached_property
     def cache_path(self) -> str | None:

@@ -225,7 +225,22 @@ class Log:
 
         Columns are ``time``, ``channel``, ``id``, ``is_extended``, ``is_remote``, ``is_error``, ``is_fd`` and ``data``.
         """
-        return frame_table(self.frames)
+        arrow, frames = load_pyarrow(), self.frames
+        ends = np.concatenate(([0], np.cumsum(frames.length, dtype=np.int64)))
+        sent = frames.data[np.arange(frames.width) < frames.length[:, np.newaxis]]
+        data = arrow.LargeBinaryArray.from_buffers(
+            arrow.large_binary(), len(frames), [None, arrow.py_buffer(ends), arrow.py_buffer(sent)]
+        )
+        flags = [(frames.can_id & np.uint32(flag)) != 0 for flag in (EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)]
+        columns = [
+            arrow.array(frames.t_ns, arrow.timestamp("ns", "UTC")),
+            frames.channel,
+            frames.can_id & np.uint32(BARE_ID),
+            *flags,
+            (frames.flags & FD_FLAG) != 0,
+            data.cast(arrow.binary()),
+        ]
+        return arrow.table(columns, schema=arrow_schema(KINDS))
 
     def batches(
         self,
@@ -346,23 +361,3 @@ def read(
     """
     known = Database() if database is None else database_of(database, is_lenient=is_lenient)
     return Log(log_paths(path), known, is_strict=is_strict, columns=columns)
-
-
-def frame_table(frames: FrameBatch) -> Any:  # noqa: ANN401 - an untyped library
-    """Return a row per frame: time, channel, identifier, what kind of frame it is, and its bytes."""
-    arrow = load_pyarrow()
-    ends = np.concatenate(([0], np.cumsum(frames.length, dtype=np.int64)))
-    sent = frames.data[np.arange(frames.width) < frames.length[:, np.newaxis]]
-    data = arrow.LargeBinaryArray.from_buffers(
-        arrow.large_binary(), len(frames), [None, arrow.py_buffer(ends), arrow.py_buffer(sent)]
-    )
-    flags = [(frames.can_id & np.uint32(flag)) != 0 for flag in (EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)]
-    columns = [
-        arrow.array(frames.t_ns, arrow.timestamp("ns", "UTC")),
-        frames.channel,
-        frames.can_id & np.uint32(BARE_ID),
-        *flags,
-        (frames.flags & FD_FLAG) != 0,
-        data.cast(arrow.binary()),
-    ]
-    return arrow.table(columns, schema=arrow_schema(KINDS))

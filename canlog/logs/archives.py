@@ -13,13 +13,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
-from tempfile import TemporaryDirectory
 from typing import BinaryIO, Final, Protocol, cast
 
 from canlog.errors import ExtraMissingError, SourceError
 from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, detect, detect_as_columns
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.streams import InflatedStream, KeptFile, check_growth, compression_of
+from canlog.logs.streams import InflatedStream, check_growth, compression_of, kept
 
 TAR_MAGIC, TAR_MAGIC_AT = b"ustar", 257
 MOST_HEADER_BYTES: Final = 1024 * 1024  # of one header with its names and attributes, which are read at once
@@ -443,7 +442,7 @@ def _unpacked(packed: PackedStream, columns: str) -> Contents:
     stream = cast("BinaryIO", packed)
     if detected.format not in TEXT_LOGS:
         with packed:
-            stream = _kept(packed)
+            stream = cast("BinaryIO", kept(iter(lambda: packed.read(COPY_BYTES), b"")))
     return Contents(stream=stream, detected=detected, counts=counts, is_packed=True, columns=columns)
 
 
@@ -466,17 +465,3 @@ def _beginning(packed: PackedStream) -> bytes:
     if not pieces:
         raise SourceError(f"{packed.name} holds nothing")
     return b"".join(pieces)
-
-
-def _kept(packed: PackedStream) -> BinaryIO:
-    """Return a temporary file with all that something packed holds; raises OSError if the disk does not take it."""
-    folder = TemporaryDirectory(prefix="clutchdiag-")
-    try:
-        path = Path(folder.name) / "log"
-        with path.open("wb") as file:
-            while piece := packed.read(COPY_BYTES):
-                file.write(piece)
-        return cast("BinaryIO", KeptFile(folder, path))
-    except BaseException:
-        folder.cleanup()
-        raise

@@ -10,12 +10,8 @@ from canlog.errors import SourceError
 from canlog.frames import FrameBatch, join
 
 
-def _unchanged(_number: int, batch: FrameBatch) -> FrameBatch:
-    return batch
-
-
 def merged_by_time(
-    streams: Iterable[Iterator[FrameBatch]], marked: Callable[[int, FrameBatch], FrameBatch] = _unchanged
+    streams: Iterable[Iterator[FrameBatch]], marked: Callable[[int, FrameBatch], FrameBatch] = lambda _, batch: batch
 ) -> Iterator[FrameBatch]:
     """Yield the frames of all streams; of frames with the same time those of an earlier stream come first.
 
@@ -65,10 +61,6 @@ MOST_SOURCES: Final = 256
 _UNKNOWN: Final = -1  # the mark of a channel of which no frame came yet
 
 
-def _nothing(_number: int, _channel: int, _mark: int) -> None:
-    pass
-
-
 class SourceMarks:
     """The marks of the channels of some logs: their own numbers, or what is free if those are taken.
 
@@ -82,7 +74,7 @@ class SourceMarks:
         Called with the place of a log, a channel of it and its mark, when the first frame of it comes.
     """
 
-    def __init__(self, names: Sequence[str], begin: Callable[[int, int, int], None] = _nothing) -> None:
+    def __init__(self, names: Sequence[str], begin: Callable[[int, int, int], object] = lambda *_: None) -> None:
         self._names = names
         self._begin = begin
         self._marks = [np.full(MOST_SOURCES, _UNKNOWN, np.int64) for _ in names]  # by channel

@@ -54,10 +54,10 @@ def read_mf4(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     with path.open("rb") as file:
         slower = MEASURED_SLOWER if measured_channels(file).groups else 1
     cpu_s = CPU_S + slower * content_bytes / BYTES_PER_CPU_S
-    if not IS_LIMITED:
-        yield from _read_here(path, counts)
-        return
     with TemporaryDirectory(prefix="clutchdiag-") as folder:
+        if not IS_LIMITED:
+            yield from mf4_batches(path, Path(folder), counts)
+            return
         receiving, sending = Pipe(duplex=False)
         with closing(receiving):
             with closing(sending):
@@ -78,14 +78,6 @@ def read_mf4(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     else:
         is_hollow = content_bytes < size_bytes / 2
         raise SourceError(f"{message}; most of the file was never written" if is_hollow else message)
-
-
-def _read_here(path: Path, counts: LogCounts) -> Iterator[FrameBatch]:
-    """Read a file in this process, where the system cannot limit another one."""
-    if sys.modules.get("asammdf", ...) is None:  # a program keeps itself from loading it before it is needed
-        del sys.modules["asammdf"]
-    with TemporaryDirectory(prefix="clutchdiag-") as folder:
-        yield from mf4_batches(path, Path(folder), counts)
 
 
 def stored_bytes(path: Path, size_bytes: int) -> int:

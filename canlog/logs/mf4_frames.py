@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from canlog.arrays import UInt8Array
 from canlog.errors import SourceError
-from canlog.extras import load_extra
+from canlog.extras import load_asammdf
 from canlog.frames import (
     BRS_FLAG,
     ERROR_FLAG,
@@ -92,7 +92,7 @@ def quiet_asammdf() -> tuple[Any, tuple[type[Exception], ...]]:
 
     Raises ExtraMissingError if it is not installed.
     """
-    asammdf = load_extra("asammdf", NEEDS_ASAMMDF, "mf4")
+    asammdf = load_asammdf(NEEDS_ASAMMDF)
     # Of a damaged file it logs tracebacks, and leaves a half-made object whose end prints one more.
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)
     asammdf.blocks.mdf_v4.MDF4.__del__ = end_quietly

@@ -58,10 +58,6 @@ def _reader_of(contents: Contents) -> Callable[[BinaryIO, LogCounts], Iterator[F
     return READERS[contents.detected.format]
 
 
-def _unseen(_reader: object) -> None:
-    pass
-
-
 class LogReader(Iterator[FrameBatch]):
     """The frames of one log, once, oldest first as far as it is in order.
 
@@ -94,7 +90,7 @@ class LogReader(Iterator[FrameBatch]):
         self._watch = TimeWatch(self._counts)
         self._is_strict = is_strict
         self._is_first = True
-        self.watch: Callable[[LogReader], None] = _unseen  # called after each batch, and at the end
+        self.watch: Callable[[LogReader], object] = lambda _reader: None  # called after each batch, and at the end
         self.has_ended = False
 
     @property
@@ -137,8 +133,7 @@ class LogReader(Iterator[FrameBatch]):
         except (OSError, SourceError) as exc:
             self._look_at_size()
             self.close()
-            kind = type(exc) if isinstance(exc, SourceError) else SourceError
-            raise kind(f"{self.name}: {_reason(exc)}") from exc
+            raise named_error(self.name, exc) from exc
         if self._is_first and not self.columns:  # values of a row all have its time
             self._look_at_load(batch[:LOAD_FRAMES])
         self._is_first = False
@@ -243,8 +238,7 @@ def read_log(
             opened.pop_all()  # from here on it is the reader that closes it
             return reader
     except (OSError, SourceError) as exc:
-        kind = type(exc) if isinstance(exc, SourceError) else SourceError
-        raise kind(f"{name or shown_name(path)}: {_reason(exc)}") from exc
+        raise named_error(name or shown_name(path), exc) from exc
 
 
 def table_columns(
@@ -263,23 +257,24 @@ def table_columns(
         if detected is not None and detected.format in TEXT_LOGS:
             wait_for_reader(stream)
             return ()
-        file = kept(stream, is_stopped)
+        file = kept(stream.pieces(is_stopped))
         wait_for_reader(PipeStream(file.fileno(), is_stopped, file=file))
         again = BufferedReader(open_plain_file(Path(str(file.name))))
         with LogReader(STANDARD_INPUT, contents_of(again, columns=columns)) as reader:
             return reader.columns
     except (OSError, SourceError) as exc:
-        kind = type(exc) if isinstance(exc, SourceError) else SourceError
-        raise kind(f"{shown_name(STANDARD_INPUT)}: {_reason(exc)}") from exc
+        raise named_error(shown_name(STANDARD_INPUT), exc) from exc
 
 
-def _reason(error: Exception) -> str:
-    """Return what went wrong, for people."""
+def named_error(name: str, error: OSError | SourceError) -> SourceError:
+    """Return what went wrong with a log of some name, for people; a SourceError stays of its kind."""
+    kind = type(error) if isinstance(error, SourceError) else SourceError
+    reason = getattr(error, "strerror", None) or error
     if isinstance(error, IsADirectoryError):
-        return "is a folder, not a log file"
-    if isinstance(error, FileNotFoundError):
-        return "no such file"
-    return str(getattr(error, "strerror", None) or error)
+        reason = "is a folder, not a log file"
+    elif isinstance(error, FileNotFoundError):
+        reason = "no such file"
+    return kind(f"{name}: {reason}")
 
 
 def _looked_into(stream: PipeStream, columns: str) -> Detected | None:
@@ -303,7 +298,7 @@ def _piped_reader(is_stopped: Callable[[], bool], columns: str, *, is_strict: bo
         live = Contents(stream=pipe, detected=detected, counts=LogCounts(), is_packed=False, columns=columns)
         return LogReader(STANDARD_INPUT, live, is_strict=is_strict)
     with ExitStack() as opened:
-        file = opened.enter_context(kept(stream, is_stopped))
+        file = opened.enter_context(kept(stream.pieces(is_stopped)))
         reader = LogReader(STANDARD_INPUT, contents_of(file, columns=columns), is_strict=is_strict)
         opened.pop_all()
         return reader

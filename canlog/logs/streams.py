@@ -11,7 +11,7 @@ import select
 import sys
 import time
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import StrEnum
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -320,6 +320,14 @@ class PipeStream(io.RawIOBase):
             count += len(piece)
         return count
 
+    def pieces(self, is_stopped: Callable[[], bool]) -> Iterator[bytes]:
+        """Yield all that comes; raises InputLeftError if the stream is left before its end."""
+        while piece := self.read(WIDE_BYTES):
+            yield piece
+            self.was_left |= is_stopped()
+            self.check_not_left()
+        self.check_not_left()
+
     def check_not_left(self) -> None:
         """Raise InputLeftError if the stream was left before its end."""
         if self.was_left:
@@ -378,20 +386,13 @@ class KeptFile(io.BufferedReader):
         self._folder.cleanup()
 
 
-def kept(stream: PipeStream, is_stopped: Callable[[], bool] = never) -> KeptFile:
-    """Return a file with all that comes through a pipe.
-
-    Raises InputLeftError if the pipe was left before its end, OSError if the disk does not take it.
-    """
+def kept(pieces: Iterable[bytes]) -> KeptFile:
+    """Return a file with all pieces; raises OSError if the disk does not take them."""
     folder = TemporaryDirectory(prefix="clutchdiag-")
     try:
         path = Path(folder.name) / "log"
         with path.open("wb") as file:
-            while piece := stream.read(WIDE_BYTES):
-                file.write(piece)
-                stream.was_left |= is_stopped()
-                stream.check_not_left()
-        stream.check_not_left()
+            file.writelines(pieces)
         return KeptFile(folder, path)
     except BaseException:
         folder.cleanup()

@@ -106,7 +106,7 @@ class Span:
             raise SourceError(f"nothing lies between {begin} and {end}: the first time must be before the second")
         return cls(first, last)
 
-    def part(self, batches: Iterable[FrameBatch], left_out: Callable[[int], None]) -> Iterator[FrameBatch]:
+    def part(self, batches: Iterable[FrameBatch], left_out: Callable[[int], object]) -> Iterator[FrameBatch]:
         """Yield what of some batches lies inside; ``left_out`` is called with how many frames do not.
 
         Reading ends with the first batch that lies far behind the end.
@@ -157,7 +157,7 @@ def stretches(
 def groups(
     found: Iterable[Stretch], codec: Codec, size: GroupSize, origins: Origins | None = None
 ) -> Iterator[FrameGroup]:
-    stock = FrameStock.of(codec, origins, size.frames, size.values)
+    stock = FrameStock(codec, origins, size.frames, size.values)
     for stretch in found:
         yield from stock.add(stretch)
         if size.is_live:
@@ -433,16 +433,12 @@ class _Writing:
             from canlog.tables.mf4_table import Mf4Table  # noqa: PLC0415 - for this format alone
 
             return Mf4Table(output, account, origins), plan.size()
-        layout = plan.layout(lambda: self._frames(_uncounted), origins)
+        layout = plan.layout(lambda: self._frames(lambda _: None), origins)  # another pass counts
         is_live = STANDARD_INPUT in self.logs.paths
         return ColumnRows(output, self.table_format, layout, account), plan.size(layout, is_live=is_live)
 
-    def _frames(self, left_out: Callable[[int], None]) -> Iterator[FrameBatch]:
+    def _frames(self, left_out: Callable[[int], object]) -> Iterator[FrameBatch]:
         return self.plan.span.part(_until(self.is_stopped, self.logs.frames()), left_out)
-
-
-def _uncounted(_: int) -> None:
-    """Count nothing: another pass does."""
 
 
 def _until(is_stopped: Callable[[], bool], batches: Iterable[FrameBatch]) -> Iterator[FrameBatch]:

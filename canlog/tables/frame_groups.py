@@ -16,7 +16,7 @@ from canlog.errors import SourceError
 from canlog.frames import COLUMNS, PAYLOAD_BYTES, FrameBatch, empty_batch, join
 from canlog.logs import STANDARD_INPUT, LogCounts, LogReader, merged_by_time, read_log, shown_name
 from canlog.logs.merging import MOST_SOURCES, SourceMarks
-from canlog.logs.reading import Watch
+from canlog.logs.reading import Watch, named_error
 from canlog.logs.streams import kept, never, open_standard_input
 from canlog.transport import Reassembler, Transfer, TransferCounts
 from canlog.transport.reassembly import fast_groups
@@ -79,11 +79,10 @@ class LogSet:
     def __enter__(self) -> Self:
         if self._is_kept:
             try:
-                file = self._opened.enter_context(kept(open_standard_input(self._is_stopped), self._is_stopped))
-            except OSError as exc:
-                raise SourceError(f"{shown_name(STANDARD_INPUT)}: {exc.strerror or exc}") from exc
-            except SourceError as exc:
-                raise type(exc)(f"{shown_name(STANDARD_INPUT)}: {exc}") from exc
+                pieces = open_standard_input(self._is_stopped).pieces(self._is_stopped)
+                file = self._opened.enter_context(kept(pieces))
+            except (OSError, SourceError) as exc:
+                raise named_error(shown_name(STANDARD_INPUT), exc) from exc
             self._kept_path = Path(str(file.name))
         return self
 
@@ -298,47 +297,33 @@ class FrameGroup:
         return slot
 
 
-@dataclass(slots=True)
 class FrameStock:
-    """Frames of several batches.
+    """Frames of several batches, of the messages of a codec.
 
     Parameters
     ----------
-    values_of
-        Values in a frame of each message, at most.
     origins
         Where frames of several logs come from; asked when they are added, since it changes.
     most_frames, most_values
         After how many frames, or values, a group is complete.
     """
 
-    values_of: Int64Array
-    origins: Origins | None
-    most_frames: int
-    most_values: int
-    _parts: list[FrameGroup] = field(default_factory=list)
-    _frame_count: int = 0
-    _value_count: int = 0
-    _has_short: BoolArray = field(init=False)
-
-    @classmethod
-    def of(cls, codec: Codec, origins: Origins | None, most_frames: int, most_values: int) -> "FrameStock":
-        """Return an empty stock for the messages of a codec."""
-        values_of = np.array([len(table.signals) for table in codec.tables], np.int64)
-        return cls(values_of, origins, most_frames, most_values)
-
-    def __post_init__(self) -> None:
-        self._has_short = np.zeros(len(self.values_of), np.bool_)
+    def __init__(self, codec: Codec, origins: Origins | None, most_frames: int, most_values: int) -> None:
+        self._values_of = np.array([len(table.signals) for table in codec.tables], np.int64)  # in a frame, at most
+        self._origins, self._most_frames, self._most_values = origins, most_frames, most_values
+        self._has_short = np.zeros(len(codec.tables), np.bool_)
+        self._parts: list[FrameGroup] = []
+        self._frame_count = self._value_count = 0
 
     def add(self, stretch: Stretch) -> Iterator[FrameGroup]:
         """Take frames with their messages; yield the groups that are complete by them."""
         batch, slot, long = stretch.batch, stretch.slot, stretch.long
         self._has_short |= stretch.match.counts[:-1, FrameFate.SHORT] > 0
-        size = max(1, min(self.most_frames, self.most_values // max(1, int(self.values_of.max(initial=1)))))
+        size = max(1, min(self._most_frames, self._most_values // max(1, int(self._values_of.max(initial=1)))))
         for start in range(0, len(batch), size):
             part = slice(start, start + size)
             self._add(batch[part], slot[part], None if long is None else long.between(start, start + size))
-            if self._frame_count >= self.most_frames or self._value_count >= self.most_values:
+            if self._frame_count >= self._most_frames or self._value_count >= self._most_values:
                 yield self._taken()
 
     def rest(self) -> Iterator[FrameGroup]:
@@ -355,12 +340,12 @@ class FrameStock:
             if long is not None:
                 long = replace(long, rows=(np.cumsum(is_kept) - 1)[long.rows])
         channel, log = batch.channel.astype(np.int64), None
-        if self.origins is not None:
-            log, channel = self.origins.log[channel], self.origins.channel[channel]
+        if self._origins is not None:
+            log, channel = self._origins.log[channel], self._origins.channel[channel]
         one = FrameGroup(frames=batch, slot=slot, channel=channel, log=log, has_short=self._has_short, long=long)
         self._parts.append(one)
         self._frame_count += len(slot) if batch.width <= PAYLOAD_BYTES else 2 * len(slot)  # CAN FD takes more memory
-        self._value_count += int(self.values_of[slot].sum())
+        self._value_count += int(self._values_of[slot].sum())
 
     def _taken(self) -> FrameGroup:
         parts = self._parts

@@ -1,6 +1,5 @@
 """Decoded signals as MDF 4: a group for each message and channel, its signals as channels that share their times."""
 
-import sys
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, BinaryIO, Final
@@ -9,7 +8,7 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.decode.codec import MessageValues
-from canlog.extras import load_extra
+from canlog.extras import load_asammdf
 from canlog.tables.account import DecodeAccount
 from canlog.tables.frame_groups import FrameGroup, Origins
 
@@ -30,9 +29,7 @@ class Mf4Table:
     """
 
     def __init__(self, output: BinaryIO, account: DecodeAccount, origins: Origins | None) -> None:
-        if sys.modules.get("asammdf", ...) is None:  # a program keeps itself from loading it before it is needed
-            del sys.modules["asammdf"]
-        self._library: Any = load_extra("asammdf", "MF4 needs asammdf", "mf4")
+        self._library: Any = load_asammdf("MF4 needs asammdf")
         self._output = output
         self._account = account
         self._codec = account.codec
