@@ -98,7 +98,8 @@ def is_of_groups(messages: Sequence[Message], protocol: str) -> bool:
 
 def parameter_group(can_id: int) -> int:
     """Return the J1939 parameter group number (PGN) of a 29-bit identifier."""
-    return int(_group_of(can_id))
+    group = (can_id >> 8) & 0x3FFFF
+    return group if (group >> 8) & 0xFF >= PDU2_FORMATS else group & 0x3FF00
 
 
 def address_book(addresses: Sequence[MessageAddress]) -> AddressBook:
@@ -213,13 +214,6 @@ def find(keys: Int64Array, key: int) -> int:
         else:
             high = middle
     return low if low < keys.size and keys[low] == key else -1
-
-
-@inlined_kernel
-def _group_of(can_id: int) -> int:
-    """Return the parameter group number in the 29 bits of an identifier."""
-    group = (can_id >> 8) & 0x3FFFF
-    return group if (group >> 8) & 0xFF >= PDU2_FORMATS else group & 0x3FF00
 
 
 @array_kernel

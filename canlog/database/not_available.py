@@ -86,15 +86,9 @@ def _named_ends(signal: Signal) -> list[CodeRange]:
     named = {int(code) for code, text in (signal.choices or {}).items() if says_no_value(str(text))}
     half = 2 ** (signal.length - 1)
     lowest, highest = (-half, half - 1) if signal.is_signed else (0, 2 * half - 1)
-    codes: list[CodeRange] = []
-    first = highest
+    first, last = highest, lowest  # inwards of the two runs
     while first in named:
         first -= 1
-    if first < highest:
-        codes.append((first + 1, highest))
-    last = lowest
     while signal.is_signed and last in named:
         last += 1
-    if last > lowest:
-        codes.append((lowest, last - 1))
-    return codes
+    return [(begin, end) for begin, end in ((first + 1, highest), (lowest, last - 1)) if begin <= end]

@@ -108,7 +108,9 @@ def open_vcan() -> Iterator[Medium]:
 
 def multicast(why: str) -> Medium:
     """Return multicast UDP inside this machine, on a port of its own: by it the kernel tells buses apart."""
-    port = _free_udp_port()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        port = int(probe.getsockname()[1])
     return Medium(
         interface=MULTICAST,
         channel=MULTICAST_GROUP,
@@ -144,12 +146,6 @@ def _existing_vcan() -> str | None:
     answer = _run("ip", "-json", "link", "show", "up", "type", "vcan")
     names = [link["ifname"] for link in json.loads(answer or "[]") if "ifname" in link]
     return str(names[0]) if names else None
-
-
-def _free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        return int(probe.getsockname()[1])
 
 
 def _run(program: str, *arguments: str) -> str | None:

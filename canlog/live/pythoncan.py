@@ -46,13 +46,11 @@ class PythonCanSource:
     not told: in their time it may be short.
     """
 
-    def __init__(
-        self, bus: can.BusABC, description: str, *, queue: FrameQueue | None = None, is_owner: bool = True
-    ) -> None:
+    def __init__(self, bus: can.BusABC, description: str, *, is_owner: bool = True) -> None:
         self._bus = bus
         self._is_owner = is_owner
         self.description = description
-        self._queue = queue or FrameQueue()
+        self._queue = FrameQueue()
         self._received = 0
         self._own_s: float | None = None  # the last time of a bus whose clock is not this machine's
         self._still_ns: int | None = None  # the time of all frames until now

@@ -1,14 +1,31 @@
 """Live frames from SocketCAN, many with a system call, by a path that neither hangs nor loses frames in silence."""
 
 import asyncio
+import ctypes
+import errno
+import os
+import socket
 from collections.abc import AsyncIterator, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
 
-from canlog.frames import FrameBatch
+import numpy as np
+
+from canlog.arrays import Int64Array, UInt8Array, UInt32Array
+from canlog.frames import (
+    BRS_FLAG,
+    ESI_FLAG,
+    FD_FLAG,
+    FD_PAYLOAD_BYTES,
+    NS_PER_US,
+    PAYLOAD_BYTES,
+    FrameBatch,
+)
+from canlog.jit import array_kernel
 from canlog.live.bus_clock import BusClock, clock_alarm
 from canlog.live.raw_socket import (
     RECEIVE_BUFFER_BYTES,
+    SO_TIMESTAMPNS,
     granted_share,
     kernel_drops,
     let_nothing_in,
@@ -18,22 +35,7 @@ from canlog.live.raw_socket import (
 from canlog.live.sources import RELAXED_S, SILENCE_S, URGENT_S, FrameQueue, ReadSchedule, Silence, SourceCounts
 
 if TYPE_CHECKING:
-    import socket
-
     from canlog.errors import SourceError
-import ctypes
-import errno
-import os
-import socket
-from dataclasses import dataclass
-from typing import NamedTuple
-
-import numpy as np
-
-from canlog.arrays import Int64Array, UInt8Array, UInt32Array
-from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, NS_PER_US, PAYLOAD_BYTES
-from canlog.jit import array_kernel
-from canlog.live.raw_socket import SO_TIMESTAMPNS
 
 SLOTS = 512  # frames per call
 CLASSIC_BYTES = 16  # struct can_frame
@@ -235,7 +237,6 @@ class SocketCanSource:
         filters: Sequence[tuple[int, int]] = (),
         receive_buffer_bytes: int = RECEIVE_BUFFER_BYTES,
         queue: FrameQueue | None = None,
-        clock: BusClock | None = None,
         schedule: ReadSchedule | None = None,
     ) -> None:
         self._channel = channel
@@ -246,7 +247,7 @@ class SocketCanSource:
         )
         self._receiver = FrameReceiver(self._socket.fileno())
         self._granted = granted_share(self._socket)
-        self._clock = clock or BusClock()
+        self._clock = BusClock()
         self._schedule = schedule or ReadSchedule()
         self._schedule.on_change = self._hurry
         self._received = 0

@@ -245,9 +245,7 @@ def detect_text(probe: bytes) -> Detected:
 def _by_named_columns(text: bytes) -> Detected | None:
     """Return that a text is a table, if a header names its columns and most lines behind it are frames."""
     log = proposed(text)
-    if log is None:
-        return None
-    if not _has_frames(log, text):
+    if log is None or not _has_frames(log, text):
         return None
     number = log.layout.header_lines
     what = f"line {number} names its columns" if number else "its lines are those of HCRL's car hacking data set"
@@ -298,7 +296,8 @@ def _as_table(probe: bytes) -> str:
     seen, text = columns_seen(probe), probe.removeprefix(BYTE_ORDER_MARK)
     names = ", ".join(seen[:MOST_NAMED]) + (f" and {len(seen) - MOST_NAMED} more" if len(seen) > MOST_NAMED else "")
     choice = guessed(text)
-    if not choice or not _has_frames_by(choice, text):
+    log = proposed(text, choice) if choice else None
+    if log is None or not _has_frames(log, text) or not is_traffic(frames_of(log, text)):
         return (
             f"a table with the columns {names}; --columns time=...,id=...,data=... says which are which; a table of "
             "signals has a column of times that rise (numbers, hh:mm:ss, ISO dates) and one of numbers"
@@ -307,12 +306,3 @@ def _as_table(probe: bytes) -> str:
         )
     named = f" with the columns {names}" if names else ""
     return f"a table{named}; perhaps --columns {shlex.quote(choice)}"
-
-
-def _has_frames_by(choice: str, text: bytes) -> bool:
-    log = ColumnsLog(choice)
-    try:
-        log.look_ahead(text)
-    except SourceError:
-        return False
-    return _has_frames(log, text) and is_traffic(frames_of(log, text))

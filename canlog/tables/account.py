@@ -18,6 +18,7 @@ from canlog.tables.layouts import BARE_ID, Place, TableNames, flagged_id, identi
 from canlog.transport import TransferCounts
 
 MAX_IDS: Final = 65_536  # that are counted one by one: no bus has as many, a log of noise has
+NEAREST_COUNT: Final = 3
 TESTER_GROUPS: Final = frozenset({0xDA00, 0xDB00})  # of ISO-TP, which is not J1939
 _NO_DATA: Final = np.uint32(REMOTE_FLAG | ERROR_FLAG)
 
@@ -164,10 +165,10 @@ class DecodeAccount:
         """Whether there are data frames, and none is of the database, not even as a piece of a longer message."""
         return bool(self.frames_of_id) and not self.known_count and not self.long_counts
 
-    def nearest(self, count: int = 3) -> list[Nearest]:
+    def nearest(self) -> list[Nearest]:
         """Return the most frequent unknown identifiers, each with the message that comes nearest."""
         tables = self.codec.tables
-        return [_nearest(can_id, tables, self.names) for can_id, _ in self.unknown_ids[:count] if tables]
+        return [_nearest(can_id, tables, self.names) for can_id, _ in self.unknown_ids[:NEAREST_COUNT] if tables]
 
 
 def _nearest(can_id: int, tables: tuple[MessageTable, ...], names: TableNames) -> Nearest:

@@ -36,7 +36,8 @@ class SourceTable:
         if self.less is None and self.times is None and self.valid is None and not self.invalid:
             return found
         good = np.ones(len(found.value), np.bool_) if found.is_good is None else found.is_good
-        is_valid, is_code = self._profile_says(found.value)
+        lowest, highest = self.valid or (-np.inf, np.inf)
+        is_valid, is_code = (found.value >= lowest) & (found.value <= highest), np.isin(found.value, self.invalid)
         invalid = found.invalid.plus(
             InvalidCounts(
                 not_available=int(np.count_nonzero(good & is_code)),
@@ -51,15 +52,6 @@ class SourceTable:
             value, good = _combined(self.times.decode(words), good, value, np.multiply)
         invalid = invalid.plus(InvalidCounts(incomplete=own_count - int(np.count_nonzero(good))))
         return Decoded(value, None if good.all() else good, invalid, found.is_present)
-
-    def _profile_says(self, value: FloatArray) -> tuple[BoolArray, BoolArray]:
-        """Return which values are inside the profile's range, and which are codes that it lists."""
-        inside, codes = np.ones(len(value), np.bool_), np.zeros(len(value), np.bool_)
-        if self.valid is not None:
-            inside = (value >= self.valid[0]) & (value <= self.valid[1])
-        if self.invalid:
-            codes = np.isin(value, self.invalid)
-        return inside, codes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

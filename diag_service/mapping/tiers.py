@@ -63,14 +63,6 @@ def tier_of(signals: AbstractSet[Signal], *, knows_gears: bool = False, has_conv
     return next((tier for tier in Tier if not any(_unmet(tier, signals, knows_gears=knows_gears))), None)
 
 
-def missing_signals(tier: Tier, signals: AbstractSet[Signal], *, knows_gears: bool = False) -> tuple[str, ...]:
-    """Return what a tier lacks: names of canonical signals, alternatives joined by ``or``."""
-    return tuple(
-        " or ".join(dict.fromkeys(_joined(alternative - signals) for alternative in requirement))
-        for requirement in _unmet(tier, signals, knows_gears=knows_gears)
-    )
-
-
 def missing_for_next(signals: AbstractSet[Signal], *, knows_gears: bool = False, has_converter: bool = False) -> str:
     """Return one sentence: what the next better tier is and lacks; empty at the first tier."""
     if has_converter:
@@ -83,7 +75,11 @@ def missing_for_next(signals: AbstractSet[Signal], *, knows_gears: bool = False,
         return "friction of a lock-up clutch needs a description with its converter (--calibration lockup)"
     wanted = Tier.KINEMATIC if tier is None else Tier(tier - 1)
     verb = "need" if " and " in PURPOSE[wanted] else "needs"
-    return f"{PURPOSE[wanted]} {verb} {', '.join(missing_signals(wanted, signals, knows_gears=knows_gears))}"
+    missing = (
+        " or ".join(dict.fromkeys(_joined(alternative - signals) for alternative in requirement))
+        for requirement in _unmet(wanted, signals, knows_gears=knows_gears)
+    )
+    return f"{PURPOSE[wanted]} {verb} {', '.join(missing)}"
 
 
 def why_no_friction(

@@ -107,9 +107,6 @@ class Proposal:
     names: tuple[str, ...]
     has_unit: bool
 
-    def has(self, role: Role) -> bool:
-        return any(column.role is role for column in self.columns)
-
     def in_words(self) -> str:
         """Return what the columns are taken for, as ``--columns`` takes it."""
         spelled = {role: name for name, role in ROLE_OF_NAME.items()}
@@ -253,12 +250,8 @@ def _unit_in(name: str) -> int | None:
 
 
 def _base_in(name: str) -> int:
-    words = MARKS.split(name.casefold())
-    return next((base for word, base in BASES.items() if word in words or _ends_with(words, word)), NO_BASE)
-
-
-def _ends_with(words: Sequence[str], word: str) -> bool:
-    return any(one in {f"id{word}", f"data{word}"} for one in words)
+    words = set(MARKS.split(name.casefold()))
+    return next((base for word, base in BASES.items() if words & {word, f"id{word}", f"data{word}"}), NO_BASE)
 
 
 def _parameter(role: Role, name: str) -> int:

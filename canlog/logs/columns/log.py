@@ -168,11 +168,9 @@ class ColumnsLog(TableLog):
             self.set_layout(replace(layout, wrap_us=DAY_US))
             self.notes.append("times are times of day, taken as those of 1970-01-01")
         elif times and not found.has_unit:
-            self._set_unit(_likely_unit(layout, times, body))
-
-    def _set_unit(self, unit: int) -> None:
-        self.notes.append(f"times are taken as {UNIT_NAMES[unit]}: the header does not say")
-        self.set_layout(replace(self.layout, columns=in_unit(self.layout.columns, unit)))
+            unit = _likely_unit(layout, times, body)
+            self.notes.append(f"times are taken as {UNIT_NAMES[unit]}: the header does not say")
+            self.set_layout(replace(layout, columns=in_unit(layout.columns, unit)))
 
     def _set_local_dates(self, date: str) -> None:
         """Take dates without an offset as local time, all with the offset of the first."""
@@ -186,9 +184,9 @@ class ColumnsLog(TableLog):
             self.notes.append("dates are taken as local time: they have no UTC offset")
 
 
-def proposed(text: bytes) -> ColumnsLog | None:
-    """Return the reader of a text whose header names its columns; None if no line among the first does."""
-    log = ColumnsLog()
+def proposed(text: bytes, choice: str = "") -> ColumnsLog | None:
+    """Return the reader of a text whose header, or ``choice``, names its columns; None if that does not do so."""
+    log = ColumnsLog(choice)
     try:
         log.look_ahead(text)
     except SourceError:
