@@ -9,7 +9,7 @@ from importlib import import_module
 from importlib.machinery import PathFinder
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, BinaryIO, Final, Protocol, Self
+from typing import Any, BinaryIO, Final, Self
 
 from canlog.extras import extra_missing, load_extra
 
@@ -49,7 +49,27 @@ def _moment(value: object) -> object:
     return datetime.fromisoformat(value) if isinstance(value, str) else value
 
 
-class ParquetTable:
+class ColumnSink:
+    """A file of columns that grows by groups of rows, as one of pyarrow's writers writes them."""
+
+    def __init__(self, writer: Any, schema: Any) -> None:  # noqa: ANN401 - of an untyped library
+        self._writer = writer
+        self.schema: Any = schema
+
+    def write_columns(self, columns: Mapping[str, Any]) -> None:
+        """Write arrays of one length, one per column in their order, as one group."""
+        self._writer.write_batch(load_pyarrow().record_batch(list(columns.values()), schema=self.schema))
+
+    def close(self) -> None:
+        """Write what the format needs at its end."""
+        self._writer.close()
+
+    def discard(self) -> None:
+        """Close it though it is not complete: pyarrow would else do so when nothing may be written any more."""
+        self.close()
+
+
+class ParquetTable(ColumnSink):
     """A Parquet file that grows by row groups.
 
     Parameters
@@ -70,17 +90,17 @@ class ParquetTable:
     def __init__(
         self, output: BinaryIO, columns: Mapping[str, str], metadata: Mapping[str, Mapping[str, str]] | None = None
     ) -> None:
-        self._arrow = load_pyarrow()
-        self.schema: Any = arrow_schema(columns, metadata)
-        self._writer = self._arrow.parquet.ParquetWriter(
+        schema = arrow_schema(columns, metadata)
+        writer = load_pyarrow().parquet.ParquetWriter(
             output,
-            self.schema,
+            schema,
             compression="zstd",
             # Times hardly repeat, so differences are smaller; nobody looks for the least of some names.
             use_dictionary=[name for name, kind in columns.items() if kind != TIME_TYPE],
             write_statistics=[name for name, kind in columns.items() if kind not in {NAME_TYPE, BOOL_TYPE}],
             column_encoding={name: TIME_ENCODING for name, kind in columns.items() if kind == TIME_TYPE},
         )
+        super().__init__(writer, schema)
 
     def __enter__(self) -> Self:
         return self
@@ -88,27 +108,13 @@ class ParquetTable:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def close(self) -> None:
-        """Write the end of the file."""
-        self._writer.close()
-
-    def discard(self) -> None:
-        """Close it: pyarrow would else do so when nothing may be written any more."""
-        self.close()
-
     def write_rows(self, rows: Sequence[Mapping[str, object]]) -> None:
         """Write rows as one group; keys that are missing are null."""
         if rows:
             self._writer.write_table(row_table(rows, self.schema))
 
-    def write_columns(self, columns: Mapping[str, object]) -> None:
-        """Write arrays of one length, one per column in their order, as one group."""
-        self._writer.write_batch(self._arrow.record_batch(list(columns.values()), schema=self.schema))
-
 
 class TableFormat(StrEnum):
-    """The formats of tables."""
-
     PARQUET = "parquet"
     CSV = "csv"
     JSON_LINES = "jsonl"
@@ -154,19 +160,6 @@ def check_libraries(table_format: TableFormat, logs: Sequence[Path]) -> None:
     raise extra_missing(", ".join(words[number] for number in missing), ",".join(extras))
 
 
-class ColumnSink(Protocol):
-    """A file of columns that grows by groups of rows."""
-
-    def write_columns(self, columns: Mapping[str, Any]) -> None:
-        """Write arrays of one length, one per column in their order."""
-
-    def close(self) -> None:
-        """Write what the format needs at its end."""
-
-    def discard(self) -> None:
-        """Leave it as it is: it is not complete."""
-
-
 def open_columns(
     output: BinaryIO,
     table_format: TableFormat,
@@ -188,60 +181,45 @@ def open_columns(
             return _ArrowStream(output, kinds, metadata)
 
 
-class _ArrowStream:
+class _ArrowStream(ColumnSink):
     """What ``pyarrow.ipc.open_stream`` reads."""
 
     def __init__(self, output: BinaryIO, kinds: Mapping[str, str], metadata: Mapping[str, Mapping[str, str]]) -> None:
-        self._arrow = load_pyarrow()
-        self._output = output
-        self._schema = arrow_schema(kinds, metadata)
-        options = self._arrow.ipc.IpcWriteOptions(compression=ARROW_COMPRESSION)
-        self._writer = self._arrow.ipc.new_stream(output, self._schema, options=options)
+        ipc, schema, self._output = load_pyarrow().ipc, arrow_schema(kinds, metadata), output
+        options = ipc.IpcWriteOptions(compression=ARROW_COMPRESSION)
+        super().__init__(ipc.new_stream(output, schema, options=options), schema)
 
     def write_columns(self, columns: Mapping[str, Any]) -> None:
-        self._writer.write_batch(self._arrow.record_batch(list(columns.values()), schema=self._schema))
+        super().write_columns(columns)
         self._output.flush()
-
-    def close(self) -> None:
-        self._writer.close()
 
     def discard(self) -> None:
         """Write no end, so that a reader notices."""
 
 
-class _Csv:
+class _Csv(ColumnSink):
     """A line of names, then a line per row; times as ISO 8601, an empty cell for what is not there."""
 
     def __init__(self, output: BinaryIO, kinds: Mapping[str, str]) -> None:
-        self._arrow = load_pyarrow()
-        self._output = output
-        texts = {name: _TEXT if kind in {TIME_TYPE, NAME_TYPE} else kind for name, kind in kinds.items()}
-        self._kinds = kinds
-        self._schema = arrow_schema(texts)
+        load_pyarrow()
         from pyarrow import csv  # noqa: PLC0415 - optional
 
-        self._writer = csv.CSVWriter(output, self._schema, write_options=csv.WriteOptions(quoting_style="needed"))
+        self._output, self._kinds = output, kinds
+        schema = arrow_schema({name: _TEXT if kind in {TIME_TYPE, NAME_TYPE} else kind for name, kind in kinds.items()})
+        super().__init__(csv.CSVWriter(output, schema, write_options=csv.WriteOptions(quoting_style="needed")), schema)
 
     def write_columns(self, columns: Mapping[str, Any]) -> None:
-        plain = [_as_text(column, self._kinds[name]) for name, column in columns.items()]
-        self._writer.write_batch(self._arrow.record_batch(plain, schema=self._schema))
+        super().write_columns({name: _as_text(column, self._kinds[name]) for name, column in columns.items()})
         self._output.flush()
 
-    def close(self) -> None:
-        self._writer.close()
 
-    def discard(self) -> None:
-        """Close it: whoever reads it is told that something went wrong."""
-        self._writer.close()
-
-
-class _JsonLines:
+class _JsonLines(ColumnSink):
     """An object per row, without what is not there; a number that is none is null."""
 
     def __init__(self, output: BinaryIO, kinds: Mapping[str, str]) -> None:
+        super().__init__(None, None)  # pyarrow reads such files, but writes none
         load_pyarrow()
-        self._output = output
-        self._kinds = kinds
+        self._output, self._kinds = output, kinds
 
     def write_columns(self, columns: Mapping[str, Any]) -> None:
         rows: list[dict[str, object]] = []
@@ -257,9 +235,6 @@ class _JsonLines:
 
     def close(self) -> None:
         """Nothing: the format has no end."""
-
-    def discard(self) -> None:
-        """Nothing."""
 
 
 def _as_text(column: Any, kind: str) -> Any:  # noqa: ANN401 - arrays of pyarrow or numpy

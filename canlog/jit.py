@@ -237,7 +237,6 @@ class LateCache:
             self._forget_old_versions(Path(self.cache_path))
 
     def flush(self) -> None:
-        """Forget the machine code."""
         self._file.flush()
 
     def _forget_old_versions(self, folder: Path) -> None:

@@ -68,16 +68,12 @@ class IdTraffic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jump:
-    """Where bus time jumps."""
-
     at_ns: int  # before it
     by_ns: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrafficReport:
-    """All of it."""
-
     frames: int
     first_ns: int
     last_ns: int

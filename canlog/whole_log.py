@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +18,7 @@ from canlog.extras import load_extra
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch, join
 from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_log
 from canlog.tables.account import DecodeAccount, losses
-from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, groups, message_layout, stretches
+from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, groups, message_columns, stretches
 from canlog.tables.frame_groups import FrameGroup, log_paths
 from canlog.tables.layouts import BARE_ID, ShapeName, TableShapeName, Values, ValuesName, WideLayout
 from canlog.transport import LongMessage, LongMessages
@@ -195,11 +194,7 @@ class Log:
         layouts: dict[int, WideLayout] = {}
         batches: dict[int, list[Any]] = {}
         for group in groups(stretches(self._streamed(), account), plan.codec, plan.size()):
-            found = sorted(account.values_of(group), key=lambda one: one.slot)
-            for slot, parts in groupby(found, key=lambda one: one.slot):
-                if slot not in layouts:
-                    layouts[slot] = message_layout(account, slot, values, None, is_measured=plan.is_measured)
-                _, columns = layouts[slot].columns(group, list(parts))
+            for slot, columns in message_columns(group, account, layouts, values, is_measured=plan.is_measured):
                 schema = arrow_schema(layouts[slot].kinds, layouts[slot].metadata)
                 batches.setdefault(slot, []).append(arrow.record_batch(list(columns.values()), schema=schema))
         return {

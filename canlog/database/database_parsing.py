@@ -23,8 +23,6 @@ _SUSPECT: Final = re.compile(r"\bSG_\s+\w+\s+m\w*\s*:|\bSG_MUL_VAL_\s+\d|\bSIG_V
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parsed:
-    """What came of a text."""
-
     database: Database | None  # None: offences speak against it
     offences: tuple[Offence, ...] = ()  # what was left out of a DBC file, or would have to be; the first of them
     offence_count: int = 0

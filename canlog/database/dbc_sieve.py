@@ -80,8 +80,6 @@ class Statement:
 
 
 class Tokens:
-    """The tokens of a text."""
-
     def __init__(self, text: str) -> None:
         self.text = text
         self.starts, self.stops = array("Q"), array("Q")

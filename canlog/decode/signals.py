@@ -284,14 +284,6 @@ def _physical_range(signal: Signal) -> tuple[float, float]:
     return (low, high) if low < high else (-math.inf, math.inf)
 
 
-def float_code(signal: Signal, where: str, *, check_range: bool) -> FloatCode:
-    """Compile scaling and validity of a float signal."""
-    if signal.length not in FLOAT_TYPES:
-        raise DefinitionError(f"{where}: no float has {signal.length} bits")
-    value_range = _physical_range(signal) if check_range else (-math.inf, math.inf)
-    return FloatCode(signal.length, signal.scale, signal.offset, value_range)
-
-
 MAX_MULTIPLEX_DEPTH: Final = 8
 
 
@@ -431,7 +423,10 @@ def compile_signal(
         raise DefinitionError(f"{where}: scale {signal.scale} and offset {signal.offset} are not usable")
     code: FloatCode | IntegerCode
     if signal.conversion.is_float:
-        code = float_code(signal, where, check_range=check_range)
+        if signal.length not in FLOAT_TYPES:
+            raise DefinitionError(f"{where}: no float has {signal.length} bits")
+        value_range = _physical_range(signal) if check_range else (-math.inf, math.inf)
+        code = FloatCode(signal.length, signal.scale, signal.offset, value_range)
     else:
         code = integer_code(signal, field, codes, check_range=check_range)
     selectors = _selectors(message, signal, where, most_bytes) if signal.multiplexer_ids is not None else ()

@@ -192,7 +192,6 @@ class E2eStates:
 
     @property
     def invalidations(self) -> tuple[int, ...]:
-        """How often each message became invalid."""
         return tuple(self._memory.invalidations.tolist())
 
     @property

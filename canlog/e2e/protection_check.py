@@ -100,8 +100,6 @@ class FrameVerdicts(NamedTuple):
 
 
 class FrameTotals(NamedTuple):
-    """Running counts."""
-
     frames: Int64Array  # (m + 1, reasons); the last row is of frames of no message
     missing: Int64Array  # (m,)
     marked: Int64Array  # (256, reasons), by the mark of the frames

@@ -118,7 +118,6 @@ class BusClock:
 
     @property
     def step_count(self) -> int:
-        """Steps of the wall clock until now."""
         return self._step_count
 
     def look(self) -> None:

@@ -159,7 +159,6 @@ class MulticastBus(can.BusABC):
         return message if is_wanted else None
 
     def fileno(self) -> int:
-        """Return the descriptor of the socket that receives."""
         return self._receiver.fileno()
 
     def shutdown(self) -> None:

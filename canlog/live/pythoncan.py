@@ -60,7 +60,6 @@ class PythonCanSource:
 
     @property
     def counts(self) -> SourceCounts:
-        """What has been received and lost until now."""
         return SourceCounts(received=self._received, queue_dropped=self._queue.dropped)
 
     def __aiter__(self) -> AsyncIterator[FrameBatch | Silence]:

@@ -266,7 +266,6 @@ class SocketCanSource:
 
     @property
     def counts(self) -> SourceCounts:
-        """What has been received and lost until now."""
         return SourceCounts(
             received=self._received,
             kernel_dropped=self._final_drops if self._socket is None else kernel_drops(self._socket),

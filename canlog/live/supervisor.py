@@ -74,17 +74,14 @@ class BusWatch:
             self._last_problem = "the controller went bus-off"
 
     def mark_lost(self, problem: str) -> None:
-        """Take note that the interface is not there any more."""
         self._state = BusState.DOWN
         self._interruption_count += 1
         self._last_problem = problem
 
     def mark_back(self) -> None:
-        """Take note that the interface can be read again."""
         self._state = BusState.RESTARTED
 
     def count_restart(self) -> None:
-        """Take note that the controller was asked to restart."""
         self._restart_count += 1
 
     def status(self, now_s: float) -> BusStatus:
@@ -109,9 +106,6 @@ class BusWatch:
         return max(rows, key=lambda state: rows[state], default=self._state)
 
 
-RETRY_S = 0.1  # from the return of the interface to its first frame: this and the opening
-LONGEST_RETRY_S = 1.0  # for a bus that opens, but fails before it gave anything
-RESTART_PERIOD_S = 1.0
 COUNT_PERIOD_S = 0.5  # how soon a loss shows in the state
 _LOG = logging.getLogger(__name__)
 
@@ -130,9 +124,9 @@ class Opener(Protocol):
 class Backoff:
     """How often is tried again [s]."""
 
-    retry_s: float = RETRY_S
-    longest_retry_s: float = LONGEST_RETRY_S
-    restart_s: float = RESTART_PERIOD_S
+    retry_s: float = 0.1  # from the return of the interface to its first frame: this and the opening
+    longest_retry_s: float = 1.0  # for a bus that opens, but fails before it gave anything
+    restart_s: float = 1.0
 
 
 class SupervisedSource:

@@ -390,7 +390,6 @@ class AscLog(TextLog):
         parse_lines(text, rows, self._clock, progress)
 
     def read_comment(self, line: bytes) -> bool:
-        """Take up what a header line says; return whether it is one."""
         if line and not HEADER.match(line):
             return False
         if base := BASE_LINE.match(line):

@@ -260,8 +260,6 @@ def _parse_tail(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
 
 
 class CandumpLog(TextLog):
-    """A log as candump writes it."""
-
     shortest_line_bytes = 12  # "(0.0)c 123#"
 
     def __init__(self) -> None:

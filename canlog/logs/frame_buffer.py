@@ -9,12 +9,10 @@ import numpy as np
 from canlog.arrays import Int64Array, UInt8Array, UInt32Array
 from canlog.frames import FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
 from canlog.jit import array_kernel
-from canlog.logs.text_kernels import BLANK, WORD_BYTES, UInt64Array
+from canlog.logs.text_kernels import WORD_BYTES, UInt64Array, skip_word
 
 MOST_CHANNELS = 256
-FNV_SEED = 0xCBF2_9CE4_8422_2325
-FNV_FACTOR = 0x100_0000_01B3
-NAME_SEED, NAME_FACTOR = -3750763034362895579, 1099511628211  # the same for compiled code: FNV-1a, 64 bits
+FNV_SEED, FNV_FACTOR = -3750763034362895579, 1099511628211  # of FNV-1a with 64 bits, as signed numbers
 NO_NAME = 0xFFFF_FFFF_FFFF_FFFF  # as a word: eight bytes that no text has
 DIGITS_AT_END = re.compile(rb"\d{1,3}$")
 
@@ -60,7 +58,7 @@ class ChannelNames:
         taken = set(self.words.numbers[:index].tolist())
         wanted = int(found[0]) if found else 0
         free = (number for number in (wanted, *range(MOST_CHANNELS)) if number < MOST_CHANNELS and number not in taken)
-        self.words.hashes[index] = name_hash(name)
+        self.words.hashes[index] = name_hash(np.frombuffer(name, np.uint8), 0, len(name))
         self.words.numbers[index] = next(free, MOST_CHANNELS - 1)
         self.words.words[index] = self.words.masks[index] = NO_NAME
         if len(name) < WORD_BYTES:
@@ -71,12 +69,13 @@ class ChannelNames:
         self._count = index + 1
 
 
-def name_hash(name: bytes) -> int:
-    """Return the FNV-1a hash of a name as a signed number of 64 bits."""
+@array_kernel
+def name_hash(text: UInt8Array, begin: int, stop: int) -> int:
+    """Return the FNV-1a hash of the name that stands between two positions."""
     value = FNV_SEED
-    for character in name:
-        value = (value ^ character) * FNV_FACTOR & 0xFFFF_FFFF_FFFF_FFFF
-    return value - (1 << 64) if value >> 63 else value
+    for at in range(begin, stop):
+        value = (value ^ int(text[at])) * FNV_FACTOR
+    return value
 
 
 LEAST_HANDED_OVER = 0.75  # of a buffer: what is not used of it is kept as long as the batch
@@ -135,19 +134,16 @@ class FrameBuffer:
         data[:used, : self.rows.data.shape[1]] = self.rows.data[:used]
         self.rows = self.rows._replace(data=data, words=data.view(np.uint64))
 
-    def batch(self, count: int) -> FrameBatch:
-        """Return a copy of the first rows, no wider than they need."""
-        return self._batch(count, is_copied=True)
-
     def handed_over(self, count: int) -> FrameBatch:
         """Return the first rows as ``batch`` does, without a copy if they are most of the buffer: it gets new ones."""
         if count < LEAST_HANDED_OVER * len(self.rows.t_ns):
             return self.batch(count)
-        batch = self._batch(count, is_copied=False)
+        batch = self.batch(count, is_copied=False)
         self.rows = new_rows(*self.rows.data.shape)
         return batch
 
-    def _batch(self, count: int, *, is_copied: bool) -> FrameBatch:
+    def batch(self, count: int, *, is_copied: bool = True) -> FrameBatch:
+        """Return the first rows, no wider than they need."""
         rows, width = self.rows, self.rows.data.shape[1]
         if width > PAYLOAD_BYTES and not (rows.flags[:count] & np.uint8(FD_FLAG)).any():
             width = PAYLOAD_BYTES
@@ -164,10 +160,7 @@ class FrameBuffer:
 @array_kernel
 def channel_number(text: UInt8Array, at: int, names: NameWords, known: int) -> int:
     """Return the number of the channel whose name stands here, -1 if it is new."""
-    name = NAME_SEED
-    while text[at] > BLANK:
-        name = (name ^ text[at]) * NAME_FACTOR
-        at += 1
+    name = name_hash(text, at, skip_word(text, at))
     for index in range(known):
         if names.hashes[index] == name:
             return int(names.numbers[index])

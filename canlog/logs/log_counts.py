@@ -83,7 +83,6 @@ class LogCounts:
         self.notes = tuple(dict.fromkeys((*self.notes, *other.notes)))
 
     def snapshot(self) -> "LogCounts":
-        """Return the counts of now."""
         return replace(self, rejected=dict(self.rejected))
 
 

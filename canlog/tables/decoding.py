@@ -207,6 +207,29 @@ class ColumnRows:
         self._columns.discard()
 
 
+def message_columns(
+    group: FrameGroup,
+    account: DecodeAccount,
+    layouts: dict[int, WideLayout],
+    values: Values,
+    origins: Origins | None = None,
+    *,
+    is_measured: bool = False,
+) -> Iterator[tuple[int, Mapping[str, Any]]]:
+    """Yield the columns of each message in a group, called as its signals are; values and rows enter the account.
+
+    ``layouts`` are those of the messages that came until now, by slot.
+    """
+    found = sorted(account.values_of(group), key=lambda one: one.slot)
+    for slot, parts in groupby(found, key=lambda one: one.slot):
+        if slot not in layouts:
+            names = account.names.of_message(slot, frame_kinds(origins))
+            layouts[slot] = WideLayout(account.codec.tables, names, values, [slot], origins, is_measured=is_measured)
+        count, columns = layouts[slot].columns(group, list(parts))
+        account.row_count += count
+        yield slot, columns
+
+
 class MessageRows:
     """A table for each message, of its frames alone."""
 
@@ -223,38 +246,23 @@ class MessageRows:
         self._account = account
         self._values = values
         self._origins = origins
-        self._open: dict[int, tuple[WideLayout, ColumnSink]] = {}
+        self._layouts: dict[int, WideLayout] = {}
+        self._open: dict[int, ColumnSink] = {}
 
     def write_group(self, group: FrameGroup) -> None:
-        found = sorted(self._account.values_of(group), key=lambda one: one.slot)
-        for slot, parts in groupby(found, key=lambda one: one.slot):
-            layout, sink = self._table(slot)
-            count, columns = layout.columns(group, list(parts))
-            self._account.row_count += count
-            sink.write_columns(columns)
+        for slot, columns in message_columns(group, self._account, self._layouts, self._values, self._origins):
+            if slot not in self._open:
+                layout = self._layouts[slot]
+                self._open[slot] = open_columns(self._tables.file(slot), self._format, layout.kinds, layout.metadata)
+            self._open[slot].write_columns(columns)
 
     def close(self) -> None:
-        for _, sink in self._open.values():
+        for sink in self._open.values():
             sink.close()
 
     def discard(self) -> None:
-        for _, sink in self._open.values():
+        for sink in self._open.values():
             sink.discard()
-
-    def _table(self, slot: int) -> tuple[WideLayout, ColumnSink]:
-        if slot not in self._open:
-            layout = message_layout(self._account, slot, self._values, self._origins)
-            sink = open_columns(self._tables.file(slot), self._format, layout.kinds, layout.metadata)
-            self._open[slot] = layout, sink
-        return self._open[slot]
-
-
-def message_layout(
-    account: DecodeAccount, slot: int, values: Values, origins: Origins | None, *, is_measured: bool = False
-) -> WideLayout:
-    """Return the columns of the table of one message, called as its signals are."""
-    names = account.names.of_message(slot, frame_kinds(origins))
-    return WideLayout(account.codec.tables, names, values, [slot], origins, is_measured=is_measured)
 
 
 MAX_CELLS: Final = 8_000_000  # of a row group: 64 MB of numbers

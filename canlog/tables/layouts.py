@@ -202,7 +202,6 @@ class WideLayout(TableLayout):
 
     @property
     def kinds(self) -> dict[str, str]:
-        """Names and types of the columns."""
         kinds = dict(self.frame_kinds)
         for place in self._places:
             kinds[self.names.columns[place]] = "float64"
@@ -254,7 +253,6 @@ class LongLayout(TableLayout):
 
     @property
     def kinds(self) -> dict[str, str]:
-        """Names and types of the columns."""
         text = {} if self.values is Values.NUMBERS else {TEXT: NAME_TYPE}
         return {**self.frame_kinds, SIGNAL: NAME_TYPE, VALUE: "float64", **text, UNIT: NAME_TYPE}
 

@@ -135,7 +135,6 @@ class LongMessages:
 
     @property
     def counts(self) -> TransferCounts:
-        """What became of all messages until now."""
         return self._reassembler.counts
 
     def feed(self, batch: FrameBatch) -> Iterator[LongMessage]:

@@ -206,10 +206,10 @@ class Decoder:
         )
         self._pass = SamplePass(self._messages)
         self._apart = [
-            (slot, [column for column in mapped.columns if not is_able(column.table)])
+            (slot, apart)
             for slot, mapped in enumerate(self._messages)
+            if (apart := [column for column in mapped.columns if not is_able(column.table)])
         ]
-        self._apart = [(slot, columns) for slot, columns in self._apart if columns]
         self._signal_count = len(self.signals)
         self._invalid: dict[Signal, InvalidCounts] = {}
         self._invalid_at_first: dict[Signal, int] = {}  # before a signal's first real value

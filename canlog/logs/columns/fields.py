@@ -7,7 +7,7 @@ from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG
 from canlog.jit import array_kernel, inlined_kernel
 from canlog.logs.columns.roles import BLANKS, HEXADECIMAL, Role, packed_word
-from canlog.logs.frame_buffer import NAME_FACTOR, NAME_SEED
+from canlog.logs.frame_buffer import name_hash
 from canlog.logs.text_kernels import (
     BLANK,
     LONGEST_NUMBER,
@@ -113,9 +113,7 @@ def small_number(text: UInt8Array, begin: int, stop: int) -> int:
 def channel(text: UInt8Array, begin: int, stop: int, names: Int64Array) -> int:
     """Return the place of a name of a bus among known ones; without those the number at its end, 0 if there is none."""
     if names.size:
-        wanted = NAME_SEED
-        for at in range(begin, stop):
-            wanted = (wanted ^ int(text[at])) * NAME_FACTOR
+        wanted = name_hash(text, begin, stop)
         for index in range(names.size):
             if names[index] == wanted:
                 return index

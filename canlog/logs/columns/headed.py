@@ -90,7 +90,6 @@ class Trc(TableLog):
         self._has_start = False
 
     def read_comment(self, line: bytes) -> bool:
-        """Take up what a line without a frame says; return whether it belongs to the format."""
         if version := VERSION.match(line):
             self.set_layout(LAYOUTS.get(version[1], self.layout))
             return version[1] in LAYOUTS
@@ -204,7 +203,6 @@ class Busmaster(TableLog):
         self._set_layout()
 
     def read_comment(self, line: bytes) -> bool:
-        """Take up what a line without a frame says; return whether it belongs to the format."""
         if not line.startswith(b"***"):
             return False
         if found := BUSMASTER_START.match(line):
@@ -259,8 +257,6 @@ NO_START: Final = "the header has no start time: times count from 1970"
 
 
 class Clx000(TableLog):
-    """A log of a CLX000."""
-
     def __init__(self) -> None:
         super().__init__(LAYOUT)
 

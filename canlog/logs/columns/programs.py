@@ -46,7 +46,6 @@ class PythonCanCsv(TableLog):
         super().__init__(PYTHON_CAN)
 
     def read_comment(self, line: bytes) -> bool:
-        """Take up what a line without a frame says; return whether it belongs to the format."""
         return PYTHON_CAN_HEADER.match(line) is not None
 
 
@@ -58,7 +57,6 @@ class GvretCsv(TableLog):
         self._unit = MICROSECONDS
 
     def read_comment(self, line: bytes) -> bool:
-        """Take up what a line without a frame says; return whether it belongs to the format."""
         if not GVRET_HEADER.match(line):
             return False
         self._set_layout(GVRET_WITH_DIRECTION if b",dir," in line.lower() else GVRET)
@@ -162,8 +160,6 @@ CANHACKER = Layout(
 
 
 class CanHacker(TableLog):
-    """A trace of CANHacker."""
-
     def __init__(self) -> None:
         super().__init__(CANHACKER)
 

@@ -68,8 +68,6 @@ MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """One column."""
-
     role: Role = Role.IGNORED
     parameter: int = 0
 
@@ -120,7 +118,7 @@ class Layout:
         return any(column.role is role for column in self.columns)
 
     def program(self) -> Program:
-        is_comment = np.zeros(256, np.bool_)
+        is_comment, names = np.zeros(256, np.bool_), [name.encode() for name in self.channel_names]
         is_comment[list(self.comment_starts)] = True
         return Program(
             columns=np.array([(column.role, column.parameter) for column in self.columns], np.int64).reshape(-1, 2),
@@ -130,7 +128,7 @@ class Layout:
             has_decimal_comma=self.has_decimal_comma,
             has_messages=self.has(Role.MESSAGE),
             is_spread=self.has(Role.COUNTED),
-            channel_names=np.array([name_hash(name.encode()) for name in self.channel_names], np.int64),
+            channel_names=np.array([name_hash(np.frombuffer(one, np.uint8), 0, len(one)) for one in names], np.int64),
             words=np.array([(packed_word(word), int(one)) for word, one in self.words.items()], np.int64).reshape(
                 -1, 2
             ),
