@@ -8,7 +8,6 @@ on (PDU 2) it belongs to the group. Priority, destination and source address do 
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from enum import Enum, auto
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,6 +28,7 @@ NOBODY: Final = -1
 
 _ID_MASK: Final = 0x1FFF_FFFF
 _EXTENDED: Final = int(EXTENDED_FLAG)
+_STANDARD_TABLE, _EXTENDED_TABLE, _GROUP_TABLE = range(3)  # in which messages are looked up
 _SENDER_BITS: Final = 9
 _ANY_SENDER: Final = 0x100  # beside the 256 source addresses
 _EVERYBODY: Final = 0xFF  # the address of all; in a key of PDU 1 any destination
@@ -45,12 +45,6 @@ class MessageAddress:
     sender: int = ANY  # J1939 source address
     channel: int = ANY
     is_for_one: bool = False  # of J1939: what its sender tells others is another message of the database
-
-
-class _Table(Enum):
-    STANDARD = auto()
-    EXTENDED = auto()
-    GROUP = auto()
 
 
 class AddressBook(NamedTuple):
@@ -109,16 +103,16 @@ def address_book(addresses: Sequence[MessageAddress]) -> AddressBook:
     address, as the database writes it; the null address stands for all the others. Those of one sender are known by
     their destination, too; there the address of all does. Raises DefinitionError if two messages cannot be told apart.
     """
-    slots: dict[_Table, dict[int, int]] = {table: {} for table in _Table}
+    slots: tuple[dict[int, int], ...] = ({}, {}, {})  # by table
     for slot, (table, key) in enumerate(_places(addresses)):
         if slots[table].setdefault(key, slot) != slot:
             raise DefinitionError(f"several messages have the identifier {addresses[slot].can_id:#x}")
     standard = np.full(STANDARD_IDS, NOBODY, np.int64)
-    standard[list(slots[_Table.STANDARD])] = list(slots[_Table.STANDARD].values())
+    standard[list(slots[_STANDARD_TABLE])] = list(slots[_STANDARD_TABLE].values())
     return AddressBook(
         standard,
-        *_sorted_table(slots[_Table.EXTENDED]),
-        *_sorted_table(slots[_Table.GROUP]),
+        *_sorted_table(slots[_EXTENDED_TABLE]),
+        *_sorted_table(slots[_GROUP_TABLE]),
         is_group=np.array([address.is_group for address in addresses], np.int64),
     )
 
@@ -153,13 +147,13 @@ def rows_by_slot(slot: Int64Array, count: int) -> Iterator[tuple[int, Int64Array
         yield number, order[stop[number] : stop[number + 1]]
 
 
-def _places(addresses: Sequence[MessageAddress]) -> list[tuple[_Table, int]]:
+def _places(addresses: Sequence[MessageAddress]) -> list[tuple[int, int]]:
     """Return in which table each message is looked up, and its key there."""
     count = Counter(parameter_group(address.can_id) for address in addresses if address.is_group)
-    places: list[tuple[tuple[_Table, int], tuple[_Table, int]]] = []  # to its destination, and to any
+    places: list[tuple[tuple[int, int], tuple[int, int]]] = []  # to its destination, and to any
     for address in addresses:
         if not address.is_group:
-            place = _Table.EXTENDED if address.is_extended else _Table.STANDARD, address.can_id
+            place = _EXTENDED_TABLE if address.is_extended else _STANDARD_TABLE, address.can_id
             places.append((place, place))
             continue
         source = address.can_id & 0xFF if address.sender == ANY else address.sender
@@ -167,7 +161,7 @@ def _places(addresses: Sequence[MessageAddress]) -> list[tuple[_Table, int]]:
             source = _ANY_SENDER
         key = (address.can_id >> 8 & 0x3FFFF) << _SENDER_BITS | source
         anybody = _EVERYBODY << _SENDER_BITS if address.can_id >> 16 & 0xFF < PDU2_FORMATS else 0
-        places.append(((_Table.GROUP, key), (_Table.GROUP, key | anybody)))
+        places.append(((_GROUP_TABLE, key), (_GROUP_TABLE, key | anybody)))
     shared = Counter(every for _, every in set(places))
     return [
         place if shared[every] > 1 or address.is_for_one else every

@@ -363,17 +363,9 @@ class Sieve:
             else:
                 self._leave_out(statement, statement.problem)
 
-    def _offend(self, statement: Statement, cause: str, *, is_mended: bool = False, is_harmless: bool = False) -> None:
-        start, _ = self._tokens.span(statement)
-        self.offences.append(
-            Offence(
-                line=self._tokens.line(start),
-                item=self._tokens.item(statement),
-                cause=cause,
-                is_mended=is_mended,
-                is_harmless=is_harmless,
-            )
-        )
+    def _offend(self, statement: Statement, cause: str, **traits: bool) -> None:
+        line, item = self._tokens.line(self._tokens.span(statement)[0]), self._tokens.item(statement)
+        self.offences.append(Offence(line=line, item=item, cause=cause, **traits))
 
     def _leave_out(self, statement: Statement, cause: str, *, is_harmless: bool = False) -> None:
         removal = (*self._tokens.span(statement), "")

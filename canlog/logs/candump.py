@@ -31,9 +31,9 @@ from canlog.logs.text_kernels import (
     decimal,
     decimal_digits,
     decimal_parts,
+    digits,
     hex_bytes,
     hex_digits,
-    hexadecimal,
     reversed_bytes,
     skip_blanks,
     skip_line,
@@ -207,13 +207,13 @@ def _parse_time(text: UInt8Array, at: int) -> tuple[int, int]:
 def _parse_id(text: UInt8Array, at: int) -> tuple[int, int]:
     """Parse ``123#`` or ``12345678#``; return the identifier with its flags, -1 if it is none, and the position."""
     begin = at
-    value, at = hexadecimal(text, begin, EXTENDED_DIGITS)
-    digits = at - begin
+    value, at = digits(text, begin, 16, EXTENDED_DIGITS)
+    count = at - begin
     if text[at] != HASH or value > MAX_ID:
         return -1, at
-    if digits == EXTENDED_DIGITS:
+    if count == EXTENDED_DIGITS:
         return (value | EXTENDED_FLAG if value < ERROR_OR_ABOVE else value), at + 1
-    if digits == STANDARD_DIGITS and value <= MAX_STANDARD_ID:
+    if count == STANDARD_DIGITS and value <= MAX_STANDARD_ID:
         return value, at + 1
     return -1, at
 

@@ -43,7 +43,7 @@ from canlog.logs.text_kernels import (
     day_number,
     decimal,
     decimal_parts,
-    hexadecimal,
+    digits,
     skip_line,
     skip_word,
 )
@@ -170,7 +170,7 @@ def _read_direction(text: UInt8Array, at: int) -> tuple[int, int]:
 def _read_id(text: UInt8Array, at: int) -> tuple[int, int]:
     """Read three digits, or eight of an extended identifier or an error frame; -1 if it is none of them."""
     begin = at
-    value, at = hexadecimal(text, begin, EXTENDED_DIGITS)
+    value, at = digits(text, begin, 16, EXTENDED_DIGITS)
     if text[at] > BLANK or value > MAX_ID:
         return -1, at
     if at - begin == EXTENDED_DIGITS:
@@ -183,14 +183,14 @@ def _read_length(text: UInt8Array, at: int) -> tuple[int, int, int]:
     """Read ``[8]``, ``{F}`` of -8, or ``[08]`` of a CAN FD frame; return the length, -1 if it is none, and whether."""
     begin = at + 1
     if text[at] == CURLED:
-        value, at = hexadecimal(text, begin, 1)
+        value, at = digits(text, begin, 16, 1)
         is_read = at > begin and text[at] == CURLED_END
         return (min(value, PAYLOAD_BYTES) if is_read else -1), 0, at + is_read
     if text[at] != SQUARE:
         return -1, 0, at
     value, at = decimal(text, begin, 3)
-    digits, is_fd = at - begin, at - begin == 2
-    if text[at] != SQUARE_END or not 1 <= digits <= 2 or value > (FD_PAYLOAD_BYTES if is_fd else PAYLOAD_BYTES):
+    is_fd = at - begin == 2
+    if text[at] != SQUARE_END or not begin < at <= begin + 2 or value > (FD_PAYLOAD_BYTES if is_fd else PAYLOAD_BYTES):
         return -1, 0, at
     return (value if IS_LENGTH[value] else -1), int(is_fd), at + 1
 

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO, Final, NamedTuple
 
 import numpy as np
 
-from canlog.arrays import FloatArray
+from canlog.arrays import FloatArray, UInt32Array
 from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
@@ -21,6 +21,7 @@ from canlog.logs.signal_tables import checked_rows, signal_columns
 
 CELLS: Final = 250_000  # that are read at once
 NS_PER_US: Final = 1000
+Untyped = Any  # asammdf's own objects
 
 
 class Measured(NamedTuple):
@@ -53,11 +54,7 @@ def measured_channels(stream: BinaryIO) -> Measured:
 
 
 def channel_batches(
-    mdf: Any,  # noqa: ANN401 - asammdf's own object
-    measured: Measured,
-    size_bytes: int,
-    start_ns: int,
-    counts: LogCounts,
+    mdf: Untyped, measured: Measured, size_bytes: int, start_ns: int, counts: LogCounts
 ) -> list[Iterator[FrameBatch]]:
     """Return the values of each group as frames; for the child, with a file that was opened as a stream.
 
@@ -77,12 +74,7 @@ def channel_batches(
 
 
 def _group(
-    mdf: Any,  # noqa: ANN401 - asammdf's own object
-    number: int,
-    addresses: Sequence[int],
-    ids: np.ndarray[tuple[int], np.dtype[np.uint32]],
-    start_ns: int,
-    counts: LogCounts,
+    mdf: Untyped, number: int, addresses: Sequence[int], ids: UInt32Array, start_ns: int, counts: LogCounts
 ) -> Iterator[FrameBatch]:
     group, done = mdf.groups[number], 0
     index = {channel.address: place for place, channel in enumerate(group.channels)}
@@ -104,7 +96,7 @@ def _group(
         yield checked_rows(time_us, np.column_stack([_numbers(one) for one in found]), ids, counts)
 
 
-def _has_codes(conversion: Any) -> bool:  # noqa: ANN401 - asammdf's own object
+def _has_codes(conversion: Untyped) -> bool:
     """Return whether some values of a channel are words, and the others are scaled by a formula."""
     blocks = getattr(conversion, "referenced_blocks", None) or {}
     scale = getattr(blocks.get("default_addr"), "convert", None)
@@ -113,7 +105,7 @@ def _has_codes(conversion: Any) -> bool:  # noqa: ANN401 - asammdf's own object
     return bool(scale(np.array([1.0, 2.0])).tolist() != [1.0, 2.0])  # else a state, whose codes are its numbers
 
 
-def _numbers(signal: Any) -> FloatArray:  # noqa: ANN401 - asammdf's own object
+def _numbers(signal: Untyped) -> FloatArray:
     """Return the values of a channel, NaN for those that are marked as invalid, and for words."""
     is_word = signal.samples.dtype.kind == "S"
     values: FloatArray = np.full(len(signal.samples), np.nan) if is_word else np.array(signal.samples, np.float64)

@@ -34,7 +34,7 @@ from canlog.frames import (
 )
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.merging import merged_by_time
-from canlog.logs.mf4_channels import channel_batches, measured_channels
+from canlog.logs.mf4_channels import Untyped, channel_batches, measured_channels
 from canlog.logs.mf4_mending import Mended, mended
 from canlog.logs.text_kernels import IS_LENGTH
 
@@ -61,7 +61,7 @@ def mf4_batches(path: Path, folder: Path, counts: LogCounts) -> Iterator[FrameBa
     Raises SourceError if asammdf is not installed, or the file is damaged or not of version 4.
     """
     asammdf, errors = quiet_asammdf()
-    mdf: Any = None
+    mdf: Untyped = None
     try:
         # A file that is cut off, or that its writer left unfinished, is completed in a copy.
         whole = mended(path, folder)
@@ -87,7 +87,7 @@ def mf4_batches(path: Path, folder: Path, counts: LogCounts) -> Iterator[FrameBa
             end_quietly(mdf)
 
 
-def quiet_asammdf() -> tuple[Any, tuple[type[Exception], ...]]:
+def quiet_asammdf() -> tuple[Untyped, tuple[type[Exception], ...]]:
     """Return asammdf, made to keep to raising errors, and what it raises of a damaged file.
 
     Raises ExtraMissingError if it is not installed.
@@ -102,22 +102,20 @@ def quiet_asammdf() -> tuple[Any, tuple[type[Exception], ...]]:
     return asammdf, tuple(errors)
 
 
-def end_quietly(mdf: Any) -> None:  # noqa: ANN401 - asammdf's own object
+def end_quietly(mdf: Untyped) -> None:
     """Close an MDF object that may lack what its constructor did not come to."""
     with suppress(AttributeError):
         mdf.close()
 
 
-def measurement_start_ns(header: Any) -> int:  # noqa: ANN401 - asammdf's own objects
+def measurement_start_ns(header: Untyped) -> int:
     """Return the start of measurement since the epoch; a local time without a zone counts as this machine's."""
     if header.start_time.tzinfo is None:
         return int(header.start_time.timestamp()) * int(NS_PER_S) + int(header.abs_time) % int(NS_PER_S)
     return int(header.abs_time)
 
 
-def count_missing(  # of asammdf's own objects
-    groups: Sequence[Any], addresses: Collection[int], whole: Mended, counts: LogCounts
-) -> None:
+def count_missing(groups: Sequence[Untyped], addresses: Collection[int], whole: Mended, counts: LogCounts) -> None:
     counts.truncated |= whole.is_cut
     for number, group in enumerate(groups):
         address = group.channel_group.address
@@ -130,7 +128,7 @@ def count_missing(  # of asammdf's own objects
         counts.reject(LogReject.DAMAGED, whole.lost_at)
 
 
-def frame_kind(group: Any) -> str | None:  # noqa: ANN401 - asammdf's own objects
+def frame_kind(group: Untyped) -> str | None:
     """Return which kind of CAN frames a group holds, None if it holds something else or nothing."""
     names = {channel.name for channel in group.channels}
     if not group.channel_group.cycles_nr:
@@ -139,12 +137,7 @@ def frame_kind(group: Any) -> str | None:  # noqa: ANN401 - asammdf's own object
 
 
 def read_group(
-    mdf: Any,  # noqa: ANN401 - asammdf's own object
-    number: int,
-    kind: str,
-    start_ns: int,
-    whole: Mended,
-    counts: LogCounts,
+    mdf: Untyped, number: int, kind: str, start_ns: int, whole: Mended, counts: LogCounts
 ) -> Iterator[FrameBatch]:
     """Yield the frames of one group; what is missing at its end is counted."""
     group, done = mdf.groups[number].channel_group, 0

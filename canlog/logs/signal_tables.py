@@ -15,7 +15,7 @@ from typing import BinaryIO, Final
 
 import numpy as np
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import FloatArray, Int64Array, UInt32Array
 from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
@@ -190,9 +190,7 @@ class _Table:
         return self._last_us
 
 
-def frames_of_rows(
-    time_us: FloatArray, values: FloatArray, ids: np.ndarray[tuple[int], np.dtype[np.uint32]]
-) -> FrameBatch:
+def frames_of_rows(time_us: FloatArray, values: FloatArray, ids: UInt32Array) -> FrameBatch:
     """Return a frame for each value that there is, row by row.
 
     Parameters
@@ -217,9 +215,7 @@ def frames_of_rows(
     )
 
 
-def checked_rows(
-    time_us: FloatArray, values: FloatArray, ids: np.ndarray[tuple[int], np.dtype[np.uint32]], counts: LogCounts
-) -> FrameBatch:
+def checked_rows(time_us: FloatArray, values: FloatArray, ids: UInt32Array, counts: LogCounts) -> FrameBatch:
     """Return rows of a binary table as `frames_of_rows` does; impossible values and rows without a time are counted."""
     counts.reject(LogReject.MALFORMED, "a row without a time", int(np.count_nonzero(~(np.abs(time_us) < MOST_US))))
     counts.reject(LogReject.MALFORMED, "a value beyond all measurements", int((np.abs(values) >= MOST_VALUE).sum()))

@@ -175,12 +175,6 @@ def digits(text: UInt8Array, at: int, base: int, most_digits: int) -> tuple[int,
 
 
 @inlined_kernel
-def hexadecimal(text: UInt8Array, at: int, most_digits: int) -> tuple[int, int]:
-    """Read a number of up to so many hexadecimal digits, as ``decimal``."""
-    return digits(text, at, 16, most_digits)
-
-
-@inlined_kernel
 def whole_number(text: UInt8Array, at: int, base: int, most_digits: int) -> tuple[int, int]:
     """Read a number as ``digits`` does that ends before a blank, a comment or the line's end; -1, and stay, if not."""
     begin = at

@@ -164,14 +164,13 @@ def choose_profile(database: Database) -> Fit:
     fits = [fit_of(database, load_shipped(name)) for name in shipped_profiles()]
     usable = [fit for fit in fits if fit.tier is not None]
     if not usable:
-        said = "; ".join(f"{fit.profile.name}: {', '.join(_shortened(fit.problems))}" for fit in fits)
+        said = "; ".join(f"{fit.profile.name}: {_first_of(fit.problems)}" for fit in fits)
         raise ConfigError(
             f"no shipped profile fits the database; 'diag-service signals' proposes one for --profile. {said}"
         )
     return min(usable, key=lambda fit: (fit.tier or Tier.KINEMATIC, -len(fit.signals) / len(fit.profile.sources)))
 
 
-def _shortened(problems: tuple[str, ...]) -> list[str]:
-    """Return the first of many complaints."""
+def _first_of(problems: tuple[str, ...]) -> str:
     more = len(problems) - MAX_COMPLAINTS
-    return [*problems[:MAX_COMPLAINTS], *([f"and {more} more"] if more > 0 else [])]
+    return ", ".join([*problems[:MAX_COMPLAINTS], *([f"and {more} more"] if more > 0 else [])])

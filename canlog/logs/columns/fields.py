@@ -18,7 +18,6 @@ from canlog.logs.text_kernels import (
     decimal,
     decimal_parts,
     digits,
-    hexadecimal,
 )
 
 NO_TIME = -(1 << 62)  # a time may be negative
@@ -96,7 +95,7 @@ def field(text: UInt8Array, at: int, separator: int) -> tuple[int, int, int]:
 @array_kernel
 def hexadecimal_field(text: UInt8Array, begin: int, stop: int) -> int:
     """Return a hexadecimal number of up to eight digits, -1 if a field is none."""
-    value, at = hexadecimal(text, begin, 8)
+    value, at = digits(text, begin, HEXADECIMAL, 8)
     return value if begin < at == stop else -1
 
 
