@@ -135,9 +135,9 @@ def _usual_id(text: UInt8Array, at: int) -> tuple[int, int]:
         high, middle, low = HEX_VALUE[text[at]], HEX_VALUE[text[at + 1]], HEX_VALUE[text[at + 2]]
         is_usual = 0 <= high <= HIGHEST_STANDARD_DIGIT and middle | low >= 0
         return high << 8 | middle << 4 | low, at + STANDARD_DIGITS + 1 if is_usual else UNUSUAL
-    digits = hex_digits(word(text, at)) if text[at + EXTENDED_DIGITS] == HASH else NO_DIGITS
-    identifier = reversed_bytes(digits)
-    is_usual = digits >= 0 and identifier < ERROR_OR_ABOVE
+    swapped = hex_digits(word(text, at)) if text[at + EXTENDED_DIGITS] == HASH else NO_DIGITS
+    identifier = reversed_bytes(swapped)
+    is_usual = swapped >= 0 and identifier < ERROR_OR_ABOVE
     return identifier | EXTENDED_FLAG, at + EXTENDED_DIGITS + 1 if is_usual else UNUSUAL
 
 

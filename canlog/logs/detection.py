@@ -16,27 +16,9 @@ from canlog.logs.asc import FIRST_LINE, AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog
 from canlog.logs.captures import CAPTURE_MAGICS, capture_of
-from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, is_traffic, proposed
+from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, is_traffic, programs, proposed
 from canlog.logs.columns.headed import CLX000_HEADER, Busmaster, Clx000, Trc
 from canlog.logs.columns.log import TableLog
-from canlog.logs.columns.programs import (
-    CANHACKER_HEADER,
-    CANKING,
-    CANKING_HEADER,
-    CARBUS,
-    CARBUS_HEADER,
-    CRTD,
-    GVRET_HEADER,
-    MICROCHIP_HEADER,
-    PYTHON_CAN_HEADER,
-    Actisense,
-    Canboat,
-    CanHacker,
-    GvretCsv,
-    Microchip,
-    PythonCanCsv,
-    YachtDevices,
-)
 from canlog.logs.console import ConsoleLog
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.signal_tables import table_header
@@ -86,18 +68,18 @@ TEXT_LOGS: Mapping[LogFormat, Callable[[], TextLog]] = MappingProxyType(
         LogFormat.CANDUMP: CandumpLog,
         LogFormat.CONSOLE: ConsoleLog,
         LogFormat.TRC: Trc,
-        LogFormat.CSV: PythonCanCsv,
-        LogFormat.GVRET: GvretCsv,
+        LogFormat.CSV: programs.PythonCanCsv,
+        LogFormat.GVRET: programs.GvretCsv,
         LogFormat.BUSMASTER: Busmaster,
-        LogFormat.CRTD: partial(TableLog, CRTD),
-        LogFormat.CARBUS: partial(TableLog, CARBUS),
-        LogFormat.CANHACKER: CanHacker,
-        LogFormat.MICROCHIP: Microchip,
+        LogFormat.CRTD: partial(TableLog, programs.CRTD),
+        LogFormat.CARBUS: partial(TableLog, programs.CARBUS),
+        LogFormat.CANHACKER: programs.CanHacker,
+        LogFormat.MICROCHIP: programs.Microchip,
         LogFormat.CLX000: Clx000,
-        LogFormat.CANKING: partial(TableLog, CANKING),
-        LogFormat.CANBOAT: Canboat,
-        LogFormat.YACHT_DEVICES: YachtDevices,
-        LogFormat.ACTISENSE: Actisense,
+        LogFormat.CANKING: partial(TableLog, programs.CANKING),
+        LogFormat.CANBOAT: programs.Canboat,
+        LogFormat.YACHT_DEVICES: programs.YachtDevices,
+        LogFormat.ACTISENSE: programs.Actisense,
         LogFormat.ASC: AscLog,
         LogFormat.COLUMNS: ColumnsLog,  # by the names in its header, never by its lines
     }
@@ -108,14 +90,14 @@ HEADERS: Mapping[LogFormat, re.Pattern[bytes]] = MappingProxyType(
     {
         LogFormat.ASC: FIRST_LINE,
         LogFormat.TRC: re.compile(rb";\$FILEVERSION", re.IGNORECASE),
-        LogFormat.CSV: PYTHON_CAN_HEADER,
-        LogFormat.GVRET: GVRET_HEADER,
+        LogFormat.CSV: programs.PYTHON_CAN_HEADER,
+        LogFormat.GVRET: programs.GVRET_HEADER,
         LogFormat.BUSMASTER: re.compile(rb"\*\*\*BUSMASTER"),
-        LogFormat.CARBUS: CARBUS_HEADER,
-        LogFormat.CANHACKER: CANHACKER_HEADER,
-        LogFormat.MICROCHIP: MICROCHIP_HEADER,
+        LogFormat.CARBUS: programs.CARBUS_HEADER,
+        LogFormat.CANHACKER: programs.CANHACKER_HEADER,
+        LogFormat.MICROCHIP: programs.MICROCHIP_HEADER,
         LogFormat.CLX000: CLX000_HEADER,
-        LogFormat.CANKING: CANKING_HEADER,
+        LogFormat.CANKING: programs.CANKING_HEADER,
     }
 )
 

@@ -106,8 +106,7 @@ class SignalStatistics:
             self.is_integer &= bool(np.all(good == np.rint(good)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pattern:
+class Pattern(NamedTuple):
     """What a canonical signal looks like: its names, and where its values can lie [SI]."""
 
     names: str  # pattern; more of its groups, more certainty
@@ -152,51 +151,30 @@ ASSUMED: Final = {
 }
 _SPEED_RAD_S: Final = 1100.0
 KINDS: Final[dict[Signal, Pattern]] = {
-    Signal.ENGINE_SPEED: Pattern(
-        names=r"eng\w*(spe+d|spd|rpm)|^n$|^rpm$|drehzahl|nmot|n_eng", lowest=0, highest=_SPEED_RAD_S
-    ),
-    Signal.ENGINE_TORQUE: Pattern(
-        names=r"eng\w*(torque|trq|tq)|mom_ist|crank\w*(torque|trq)", lowest=-1500, highest=4000
-    ),
-    Signal.INJECTION_TIME: Pattern(names=r"inj\w*(pw|pulse|time|width|zeit|dauer)", lowest=0, highest=0.1),
-    Signal.PEDAL: Pattern(names=r"pedal|fahrped|accel\w*pos|^pv_av", lowest=0, highest=1.1),
-    Signal.THROTTLE: Pattern(names=r"throttle|drossel|^tps", lowest=0, highest=1.1),
-    Signal.HUB_SPEED: Pattern(
-        names=r"hub\w*(spe+d|spd)|clutch\w*input\w*spe+d|drum\w*spe+d", lowest=0, highest=_SPEED_RAD_S
-    ),
-    Signal.INPUT1_SPEED: Pattern(
-        names=r"(input|shaft|in|inp|eingang)\w*1\w*|odd\w*(spe+d|spd)", lowest=0, highest=_SPEED_RAD_S
-    ),
-    Signal.INPUT2_SPEED: Pattern(
-        names=r"(input|shaft|in|inp|eingang)\w*2\w*|even\w*(spe+d|spd)", lowest=0, highest=_SPEED_RAD_S
-    ),
-    Signal.INPUT_SPEED: Pattern(
-        names=r"input(?!\w*[12])\w*spe+d|eingangsdreh|^n_tc$|turbine|input\w*rpm", lowest=0, highest=_SPEED_RAD_S
-    ),
-    Signal.OUTPUT_SPEED: Pattern(names=r"output\w*(spe+d|spd|rpm)|abtrieb", lowest=0, highest=_SPEED_RAD_S),
-    Signal.CLUTCH1_PRESSURE: Pattern(names=rf"{_CLUTCH1}\w*(press|druck|prs)", lowest=-1e5, highest=6e6),
-    Signal.CLUTCH2_PRESSURE: Pattern(names=rf"{_CLUTCH2}\w*(press|druck|prs)", lowest=-1e5, highest=6e6),
-    Signal.CLUTCH1_TORQUE_COMMAND: Pattern(names=rf"{_CLUTCH1}\w*(torque|trq|tq|mom)", lowest=-2000, highest=4000),
-    Signal.CLUTCH2_TORQUE_COMMAND: Pattern(names=rf"{_CLUTCH2}\w*(torque|trq|tq|mom)", lowest=-2000, highest=4000),
-    Signal.CLUTCH_TORQUE: Pattern(
-        names=r"clutch\w*(torque|trq|tq)|aufnahmemom|kuppl\w*mom", lowest=-2000, highest=4000
-    ),
-    Signal.CURRENT_GEAR: Pattern(
-        names=r"(cur|act|engaged|ist)\w*(gear|gr|gang)$|gang_?ist|^gear$", lowest=-1, highest=16, is_integer=True
-    ),
+    Signal.ENGINE_SPEED: Pattern(r"eng\w*(spe+d|spd|rpm)|^n$|^rpm$|drehzahl|nmot|n_eng", 0, _SPEED_RAD_S),
+    Signal.ENGINE_TORQUE: Pattern(r"eng\w*(torque|trq|tq)|mom_ist|crank\w*(torque|trq)", -1500, 4000),
+    Signal.INJECTION_TIME: Pattern(r"inj\w*(pw|pulse|time|width|zeit|dauer)", 0, 0.1),
+    Signal.PEDAL: Pattern(r"pedal|fahrped|accel\w*pos|^pv_av", 0, 1.1),
+    Signal.THROTTLE: Pattern(r"throttle|drossel|^tps", 0, 1.1),
+    Signal.HUB_SPEED: Pattern(r"hub\w*(spe+d|spd)|clutch\w*input\w*spe+d|drum\w*spe+d", 0, _SPEED_RAD_S),
+    Signal.INPUT1_SPEED: Pattern(r"(input|shaft|in|inp|eingang)\w*1\w*|odd\w*(spe+d|spd)", 0, _SPEED_RAD_S),
+    Signal.INPUT2_SPEED: Pattern(r"(input|shaft|in|inp|eingang)\w*2\w*|even\w*(spe+d|spd)", 0, _SPEED_RAD_S),
+    Signal.INPUT_SPEED: Pattern(r"input(?!\w*[12])\w*spe+d|eingangsdreh|^n_tc$|turbine|input\w*rpm", 0, _SPEED_RAD_S),
+    Signal.OUTPUT_SPEED: Pattern(r"output\w*(spe+d|spd|rpm)|abtrieb", 0, _SPEED_RAD_S),
+    Signal.CLUTCH1_PRESSURE: Pattern(rf"{_CLUTCH1}\w*(press|druck|prs)", -1e5, 6e6),
+    Signal.CLUTCH2_PRESSURE: Pattern(rf"{_CLUTCH2}\w*(press|druck|prs)", -1e5, 6e6),
+    Signal.CLUTCH1_TORQUE_COMMAND: Pattern(rf"{_CLUTCH1}\w*(torque|trq|tq|mom)", -2000, 4000),
+    Signal.CLUTCH2_TORQUE_COMMAND: Pattern(rf"{_CLUTCH2}\w*(torque|trq|tq|mom)", -2000, 4000),
+    Signal.CLUTCH_TORQUE: Pattern(r"clutch\w*(torque|trq|tq)|aufnahmemom|kuppl\w*mom", -2000, 4000),
+    Signal.CURRENT_GEAR: Pattern(r"(cur|act|engaged|ist)\w*(gear|gr|gang)$|gang_?ist|^gear$", -1, 16, is_integer=True),
     Signal.TARGET_GEAR: Pattern(
-        names=r"(tar|tgt|target|next|ziel|selected|soll|command|desired)\w*(gear|gr|gang)$",
-        lowest=-1,
-        highest=16,
-        is_integer=True,
+        r"(tar|tgt|target|next|ziel|selected|soll|command|desired)\w*(gear|gr|gang)$", -1, 16, is_integer=True
     ),
     Signal.SUMP_TEMPERATURE: Pattern(
-        names=r"(sump|sumpf|trans|gear\w*box|oil|at)\w*temp|temp\w*(at|oil|sump)$|getriebe\w*temp",
-        lowest=230,
-        highest=480,
+        r"(sump|sumpf|trans|gear\w*box|oil|at)\w*temp|temp\w*(at|oil|sump)$|getriebe\w*temp", 230, 480
     ),
-    Signal.VEHICLE_SPEED: Pattern(names=r"veh\w*(spe+d|spd)|v_?(signal|veh)|^vs$|geschw", lowest=0, highest=120),
-    Signal.ODOMETER: Pattern(names=r"odo|kilometerstand|total\w*dist", lowest=0, highest=4e9),
+    Signal.VEHICLE_SPEED: Pattern(r"veh\w*(spe+d|spd)|v_?(signal|veh)|^vs$|geschw", 0, 120),
+    Signal.ODOMETER: Pattern(r"odo|kilometerstand|total\w*dist", 0, 4e9),
 }
 """Canonical signals that are proposed; the others add nothing to the diagnosis."""
 

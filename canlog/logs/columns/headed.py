@@ -47,16 +47,16 @@ NEW_WORDS = {
 }
 # By the letters that ``$COLUMNS`` has for them; older versions have no such line, but columns of the same kinds.
 COLUMN_OF_LETTER = {
-    "N": Column(role=Role.IGNORED),
-    "O": Column(role=Role.TIME, parameter=MILLISECONDS),
-    "T": Column(role=Role.WORD),
-    "B": Column(role=Role.CHANNEL),
-    "I": Column(role=Role.ID, parameter=HEXADECIMAL),
-    "d": Column(role=Role.DIRECTION),
-    "R": Column(role=Role.IGNORED),  # reserved
-    "l": Column(role=Role.LENGTH),
-    "L": Column(role=Role.LENGTH_CODE),
-    "D": Column(role=Role.DATA, parameter=HEXADECIMAL),
+    "N": Column(Role.IGNORED),
+    "O": Column(Role.TIME, MILLISECONDS),
+    "T": Column(Role.WORD),
+    "B": Column(Role.CHANNEL),
+    "I": Column(Role.ID, HEXADECIMAL),
+    "d": Column(Role.DIRECTION),
+    "R": Column(Role.IGNORED),  # reserved
+    "l": Column(Role.LENGTH),
+    "L": Column(Role.LENGTH_CODE),
+    "D": Column(Role.DATA, HEXADECIMAL),
 }
 NEEDED_LETTERS, MOST_LETTERS = set("OTI"), 15
 
@@ -165,14 +165,14 @@ J1939_COLUMNS_BETWEEN = 5  # group, kind, source, destination and priority, all 
 def busmaster_layout(unit_us: int, *, is_decimal: bool, is_j1939: bool) -> Layout:
     """Return the layout of lines whose clock has counts of so many microseconds."""
     base = DECIMAL if is_decimal else HEXADECIMAL
-    clock, channel, word = Column(role=Role.CLOCK, parameter=unit_us), Column(role=Role.CHANNEL), Column(role=Role.WORD)
-    identifier = Column(role=Role.ID, parameter=base)
+    clock, channel, word = Column(Role.CLOCK, unit_us), Column(Role.CHANNEL), Column(Role.WORD)
+    identifier = Column(Role.ID, base)
     j1939 = (clock, channel, identifier, *[Column()] * J1939_COLUMNS_BETWEEN, word)
     return Layout(
         columns=(
             *(j1939 if is_j1939 else (clock, word, channel, identifier, word)),
-            Column(role=Role.LENGTH),
-            Column(role=Role.DATA, parameter=base),
+            Column(Role.LENGTH),
+            Column(Role.DATA, base),
         ),
         separator=BLANKS,
         words=J1939_WORDS if is_j1939 else WORDS,
@@ -240,11 +240,11 @@ CLX000_HEADER: Final = re.compile(rb"# Logger type: (?:CL|CANLogger)")
 CLX000_START: Final = re.compile(r"(\d{4})(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)")
 ROLES: Final = MappingProxyType(
     {
-        "timestamp": Column(role=Role.STAMP),
-        "type": Column(role=Role.FLAGS, parameter=SENT),
-        "id": Column(role=Role.ID, parameter=HEXADECIMAL),
-        "length": Column(role=Role.LENGTH),
-        "data": Column(role=Role.DATA, parameter=HEXADECIMAL),
+        "timestamp": Column(Role.STAMP),
+        "type": Column(Role.FLAGS, SENT),
+        "id": Column(Role.ID, HEXADECIMAL),
+        "length": Column(Role.LENGTH),
+        "data": Column(Role.DATA, HEXADECIMAL),
     }
 )  # others are passed over
 # Digits of a time up to its days, hours and so on, each with after how long it begins again; 0: as the month is long.

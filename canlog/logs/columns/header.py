@@ -153,14 +153,14 @@ def named_columns(names: Sequence[str]) -> tuple[Column, ...]:
     for role, synonyms in SYNONYMS.items():
         place = next((plain.index(synonym) for synonym in synonyms if synonym in plain), None)
         if place is not None and columns[place].role is Role.IGNORED:
-            columns[place] = Column(role=role, parameter=_parameter(role, names[place]))
+            columns[place] = Column(role, _parameter(role, names[place]))
     if not any(column.role is Role.TIME for column in columns):
         for place in [place for place, word in enumerate(plain) if "time" in word][:1]:
             if columns[place].role is Role.IGNORED:
-                columns[place] = Column(role=Role.TIME, parameter=_parameter(Role.TIME, names[place]))
+                columns[place] = Column(Role.TIME, _parameter(Role.TIME, names[place]))
     if not any(column.role is Role.DATA for column in columns):
         for place in _byte_places(plain):
-            columns[place] = Column(role=Role.BYTE, parameter=_parameter(Role.BYTE, names[place]))
+            columns[place] = Column(Role.BYTE, _parameter(Role.BYTE, names[place]))
     return tuple(columns)
 
 
@@ -182,7 +182,7 @@ def chosen(choice: str, names: Sequence[str]) -> Proposal:
         if role is not Role.DATA and len(places) > 1:
             raise SourceError(f"--columns {part!r}: only data may be several columns")
         for place in places:
-            columns[place] = Column(role=own, parameter=_chosen_parameter(own, option, _name_at(names, place), part))
+            columns[place] = Column(own, _chosen_parameter(own, option, _name_at(names, place), part))
         has_unit |= role is Role.TIME and (bool(option) or _unit_in(_name_at(names, places[0])) is not None)
     roles = {column.role for column in columns}
     if Role.ID not in roles or roles.isdisjoint({Role.DATA, Role.BYTE}):

@@ -9,29 +9,7 @@ import numpy as np
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.logs.columns.header import (
-    NO_BASE,
-    Proposal,
-    are_numbers,
-    base_of,
-    chosen,
-    in_unit,
-    names_in,
-    proposal,
-    separator_of,
-)
-from canlog.logs.columns.kernel import (
-    BASE_US,
-    CLOCK_FIELDS,
-    CUT_MESSAGES,
-    FIELDS,
-    HEADER_LINES,
-    IS_RELATIVE,
-    LAPS_US,
-    NOW_US,
-    WRAP_US,
-    parse_lines,
-)
+from canlog.logs.columns import header, kernel
 from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, Column, Layout, Role
 from canlog.logs.dates import date_us
 from canlog.logs.frame_buffer import MOST_CHANNELS, FrameRows
@@ -68,8 +46,8 @@ class TableLog(TextLog):
 
     def __init__(self, layout: Layout = NO_LAYOUT, note: str = "") -> None:
         super().__init__()
-        self._clock = np.zeros(CLOCK_FIELDS, np.int64)
-        self._line = np.zeros(FIELDS, np.int64)
+        self._clock = np.zeros(kernel.CLOCK_FIELDS, np.int64)
+        self._line = np.zeros(kernel.FIELDS, np.int64)
         self.set_layout(layout)
         self.notes += [note] * bool(note)
 
@@ -77,7 +55,7 @@ class TableLog(TextLog):
         """Read the lines that follow by a layout."""
         self.layout, self._program = layout, layout.program()
         self.shortest_line_bytes = 7 if layout.is_exact else 3  # "0 DT 1" and "1,2", each with its newline
-        self._clock[WRAP_US], self._clock[HEADER_LINES] = layout.wrap_us, layout.header_lines
+        self._clock[kernel.WRAP_US], self._clock[kernel.HEADER_LINES] = layout.wrap_us, layout.header_lines
 
     def restart(self) -> None:
         """Begin with the first line again, knowing what was learned."""
@@ -86,12 +64,13 @@ class TableLog(TextLog):
 
     def set_base(self, base_us: int, now_us: int = 0, *, is_relative: bool = False) -> None:
         """Count times from here, of which so much has passed; each from the one before if ``is_relative``."""
-        self._clock[[BASE_US, NOW_US, LAPS_US, IS_RELATIVE]] = base_us, now_us, 0, is_relative
+        self._clock[[kernel.BASE_US, kernel.NOW_US]] = base_us, now_us
+        self._clock[[kernel.LAPS_US, kernel.IS_RELATIVE]] = 0, is_relative
 
     def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
         """Read lines, of an exact layout up to a comment."""
-        parse_lines(text, rows, self._program, self._clock, self._line, progress)
-        if self._clock[CUT_MESSAGES] and WHOLE_MESSAGES not in self.notes:
+        kernel.parse_lines(text, rows, self._program, self._clock, self._line, progress)
+        if self._clock[kernel.CUT_MESSAGES] and WHOLE_MESSAGES not in self.notes:
             self.notes.append(WHOLE_MESSAGES)
 
     def is_whole(self, line: bytes, frame: FrameBatch) -> bool:
@@ -104,7 +83,7 @@ class TableLog(TextLog):
             last = layout.columns[-1]
             return last.role is not Role.DATA or HALF_BYTE_AT_END[last.parameter].search(line[-4:]) is None
         places = [place for place, column in enumerate(layout.columns) if column.role in {Role.DATA, Role.BYTE}]
-        is_followed = len(names_in(line, layout.separator)) > places[-1] + 1 if places else False
+        is_followed = len(header.names_in(line, layout.separator)) > places[-1] + 1 if places else False
         return is_followed or WHOLE_BYTE_AT_END.search(line) is not None
 
 
@@ -121,7 +100,7 @@ class ColumnsLog(TableLog):
         lines = text.splitlines()
         number, separator, found = _header_of(lines, self._choice)
         body = lines[number : number + SAMPLE_LINES]
-        rows = [names_in(line, separator) for line in body if line.strip() and not line.startswith(COMMENTS)]
+        rows = [header.names_in(line, separator) for line in body if line.strip() and not line.startswith(COMMENTS)]
         self.taken_for = found.in_words()
         columns = tuple(self._based(column, place, rows, found.names) for place, column in enumerate(found.columns))
         self.set_layout(
@@ -140,9 +119,9 @@ class ColumnsLog(TableLog):
 
     def _based(self, column: Column, place: int, rows: Sequence[tuple[str, ...]], names: Sequence[str]) -> Column:
         """Return a column with its numbers in the base that they must have."""
-        if column.role is not Role.ID or column.parameter != NO_BASE:
+        if column.role is not Role.ID or column.parameter != header.NO_BASE:
             return column
-        base, why = base_of((row[place] for row in rows if place < len(row)), names)
+        base, why = header.base_of((row[place] for row in rows if place < len(row)), names)
         if why:
             self.notes.append(f"identifiers are taken as {'decimal' if base == DECIMAL else 'hexadecimal'}: {why}")
         return replace(column, parameter=base)
@@ -155,7 +134,7 @@ class ColumnsLog(TableLog):
         self.notes.append(f"channels are numbered by name: {', '.join(f'{n} {name}' for n, name in enumerate(seen))}")
         return seen
 
-    def _set_time_unit(self, found: Proposal, rows: Sequence[tuple[str, ...]], body: bytes) -> None:
+    def _set_time_unit(self, found: header.Proposal, rows: Sequence[tuple[str, ...]], body: bytes) -> None:
         """Find out what the times count, and from when."""
         layout = self.layout
         times = _values(layout.columns, Role.TIME, rows)
@@ -170,12 +149,12 @@ class ColumnsLog(TableLog):
         elif times and not found.has_unit:
             unit = _likely_unit(layout, times, body)
             self.notes.append(f"times are taken as {UNIT_NAMES[unit]}: the header does not say")
-            self.set_layout(replace(layout, columns=in_unit(layout.columns, unit)))
+            self.set_layout(replace(layout, columns=header.in_unit(layout.columns, unit)))
 
     def _set_local_dates(self, date: str) -> None:
         """Take dates without an offset as local time, all with the offset of the first."""
         local_us = date_us(date.replace("T", " ").replace("/", "-").encode())
-        layout = Layout(columns=(Column(role=Role.TIME), Column(role=Role.ID, parameter=16)), separator=ord(";"))
+        layout = Layout(columns=(Column(Role.TIME), Column(Role.ID, 16)), separator=ord(";"))
         reader = TableLog()
         reader.set_layout(layout)
         as_utc = frames_of(reader, date.encode() + b";1")
@@ -197,29 +176,29 @@ def proposed(text: bytes, choice: str = "") -> ColumnsLog | None:
 def columns_seen(text: bytes) -> tuple[str, ...]:
     """Return the names of the columns of what looks like a table; none if it does not."""
     for line in text.splitlines()[:HEADER_LINES_LOOKED_AT]:
-        separator = separator_of(line)
-        names = names_in(line, separator)
+        separator = header.separator_of(line)
+        names = header.names_in(line, separator)
         if len(names) > LEAST_COLUMNS and all(name and not _is_number(name) for name in names) and line.isascii():
             return names
     return ()
 
 
-def _header_of(lines: Sequence[bytes], choice: str) -> tuple[int, int, Proposal]:
+def _header_of(lines: Sequence[bytes], choice: str) -> tuple[int, int, header.Proposal]:
     """Return how many lines there are up to the header, the separator, and what the columns are taken for."""
-    if choice and are_numbers(choice):
+    if choice and header.are_numbers(choice):
         return _numbered(lines, choice)
     complaint: SourceError | None = None
     for number, line in enumerate(lines[:HEADER_LINES_LOOKED_AT], 1):
-        separator = separator_of(line)
-        names = names_in(line, separator)
+        separator = header.separator_of(line)
+        names = header.names_in(line, separator)
         if len(names) < LEAST_COLUMNS or all(_is_number(name) for name in names):
             continue
         if not choice:
-            if found := proposal(names):
+            if found := header.proposal(names):
                 return number, separator, found
             continue
         try:
-            return number, separator, chosen(choice, names)
+            return number, separator, header.chosen(choice, names)
         except SourceError as exc:
             complaint = complaint or exc
     sample = [line for line in lines if line.strip()][:HEADER_LINES_LOOKED_AT]
@@ -228,10 +207,11 @@ def _header_of(lines: Sequence[bytes], choice: str) -> tuple[int, int, Proposal]
     raise complaint or SourceError(NO_HEADER)
 
 
-def _numbered(lines: Sequence[bytes], choice: str) -> tuple[int, int, Proposal]:
+def _numbered(lines: Sequence[bytes], choice: str) -> tuple[int, int, header.Proposal]:
     """Return the same of columns that are named by their numbers: the header ends where the first frame is."""
-    separator = separator_of(next((line for line in lines if line.strip() and not line.startswith(COMMENTS)), b""))
-    found, reader = chosen(choice, ()), TableLog()
+    first_line = next((line for line in lines if line.strip() and not line.startswith(COMMENTS)), b"")
+    separator = header.separator_of(first_line)
+    found, reader = header.chosen(choice, ()), TableLog()
     columns = tuple(replace(one, parameter=HEXADECIMAL) if one.role is Role.ID else one for one in found.columns)
     reader.set_layout(Layout(columns=columns, separator=separator, has_decimal_comma=separator != ord(",")))
     numbers = range(min(len(lines), HEADER_LINES_LOOKED_AT))
@@ -263,5 +243,5 @@ def _likely_unit(layout: Layout, times: Sequence[str], body: bytes) -> int:
     if any("." in time or "," in time for time in times):
         return SECONDS
     reader = TableLog()
-    reader.set_layout(replace(layout, columns=in_unit(layout.columns, MICROSECONDS), header_lines=0))
+    reader.set_layout(replace(layout, columns=header.in_unit(layout.columns, MICROSECONDS), header_lines=0))
     return likely_unit(frames_of(reader, body))[0]

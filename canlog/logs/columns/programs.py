@@ -15,28 +15,29 @@ from canlog.logs.text_log import frames_of
 PYTHON_CAN_HEADER = re.compile(rb"\s*timestamp,arbitration_id,extended,remote,error,dlc,data\s*\Z", re.IGNORECASE)
 GVRET_HEADER = re.compile(rb"\s*time stamp,id,extended,", re.IGNORECASE)
 
+# What many have.
+HEX_ID, HEX_DATA, HEX_MESSAGE = (Column(role, HEXADECIMAL) for role in (Role.ID, Role.DATA, Role.MESSAGE))
+LENGTH, CHANNEL, DIRECTION = (Column(role) for role in (Role.LENGTH, Role.CHANNEL, Role.DIRECTION))
+TIME_S = Column(Role.TIME, SECONDS)
+
 PYTHON_CAN = Layout(
     columns=(
-        Column(role=Role.TIME, parameter=SECONDS),
-        Column(role=Role.ID, parameter=HEXADECIMAL),
-        Column(role=Role.EXTENDED),
-        Column(role=Role.REMOTE),
-        Column(role=Role.ERROR),
-        Column(role=Role.LENGTH),
-        Column(role=Role.BASE64),
+        TIME_S,
+        HEX_ID,
+        Column(Role.EXTENDED),
+        Column(Role.REMOTE),
+        Column(Role.ERROR),
+        LENGTH,
+        Column(Role.BASE64),
     ),
     separator=COMMA,
     comment_starts=b"tT",
     is_exact=True,
 )
-_GVRET_START = (
-    Column(role=Role.TIME, parameter=MICROSECONDS),
-    Column(role=Role.ID, parameter=HEXADECIMAL),
-    Column(role=Role.EXTENDED),
-)
-_GVRET_END = (Column(role=Role.CHANNEL), Column(role=Role.LENGTH), Column(role=Role.DATA, parameter=HEXADECIMAL))
+_GVRET_START = (Column(Role.TIME, MICROSECONDS), HEX_ID, Column(Role.EXTENDED))
+_GVRET_END = (CHANNEL, LENGTH, HEX_DATA)
 GVRET = Layout(columns=_GVRET_START + _GVRET_END, separator=COMMA, comment_starts=b"tT", is_exact=True, is_padded=True)
-GVRET_WITH_DIRECTION = replace(GVRET, columns=(*_GVRET_START, Column(role=Role.DIRECTION), *_GVRET_END))
+GVRET_WITH_DIRECTION = replace(GVRET, columns=(*_GVRET_START, DIRECTION, *_GVRET_END))
 
 
 class PythonCanCsv(TableLog):
@@ -76,34 +77,24 @@ CLOCK_DIGITS = 9  # hhmmss.ddd
 NO_DATE = "times are times of day, taken as those of 1970-01-01"
 CANBOAT = Layout(
     columns=(
-        Column(role=Role.TIME, parameter=6),
-        Column(role=Role.PRIORITY),
-        Column(role=Role.GROUP),
-        Column(role=Role.SOURCE),
-        Column(role=Role.DESTINATION),
-        Column(role=Role.LENGTH),
-        Column(role=Role.MESSAGE, parameter=HEXADECIMAL),
+        Column(Role.TIME, 6),
+        Column(Role.PRIORITY),
+        Column(Role.GROUP),
+        Column(Role.SOURCE),
+        Column(Role.DESTINATION),
+        LENGTH,
+        HEX_MESSAGE,
     ),
     separator=ord(","),
 )
 YACHT_DEVICES = Layout(
-    columns=(
-        Column(role=Role.TIME),
-        Column(role=Role.DIRECTION),
-        Column(role=Role.ID, parameter=HEXADECIMAL),
-        Column(role=Role.DATA, parameter=HEXADECIMAL),
-    ),
+    columns=(Column(Role.TIME), DIRECTION, HEX_ID, HEX_DATA),
     separator=BLANKS,
     extended_digits=8,
     wrap_us=DAY_US,
 )
 ACTISENSE = Layout(
-    columns=(
-        Column(role=Role.STAMP, parameter=-CLOCK_DIGITS),
-        Column(role=Role.ADDRESSES),
-        Column(role=Role.GROUP, parameter=HEXADECIMAL),
-        Column(role=Role.MESSAGE, parameter=HEXADECIMAL),
-    ),
+    columns=(Column(Role.STAMP, -CLOCK_DIGITS), Column(Role.ADDRESSES), Column(Role.GROUP, HEXADECIMAL), HEX_MESSAGE),
     separator=BLANKS,
     comment_starts=b"#$!",  # sentences of NMEA 0183, which gateways mix in
     wrap_us=DAY_US,
@@ -126,14 +117,14 @@ Actisense = partial(MessageLog, ACTISENSE, NO_DATE)
 
 CARBUS = Layout(
     columns=(
-        Column(role=Role.TIME, parameter=SECONDS),
-        Column(role=Role.CHANNEL),
-        Column(role=Role.FLAGS),
-        Column(role=Role.ID, parameter=HEXADECIMAL),
-        Column(role=Role.LENGTH),
-        Column(role=Role.DATA, parameter=HEXADECIMAL),
-        Column(role=Role.IGNORED),
-        Column(role=Role.IGNORED, parameter=REST),
+        TIME_S,
+        CHANNEL,
+        Column(Role.FLAGS),
+        HEX_ID,
+        LENGTH,
+        HEX_DATA,
+        Column(Role.IGNORED),
+        Column(Role.IGNORED, REST),
     ),
     separator=ord("\t"),
     comment_starts=b"@#",
@@ -147,12 +138,7 @@ CANHACKER_HEADER = re.compile(rb"\s*time\s+id\s+dlc\s+data\b", re.IGNORECASE)
 CANHACKER_TIME = re.compile(rb"^\s*(\d+)[.,]\d+\s", re.MULTILINE)
 MINUTE_S = 60
 CANHACKER = Layout(
-    columns=(
-        Column(role=Role.TIME, parameter=SECONDS),
-        Column(role=Role.ID, parameter=HEXADECIMAL),
-        Column(role=Role.LENGTH),
-        Column(role=Role.DATA, parameter=HEXADECIMAL),
-    ),
+    columns=(TIME_S, HEX_ID, LENGTH, HEX_DATA),
     separator=BLANKS,
     comment_starts=b"Tt;#",
     has_decimal_comma=True,
@@ -171,15 +157,7 @@ class CanHacker(TableLog):
 
 CANKING_HEADER = re.compile(rb"\s*chn\s+identifier\s+flg\s+dlc\b", re.IGNORECASE)
 CANKING = Layout(
-    columns=(
-        Column(role=Role.CHANNEL),
-        Column(role=Role.ID, parameter=HEXADECIMAL),
-        Column(role=Role.MARKS),
-        Column(role=Role.LENGTH),
-        Column(role=Role.COUNTED, parameter=HEXADECIMAL),
-        Column(role=Role.TIME, parameter=SECONDS),
-        Column(role=Role.DIRECTION),
-    ),
+    columns=(CHANNEL, HEX_ID, Column(Role.MARKS), LENGTH, Column(Role.COUNTED, HEXADECIMAL), TIME_S, DIRECTION),
     separator=BLANKS,
     comment_starts=b"CcLl#;",  # its header, and "Logging stopped."
     has_decimal_comma=True,
@@ -192,13 +170,7 @@ MICROCHIP_START = re.compile(
     rb"Logging Started:\s*(?P<date>\d{1,2}/\d{1,2}/\d{4}\s+\d{1,2}:\d{1,2}:\d{1,2}(?:\s+[AP]M)?)", re.IGNORECASE
 )
 MICROCHIP = Layout(
-    columns=(
-        Column(role=Role.TIME, parameter=MILLISECONDS),
-        Column(role=Role.DIRECTION),
-        Column(role=Role.ID, parameter=HEXADECIMAL),
-        Column(role=Role.LENGTH),
-        Column(role=Role.DATA, parameter=HEXADECIMAL),
-    ),
+    columns=(Column(Role.TIME, MILLISECONDS), DIRECTION, HEX_ID, LENGTH, HEX_DATA),
     separator=ord(";"),
     comment_starts=b"/",
 )
@@ -225,10 +197,10 @@ class Microchip(TableLog):
 
 CRTD = Layout(
     columns=(
-        Column(role=Role.TIME, parameter=SECONDS),
-        Column(role=Role.WORD, parameter=ord("c")),  # comments, events, states: CXX, CEV, CST and more
-        Column(role=Role.ID, parameter=HEXADECIMAL),
-        Column(role=Role.DATA, parameter=HEXADECIMAL),
+        TIME_S,
+        Column(Role.WORD, ord("c")),  # comments, events, states: CXX, CEV, CST and more
+        HEX_ID,
+        HEX_DATA,
     ),
     separator=BLANKS,
     comment_starts=b"",

@@ -66,7 +66,7 @@ PACKED_BYTES = 8  # of a word: its first characters tell it apart
 MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Column:
     role: Role = Role.IGNORED
     parameter: int = 0
