@@ -68,20 +68,14 @@ def word_view(data: UInt8Array) -> UInt64Array:
 def pick_words(payloads: UInt64Array, rows: Int64Array, starts: Int64Array, words: UInt64Array) -> None:
     """Fill in words of some payloads, shape (words, rows): by their first bytes and whether they are big-endian."""
     for number in range(starts.shape[0]):
-        pick_word(payloads, rows, starts[number, 0], starts[number, 1] != 0, words[number])
+        pick_word(payloads, rows, starts[number], words[number])
 
 
 @array_kernel
-def pick_word(
-    payloads: UInt64Array,
-    rows: Int64Array,
-    first_byte: int,
-    is_big: bool,  # noqa: FBT001 - a compiled function
-    word: UInt64Array,
-) -> None:
-    """Fill in the eight bytes from ``first_byte`` on of some payloads."""
-    column = first_byte // WORD_BYTES
-    passed = np.uint64(8 * (first_byte % WORD_BYTES))  # bits of that column in front of the word
+def pick_word(payloads: UInt64Array, rows: Int64Array, start: Int64Array, word: UInt64Array) -> None:
+    """Fill in the eight bytes of some payloads from a first one on, in one of the two orders."""
+    column, is_big = start[0] // WORD_BYTES, start[1] != 0
+    passed = np.uint64(8 * (start[0] % WORD_BYTES))  # bits of that column in front of the word
     width = payloads.shape[1]
     for at in range(rows.size):
         bits = payloads[rows[at], column] if column < width else np.uint64(0)

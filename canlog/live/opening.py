@@ -58,18 +58,13 @@ def open_bus(
     named = {"interface": interface, "channel": channel}
     found = can.util.load_config(config={**{key: name for key, name in named.items() if name}, **wanted})
     if found["interface"] == UDP_MULTICAST:
-        return _multicast(found)
+        options = {key: value for key, value in found.items() if key not in _HANDLED}
+        if type(options.get("hop_limit", 0)) is not int:  # nor a bool, which is an int
+            raise TypeError(f"hop_limit must be a whole number, got {options['hop_limit']!r}")
+        return MulticastBus(str(found.get("channel") or DEFAULT_GROUP), **options)
     if found.get("receive_own_messages"):
         wanted["receive_own_messages"] = False
     return can.Bus(channel, interface, **wanted)
-
-
-def _multicast(found: Mapping[str, Any]) -> "MulticastBus":
-    group = str(found.get("channel") or DEFAULT_GROUP)
-    options = {key: value for key, value in found.items() if key not in _HANDLED}
-    if type(options.get("hop_limit", 0)) is not int:  # nor a bool, which is an int
-        raise TypeError(f"hop_limit must be a whole number, got {options['hop_limit']!r}")
-    return MulticastBus(group, **options)
 
 
 class MulticastBus(can.BusABC):

@@ -1,7 +1,6 @@
 """Columns that compiled readers fill row by row, and the names of their channels."""
 
 import re
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -27,26 +26,21 @@ class NameWords(NamedTuple):
     bytes: Int64Array  # how many these are
 
 
-def _no_names() -> NameWords:
-    count = MOST_CHANNELS
-    return NameWords(
-        numbers=np.zeros(count, np.uint8),
-        hashes=np.zeros(count, np.int64),
-        words=np.full(count, NO_NAME, np.uint64),
-        masks=np.full(count, NO_NAME, np.uint64),
-        bytes=np.zeros(count, np.int64),
-    )
-
-
-@dataclass(slots=True)
 class ChannelNames:
     """Names of channels and their numbers: the digits at the end of the name, or what is free if those are taken.
 
     Past 256 names all further ones share the last number: so many are damage.
     """
 
-    words: NameWords = field(default_factory=_no_names)
-    _count: int = 0
+    def __init__(self) -> None:
+        self.words = NameWords(
+            numbers=np.zeros(MOST_CHANNELS, np.uint8),
+            hashes=np.zeros(MOST_CHANNELS, np.int64),
+            words=np.full(MOST_CHANNELS, NO_NAME, np.uint64),
+            masks=np.full(MOST_CHANNELS, NO_NAME, np.uint64),
+            bytes=np.zeros(MOST_CHANNELS, np.int64),
+        )
+        self._count = 0
 
     def __len__(self) -> int:
         return self._count

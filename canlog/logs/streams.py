@@ -265,8 +265,6 @@ class PipeStream(io.RawIOBase):
         Of the open pipe; it stays open.
     is_stopped
         Whether to wait no longer for what has not come.
-    hand_over_s
-        How long what came first waits for more.
     file
         To which the descriptor belongs, open as long as this is.
     """
@@ -279,14 +277,12 @@ class PipeStream(io.RawIOBase):
         descriptor: int,
         is_stopped: Callable[[], bool] = never,
         *,
-        hand_over_s: float = HAND_OVER_S,
         file: BinaryIO | None = None,
     ) -> None:
         super().__init__()
         self._file = file
         self._descriptor = descriptor
         self._is_stopped = is_stopped
-        self._hand_over_s = hand_over_s
         self._returned = b""
         self._has_ended = False
         self.was_left = False  # before its end
@@ -315,7 +311,7 @@ class PipeStream(io.RawIOBase):
             if not piece:
                 self._has_ended = True
             elif not count:
-                deadline_s = time.monotonic() + self._hand_over_s
+                deadline_s = time.monotonic() + HAND_OVER_S
             view[count : count + len(piece)] = piece
             count += len(piece)
         return count

@@ -127,7 +127,6 @@ class ValueTexts:
 LOG, TIME, CHANNEL, ID, IS_EXTENDED = "log", "time", "channel", "id", "is_extended"
 MESSAGE, SIGNAL, VALUE, TEXT, UNIT = "message", "signal", "value", "text", "unit"
 FRAME_KINDS: Final = {TIME: TIME_TYPE, CHANNEL: "int64", ID: "int32", IS_EXTENDED: BOOL_TYPE, MESSAGE: NAME_TYPE}
-_BARE_ID: Final = np.uint32(0x1FFF_FFFF)
 ShapeName = Literal["wide", "long"]
 TableShapeName = Literal["wide", "long", "messages"]
 ValuesName = Literal["numbers", "texts", "both"]
@@ -187,7 +186,7 @@ class TableLayout:
             **log,
             TIME: arrow.array(group.frames.t_ns[rows], type=arrow.timestamp("ns", "UTC")),
             CHANNEL: group.channel[rows],
-            ID: (can_id & _BARE_ID).astype(np.int32),
+            ID: (can_id & np.uint32(BARE_ID)).astype(np.int32),
             IS_EXTENDED: (can_id & np.uint32(EXTENDED_FLAG)) != 0,
         }
 
@@ -211,8 +210,7 @@ class WideLayout(TableLayout):
 
     @property
     def metadata(self) -> dict[str, dict[str, str]]:
-        units = ((place, self._tables[place[0]].definitions[place[1]].unit) for place in self._places)
-        return {self.names.columns[place]: {UNIT: unit} for place, unit in units if unit}
+        return {self.names.columns[place]: {UNIT: unit} for place in self._places if (unit := self.unit(place))}
 
     def columns(self, group: FrameGroup, found: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
         """Return the number of rows and the columns of one row group, in their order."""

@@ -8,7 +8,6 @@ import numpy as np
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal as DatabaseSignal
 
-from canlog.arrays import BoolArray, FloatArray
 from canlog.database.addressing import MessageAddress, message_address, parameter_group
 from canlog.database.not_available import no_value_codes
 from canlog.decode.signals import Decoded, InvalidCounts, PayloadWords, SignalTable, compile_signal
@@ -46,10 +45,11 @@ class SourceTable:
         )
         good = good & is_valid & ~is_code
         own_count, value = int(np.count_nonzero(good)), found.value
-        if self.less is not None:
-            value, good = _combined(self.less.decode(words), good, value, np.subtract)
-        if self.times is not None:
-            value, good = _combined(self.times.decode(words), good, value, np.multiply)
+        for table, operation in ((self.less, np.subtract), (self.times, np.multiply)):
+            if table is not None:
+                other = table.decode(words)
+                value = operation(value, other.value)
+                good = good if other.is_good is None else good & other.is_good
         invalid = invalid.plus(InvalidCounts(incomplete=own_count - int(np.count_nonzero(good))))
         return Decoded(value, None if good.all() else good, invalid, found.is_present)
 
@@ -191,9 +191,3 @@ def signal_name(message: Message, source: SignalSource) -> str:
         if signal.name == source.signal_name if source.spn is None else signal.spn == source.spn:
             return signal.name
     raise ConfigError(f"{message.name} has no signal {source.signal_name or f'with SPN {source.spn}'}")
-
-
-def _combined(other: Decoded, good: BoolArray, value: FloatArray, operation: np.ufunc) -> tuple[FloatArray, BoolArray]:
-    """Return a value combined with another signal of the same frames, and where both are measurements."""
-    combined: FloatArray = operation(value, other.value)
-    return combined, good if other.is_good is None else good & other.is_good
