@@ -28,7 +28,8 @@ from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
 from fleet_backend.office.watching import Orders, Watch, run_watch
-from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.keeper import Keeper
+from fleet_backend.page.running import DatabaseSource
 from fleet_backend.schema import SHIFT_RESULT, UtcDateTime
 from fleet_backend.writer import Batch, Writer
 from tests.support.browsing import chromium

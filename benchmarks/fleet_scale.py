@@ -31,7 +31,8 @@ from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
 from fleet_backend.months import keep_months, partitions
-from fleet_backend.page import past, running
+from fleet_backend.page import past
+from fleet_backend.page.running import DatabaseSource
 from fleet_backend.page.vehicle_state import state_of
 from fleet_contract import Channel, filter_of
 from tests.support.nats import NatsServer
@@ -87,7 +88,7 @@ def fleets(server: PostgresServer, vehicle_count: int, span: timedelta) -> tuple
 @cache
 def newest(engine: Engine, vehicle: str) -> tuple[str, int]:
     """Return stream and position of the newest result of a vehicle."""
-    one = max(running.clutches_of(engine, [vehicle]), key=lambda clutch: clutch.end_at)
+    one = max(DatabaseSource(engine).clutches_of([vehicle]), key=lambda clutch: clutch.end_at)
     return one.stream, one.seq
 
 
@@ -96,9 +97,9 @@ def questions(vehicle_count: int) -> dict[str, Callable[[Engine], object]]:
     began = datetime.now(UTC)
     some = [f"h{number}" for number in range(1, vehicle_count + 1)][:20]
     return {
-        "whole fleet": running.all_clutches,
-        "who has news": lambda engine: running.vehicles_with_news(engine, began),
-        "vehicles with news": lambda engine: running.clutches_of(engine, some),
+        "whole fleet": lambda engine: DatabaseSource(engine).all_clutches(),
+        "who has news": lambda engine: DatabaseSource(engine).vehicles_with_news(began),
+        "vehicles with news": lambda engine: DatabaseSource(engine).clutches_of(some),
         "newest results of a clutch": lambda engine: past.results_of(engine, "h7", 1),
         "state of a vehicle": lambda engine: state_of(engine, "h7"),
         "one event": lambda engine: past.shift_of(engine, "h7", *newest(engine, "h7")),

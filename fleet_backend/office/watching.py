@@ -27,12 +27,12 @@ from fleet_backend.months import month_of, partitions
 from fleet_backend.office_tables import ALARM_MESSAGE, INTAKE
 from fleet_backend.orders import is_alarming_since
 from fleet_backend.page import past
-from fleet_backend.page.keeper import DatabaseSource, Keeper, fleet_families
+from fleet_backend.page.keeper import Keeper, fleet_families
 from fleet_backend.page.maintenance_view import due_of, keep_due
 from fleet_backend.page.outlook import chance_of, outlook_of, outlook_text, shifting_of
 from fleet_backend.page.populations import Kept, latest
 from fleet_backend.page.records import ClutchNow, Severity
-from fleet_backend.page.running import last_arrivals
+from fleet_backend.page.running import DatabaseSource, last_arrivals
 from fleet_backend.page.vehicle_state import fills_of
 from fleet_backend.programs import shown_at, stopping
 from fleet_backend.schema import QUARANTINE

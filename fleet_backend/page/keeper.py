@@ -8,19 +8,17 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from types import MappingProxyType
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from prometheus_client.core import Metric
-from sqlalchemy import Engine
 
 from clutchdiag_io.metrics import gauge
 from fleet_backend.errors import DatabaseError
 from fleet_backend.orders import PresentFluid
-from fleet_backend.page import running
 from fleet_backend.page.listing import choices_of, vehicle_type, worst_first
 from fleet_backend.page.records import ClutchNow, Severity, Usual
-from fleet_backend.page.running import FillsSeen
+from fleet_backend.page.running import DatabaseSource, FillsSeen
 
 PERIOD_S: Final = 2.0
 REST_RATIO: Final = 19.0  # of the time that reading takes: a twentieth of a processor at most, while much arrives
@@ -32,58 +30,9 @@ LEAST_CLUTCHES: Final = 20  # fewer say little of what is usual
 _SHARES: Final = (0.1, 0.5, 0.9)
 ClutchGroup = tuple[str, int, str | None]  # type, clutch, fluid
 ByVehicle = Mapping[str, tuple[ClutchNow, ...]]
+Fluids = Mapping[str, PresentFluid]
 _NEVER: Final = datetime.min.replace(tzinfo=UTC)
 _LOG: Final = logging.getLogger(__name__)
-
-
-class Source(Protocol):
-    """Where the fleet is read."""
-
-    def now(self) -> datetime:
-        """Return what time it is where results are stored."""
-
-    def fills_seen(self) -> FillsSeen:
-        """Return what tells whether fills were noted."""
-
-    def fluids(self) -> Mapping[str, PresentFluid]:
-        """Return the fluid of each vehicle of which a fill is known."""
-
-    def all_clutches(self) -> Sequence[ClutchNow]:
-        """Return every clutch."""
-
-    def clutches_of(self, vehicles: Sequence[str]) -> Sequence[ClutchNow]:
-        """Return the clutches of some vehicles."""
-
-    def vehicles_with_news(self, since: datetime) -> Sequence[str]:
-        """Return the vehicles of which results were stored since then."""
-
-
-class DatabaseSource:
-    """Reads a database."""
-
-    def __init__(self, engine: Engine) -> None:
-        self._engine = engine
-
-    def now(self) -> datetime:
-        """Return what time it is in the database."""
-        return running.database_time(self._engine)
-
-    def fills_seen(self) -> FillsSeen:
-        """Return what tells whether fills were noted."""
-        return running.fills_seen(self._engine)
-
-    def fluids(self) -> Mapping[str, PresentFluid]:
-        return running.fluids_of(self._engine)
-
-    def all_clutches(self) -> Sequence[ClutchNow]:
-        return running.all_clutches(self._engine)
-
-    def clutches_of(self, vehicles: Sequence[str]) -> Sequence[ClutchNow]:
-        return running.clutches_of(self._engine, vehicles)
-
-    def vehicles_with_news(self, since: datetime) -> Sequence[str]:
-        """Return the vehicles of which results were stored since then."""
-        return running.vehicles_with_news(self._engine, since)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,11 +53,11 @@ class Snapshot:
 class Keeper:
     """Keeps the last snapshot; read from any thread, refreshed by one task."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: DatabaseSource) -> None:
         self._source = source
         self._snapshot = Snapshot()
         self._fills: FillsSeen | None = None
-        self._fluids: Mapping[str, PresentFluid] = {}
+        self._fluids: Fluids = {}
         self._whole_at = self._snapshot.read_at
         self._listeners: set[Callable[[Snapshot], None]] = set()
         self.complaint: str | None = None  # why the snapshot is older than it should be

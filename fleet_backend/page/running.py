@@ -88,37 +88,60 @@ _ALL_CLUTCHES: Final = _statements("")
 _SOME_CLUTCHES: Final = _statements("WHERE k.vehicle IN :vehicles")
 
 
-def all_clutches(engine: Engine) -> list[ClutchNow]:
-    """Return the running condition of every clutch of the fleet."""
-    gc.disable()  # nothing of it is garbage: looking for some again and again takes a fifth of the time
-    try:
-        with transaction(engine) as connection:
-            rows = connection.execute(_ALL_CLUTCHES[has_partitions(engine)]).mappings()
-            return _told(connection, with_orders(rows, present_fluids(connection), clutch_names(connection)))
-    finally:
-        gc.enable()
+class DatabaseSource:
+    """Reads the fleet from a database."""
 
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
 
-def clutches_of(engine: Engine, vehicles: Sequence[str]) -> list[ClutchNow]:
-    statement, found = _SOME_CLUTCHES[has_partitions(engine)], list[ClutchNow]()
-    with transaction(engine) as connection:
-        for first in range(0, len(vehicles), _MOST_NAMES):
-            names = list(vehicles[first : first + _MOST_NAMES])
-            rows = connection.execute(statement, {"vehicles": names}).mappings()
-            found += _told(connection, with_orders(rows, present_fluids(connection, names), clutch_names(connection)))
-    return found
+    def all_clutches(self) -> Sequence[ClutchNow]:
+        """Return the running condition of every clutch of the fleet."""
+        gc.disable()  # nothing of it is garbage: looking for some again and again takes a fifth of the time
+        try:
+            with transaction(self._engine) as connection:
+                rows = connection.execute(_ALL_CLUTCHES[has_partitions(self._engine)]).mappings()
+                return _told(connection, with_orders(rows, present_fluids(connection), clutch_names(connection)))
+        finally:
+            gc.enable()
 
+    def clutches_of(self, vehicles: Sequence[str]) -> Sequence[ClutchNow]:
+        statement, found = _SOME_CLUTCHES[has_partitions(self._engine)], list[ClutchNow]()
+        with transaction(self._engine) as connection:
+            for first in range(0, len(vehicles), _MOST_NAMES):
+                names = list(vehicles[first : first + _MOST_NAMES])
+                rows = connection.execute(statement, {"vehicles": names}).mappings()
+                found += _told(
+                    connection, with_orders(rows, present_fluids(connection, names), clutch_names(connection))
+                )
+        return found
 
-def vehicles_with_news(engine: Engine, since: datetime) -> list[str]:
-    """Return the vehicles of which results were stored at or after a moment."""
-    streams, results = CLUTCH_STREAM.c, SHIFT_RESULT.c
-    statement = (
-        select(streams.vehicle).where(streams.last_stored_at >= since)  # a row for thousands of results
-        if has_partitions(engine)
-        else select(results.vehicle).where(results.stored_at >= since)
-    ).distinct()
-    with transaction(engine) as connection:
-        return [str(name) for name in connection.execute(statement).scalars()]
+    def vehicles_with_news(self, since: datetime) -> Sequence[str]:
+        """Return the vehicles of which results were stored at or after a moment."""
+        streams, results = CLUTCH_STREAM.c, SHIFT_RESULT.c
+        statement = (
+            select(streams.vehicle).where(streams.last_stored_at >= since)  # a row for thousands of results
+            if has_partitions(self._engine)
+            else select(results.vehicle).where(results.stored_at >= since)
+        ).distinct()
+        with transaction(self._engine) as connection:
+            return [str(name) for name in connection.execute(statement).scalars()]
+
+    def now(self) -> datetime:
+        """Return what time it is where results are stored."""
+        with transaction(self._engine) as connection:
+            return connection.execute(select(func.current_timestamp(type_=UtcDateTime()))).scalar_one()
+
+    def fluids(self) -> Mapping[str, PresentFluid]:
+        """Return the fluid of each vehicle of which a fill is known."""
+        with transaction(self._engine) as connection:
+            return present_fluids(connection)
+
+    def fills_seen(self) -> FillsSeen:
+        """Return how many fluid fills are noted and taken back, and the latest."""
+        with transaction(self._engine) as connection:
+            count, latest = connection.execute(select(func.count(), func.max(FLUID_FILL.c.filled_at))).one()
+            withdrawn_count = connection.execute(select(func.count()).select_from(WITHDRAWN_FILL)).scalar_one()
+        return FillsSeen(count=count, latest=latest, withdrawn_count=withdrawn_count)
 
 
 def last_arrivals(engine: Engine) -> dict[str, datetime]:
@@ -131,26 +154,6 @@ def last_arrivals(engine: Engine) -> dict[str, datetime]:
     with transaction(engine) as connection:
         rows = connection.execute(select(table.c.vehicle, func.max(stored_at)).group_by(table.c.vehicle))
         return {str(vehicle): at for vehicle, at in rows if at is not None}
-
-
-def database_time(engine: Engine) -> datetime:
-    """Return what time it is where results are stored."""
-    with transaction(engine) as connection:
-        return connection.execute(select(func.current_timestamp(type_=UtcDateTime()))).scalar_one()
-
-
-def fluids_of(engine: Engine) -> Mapping[str, PresentFluid]:
-    """Return the fluid of each vehicle of which a fill is known."""
-    with transaction(engine) as connection:
-        return present_fluids(connection)
-
-
-def fills_seen(engine: Engine) -> FillsSeen:
-    """Return how many fluid fills are noted and taken back, and the latest."""
-    with transaction(engine) as connection:
-        count, latest = connection.execute(select(func.count(), func.max(FLUID_FILL.c.filled_at))).one()
-        withdrawn_count = connection.execute(select(func.count()).select_from(WITHDRAWN_FILL)).scalar_one()
-    return FillsSeen(count=count, latest=latest, withdrawn_count=withdrawn_count)
 
 
 def _told(connection: Connection, rows: Iterable[Mapping[str, Any]]) -> list[ClutchNow]:

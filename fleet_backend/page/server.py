@@ -20,8 +20,9 @@ from fleet_backend.config import Place
 from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError
 from fleet_backend.page.access import Access
-from fleet_backend.page.keeper import DatabaseSource, Keeper, fleet_families
+from fleet_backend.page.keeper import Keeper, fleet_families
 from fleet_backend.page.news import News
+from fleet_backend.page.running import DatabaseSource
 from fleet_backend.page.site import site
 from fleet_backend.page.view import Sources
 from fleet_backend.programs import shown_at, stopping

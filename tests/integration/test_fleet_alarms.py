@@ -35,7 +35,8 @@ from fleet_backend.office.watching import Orders, Watch, watch_for_ever
 from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, AUDIT
 from fleet_backend.page import alarms_view
 from fleet_backend.page.asking import read_words
-from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.keeper import Keeper
+from fleet_backend.page.running import DatabaseSource
 from fleet_backend.writer import Batch, Writer
 from fleet_link import Connection, Message, Terms, parse_broker
 from tests.plugins.broker import Mosquitto

@@ -13,7 +13,7 @@ from demo.fleet.servers import PostgresServer
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import check_schema
-from fleet_backend.page.running import all_clutches
+from fleet_backend.page.running import DatabaseSource
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import START, fleet_result, row_of
 from tests.support.patience import HANG_S
@@ -47,14 +47,14 @@ def check(before: Engine, restored: Engine) -> None:
     """Make sure of a database that was backed up after forty of sixty results."""
     check_schema(restored)
     assert queries.result_count(restored) == 40
-    assert [one.fluid for one in all_clutches(restored)] == ["DCTF", "DCTF"]
+    assert [one.fluid for one in DatabaseSource(restored).all_clutches()] == ["DCTF", "DCTF"]
     store(restored, 51, 60)  # nobody had acknowledged these: they come by themselves
     assert missing_count(restored) == 10
     store(restored, 41, 55)  # acknowledged behind the backup; their vehicle has them still
     assert missing_count(restored) == 0
     assert queries.table_hash(restored) == queries.table_hash(before)
-    assert [(one.clutch, one.seq) for one in all_clutches(restored)] == [
-        (one.clutch, one.seq) for one in all_clutches(before)
+    assert [(one.clutch, one.seq) for one in DatabaseSource(restored).all_clutches()] == [
+        (one.clutch, one.seq) for one in DatabaseSource(before).all_clutches()
     ]
 
 

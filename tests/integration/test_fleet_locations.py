@@ -13,7 +13,8 @@ from fleet_backend.database import open_database, transaction
 from fleet_backend.months import FILL, keep_months
 from fleet_backend.office.retention import retain
 from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT
-from fleet_backend.page import past, running
+from fleet_backend.page import past
+from fleet_backend.page.running import DatabaseSource
 from fleet_backend.page.vehicle_state import Stored, state_of
 from fleet_backend.rows import Row
 from fleet_backend.schema import BLOCK, KEY_COLUMNS, SHIFT_RESULT
@@ -138,11 +139,13 @@ def test_what_is_found_by_months_is_what_one_table_says(by_month: Engine, sqlite
         lambda engine: queries.clutch_alarms(engine, is_open_only=False),
         queries.worst_first,
         queries.last_seen,
-        lambda engine: [(one.vehicle, one.clutch, one.stream, one.seq) for one in running.all_clutches(engine)],
+        lambda engine: [
+            (one.vehicle, one.clutch, one.stream, one.seq) for one in DatabaseSource(engine).all_clutches()
+        ],
         lambda engine: [(one.clutch, one.result_count, one.produced_at) for one in stored_of(engine, "car1")],
         lambda engine: {(row["seq"], row["algorithm_version"]) for row in past.results_of(engine, "car1", 1)},
         lambda engine: [found_version(engine, seq) for seq in range(BLOCK - 2, BLOCK + 3)],
-        lambda engine: set(running.vehicles_with_news(engine, NOW)),
+        lambda engine: set(DatabaseSource(engine).vehicles_with_news(NOW)),
     )
     for ask in asked:
         assert ask(by_month) == ask(one_table)

@@ -47,13 +47,13 @@ from fleet_backend.page import (
 )
 from fleet_backend.page.access import Access
 from fleet_backend.page.asking import Ask, read_words
-from fleet_backend.page.keeper import LEAST_CLUTCHES, DatabaseSource, Keeper
+from fleet_backend.page.keeper import LEAST_CLUTCHES, Keeper
 from fleet_backend.page.news import News
 from fleet_backend.page.outlook import NO_PROGNOSIS
 from fleet_backend.page.past import results_of, shift_of
 from fleet_backend.page.peers import fleet_ageing
 from fleet_backend.page.records import Due
-from fleet_backend.page.running import all_clutches, clutches_of
+from fleet_backend.page.running import DatabaseSource
 from fleet_backend.page.site import site
 from fleet_backend.page.view import Sources, View
 from fleet_backend.rows import Poison, moment, quarantine_row
@@ -170,7 +170,7 @@ def test_how_well_a_vehicle_shifts_is_on_its_page_and_a_fall_and_a_sure_correcti
     assert captions.count("Clutch 2: trend of score") == 1
     old = vehicle_view.find(sources, ask(vehicle_view.VIEW, "old"))  # of an older program
     assert (old.changes, old.corrections, old.loads) == ((), (), ())
-    assert {one.vehicle: one.score for one in all_clutches(engine)} == {"rough": 60.0, "old": None}
+    assert {one.vehicle: one.score for one in DatabaseSource(engine).all_clutches()} == {"rough": 60.0, "old": None}
     one = shift_of(engine, "rough", "stream-1", 50)
     assert one is not None
     assert one.shift_quality is not None
@@ -332,8 +332,8 @@ def test_a_clock_that_was_ahead_hides_no_newer_results(engine: Engine) -> None:
     newer = [fleet_result(seq, stream="b", produced_at=now) for seq in range(1, 40)]
     Writer(engine).store(Batch(shifts=[row_of(one) for one in newer]))
     assert [(one["stream"], one["seq"], one["condition"]) for one in queries.worst_first(engine)] == [("b", 39, "good")]
-    assert [(one.stream, one.condition) for one in all_clutches(engine)] == [("b", "good")]
-    assert [(one.stream, one.condition) for one in clutches_of(engine, ["car1"])] == [("b", "good")]
+    assert [(one.stream, one.condition) for one in DatabaseSource(engine).all_clutches()] == [("b", "good")]
+    assert [(one.stream, one.condition) for one in DatabaseSource(engine).clutches_of(["car1"])] == [("b", "good")]
     assert results_of(engine, "car1", 2)[-1]["stream"] == "b"
     assert [row["stream"] for row in queries.trend(engine, "car1", 2, Axis.SHIFT)][-1] == "b"
     (seen,) = queries.last_seen(engine)
@@ -350,8 +350,8 @@ def test_an_old_log_that_is_analysed_now_hides_no_newer_results(engine: Engine, 
     for rows in batches if is_first else batches[::-1]:
         Writer(engine).store(Batch(shifts=rows))
     assert [(one["stream"], one["seq"], one["condition"]) for one in queries.worst_first(engine)] == [("b", 39, "good")]
-    assert [(one.stream, one.condition) for one in all_clutches(engine)] == [("b", "good")]
-    assert [(one.stream, one.condition) for one in clutches_of(engine, ["car1"])] == [("b", "good")]
+    assert [(one.stream, one.condition) for one in DatabaseSource(engine).all_clutches()] == [("b", "good")]
+    assert [(one.stream, one.condition) for one in DatabaseSource(engine).clutches_of(["car1"])] == [("b", "good")]
     assert [row["stream"] for row in results_of(engine, "car1", 2)] == ["a", *["b"] * 39]
     assert [row["stream"] for row in queries.trend(engine, "car1", 2, Axis.SHIFT)] == ["a", *["b"] * 39]
     (seen,) = queries.last_seen(engine)

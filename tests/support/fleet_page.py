@@ -15,9 +15,10 @@ from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.office.watching import Orders, Watch
 from fleet_backend.page.access import Access, Proxy, Role
-from fleet_backend.page.keeper import DatabaseSource, Keeper
+from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.news import News
 from fleet_backend.page.records import ClutchNow
+from fleet_backend.page.running import DatabaseSource
 from fleet_backend.page.server import address_of, closing_socket, serve
 from fleet_backend.page.view import Sources
 from fleet_backend.rows import Poison, quarantine_row

@@ -9,12 +9,12 @@ from fleet_backend.errors import DatabaseAwayError
 from fleet_backend.orders import PresentFluid
 from fleet_backend.page.keeper import REST_RATIO, WHOLE_AFTER, Keeper
 from fleet_backend.page.records import ClutchNow
-from fleet_backend.page.running import FillsSeen
+from fleet_backend.page.running import DatabaseSource, FillsSeen
 from tests.support.fleet import NOW
 from tests.support.fleet_page import clutch_now
 
 
-class Fleet:
+class Fleet(DatabaseSource):
     """A fleet in memory; ``asked`` tells how it was read."""
 
     def __init__(self, *clutches: ClutchNow) -> None:
