@@ -8,6 +8,7 @@ import uuid
 from collections.abc import Iterator
 from contextlib import AbstractAsyncContextManager
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -21,8 +22,8 @@ from fleet_backend.broker import BrokerInbox, connected
 from fleet_backend.choices import Pace, Part, Quotas
 from fleet_backend.config import Place
 from fleet_backend.database import place_of
-from fleet_backend.errors import ConfigError, DatabaseAwayError
-from fleet_backend.ingest import Pauses, Worker, filters_of
+from fleet_backend.errors import ConfigError
+from fleet_backend.ingest import Worker, filters_of, until_it_answers
 from fleet_backend.intake import MessageKind
 from fleet_backend.migrate import make_ready
 from fleet_backend.programs import shown_at, stopping
@@ -99,7 +100,7 @@ def run_ingest(
         return connected(address, filters_of(part.group(group)), max_unsettled=pace.max_unsettled, part=part)
 
     gate = Gate(engine, quotas)
-    worker = Worker(connect, Writer(engine), name=own_name, now=_utc_now, pace=pace, judge=gate.judge)
+    worker = Worker(connect, Writer(engine), name=own_name, now=partial(datetime.now, UTC), pace=pace, judge=gate.judge)
     if address.exposure:
         _LOG.warning("%s", address.exposure)
     with shown_at(metrics, lambda: worker_families(worker)):
@@ -119,7 +120,7 @@ async def _ingest(engine: Engine, worker: Worker, gate: Gate, title: str, alive:
 
 
 async def _work(engine: Engine, worker: Worker, gate: Gate, title: str, alive: Path | None) -> None:
-    await _prepare(engine)
+    await until_it_answers(make_ready, engine)
     _LOG.info("worker %s", title)
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(worker.run(), name="worker")
@@ -127,18 +128,6 @@ async def _work(engine: Engine, worker: Worker, gate: Gate, title: str, alive: P
         tasks.create_task(gate.share(), name="quotas")
         if alive is not None:
             tasks.create_task(give_signs(alive, worker, engine), name="sign of life")
-
-
-async def _prepare(engine: Engine) -> None:
-    """Return when the database answers and has the schema that the writer needs."""
-    pauses = Pauses()
-    while True:
-        try:
-            await asyncio.to_thread(make_ready, engine)
-        except DatabaseAwayError as exc:
-            await pauses.wait(exc)
-        else:
-            return
 
 
 async def _report(worker: Worker) -> None:
@@ -154,10 +143,6 @@ def _counts_line(worker: Worker) -> str:
     return f"{results} results committed, repetitions included; {poison} messages kept aside{told}"
 
 
-def _utc_now() -> datetime:
-    return datetime.now(UTC)
-
-
 def worker_families(worker: Worker) -> Iterator[Metric]:
     """Yield what a worker has done and what it holds."""
     counts = {kind.name.lower(): worker.counts[kind] for kind in MessageKind}
@@ -165,7 +150,7 @@ def worker_families(worker: Worker) -> Iterator[Metric]:
     yield gauge("ingest_listening", "Whether the worker has a connection to its broker.", float(worker.is_listening))
     backlog_count = 0 if worker.inbox is None or not worker.is_listening else worker.inbox.unsettled_count
     yield gauge("ingest_backlog_messages", "Messages that were delivered and are not settled.", backlog_count)
-    lag_s = 0.0 if worker.begun_at is None else (_utc_now() - worker.begun_at).total_seconds()
+    lag_s = 0.0 if worker.begun_at is None else (datetime.now(UTC) - worker.begun_at).total_seconds()
     yield gauge("ingest_lag_seconds", "How long the batch at hand has waited for its commit.", lag_s)
     if worker.committed_at is not None:
         at_s = worker.committed_at.timestamp()

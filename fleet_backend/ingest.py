@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager
 from datetime import datetime
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeVar
 
 from fleet_backend.broker import GROUP
 from fleet_backend.choices import Pace
@@ -45,6 +45,8 @@ FIRST_PAUSE_S: Final = 0.2
 LONGEST_PAUSE_S: Final = 10.0
 
 _LOG: Final = logging.getLogger(__name__)
+AskedT = TypeVar("AskedT")
+AnswerT = TypeVar("AnswerT")
 
 
 class Inbox(Protocol):
@@ -168,41 +170,22 @@ class Worker:
         """Tell vehicles that are there now which fluid fills the fleet knows; whoever has none hears nothing."""
         if not vehicles:
             return
-        pauses = Pauses()
-        while True:
-            try:
-                found = await asyncio.to_thread(self._store.fills, vehicles)
-            except DatabaseAwayError as exc:
-                await pauses.wait(exc)
-            else:
-                break
+        found = await until_it_answers(self._store.fills, vehicles)
         inbox.send([fluid_message(vehicle, sent_at, fills, is_to_vehicle=True) for vehicle, fills in found.items()])
 
     async def _commit(self, taken: list[Taken]) -> list[Taken]:
         """Store messages, together if the database takes them all; return what became of each."""
         try:
-            await self._persist(taken)
+            await until_it_answers(self._store.store, batch_of(taken))
         except RowRefusedError as exc:
             if len(taken) > 1:
                 middle = len(taken) // 2
                 return await self._commit(taken[:middle]) + await self._commit(taken[middle:])
             _LOG.warning("a message is kept aside: %s", exc)
             refused = refuse(taken[0].message, "database", str(exc), self._now())
-            await self._persist([refused])
+            await until_it_answers(self._store.store, batch_of([refused]))
             return [refused]
         return taken
-
-    async def _persist(self, taken: Sequence[Taken]) -> None:
-        """Store messages in one transaction, however long the database stays away."""
-        pauses = Pauses()
-        batch = batch_of(taken)
-        while True:
-            try:
-                await asyncio.to_thread(self._store.store, batch)
-            except DatabaseAwayError as exc:
-                await pauses.wait(exc)
-            else:
-                return
 
 
 def _warn_of_strangers(taken: Sequence[Taken]) -> None:
@@ -213,6 +196,16 @@ def _warn_of_strangers(taken: Sequence[Taken]) -> None:
         _LOG.warning(
             "identity: %d messages put aside, the first on %s: %s", len(strangers), row["topic"], row["detail"]
         )
+
+
+async def until_it_answers(ask: Callable[[AskedT], AnswerT], asked: AskedT) -> AnswerT:
+    """Ask a database in a thread, however long it stays away."""
+    pauses = Pauses()
+    while True:
+        try:
+            return await asyncio.to_thread(ask, asked)
+        except DatabaseAwayError as exc:
+            await pauses.wait(exc)
 
 
 class Pauses:

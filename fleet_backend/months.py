@@ -16,25 +16,6 @@ from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError
 from fleet_backend.schema import BLOCK, HAPPENED_AT, UtcDateTime
 
-__all__ = [
-    "AHEAD_MONTHS",
-    "LOCK_S",
-    "MOST_MONTHS",
-    "TABLE",
-    "Partition",
-    "has_partitions",
-    "keep_months",
-    "lock",
-    "make_before",
-    "make_partitions",
-    "month_of",
-    "months",
-    "months_between",
-    "months_on",
-    "name_of",
-    "partitions",
-]
-
 AHEAD_MONTHS: Final = 3  # kept ready, so that a forgotten command costs a quarter before results gather in the last
 MOST_MONTHS: Final = 120
 LOCK_S: Final = 5  # new partitions need all to themselves for a moment; whoever reads long is not waited for longer

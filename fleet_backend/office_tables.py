@@ -21,18 +21,7 @@ from sqlalchemy import (
 
 from fleet_backend.schema import METADATA, SORTED_BY_BYTES, UtcDateTime
 
-__all__ = [
-    "ALARM",
-    "ALARM_ACKNOWLEDGEMENT",
-    "ALARM_MESSAGE",
-    "AUDIT",
-    "CLUTCH_MONTH",
-    "FLUID_DUE",
-    "INTAKE",
-    "METADATA",
-    "POPULATION",
-    "VEHICLE_LOT",
-]
+__all__ = ["METADATA"]  # with the tables of both modules
 
 _OPEN: Final = text("cleared_at IS NULL")
 _WAITING: Final = text("delivered_at IS NULL")

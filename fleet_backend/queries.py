@@ -49,23 +49,10 @@ _CODE: Final = ("code", "failure_type", "text", "status", "states", "snapshots")
 
 # The documented views as tables to select from; migrations create them, docs/fleet.md describes them.
 _FRICTION: Final = ("mu_c", "mu_s", "std_mu_c", "std_mu_s")
-_MOMENTS: Final = frozenset(
-    {
-        "end_at",
-        "produced_at",
-        "connected_at",
-        "metrics_at",
-        "last_result_at",
-        "last_at",
-        "raised_at",
-        "cleared_at",
-        "acknowledged_at",
-    }
-)
 
 
 def _view(name: str, *columns: str) -> TableClause:
-    return table(name, *(column(text, UtcDateTime) if text in _MOMENTS else column(text) for text in columns))
+    return table(name, *(column(text, UtcDateTime if text.endswith("_at") else None) for text in columns))
 
 
 FLEET_WORST_FIRST: Final = _view(
@@ -100,8 +87,6 @@ IDENTITY_ALARM: Final = _view("identity_alarm", "vehicle", "raised_at", "last_at
 LAST_SEEN: Final = _view(
     "last_seen", "vehicle", "is_online", "connected_at", "service_version", "metrics_at", "last_result_at"
 )
-
-CURRENT_SHIFT: Final = _view("current_shift", "vehicle", "stream", "seq")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

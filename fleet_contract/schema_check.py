@@ -129,6 +129,4 @@ def check_envelope(event: JsonObject) -> None:
 
 @cache
 def _check_of(name: str) -> Callable[[object], None]:
-    from fleet_contract.schema_check import compile_schema  # noqa: PLC0415 - who only sends needs no library for it
-
     return compile_schema(schema(name))

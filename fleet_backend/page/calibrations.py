@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, select
 
-from clutch_model.calibration import Calibration, FrictionCurve, nominal_calibration
+from clutch_model.calibration import FrictionCurve, nominal_calibration
 from clutch_model.errors import CalibrationError
 from clutch_model.fingerprint import fingerprint
 from fleet_backend.schema import CALIBRATION
@@ -31,15 +31,17 @@ _KNOWN: Final[dict[tuple[str, str], KnownCalibration]] = {}  # by vehicle and ve
 
 
 @cache
-def _shipped() -> Calibration:
-    return nominal_calibration()
+def _shipped() -> tuple[str, KnownCalibration]:
+    """Return the shipped calibration behind its version."""
+    shipped = nominal_calibration()
+    friction = tuple(clutch.friction for clutch in shipped.clutches)
+    known = KnownCalibration(vehicle_type=shipped.name, new_friction=friction)
+    return f"{shipped.version}+{fingerprint(shipped)}", known
 
 
-@cache
 def shipped_calibration() -> str:
     """Return the version of results that were made with the shipped calibration."""
-    calibration = _shipped()
-    return f"{calibration.version}+{fingerprint(calibration)}"
+    return _shipped()[0]
 
 
 def remember(connection: Connection, versions: Iterable[tuple[str, str]]) -> None:
@@ -66,17 +68,8 @@ def reference_of(vehicle: str, version: str, clutch: int) -> FrictionCurve | Non
 
 
 def _known(vehicle: str, version: str) -> KnownCalibration | None:
-    if version == shipped_calibration():
-        return _shipped_as_known()
-    return _KNOWN.get((vehicle, version))
-
-
-@cache
-def _shipped_as_known() -> KnownCalibration:
-    shipped = _shipped()
-    return KnownCalibration(
-        vehicle_type=shipped.name, new_friction=tuple(clutch.friction for clutch in shipped.clutches)
-    )
+    shipped_version, shipped = _shipped()
+    return shipped if version == shipped_version else _KNOWN.get((vehicle, version))
 
 
 def _calibration(told: Mapping[str, Any]) -> KnownCalibration | None:

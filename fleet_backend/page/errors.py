@@ -8,47 +8,32 @@ from fleet_backend.errors import FleetBackendError
 class PageError(FleetBackendError):
     """Root of what a reader is told instead of an answer."""
 
-    status: ClassVar[int] = 500
-    title: ClassVar[str] = "This did not work"
+    status: ClassVar[int]
+    title: ClassVar[str]
+
+    def __init_subclass__(cls, *, status: int, title: str) -> None:
+        cls.status, cls.title = status, title
 
 
-class AskError(PageError):
+class AskError(PageError, status=400, title="This request is not valid"):
     """The question cannot be understood: correct its address."""
 
-    status = 400
-    title = "This request is not valid"
 
-
-class NotFoundError(PageError):
+class NotFoundError(PageError, status=404, title="There is no such page"):
     """There is no such thing: look at another one."""
 
-    status = 404
-    title = "There is no such page"
 
-
-class BusyError(PageError):
+class BusyError(PageError, status=503, title="Too many readers"):
     """There are too many readers at once: come back later."""
 
-    status = 503
-    title = "Too many readers"
 
-
-class ProviderAwayError(PageError):
+class ProviderAwayError(PageError, status=503, title="Logging in is not possible now"):
     """Logging in is not possible now: come back later."""
 
-    status = 503
-    title = "Logging in is not possible now"
 
-
-class LoginError(PageError):
+class LoginError(PageError, status=401, title="You are not logged in"):
     """Nobody knows who asks: log in."""
 
-    status = 401
-    title = "You are not logged in"
 
-
-class ForbiddenError(PageError):
+class ForbiddenError(PageError, status=403, title="You are not allowed to do this"):
     """Whoever asks may not do this."""
-
-    status = 403
-    title = "You are not allowed to do this"

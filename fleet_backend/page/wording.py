@@ -7,7 +7,6 @@ from urllib.parse import quote, urlencode
 from clutchdiag_io.pages.content import NONE, Advice, Badge, Cell, Link, moment, number
 from fleet_contract.orders import SHOWN_AS, Action
 
-BAND_STD: Final = 2.0
 M_PER_KM: Final = 1000.0
 
 
