@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from sqlalchemy import Engine, RowMapping, and_, or_, select
 
-from clutchdiag_io.pages.content import Cell, Link, Section, Table
+from clutchdiag_io.pages.content import Cell, Link, Section, Table, moment
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Note
 from fleet_backend.alarms.rules import Rule, Subject
@@ -18,9 +18,9 @@ from fleet_backend.page.access import Role
 from fleet_backend.page.asking import AFTER, LIMIT, VEHICLE, Ask, Parameter, ParameterType
 from fleet_backend.page.clutches_view import next_of
 from fleet_backend.page.errors import AskError, NotFoundError
-from fleet_backend.page.listing import cursor, read_moment
+from fleet_backend.page.listing import page_of, read_moment
 from fleet_backend.page.records import Alarm, AlarmsAnswer
-from fleet_backend.page.view import Action, Choice, Field, Form, Shown, Sources, View
+from fleet_backend.page.view import Action, Choice, Field, Form, Shown, Sources, View, list_section
 from fleet_contract.orders import name_of
 
 _KEY: Final = ("vehicle", "clutch", "rule", "number")
@@ -32,13 +32,12 @@ _NAMES: Final = tuple(field.name for field in fields(Alarm) if field.name != "el
 def find(sources: Sources, ask: Ask) -> AlarmsAnswer:
     """Return a part of the alarms."""
     limit = ask.count("limit")
-    found = _read(sources.engine, ask, limit + 1)
-    some = found[:limit]
-    if len(found) <= limit:
-        return AlarmsAnswer(alarms=some, next=None)
-    last = some[-1]
-    place = (last.raised_at.isoformat(), last.vehicle, last.clutch or 0, last.rule, last.number)
-    return AlarmsAnswer(alarms=some, next=cursor(place))
+    some, following = page_of(_read(sources.engine, ask, limit + 1), limit, _place)
+    return AlarmsAnswer(alarms=some, next=following)
+
+
+def _place(one: Alarm) -> tuple[object, ...]:
+    return one.raised_at.isoformat(), one.vehicle, one.clutch or 0, one.rule, one.number
 
 
 def show(answer: AlarmsAnswer, ask: Ask, _sources: Sources) -> Shown:
@@ -46,12 +45,12 @@ def show(answer: AlarmsAnswer, ask: Ask, _sources: Sources) -> Shown:
     table = Table(
         caption=f"{len(answer.alarms)} alarms, the latest first", head=head, rows=tuple(map(_cells, answer.alarms))
     )
-    texts = () if answer.alarms else ("No alarms. fleet-backend watch raises them while it runs.",)
+    otherwise = "No alarms. fleet-backend watch raises them while it runs."
     rules = (("", "any"), *((one.value, one.value) for one in Rule))
     return Shown(
         title="Alarms",
         subtitle="raised by rules; only one alarm per vehicle and rule is open at a time",
-        sections=(Section(name="alarms", title="Alarms", texts=texts, tables=(table,) if answer.alarms else ()),),
+        sections=(list_section("alarms", "Alarms", table, otherwise),),
         choices=(
             Choice(name="state", label="State", value=ask.text("state") or "", options=_STATE_WORDS),
             Choice(name="rule", label="Rule", value=ask.text("rule") or "", options=rules),
@@ -97,8 +96,8 @@ def _cells(one: Alarm) -> tuple[Cell, ...]:
         wording.vehicle_link(one.vehicle),
         wording.plain(None if one.clutch is None else one.element or str(one.clutch)),
         Link(text=one.rule, href=wording.alarm_href(one.vehicle, one.clutch or 0, one.rule, one.number)),
-        wording.minute(one.raised_at),
-        wording.minute(one.cleared_at),
+        moment(one.raised_at),
+        moment(one.cleared_at),
         one.reason,
         wording.plain(None if at is None else f"{at:%Y-%m-%d %H:%M} by {one.acknowledged_by}"),
         wording.plain(one.note),
@@ -108,7 +107,6 @@ def _cells(one: Alarm) -> tuple[Cell, ...]:
 VIEW: Final = View(
     name="alarms",
     page_path="/alarms",
-    api_path="/api/v1/alarms",
     text="Alarms that rules raised, the latest first.",
     parameters=(
         Parameter(name="state", text="which ones (default: open)", choices=_STATES),
@@ -147,9 +145,9 @@ def show_one(answer: Alarm, ask: Ask, _sources: Sources) -> Shown:
         ("vehicle", wording.vehicle_link(answer.vehicle)),
         ("rule", answer.rule),
         ("reason", answer.reason),
-        ("raised (UTC)", wording.minute(answer.raised_at)),
-        ("over (UTC)", wording.minute(answer.cleared_at)),
-        ("acknowledged (UTC)", wording.minute(answer.acknowledged_at)),
+        ("raised (UTC)", moment(answer.raised_at)),
+        ("over (UTC)", moment(answer.cleared_at)),
+        ("acknowledged (UTC)", moment(answer.acknowledged_at)),
         ("by", wording.plain(answer.acknowledged_by)),
         ("note", wording.plain(answer.note)),
     )
@@ -208,7 +206,6 @@ def _read_one(engine: Engine, subject: Subject, number: int) -> Alarm | None:
 ONE_VIEW: Final = View(
     name="alarm",
     page_path="/alarm",
-    api_path="/api/v1/alarm",
     text="One alarm that a rule raised.",
     parameters=_ONE,
     answer=Alarm,

@@ -4,16 +4,15 @@ from typing import Final
 
 from sqlalchemy import or_, select
 
-from clutchdiag_io.pages.content import Section, Table
+from clutchdiag_io.pages.content import Table, moment
 from fleet_backend.database import transaction
 from fleet_backend.office_tables import AUDIT
-from fleet_backend.page import wording
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import AFTER, LIMIT, Ask
 from fleet_backend.page.clutches_view import next_of
-from fleet_backend.page.listing import cursor, read_moment_and_name
+from fleet_backend.page.listing import page_of, read_moment_and_name
 from fleet_backend.page.records import AuditAnswer, AuditEntry
-from fleet_backend.page.view import Shown, Sources, View
+from fleet_backend.page.view import Shown, Sources, View, list_section
 
 
 def find(sources: Sources, ask: Ask) -> AuditAnswer:
@@ -25,19 +24,17 @@ def find(sources: Sources, ask: Ask) -> AuditAnswer:
         statement = statement.where(AUDIT.c.at <= at, or_(AUDIT.c.at < at, AUDIT.c.audit_id > audit_id))
     with transaction(sources.engine) as connection:
         found = tuple(AuditEntry(**row) for row in connection.execute(statement).mappings())
-    some = found[:limit]
-    is_last = len(found) <= limit
-    return AuditAnswer(entries=some, next=None if is_last else cursor((some[-1].at.isoformat(), some[-1].audit_id)))
+    some, following = page_of(found, limit, lambda one: (one.at.isoformat(), one.audit_id))
+    return AuditAnswer(entries=some, next=following)
 
 
 def show(answer: AuditAnswer, ask: Ask, _sources: Sources) -> Shown:
-    rows = tuple((wording.minute(one.at), one.who, one.role, one.action, one.subject) for one in answer.entries)
+    rows = tuple((moment(one.at), one.who, one.role, one.action, one.subject) for one in answer.entries)
     table = Table(caption="Changes, the latest first", head=("at (UTC)", "who", "role", "did", "what"), rows=rows)
-    texts = () if rows else ("Nobody changed anything.",)
     return Shown(
         title="Audit",
         subtitle="who changed what",
-        sections=(Section(name="audit", title="Changes by people", texts=texts, tables=(table,) if rows else ()),),
+        sections=(list_section("audit", "Changes by people", table, "Nobody changed anything."),),
         next=next_of("/audit", ask, answer.next),
     )
 
@@ -45,7 +42,6 @@ def show(answer: AuditAnswer, ask: Ask, _sources: Sources) -> Shown:
 VIEW: Final = View(
     name="audit",
     page_path="/audit",
-    api_path="/api/v1/audit",
     text="Who changed what, the latest first.",
     parameters=(AFTER, LIMIT),
     answer=AuditAnswer,

@@ -1,19 +1,19 @@
 """What became different in the fleet since a moment, and why."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Any, Final
 
-from sqlalchemy import Connection, Engine, Select, func, select
+from sqlalchemy import Connection, Select, func, select
 
-from clutchdiag_io.pages.content import Cell, Section, Table
+from clutchdiag_io.pages.content import Cell, Table, number
 from fleet_backend.database import transaction
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter, ParameterType
 from fleet_backend.page.clutches_view import next_of
 from fleet_backend.page.listing import Wanted, matching, part_of
 from fleet_backend.page.records import Change, ChangesAnswer, ClutchNow
-from fleet_backend.page.view import Choice, Shown, Sources, View
+from fleet_backend.page.view import Choice, Shown, Sources, View, list_section
 from fleet_backend.schema import FLUID_FILL, SHIFT_RESULT
 
 Row = Mapping[str, Any]
@@ -44,12 +44,6 @@ def stored_since(vehicle: str, clutch: int, since: datetime) -> Select[Any]:
     table = SHIFT_RESULT
     own = (table.c.vehicle == vehicle, table.c.clutch == clutch, table.c.stored_at >= since)
     return select(func.count()).select_from(table).where(*own)
-
-
-def changes_of(engine: Engine, clutches: Iterable[ClutchNow], since: datetime) -> tuple[Change, ...]:
-    """Return what became different of each clutch."""
-    with transaction(engine) as connection:
-        return tuple(_change(connection, now, since) for now in clutches)
 
 
 def _change(connection: Connection, now: ClutchNow, since: datetime) -> Change:
@@ -98,7 +92,8 @@ def find(sources: Sources, ask: Ask) -> ChangesAnswer:
     since = ask.moment("since", ask.now - USUAL)
     touched = [now for now in sources.keeper.snapshot.clutches if now.stored_at >= since]
     part = part_of(matching(touched, Wanted(name_part=ask.text("q"))), ask.text("after"), ask.count("limit"))
-    found = changes_of(sources.engine, part.clutches, since)
+    with transaction(sources.engine) as connection:
+        found = [_change(connection, now, since) for now in part.clutches]
     changes = tuple(one for one in found if one.why)
     return ChangesAnswer(since=since, changes=changes, clutch_count=part.matching_count, next=part.next)
 
@@ -106,13 +101,10 @@ def find(sources: Sources, ask: Ask) -> ChangesAnswer:
 def show(answer: ChangesAnswer, ask: Ask, _sources: Sources) -> Shown:
     head = ("vehicle", "clutch", "verdict before", "verdict now", "mu_C before", "std", "mu_C now", "std", "why")
     table = Table(caption="What changed, worst first", head=head, rows=tuple(map(_cells, answer.changes)))
-    texts = () if answer.changes else ("Nothing changed.",)
     return Shown(
         title="Changes",
         subtitle=f"since {answer.since:%Y-%m-%d %H:%M} UTC, {answer.clutch_count} clutches with new results",
-        sections=(
-            Section(name="changes", title="What and why", texts=texts, tables=(table,) if answer.changes else ()),
-        ),
+        sections=(list_section("changes", "What and why", table, "Nothing changed."),),
         choices=(
             Choice(name="q", label="Vehicle", value=ask.text("q") or ""),
             Choice(name="since", label="Since", value=f"{answer.since:%Y-%m-%dT%H:%M}"),
@@ -127,10 +119,10 @@ def _cells(one: Change) -> tuple[Cell, ...]:
         str(one.clutch),
         wording.plain(None) if one.condition_before is None else wording.badge(one.condition_before),
         wording.badge(one.condition),
-        wording.friction(one.mu_c_before),
-        wording.friction(one.std_mu_c_before),
-        wording.friction(one.mu_c),
-        wording.friction(one.std_mu_c),
+        number(one.mu_c_before),
+        number(one.std_mu_c_before),
+        number(one.mu_c),
+        number(one.std_mu_c),
         "; ".join(one.why),
     )
 
@@ -138,7 +130,6 @@ def _cells(one: Change) -> tuple[Cell, ...]:
 VIEW: Final = View(
     name="changes",
     page_path="/changes",
-    api_path="/api/v1/changes",
     text="What changed since a given time, and why: new data, another algorithm or calibration, new fluid.",
     parameters=(
         Parameter(name="q", text="a part of the vehicle's name", longest=64),

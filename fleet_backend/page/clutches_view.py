@@ -5,13 +5,13 @@ from types import MappingProxyType
 from typing import Final
 from urllib.parse import urlencode
 
-from clutchdiag_io.pages.content import Cell, Section, Table, number
+from clutchdiag_io.pages.content import Cell, Table, moment, number
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
 from fleet_backend.page.cache import Same
 from fleet_backend.page.listing import Wanted, matching, part_of
 from fleet_backend.page.records import ClutchNow, FleetAnswer, Severity
-from fleet_backend.page.view import Choice, Shown, Sources, View
+from fleet_backend.page.view import Choice, Shown, Sources, View, list_section
 
 _WANTED: Final = {"q": "name_part", "condition": "condition", "fluid": "fluid", "calibration": "calibration"}
 FILTERS: Final = (
@@ -51,13 +51,11 @@ def show(answer: FleetAnswer, ask: Ask, sources: Sources) -> Shown:
     counted = f"{answer.matching_count} of {answer.clutch_count} clutches"
     rows = tuple(tuple(cell(now) for cell in _COLUMNS.values()) for now in answer.clutches)
     table = Table(caption=f"Clutches, worst first: {counted}", head=tuple(_COLUMNS), rows=rows)
-    texts = () if answer.clutches else ("No vehicle matches these filters." if answer.clutch_count else EMPTY,)
+    otherwise = "No vehicle matches these filters." if answer.clutch_count else EMPTY
     return Shown(
         title="Clutches",
         subtitle=subtitle(answer, sources),
-        sections=(
-            Section(name="clutches", title="Worst first", texts=texts, tables=(table,) if answer.clutches else ()),
-        ),
+        sections=(list_section("clutches", "Worst first", table, otherwise),),
         choices=choices(ask, sources),
         next=next_of("/clutches", ask, answer.next),
         follows="",
@@ -78,15 +76,15 @@ _COLUMNS: Final[Mapping[str, Callable[[ClutchNow], Cell]]] = MappingProxyType({
     "clutch": lambda now: now.element or str(now.clutch),
     "verdict": lambda now: wording.badge(now.condition),
     "what to do": lambda now: now.order,
-    "mu_C": lambda now: wording.friction(now.mu_c),
-    "std": lambda now: wording.friction(now.std_mu_c),
+    "mu_C": lambda now: number(now.mu_c),
+    "std": lambda now: number(now.std_mu_c),
     "of new": lambda now: wording.share(now.level_ratio),
     "P(falling slope)": lambda now: wording.probability(now.probability_negative_slope),
     "shifts": lambda now: str(now.shift_count),
     "score": lambda now: number(now.score, "{:.0f}"),
     "km": lambda now: wording.km(now.odometer_m),
     "fluid": lambda now: wording.plain(now.fluid),
-    "last event (UTC)": lambda now: wording.minute(now.end_at),
+    "last event (UTC)": lambda now: moment(now.end_at),
 })  # fmt: skip
 
 
@@ -117,7 +115,6 @@ def subtitle(_answer: object, sources: Sources) -> str:
 VIEW: Final = View(
     name="fleet",
     page_path="/clutches",
-    api_path="/api/v1/clutches",
     text="The running condition of every clutch, the worst first.",
     parameters=(*FILTERS, AFTER, LIMIT),
     answer=FleetAnswer,

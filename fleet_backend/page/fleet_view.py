@@ -8,13 +8,13 @@ from types import MappingProxyType
 from typing import Any, Final
 from urllib.parse import urlencode
 
-from clutchdiag_io.pages.content import Cell, Link, Section, Table, number
+from clutchdiag_io.pages.content import Cell, Link, Table, moment, number
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
 from fleet_backend.page.clutches_view import EMPTY, FILTERS, choices, next_of, subtitle, wanted
-from fleet_backend.page.listing import Wanted, cursor, matching, place_of, read_words, vehicle_type
+from fleet_backend.page.listing import Wanted, matching, page_of, place_of, read_words, vehicle_type
 from fleet_backend.page.records import ClutchNow, Severity, VehiclesAnswer
-from fleet_backend.page.view import Choice, Shown, Sources, View
+from fleet_backend.page.view import Choice, Shown, Sources, View, list_section
 
 ORDERS: Final[Mapping[str, Callable[[ClutchNow], Any]]] = MappingProxyType({
     "vehicle": lambda one: one.vehicle,
@@ -56,14 +56,14 @@ def answer_of(
     if after is not None and rest:
         place = tuple(read_words(after, [type(value) for value in key(rest[0])]))
         rest = [one for one in rest if key(one) < place] if is_down else rest[bisect_right(rest, place, key=key) :]
-    ordered = rest[::-1] if is_down else rest
+    some, following = page_of(rest[::-1] if is_down else rest, limit, key)
     counts = Counter(one.condition for one in vehicles)
     return VehiclesAnswer(
-        vehicles=tuple(ordered[:limit]),
+        vehicles=some,
         matching_count=len(found),
         vehicle_count=len(vehicles),
         counts={one.value: counts[one.value] for one in Severity},
-        next=cursor(key(ordered[limit - 1])) if len(ordered) > limit else None,
+        next=following,
     )
 
 
@@ -77,7 +77,7 @@ _COLUMNS: Final[tuple[tuple[str, str, Callable[[ClutchNow], Cell]], ...]] = (  #
     ("km", "km", lambda one: wording.km(one.odometer_m)),
     ("fluid", "fluid", lambda one: wording.plain(one.fluid)),
     ("type", "type", vehicle_type),
-    ("last event (UTC)", "last", lambda one: wording.minute(one.end_at)),
+    ("last event (UTC)", "last", lambda one: moment(one.end_at)),
 )
 _NAMES: Final = tuple((text, name) for text, name, _ in _COLUMNS)
 _ORDERS: Final = (  # for screens that show no heads of columns
@@ -102,14 +102,14 @@ def show(answer: VehiclesAnswer, ask: Ask, sources: Sources) -> Shown:
         rows=tuple(tuple(cell(one) for *_, cell in _COLUMNS) for one in answer.vehicles),
         sorted_by=([name for _, name in _NAMES].index(sort.removeprefix("-")), way) if sort else None,
     )
-    texts = () if answer.vehicles else ("No vehicle matches these filters." if answer.vehicle_count else EMPTY,)
+    otherwise = "No vehicle matches these filters." if answer.vehicle_count else EMPTY
     title = "In the order of a column" if sort else "Worst first"
     counts = ((one, f"{wording.condition_word(one)}: {count}") for one, count in answer.counts.items() if count)
     return Shown(
         title="Fleet",
         subtitle=subtitle(answer, sources),
         more=tuple(Link(text=text, href=f"/?{urlencode({'condition': one})}") for one, text in counts),
-        sections=(Section(name="vehicles", title=title, texts=texts, tables=(table,) if answer.vehicles else ()),),
+        sections=(list_section("vehicles", title, table, otherwise),),
         choices=(*choices(ask, sources), Choice(name="sort", label="Order", value=sort, options=_ORDERS)),
         next=next_of("/", ask, answer.next),
         follows="",
@@ -128,7 +128,6 @@ def _head(text: str, name: str, ask: Ask) -> str | Link:
 VIEW: Final = View(
     name="vehicles",
     page_path="/",
-    api_path="/api/v1/vehicles",
     text="Every vehicle as its worse clutch is, the worst first, and how many have each verdict.",
     parameters=(*FILTERS, AFTER, _SORT, LIMIT),
     answer=VehiclesAnswer,

@@ -16,7 +16,7 @@ from prometheus_client.core import Metric
 from clutchdiag_io.metrics import gauge
 from fleet_backend.errors import DatabaseError
 from fleet_backend.orders import PresentFluid
-from fleet_backend.page.listing import choices_of, vehicle_type, worst_first
+from fleet_backend.page.listing import vehicle_type, worst_first
 from fleet_backend.page.records import ClutchNow, Severity, Usual
 from fleet_backend.page.running import DatabaseSource, FillsSeen
 
@@ -101,7 +101,6 @@ class Keeper:
         read = [one for name, own in fresh.items() if is_whole or name in changed for one in own]
         clutches = worst_first([*(one for one in last.clutches if one.vehicle not in changed), *read])
         is_usual_old = now - self._snapshot.usual_at >= USUAL_FOR
-        fluids, types = choices_of(read)  # those of which nothing is left go when all is read
         return replace(
             self._snapshot,
             clutches=clutches,
@@ -111,8 +110,9 @@ class Keeper:
             vehicles=MappingProxyType({**last.vehicles, **fresh}),
             usual=usual_of(clutches) if is_usual_old else self._snapshot.usual,
             usual_at=now if is_usual_old else self._snapshot.usual_at,
-            fluids=tuple(sorted({*last.fluids, *fluids})),
-            types=tuple(sorted({*last.types, *types})),
+            # Those of which nothing is left go when all is read.
+            fluids=tuple(sorted({*last.fluids, *(one.fluid for one in read if one.fluid is not None)})),
+            types=tuple(sorted({*last.types, *map(vehicle_type, read)})),
         )
 
     def listen(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:

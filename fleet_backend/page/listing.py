@@ -4,16 +4,18 @@ import base64
 import binascii
 import json
 from bisect import bisect_right
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Final
+from typing import Final, TypeVar
 
 from fleet_backend.page.calibrations import type_of
 from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.records import ClutchNow, Severity
 
 Place = tuple[int, float, float, str, int]  # sorts as the view fleet_worst_first does
+_PLACE: Final = (int, float, float, str, int)
+RowT = TypeVar("RowT")
 SEVERITY: Final = {Severity.CHANGE_FLUID: 0, Severity.WATCH: 1, Severity.GOOD: 2, Severity.NO_VERDICT: 3}
 _NO_LEVEL: Final = 9.0  # of the view
 _MOST: Final = 2**53  # beyond it a float is not exact
@@ -73,23 +75,22 @@ def part_of(found: Sequence[ClutchNow], after: str | None, limit: int) -> Part:
     NotFoundError
         If ``after`` is nothing that an earlier part named.
     """
-    first = 0 if after is None else bisect_right(found, read_cursor(after), key=place_of)
-    some = tuple(found[first : first + limit])
-    is_last = first + limit >= len(found)
-    return Part(
-        clutches=some, matching_count=len(found), next=None if is_last or not some else cursor(place_of(some[-1]))
-    )
+    first = 0 if after is None else bisect_right(found, tuple(read_words(after, _PLACE)), key=place_of)
+    some, following = page_of(found[first : first + limit + 1], limit, place_of)
+    return Part(clutches=some, matching_count=len(found), next=following)
+
+
+def page_of(
+    found: Sequence[RowT], limit: int, place: Callable[[RowT], Sequence[object]]
+) -> tuple[tuple[RowT, ...], str | None]:
+    """Return the first rows, ``limit`` at most, and the word that names the place of the last if more are behind it."""
+    some = tuple(found[:limit])
+    return some, cursor(place(some[-1])) if len(found) > limit else None
 
 
 def cursor(place: Sequence[object]) -> str:
     """Return a place as a word of an address."""
     return base64.urlsafe_b64encode(json.dumps(place).encode()).decode().rstrip("=")
-
-
-def read_cursor(word: str) -> Place:
-    """Return the place in a word of an address; raises NotFoundError if there is none."""
-    severity, falling, level, vehicle, clutch = read_words(word, (int, float, float, str, int))
-    return severity, falling, level, vehicle, clutch  # type: ignore[return-value]  # their kinds were checked
 
 
 def read_words(word: str, kinds: Sequence[type]) -> list[object]:
@@ -111,12 +112,6 @@ def _decoded(word: str) -> object:
         return json.loads(base64.urlsafe_b64decode(word + "=" * (-len(word) % 4)))
     except (binascii.Error, ValueError, RecursionError):
         return None
-
-
-def choices_of(clutches: Collection[ClutchNow]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the fluids and the vehicle types that there are."""
-    fluids = {now.fluid for now in clutches} - {None}
-    return tuple(sorted(map(str, fluids))), tuple(sorted(set(map(vehicle_type, clutches))))
 
 
 def vehicle_type(now: ClutchNow) -> str:

@@ -20,7 +20,7 @@ from fleet_backend.office_tables import FLUID_DUE
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, Ask, Parameter, ParameterType
 from fleet_backend.page.clutches_view import next_of
-from fleet_backend.page.listing import SEVERITY, cursor, read_words
+from fleet_backend.page.listing import SEVERITY, page_of, read_words
 from fleet_backend.page.outlook import Past, outlook_text
 from fleet_backend.page.records import ClutchNow, Due, MaintenanceAnswer, Severity
 from fleet_backend.page.vehicle_state import state_of
@@ -95,12 +95,8 @@ def find(sources: Sources, ask: Ask) -> MaintenanceAnswer:
         kept = connection.execute(select(func.count(), func.max(FLUID_DUE.c.judged_at))).one()
     due = sources.dues.of("", (snapshot.number, *kept, today), lambda: by_day(_all_due(sources, today)))
     first = 0 if after is None else bisect_right(due, tuple(read_words(after, _PLACE)), key=_place)
-    is_last = first + limit >= len(due)
-    return MaintenanceAnswer(
-        clutches=due[first : first + limit],
-        clutch_count=len(due),
-        next=None if is_last else cursor(_place(due[first + limit - 1])),
-    )
+    some, following = page_of(due[first : first + limit + 1], limit, _place)
+    return MaintenanceAnswer(clutches=some, clutch_count=len(due), next=following)
 
 
 def show(answer: MaintenanceAnswer, ask: Ask, _sources: Sources) -> Shown:
@@ -251,7 +247,6 @@ def _cells(one: Due) -> tuple[Cell, ...]:
 VIEW: Final = View(
     name="maintenance",
     page_path="/maintenance",
-    api_path="/api/v1/maintenance",
     text="When the fluids of the fleet are due, in the order of their days.",
     parameters=(AFTER, _LIMIT),
     answer=MaintenanceAnswer,

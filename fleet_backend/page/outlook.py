@@ -16,6 +16,7 @@ from diag_service.diagnosis.records import (
     FrictionEstimate,
     ScaleFreeFriction,
     ShiftEstimate,
+    ShiftQuality,
     Status,
     iso_utc,
 )
@@ -57,7 +58,7 @@ def estimate_of(row: Row) -> ShiftEstimate:
         friction=friction_of(friction_in(row, "")),
         scale_free=_scale_free(row),
         kind=EventKind(row["kind"]) if row["kind"] in _KINDS else EventKind.SHIFT,  # newer programs may know more
-        shift_quality=past.quality_in(row),
+        shift_quality=past.record_in(row, "shift_quality", ShiftQuality),
     )
 
 

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from datetime import datetime, timedelta
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from sqlalchemy import Connection, Engine, Interval, Select, and_, func, literal, or_, select, tuple_
 
@@ -33,6 +33,7 @@ _TREND_COLUMNS: Final = (
     "shift_quality",
 )
 _SHIFT_NAMES: Final = tuple(field.name for field in fields(ShiftAnswer))
+RecordT = TypeVar("RecordT")
 Row = Mapping[str, Any]  # of any table: what a column holds is the schema's matter
 
 
@@ -163,20 +164,10 @@ def friction_in(row: Row, prefix: str) -> dict[str, float] | None:
     return {name: row[prefix + name] for name in schema.FRICTION_COLUMNS}
 
 
-def quality_in(row: Row) -> ShiftQuality | None:
-    """Return how well an event went; None: nobody told, or not as we understand it."""
-    if row["shift_quality"] is None:
-        return None
+def record_in(row: Row, name: str, kind: type[RecordT]) -> RecordT | None:
+    """Return the record that a column holds as JSON; None: nobody told, or not as we understand it."""
     try:
-        return from_plain(json.loads(row["shift_quality"]), ShiftQuality)
-    except ValueError:
-        return None
-
-
-def _causes_in(row: Row) -> Causes | None:
-    """Return why a vehicle is as it is; None: nobody told, or not as we understand it."""
-    try:
-        return None if row["causes"] is None else from_plain(json.loads(row["causes"]), Causes)
+        return None if row[name] is None else from_plain(json.loads(row[name]), kind)
     except ValueError:
         return None
 
@@ -193,8 +184,8 @@ def _shift(row: Row, older: Sequence[Row]) -> ShiftAnswer:
         "friction": friction_in(row, ""),
         "running": friction_in(row, schema.RUNNING),
         "trust_parts": parts,
-        "shift_quality": quality_in(row),
-        "causes": _causes_in(row),
+        "shift_quality": record_in(row, "shift_quality", ShiftQuality),
+        "causes": record_in(row, "causes", Causes),
         "older_versions": tuple(f"{one['algorithm_version']}, {one['calibration_version']}" for one in older),
     }
     made |= {name: row[name] for name in _SHIFT_NAMES if name not in made}

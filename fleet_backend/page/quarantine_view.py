@@ -2,22 +2,20 @@
 
 from typing import Final
 
-from clutchdiag_io.pages.content import Cell, Section, Table
+from clutchdiag_io.pages.content import Cell, Table, moment
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask
 from fleet_backend.page.clutches_view import next_of
-from fleet_backend.page.listing import cursor, read_moment_and_name
+from fleet_backend.page.listing import page_of, read_moment_and_name
 from fleet_backend.page.records import QuarantineAnswer, Quarantined
-from fleet_backend.page.view import Shown, Sources, View
+from fleet_backend.page.view import Shown, Sources, View, list_section
 
 
 def find(sources: Sources, ask: Ask) -> QuarantineAnswer:
     """Return a part of what was kept aside."""
     after, limit = ask.text("after"), ask.count("limit")
     found = past.quarantined(sources.engine, None if after is None else read_moment_and_name(after), limit + 1)
-    some = found[:limit]
-    is_last = len(found) <= limit
-    following = None if is_last else cursor((some[-1].received_at.isoformat(), some[-1].digest))
+    some, following = page_of(found, limit, lambda one: (one.received_at.isoformat(), one.digest))
     return QuarantineAnswer(messages=some, next=following)
 
 
@@ -28,11 +26,10 @@ def show(answer: QuarantineAnswer, ask: Ask, _sources: Sources) -> Shown:
         head=head,
         rows=tuple(map(_cells, answer.messages)),
     )
-    texts = () if answer.messages else ("Every message could be used.",)
     return Shown(
         title="Quarantine",
         subtitle="messages that could not be used; their senders were told",
-        sections=(Section(name="messages", title="Messages", texts=texts, tables=(table,) if answer.messages else ()),),
+        sections=(list_section("messages", "Messages", table, "Every message could be used."),),
         next=next_of("/quarantine", ask, answer.next),
     )
 
@@ -41,7 +38,7 @@ def _cells(one: Quarantined) -> tuple[Cell, ...]:
     head = one.head if len(one.head) <= 120 else f"{one.head[:120]}…"
     acknowledged = "" if one.acknowledged_at is None else f"{one.acknowledged_at:%Y-%m-%d} by {one.acknowledged_by}"
     return (
-        wording.minute(one.received_at),
+        moment(one.received_at),
         wording.plain(one.vehicle),
         one.reason,
         one.detail,
@@ -54,7 +51,6 @@ def _cells(one: Quarantined) -> tuple[Cell, ...]:
 VIEW: Final = View(
     name="quarantine",
     page_path="/quarantine",
-    api_path="/api/v1/quarantine",
     text="Messages that could not be used, the latest first.",
     parameters=(AFTER, LIMIT),
     answer=QuarantineAnswer,

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from typing import Final
 
 from clutch_model.units import degc_from_k
-from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Link, Section, Table, number
+from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Link, Section, Table, moment, number
 from diag_service.report.pictures import curve_figure
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
@@ -130,8 +130,8 @@ def _quality_section(answer: ShiftAnswer) -> Section:
 
 def _facts_section(answer: ShiftAnswer) -> Section:
     rows: tuple[tuple[Cell, ...], ...] = (
-        ("start (UTC)", wording.minute(answer.start_at)),
-        ("end (UTC)", wording.minute(answer.end_at)),
+        ("start (UTC)", moment(answer.start_at)),
+        ("end (UTC)", moment(answer.end_at)),
         ("duration [s]", number(answer.duration_s, "{:.2f}")),
         ("how it ended", wording.plain(answer.end_reason and answer.end_reason.replace("_", " "))),
         ("odometer [km]", wording.km(answer.odometer_m)),
@@ -145,7 +145,7 @@ def _facts_section(answer: ShiftAnswer) -> Section:
         ("older versions of this result", "; ".join(answer.older_versions) or NONE),
         ("stream", answer.stream),
         ("position in it", str(answer.seq)),
-        ("stored at (UTC)", wording.minute(answer.stored_at)),
+        ("stored at (UTC)", moment(answer.stored_at)),
     )
     return Section(name="facts", title="The event", tables=(Table(caption="Facts", head=("what", "value"), rows=rows),))
 
@@ -157,7 +157,6 @@ def _degc(temperature_k: float | None) -> Cell:
 VIEW: Final = View(
     name="shift",
     page_path="/vehicles/{vehicle}/shift",
-    api_path="/api/v1/vehicles/{vehicle}/shift",
     text="One event of a vehicle: its own estimate, the running one after it, and what its data were worth.",
     parameters=_PARAMETERS,
     answer=ShiftAnswer,

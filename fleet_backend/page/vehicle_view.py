@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from typing import Any, Final
 
-from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, number, spread
+from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, moment, number, spread
 from diag_service.diagnosis.condition.shift_course import adapting_lines
 from diag_service.diagnosis.condition.shift_quality import Load
 from diag_service.diagnosis.records import Causes
@@ -26,7 +26,7 @@ from fleet_backend.page.pictures import (
 )
 from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, TrendPoint, Usual, VehicleAnswer
 from fleet_backend.page.vehicle_state import VehicleState, state_of
-from fleet_backend.page.view import Shown, Sources, View
+from fleet_backend.page.view import Shown, Sources, View, list_section
 from fleet_contract.orders import Action, is_of_earlier_fluid, name_of, title_of
 
 SERVICE_KM: Final = 15_000
@@ -69,7 +69,17 @@ def find(sources: Sources, ask: Ask) -> VehicleAnswer:
             outlook=outlook_text((one.prognosis for one in pasts), clutches[0]) if clutches else None,
             fills=state.fills,
             alarms=past.alarms_of(sources.engine, vehicle),
-            clutches=tuple(_clutch(*one, state) for one in zip(clutches, pasts, usual, strict=True)),
+            clutches=tuple(
+                ClutchHistory(
+                    now=now,
+                    outlook=found.outlook,
+                    why_no_outlook=found.why_no_outlook,
+                    trend=found.trend,
+                    result_count=state.stored_of(now.clutch).result_count,
+                    usual=kind,
+                )
+                for now, found, kind in zip(clutches, pasts, usual, strict=True)
+            ),
             changes=tuple(
                 sorted(
                     (one for found in pasts for one in found.changes),
@@ -117,17 +127,6 @@ def _causes(sources: Sources, clutches: Sequence[ClutchNow]) -> Causes | None:
         return None
     found = past.shift_of(sources.engine, last.vehicle, last.stream, last.seq)
     return None if found is None else found.causes
-
-
-def _clutch(now: ClutchNow, found: Past, usual: Usual | None, state: VehicleState) -> ClutchHistory:
-    return ClutchHistory(
-        now=now,
-        outlook=found.outlook,
-        why_no_outlook=found.why_no_outlook,
-        trend=found.trend,
-        result_count=state.stored_of(now.clutch).result_count,
-        usual=usual,
-    )
 
 
 def _subtitle(answer: VehicleAnswer, _sources: Sources) -> str:
@@ -262,10 +261,10 @@ def _event_cells(point: TrendPoint) -> tuple[Cell, ...]:
         wording.km(point.odometer_m),
         wording.plain(point.kind and point.kind.replace("_", " ")),
         point.status,
-        wording.friction(point.mu_c),
-        wording.friction(point.std_mu_c),
-        wording.friction(point.running_mu_c),
-        wording.friction(point.running_std_mu_c),
+        number(point.mu_c),
+        number(point.std_mu_c),
+        number(point.running_mu_c),
+        number(point.running_std_mu_c),
         number(point.score, "{:.0f}"),
         wording.badge(point.condition),
         wording.words(point.reasons),
@@ -282,12 +281,11 @@ def _events_section(answer: VehicleAnswer) -> Section:
         *(entry for alarm in answer.alarms for entry in _alarm_entries(alarm, names)),
     ]
     rows = tuple(
-        (wording.minute(at), what, km, wording.plain(note))
+        (moment(at), what, km, wording.plain(note))
         for at, what, km, note in sorted(happened, key=lambda one: one[0], reverse=True)
     )
     table = Table(caption="Fluid changes and alarms", head=("at (UTC)", "what", "km", "note"), rows=rows)
-    texts = () if rows else ("No new fluid was noted, and there was no alarm.",)
-    return Section(name="events", title="What happened", texts=texts, tables=(table,) if rows else ())
+    return list_section("events", "What happened", table, "No new fluid was noted, and there was no alarm.")
 
 
 def _alarm_entries(alarm: ClutchAlarm, names: Mapping[int, str | None]) -> Iterator[tuple[Any, str, Cell, str | None]]:
@@ -303,7 +301,6 @@ def _alarm_entries(alarm: ClutchAlarm, names: Mapping[int, str | None]) -> Itera
 VIEW: Final = View(
     name="vehicle",
     page_path="/vehicles/{vehicle}",
-    api_path="/api/v1/vehicles/{vehicle}",
     text="One vehicle: its clutches now, how far their fluid will go, and their past.",
     parameters=_PARAMETERS,
     answer=VehicleAnswer,

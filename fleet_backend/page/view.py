@@ -7,7 +7,7 @@ from typing import Any, Final
 from markupsafe import Markup
 from sqlalchemy import Engine
 
-from clutchdiag_io.pages.content import Advice, Link, Section
+from clutchdiag_io.pages.content import Advice, Link, Section, Table
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import Ask, Parameter
 from fleet_backend.page.cache import Cache
@@ -87,6 +87,12 @@ class Shown:
     follows: str | None = None  # is renewed when something of it is new; empty: of any
 
 
+def list_section(name: str, title: str, table: Table, otherwise: str) -> Section:
+    """Return a table under its title; where it has no rows what is said instead."""
+    texts, tables = ((), (table,)) if table.rows else ((otherwise,), ())
+    return Section(name=name, title=title, texts=texts, tables=tables)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drawn:
     """A page, and its sections as HTML."""
@@ -111,7 +117,6 @@ class View:
 
     name: str
     page_path: str
-    api_path: str
     text: str
     parameters: tuple[Parameter, ...]
     answer: type
@@ -124,6 +129,11 @@ class View:
     subtitle: Callable[[Any, Sources], str] = lambda _answer, _sources: ""  # of a page that is kept
     state: Callable[[Any], Hashable] | None = None
     asks_database: bool = True
+
+    @property
+    def api_path(self) -> str:
+        """The address of the answer for programs."""
+        return f"/api/v1{'/vehicles' if self.page_path == '/' else self.page_path}"
 
     @property
     def calendar_path(self) -> str:

@@ -4,15 +4,10 @@ from datetime import datetime
 from typing import Final
 from urllib.parse import quote, urlencode
 
-from clutchdiag_io.pages.content import NONE, Advice, Badge, Cell, Link, moment, number
+from clutchdiag_io.pages.content import NONE, Advice, Badge, Cell, Link, number
 from fleet_contract.orders import SHOWN_AS, Action
 
 M_PER_KM: Final = 1000.0
-
-
-def friction(value: float | None) -> Cell:
-    """Return a friction coefficient or its deviation."""
-    return number(value)
 
 
 def share(value: float | None) -> Cell:
@@ -32,11 +27,6 @@ def km(distance_m: float | None) -> Cell:
 def quality(value: float | None) -> Cell:
     """Return a quality from 0 to 1."""
     return number(value, "{:.2f}")
-
-
-def minute(value: datetime | None) -> Cell:
-    """Return a moment to the minute."""
-    return moment(value)
 
 
 def condition_word(condition: str) -> str:

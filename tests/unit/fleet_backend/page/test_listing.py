@@ -5,10 +5,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet_backend.page.errors import NotFoundError
-from fleet_backend.page.listing import Wanted, choices_of, cursor, matching, part_of, place_of, read_cursor, worst_first
+from fleet_backend.page.listing import Wanted, cursor, matching, part_of, place_of, read_words, worst_first
 from fleet_backend.page.records import ClutchNow
 from tests.support.fleet_page import clutch_now
 
+KINDS = (int, float, float, str, int)
 CONDITIONS = ("change_fluid", "watch", "good", "no_verdict")
 CLUTCHES = st.builds(
     clutch_now,
@@ -51,7 +52,7 @@ def test_a_list_goes_on_where_the_last_clutch_has_gone() -> None:
 
 @given(CLUTCHES)
 def test_a_place_survives_an_address(one: ClutchNow) -> None:
-    assert read_cursor(cursor(place_of(one))) == place_of(one)
+    assert tuple(read_words(cursor(place_of(one)), KINDS)) == place_of(one)
 
 
 STRANGE = (
@@ -67,7 +68,7 @@ STRANGE = (
 @given(st.text(max_size=80) | st.sampled_from(STRANGE))
 def test_nothing_else_is_taken_for_a_place(word: str) -> None:
     with pytest.raises(NotFoundError, match="not a position in a list"):
-        read_cursor(word)
+        part_of([clutch_now("a")], word, 1)
 
 
 def test_clutches_are_found_by_what_is_known_of_them() -> None:
@@ -77,4 +78,3 @@ def test_clutches_are_found_by_what_is_known_of_them() -> None:
     assert [one.vehicle for one in matching(fleet, Wanted(condition="watch"))] == ["car1"]
     assert matching(fleet, Wanted(calibration="other")) == []
     assert matching(fleet, Wanted()) == fleet
-    assert choices_of(fleet) == (("A",), ("nominal-1",))
