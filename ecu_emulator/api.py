@@ -19,7 +19,7 @@ from ecu_emulator.bus.sender import open_bus
 from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, save_dbc, write_log
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.live_drive import AnswersTesters, BusChoice, SentTruth, TruthSink, answering_of, send
+from ecu_emulator.live.live_drive import AnswersTesters, BusChoice, SentTruth, answering_of, send
 from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFormat
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.faults import BusFault, SensorFault
@@ -63,9 +63,10 @@ def check_word(name: str, word: str | None, words: list[str]) -> None:
 
 
 class TruthMemory:
-    """Keeps what is true of a drive; one thread may write while others read."""
+    """Keeps what is true of a drive, and hands it on to a file; one thread may write while others read."""
 
     def __init__(self) -> None:
+        self.file: TruthWriter | None = None
         self._drive: DriveTruth | None = None
         self._happened: deque[Happened] = deque(maxlen=MOST_KEPT)
         self._totals: Totals | None = None
@@ -73,40 +74,25 @@ class TruthMemory:
     def drive(self, drive: DriveTruth) -> None:
         """Keep what is true for the whole drive."""
         self._drive = drive
+        if self.file is not None:
+            self.file.drive(drive)
 
-    def write(self, truths: Iterable[Happened]) -> None:
+    def write(self, truths: Sequence[Happened]) -> None:
         self._happened.extend(truths)
+        if self.file is not None:
+            self.file.write(truths)
 
     def totals(self, totals: Totals) -> None:
         """Keep what the drive amounted to."""
         self._totals = totals
+        if self.file is not None:
+            self.file.totals(totals)
 
     def log(self) -> TruthLog:
         """Return all of it; raises ConfigError before the drive has begun."""
         if self._drive is None:
             raise ConfigError("the car is not driving yet: there is no truth")
         return truth_log(self._drive, self._happened.copy(), self._totals)
-
-
-class SharedTruth:
-    """Tells several of the same."""
-
-    def __init__(self, sinks: Sequence[TruthSink]) -> None:
-        self._sinks = tuple(sinks)
-
-    def drive(self, drive: DriveTruth) -> None:
-        """Tell all what is true for the whole drive."""
-        for sink in self._sinks:
-            sink.drive(drive)
-
-    def write(self, truths: Iterable[Happened]) -> None:
-        kept = tuple(truths)
-        for sink in self._sinks:
-            sink.write(kept)
-
-    def totals(self, totals: Totals) -> None:
-        for sink in self._sinks:
-            sink.totals(totals)
 
 
 class Emulator:
@@ -223,7 +209,6 @@ class Emulator:
         self._drive: Drive | None = None
         self._sent: SentTruth | None = None
         self._memory = TruthMemory()
-        self._file: TruthWriter | None = None
         self._result: Mapping[str, Any] | None = None
         self._error: BaseException | None = None
         self._said: list[str] = []
@@ -270,12 +255,12 @@ class Emulator:
         if self._thread is not None:
             raise ConfigError("an emulator drives only once; make another one")
         self._drive = Drive(self.scenario, arguments.LIVE_PARKED_S if self._parked_s is None else self._parked_s)
-        bus = open_bus(
-            self._choice.interface, self._choice.channel, self._choice.bitrate, fd=self._choice.is_fd,
-            options=self._options,
-        )  # fmt: skip
+        bus = self.open_bus()
         try:
-            self._sent = SentTruth(self._drive, SharedTruth([self._memory, *self._open_file()]))
+            if self._truth_path is not None:
+                most_bytes = ROTATED_BYTES if self.scenario.endless else None
+                self._memory.file = TruthWriter(self._truth_path, most_bytes=most_bytes)
+            self._sent = SentTruth(self._drive, self._memory)
         except BaseException:
             bus.shutdown()
             raise
@@ -366,18 +351,11 @@ class Emulator:
         self._stop.set()
         return self.wait()
 
-    def _open_file(self) -> tuple[TruthWriter, ...]:
-        """Return the file for the truth, if there is to be one; raises RecordError if it cannot be written."""
-        if self._truth_path is None:
-            return ()
-        self._file = TruthWriter(self._truth_path, most_bytes=ROTATED_BYTES if self.scenario.endless else None)
-        return (self._file,)
-
     def _work(self, bus: can.BusABC, sent: SentTruth) -> None:
         try:
             with (
                 bus,
-                self._file or nullcontext(),
+                self._memory.file or nullcontext(),
                 answering_of(self._answers, bus, self._choice, self.scenario, sent.drive) as answering,
             ):
                 self._result = send(

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Final
 
 from clutch_model.units import k_from_degc
 from clutchdiag_io.command_line import STANDARD_STREAM
@@ -29,6 +29,11 @@ from ecu_emulator.scenario.faults import Cause, CauseKind
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Routine, Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
 from ecu_emulator.truth import Totals, TruthWriter, read_truth, truth_path
+
+_SAME_IN_WORDS: Final = (  # of a drive
+    *("scenario", "fluid", "cause", "seed", "vehicle_seed", "drive_seed", "drive", "cycles"),
+    *("oil_degc", "mass_kg", "routine"),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,19 +87,9 @@ def table_options(options: SimpleNamespace) -> TableOptions | None:
 def drive_options(options: SimpleNamespace) -> DriveOptions:
     """Return what a command line says of a drive; raises what ``odometer_from`` raises."""
     return DriveOptions(
-        scenario=options.scenario,
-        fluid=options.fluid,
-        cause=options.cause,
-        seed=options.seed,
-        vehicle_seed=options.vehicle_seed,
-        drive_seed=options.drive_seed,
-        drive=options.drive,
-        cycles=options.cycles,
+        **{name: getattr(options, name) for name in _SAME_IN_WORDS},
         is_endless=options.endless,
-        oil_degc=options.oil_degc,
-        mass_kg=options.mass_kg,
         odometer_m=odometer_from(options.odometer),
-        routine=options.routine,
         is_in_workshop=options.command == "run" and options.workshop,
     )
 

@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Protocol, Self
+from typing import Final, Self
 
 import can
 
@@ -24,7 +24,6 @@ from ecu_emulator.answering.on_board import EstimateSource, FixedEstimate
 from ecu_emulator.answering.requested_tasks import (
     AdaptedCar,
     Driven,
-    Performer,
     RequestedAdaptation,
     RequestedClearing,
     RequestedRoutine,
@@ -44,10 +43,6 @@ from ecu_emulator.errors import ExtraMissingError
 
 RUNNING_RAD_S: Final = 30.0  # engine speed that no starter reaches
 LEAST_LOOK_S: Final = 0.8 * MONITOR_PERIOD_S  # of the drive between two looks of the monitors, which count them
-
-
-class Car(Performer, AdaptedCar, Protocol):
-    """The car, as far as testers can have it do something."""
 
 
 class Answering:
@@ -99,7 +94,7 @@ class Answering:
         elm327: str | None = None,
         bitrate: int | None = None,
         on_board: EstimateSource | None = None,
-        performer: Car | None = None,
+        performer: AdaptedCar | None = None,
         ignition: deque[float] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:

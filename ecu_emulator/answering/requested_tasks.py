@@ -130,12 +130,8 @@ def has_judged(estimates: OnBoardEstimates, driven: Driven) -> bool:
     return latest_ns >= driven.last_shift_ns - SAME_END_NS
 
 
-class AdaptedCar(Protocol):
-    """The car, as far as its touch points go."""
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether it stands in the workshop and waits."""
+class AdaptedCar(Performer, Protocol):
+    """The car, as far as its touch points go, too."""
 
     @property
     def transmission(self) -> str:

@@ -264,13 +264,9 @@ class Trouble:
     def __post_init__(self) -> None:
         if not _CODE.fullmatch(self.code):
             raise ConfigError(f"trouble code {self.code} is none: in capitals, as P0741, its failure_type apart")
-        for name, value, most in (
-            ("failure_type", self.failure_type, 255), ("severity", self.severity, 255),
-            ("confirm_cycles", self.confirm_cycles, 255), ("heal_cycles", self.heal_cycles, 255),
-            ("age_cycles", self.age_cycles, 255), ("failed_step", self.failed_step, 127),
-            ("passed_step", self.passed_step, 128),
-        ):  # fmt: skip
-            least = 0 if name in {"failure_type", "severity"} else 1
+        bytes_each = dict.fromkeys(("failure_type", "severity", "confirm_cycles", "heal_cycles", "age_cycles"), 255)
+        for name, most in {**bytes_each, "failed_step": 127, "passed_step": 128}.items():
+            value, least = getattr(self, name), 0 if name in {"failure_type", "severity"} else 1
             if not least <= value <= most:
                 raise ConfigError(f"trouble code {self.code}: {name} must be {least}..{most}, got {value}")
 

@@ -36,6 +36,7 @@ from ecu_emulator.shift_control.touch_points import TouchPoint
 FORMAT: Final = 1
 OWNER_ONLY: Final = 0o600
 MOST_PRESSURE_PA: Final = 1e7  # what a file may say of a touch point
+_EMISSIONS: Final = ("warm_ups", "cleared_at_m", "lamp_at_m", "is_driven", "driven_cycles")
 _COUNTERS: Final = ("occurrences", "failed_cycles", "passed_cycles", "aged_cycles")
 
 
@@ -180,11 +181,7 @@ def _emissions_document(emissions: Emissions) -> dict[str, Any]:
     return {
         "permanent": sorted(f"{number:06X}" for number in emissions.permanent),
         "frame": None if frame is None else {"code": f"{frame.code:06X}", "pids": pids},
-        "warm_ups": emissions.warm_ups,
-        "cleared_at_m": emissions.cleared_at_m,
-        "lamp_at_m": emissions.lamp_at_m,
-        "is_driven": emissions.is_driven,
-        "driven_cycles": emissions.driven_cycles,
+        **{name: getattr(emissions, name) for name in _EMISSIONS},
         "ran_cycles": {f"{number:06X}": count for number, count in emissions.ran_cycles.items()},
     }
 
@@ -221,10 +218,9 @@ def _state(document: Mapping[str, Any], table: DiagnosticTable) -> ServerState:
         has_begun=bool(document["has_begun"]),
         is_warmed_up=bool(document["is_warmed_up"]),
     )
-    emissions = _emissions(document.get("obd"), table)
     return ServerState(
         memory=memory,
-        emissions=emissions,
+        emissions=_emissions(document.get("obd"), table),
         written=written,
         wrong_keys=wrong_keys,
         adaptation=_adaptation(document.get("adaptation")),

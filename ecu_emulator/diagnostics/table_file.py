@@ -29,6 +29,9 @@ RecordT = TypeVar("RecordT")
 KeyT = TypeVar("KeyT", int, str)
 
 _LIKE: Final = "like_"
+_SAME_IN_FILES: Final = (  # of a table
+    *("name", "snapshot", "addressing", "transport", "timing", "limits", "doip", "periodic", "clutches"),
+)
 _ACCESSES: Final = ("access", "read", "write", "control")  # members that name one of the table [access]
 _MAY_BE_NEGATIVE: Final = frozenset({"offset", "minimum", "maximum"})
 
@@ -157,11 +160,7 @@ def _table(document: dict[str, Any]) -> DiagnosticTable:
     if file.obd is Profile.UDS:
         extended.setdefault(descriptions.IN_USE.number, descriptions.IN_USE)
     return DiagnosticTable(
-        name=file.name,
-        addressing=file.addressing,
-        transport=file.transport,
-        timing=file.timing,
-        limits=file.limits,
+        **{name: getattr(file, name) for name in _SAME_IN_FILES},
         sessions=_numbered(file.session, "session"),
         levels=_numbered(file.security, "security"),
         services=_numbered(file.service, "service"),
@@ -170,11 +169,7 @@ def _table(document: dict[str, Any]) -> DiagnosticTable:
         routines=_numbered(file.routine, "routine"),
         troubles=_numbered(file.trouble, "trouble"),
         extended=extended,
-        snapshot=file.snapshot,
         obd=_obd(file),
-        doip=file.doip,
-        periodic=file.periodic,
-        clutches=file.clutches,
     )
 
 

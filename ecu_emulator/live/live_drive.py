@@ -3,7 +3,7 @@
 import json
 import logging
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -42,7 +42,7 @@ class TruthSink(Protocol):
     def drive(self, drive: DriveTruth) -> None:
         """Hear what is true for the whole drive, first of all."""
 
-    def write(self, truths: Iterable[Happened]) -> None:
+    def write(self, truths: Sequence[Happened]) -> None:
         """Hear what has happened."""
 
     def totals(self, totals: Totals) -> None:

@@ -45,7 +45,34 @@ _WRITERS: Final[Mapping[LogFormat, type[writers.FrameWriter]]] = MappingProxyTyp
 })  # fmt: skip
 
 
-class LogFile:
+class LogStream:
+    """A log being written to a stream as it comes; formats that write their beginning last do not go there."""
+
+    def __init__(
+        self, stream: BinaryIO, log_format: LogFormat, header: writers.Header, name: str = STREAM_NAME
+    ) -> None:
+        self._stream = stream
+        self._name = name
+        self._header = header
+        self._format = log_format
+        self._writer = _WRITERS[log_format](stream, header)
+
+    def write(self, frames: EncodedFrames) -> None:
+        """Append frames; raises OSError if nobody takes them, RecordError as ``LogFile.write``."""
+        _check_error_frames(frames, self._format, self._name)
+        self._writer.write(_t_us(frames, self._header), frames)
+        self._stream.flush()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        if error is None:
+            self._writer.close()
+            self._stream.flush()
+
+
+class LogFile(LogStream):
     """A log being written under a temporary name; the end of the ``with`` block gives it its own.
 
     If the block ends with an exception, nothing is left behind, and a file that was there before stays as it was.
@@ -54,14 +81,12 @@ class LogFile:
     def __init__(self, path: Path, log_format: LogFormat, header: writers.Header) -> None:
         self._path = path
         self._temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-        self._header = header
-        self._format = log_format
         try:
-            self._stream: BinaryIO = self._temporary.open("wb")
+            stream = self._temporary.open("wb")
         except OSError as exc:
             raise self._failed(exc) from exc
         try:
-            self._writer = _WRITERS[log_format](self._stream, header)
+            super().__init__(stream, log_format, header, str(path))
         except OSError as exc:
             self._discard()
             raise self._failed(exc) from exc
@@ -74,15 +99,10 @@ class LogFile:
 
         Raises RecordError if the disk is full or no longer takes data, or the format has no error frames.
         """
-        _check_error_frames(frames, self._format, str(self._path))
-        t_us = _t_us(frames, self._header)
         try:
-            self._writer.write(t_us, frames)
+            super().write(frames)
         except OSError as exc:
             raise self._failed(exc) from exc
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         if error is not None:
@@ -106,30 +126,6 @@ class LogFile:
 
     def _failed(self, error: OSError) -> RecordError:
         return RecordError(f"cannot write {self._path}: {error.strerror or error}")
-
-
-class LogStream:
-    """A log being written to a stream as it comes; formats that write their beginning last do not go there."""
-
-    def __init__(self, stream: BinaryIO, log_format: LogFormat, header: writers.Header) -> None:
-        self._stream = stream
-        self._header = header
-        self._format = log_format
-        self._writer = _WRITERS[log_format](stream, header)
-
-    def write(self, frames: EncodedFrames) -> None:
-        """Append frames; raises OSError if nobody takes them, RecordError as ``LogFile.write``."""
-        _check_error_frames(frames, self._format, STREAM_NAME)
-        self._writer.write(_t_us(frames, self._header), frames)
-        self._stream.flush()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
-        if error is None:
-            self._writer.close()
-            self._stream.flush()
 
 
 def open_log(

@@ -117,11 +117,11 @@ def listen(place: Place) -> Listening:
         try:
             address = _address(place.host)
             everybody = _everybody(address)
-            tcp = stack.enter_context(_connections(address, place.port))
-            tls = None if place.tls is None else stack.enter_context(_connections(address, place.tls.port))
+            tcp = _connections(stack, address, place.port)
+            tls = None if place.tls is None else _connections(stack, address, place.tls.port)
             is_broadcast = isinstance(address, IPv4Address) and not address.is_unspecified
             hosts = [str(address), everybody] if is_broadcast else [str(address)]
-            udp = tuple(stack.enter_context(_datagrams(_family(address), host, place.port)) for host in hosts)
+            udp = tuple(_datagrams(stack, _family(address), host, place.port) for host in hosts)
         except OSError as exc:
             raise BusError(f"DoIP cannot listen on {place}: {exc.strerror or exc}") from exc
         stack.pop_all()
@@ -147,27 +147,19 @@ def _everybody(address: Address) -> str:
     return str(address) if address.is_loopback else ALL_NODES
 
 
-def _connections(address: Address, port: int) -> socket.socket:
-    one = socket.socket(_family(address), socket.SOCK_STREAM)
-    try:
-        one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # its connections inherit that: no 40 ms each
-        one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
-        one.bind((str(address), port))
-        one.listen(BACKLOG)
-    except OSError:
-        one.close()
-        raise
+def _connections(stack: ExitStack, address: Address, port: int) -> socket.socket:
+    one = stack.enter_context(socket.socket(_family(address), socket.SOCK_STREAM))
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # its connections inherit that: no 40 ms each
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
+    one.bind((str(address), port))
+    one.listen(BACKLOG)
     return one
 
 
-def _datagrams(family: socket.AddressFamily, host: str, port: int) -> socket.socket:
-    one = socket.socket(family, socket.SOCK_DGRAM)
-    try:
-        one.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        one.setblocking(False)
-        one.bind((host, port))
-    except OSError:
-        one.close()
-        raise
+def _datagrams(stack: ExitStack, family: socket.AddressFamily, host: str, port: int) -> socket.socket:
+    one = stack.enter_context(socket.socket(family, socket.SOCK_DGRAM))
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+    one.setblocking(False)
+    one.bind((host, port))
     return one

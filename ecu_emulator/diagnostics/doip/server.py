@@ -33,7 +33,7 @@ class DatagramCounts:
     unsent_datagrams: int = 0  # the network did not take them
 
 
-class DatagramServer:
+class DatagramServer(asyncio.DatagramProtocol):
     """Answers in the running event loop from ``start`` until ``close``.
 
     Parameters
@@ -57,7 +57,7 @@ class DatagramServer:
     async def start(self, sockets: Listening) -> None:
         loop = asyncio.get_running_loop()
         for one in sockets.udp:
-            end, _ = await loop.create_datagram_endpoint(lambda: _Datagrams(self), sock=one)
+            end, _ = await loop.create_datagram_endpoint(lambda: self, sock=one)
             self._ends.append(end)
 
     def close(self) -> None:
@@ -74,7 +74,7 @@ class DatagramServer:
             self._say(announcement(self._entity, self._controller.datum(VIN), self._entity.version), everybody)
             await asyncio.sleep(self._entity.announce_interval_s)
 
-    def take(self, data: bytes, sender: tuple[str, int]) -> None:
+    def datagram_received(self, data: bytes, sender: tuple[str, int]) -> None:
         """Answer one datagram, an identification after a random pause."""
         self.counts.datagrams += 1
         reply = datagram_reply(self._entity, self._controller.datum(VIN), self._open_sockets(), data)
@@ -94,7 +94,7 @@ class DatagramServer:
             timer = asyncio.get_running_loop().call_later(self._pause_s(), say)
             self._delayed.add(timer)
 
-    def note_unsent(self) -> None:
+    def error_received(self, _error: Exception) -> None:
         """Count a datagram that the network did not take."""
         self.counts.unsent_datagrams += 1
 
@@ -103,24 +103,11 @@ class DatagramServer:
         self._say(data, receiver)
 
     def _say(self, data: bytes, receiver: tuple[str, int]) -> None:
-        with suppress(OSError):  # a receiver that cannot be; others are told through note_unsent
+        with suppress(OSError):  # a receiver that cannot be; others are told through error_received
             self._ends[0].sendto(data, receiver)
 
     def _pause_s(self) -> float:
         return random.uniform(0.0, self._entity.announce_wait_s)  # noqa: S311 - so that not all speak at once
-
-
-class _Datagrams(asyncio.DatagramProtocol):
-    """Hands datagrams on."""
-
-    def __init__(self, server: DatagramServer) -> None:
-        self._server = server
-
-    def datagram_received(self, data: bytes, sender: tuple[str, int]) -> None:
-        self._server.take(data, sender)
-
-    def error_received(self, _error: Exception) -> None:
-        self._server.note_unsent()
 
 
 TICK_S: Final = 0.01
@@ -258,7 +245,8 @@ class DoipServer:
         return task
 
     def _accept(self, group: asyncio.TaskGroup, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if self._controller.is_asleep or len(self._writers) >= streams.most_connections(self._entity):
+        most = self._entity.most_sockets + streams.MORE_CONNECTIONS
+        if self._controller.is_asleep or len(self._writers) >= most:
             self._counts.refused_connections += 1
             writer.transport.abort()
             return

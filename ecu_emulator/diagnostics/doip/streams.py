@@ -109,10 +109,6 @@ class Step:
         return replace(self, actions=())
 
 
-def most_connections(entity: DoipEntity) -> int:
-    return entity.most_sockets + MORE_CONNECTIONS
-
-
 MOST_WAITING: Final = 32  # requests of one tester that wait for the controller
 
 

@@ -72,18 +72,13 @@ class Settings:
             return can_id & self.receive_mask == self.receive_id & self.receive_mask
         return 0x7E8 <= can_id <= 0x7EF or can_id & 0x1FFFFF00 == 0x18DAF100
 
-    def request_id(self, *, is_standard: bool) -> int | None:
-        """Return the identifier of requests on a bus of 11 or of 29 bits; None: that of requests to all."""
-        return None if self.header is None else self._wire_id(self.header, is_standard=is_standard)
+    def wire_id(self, header: int | None, *, is_standard: bool) -> int | None:
+        """Return what becomes of a header, if there is one, on a bus of 11 or of 29 bits.
 
-    def flow_id(self, *, is_standard: bool) -> int | None:
-        """Return the identifier of flow control that a client makes itself, if it has said which."""
-        return None if self.flow_header is None else self._wire_id(self.flow_header, is_standard=is_standard)
-
-    def _wire_id(self, header: int, *, is_standard: bool) -> int:
-        """Return what becomes of a header: which protocol it is for is known when it is used, not when it is set."""
-        if is_standard:
-            return header & LARGEST_STANDARD_ID
+        Which protocol it is for is known when it is used, not when it is set.
+        """
+        if header is None or is_standard:
+            return None if header is None else header & LARGEST_STANDARD_ID
         return header if header > _HEADER_BITS else self.priority << 24 | header
 
     @property
@@ -358,7 +353,7 @@ class Interpreter:
         return self._asked(parts.data[: parts.length])
 
     def _header(self) -> int:
-        own = self.settings.request_id(is_standard=self._is_standard)
+        own = self.settings.wire_id(self.settings.header, is_standard=self._is_standard)
         return self._ids.functional_id if own is None else own
 
     def _asked(self, payload: bytes) -> Shown:
@@ -392,6 +387,7 @@ class Interpreter:
         settings = self.settings
         if not settings.controls_flow:
             return False
-        if settings.flow_mode == 1 and settings.flow_id(is_standard=self._is_standard) != self._ids.request_id:
+        own = settings.wire_id(settings.flow_header, is_standard=self._is_standard)
+        if settings.flow_mode == 1 and own != self._ids.request_id:
             return False
         return settings.flow_mode == 0 or (settings.flow_data[0] == 0x30 and len(settings.flow_data) >= 3)

@@ -9,7 +9,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from ipaddress import ip_address
@@ -356,17 +356,15 @@ class ElmServer:
 
 
 def _listening(host: str, port: int) -> socket.socket:
-    try:
-        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
-        listener = socket.socket(family, socket.SOCK_STREAM)
-    except OSError as exc:
-        raise BusError(f"ELM327 cannot listen at {host}:{port}: {exc.strerror or exc}") from exc
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(address)
-        listener.listen(MOST_CLIENTS)
-        listener.settimeout(POLL_S)
-    except OSError as exc:
-        listener.close()
-        raise BusError(f"ELM327 cannot listen at {host}:{port}: {exc.strerror or exc}") from exc
+    with ExitStack() as stack:
+        try:
+            family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+            listener = stack.enter_context(socket.socket(family, socket.SOCK_STREAM))
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind(address)
+            listener.listen(MOST_CLIENTS)
+            listener.settimeout(POLL_S)
+        except OSError as exc:
+            raise BusError(f"ELM327 cannot listen at {host}:{port}: {exc.strerror or exc}") from exc
+        stack.pop_all()
     return listener

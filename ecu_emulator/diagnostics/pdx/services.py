@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 from odxtools.odxlink import OdxLinkRef
 
@@ -100,9 +100,7 @@ class _Services:
         *responses: Parts,
         sub: int | None = None,
         access: Access | None = None,
-        enters: int | None = None,
-        unlocks: int | None = None,
-        resets: bool = False,
+        **effects: Any,  # noqa: ANN401 - as a service has them
     ) -> Service:
         """Return a service; without responses it has an empty one, and each repeats a sub-function."""
         head: Parts = () if sub is None else (constant("sub_function", sub, semantic="SUBFUNCTION"),)
@@ -114,9 +112,7 @@ class _Services:
             responses=tuple((*head, *response) for response in responses or ((),)),
             access=self._access(number, access),
             has_sub_function=sub is not None,
-            enters=enters,
-            unlocks=unlocks,
-            resets=resets,
+            **effects,
         )
 
     def _access(self, number: int, own: Access | None) -> Access:
