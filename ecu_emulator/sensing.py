@@ -54,6 +54,12 @@ class Onsets:
         start_ms = self._start_ms[index]
         return start_ms, start_ms + self._scheduled[index].duration_s * MS_PER_S
 
+    @property
+    def spans_s(self) -> tuple[tuple[float, float], ...]:
+        """Begin and end [s] of each."""
+        spans_ms = map(self.span_ms, range(len(self._scheduled)))
+        return tuple((start_ms / MS_PER_S, stop_ms / MS_PER_S) for start_ms, stop_ms in spans_ms)
+
 
 @dataclass(slots=True)
 class _Progress:
@@ -91,8 +97,7 @@ class SensorFaults:
     @property
     def spans_s(self) -> tuple[tuple[float, float], ...]:
         """Begin and end [s] of each fault, infinite while not known."""
-        spans_ms = map(self._onsets.span_ms, range(len(self._faults)))
-        return tuple((start_ms / MS_PER_S, stop_ms / MS_PER_S) for start_ms, stop_ms in spans_ms)
+        return self._onsets.spans_s
 
     def feed(self, rows: FloatArray, first_ms: int) -> None:
         """Take the next plant rows, in which faults may be triggered."""

@@ -1,6 +1,7 @@
 """Frames made to go wrong as a scenario, or somebody at run time, asks for; counted, and the same for any cutting."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -25,12 +26,6 @@ FRAME_S: Final = 111.0 / 500e3  # eight bytes, standard identifier, no stuff bit
 FOREIGN_IDS: Final = (0x500, 0x5FF)  # none of the wire contract's, and below all of them in priority
 
 
-def chosen(frames: EncodedFrames, rows: Rows | npt.NDArray[np.bool_]) -> EncodedFrames:
-    return EncodedFrames(
-        t_s=frames.t_s[rows], can_id=frames.can_id[rows], length=frames.length[rows], data=frames.data[rows]
-    )
-
-
 def joined(first: EncodedFrames, second: EncodedFrames) -> EncodedFrames:
     """Return the frames of both, one after the other."""
     return EncodedFrames(
@@ -42,27 +37,26 @@ def joined(first: EncodedFrames, second: EncodedFrames) -> EncodedFrames:
 
 
 def without(frames: EncodedFrames, rows: Rows) -> EncodedFrames:
-    return chosen(frames, np.delete(np.arange(len(frames)), rows))
+    return frames[np.delete(np.arange(len(frames)), rows)]
 
 
 def postponed(frames: EncodedFrames, rows: Rows, by_s: FloatArray | float) -> EncodedFrames:
     """Return the frames, those in ``rows`` later by ``by_s``, shape (len(rows),) or one number."""
     t_s = frames.t_s.copy()
     t_s[rows] += by_s
-    return EncodedFrames(t_s=t_s, can_id=frames.can_id, length=frames.length, data=frames.data)
+    return replace(frames, t_s=t_s)
 
 
 def duplicated(frames: EncodedFrames, rows: Rows) -> EncodedFrames:
     """Return the frames and a copy of those in ``rows``, next on the bus."""
-    copies = chosen(frames, rows)
-    return joined(frames, postponed(copies, np.arange(len(rows)), FRAME_S))
+    return joined(frames, postponed(frames[rows], np.arange(len(rows)), FRAME_S))
 
 
 def with_bad_crc(frames: EncodedFrames, rows: Rows) -> EncodedFrames:
     """Return the frames, the CRC of those in ``rows`` inverted."""
     data = frames.data.copy()
     data[rows, CRC_BYTE] ^= 0xFF
-    return EncodedFrames(t_s=frames.t_s, can_id=frames.can_id, length=frames.length, data=data)
+    return replace(frames, data=data)
 
 
 def shortened(frames: EncodedFrames, rows: Rows) -> EncodedFrames:
@@ -70,14 +64,14 @@ def shortened(frames: EncodedFrames, rows: Rows) -> EncodedFrames:
     data, length = frames.data.copy(), frames.length.copy()
     data[rows, SHORT_BYTES:] = 0
     length[rows] = SHORT_BYTES
-    return EncodedFrames(t_s=frames.t_s, can_id=frames.can_id, length=length, data=data)
+    return replace(frames, length=length, data=data)
 
 
 def recounted(frames: EncodedFrames, rows: Rows, data_id: int, counter: Rows) -> EncodedFrames:
     """Return the frames, those in ``rows``, of one message, with other counters, shape (len(rows),), and sound CRCs."""
     data = frames.data.copy()
     data[rows] = protect(data[rows], data_id, counter % COUNTER_PERIOD)
-    return EncodedFrames(t_s=frames.t_s, can_id=frames.can_id, length=frames.length, data=data)
+    return replace(frames, data=data)
 
 
 def counters(frames: EncodedFrames, rows: Rows) -> Rows:
@@ -157,10 +151,7 @@ class FrameLoss:
         """Return the frames that arrive; alive counters show the gaps."""
         if self._loss_ratio == 0.0:
             return frames
-        kept = np.flatnonzero(self._random.random(len(frames)) >= self._loss_ratio)
-        return EncodedFrames(
-            t_s=frames.t_s[kept], can_id=frames.can_id[kept], length=frames.length[kept], data=frames.data[kept]
-        )
+        return frames[np.flatnonzero(self._random.random(len(frames)) >= self._loss_ratio)]
 
 
 class _Injector:
@@ -250,10 +241,9 @@ class _Injector:
             pattern = self._payload.setdefault(can_id, frames[int(own[0]) : int(own[0]) + 1])
             sent = self._memory.get(can_id, 0)
             self._memory[can_id] = sent + len(own)
-            copies = EncodedFrames(
+            copies = replace(
+                frames[own],
                 t_s=frames.t_s[own] + SPOOF_CYCLES * self._contracts[can_id].cycle_ms / MS_PER_S,
-                can_id=frames.can_id[own],
-                length=frames.length[own],
                 data=np.repeat(pattern.data, len(own), axis=0),
             )
             numbers = sent + np.arange(len(own))
@@ -327,8 +317,7 @@ class BusFaults:
     @property
     def spans_s(self) -> tuple[tuple[float, float], ...]:
         """Begin and end [s] of each fault, infinite while not known."""
-        spans_ms = map(self._onsets.span_ms, range(len(self._faults)))
-        return tuple((start_ms / MS_PER_S, stop_ms / MS_PER_S) for start_ms, stop_ms in spans_ms)
+        return self._onsets.spans_s
 
     def check(self, fault: BusFault) -> None:
         """Raise ConfigError if the fault could not be added."""

@@ -89,7 +89,7 @@ class EncodedFrames:
     def __len__(self) -> int:
         return len(self.t_s)
 
-    def __getitem__(self, rows: slice) -> "EncodedFrames":
+    def __getitem__(self, rows: slice | npt.NDArray[np.int64]) -> "EncodedFrames":
         return EncodedFrames(
             t_s=self.t_s[rows], can_id=self.can_id[rows], length=self.length[rows], data=self.data[rows]
         )

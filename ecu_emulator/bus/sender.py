@@ -1,12 +1,5 @@
 """Frames onto a bus in real time: absolute deadlines, measured lateness, nothing lost in silence."""
 
-from typing import TYPE_CHECKING, Final
-
-import numpy as np
-
-if TYPE_CHECKING:
-    from canlog.arrays import Int64Array
-
 import errno
 import os
 import queue
@@ -16,9 +9,10 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import can
+import numpy as np
 
 from canlog.live import opening
 from ecu_emulator.bus.frames import EncodedFrames
@@ -45,11 +39,11 @@ class SendLateness:
 
     def __init__(self, overrun_s: float) -> None:
         self._overrun_s = overrun_s
-        self._histogram: Int64Array = np.zeros(BINS, np.int64)
+        self._histogram = np.zeros(BINS, np.int64)
         self._count = 0
         self._sum_t = self._sum_late = self._sum_t_t = self._sum_t_late = 0.0
-        self._max_s = 0.0
-        self._overruns = 0
+        self.max_s = 0.0
+        self.overruns = 0  # frames that were later than what counts as on time
 
     def add(self, due_s: float, lateness_s: float) -> None:
         """Count a frame that was due at ``due_s`` of the schedule and began to be sent this much later."""
@@ -59,18 +53,9 @@ class SendLateness:
         self._sum_late += lateness_s
         self._sum_t_t += due_s * due_s
         self._sum_t_late += due_s * lateness_s
-        self._max_s = max(self._max_s, lateness_s)
+        self.max_s = max(self.max_s, lateness_s)
         if lateness_s > self._overrun_s:
-            self._overruns += 1
-
-    @property
-    def overruns(self) -> int:
-        """Frames that were later than what counts as on time."""
-        return self._overruns
-
-    @property
-    def max_s(self) -> float:
-        return self._max_s
+            self.overruns += 1
 
     @property
     def mean_s(self) -> float:
@@ -82,7 +67,7 @@ class SendLateness:
         if self._count == 0:
             return 0.0
         place = int(np.searchsorted(np.cumsum(self._histogram), fraction * self._count))
-        return min((place + 1) * BIN_S, self._max_s)
+        return min((place + 1) * BIN_S, self.max_s)
 
     @property
     def drift_ppm(self) -> float:
