@@ -337,8 +337,8 @@ def test_the_classic_profile_has_nothing_of_the_other(bench: Bench) -> None:
         ("data = 0xF190", "data = 0xF1FF", "vehicle information vehicle identification number: data 0xF1FF is not"),
         ("size_bytes = 16\n", "size_bytes = 5\n", "it is longer than 5 bytes"),
         ("data = 0xF190", 'data = 0xF190\ntext = "x"', "either data, a text or digits"),
-        ('number = 0xE1\ncode = "P0811"', 'number = 0xE1\ncode = "P0999"', "trouble code P0999 is not described"),
-        ("number = 0xE1\n", "number = 0xE0\n", "no multiple of 0x20"),
+        ('number = 0xE1, code = "P0811"', 'number = 0xE1, code = "P0999"', "trouble code P0999 is not described"),
+        ("number = 0xE1,", "number = 0xE0,", "no multiple of 0x20"),
         ('clear_conditions = ["standstill"]', 'clear_conditions = ["asleep"]', "condition asleep is not described"),
     ],
 )  # fmt: skip
