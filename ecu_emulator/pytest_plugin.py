@@ -112,7 +112,6 @@ def _end(medium: "Medium") -> Iterator["can.BusABC"]:
 
 
 def _buses() -> dict[str, Callable[[], AbstractContextManager["Medium"]]]:
-    """Return how each kind of bus is made."""
     from canlog.live import medium  # noqa: PLC0415 - not before it is used
 
     return {

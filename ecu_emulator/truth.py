@@ -427,8 +427,6 @@ class _Slip:
 
 @dataclass(slots=True)
 class _Running:
-    """An event that has begun."""
-
     first: FloatArray  # its first row
     last: FloatArray
     slips: tuple[_Slip, _Slip] = field(default_factory=lambda: (_Slip(), _Slip()))

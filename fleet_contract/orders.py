@@ -76,8 +76,6 @@ _EARLIER_WORDS: Final = {
 
 
 class Action(StrEnum):
-    """What is to be done."""
-
     CHANGE_NOW = "change_now"
     CHANGE_AT_SERVICE = "change_at_service"
     FIND_CAUSE = "find_cause"  # new fluid alone would not mend what is likely
@@ -117,7 +115,6 @@ NEARLY_CERTAIN: Final = 0.9  # and gives one where nothing is said against the f
 
 
 def cause_words(cause: str, clutch: int | None) -> str:
-    """Return a cause for people."""
     if cause == _SOUND:
         return "no cause found"
     return cause.replace("-", " ") + ("" if clutch is None else f" of clutch {clutch}")

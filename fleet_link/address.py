@@ -65,7 +65,6 @@ class TlsFiles:
     key: Path | None = None
 
     def __post_init__(self) -> None:
-        """Check that certificate and key come together."""
         if (self.certificate is None) is not (self.key is None):
             raise AddressError("a certificate needs its key, and a key its certificate")
 

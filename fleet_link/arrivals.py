@@ -29,7 +29,6 @@ class Arrivals:
         self._batch_bytes = math.inf if max_bytes is None else max_bytes / 2
 
     def __len__(self) -> int:
-        """Return how many messages wait."""
         return len(self._messages)
 
     def append(self, message: Message) -> None:

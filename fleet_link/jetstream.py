@@ -202,7 +202,6 @@ class JetStream:
             await manager.add_consumer(STREAM, consumer)
 
     async def _ask(self, limit: int) -> None:
-        """Ask for messages unless a question is open."""
         if self._due or self._is_lost:
             return
         self._question += 1

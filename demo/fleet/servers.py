@@ -98,7 +98,6 @@ class PostgresServer:
         return self._process.pid
 
     def url(self, database: str = "postgres") -> str:
-        """Return the address of a database."""
         return f"postgresql+psycopg://{ROLE}@{HOST}:{self.port}/{database}"
 
     def start(self) -> None:

@@ -56,8 +56,6 @@ class Driven:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Performance:
-    """A routine that the car performs."""
-
     shifts_before: int
     over_s: float | None = None  # since when all of it is driven
 

@@ -75,7 +75,6 @@ def recounted(frames: EncodedFrames, rows: Rows, data_id: int, counter: Rows) ->
 
 
 def counters(frames: EncodedFrames, rows: Rows) -> Rows:
-    """Return the alive counters of the frames in ``rows``."""
     return counter_of(frames.data[rows]).astype(np.int64)
 
 

@@ -118,8 +118,6 @@ class _SignalCode:
 
 @dataclass(frozen=True, slots=True)
 class _MessageCode:
-    """How one message is written."""
-
     can_id: int
     data_id: int
     signals: tuple[_SignalCode, ...]
@@ -204,7 +202,6 @@ def merge(parts: Sequence[EncodedFrames]) -> EncodedFrames:
 
 
 def _message_code(message: Message) -> _MessageCode:
-    """Compile one message of the wire contract."""
     contract = message_contract(message)
     if contract.data_id is None or message.length != PAYLOAD_BYTES:
         raise ValueError(f"{message.name} is not a protected message of {PAYLOAD_BYTES} bytes")

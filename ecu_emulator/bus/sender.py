@@ -105,8 +105,6 @@ class FrameSender(Protocol):
 
 
 class _Transmitter:
-    """One transmission: schedule, sender and measurements."""
-
     def __init__(self, bus: FrameSender, stop: threading.Event) -> None:
         self._bus = bus
         self._stop = stop

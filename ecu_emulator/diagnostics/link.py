@@ -40,8 +40,6 @@ logging.getLogger(_LOGGER).setLevel(logging.CRITICAL + 1)
 
 @dataclass(slots=True)
 class LinkCounts:
-    """What a link has seen."""
-
     requests: int = 0
     responses: int = 0
     periodic: int = 0  # messages of service 2A
@@ -231,7 +229,6 @@ class DiagnosticLink:
             self._respond(bytes([NEGATIVE, self._asked[0], Nrc.RESPONSE_PENDING]))
 
     def _wake(self) -> None:
-        """End the wait for a frame."""
         with suppress(queue.Full):
             self._frames.put_nowait(None)
 

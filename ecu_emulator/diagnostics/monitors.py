@@ -186,7 +186,6 @@ def _sample(code: str, *, is_failed: bool) -> Sample:
 
 
 def _lost_samples(known: Mapping[str, float]) -> Iterator[Sample]:
-    """Judge whether the other controllers speak."""
     for node, code in LOST_CODES.items():
         is_silent = known.get(f"{SILENCE}{node}")
         if is_silent is not None:
@@ -219,7 +218,6 @@ def _is_frozen(watch: Watch, known: Mapping[str, float], limits: MonitorLimits) 
 def _clutch_samples(
     gears: tuple[float, float], known: Mapping[str, float], lasts_s: float, limits: MonitorLimits
 ) -> Iterator[Sample]:
-    """Judge a dual clutch."""
     for clutch, code in PRESSURE_SENSOR_CODES.items():
         yield _sample(code, is_failed=_pressure_pa(known, clutch, limits) is None)
     yield _sample("P0715", is_failed=any(known.get(name) is None for name in _SHAFT_SPEEDS))

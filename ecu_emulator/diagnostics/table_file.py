@@ -188,7 +188,6 @@ def _obd(file: TableFile) -> descriptions.Obd | None:
 
 
 def _records(record: type[RecordT], document: Mapping[str, Any], key: str) -> tuple[RecordT, ...]:
-    """Return records of a file that ships."""
     return tuple(record_from(record, one, f"{key}: ", error=ConfigError) for one in document[key])
 
 

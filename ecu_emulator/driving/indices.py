@@ -104,8 +104,6 @@ class LockUpState(IntEnum):
 
 @unique
 class EngineState(IntEnum):
-    """What the engine does."""
-
     FIRING = 0
     FUEL_CUT = 1  # turned by the car
     STOPPED = 2  # by the stop-start

@@ -81,8 +81,6 @@ class ChoiceParameters(NamedTuple):
 
 
 class LaunchParameters(NamedTuple):
-    """Creeping and launching."""
-
     creep_nm: float
     creep_fade_rad_s: float
     creep_ramp_nm_s: float
@@ -166,8 +164,6 @@ class SurroundingsParameters(NamedTuple):
 
 
 class DrivingParameters(NamedTuple):
-    """All of them."""
-
     driver: DriverParameters
     pedal: PedalParameters
     engine: EngineControlParameters

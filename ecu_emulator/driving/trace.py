@@ -32,7 +32,6 @@ class SpeedTrace:
     grade_ratio: FloatArray  # (n,), rise over way, positive uphill
 
     def __post_init__(self) -> None:
-        """Check shapes and ranges."""
         columns = (self.t_s, self.speed_m_s, self.grade_ratio)
         if any(column.shape != (self.t_s.size,) for column in columns) or self.t_s.size < 2:
             raise ConfigError(f"trace {self.name}: needs two or more points, each with time, speed and grade")

@@ -68,7 +68,6 @@ class DriveConditions:
     dt_s: float = 2.5e-4  # a whole fraction of a millisecond
 
     def __post_init__(self) -> None:
-        """Check every number against its range."""
         for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and low <= value <= high):

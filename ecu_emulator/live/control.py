@@ -118,7 +118,6 @@ def _listening(path: Path) -> socket.socket:
 
 
 def _remove_dead(path: Path) -> None:
-    """Remove a socket behind which nobody listens."""
     with suppress(FileNotFoundError):
         if not stat.S_ISSOCK(path.lstat().st_mode):
             raise RecordError(f"cannot listen at {path}: there is a file")

@@ -51,7 +51,6 @@ def cylinder_air_kg_rad(manifold_pa: float, air_k: float, p: EngineParameters) -
 def manifold_rate_pa_s(
     manifold_pa: float, throttle_kg_s: float, engine_rad_s: float, air_k: float, p: EngineParameters
 ) -> float:
-    """Return the rate of the manifold pressure [Pa/s]."""
     inflow_kg_s = throttle_kg_s * (1.0 - math.exp(_SHARPNESS * (manifold_pa / p.ambient_pressure_pa - 1.0)))
     outflow_kg_s = cylinder_air_kg_rad(manifold_pa, air_k, p) * engine_rad_s
     return _AIR_GAS_CONSTANT_J_KG_K * air_k / p.manifold_volume_m3 * (inflow_kg_s - outflow_kg_s)

@@ -109,7 +109,6 @@ class PlantParameters:
     open_drags: OpenDrags = field(default_factory=OpenDrags)
 
     def __post_init__(self) -> None:
-        """Check every number against its range."""
         for name, value in self._numbers():
             key = name.rpartition(".")[2]
             is_positive = value > 0.0 or (value == 0.0 and key in _MAY_BE_ZERO)

@@ -4,8 +4,6 @@ from enum import StrEnum
 
 
 class DriveName(StrEnum):
-    """What is driven."""
-
     CYCLE = "cycle"  # 1-2-3-4-5-6-5-4-3-2-1 with a warm transmission, as on a test bench
     WLTC = "wltc"
     UDDS = "udds"

@@ -46,7 +46,6 @@ class Scheduled:
     duration_s: float = math.inf
 
     def __post_init__(self) -> None:
-        """Check that it can happen."""
         if not (math.isfinite(self.start_s) and self.start_s >= 0.0):
             raise ConfigError(f"start_s must be >= 0, got {self.start_s}")
         if not 0 <= self.shift <= MAX_SHIFT:
@@ -124,7 +123,6 @@ class Cause:
     grows_over_m: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check that it can be."""
         if not 0.0 <= self.strength <= MAX_STRENGTH:
             raise ConfigError(f"strength must be 0..{MAX_STRENGTH:g}, got {self.strength}")
         if self.clutch not in ((0, 1, 2) if self.kind.is_of_one_clutch else (0,)):
@@ -179,7 +177,6 @@ class BusFault(Scheduled):
     skip: int = 0
 
     def __post_init__(self) -> None:
-        """Check that what is given belongs to the kind."""
         Scheduled.__post_init__(self)
         if not 0.0 < self.share <= 1.0:
             raise ConfigError(f"share must be above 0, up to 1, got {self.share}")

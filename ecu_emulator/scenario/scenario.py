@@ -247,7 +247,6 @@ class Scenario(_Ranged):
     causes: tuple[Cause, ...] = ()  # of what is wrong with the car
 
     def __post_init__(self) -> None:
-        """Check ranges and the vehicle's name."""
         _Ranged.__post_init__(self)
         if not _VEHICLE_ID.fullmatch(self.vehicle):
             raise ConfigError(f"vehicle must be 1..64 letters, digits, '-' or '_', got {self.vehicle!r}")

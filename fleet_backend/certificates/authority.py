@@ -37,8 +37,6 @@ class Lifetime:
 
 
 class Authority:
-    """The authority of a folder."""
-
     def __init__(self, folder: Path, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate) -> None:
         self.folder = folder
         self._key = key

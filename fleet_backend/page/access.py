@@ -38,7 +38,6 @@ class Attempt:
 
     @classmethod
     def begin(cls, where: str, now_s: float) -> "Attempt":
-        """Return a new one."""
         state, nonce, verifier = (secrets.token_urlsafe(48) for _ in range(3))
         return cls(state=state, nonce=nonce, verifier=verifier, where=where, until_s=now_s + ATTEMPT_S)
 
@@ -116,8 +115,6 @@ class Role(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Viewer:
-    """Who asks."""
-
     name: str | None
     role: Role
     token: str = field(default="", repr=False)  # goes with every change, so that no other site can ask for one

@@ -20,11 +20,9 @@ class Same:
         self._held = held
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other holds the very same."""
         return isinstance(other, Same) and other._held is self._held
 
     def __hash__(self) -> int:
-        """Return a number that two of the same share."""
         return id(self._held)
 
 

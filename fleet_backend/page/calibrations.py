@@ -32,7 +32,6 @@ _KNOWN: Final[dict[tuple[str, str], KnownCalibration]] = {}  # by vehicle and ve
 
 @cache
 def _shipped() -> tuple[str, KnownCalibration]:
-    """Return the shipped calibration behind its version."""
     shipped = nominal_calibration()
     friction = tuple(clutch.friction for clutch in shipped.clutches)
     known = KnownCalibration(vehicle_type=shipped.name, new_friction=friction)

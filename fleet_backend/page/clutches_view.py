@@ -28,7 +28,6 @@ def wanted(ask: Ask) -> Wanted:
 
 
 def find(sources: Sources, ask: Ask) -> FleetAnswer:
-    """Return the clutches that are asked for."""
     snapshot = sources.keeper.snapshot
     looked_for = wanted(ask)
     after, limit = ask.text("after"), ask.count("limit")

@@ -66,7 +66,6 @@ def file_of(form: Format, rows: Sequence[Any], row: type) -> bytes:
 
 
 def _plain(value: object) -> object:
-    """Return a value as a cell can hold it."""
     if isinstance(value, tuple):
         return ";".join(map(str, value))
     return json.dumps(value, sort_keys=True) if isinstance(value, Mapping) else value

@@ -115,7 +115,6 @@ def _decoded(word: str) -> object:
 
 
 def vehicle_type(now: ClutchNow) -> str:
-    """Return of what type a vehicle is."""
     return type_of(now.vehicle, now.calibration_version)
 
 

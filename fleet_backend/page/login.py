@@ -20,13 +20,10 @@ _LONGEST: Final = 2000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoginRoutes:
-    """Makes the routes of a login."""
-
     access: Access
     login: Login
 
     def all(self) -> list[Route]:
-        """Return them."""
         return [
             Route(LOGIN_PATH, self._begin, name="login"),
             Route(RETURN_PATH, self._return, name="login return"),

@@ -200,7 +200,6 @@ def read_past(engine: Engine, vehicle: str, clutch: int, state: VehicleState, se
 
 
 def _point_of(row: past.Row, estimate: ShiftEstimate) -> TrendPoint:
-    """Return one event of a trend."""
     made: dict[str, Any] = {name: row[name] for name in _POINT_NAMES}
     quality = estimate.shift_quality
     made["score"] = None if quality is None else quality.score

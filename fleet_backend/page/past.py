@@ -173,7 +173,6 @@ def record_in(row: Row, name: str, kind: type[RecordT]) -> RecordT | None:
 
 
 def words_in(row: Row) -> tuple[str, ...]:
-    """Return the reasons in a row."""
     return tuple(str(row["reasons"]).split(",")) if row["reasons"] else ()
 
 

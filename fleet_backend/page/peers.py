@@ -56,8 +56,6 @@ class FleetAgeing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Clutch:
-    """What is known of one clutch."""
-
     vehicle: str
     clutch: int
     vehicle_type: str

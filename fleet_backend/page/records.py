@@ -176,8 +176,6 @@ class ClutchHistory:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleAnswer:
-    """A vehicle."""
-
     vehicle: str
     is_online: bool | None
     connected_at: datetime | None

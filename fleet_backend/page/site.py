@@ -49,8 +49,6 @@ class SafeHeaders:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request."""
-
         async def send_safely(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
@@ -70,7 +68,6 @@ class KnownHosts:
         self._names = frozenset(name.casefold() for name in names)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request."""
         if scope["type"] == "http" and host_of(Headers(scope=scope).get("host", "")) not in self._names:
             await PlainTextResponse("this server has another name\n", status_code=421)(scope, receive, send)
             return

@@ -25,12 +25,10 @@ def km(distance_m: float | None) -> Cell:
 
 
 def quality(value: float | None) -> Cell:
-    """Return a quality from 0 to 1."""
     return number(value, "{:.2f}")
 
 
 def condition_word(condition: str) -> str:
-    """Return the word of a verdict."""
     return condition.replace("_", " ")
 
 
@@ -40,7 +38,6 @@ def style(condition: str) -> str:
 
 
 def badge(condition: str) -> Badge:
-    """Return the badge of a verdict."""
     return Badge(style=style(condition), text=condition_word(condition))
 
 

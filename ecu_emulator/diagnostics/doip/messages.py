@@ -19,8 +19,6 @@ _HEADER: Final = struct.Struct(">BBHL")
 
 
 class PayloadType(IntEnum):
-    """What a message is."""
-
     HEADER_NACK = 0x0000
     IDENTIFY = 0x0001
     IDENTIFY_BY_EID = 0x0002

@@ -214,7 +214,6 @@ def _forgotten(call: Call) -> Result:
 
 
 def _is_anothers(call: Call, number: int) -> bool:
-    """Return whether another client has defined this datum."""
     return any(piece.client != call.request.client for piece in call.state.defined.get(number, ()))
 
 
