@@ -10,9 +10,7 @@ from fleet_contract.errors import (
     VariableError,
 )
 from fleet_contract.messages import (
-    MAX_BUNDLE_BYTES,
     MAX_BUNDLED,
-    MAX_RECEIPTS,
     NEVER,
     Incoming,
     Outcome,
@@ -36,33 +34,16 @@ from fleet_contract.messages import (
     status_message,
     takes_bundles,
 )
-from fleet_contract.schema_check import ASYNCAPI_PATH, SCHEMA_FOLDER, VSS_OVERLAY_PATH, schema
-from fleet_contract.settings import (
-    BACKEND_VARIABLES,
-    PREFIX,
-    SERVICE_VARIABLES,
-    BrokerUrl,
-    check_variables,
-    exposure,
-    is_this_machine,
-    parse_broker_url,
-)
+from fleet_contract.schema_check import schema
+from fleet_contract.settings import BrokerUrl, check_variables, exposure, parse_broker_url
 from fleet_contract.strict_json import JsonObject, dump, parse_object
 from fleet_contract.topics import CLUTCHES, TOPIC_ROOT, Address, Channel, filter_of, is_vehicle, parse_topic, topic_of
 
 __all__ = [
-    "ASYNCAPI_PATH",
-    "BACKEND_VARIABLES",
     "CLUTCHES",
     "MAX_BUNDLED",
-    "MAX_BUNDLE_BYTES",
-    "MAX_RECEIPTS",
     "NEVER",
-    "PREFIX",
-    "SCHEMA_FOLDER",
-    "SERVICE_VARIABLES",
     "TOPIC_ROOT",
-    "VSS_OVERLAY_PATH",
     "Address",
     "BrokerUrl",
     "BrokerUrlError",
@@ -90,7 +71,6 @@ __all__ = [
     "exposure",
     "filter_of",
     "fluid_message",
-    "is_this_machine",
     "is_vehicle",
     "key_of",
     "metrics_message",

@@ -106,8 +106,6 @@ def _told(error: ValidationError) -> str:
 
 
 SCHEMA_FOLDER: Final = Path(__file__).with_name("schemas")
-ASYNCAPI_PATH: Final = Path(__file__).with_name("asyncapi.yaml")
-VSS_OVERLAY_PATH: Final = Path(__file__).with_name("vss") / "clutches.vspec"
 ENVELOPE: Final = "event"
 
 

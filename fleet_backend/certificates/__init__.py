@@ -2,7 +2,3 @@
 
 ``fleet_backend.certificates.authority`` makes them; it needs the extra ``security``, so nothing here loads it.
 """
-
-from fleet_backend.errors import CertificateError
-
-__all__ = ["CertificateError"]

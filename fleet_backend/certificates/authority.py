@@ -71,18 +71,12 @@ class Authority:
 
     def issue_server(self, name: str, hosts: Sequence[str], lifetime: Lifetime) -> None:
         """Make or renew the certificate of a broker that is reached at ``hosts``: names or addresses."""
-        if not hosts:
-            raise CertificateError("the certificate of a server needs a host name")
-        names = x509.SubjectAlternativeName([_general_name(host) for host in hosts])
-        self._issue(name, lifetime, [ExtendedKeyUsageOID.SERVER_AUTH], names)
+        self._issue(name, lifetime, [ExtendedKeyUsageOID.SERVER_AUTH], _host_names("server", hosts))
 
     def issue_node(self, name: str, hosts: Sequence[str], lifetime: Lifetime) -> None:
         """Make or renew the certificate of a part of a cluster, which is reached at ``hosts`` and reaches others."""
-        if not hosts:
-            raise CertificateError("the certificate of a node needs a host name")
-        names = x509.SubjectAlternativeName([_general_name(host) for host in hosts])
         purposes = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
-        self._issue(name, lifetime, purposes, names)
+        self._issue(name, lifetime, purposes, _host_names("node", hosts))
 
     def issue_client(self, name: str, lifetime: Lifetime) -> None:
         """Make or renew the certificate of a vehicle or a backend, whose common name is its identity."""
@@ -109,6 +103,12 @@ class Authority:
 
 def _name(common_name: str) -> x509.Name:
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
+
+
+def _host_names(whose: str, hosts: Sequence[str]) -> x509.SubjectAlternativeName:
+    if not hosts:
+        raise CertificateError(f"the certificate of a {whose} needs a host name")
+    return x509.SubjectAlternativeName([_general_name(host) for host in hosts])
 
 
 def _general_name(host: str) -> x509.GeneralName:

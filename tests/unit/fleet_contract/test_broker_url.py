@@ -2,7 +2,8 @@
 
 import pytest
 
-from fleet_contract import BrokerUrl, BrokerUrlError, exposure, is_this_machine, parse_broker_url
+from fleet_contract import BrokerUrl, BrokerUrlError, exposure, parse_broker_url
+from fleet_contract.settings import is_this_machine
 
 
 @pytest.mark.parametrize(

@@ -10,18 +10,12 @@ from vss_tools.main import get_trees
 from vss_tools.model import VSSDataDatatype
 
 from diag_service.diagnosis.records import Condition
-from fleet_contract import (
-    ASYNCAPI_PATH,
-    CLUTCHES,
-    MAX_BUNDLE_BYTES,
-    MAX_BUNDLED,
-    SCHEMA_FOLDER,
-    VSS_OVERLAY_PATH,
-    Channel,
-    schema,
-    topic_of,
-)
-from fleet_contract.schema_check import ENVELOPE
+from fleet_contract import CLUTCHES, MAX_BUNDLED, Channel, schema, topic_of
+from fleet_contract.messages import MAX_BUNDLE_BYTES
+from fleet_contract.schema_check import ENVELOPE, SCHEMA_FOLDER
+
+ASYNCAPI_PATH = SCHEMA_FOLDER.with_name("asyncapi.yaml")
+VSS_OVERLAY_PATH = SCHEMA_FOLDER.with_name("vss") / "clutches.vspec"
 
 ALONE = [channel for channel in Channel if channel is not Channel.BUNDLE]
 QUANTITIES = "relation:\n  definition: A ratio of two quantities of one kind\n"

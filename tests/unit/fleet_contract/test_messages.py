@@ -14,9 +14,7 @@ from hypothesis import strategies as st
 
 from diag_service.diagnosis.records import clutch_record, shift_record
 from fleet_contract import (
-    MAX_BUNDLE_BYTES,
     MAX_BUNDLED,
-    MAX_RECEIPTS,
     Channel,
     ContractError,
     IdentityError,
@@ -38,6 +36,7 @@ from fleet_contract import (
     shift_message,
     takes_bundles,
 )
+from fleet_contract.messages import MAX_BUNDLE_BYTES, MAX_RECEIPTS
 from tests.support.builders import shift_result
 
 SHIFT = shift_message(shift_record(shift_result()))

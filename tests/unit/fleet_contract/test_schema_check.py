@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import pytest
 from jsonschema import Draft202012Validator
 
-from fleet_contract import SCHEMA_FOLDER, SchemaError, schema
-from fleet_contract.schema_check import compile_schema
+from fleet_contract import SchemaError, schema
+from fleet_contract.schema_check import SCHEMA_FOLDER, compile_schema
 
 NAMES = sorted(path.name.removesuffix("-v1.json") for path in SCHEMA_FOLDER.glob("*.json"))
 

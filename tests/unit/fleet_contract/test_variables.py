@@ -3,7 +3,8 @@
 import pytest
 
 from fleet_backend import arguments
-from fleet_contract import BACKEND_VARIABLES, SERVICE_VARIABLES, VariableError, check_variables
+from fleet_contract import VariableError, check_variables
+from fleet_contract.settings import BACKEND_VARIABLES, SERVICE_VARIABLES
 
 
 def test_what_is_known_or_of_others_passes() -> None:

@@ -13,7 +13,7 @@ from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.commands.live import describe
 from diag_service.errors import ConfigError
 from diag_service.settings.options import SETTINGS, VARIABLES, read_settings
-from fleet_contract import PREFIX, SERVICE_VARIABLES
+from fleet_contract.settings import PREFIX, SERVICE_VARIABLES
 from tests.support.service import environment
 
 VALUES: dict[str, str | int | float | bool] = {

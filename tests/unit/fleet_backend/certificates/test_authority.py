@@ -9,9 +9,9 @@ import pytest
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from fleet_backend.certificates import CertificateError
 from fleet_backend.certificates.authority import Authority, Lifetime
 from fleet_backend.certificates.cli import main
+from fleet_backend.errors import CertificateError
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 A_YEAR = Lifetime.of_days(365, NOW)
