@@ -10,6 +10,7 @@ import numpy.typing as npt
 from canlog.arrays import FloatArray
 from canlog.e2e.message_contract import MessageContract
 from canlog.e2e.profile1 import COUNTER_PERIOD, CRC_BYTE, PAYLOAD_BYTES, counter_of, protect
+from canlog.frames import ERROR_FLAG
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind
@@ -18,7 +19,6 @@ from ecu_emulator.sensing import MS_PER_S, Onsets
 
 Rows = npt.NDArray[np.int64]
 
-ERROR_FLAG: Final = 0x2000_0000  # SocketCAN's CAN_ERR_FLAG
 ERROR_ID: Final = ERROR_FLAG | 0x88  # CAN_ERR_PROT, CAN_ERR_BUSERROR: a violation of the protocol
 STUFF_ERROR_DATA: Final = (0, 0, 4, 0, 0, 0, 0, 0)  # CAN_ERR_PROT_STUFF in byte 2
 SHORT_BYTES: Final = 4

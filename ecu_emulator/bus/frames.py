@@ -10,14 +10,12 @@ import numpy.typing as npt
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal
 
-from canlog.arrays import FloatArray
+from canlog.arrays import FloatArray, UInt8Array, UInt32Array
 from canlog.e2e.message_contract import message_contract
 from canlog.e2e.profile1 import PAYLOAD_BYTES, protect
 from clutch_model.units import bar_from_pa, degc_from_k, km_h_from_m_s, rpm_from_rad_s
 from ecu_emulator.sensing import Readings
 
-UInt8Array = npt.NDArray[np.uint8]
-UInt32Array = npt.NDArray[np.uint32]
 UInt64Array = npt.NDArray[np.uint64]
 
 SIGNAL_OF: Final[Mapping[str, str]] = MappingProxyType({

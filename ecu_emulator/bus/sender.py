@@ -14,6 +14,7 @@ from typing import Any, Final, Protocol
 import can
 import numpy as np
 
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG
 from canlog.live import opening
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.errors import BusError
@@ -29,8 +30,6 @@ RETRY_FOR_S: Final = 0.005
 RETRY_PAUSE_S: Final = 0.0005
 JOIN_S: Final = 5.0
 PROGRESS_PERIOD_S: Final = 0.2
-EXTENDED_FLAG: Final = 0x8000_0000
-ERROR_FLAG: Final = 0x2000_0000
 BUS_GONE: Final = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ENETUNREACH})
 
 

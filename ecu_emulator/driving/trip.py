@@ -1,7 +1,6 @@
 """A trip: a car, under its conditions, follows a speed trace, one row of the plant per millisecond."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,23 +22,18 @@ from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL
 from ecu_emulator.plant.engine import throttle_flow_kg_s
 from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
-from ecu_emulator.plant.powertrain import believe, drive_law
+from ecu_emulator.plant.powertrain import IDLE_MANIFOLD_RATIO, believe, drive_law
 from ecu_emulator.shift_control import tcu_data
 
 _MS_PER_S = 1000
 _MAX_STEP_S = 2.5e-4
 _RANGES = {
     "oil_k": (258.15, 403.15),
-    "clutch1_k": (258.15, 503.15),
-    "clutch2_k": (258.15, 503.15),
     "coolant_k": (243.15, 393.15),
     "ambient_k": (233.15, 328.15),
-    "mass_kg": (900.0, 3500.0),
     "dt_s": (1.0e-6, _MAX_STEP_S),
     "whim_ratio": (0.0, 1.0),
 }
-BLOCK_S = 10.0
-_IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure
 _WHIM_COUNT = 1021  # prime: no pattern of events meets the same whims again and again
 _LONGEST_WHIM_DELAY_S = 0.7
 _LONGEST_IN_GEAR_DELAY_S = 5.0
@@ -49,7 +43,7 @@ _DEEPER_PEDAL = (0.15, 0.6)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveConditions:
-    """Temperatures and load as the drive begins, and how the driver behaves.
+    """Temperatures as the drive begins, and how the driver behaves.
 
     Raises
     ------
@@ -60,9 +54,6 @@ class DriveConditions:
     oil_k: float = 363.15
     coolant_k: float = 358.15
     ambient_k: float = 298.15
-    clutch1_k: float | None = None  # None: as warm as the oil
-    clutch2_k: float | None = None
-    mass_kg: float | None = None  # None: that of the type
     friction_factors: FrictionFactors = field(default_factory=FrictionFactors)
     whim_ratio: float = 0.1  # share of the events in which the driver's foot moves without need
     dt_s: float = 2.5e-4  # a whole fraction of a millisecond
@@ -70,7 +61,7 @@ class DriveConditions:
     def __post_init__(self) -> None:
         for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and low <= value <= high):
+            if not (math.isfinite(value) and low <= value <= high):
                 raise ConfigError(f"{name} must be {low:g}..{high:g}, got {value}")
         steps = 1.0 / (_MS_PER_S * self.dt_s)
         if abs(steps - round(steps)) > 1.0e-6 * steps:
@@ -100,7 +91,7 @@ class Trip(Course):
     trace : SpeedTrace
         What the driver follows.
     conditions : DriveConditions
-        Temperatures, load, habits.
+        Temperatures, habits.
     rng : np.random.Generator
         Of the driver's whims; read once.
     is_audited : bool
@@ -144,22 +135,11 @@ class Trip(Course):
         return rows[: run(self._machine, self._road, self._law, rows)]
 
 
-def drive(car: Car, trace: SpeedTrace, conditions: DriveConditions, rng: np.random.Generator) -> Iterator[FloatArray]:
-    """Yield the rows of a whole trip in blocks of `BLOCK_S`, shape (n, len(Col)) each."""
-    trip = Trip(car, trace, conditions, rng)
-    while not trip.finished:
-        yield trip.advance(BLOCK_S)
-
-
 def driving_law(car: Car, conditions: DriveConditions) -> DrivingLaw:
     """Return everything constant over a trip, in the form the kernels take after `as_record`."""
     around = car.driving.surroundings
     base = drive_law(car.truth, car.parameters, DriveSettings(dt_s=conditions.dt_s))
-    vehicle = base.plant.vehicle
-    if conditions.mass_kg is not None:
-        vehicle = vehicle._replace(mass_kg=float(conditions.mass_kg))
     plant = base.plant._replace(
-        vehicle=vehicle,
         synchroniser=base.plant.synchroniser._replace(lock_slip_rad_s=around.synchroniser_lock_rad_s),
         air_k=float(conditions.ambient_k),
         coolant_k=float(conditions.coolant_k),
@@ -228,12 +208,9 @@ def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited
 def _fill_state(machine: Machine, law: DrivingLaw, conditions: DriveConditions) -> None:
     y, plant = machine.y, law.drive.plant
     y[[at.W_E, at.W_H]] = idle_rad_s(machine.sense, law)
-    y[at.P_M] = _IDLE_MANIFOLD_RATIO * plant.engine.ambient_pressure_pa
+    y[at.P_M] = IDLE_MANIFOLD_RATIO * plant.engine.ambient_pressure_pa
     y[at.SPARK] = 1.0
-    y[at.T_OIL] = conditions.oil_k
-    packs_k = (conditions.clutch1_k, conditions.clutch2_k)
+    y[[at.T_C, at.T_C + 1, at.T_OIL]] = conditions.oil_k
     for index, clutch in enumerate((plant.clutches.first, plant.clutches.second)):
-        pack_k = packs_k[index]
-        y[at.T_C + index] = conditions.oil_k if pack_k is None else pack_k
         y[at.FILM + index] = clutch.film.open_gap_m
         refresh_contact(y, index, clutch)

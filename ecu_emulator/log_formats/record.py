@@ -10,6 +10,7 @@ from typing import BinaryIO, Final, Self
 
 import numpy as np
 
+from canlog.frames import ERROR_FLAG
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.errors import RecordError
 from ecu_emulator.log_formats import writers
@@ -60,7 +61,8 @@ class LogStream:
     def write(self, frames: EncodedFrames) -> None:
         """Append frames; raises OSError if nobody takes them, RecordError as ``LogFile.write``."""
         _check_error_frames(frames, self._format, self._name)
-        self._writer.write(_t_us(frames, self._header), frames)
+        t_us = self._header.start_us + np.rint(frames.t_s * US_PER_S).astype(np.int64)
+        self._writer.write(t_us, frames)
         self._stream.flush()
 
     def __enter__(self) -> Self:
@@ -177,13 +179,8 @@ def _header(start_ns: int, channel: str) -> writers.Header:
 
 
 def _check_error_frames(frames: EncodedFrames, log_format: LogFormat, name: str) -> None:
-    if log_format is not LogFormat.CANDUMP and np.any(frames.can_id & np.uint32(writers.ERROR_FLAG)):
+    if log_format is not LogFormat.CANDUMP and np.any(frames.can_id & np.uint32(ERROR_FLAG)):
         raise RecordError(f"cannot write {name}: error frames are written to candump logs only")
-
-
-def _t_us(frames: EncodedFrames, header: writers.Header) -> writers.Int64Array:
-    """Return the times of frames in whole microseconds since the epoch."""
-    return header.start_us + np.rint(frames.t_s * US_PER_S).astype(np.int64)
 
 
 def format_of(path: Path) -> LogFormat | None:

@@ -9,18 +9,12 @@ from datetime import UTC, datetime
 from typing import Any, BinaryIO, Final, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from canlog.arrays import Int64Array
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, PAYLOAD_BYTES
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.errors import ExtraMissingError
 
-Int64Array = npt.NDArray[np.int64]
-UInt8Array = npt.NDArray[np.uint8]
-UInt32Array = npt.NDArray[np.uint32]
-
-EXTENDED_FLAG: Final = 0x8000_0000  # bit 31 of ``can_id``: 29-bit identifier
-ERROR_FLAG: Final = 0x2000_0000
-PAYLOAD_BYTES: Final = 8
 US_PER_S: Final = 1_000_000
 US_PER_MS: Final = 1_000
 
@@ -62,7 +56,6 @@ class _TextWriter(ABC):
         self._stream.write(self._begin().encode())
 
     def write(self, t_us: Int64Array, frames: EncodedFrames) -> None:
-        """Append frames; ``t_us`` are their times in microseconds since the epoch."""
         columns = zip(t_us.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True)
         lines = list[str]()
         for frame_us, can_id, length, data in columns:
@@ -213,7 +206,6 @@ class BlfWriter:
         self._write_header(FILE_HEADER.size)
 
     def write(self, t_us: Int64Array, frames: EncodedFrames) -> None:
-        """Append frames; ``t_us`` are their times in microseconds since the epoch."""
         objects = np.zeros(len(frames), OBJECT)
         objects["magic"] = OBJECT_MAGIC
         objects["header_bytes"] = OBJECT.fields["channel"][1] if OBJECT.fields else 0
@@ -309,7 +301,6 @@ class Mf4Writer:
         self._has_group = False
 
     def write(self, t_us: Int64Array, frames: EncodedFrames) -> None:
-        """Append frames; ``t_us`` are their times in microseconds since the epoch."""
         samples = np.zeros(len(frames), FRAME)
         samples["CAN_DataFrame.BusChannel"] = BUS_CHANNEL
         samples["CAN_DataFrame.ID"] = frames.can_id & np.uint32(EXTENDED_FLAG - 1)

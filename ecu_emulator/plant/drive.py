@@ -32,7 +32,7 @@ class FrictionFactors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveSettings:
-    """One drive of ``cycles`` shift cycles, up through all gears and down again.
+    """One drive on level ground of ``cycles`` shift cycles, up through all gears and down again.
 
     Raises
     ------
@@ -48,7 +48,6 @@ class DriveSettings:
     initial_oil_k: float = 363.15
     coolant_k: float = 353.15
     ambient_k: float = 298.15  # also the temperature of the intake air
-    grade_ratio: float = 0.0
     initial_engine_rad_s: float = 150.0  # rolling in 1st gear
     open_revs: int = 0  # of the workshop routine before the cycles: in neutral, at rest, both clutches open
     closed_revs: int = 0  # then both closed
@@ -66,9 +65,6 @@ class DriveSettings:
         _check_range("initial_oil_k", self.initial_oil_k, _COLDEST_OIL_K, 403.15)
         _check_range("coolant_k", self.coolant_k, _COLDEST_OIL_K, 393.15)
         _check_range("ambient_k", self.ambient_k, 233.15, 328.15)
-        _check_range("grade_ratio", self.grade_ratio, -0.03, 0.02)
-        least = _MIN_PEDAL_RATIO + 5.0 * max(self.grade_ratio, 0.0)
-        require(self.pedal_ratio >= least, f"pedal_ratio must be >= {least:g} in the highest gear on this grade")
         _check_range("initial_engine_rad_s", self.initial_engine_rad_s, 80.0, 300.0)
         _check_range("dt_s", self.dt_s, 1.0e-6, _MAX_STEP_S)
         steps = 1.0e-3 / self.dt_s
@@ -76,7 +72,6 @@ class DriveSettings:
         for name in ("open_revs", "closed_revs"):
             count = getattr(self, name)
             require(0 <= count <= _MAX_REVS, f"{name} must be 0..{_MAX_REVS}, got {count}")
-        require(not self.has_routine or self.grade_ratio == 0.0, "the workshop routine needs level ground")
         for factors in self.friction_factors:
             for name in ("mu_c1", "mu_s1", "mu_c2", "mu_s2"):
                 _check_range(f"friction_factors {name}", getattr(factors, name), 0.3, 2.0)
@@ -100,20 +95,14 @@ def cycle_table(drive: DriveSettings, control: ControlParameters) -> npt.NDArray
     generator = np.random.default_rng(np.random.SeedSequence(drive.seed))
     table = np.zeros((drive.cycles, tcu_data.CYCLE_COLUMN_COUNT))
     driver = np.array(
-        [
-            drive.pedal_ratio,
-            drive.brake_m_s2,
-            *control.upshift_speeds_rad_s,
-            *control.downshift_speeds_rad_s,
-        ]
+        [drive.pedal_ratio, drive.brake_m_s2, *control.upshift_speeds_rad_s, *control.downshift_speeds_rad_s]
     )
     draws = generator.standard_normal((drive.cycles, driver.size)).clip(-_VARIATION_LIMIT, _VARIATION_LIMIT)
     count = len(control.upshift_speeds_rad_s)
     up, down = tcu_data.CYCLE_UP + np.arange(count), tcu_data.CYCLE_DOWN + np.arange(count)
     columns = [tcu_data.CYCLE_PEDAL, tcu_data.CYCLE_BRAKE, *up, *down]
     table[:, columns] = driver * (1.0 + drive.vary_ratio * draws)
-    lowest = _MIN_PEDAL_RATIO + 5.0 * max(drive.grade_ratio, 0.0)
-    table[:, tcu_data.CYCLE_PEDAL] = table[:, tcu_data.CYCLE_PEDAL].clip(lowest, 1.0)
+    table[:, tcu_data.CYCLE_PEDAL] = table[:, tcu_data.CYCLE_PEDAL].clip(_MIN_PEDAL_RATIO, 1.0)
     factors = drive.friction_factors or (FrictionFactors(),)
     for cycle in range(drive.cycles):
         now = factors[min(cycle, len(factors) - 1)]

@@ -79,7 +79,6 @@ def obey(machine: Machine, law: DriveLaw) -> None:
     u[at.THROTTLE_COMMAND] = commands[tcu_data.THROTTLE]
     u[at.SPARK_COMMAND] = commands[tcu_data.SPARK]
     u[at.BRAKE] = commands[tcu_data.BRAKE]
-    u[at.GRADE] = law.plant.grade_ratio
     u[at.COOLANT] = law.plant.coolant_k
     for k in range(2):
         clutch = law.plant.clutches.first if k == 0 else law.plant.clutches.second
@@ -156,7 +155,6 @@ def record_surroundings(machine: Machine, law: PlantLaw, row: FloatArray) -> Non
     for k in range(2):
         row[Col.SHAFT1_GEAR + k] = modes[at.GEAR + k] if modes[at.LINK + k] == ENGAGED else 0
     row[Col.COOLANT_TEMPERATURE] = law.coolant_k
-    row[Col.GRADE] = law.grade_ratio
 
 
 @array_kernel

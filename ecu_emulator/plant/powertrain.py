@@ -20,7 +20,7 @@ from ecu_emulator.shift_control import tcu_data, workshop
 from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters
 from ecu_emulator.shift_control.touch_points import PressureSteps
 
-_IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure, when the drive begins
+IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure, when the drive begins
 _FULL_BRAKE_M_S = 1.0  # of the shift cycles, which never stop
 OPEN_DRAG = OpenDragLaw(peak_slip_rad_s=120.0, closing_film_ratio=4.0, open_film_ratio=0.9, ratio=1.0, limit_nm=0.0)
 _IDLE_RAD_S = 94.0  # engine speed when a drive begins at rest, about 900 rpm
@@ -165,7 +165,6 @@ def _plant_law(truth: Calibration, parameters: PlantParameters, drive: DriveSett
         sump_convection_w_k=parameters.sump.convection_w_k,
         air_k=float(drive.ambient_k),
         coolant_k=float(drive.coolant_k),
-        grade_ratio=float(drive.grade_ratio),
         converter=converter_law(truth.converter),
         full_brake_m_s=_FULL_BRAKE_M_S,
     )
@@ -239,7 +238,7 @@ def _initial_machine(law: DriveLaw, drive: DriveSettings, control: ControlParame
 
 def _fill_engine_and_oil(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None:
     y, plant = machine.y, law.plant
-    y[at.P_M] = _IDLE_MANIFOLD_RATIO * plant.engine.ambient_pressure_pa
+    y[at.P_M] = IDLE_MANIFOLD_RATIO * plant.engine.ambient_pressure_pa
     y[at.SPARK] = 1.0
     y[[at.T_C, at.T_C + 1, at.T_OIL]] = drive.initial_oil_k
     machine.u[at.AIR_FLOW] = throttle_flow_kg_s(0.0, plant.engine)

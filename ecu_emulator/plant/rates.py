@@ -69,7 +69,6 @@ class PlantLaw(NamedTuple):
     sump_convection_w_k: float
     air_k: float  # intake air
     coolant_k: float
-    grade_ratio: float
     converter: ConverterLaw
     full_brake_m_s: float  # speed from which the brakes act with their full force
 

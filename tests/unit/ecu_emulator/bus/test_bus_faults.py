@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
-from ecu_emulator.bus.bus_faults import ERROR_FLAG, FOREIGN_IDS, FRAME_S, BusFaults
+from canlog.frames import ERROR_FLAG
+from ecu_emulator.bus.bus_faults import FOREIGN_IDS, FRAME_S, BusFaults
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind, Phase

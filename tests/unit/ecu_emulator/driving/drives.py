@@ -1,6 +1,6 @@
 """Short drives for tests: traces from a few points, rows of a whole trip, the events in them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,14 +25,20 @@ def conditions(**changes: float) -> DriveConditions:
     return DriveConditions(**{"whim_ratio": 0.0, **changes})  # type: ignore[arg-type]  # all of them are numbers
 
 
-def trip(road: SpeedTrace, *, seed: int = 1, is_audited: bool = False, **changes: float) -> Trip:
-    """Return a trip of the nominal car."""
-    return Trip(Car(), road, conditions(**changes), np.random.default_rng(seed), is_audited=is_audited)
+def trip(
+    road: SpeedTrace, *, seed: int = 1, is_audited: bool = False, mass_kg: float | None = None, **changes: float
+) -> Trip:
+    """Return a trip of the nominal car, loaded to a mass if one is given."""
+    car = Car()
+    if mass_kg is not None:
+        vehicle = car.parameters.vehicle._replace(mass_kg=mass_kg)
+        car = replace(car, parameters=replace(car.parameters, vehicle=vehicle))
+    return Trip(car, road, conditions(**changes), np.random.default_rng(seed), is_audited=is_audited)
 
 
-def driven(road: SpeedTrace, *, seed: int = 1, **changes: float) -> FloatArray:
+def driven(road: SpeedTrace, *, seed: int = 1, mass_kg: float | None = None, **changes: float) -> FloatArray:
     """Return all rows of a trip."""
-    return Trip(Car(), road, conditions(**changes), np.random.default_rng(seed)).advance(road.duration_s)
+    return trip(road, seed=seed, is_audited=False, mass_kg=mass_kg, **changes).advance(road.duration_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

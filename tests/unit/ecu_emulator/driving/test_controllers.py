@@ -81,7 +81,7 @@ def test_a_deep_pedal_keeps_lower_gears(town: FloatArray, sport: FloatArray) -> 
     ("changes", "message"),
     [
         ({"oil_k": 100.0}, "oil_k"),
-        ({"mass_kg": float("nan")}, "mass_kg"),
+        ({"coolant_k": float("nan")}, "coolant_k"),
         ({"dt_s": 3.0e-4}, "dt_s"),
         ({"dt_s": 1.7e-4}, "divide 1 ms"),
         ({"whim_ratio": 1.5}, "whim_ratio"),

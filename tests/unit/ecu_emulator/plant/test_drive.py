@@ -22,7 +22,6 @@ CONTROL = nominal_parameters().control
         ("initial_oil_k", 273.15),
         ("coolant_k", 90.0),
         ("ambient_k", 20.0),
-        ("grade_ratio", 0.2),
         ("initial_engine_rad_s", 0.0),
         ("open_revs", 21),
         ("closed_revs", -1),
@@ -36,12 +35,6 @@ def test_a_setting_outside_its_range_is_named(name: str, value: object) -> None:
     assert name in {field.name for field in fields(DriveSettings)}
     with pytest.raises(CalibrationError, match=name):
         replace(DriveSettings(), **{name: value})  # type: ignore[arg-type]  # wrong on purpose
-
-
-def test_a_steep_road_needs_more_pedal() -> None:
-    assert DriveSettings(grade_ratio=0.02, pedal_ratio=0.36).grade_ratio == 0.02
-    with pytest.raises(CalibrationError, match="in the highest gear on this grade"):
-        DriveSettings(grade_ratio=0.02, pedal_ratio=0.3)
 
 
 def test_without_variation_every_cycle_is_the_same() -> None:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from clutch_model.errors import CalibrationError
 from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
 from ecu_emulator.shift_control import tcu_data
 from ecu_emulator.truth import RevTruth, RevWatcher
@@ -141,8 +140,3 @@ def test_energy_is_conserved_over_the_routine(train: Powertrain) -> None:
     assert train.finished
     assert abs(train.power_balance.residual_ratio) < 1e-3
     assert abs(train.power_balance.heat_residual_ratio) < 1e-3
-
-
-def test_a_routine_on_a_slope_is_refused() -> None:
-    with pytest.raises(CalibrationError, match="level ground"):
-        DriveSettings(open_revs=1, grade_ratio=0.01)
