@@ -34,7 +34,9 @@ def execute(options: SimpleNamespace) -> None:
     must_exist = options.command != "migrate"  # a mistyped name must not become an empty fleet
     engine = open_database(options.database or default_database(), must_exist=must_exist)
     try:
-        command = _COMMANDS.get(options.command) or _checked(part("fleet_backend.commands", options.command))
+        command: Command = _COMMANDS.get(options.command) or part("fleet_backend.commands", options.command)
+        if options.command not in _READY_BY_THEMSELVES:
+            make_ready(engine)
         command(options, engine)
     finally:
         engine.dispose()
@@ -146,16 +148,6 @@ def _hash(_options: SimpleNamespace, engine: Engine) -> None:
     sys.stdout.write(f"{found.sha256}  {found.row_count} results\n")
 
 
-def _checked(command: Command) -> Command:
-    """Return a command that first makes sure of the schema."""
-
-    def run(options: SimpleNamespace, engine: Engine) -> None:
-        make_ready(engine)
-        command(options, engine)
-
-    return run
-
-
 def tell(options: SimpleNamespace, records: Sequence[report.Record], sheet: Callable[[], Sheet]) -> None:
     if options.json:
         report.write_json(records, sys.stdout)
@@ -163,8 +155,8 @@ def tell(options: SimpleNamespace, records: Sequence[report.Record], sheet: Call
         report.show(sheet(), sys.stdout, options.width)
 
 
+_READY_BY_THEMSELVES: Final = frozenset({"ingest", "migrate"})  # the schema is their own affair
 _COMMANDS: Final[Mapping[str, Command]] = MappingProxyType({
-    "ingest": _ingest, "migrate": _migrate, "table": _checked(_table), "trend": _checked(_trend),
-    "quarantine": _checked(_quarantine), "seen": _checked(_seen), "codes": _checked(_codes), "fill": _checked(_fill),
-    "hash": _checked(_hash), "partitions": _checked(_partitions),
+    "ingest": _ingest, "migrate": _migrate, "table": _table, "trend": _trend, "quarantine": _quarantine, "seen": _seen,
+    "codes": _codes, "fill": _fill, "hash": _hash, "partitions": _partitions,
 })  # fmt: skip

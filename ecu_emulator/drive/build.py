@@ -12,7 +12,7 @@ from clutch_model.pack import friction_law, kinetic_friction
 from clutch_model.units import rad_s_from_rpm
 from ecu_emulator.bus.frames import FrameEncoder
 from ecu_emulator.drive.causes import CausedChanges
-from ecu_emulator.driving.journey import Departure, Journey, MovingCar, PlannedTrip, Warmth, trips
+from ecu_emulator.driving.journey import Departure, Journey, MovingCar, PlannedTrip, Warmth
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
@@ -326,10 +326,6 @@ def _mu_at_slip_rpm(calibration: Calibration) -> dict[int, float]:
     """Return the friction of a lock-up clutch at the slips in which it is driven, as the drive begins."""
     law = friction_law(calibration.clutches[0].friction)
     return {rpm: float(kinetic_friction(float(rad_s_from_rpm(rpm)), law)) for rpm in TOLD_SLIPS_RPM}
-
-
-def scenario_trips(scenario: Scenario) -> Iterator[PlannedTrip]:
-    return trips(scenario.drive, scenario.seed_of_drive, None if scenario.endless else scenario.cycles)
 
 
 def journey(

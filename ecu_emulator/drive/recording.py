@@ -14,13 +14,13 @@ from dbc.contract import load_contract
 from ecu_emulator.bus.bus_faults import BusFaults, FrameLoss
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.drive import build
-from ecu_emulator.driving.journey import Departure, Journey, PlannedTrip
+from ecu_emulator.driving.journey import Departure, Journey, PlannedTrip, trips
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import BusFault, SensorFault
 from ecu_emulator.scenario.scenario import Routine, Scenario
-from ecu_emulator.sensing import SensorSuite
+from ecu_emulator.sensing import MS_PER_S, SensorSuite
 from ecu_emulator.shift_control.touch_points import PressureSteps, nominal_touch_pressures_pa
 from ecu_emulator.truth import (
     EventTruth,
@@ -40,7 +40,6 @@ from ecu_emulator.truth import (
 
 LONG_STRETCH_S: Final = 10.0  # for files
 MOST_STARTS: Final = 64  # that nobody has asked for
-MS_PER_S: Final = 1000.0
 SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter for long
 
 
@@ -51,10 +50,6 @@ class Stretch:
     frames: EncodedFrames
     truths: tuple[Happened, ...]
     end_s: float  # scenario time reached
-
-    @property
-    def shifts(self) -> tuple[ShiftTruth, ...]:
-        return tuple(truth for truth in self.truths if isinstance(truth, ShiftTruth))
 
 
 class Drive:
@@ -188,7 +183,8 @@ class Drive:
     def stretches(self, duration_s: float) -> Iterator[Stretch]:
         """Yield the rest of the drive in stretches of this length [s]."""
         while not self.finished:
-            self._begin_asked()
+            while not self._asked.empty():
+                self._asked.get()()
             rows = self._plant.advance(duration_s)
             if len(rows):
                 yield self._stretch(rows)
@@ -197,17 +193,14 @@ class Drive:
         scenario, vehicle = self._scenario, self._vehicle
         try:
             if scenario.is_on_the_road:
-                trips = planned or build.scenario_trips(scenario)
-                return build.journey(scenario, vehicle, longest_stay_s, trips, lambda: self._touch_pa)
+                rounds = None if scenario.endless else scenario.cycles
+                planned = planned or trips(scenario.drive, scenario.seed_of_drive, rounds)
+                return build.journey(scenario, vehicle, longest_stay_s, planned, lambda: self._touch_pa)
             settings = build.drive_settings(scenario)
             touch_pa = self._touch_pa
             return Powertrain(vehicle.calibration, vehicle.parameters, settings, touch_pressures_pa=touch_pa)
         except CalibrationError as exc:
             raise ConfigError(f"scenario {scenario.name}: drive {scenario.drive} is not possible: {exc}") from exc
-
-    def _begin_asked(self) -> None:
-        while not self._asked.empty():
-            self._asked.get()()
 
     def _fault_truths(self) -> tuple[FaultTruth, ...]:
         sensors, bus = self._sensors.faults, self._bus_faults

@@ -116,10 +116,7 @@ class Endpoints:
         """Return the route of a change; only a form of one of our own pages gets through."""
 
         async def answer(request: Request) -> Response:
-            viewer = self._viewer(request, action.role)
-            _check_origin(request, self.access.host_names)
-            words = dict(await _form_words(request))
-            check_token(viewer, words.pop(_TOKEN, ""))
+            viewer, words = await self._changing(request, action.role)
             ask = read_words(action.parameters, {}, words.items(), self.now(), viewer)
             where = await run_in_threadpool(action.do, self.sources, ask)
             return RedirectResponse(where, status_code=303)
@@ -130,9 +127,7 @@ class Endpoints:
         """Return the route that ends a session; only our own form gets through, as with any change."""
 
         async def answer(request: Request) -> Response:
-            viewer = self._viewer(request, Role.VIEWER)
-            _check_origin(request, self.access.host_names)
-            check_token(viewer, dict(await _form_words(request)).get(_TOKEN, ""))
+            await self._changing(request, Role.VIEWER)
             return RedirectResponse(logged_out(self.access, request), status_code=303)
 
         return Route(LOGOUT_PATH, answer, name="logout", methods=["POST"])
@@ -168,6 +163,14 @@ class Endpoints:
         viewer = self.access.viewer_of(request.headers)
         check_role(viewer, role)
         return viewer
+
+    async def _changing(self, request: Request, role: Role) -> tuple[Viewer, dict[str, str]]:
+        """Return who asks for a change by a form of one of our own pages, and its words."""
+        viewer = self._viewer(request, role)
+        _check_origin(request, self.access.host_names)
+        words = dict(await _form_words(request))
+        check_token(viewer, words.pop(_TOKEN, ""))
+        return viewer, words
 
     def _ask(self, request: Request, role: Role, parameters: Sequence[Parameter]) -> Ask:
         viewer = self._viewer(request, role)

@@ -161,7 +161,7 @@ class RoughBus:
         """Drive for as long as anybody wants."""
         while True:
             for stretch in self._drive.stretches(SHORT_STRETCH_S):
-                self.truth += stretch.shifts
+                self.truth += [one for one in stretch.truths if isinstance(one, ShiftTruth)]
                 yield stretch.frames
             self._drive = self._next_drive()
 
