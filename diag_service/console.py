@@ -7,7 +7,7 @@ import select
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Any, Final, Self, TextIO
@@ -47,6 +47,10 @@ class PeopleConsole(Console):
         for line in self._lines(objects[0], str(options.get("style") or "")):
             for piece in folded(line, self.width) if self.is_terminal else [line]:
                 super().print(piece, soft_wrap=True)
+
+    def print_all(self, lines: Iterable[str | Text | Table]) -> None:
+        for line in lines:
+            self.print(line)
 
     def _lines(self, what: str | Text | Table, style: str) -> Iterator[Text]:
         """Yield what is to be printed as lines, a table as wide as its columns are."""
@@ -215,11 +219,6 @@ def _listen(descriptor: int, key: str, end: Callable[[], None], is_over: threadi
             return
 
 
-def is_person_there() -> bool:
-    """Return whether somebody can read a question and answer it."""
-    return all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr))
-
-
 def is_confirmed(question: str, goes_on: Callable[[], bool]) -> bool:
     """Ask a person on standard error; where nobody sits the command line has the word, which is yes.
 
@@ -230,7 +229,7 @@ def is_confirmed(question: str, goes_on: Callable[[], bool]) -> bool:
     goes_on
         Asked while an answer is waited for; False is a no.
     """
-    if not is_person_there():
+    if not all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stderr)):
         return True
     sys.stderr.write(f"{CLEAR}{question} [y/N] ")  # in place of a line that tells how far a program is
     sys.stderr.flush()

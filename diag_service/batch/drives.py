@@ -69,7 +69,6 @@ class Found:
 
     drives: tuple[Drive, ...]
     left_out: tuple[LeftOut, ...]
-    taken: tuple[TakenFor, ...] = ()  # of the logs in folders
 
 
 def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False, columns: str = "") -> Found:
@@ -85,20 +84,18 @@ def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False, columns: s
     """
     folders = [path for path in paths if is_folder(path)]
     named = [path for path in paths if path not in folders]
-    drives, left_out, taken = [drive_of(named)] if named else [], list[LeftOut](), list[TakenFor]()
+    drives, left_out = [drive_of(named)] if named else [], list[LeftOut]()
     for folder in folders:
-        found, others = sorted_out(folder, columns)
-        logs = [one.path for one in found]
+        logs, others = sorted_out(folder, columns)
         if not logs:
             first = f", for one {others[0].path.name}: {others[0].reason}" if others else ""
             raise ConfigError(f"{folder} holds no log that can be read{first}")
         left_out += others
-        taken += found
-        drives += [drive_of([log], _vehicle_of(log, folder) if has_vehicles else None) for log in logs]
+        drives += [drive_of([one.path], _vehicle_of(one.path, folder) if has_vehicles else None) for one in logs]
     counts = Counter(path.resolve() for drive in drives for path in drive.paths)
     if twice := sorted(str(path) for path, count in counts.items() if count > 1):
         raise ConfigError(f"named twice: {', '.join(twice)}")
-    return Found(drives=tuple(drives), left_out=tuple(left_out), taken=tuple(taken))
+    return Found(drives=tuple(drives), left_out=tuple(left_out))
 
 
 def drive_of(paths: Iterable[Path], vehicle: str | None = None) -> Drive:

@@ -3,8 +3,8 @@
 import csv
 import errno
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from enum import StrEnum
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import islice
 from pathlib import Path
 
 from canlog.column_files import BOOL_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
@@ -20,29 +20,16 @@ MOMENT = "moment"
 TYPES = {"integer": "int64", "number": "float64", MOMENT: TIME_TYPE}
 
 
-class TableFormat(StrEnum):
-    """The kinds of result files, by suffix."""
-
-    JSON_LINES = ".jsonl"
-    CSV = ".csv"
-    PARQUET = ".parquet"
-
-
-def format_of(path: Path) -> TableFormat:
-    """Return the format that a file name asks for; raises ConfigError if it asks for none of them."""
-    try:
-        return TableFormat(path.suffix.lower())
-    except ValueError as exc:
-        raise ConfigError(f"{path}: results are written as {', '.join(TableFormat)}") from exc
-
-
 def check_output(path: Path) -> None:
     """Find out before hours of work whether results can be written as this file.
 
     Raises ConfigError if the name asks for no format, ExtraMissingError if pyarrow is missing for it, StoreError if
     there is no such folder.
     """
-    if format_of(path) is TableFormat.PARQUET:
+    suffix = path.suffix.lower()
+    if suffix not in _WRITERS:
+        raise ConfigError(f"{path}: results are written as {', '.join(_WRITERS)}")
+    if suffix == PARQUET:
         load_pyarrow()
     if not path.parent.is_dir():
         raise StoreError(f"cannot write {path}: {os.strerror(errno.ENOENT)}")
@@ -54,14 +41,16 @@ def write_results(path: Path, entries: Iterable[Entry]) -> None:
     Raises StoreError if the file cannot be written, ExtraMissingError if Parquet is asked for and pyarrow is missing.
     """
     with replacing(path, StoreError) as part:
-        match format_of(path):
-            case TableFormat.JSON_LINES:
-                _write_json_lines(part, entries)
-            case TableFormat.CSV:
-                _write_csv(part, entries)
-            case TableFormat.PARQUET:
-                _write_parquet(part, entries)
+        _WRITERS[path.suffix.lower()](part, entries)
         part.replace(path)
+
+
+def write_parquet(path: Path, rows: Iterable[Mapping[str, object]]) -> None:
+    """Write rows with the ``columns`` of the table, some at a time."""
+    remaining = iter(rows)
+    with path.open("wb") as stream, ParquetTable(stream, columns()) as table:
+        while group := list(islice(remaining, BATCH_ROWS)):
+            table.write_rows(group)
 
 
 def columns() -> dict[str, str]:
@@ -144,12 +133,9 @@ def _write_csv(part: Path, entries: Iterable[Entry]) -> None:
         writer.writerows({**row, "complete": str(row["complete"]).lower()} for row in _rows(entries))
 
 
-def _write_parquet(part: Path, entries: Iterable[Entry]) -> None:
-    with part.open("wb") as stream, ParquetTable(stream, columns()) as table:
-        rows: list[dict[str, object]] = []
-        for row in _rows(entries):
-            rows.append(row)
-            if len(rows) == BATCH_ROWS:
-                table.write_rows(rows)
-                rows.clear()
-        table.write_rows(rows)
+PARQUET = ".parquet"
+_WRITERS: Mapping[str, Callable[[Path, Iterable[Entry]], None]] = {
+    ".jsonl": _write_json_lines,
+    ".csv": _write_csv,
+    PARQUET: lambda part, entries: write_parquet(part, _rows(entries)),
+}

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT, is_folder
 from clutchdiag_io.program import replacement_refusal
-from diag_service.console import ReadingLine
+from diag_service.console import ReadingLine, collected_notices
 from diag_service.delivery import AllReporters, MemoryReporter
 from diag_service.diagnosis.summary import Gap
 from diag_service.errors import ConfigError
@@ -25,7 +25,9 @@ _LOG = logging.getLogger(__name__)
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     if options.lake is not None:
-        _fill_lake(options, controls)
+        from diag_service.commands.lake import fill  # noqa: PLC0415 - nothing else needs any of it
+
+        fill(options, controls)
         return
     _check_words_without_lake(options)
     if any(is_folder(path) for path in options.logs if path != STANDARD_INPUT):
@@ -34,18 +36,12 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     diagnosis = diagnosis_config(options)
     _check_words_for_a_drive(options)
     diagnosis = as_proposed(diagnosis, options.logs, lambda: controls.stop.is_set)
-    if options.estimator == "paper":
-        _analyse_by_paper(options, diagnosis, controls)
-    elif options.output is None:
+    if options.estimator != "paper":
         _analyse_drive(options, diagnosis, controls)
-    else:
-        _analyse_drive_into_file(options, diagnosis, controls)
-
-
-def _fill_lake(options: SimpleNamespace, controls: Controls) -> None:
-    from diag_service.commands.lake import fill  # noqa: PLC0415 - nothing else needs any of it
-
-    fill(options, controls)
+        return
+    if options.store is not None or diagnosis.broker is not None or options.output is not None:
+        raise ConfigError("the paper's method states no uncertainty: its results are shown, not stored or published")
+    paper_run.show_paper(diagnosis, options.logs, controls, as_json=options.json)
 
 
 def _check_words_without_lake(options: SimpleNamespace) -> None:
@@ -66,39 +62,25 @@ def _check_words_for_a_drive(options: SimpleNamespace) -> None:
         raise ConfigError(f"--jobs must be at least 1, got {options.jobs}")
 
 
-def _analyse_by_paper(options: SimpleNamespace, diagnosis: DiagnosisConfig, controls: Controls) -> None:
-    if options.store is not None or diagnosis.broker is not None or options.output is not None:
-        raise ConfigError("the paper's method states no uncertainty: its results are shown, not stored or published")
-    paper_run.show_paper(diagnosis, options.logs, controls, as_json=options.json)
-
-
 def _analyse_drive(options: SimpleNamespace, diagnosis: DiagnosisConfig, controls: Controls) -> None:
-    with ReadingLine() as line:
-        reporter = AllReporters(line, reporter_of(controls.stop, as_json=options.json, is_detailed=options.verbose > 0))
-        run = run_recorded(
-            diagnosis, options.logs, options.store, reporter, controls.stop, survey=DriveSurvey, watch=line.watch
-        )
-    insist(run.summary.gaps, run.summary.contributions, is_strict=diagnosis.is_strict)
+    """Show the results of a drive, and write them into a file if one is wanted: it is checked before hours of work."""
+    if options.output is not None:
+        from diag_service.batch.tables import check_output  # noqa: PLC0415 - for an output alone
 
-
-def _analyse_drive_into_file(options: SimpleNamespace, diagnosis: DiagnosisConfig, controls: Controls) -> None:
-    """Show the results of a drive and write them into a file, which is checked before hours of work."""
-    from diag_service.batch.tables import check_output, write_results  # noqa: PLC0415 - for an output alone
-    from diag_service.batch.worker import drive_entry  # noqa: PLC0415 - likewise
-    from diag_service.console import collected_notices  # noqa: PLC0415 - likewise
-
-    if text := replacement_refusal(options.output, is_forced=options.force):
-        raise ConfigError(text)
-    check_output(options.output)
+        if text := replacement_refusal(options.output, is_forced=options.force):
+            raise ConfigError(text)
+        check_output(options.output)
     heard = MemoryReporter()
     with ReadingLine() as line, collected_notices() as notices:
-        reporter = AllReporters(
-            line, reporter_of(controls.stop, as_json=options.json, is_detailed=options.verbose > 0), heard
-        )
+        shown = reporter_of(controls.stop, as_json=options.json, is_detailed=options.verbose > 0)
+        reporter = AllReporters(line, shown, *([] if options.output is None else [heard]))
         run = run_recorded(
             diagnosis, options.logs, options.store, reporter, controls.stop, survey=DriveSurvey, watch=line.watch
         )
-    if Gap.STOPPED not in run.summary.gaps:
+    if options.output is not None and Gap.STOPPED not in run.summary.gaps:
+        from diag_service.batch.tables import write_results  # noqa: PLC0415 - for an output alone
+        from diag_service.batch.worker import drive_entry  # noqa: PLC0415 - likewise
+
         write_results(options.output, [drive_entry("", options.logs, run, heard.results, notices)])
         _LOG.log(NOTICE, "%d shifts of 1 drives in %s", len(heard.results), options.output)
     insist(run.summary.gaps, run.summary.contributions, is_strict=diagnosis.is_strict)

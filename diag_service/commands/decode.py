@@ -144,8 +144,7 @@ def _show(options: SimpleNamespace, decoded: Decoded, console: PeopleConsole) ->
     lines += [f"{account.log.frames} frames: {fates}"] if len(decoded.readers) > 1 else []
     lines += [f"{account.row_count} rows in {_place(options)}: {values_text(account)}"]
     hint = [NOTHING_KNOWN] if account.knows_nothing else []
-    for line in (*lines, *losses(account), *remarks(account), *hint):
-        console.print(line)
+    console.print_all((*lines, *losses(account), *remarks(account), *hint))
 
 
 def _choice_of(options: SimpleNamespace) -> TableChoice:
@@ -341,5 +340,4 @@ def _show_done(done: TableDone, options: SimpleNamespace, console: PeopleConsole
         sys.stdout.write(dump({**done.record, "layout": options.layout, "values": options.values}) + "\n")
         sys.stdout.flush()
         return
-    for line in (done.line, *(f"  {loss}" for loss in done.losses)):
-        console.print(line)
+    console.print_all((done.line, *(f"  {loss}" for loss in done.losses)))

@@ -22,7 +22,7 @@ from canlog.logs import STANDARD_INPUT, LogReader, is_folder, read_log
 from canlog.logs.log_counts import assumed_texts, lost_texts
 from canlog.logs.reading import Watch
 from canlog.traffic import MAX_IDS, NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
-from diag_service.batch.drives import LeftOut, TakenFor, left_out_record, sorted_out
+from diag_service.batch.drives import LeftOut, left_out_record, sorted_out
 from diag_service.commands.talks import Conversations, conversations_of
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.records import dump, utc_from_bus_ns
@@ -247,14 +247,10 @@ def _files(options: SimpleNamespace, columns: str, console: PeopleConsole) -> It
                 _show_left_out(left, options, console)
         else:
             console.print(f"{path}: {len(found)} logs, {len(others)} other files")
-            for line in sorted(_listing(found, others)):
-                console.print(f"  {line}")
+            logs = (f"  {_on_one_line(one.path)}: taken for {one.format}: {one.evidence}" for one in found)
+            no_logs = (f"  {_on_one_line(one.path)}: no log: {one.reason}" for one in others)
+            console.print_all(sorted((*logs, *no_logs)))
         yield from ((one.path, True) for one in found)
-
-
-def _listing(found: Sequence[TakenFor], others: Sequence[LeftOut]) -> Iterator[str]:
-    yield from (f"{_on_one_line(one.path)}: taken for {one.format}: {one.evidence}" for one in found)
-    yield from (f"{_on_one_line(one.path)}: no log: {one.reason}" for one in others)
 
 
 def _show_left_out(left: LeftOut, options: SimpleNamespace, console: PeopleConsole) -> None:
@@ -286,21 +282,16 @@ def _link_errors(row: Int64Array, missing: int) -> LinkErrors:
 
 
 def _show(inspection: Inspection, bitrate: int, console: PeopleConsole) -> None:
-    for line in _head(inspection, bitrate):
-        console.print(line)
+    console.print_all(_head(inspection, bitrate))
     if inspection.values is not None:
-        for line in _column_lines(inspection.traffic, inspection.values):
-            console.print(line)
+        console.print_all(_column_lines(inspection.traffic, inspection.values))
         return
     width = max([len(name) for name in inspection.names.values()], default=0)
     console.print(_COLUMNS.format("bus", "id", "message".ljust(width), *_HEAD), style="bold")
     for one in inspection.traffic.ids:
-        line = _COLUMNS.format(*_row(one, inspection.names.get(one.can_id, "").ljust(width)))
-        console.print(line)
-    for line in _protection_lines(inspection.links):
-        console.print(line)
-    for line in inspection.conversations.lines() if inspection.conversations is not None else ():
-        console.print(line)
+        console.print(_COLUMNS.format(*_row(one, inspection.names.get(one.can_id, "").ljust(width))))
+    console.print_all(_protection_lines(inspection.links))
+    console.print_all(inspection.conversations.lines() if inspection.conversations is not None else ())
 
 
 def _head(inspection: Inspection, bitrate: int) -> list[str]:

@@ -1,7 +1,6 @@
 """``diag-service lake``, ``analyze --lake`` and ``cluster``: lakes are filled, checked; clusters fill them."""
 
 import logging
-import os
 import sys
 from dataclasses import asdict, replace
 from difflib import get_close_matches
@@ -10,6 +9,7 @@ from typing import Final
 
 from canlog.errors import NOTICE, SourceError
 from canlog.logs import STANDARD_INPUT
+from diag_service.batch.processes import job_count
 from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoreError
 from diag_service.lake.parts import disagreement, forget, mend, partitions, parts_of
@@ -93,7 +93,7 @@ def fill(options: SimpleNamespace, controls: Controls) -> None:
         Job.of(config, lake.address, options.signals, options.time_limit),
         logs,
         scheduler,
-        jobs=options.jobs or os.cpu_count() or 1,
+        jobs=job_count(options.jobs),
         stream=sys.stdout,
         stop=controls.stop,
         is_shown=True,
@@ -113,8 +113,7 @@ def _check_words(options: SimpleNamespace) -> None:
         raise ConfigError(
             "--vehicle-from takes the vehicles from the folders, --vehicle names one: use only one of them"
         )
-    if options.jobs is not None and options.jobs < 1:
-        raise ConfigError(f"--jobs must be at least 1, got {options.jobs}")
+    job_count(options.jobs)  # complains
     if options.scheduler == LOCAL and (options.ca or options.cert or options.key):
         raise ConfigError("--ca, --cert and --key are for a scheduler: --scheduler tls://HOST:PORT")
 
@@ -136,10 +135,9 @@ def cluster(options: SimpleNamespace, controls: Controls) -> None:
         page = None if options.dashboard is None else parse_listen_address(options.dashboard)
         run_scheduler(options.host, options.port, tls, None if page is None else (page.host, page.port), controls.stop)
         return
-    if options.jobs is not None and options.jobs < 1:
-        raise ConfigError(f"--jobs must be at least 1, got {options.jobs}")
+    jobs = job_count(options.jobs)
     address = ClusterAddress.parse(options.scheduler, tls)
-    run_workers(address, options.host, options.jobs, options.memory, controls.stop)
+    run_workers(address, options.host, jobs, options.memory, controls.stop)
 
 
 def tls_files(options: SimpleNamespace) -> TlsFiles:

@@ -1,6 +1,5 @@
 """``diag-service learn`` and ``calibrate``: what logs tell of one vehicle, for a person to complete, or as a file."""
 
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -13,10 +12,10 @@ from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
 from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.commands.predict import slip_phases
-from diag_service.console import PeopleConsole, ReadingLine
+from diag_service.commands.shown import show
+from diag_service.console import ReadingLine
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.prediction import SlipPhase, Standing
-from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.mapping.learning import COMMANDS, LearnedVehicle, VehicleSurvey
@@ -76,13 +75,9 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
             options.logs, meaning, stop=controls.stop, columns=options.columns or "", watch=line.watch
         )
     write_description(options.output, learned, assumed, options.logs)
-    if options.json:
-        sys.stdout.write(dump({**record(learned), "output": str(options.output)}) + "\n")
-        return
-    console = PeopleConsole()
-    for text in said(learned):
-        console.print(text)
-    console.print(f"description in {options.output}: what is assumed there, a drawing or a data sheet tells better")
+    last = f"description in {options.output}: what is assumed there, a drawing or a data sheet tells better"
+    told = {**record(learned), "output": str(options.output)}
+    show(told, (*said(learned), last), as_json=options.json)
 
 
 def write_description(path: Path, learned: LearnedVehicle, assumed: Calibration, paths: Sequence[Path]) -> None:
@@ -141,15 +136,13 @@ def record(learned: LearnedVehicle) -> dict[str, object]:
             ("gain_rad_s2_pa", learned.gain_rad_s2_pa),
         )
     }
-    gears = {str(gear): {**one.ratio._asdict(), "clutch": one.clutch} for gear, one in learned.gears.items()}
-    rates = {one.value: rate for one, rate in learned.rates_hz.items()}
     return {
         "schema": SCHEMA,
         "over": learned.over.value,
-        "gears": gears,
+        "gears": {str(gear): {**one.ratio._asdict(), "clutch": one.clutch} for gear, one in learned.gears.items()},
         "gears_are_named": learned.are_named,
         **clutches,
-        "rates_hz": rates,
+        "rates_hz": {one.value: rate for one, rate in learned.rates_hz.items()},
     }
 
 

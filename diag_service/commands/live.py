@@ -50,17 +50,13 @@ def monitor(options: SimpleNamespace, controls: Controls) -> None:
     """Show the bus, or what is said on it, until it is told to stop."""
     if options.conversations or options.pairs:
         talks = conversations_of(asked_database(options).messages, options.pairs or "")
-        follow_bus(bus_config(options), talks, controls.stop, PeopleConsole().print)
+        asyncio.run(_open_and_follow(bus_config(options), talks, controls.stop, PeopleConsole().print))
         return
     bus_run.run_monitor(diagnosis_config(options), bus_config(options), controls)
 
 
-def follow_bus(bus: BusConfig, talks: Conversations, stop: Trigger, show: Show) -> None:
-    """Show the conversations of a bus until told to stop, or as long as was asked for; raises SourceError."""
-    asyncio.run(_open_and_follow(bus, talks, stop, show))
-
-
 async def _open_and_follow(bus: BusConfig, talks: Conversations, stop: Trigger, show: Show) -> None:
+    """Show the conversations of a bus until told to stop, or as long as was asked for; raises SourceError."""
     source = await supervise(BusOpener(bus.interface, bus.channel, bus.bitrate, fd=bus.is_fd))
     show(f"{source.description}: conversations as they come")
     await follow(source, talks, stop, show, bus.duration_s)
@@ -72,11 +68,14 @@ async def follow(
     """Show the conversations of a source until it ends, and then what came of all of them; raises SourceError."""
     failure: SourceError | None = None
     heard = _Heard()
+
+    async def look_again() -> None:
+        while True:
+            await asyncio.sleep(LOOK_PERIOD_S)
+            _show_news(talks, heard.now_ns, show)
+
     async with asyncio.TaskGroup() as tasks:
-        beside = [
-            tasks.create_task(close_in_time(source, stop, duration_s)),
-            tasks.create_task(_look_again(talks, heard, show)),
-        ]
+        beside = [tasks.create_task(close_in_time(source, stop, duration_s)), tasks.create_task(look_again())]
         try:
             async for part in source:
                 if isinstance(part, LinkBreak):
@@ -114,12 +113,6 @@ class _Heard:
         if self._last_ns is None:
             return None
         return self._last_ns + round((asyncio.get_running_loop().time() - self._at_s) * NS_PER_S)
-
-
-async def _look_again(talks: Conversations, heard: _Heard, show: Show) -> None:
-    while True:
-        await asyncio.sleep(LOOK_PERIOD_S)
-        _show_news(talks, heard.now_ns, show)
 
 
 def _show_news(talks: Conversations, now_ns: int | None, show: Show) -> None:

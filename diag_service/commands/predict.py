@@ -198,8 +198,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     for record in found.records() if options.json else ():
         sys.stdout.write(dump(record) + "\n")
     for title, shown in found.groups.items() if not options.json else ():
-        for text in _lines(title, shown):
-            console.print(text)
+        console.print_all(_lines(title, shown))
     for title, count in found.too_few.items():
         console.print(f"{title}: {count}, too few to predict one from others ({LEAST_EVENTS} others are needed)")
     for log, one in found.not_used:

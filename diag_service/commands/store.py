@@ -13,6 +13,7 @@ from canlog.logs import STANDARD_INPUT
 from canlog.logs.reading import Watch
 from clutch_model.calibration import nominal_calibration, read_calibration
 from clutchdiag_io.program import legible, replacement_refusal
+from diag_service.commands import shown
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.prognosis import Population, population_from
 from diag_service.diagnosis.records import FluidFill, dump, iso_utc
@@ -44,9 +45,7 @@ def history(options: SimpleNamespace, controls: Controls) -> None:
         for record in history_records(found, clutches):
             sys.stdout.write(dump(record) + "\n")
         return
-    console = PeopleConsole()
-    for line in history_lines(found, clutches, most_rows=options.rows, population=population):
-        console.print(line)
+    PeopleConsole().print_all(history_lines(found, clutches, most_rows=options.rows, population=population))
 
 
 def _population(path: Path) -> Population:
@@ -61,12 +60,7 @@ def show(options: SimpleNamespace, controls: Controls) -> None:
     del controls
     with StoreReader.open(options.store) as store:
         record = store.record(options.shift)
-    if options.json:
-        sys.stdout.write(dump(record) + "\n")
-        return
-    console = PeopleConsole()
-    for line in shift_lines(record):
-        console.print(line)
+    shown.show(record, shift_lines(record), as_json=options.json)
 
 
 def fluid_changed(options: SimpleNamespace, controls: Controls) -> None:

@@ -1,6 +1,5 @@
 """``diag-service transmission``: a described transmission, its gears, and which change tells which element."""
 
-import sys
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Final
@@ -8,8 +7,7 @@ from typing import Final
 import numpy as np
 
 from clutch_model.transmission import Transmission, read_transmission
-from diag_service.console import PeopleConsole
-from diag_service.diagnosis.records import dump
+from diag_service.commands.shown import show
 from diag_service.service.stopping import Controls
 from fleet_contract import JsonObject
 
@@ -20,12 +18,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Show what follows from a description."""
     del controls
     transmission = read_transmission(options.file)
-    if options.json:
-        sys.stdout.write(dump(record(transmission)) + "\n")
-        return
-    console = PeopleConsole()
-    for line in said(transmission):
-        console.print(line)
+    show(record(transmission), said(transmission), as_json=options.json)
 
 
 def record(transmission: Transmission) -> JsonObject:

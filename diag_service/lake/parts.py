@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -24,7 +24,7 @@ from canlog.column_files import TIME_TYPE, ParquetTable, TableFormat, load_pyarr
 from canlog.errors import DefinitionError, SourceError
 from canlog.logs import read_log
 from canlog.tables.decoding import Plan, decode_logs
-from diag_service.batch.tables import BATCH_ROWS, columns, flattened
+from diag_service.batch.tables import BATCH_ROWS, flattened, write_parquet
 from diag_service.diagnosis.records import iso_utc, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoreError
 from diag_service.lake.places import Held, Place
@@ -299,7 +299,6 @@ def _row(row: dict[str, Any]) -> LogRow:
 SHIFTS, SIGNALS = "shifts", "signals"
 NAME_DIGITS: Final = 32  # of a sha256: enough that no two logs share a name
 SETTINGS_DIGITS: Final = 16
-_BLOCK_BYTES: Final = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -388,14 +387,11 @@ def _folder(vehicle: str) -> str:
 
 def content_digest(path: Path) -> str:
     """Return the sha256 of a file; raises SourceError if it cannot be read."""
-    digest = hashlib.sha256()
     try:
         with path.open("rb") as file:
-            while block := file.read(_BLOCK_BYTES):
-                digest.update(block)
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as exc:
         raise SourceError(f"cannot read {path}: {exc.strerror or exc}") from exc
-    return digest.hexdigest()
 
 
 def part_name(kind: str, date: str, vehicle: str, content: str, settings: str) -> str:
@@ -427,9 +423,7 @@ def write_shifts(path: Path, content: str, shifts: Sequence[tuple[JsonObject, bo
         ({"path": f"sha256:{content}", "complete": is_complete, **flattened(shift)} for shift, is_complete in shifts),
         key=lambda row: str(row["start_utc"]),
     )
-    with path.open("wb") as stream, ParquetTable(stream, columns()) as table:
-        for group in _groups(rows):
-            table.write_rows(group)
+    write_parquet(path, rows)
 
 
 def signal_plan(plan: Plan, patterns: str) -> Plan:
@@ -450,9 +444,3 @@ def first_date(path: Path, log_columns: str) -> str:
 def write_signals(path: Path, log: Path, plan: Plan, log_columns: str) -> None:
     """Write the decoded signals of a log as one part; raises SourceError if the log cannot be read."""
     decode_logs([log], plan, path, TableFormat.PARQUET, columns=log_columns)
-
-
-def _groups(rows: Sequence[Mapping[str, object]]) -> Iterator[list[Mapping[str, object]]]:
-    remaining = iter(rows)
-    while group := list(islice(remaining, BATCH_ROWS)):
-        yield group

@@ -3,7 +3,6 @@
 import asyncio
 import itertools
 import logging
-import os
 import socket
 import ssl
 import time
@@ -145,9 +144,7 @@ def run_scheduler(host: str, port: int, tls: TlsFiles, page: tuple[str, int] | N
     _run([started], stop)
 
 
-def run_workers(
-    address: ClusterAddress, host: str, jobs: int | None, memory_limit_mib: int | None, stop: Trigger
-) -> None:
+def run_workers(address: ClusterAddress, host: str, jobs: int, memory_limit_mib: int | None, stop: Trigger) -> None:
     """Run workers, each a process that a guardian starts again when it dies, until told to stop.
 
     A process that takes more than its part of the memory is ended by its guardian.
@@ -170,7 +167,7 @@ def run_workers(
             memory_limit="auto" if memory_limit_mib is None else memory_limit_mib * MIB,
         )
 
-    _run([started] * (jobs or os.cpu_count() or 1), stop)
+    _run([started] * jobs, stop)
 
 
 def _quieten() -> None:

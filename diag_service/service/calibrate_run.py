@@ -187,8 +187,7 @@ def show(found: SelfCalibration, start: Calibration, path: Path, console: People
         cells = (f"{unit.factor * number:.3g}" for number in (std, before))
         table.add_row(unit.label, f"{unit.factor * value:+.3g}", *cells, unit.unit)
     console.print(table)
-    for line in _lines(found, path):
-        console.print(line)
+    console.print_all(_lines(found, path))
 
 
 def _lines(found: SelfCalibration, path: Path) -> Iterator[str]:

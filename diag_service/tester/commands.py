@@ -1,14 +1,13 @@
 """``diag-service dtc``, ``did``, ``routine`` and ``scan``: controllers are asked, what they say is shown."""
 
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from types import SimpleNamespace
 from typing import Final, TypeVar
 
-from diag_service.console import PeopleConsole, ReadingLine, is_confirmed
-from diag_service.diagnosis.records import dump
+from diag_service.commands.shown import show
+from diag_service.console import ReadingLine, is_confirmed
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.service.stopping import Controls, Trigger
 from diag_service.tester import questions, scanning
@@ -138,7 +137,7 @@ def scan(options: SimpleNamespace, controls: Controls) -> None:
             found = scanning.scan(plan, goes_on=waiting(line, _scan_text(plan), stop))
         traffic = {} if found.traffic is None else {"bus": traffic_record(found.traffic)}
         record = outcome("scan", is_asked=True, **traffic, controllers=[found_record(one) for one in found.controllers])
-        write(record, found_lines(found.controllers), is_json=options.json)
+        show(record, found_lines(found.controllers), as_json=options.json)
     if stop.is_set:
         raise StoppedError("stopped early: what was shown is a part of what is there")
 
@@ -171,7 +170,7 @@ def _scan_text(plan: scanning.ScanPlan) -> str:
 def ask_one(
     options: SimpleNamespace,
     question: questions.Question[_AnswerT],
-    show: Callable[[_AnswerT], tuple[Record, Iterable[str]]],
+    told: Callable[[_AnswerT], tuple[Record, Iterable[str]]],
     stop: Trigger,
 ) -> _AnswerT | None:
     """Listen, ask one controller, show and return the answer; without ``--active`` say what it would be asked.
@@ -181,7 +180,7 @@ def ask_one(
 
     Parameters
     ----------
-    show
+    told
         Returns an answer as JSON, and as lines for people.
     stop
         Ends it early.
@@ -200,11 +199,11 @@ def ask_one(
     ):
         known = questions.recognised(tester, description)
         answer = question.ask(tester, known)
-        record, lines = show(answer)
+        record, lines = told(answer)
         line.clear()
         head: Record = {"controller": tester.where, "description": known.name}
         more: Record = {"dialogue": asdict(tester.counts)}
-        write(outcome(options.command, is_asked=True, **head, **record, **more), lines, is_json=options.json)
+        show(outcome(options.command, is_asked=True, **head, **record, **more), lines, as_json=options.json)
         return answer
 
 
@@ -235,17 +234,7 @@ def show_wish(schema: str, wanted: Sequence[str], traffic: Traffic | None, *, is
     """Say what was heard and what would be asked."""
     before: Record = {} if traffic is None else {"bus": traffic_record(traffic)}
     record = outcome(schema, is_asked=False, **before, would_ask=list(wanted))
-    write(record, would_lines(traffic, wanted), is_json=is_json)
-
-
-def write(record: Mapping[str, object], lines: Iterable[str], *, is_json: bool) -> None:
-    """Show what was found: one JSON object, or lines for people."""
-    if is_json:
-        sys.stdout.write(dump(record) + "\n")
-        return
-    console = PeopleConsole()
-    for line in lines:
-        console.print(line)
+    show(record, would_lines(traffic, wanted), as_json=is_json)
 
 
 def timing_of(options: SimpleNamespace) -> Timing:

@@ -10,7 +10,7 @@ import pytest
 from canlog.column_files import load_pyarrow
 from canlog.errors import ExtraMissingError
 from diag_service.batch.journal import Entry
-from diag_service.batch.tables import columns, flattened, format_of, write_results
+from diag_service.batch.tables import check_output, columns, flattened, write_results
 from diag_service.diagnosis.records import shift_record
 from diag_service.errors import ConfigError, StoreError
 from tests.support.builders import rejected, shift_result
@@ -50,7 +50,7 @@ def test_json_lines_hold_shifts_and_drives(tmp_path: Path) -> None:
 
 def test_names_that_ask_for_no_format() -> None:
     with pytest.raises(ConfigError, match=r"results are written as \.jsonl, \.csv, \.parquet"):
-        format_of(Path("out.xlsx"))
+        check_output(Path("out.xlsx"))
 
 
 def test_without_pyarrow_parquet_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

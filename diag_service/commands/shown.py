@@ -1,0 +1,16 @@
+"""What a command has found: one JSON object for programs, or lines for people."""
+
+import sys
+from collections.abc import Iterable, Mapping
+
+from rich.text import Text
+
+from diag_service.console import PeopleConsole
+from diag_service.diagnosis.records import dump
+
+
+def show(record: Mapping[str, object], lines: Iterable[str | Text], *, as_json: bool) -> None:
+    if as_json:
+        sys.stdout.write(dump(record) + "\n")
+    else:
+        PeopleConsole().print_all(lines)
