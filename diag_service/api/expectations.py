@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from diag_service.api.analysis import Analysis
 from diag_service.delivery.console import condition_words
@@ -12,19 +12,15 @@ from diag_service.diagnosis.records import Condition, ShiftResult, Status
 if TYPE_CHECKING:
     import can
 
+    from diag_service.api.live import BackgroundDiagnosis, LiveDiagnosis
+
+    Diagnosed = Analysis | BackgroundDiagnosis | LiveDiagnosis
+
 SHOWN_BYTES = 64
 _Kind = tuple[bool, int]  # whether an identifier has 29 bits, and which it is
 
 
-class HasAnalysis(Protocol):
-    """A diagnosis that goes on."""
-
-    @property
-    def analysis(self) -> Analysis:
-        """What was found until now."""
-
-
-def expect_verdict(found: Analysis | HasAnalysis, clutch: int, *conditions: Condition | str) -> None:
+def expect_verdict(found: "Diagnosed", clutch: int, *conditions: Condition | str) -> None:
     """Fail unless the verdict on a clutch is one of these conditions, such as ``"good"``.
 
     Raises
@@ -47,7 +43,7 @@ def expect_verdict(found: Analysis | HasAnalysis, clutch: int, *conditions: Cond
 
 
 def expect_shifts(
-    found: Analysis | HasAnalysis, *, least: int, status: Status | str | None = Status.VALID
+    found: "Diagnosed", *, least: int, status: Status | str | None = Status.VALID
 ) -> tuple[ShiftResult, ...]:
     """Fail unless there are at least so many shifts of this status, by default valid ones; return them.
 
@@ -64,9 +60,7 @@ def expect_shifts(
     return kept
 
 
-def expect_frames(
-    found: Analysis | HasAnalysis, *, least: int = 1, rejected: int = 0, missing: int = 0, dropped: int = 0
-) -> None:
+def expect_frames(found: "Diagnosed", *, least: int = 1, rejected: int = 0, missing: int = 0, dropped: int = 0) -> None:
     """Fail unless enough frames were decoded, and at most so many were bad.
 
     Parameters
@@ -165,7 +159,7 @@ def _hex(data: bytes | None) -> str:
     return "-" if data is None else data[:SHOWN_BYTES].hex(" ").upper()
 
 
-def _analysis(found: Analysis | HasAnalysis) -> Analysis:
+def _analysis(found: "Diagnosed") -> Analysis:
     return found if isinstance(found, Analysis) else found.analysis
 
 

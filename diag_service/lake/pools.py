@@ -26,7 +26,7 @@ from fleet_link import AddressError, TlsFiles
 
 SCHEME: Final = "tls"
 DEFAULT_PORT: Final = 8786
-LOOPBACK: Final = "127.0.0.1"
+FREE_PORT: Final = "127.0.0.1", 0
 CONNECT_TIMEOUT_S: Final = 10.0
 ALLOWED_FAILURES: Final = 1  # deaths beyond it are told to the run, which tries such a log alone
 MIB: Final = 1 << 20
@@ -137,7 +137,7 @@ def run_scheduler(host: str, port: int, tls: TlsFiles, page: tuple[str, int] | N
             port=port,
             protocol=SCHEME,
             security=security(tls),
-            dashboard_address=_page_address(page),
+            dashboard_address="{}:{}".format(*(page or FREE_PORT)),
             allowed_failures=ALLOWED_FAILURES,
         )
 
@@ -162,7 +162,7 @@ def run_workers(address: ClusterAddress, host: str, jobs: int, memory_limit_mib:
             host=host,
             protocol=SCHEME,
             security=security(address.tls),
-            dashboard_address=_page_address(None),
+            dashboard_address="{}:{}".format(*FREE_PORT),
             silence_logs=logging.WARNING,
             memory_limit="auto" if memory_limit_mib is None else memory_limit_mib * MIB,
         )
@@ -172,11 +172,6 @@ def run_workers(address: ClusterAddress, host: str, jobs: int, memory_limit_mib:
 
 def _quieten() -> None:
     load_extra("dask.config", "a cluster needs Dask", "cluster").set(QUIET)
-
-
-def _page_address(page: tuple[str, int] | None) -> str:
-    host, port = page or (LOOPBACK, 0)
-    return f"{host}:{port}"
 
 
 def _run(makers: list[Callable[[], Any]], stop: Trigger) -> None:
@@ -260,7 +255,6 @@ class LocalPool:
 
     @property
     def width(self) -> int:
-        """How many logs are worked at beside each other."""
         return self._jobs
 
     def close(self) -> None:
@@ -276,12 +270,10 @@ class LocalPool:
         self._running[future] = log
 
     def finished(self, timeout_s: float) -> Sequence[Outcome]:
-        """Return what was finished since the last time, after at most this time [s]."""
         done, _ = wait(self._running, timeout_s, FIRST_COMPLETED)
         return list(self._outcomes(done))
 
     def withdraw(self) -> Sequence[LakeLog]:
-        """Take back what nobody has begun."""
         taken = [future for future in self._running if future.cancel()]
         return [self._running.pop(future) for future in taken]
 

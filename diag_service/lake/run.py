@@ -23,6 +23,7 @@ from diag_service.settings.config import check_vehicle
 POLL_S: Final = 0.2  # how soon a request to stop is heard
 WAITING_PER_WORKER: Final = 2  # logs handed out ahead: nobody waits, and memory and what a stop throws away are bounded
 MOST_DEATHS: Final = 2  # of a log's process with nothing beside it: then it is the log
+DEADLY: Final = f"its process died each time, {MOST_DEATHS} times with no other log beside it: out of memory or time?"
 MOST_REFUSALS: Final = 3  # of a store, each after its own attempts
 ROWS_PER_FILE: Final = 256
 FILE_EVERY_S: Final = 5.0
@@ -189,8 +190,8 @@ class Dispatch:
                     self._refuse(outcome.log, outcome.error)
                 elif not outcome.is_blamed:
                     self._waiting.appendleft(outcome.log)
-                elif was_alone and self._is_guilty(outcome.log):
-                    yield self._death_row(outcome.log)
+                elif was_alone and self._died(outcome.log) >= MOST_DEATHS:
+                    yield row_of(self._job, outcome.log, self._attempts[outcome.log.source], reason=DEADLY)
                 else:
                     self._suspects.append(outcome.log)
 
@@ -212,13 +213,9 @@ class Dispatch:
             raise error
         self._waiting.append(log)
 
-    def _is_guilty(self, log: LakeLog) -> bool:
+    def _died(self, log: LakeLog) -> int:
         self._deaths_alone[log.source] += 1
-        return self._deaths_alone[log.source] >= MOST_DEATHS
-
-    def _death_row(self, log: LakeLog) -> LogRow:
-        reason = f"its process died each time, {MOST_DEATHS} times with no other log beside it: out of memory or time?"
-        return row_of(self._job, log, self._attempts[log.source], reason=reason)
+        return self._deaths_alone[log.source]
 
 
 class Ledger:

@@ -47,13 +47,6 @@ class Line(Protocol):
         """Return the answer to a request, None if none comes; raises ControllerError."""
 
 
-class RemoteLine(Line, Protocol):
-    """One that has to be turned to a controller before it is asked."""
-
-    def turn_to(self, address: CanAddress) -> None:
-        """Make ready to send the next request at once; raises ControllerError, StoppedError."""
-
-
 class ElmLine:
     """Controllers behind an ELM327, or one that understands its commands (STN).
 
@@ -211,7 +204,7 @@ class DoipLine:
 class Said:
     """Says what is asked and answered on a bus, too."""
 
-    def __init__(self, line: RemoteLine, bus: can.BusABC) -> None:
+    def __init__(self, line: ElmLine | DoipLine, bus: can.BusABC) -> None:
         self._line = line
         self._bus = bus
 
@@ -271,6 +264,6 @@ def line_through(adapter: str, channel: str, goes_on: Callable[[], bool] = lambd
         bus = stack.enter_context(can.Bus(channel, "virtual"))
         if kind == ELM327:
             yield Said(ElmLine(place, stack, goes_on), bus)
-            return
-        tester = stack.enter_context(dialogue_over_ip(parse_doip(place, logical), Timing(), goes_on=goes_on))
-        yield Said(DoipLine(tester), bus)
+        else:
+            tester = stack.enter_context(dialogue_over_ip(parse_doip(place, logical), Timing(), goes_on=goes_on))
+            yield Said(DoipLine(tester), bus)

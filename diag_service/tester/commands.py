@@ -52,7 +52,11 @@ def dtc(options: SimpleNamespace, controls: Controls) -> None:
             for text, name in ((options.readiness, "--readiness"), (options.record, "--record"))
         )
         question = questions.TroubleQuestion(mask=mask, has_details=not options.brief, group=group, record=record)
-        codes = ask_one(options, question, _shown_codes, controls.stop) or ()
+
+        def told(codes: Sequence[TroubleCode]) -> tuple[Record, Iterable[str]]:
+            return {"codes": [trouble_record(code) for code in codes]}, trouble_lines(codes)
+
+        codes = ask_one(options, question, told, controls.stop) or ()
         if faults := [code.fault for code in codes if code.fault]:
             raise ControllerError(f"what was kept of {len(faults)} of {len(codes)} codes was not told: {faults[0]}")
     elif (options.readiness, options.record) != (None, None):
@@ -72,13 +76,13 @@ def _clear_question(options: SimpleNamespace, controls: Controls, mask: int) -> 
     return questions.ClearQuestion(group=group, mask=mask, session=session, is_agreed=is_agreed)
 
 
-def _shown_codes(codes: Sequence[TroubleCode]) -> tuple[Record, Iterable[str]]:
-    return {"codes": [trouble_record(code) for code in codes]}, trouble_lines(codes)
-
-
 def _shown_clearing(cleared: questions.Clearing) -> tuple[Record, Iterable[str]]:
-    codes = [trouble_record(code) for code in cleared.after]
-    return {"codes": codes, "cleared": cleared_record(cleared)}, cleared_lines(cleared)
+    """Return what was cleared and what is left; nothing was if no group is there."""
+    numbers = {"before": cleared.before, "gone": cleared.gone, "left": cleared.after}
+    told: Record = {name: [f"{code.number:06X}" for code in codes] for name, codes in numbers.items()}
+    groups = [f"{number:06X}" for number in cleared.groups]
+    left = [trouble_record(code) for code in cleared.after]
+    return {"codes": left, "cleared": {"groups": groups, **told}}, cleared_lines(cleared)
 
 
 def did(options: SimpleNamespace, controls: Controls) -> None:
@@ -303,16 +307,6 @@ def routine_record(answer: questions.RoutineAnswer) -> Record:
         "action": answer.action,
         "bytes": answer.data.hex(" ").upper(),
         "values": dict(answer.values),
-    }
-
-
-def cleared_record(cleared: questions.Clearing) -> Record:
-    """Return what was cleared, as JSON; nothing was if no group is there."""
-    return {
-        "groups": [f"{number:06X}" for number in cleared.groups],
-        "before": [f"{code.number:06X}" for code in cleared.before],
-        "gone": [f"{code.number:06X}" for code in cleared.gone],
-        "left": [f"{code.number:06X}" for code in cleared.after],
     }
 
 

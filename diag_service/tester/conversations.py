@@ -70,11 +70,9 @@ class Conversations:
         self._show: Callable[[str], object] | None = None
 
     def show_at_once(self, show: Callable[[str], object]) -> None:
-        """Have what is settled shown when it is, from now on: the frames come from a bus that goes on."""
         self._show = show
 
     def add(self, batch: FrameBatch) -> None:
-        """Take the frames that follow: at least one."""
         self._take(self._long.feed(batch))
         if self._show is not None:
             for line in self.news(int(batch.t_ns[-1])):
@@ -84,14 +82,12 @@ class Conversations:
         self._take(self._long.close())
 
     def news(self, now_ns: int) -> Iterator[str]:
-        """Yield for people what is settled at a time on the bus; it is not kept any longer."""
         for one in self._exchanges.settled(now_ns):
             self._told += 1
             self._told_unanswered += not one.answers
             yield exchange_line(one)
 
     def lines(self) -> Iterator[str]:
-        """Yield all of it for people that has not been told as news."""
         counts = self._long.counts.in_words()
         yield from counts or ["no message longer than a frame and no conversation of a tester"]
         for name, count in self._by_name.most_common():

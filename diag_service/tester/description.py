@@ -187,19 +187,12 @@ def _value(entry: Field, piece: bytes) -> Value:
             return piece.hex(" ").upper()
         case Coding.FLOAT:  # to the last bit, unless it is scaled
             return float(struct.unpack(_FLOATS[entry.size_bytes], piece)[0]) * entry.resolution + entry.offset
-        case _:
-            return _whole_number(entry, piece)
-
-
-def _whole_number(entry: Field, piece: bytes) -> Value:
     number = int.from_bytes(piece, "big", signed=entry.kind is Coding.SIGNED)
     if number == entry.invalid:
         return None
-    if (meaning := entry.numbered_meanings.get(number)) is not None:
-        return meaning
-    if entry.resolution == 1.0 and not entry.offset:
-        return number
-    return float(f"{number * entry.resolution + entry.offset:.{_DIGITS}g}")
+    is_scaled = entry.resolution != 1.0 or entry.offset
+    value = float(f"{number * entry.resolution + entry.offset:.{_DIGITS}g}") if is_scaled else number
+    return entry.numbered_meanings.get(number, value)
 
 
 def _finite(value: Value) -> Value:
@@ -223,10 +216,6 @@ def _find(word: str, names: Mapping[int, str], what: str) -> int:
     raise ConfigError(f"{word!r} is not a {what}: give its number in hexadecimal or its name{known}")
 
 
-def _text(number: int, name: str, size_bytes: int = 0) -> Datum:
-    return Datum(number=number, name=name, fields=(Field(name=name, kind=Coding.TEXT, size_bytes=size_bytes),))
-
-
 # ISO 14229-1, annex C: data that controllers of all makers give. What a maker writes as bytes is shown as bytes.
 STANDARD_DATA: Final[Mapping[int, Datum]] = {
     0xF186: Datum(
@@ -235,7 +224,7 @@ STANDARD_DATA: Final[Mapping[int, Datum]] = {
         fields=(Field(name="session", kind=Coding.UNSIGNED, size_bytes=1),),
     ),
     **{
-        number: _text(number, name)
+        number: Datum(number=number, name=name, fields=(Field(name=name, kind=Coding.TEXT),))
         for number, name in (
             (0xF180, "boot software identification"),
             (0xF181, "application software identification"),

@@ -150,12 +150,8 @@ class _Details:
             return (), str(exc)
 
 
-def read_data(tester: "Dialogue", description: Description, numbers: Iterable[int]) -> list[DataAnswer]:
-    """Return what a controller says of each datum; they are asked for one at a time, so one refusal costs one."""
-    return [_read_datum(tester, description, number) for number in numbers]
-
-
-def _read_datum(tester: "Dialogue", description: Description, number: int) -> DataAnswer:
+def read_datum(tester: "Dialogue", description: Description, number: int) -> DataAnswer:
+    """Return what a controller says of a datum; each is asked for by itself, so one refusal costs one."""
     name = description.data_name(number)
     try:
         answer = tester.may_ask(bytes([READ_DATA]) + number.to_bytes(2, "big"))
@@ -334,7 +330,7 @@ class DataQuestion:
     def ask(self, tester: "Dialogue", description: Description) -> tuple[DataAnswer, ...]:
         """Ask, in the session that is wanted."""
         with tester.session(self.session):
-            return tuple(read_data(tester, description, self._numbers(description)))
+            return tuple(read_datum(tester, description, number) for number in self._numbers(description))
 
     def _numbers(self, description: Description) -> list[int]:
         return [description.find_data(word) for word in self.words] or sorted(description.data)

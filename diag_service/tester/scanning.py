@@ -37,7 +37,7 @@ from diag_service.tester.answers import (
     request_text,
 )
 from diag_service.tester.description import STANDARD_DATA, UNKNOWN, Description
-from diag_service.tester.questions import FAILED_MASK, DataAnswer, read_data, recognised
+from diag_service.tester.questions import FAILED_MASK, DataAnswer, read_datum, recognised
 
 if TYPE_CHECKING:
     from diag_service.tester.dialogue import Dialogue
@@ -213,7 +213,7 @@ def _data_of(tester: "Dialogue", description: Description, numbers: Iterable[int
     silent = 0
     for number in numbers:
         try:
-            (answer,) = read_data(tester, description, [number])
+            answer = read_datum(tester, description, number)
         except errors.SilentError as exc:
             silent += 1
             if silent >= MOST_SILENT or isinstance(exc, errors.PendingError):

@@ -6,7 +6,7 @@ from typing import Final
 
 from diag_service.errors import MalformedError
 from diag_service.tester.answers import EXTENDED, HEAD_BYTES, ROW_BYTES, SNAPSHOTS, shown
-from diag_service.tester.description import STANDARD_EXTENDED, Description, Value, Values, code_text, read_fields
+from diag_service.tester.description import STANDARD_EXTENDED, Description, Values, code_text, read_fields
 
 CODE_BYTES: Final = ROW_BYTES - 1
 STATUS_BITS: Final = (
@@ -189,15 +189,13 @@ def _kept_lines(what: str, kept: Iterable[Snapshot]) -> Iterator[str]:
 
 def values_text(values: Values) -> str:
     """Return values for people: name, number, unit; the name of one that is alone says nothing new."""
-    is_alone = len(values) == 1
-    return ", ".join(_value_text("" if is_alone else name, name, value) for name, value in values.items())
-
-
-def _value_text(shown_name: str, name: str, value: Value) -> str:
-    shown = NOTHING if value is None else f"{value:.10g}" if isinstance(value, float) else str(value)
-    _, bracket, unit = name.partition(" [")
-    unit = f" {unit.removesuffix(']')}" if bracket and value is not None else ""
-    return f"{shown_name.partition(' [')[0]} {shown}{unit}".strip()
+    texts = []
+    for label, value in values.items():
+        shown = NOTHING if value is None else f"{value:.10g}" if isinstance(value, float) else str(value)
+        name, bracket, unit = label.partition(" [")
+        unit = f" {unit.removesuffix(']')}" if bracket and value is not None else ""
+        texts.append(f"{name if len(values) > 1 else ''} {shown}{unit}".strip())
+    return ", ".join(texts)
 
 
 def columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
