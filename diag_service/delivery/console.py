@@ -22,7 +22,6 @@ from diag_service.diagnosis.summary import (
     cause_lines,
     frames_line,
     gaps_line,
-    latest_ratio,
     newest_causes,
     ratio_line,
     scale_free_lines,
@@ -125,8 +124,8 @@ class ConsoleReporter:
             self._line(Text(f"{name_of(result.verdict.clutch, result.verdict.element)}: {result.verdict.reason}"))
             for line in scale_free_lines(result.verdict):
                 self._line(Text(f"  {line}"))
-        if ratio := latest_ratio(summary):
-            self._line(Text(ratio_line(ratio)))
+        if line := ratio_line(summary):
+            self._line(Text(line))
 
     def _line(self, text: Text) -> None:
         self._console.print(text, soft_wrap=True)

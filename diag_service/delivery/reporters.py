@@ -109,7 +109,6 @@ class MemoryLink:
         self.on_receipts: OnReceipts | None = None
 
     async def send(self, messages: Sequence[Outgoing]) -> None:
-        """Keep messages, or refuse them."""
         for message in messages:
             if self.is_refusing or self.cut.is_set():
                 raise PublishError("the memory refuses")
@@ -117,11 +116,9 @@ class MemoryLink:
         await asyncio.sleep(0)
 
     async def listen(self, vehicle: str, on_receipts: OnReceipts) -> None:  # noqa: ARG002 - there is one vehicle here
-        """Acknowledge to this listener."""
         self.on_receipts = on_receipts
 
     async def hear_fills(self, vehicle: str, on_fills: OnFills) -> None:  # noqa: ARG002 - there is one vehicle here
-        """Tell this listener what the fleet knows."""
         if self.fleet_fills:
             on_fills(self.fleet_fills)
 
@@ -159,7 +156,6 @@ class MemoryReporter:
         self.controllers: list[ControllerNews] = []
 
     def report(self, news: News) -> None:
-        """Keep what came."""
         if isinstance(news, str):
             self.places.append(news)
         elif isinstance(news, ShiftResult):
@@ -204,7 +200,6 @@ class PipeReporter:
         self._is_broken = False
 
     def report(self, news: News) -> None:
-        """Pass on one piece of news."""
         if self._is_broken:
             return
         try:
@@ -261,6 +256,5 @@ class AllReporters:
         self._reporters = reporters
 
     def report(self, news: News) -> None:
-        """Pass on one piece of news."""
         for reporter in self._reporters:
             reporter.report(news)

@@ -171,8 +171,7 @@ def sampling_times(event: Event) -> SampleTimes:
     for signal in BALANCE_SIGNALS:
         series = event.columns.get(signal)
         if series is not None:
-            found[signal] = times_s = np.empty(len(series.t_ns))
-            _free_of_jitter(series.t_ns, series.sequence, event.start_ns, series.period_ns * NS_TO_S, times_s)
+            found[signal] = sample_times_s(series, event.start_ns)
     return found
 
 
@@ -381,8 +380,7 @@ def _expected_pa(event: Event, command: Signal, grid_s: FloatArray) -> FloatArra
     series = event.columns.get(command)
     if series is None or not len(series.t_ns):
         return None
-    times_s, expected_pa = np.empty(len(series.t_ns)), np.empty_like(grid_s)
-    _free_of_jitter(series.t_ns, series.sequence, event.start_ns, series.period_ns * NS_TO_S, times_s)
+    times_s, expected_pa = sample_times_s(series, event.start_ns), np.empty_like(grid_s)
     _lag_behind(times_s, series.value, grid_s, GRID_S / COMMAND_LAG_S, expected_pa)
     return expected_pa
 

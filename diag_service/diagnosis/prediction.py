@@ -268,9 +268,7 @@ def fitted(phases: Sequence[SlipPhase], touch_pa: float | None = None) -> Model:
         means = np.concatenate([simulated(found, scales, phase) for phase in phases])
         slopes = np.asarray(solution.jac, np.float64)
         covariance = np.asarray(np.linalg.inv(slopes.T @ slopes), np.float64)
-        own = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)[
-            : len(measured)
-        ]  # leverage: what a sample fits itself
+        own = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)[: len(measured)]  # leverage: what one fits itself
         scatter = _likeliest(means, (means - measured) / np.sqrt(1.0 - np.minimum(own, MOST_LEVERAGE)), ends)
     return Model(scales=scales, parameters=found, covariance=covariance, scatter=scatter, event_count=len(phases))
 
@@ -336,13 +334,12 @@ def _scales(phases: Sequence[SlipPhase], touch_pa: float | None) -> Scales:
     rates = [abs(one.change_rad_s[-1]) / one.t_s[-1] for one in phases]
     pressures = [one.mean_pa for one in phases]
     drives = np.abs(np.concatenate([one.drive[:, 1] for one in phases]))
-    known = touch_pa is not None
     return Scales(
         drive=float(np.median(drives)) or 1.0,
         pressure_pa=float(np.median(pressures)),
         rate_rad_s2=float(np.median(rates)),
-        touch_pa=touch_pa if touch_pa is not None else 0.5 * min(pressures),
-        touch_std_pa=TOUCH_STD_PA if known else 0.3 * min(pressures),
+        touch_pa=0.5 * min(pressures) if touch_pa is None else touch_pa,
+        touch_std_pa=0.3 * min(pressures) if touch_pa is None else TOUCH_STD_PA,
     )
 
 
@@ -489,13 +486,11 @@ def _beside(
     for phase, own, left, covariance, outlying in looks:
         design, spread = np.column_stack([own, np.zeros(len(left))]), outlying
         if (course := courses.get(phase.number)) is not None:
-            both = [
-                simulated(model.parameters, model.scales, phase, 1.0 + sign * step * course) for sign in (1.0, -1.0)
-            ]
+            ratios = (1.0 + sign * step * course for sign in (1.0, -1.0))
+            both = [simulated(model.parameters, model.scales, phase, ratio) for ratio in ratios]
             design[:, -1] = (both[0] - both[1]) / (2.0 * step)
-            spread = (
-                outlying if len(courses) > 1 else np.ones(len(left))
-            )  # a shift that is asked of itself counts whole
+            if len(courses) == 1:  # a shift that is asked of itself counts whole
+                spread = np.ones(len(left))
         certainty = np.linalg.inv(covariance * np.outer(spread, spread))
         information += design.T @ certainty @ design
         pull += design.T @ certainty @ left

@@ -534,20 +534,15 @@ def dump(record: Mapping[str, object]) -> str:
         raise ResultError(f"a result holds a number that is not finite: {record!r}") from exc
 
 
-def parse_record(text: str) -> JsonObject:
-    """Read back what ``dump(shift_record(...))`` wrote, as a record; raises ResultError if it is none."""
+def parse_shift(text: str) -> ShiftResult:
+    """Read back what ``dump(shift_record(...))`` wrote; raises ResultError if it is none of this version."""
     try:
         record = json.loads(text)
     except ValueError as exc:
         raise ResultError(f"not a shift result: {exc}") from exc
     if not isinstance(record, dict) or record.get("schema") != SHIFT_SCHEMA:
         raise ResultError(f"not a {SHIFT_SCHEMA} record")
-    return record
-
-
-def parse_shift(text: str) -> ShiftResult:
-    """Read back what ``dump(shift_record(...))`` wrote; raises ResultError if it is none of this version."""
-    return shift_from(parse_record(text))
+    return shift_from(record)
 
 
 def shift_from(record: JsonObject) -> ShiftResult:

@@ -13,7 +13,6 @@ from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_rec
 from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.records import (
     Causes,
-    ClutchRatio,
     ClutchVerdict,
     Condition,
     FluidFill,
@@ -192,13 +191,6 @@ def cause_lines(causes: Causes | None) -> list[str]:
     return lines if causes.test is None else [*lines, f"  {causes.test}"]
 
 
-def suspects_of(causes: Causes | None) -> tuple[orders.Suspect, ...]:
-    """Return the causes that an order may name."""
-    return (
-        () if causes is None else tuple(orders.Suspect(one.cause, one.clutch, one.probability) for one in causes.likely)
-    )
-
-
 def of_present_fluid(results: Iterable[ShiftResult], fluid: FluidFill | None) -> tuple[ShiftResult, ...]:
     """Return the last results of clutches; those of an earlier fluid without what they say of that."""
     filled_at = None if fluid is None else datetime.fromisoformat(fluid.filled_at)
@@ -235,7 +227,10 @@ def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None, elements: 
             text=one.verdict.advice,
             reason=one.verdict.reason,
             end_at=_end_at(one),
-            suspects=suspects_of(one.verdict.causes),
+            suspects=tuple(
+                orders.Suspect(likely.cause, likely.clutch, likely.probability)
+                for likely in (() if one.verdict.causes is None else one.verdict.causes.likely)
+            ),
         )
         for one in results
     ]
@@ -375,14 +370,12 @@ def scale_free_lines(verdict: ClutchVerdict) -> Iterator[str]:
         )
 
 
-def latest_ratio(summary: Summary) -> ClutchRatio | None:
-    """Return the ratio of the clutches after the last shift of a run, if both are known."""
+def ratio_line(summary: Summary) -> str:
+    """Return the friction of clutch 1 over that of clutch 2 as one line for people; empty unless both are known."""
     newest = max(summary.latest, key=lambda result: result.estimate.end_ns, default=None)
-    return None if newest is None else newest.verdict.clutch_ratio
-
-
-def ratio_line(ratio: ClutchRatio) -> str:
-    """Return the friction of clutch 1 over that of clutch 2 as one line for people."""
+    ratio = None if newest is None else newest.verdict.clutch_ratio
+    if ratio is None:
+        return ""
     return (
         f"mu_C1/mu_C2 {ratio.mu_c_ratio:.3f} ± {ratio.std_mu_c_ratio:.3f}, "
         f"mu_S1/mu_S2 {ratio.mu_s_ratio:.3f} ± {ratio.std_mu_s_ratio:.3f}"

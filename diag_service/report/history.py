@@ -118,17 +118,8 @@ def _course(found: Findings) -> Iterator[Text | Table]:
     if not known:
         return
     table = _table("How well it shifts: scores by kind, gears and oil; 100 is faultless")
-    for name in (
-        "change",
-        "gears",
-        "count",
-        f"first {shift_course.COURSE_COUNT}",
-        f"last {shift_course.COURSE_COUNT}",
-        "cold",
-        "warm",
-        "hot",
-        "costs",
-    ):
+    ends = (f"first {shift_course.COURSE_COUNT}", f"last {shift_course.COURSE_COUNT}")
+    for name in ("change", "gears", "count", *ends, "cold", "warm", "hot", "costs"):
         table.add_column(name, justify="left" if name in {"change", "costs"} else "right", no_wrap=True)
     for one in known:
         scores = (_NONE if score is None else f"{score:.0f}" for score in (one.first, one.last, *one.by_oil))

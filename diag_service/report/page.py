@@ -73,8 +73,9 @@ class Page:
 
 def page_of(found: Findings, made_at: str) -> Page:
     """Return the page of a report; ``made_at`` is the present moment (ISO 8601 UTC)."""
+    causes = [] if (known := newest_causes(found.latest)) is None else [causes_section(known)]
     sections = (
-        *causes_sections(found),  # first: they may say that what the verdict advises will not help
+        *causes,  # first: they may say that what the verdict advises will not help
         friction_section(found),
         trend_section(found),
         shifts_section(found),
@@ -177,11 +178,8 @@ def friction_section(found: Findings) -> Section:
     for result in found.latest:
         clutch, verdict = result.estimate.clutch, result.verdict
         if calibration is not None and verdict.friction is not None:
-            figures.append(
-                curve_figure(
-                    clutch, verdict.friction, calibration.clutches[clutch - 1].friction, element=verdict.element
-                )
-            )
+            reference = calibration.clutches[clutch - 1].friction
+            figures.append(curve_figure(clutch, verdict.friction, reference, element=verdict.element))
     tables = [_numbers_table(result.verdict) for result in found.latest]
     tables += [] if found.summary is None else [_relative_table(one) for one in found.summary.relative]
     return Section(name="friction", title="Friction", texts=tuple(texts), tables=tuple(tables), figures=tuple(figures))
@@ -223,12 +221,6 @@ def shifts_section(found: Findings) -> Section:
         texts.append("No shift was rejected.")
     figures = [figure for example in found.examples for figure in shift_figures(example)]
     return Section(name="shifts", title="Single shifts", texts=tuple(texts), figures=tuple(figures))
-
-
-def causes_sections(found: Findings) -> Iterator[Section]:
-    """Yield why the vehicle is as it is, if that is known."""
-    if (causes := newest_causes(found.latest)) is not None:
-        yield causes_section(causes)
 
 
 def course_sections(found: Findings) -> Iterator[Section]:

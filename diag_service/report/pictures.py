@@ -77,10 +77,8 @@ def curve_picture(
     low, high = mean - BAND_STD * std, mean + BAND_STD * std
     levels = [ratio * reference.mu_c for ratio, _ in _THRESHOLDS]
     x = Axis(low=0.0, high=float(_SLIP_RAD_S[-1]), label="slip speed [rad/s]")
-    label = (
-        f"{title_of(clutch, element)}: friction coefficient over slip speed, estimate with band, new fluid, thresholds"
-    )
-    plot = Plot(label, x, Axis.around("friction coefficient", new, low, high, levels))
+    what = "friction coefficient over slip speed, estimate with band, new fluid, thresholds"
+    plot = Plot(f"{title_of(clutch, element)}: {what}", x, Axis.around("friction coefficient", new, low, high, levels))
     _draw_thresholds(plot, reference.mu_c)
     plot.line(_SLIP_RAD_S, new, "line new dashed")
     plot.band(_SLIP_RAD_S, low, high, f"band clutch{clutch}")
@@ -135,7 +133,7 @@ def trend_picture(trend: Trend) -> Markup:
     return plot.markup()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Curve:
     """One signal of a shift as it is drawn."""
 
@@ -154,22 +152,18 @@ class Panel:
     curves: tuple[Curve, ...]
 
 
-def _curve(signal: Signal, label: str, style: str) -> Curve:
-    return Curve(signal=signal, label=label, style=style)
-
-
 PANELS: Final = (
     Panel(
         title="Speeds",
         unit="rpm",
         factor=rpm_from_rad_s(1.0),
         curves=(
-            _curve(Signal.ENGINE_SPEED, "engine", "ink"),
-            _curve(Signal.HUB_SPEED, "clutch hub", "new"),
-            _curve(Signal.INPUT1_SPEED, "input shaft 1", "clutch1"),
-            _curve(Signal.INPUT2_SPEED, "input shaft 2", "clutch2"),
-            _curve(Signal.INPUT_SPEED, "input shaft", "clutch1"),
-            _curve(Signal.TURBINE_SPEED, "turbine", "clutch1"),
+            Curve(Signal.ENGINE_SPEED, "engine", "ink"),
+            Curve(Signal.HUB_SPEED, "clutch hub", "new"),
+            Curve(Signal.INPUT1_SPEED, "input shaft 1", "clutch1"),
+            Curve(Signal.INPUT2_SPEED, "input shaft 2", "clutch2"),
+            Curve(Signal.INPUT_SPEED, "input shaft", "clutch1"),
+            Curve(Signal.TURBINE_SPEED, "turbine", "clutch1"),
         ),
     ),
     Panel(
@@ -177,11 +171,11 @@ PANELS: Final = (
         unit="bar",
         factor=bar_from_pa(1.0),
         curves=(
-            _curve(Signal.CLUTCH1_PRESSURE, "clutch 1", "clutch1"),
-            _curve(Signal.LOCKUP_PRESSURE, "lock-up clutch", "clutch1"),
-            _curve(Signal.CLUTCH1_PRESSURE_COMMAND, "clutch 1, commanded", "clutch1 dashed"),
-            _curve(Signal.CLUTCH2_PRESSURE, "clutch 2", "clutch2"),
-            _curve(Signal.CLUTCH2_PRESSURE_COMMAND, "clutch 2, commanded", "clutch2 dashed"),
+            Curve(Signal.CLUTCH1_PRESSURE, "clutch 1", "clutch1"),
+            Curve(Signal.LOCKUP_PRESSURE, "lock-up clutch", "clutch1"),
+            Curve(Signal.CLUTCH1_PRESSURE_COMMAND, "clutch 1, commanded", "clutch1 dashed"),
+            Curve(Signal.CLUTCH2_PRESSURE, "clutch 2", "clutch2"),
+            Curve(Signal.CLUTCH2_PRESSURE_COMMAND, "clutch 2, commanded", "clutch2 dashed"),
         ),
     ),
     Panel(
@@ -189,10 +183,10 @@ PANELS: Final = (
         unit="Nm",
         factor=1.0,
         curves=(
-            _curve(Signal.ENGINE_TORQUE, "engine", "ink"),
-            _curve(Signal.CLUTCH_TORQUE, "clutches", "new"),
-            _curve(Signal.CLUTCH1_TORQUE_COMMAND, "clutch 1, commanded", "clutch1 dashed"),
-            _curve(Signal.CLUTCH2_TORQUE_COMMAND, "clutch 2, commanded", "clutch2 dashed"),
+            Curve(Signal.ENGINE_TORQUE, "engine", "ink"),
+            Curve(Signal.CLUTCH_TORQUE, "clutches", "new"),
+            Curve(Signal.CLUTCH1_TORQUE_COMMAND, "clutch 1, commanded", "clutch1 dashed"),
+            Curve(Signal.CLUTCH2_TORQUE_COMMAND, "clutch 2, commanded", "clutch2 dashed"),
         ),
     ),
 )
@@ -304,16 +298,8 @@ def course_tables(found: Sequence[Course], loaded: Sequence[Load]) -> tuple[Tabl
         )
         for one in found
     )
-    head = (
-        "change",
-        "count",
-        f"first {COURSE_COUNT}",
-        f"last {COURSE_COUNT}",
-        "cold oil",
-        "warm",
-        "hot",
-        "mostly costs",
-    )
+    ends = (f"first {COURSE_COUNT}", f"last {COURSE_COUNT}")
+    head = ("change", "count", *ends, "cold oil", "warm", "hot", "mostly costs")
     scores = Table(caption="Score of the gear changes, 100 is faultless", head=head, rows=rows)
     bounds = [f"{bound_j / 1e3:g}" for bound_j in ENERGY_BOUNDS_J]
     names = (f"up to {bounds[0]} kJ", *(f"to {bound}" for bound in bounds[1:]), "more")

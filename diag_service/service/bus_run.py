@@ -8,7 +8,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterable
 from contextlib import AbstractAsyncContextManager, ExitStack, closing, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
@@ -24,7 +24,6 @@ from clutchdiag_io.program import part
 from diag_service.console import PeopleConsole, ending_key
 from diag_service.delivery import DetachedReporter, News, Outbox
 from diag_service.delivery.console import order_lines, shift_head, shift_line, short_shift_head, short_shift_line
-from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import frames_line, shifts_line
 from diag_service.errors import ConfigError
 from diag_service.service.application import opened_store, outbox_of, reporter_of
@@ -88,12 +87,14 @@ def screen(snapshot: Snapshot, size: tuple[int, int] | None = None, hint: str = 
         sentences = sentences[:1]
     shown_count = min(max(0, free - _folded_count(sentences, width)), len(snapshot.recent))
     recent = snapshot.recent[len(snapshot.recent) - shown_count :]
+    is_short = width < WHOLE_WIDTH
+    shift_heading, line = (short_shift_head, short_shift_line) if is_short else (shift_head, shift_line)
     return Group(
         head,
         *sentences,
         _message_table(snapshot),
         *below,
-        *_shift_lines(recent, is_short=width < WHOLE_WIDTH),
+        *([shift_heading(), *(line(result) for result in reversed(recent))] if recent else []),
         *([Text(hint, "dim")] if hint else []),
     )
 
@@ -139,25 +140,12 @@ def _message_table(snapshot: Snapshot) -> Table:
     return table
 
 
-def _shift_lines(recent: tuple[ShiftResult, ...], *, is_short: bool) -> list[Text]:
-    head, line = (short_shift_head, short_shift_line) if is_short else (shift_head, shift_line)
-    return [head(), *(line(result) for result in reversed(recent))] if recent else []
-
-
 def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
 QUIT_KEY = "q"
 _LOG = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Shown:
-    """What a page shows of a run, and what opens one."""
-
-    shifts: LastShifts
-    open_page: OpenPage
 
 
 def run_bus(
@@ -177,7 +165,7 @@ def run_bus(
         shifts = LastShifts()
         witness = (lambda *_: None) if bus.page is None else shifts.add
         session = Session(config, decoder, store, None, reporter, witness=witness)
-        asyncio.run(_run_bus(config, bus, store, session, controls, shown=_Shown(shifts=shifts, open_page=open_page)))
+        asyncio.run(_run_bus(config, bus, store, session, controls, shifts=shifts, open_page=open_page))
 
 
 def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> None:
@@ -213,7 +201,8 @@ async def _run_bus(
     controls: Controls,
     onlooker: Callable[[Snapshot], None] = lambda _: None,
     *,
-    shown: _Shown | None = None,
+    shifts: LastShifts | None = None,  # that a page shows
+    open_page: OpenPage | None = None,
 ) -> None:
     source, schedule = await open_live(bus, session)
     session.reporter.report(f"{source.description} for {config.vehicle}, results in {store.where}")
@@ -234,16 +223,16 @@ async def _run_bus(
 
             port = stack.enter_context(serving(bus.metrics, board))
             _LOG.log(NOTICE, "metrics on http://%s:%d/metrics", bus.metrics.host, port)
-        if bus.page is not None and shown is not None:
+        if bus.page is not None and shifts is not None and open_page is not None:
             run = LiveRun(
                 vehicle=config.vehicle,
                 source=source.description,
                 store=store.where,
                 calibration=config.calibration,
                 board=board,
-                shifts=shown.shifts,
+                shifts=shifts,
             )
-            _LOG.log(NOTICE, "page on %s", stack.enter_context(shown.open_page(bus.page, run)))
+            _LOG.log(NOTICE, "page on %s", stack.enter_context(open_page(bus.page, run)))
         manager.ready()
         outbox = outbox_of(config, store, session, is_live=True)
         async with polling(config.vehicle, bus, store, session, outbox):

@@ -106,10 +106,7 @@ def gaps_in(logs: Sequence[OpenLog], *, was_stopped: bool) -> tuple[Gap, ...]:
 
     A log that was merely not closed shows nothing that is missing: many recorders leave every file so.
     """
-    found = {
-        Gap.STOPPED: was_stopped,
-        Gap.LOG_CUT: any(log.reader.counts.truncated for log in logs),
-    }
+    found = {Gap.STOPPED: was_stopped, Gap.LOG_CUT: any(log.reader.counts.truncated for log in logs)}
     return tuple(gap for gap, is_there in found.items() if is_there)
 
 
@@ -148,7 +145,8 @@ class DriveFrames:
     def __init__(self, logs: Sequence[OpenLog], monitor: LinkMonitor) -> None:
         self.logs = tuple(logs)
         self._monitor = monitor
-        self._marks = SourceMarks([log.reader.name for log in logs], self._begin)
+        names = [log.reader.name for log in logs]
+        self._marks = SourceMarks(names, lambda _number, channel, source: monitor.begin_source(source, channel))
         self._ended: dict[int, LogShare] = {}
 
     def __iter__(self) -> Iterator[FrameBatch]:
@@ -163,12 +161,7 @@ class DriveFrames:
     def _frames(self, number: int) -> Iterator[FrameBatch]:
         log = self.logs[number]
         yield from chain((log.first,), log.reader)
-        self._end(number)  # all of its frames were taken: the merger asks for more only then
-
-    def _begin(self, _number: int, channel: int, source: int) -> None:
-        self._monitor.begin_source(source, channel)
-
-    def _end(self, number: int) -> None:
+        # All of its frames were taken: the merger asks for more only then.
         self._ended[number] = self._share(number)
         for source in self._marks.of_log(number).values():
             self._monitor.end_source(source)

@@ -89,8 +89,9 @@ def show_paper(config: DiagnosisConfig, paths: Sequence[Path], controls: Control
 def _show(shift: PaperShift, output: PeopleConsole | TextIO) -> None:
     if isinstance(output, PeopleConsole):
         output.print(shift_line(shift))
-    else:
-        _write(output, _shift_record(shift))
+        return
+    output.write(dump(_shift_record(shift)) + "\n")
+    output.flush()
 
 
 def _conclude(
@@ -103,8 +104,7 @@ def _conclude(
         output.print("n: samples that passed every gate; no uncertainty is stated, so no verdict")
         output.print(frames)
         return
-    for clutch in pooled:
-        _write(output, _pooled_record(clutch, gaps))
+    output.writelines(dump(_pooled_record(clutch, gaps)) + "\n" for clutch in pooled)
 
 
 def shift_line(shift: PaperShift) -> str:
@@ -162,11 +162,6 @@ def _found(estimate: PaperEstimate | None) -> dict[str, float | None]:
         "mu_c_samples": estimate.coulomb_count,
         "mu_s_samples": estimate.static_count,
     }
-
-
-def _write(stream: TextIO, record: JsonObject) -> None:
-    stream.write(dump(record) + "\n")
-    stream.flush()
 
 
 def _number(value: float | None) -> str:

@@ -28,7 +28,7 @@ from diag_service.diagnosis.records import ShiftResult, ShiftStatistics, iso_utc
 from diag_service.diagnosis.summary import FrameCounts, Gap, Summary, frames_line, latest_of, of_present_fluid
 from diag_service.errors import ResultError, StoreFullError
 from diag_service.mapping.decoder import Decoder
-from diag_service.service.stages import Diagnosis, Stages
+from diag_service.service.stages import Stages
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import SessionStore, VehicleState, Versions
 
@@ -165,7 +165,12 @@ class Session:
         except StoreFullError as exc:
             if self._stream is not None:
                 raise
-            self._note_full_disk(exc)
+            if not self._is_disk_full:
+                self._is_disk_full = True
+                _LOG.warning("%s; results wait in memory", exc)
+            while len(self._pending) > self._max_pending_count:
+                self._pending.popleft()
+                self.given_up_count += 1
 
     def retry(self) -> bool:
         """Store and tell what a full disk has not taken yet, and look for new fluid; return whether there was any."""
@@ -184,14 +189,6 @@ class Session:
         if self._is_disk_full:
             self._is_disk_full = False
             _LOG.log(NOTICE, "the disk takes results again; %d were given up in between", self.given_up_count)
-
-    def _note_full_disk(self, exc: StoreFullError) -> None:
-        if not self._is_disk_full:
-            self._is_disk_full = True
-            _LOG.warning("%s; results wait in memory", exc)
-        while len(self._pending) > self._max_pending_count:
-            self._pending.popleft()
-            self.given_up_count += 1
 
     def _report(self, result: ShiftResult, *, is_new: bool) -> None:
         self.statistics = self.statistics.with_shift(result, is_new=is_new)
@@ -278,12 +275,10 @@ class Session:
             calibration_version=self._versions.calibration,
             produced_at=self._utc_now() if is_live else utc_from_bus_ns(event.end_ns),
         )
-        return result, self._state_after(diagnosis) if self._store.keeps_state else None
-
-    def _state_after(self, diagnosis: Diagnosis) -> VehicleState:
-        return VehicleState(
-            filter_state=diagnosis.running.to_json(), condition=diagnosis.memory.to_json(), versions=self._versions
-        )
+        if not self._store.keeps_state:
+            return result, None
+        running, memory = diagnosis.running.to_json(), diagnosis.memory.to_json()
+        return result, VehicleState(filter_state=running, condition=memory, versions=self._versions)
 
 
 def versions_for(calibration: Calibration) -> Versions:

@@ -61,7 +61,9 @@ class Stages:
             else SlipFinder(calibration)
         )
         unknown = {Signal.ENGINE_TORQUE} if calibration.torque is TorqueSource.UNKNOWN else frozenset[Signal]()
-        self._tells = {"knows_gears": knows_gears(decoder), "has_converter": self._lockup is not None}
+        # The gear can be told from the ratio of two speeds, where the bus has both.
+        knows_gears = decoder.gears is not None and decoder.signals >= {Signal.ENGINE_SPEED, decoder.gears.over}
+        self._tells = {"knows_gears": knows_gears, "has_converter": self._lockup is not None}
         self.tier = tier_of(decoder.signals - unknown, **self._tells)
         self._missing = why_no_friction(decoder.signals - unknown, calibration.torque, **self._tells)
         lacks_torque = calibration.torque is not TorqueSource.MEASURED or Signal.ENGINE_TORQUE not in decoder.signals
@@ -141,9 +143,8 @@ class Stages:
         )
         if self.tier is Tier.FRICTION:
             for clutch in (1, 2):
-                if (
-                    state.folded_counts[clutch - 1] < self._state.folded_counts[clutch - 1]
-                ):  # they grow until it has changed
+                place = clutch - 1  # counts grow until the clutch has changed
+                if state.folded_counts[place] < self._state.folded_counts[place]:
                     self._memory = self._memory.with_changed_friction(clutch)
             course = self._memory.course.with_event(estimate, self._state, state)
             if has_scale and course.is_due:
@@ -168,9 +169,7 @@ class Stages:
         is_believed = self._slip.contradiction_count < state.contradiction_count
         if is_believed and self._slip.shift_count <= state.shift_count:  # not by what was known: that begins afresh
             self._memory = self._memory.with_changed_friction(1)
-        memory = self._memory.with_fit(estimate)
-        if swings is not None:
-            memory = memory.with_shudder(swings)
+        memory = self._memory.with_fit(estimate).with_shudder(swings)
         self._memory, verdict = judge_lockup(memory, self._slip, self._calibration, swings)
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory, slip=self._slip)
 
@@ -206,8 +205,3 @@ class Stages:
             torque=self._basis.torque if Signal.ENGINE_TORQUE in seen else TorqueSource.UNKNOWN,
             unseen=tuple(signal.value for signal in Signal if signal in expected - seen),
         )
-
-
-def knows_gears(decoder: Decoder) -> bool:
-    """Return whether the gear can be told from the ratio of two speeds that the bus has."""
-    return decoder.gears is not None and decoder.signals >= {Signal.ENGINE_SPEED, decoder.gears.over}

@@ -169,7 +169,7 @@ class ResultStore:
         a number that is not finite.
         """
         text = dump(shift_record(result))
-        running = None if state is None else _state_row(result.vehicle, state)
+        running = None if state is None else (result.vehicle, dump(state.filter_state), dump(state.condition))
         with self._transaction() as sql:
             inserted = sql.execute(
                 "INSERT OR IGNORE INTO result"
@@ -182,8 +182,9 @@ class ResultStore:
             )
             if inserted.rowcount == 0:
                 return False
-            if running is not None:
-                sql.execute("INSERT OR REPLACE INTO state VALUES (?, ?, ?, ?, ?)", running)
+            if running is not None and state is not None:
+                made_by = astuple(state.versions)
+                sql.execute("INSERT OR REPLACE INTO state VALUES (?, ?, ?, ?, ?)", (*running, *made_by))
             last_seq = max(self._last_seq, result.seq) if result.stream == self.stream else self._last_seq
             if last_seq != self._last_seq:
                 self._keep_stream(sql, last_seq)
@@ -223,9 +224,8 @@ class ResultStore:
         order = "DESC" if newest_first else "ASC"
         where = "vehicle = ? AND published = 0 AND position > ? AND position < ?"  # literal 0: the index knows it
         with self._transaction() as sql:
-            rows = sql.execute(
-                f"{_ROWS} WHERE {where} ORDER BY position {order} LIMIT ?", (vehicle, after, before, limit)
-            )
+            chosen = f"{_ROWS} WHERE {where} ORDER BY position {order} LIMIT ?"
+            rows = sql.execute(chosen, (vehicle, after, before, limit))
             return [_stored_result(row) for row in rows]
 
     def stored(self, positions: Iterable[int]) -> list[StoredResult]:
@@ -412,11 +412,6 @@ def _mark(sql: sqlite3.Connection, changes: Iterable[tuple[int, str | None, int]
     )
 
 
-def _state_row(vehicle: str, state: VehicleState) -> tuple[str, ...]:
-    versions = state.versions
-    return vehicle, dump(state.filter_state), dump(state.condition), versions.algorithm, versions.calibration
-
-
 def _stored_result(row: tuple[int, str, str, int, str, str, int, str, str]) -> StoredResult:
     position, vehicle, stream, seq, algorithm, calibration, clutch, produced_at, text = row
     key = ResultKey(
@@ -440,7 +435,12 @@ def _enforce_budget(sql: sqlite3.Connection, budget_bytes: int, own_position: in
     """
     for name, condition in file.GIVEN_UP.items():
         while _used_bytes(sql) > budget_bytes:
-            dropped = _drop(sql, condition, own_position)
+            dropped = sql.execute(
+                f"DELETE FROM result WHERE position IN (SELECT position FROM result WHERE {condition} AND position != ?"  # noqa: S608 - our own words
+                " AND position NOT IN (SELECT max(position) FROM result GROUP BY vehicle, clutch)"
+                " ORDER BY position LIMIT ?)",
+                (own_position, _ROWS_AT_ONCE),
+            ).rowcount
             sql.execute(
                 "INSERT INTO meta VALUES (?, ?) ON CONFLICT (key) DO UPDATE SET value = CAST(value AS INTEGER) + ?",
                 (f"dropped.{name}", str(dropped), dropped),
@@ -455,14 +455,6 @@ def _read_dropped(sql: sqlite3.Connection) -> DroppedCounts:
     return DroppedCounts(**{field.name: int(rows.get(f"dropped.{field.name}", 0)) for field in fields(DroppedCounts)})
 
 
-def _drop(sql: sqlite3.Connection, condition: str, own_position: int) -> int:
-    return sql.execute(
-        f"DELETE FROM result WHERE position IN (SELECT position FROM result WHERE {condition} AND position != ?"  # noqa: S608 - our own words
-        " AND position NOT IN (SELECT max(position) FROM result GROUP BY vehicle, clutch) ORDER BY position LIMIT ?)",
-        (own_position, _ROWS_AT_ONCE),
-    ).rowcount
-
-
 class NoStore:
     """Keeps nothing and knows nothing of earlier runs: nobody will ask."""
 
@@ -473,30 +465,22 @@ class NoStore:
         self._last_seq = 0
 
     def next_seq(self) -> int:
-        """Return the sequence number after the last one."""
         return self._last_seq + 1
 
     def add(self, result: ShiftResult, _: VehicleState | None) -> bool:
-        """Note that the sequence number of a result is used."""
         self._last_seq = max(self._last_seq, result.seq)
         return True
 
     def find(self, *_: object) -> None:
         """Return nothing."""
 
-    def state(self, _: str) -> None:
-        """Return nothing."""
+    state = fluid_at = find
 
     def latest(self, *_: object) -> Sequence[StoredResult]:
-        """Return nothing."""
         return ()
 
     def began_after(self, *_: str) -> bool:
-        """Return that nothing is known."""
         return False
-
-    def fluid_at(self, *_: object) -> None:
-        """Return nothing."""
 
 
 SessionStore = ResultStore | NoStore  # where the results of a run go, and what earlier runs left there

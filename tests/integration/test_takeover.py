@@ -13,6 +13,7 @@ from sqlalchemy import select
 
 from clutch_model.calibration import nominal_calibration, read_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import ShiftResult, shift_record
 from diag_service.service.session import resume, versions_for
 from diag_service.store import ResultStore
@@ -76,6 +77,7 @@ def test_running_states_of_then_are_left_alone(
         assert store.state(vehicle) == kept
     assert kept is not None
     assert kept.versions.algorithm == "torque-impulse-4"
+    assert isinstance(state, Posterior)
     assert (state.shift_counts, memory) == ((0, 0), ConditionMemory.fresh())
     assert f"the running state of {vehicle} was made by algorithm torque-impulse-4" in caplog.text
 

@@ -265,11 +265,6 @@ def nothing(silence: Silence, reason: str) -> Finding:
     return Finding(condition=Condition.NO_VERDICT, reason=reason, ground=silence)
 
 
-def _because(condition: Condition, cause: Cause, probability: float, facts: str) -> Finding:
-    reason = f"{cause} ({_likely(probability)}): {facts}"
-    return Finding(condition=condition, reason=reason, ground=cause, probability=probability)
-
-
 def decide(
     friction: FrictionEstimate,
     since: FrictionTrend | None,
@@ -327,9 +322,8 @@ def decide(
         Cause.LEVEL_LOW: level.cdf(CHANGE_LEVEL_RATIO),
         Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
     }
-    cause = _standing(change, change_at, kept, is_given=previous is Condition.CHANGE_FLUID)
-    if cause is not None:
-        return _because(Condition.CHANGE_FLUID, cause, change[cause], facts)
+    if (bad := _standing(Condition.CHANGE_FLUID, change, change_at, previous, kept, facts)) is not None:
+        return bad
     if margin.stdev > MAX_MARGIN_STD_RATIO * reference_margin:
         return nothing(Silence.MARGIN_UNSURE, f"mu_C - mu_S known to {margin.stdev:.4f} only: {facts}")
     watch = {
@@ -337,9 +331,8 @@ def decide(
         Cause.LEVEL_FALLING: level.cdf(WATCH_LEVEL_RATIO),
         Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO),
     }
-    cause = _standing(watch, watch_at, kept, is_given=previous is Condition.WATCH)
-    if cause is not None:
-        return _because(Condition.WATCH, cause, watch[cause], facts)
+    if (bad := _standing(Condition.WATCH, watch, watch_at, previous, kept, facts)) is not None:
+        return bad
     is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
     if not is_sure and _may_be_thin(own_thin, common_thin, previous):
         by_either = max(own_thin, common_thin)
@@ -377,17 +370,15 @@ def decide_up_to_scale(
         Cause.SHUDDER: launches.probability_negative(slope.probability_negative),
         Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
     }
-    cause = _standing(change, change_at, kept, is_given=previous is Condition.CHANGE_FLUID)
-    if cause is not None:
-        return _because(Condition.CHANGE_FLUID, cause, change[cause], facts)
+    if (bad := _standing(Condition.CHANGE_FLUID, change, change_at, previous, kept, facts)) is not None:
+        return bad
     margin_ratio = 1.0 - reference.mu_s / reference.mu_c
     watch = {Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO)}
     if slope.std_mu_s_ratio <= MAX_MARGIN_STD_RATIO * margin_ratio:
         margin = NormalDist(1.0 - slope.mu_s_ratio, slope.std_mu_s_ratio)
         watch[Cause.MARGIN_THIN] = margin.cdf(WATCH_MARGIN_RATIO * margin_ratio)
-    cause = _standing(watch, watch_at, kept, is_given=previous is Condition.WATCH)
-    if cause is not None:
-        return _because(Condition.WATCH, cause, watch[cause], facts)
+    if (bad := _standing(Condition.WATCH, watch, watch_at, previous, kept, facts)) is not None:
+        return bad
     return nothing(Silence.LEVEL_UNKNOWN, f"engine torque is {slope.torque.replace('_', ' ')}, not measured: {facts}")
 
 
@@ -430,9 +421,19 @@ def _lost(since: FrictionTrend | None, level_ratio: float) -> float:
     return NormalDist(1.0 + since.change_mu_c_ratio, max(since.std_change_mu_c_ratio, 1e-9)).cdf(level_ratio)
 
 
-def _standing(causes: Mapping[Cause, float], give_at: float, kept: Cause | None, *, is_given: bool) -> Cause | None:
-    """Return the cause that a verdict rests on: the likeliest, or that for which it was given; None: it is none."""
+def _standing(
+    condition: Condition,
+    causes: Mapping[Cause, float],
+    give_at: float,
+    previous: Condition,
+    kept: Cause | None,
+    facts: str,
+) -> Finding | None:
+    """Return a bad verdict by its likeliest cause, or by that for which it was given; None: no cause is likely."""
     cause = max(causes, key=causes.__getitem__)
-    if is_given and causes[cause] < give_at:  # earlier programs kept no cause
+    if previous is condition and causes[cause] < give_at:  # earlier programs kept no cause
         cause, give_at = cause if kept is None else kept, LEAVE_PROBABILITY
-    return cause if causes.get(cause, 0.0) >= give_at else None
+    probability = causes.get(cause, 0.0)
+    reason = f"{cause} ({_likely(probability)}): {facts}"
+    found = Finding(condition=condition, reason=reason, ground=cause, probability=probability)
+    return found if probability >= give_at else None

@@ -10,7 +10,7 @@ from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind, Shudder
 from diag_service.diagnosis.friction.estimator import without_friction
-from diag_service.diagnosis.lockup.blocks import Blocks, cut, is_slipping, samples_of
+from diag_service.diagnosis.lockup.blocks import cut, is_slipping, samples_of
 from diag_service.diagnosis.lockup.shudder import shudder
 from diag_service.diagnosis.lockup.state import MISFIT_RATIO, LockupState
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
@@ -36,7 +36,6 @@ class SlipTracker:
         self._slip_s = 0.0
 
     def track(self, history: History, until_ns: int) -> list[Bounds]:
-        """Walk the seconds that end before ``until_ns``."""
         if self.open_ns is None:
             ahead = history.ahead(Signal.ENGINE_SPEED, until_ns).t_ns
             if not len(ahead):
@@ -127,7 +126,9 @@ class LockupEstimator:
             if state.contradiction_count == CHANGED_COUNT:
                 state, reasons = state.with_new_fluid(), ()
         if not reasons:
-            state = self._used(state, blocks, event.end_ns)
+            used, slip_s = state.fused(blocks).with_lags(blocks), state.slip_s + blocks.slip_s
+            used = replace(used, shift_count=state.shift_count + 1, slip_s=slip_s, contradiction_count=0)
+            state = used.aged().with_baseline(event.end_ns)
         estimate = replace(
             estimate,
             status=Status.VALID,
@@ -142,13 +143,6 @@ class LockupEstimator:
             micro_slip=alone.micro_slip(swings),
         )
         return state, estimate, swings
-
-    def _used(self, state: LockupState, blocks: Blocks, end_ns: int) -> LockupState:
-        after = state.fused(blocks).with_lags(blocks)
-        after = replace(
-            after, shift_count=state.shift_count + 1, slip_s=state.slip_s + blocks.slip_s, contradiction_count=0
-        )
-        return after.aged().with_baseline(end_ns)
 
     def _named(self, estimate: ShiftEstimate) -> ShiftEstimate:
         return replace(estimate, clutch=1, element=self._calibration.elements[0])

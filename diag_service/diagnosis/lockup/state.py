@@ -101,11 +101,6 @@ class LockupState:
         )
 
     @property
-    def shift_counts(self) -> tuple[int, int]:
-        """Stretches that friction rests on, in the form of a state of two clutches."""
-        return self.shift_count, 0
-
-    @property
     def block_variance_nm2(self) -> float:
         return float(self.lag_sums[0] / self.lag_counts[0])
 

@@ -77,16 +77,12 @@ def _clean(history: History, first: int, stop: int) -> tuple[FloatArray, FloatAr
         mean = float(np.mean(mu[first:stop]))
         value, wide = mu[first:stop] / mean, std[first:stop] / mean
         wide = wide * robust_noise_ratio(value, wide)
-        middle = _neighbourhood(value)
+        # Of each row, the two before and the two after it; at the ends what is there counts twice.
+        around = np.lib.stride_tricks.sliding_window_view(np.pad(value, 2, mode="reflect"), 5)
+        middle = np.asarray(np.median(around, axis=1))
         values.append(middle + np.clip(value - middle, -CLIP_STD * wide, CLIP_STD * wide))
         stds.append(wide)
     return np.array(values), np.array(stds)
-
-
-def _neighbourhood(value: FloatArray) -> FloatArray:
-    """Return the median of each row, the two before and the two after it; at the ends what is there counts twice."""
-    padded = np.pad(value, 2, mode="reflect")
-    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,7 +11,6 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis.channels import ChannelName
 from diag_service.diagnosis.prognosis.population import Ageing, Course, Population, Usual, location_and_scatter
 
@@ -93,18 +92,12 @@ def _vehicles(lives: Sequence[Ageing], population: Population) -> dict[str, _Veh
     if not rows:
         return {}
     z, std = np.array([np.mean(own, axis=0) for own in rows.values()]).T
-    middle, spread = _middle(z)
-    z = np.clip((z - middle) / spread, -MOST_Z, MOST_Z)
+    middle, spread = location_and_scatter(z, np.zeros_like(z))  # what is usual is what most vehicles do
+    z = np.clip((z - middle) / max(spread, 1.0), -MOST_Z, MOST_Z)
     return {
         name: _Vehicle(log_ratio=float(one * wide), std=float(wide))
         for name, one, wide in zip(rows, z, std, strict=True)
     }
-
-
-def _middle(z: FloatArray) -> tuple[float, float]:
-    """Return the middle of all scores and their spread, at least one: what is usual is what most vehicles do."""
-    middle, spread = location_and_scatter(z, np.zeros_like(z))
-    return middle, max(spread, 1.0)
 
 
 def _standing(lot: Lot, own: Sequence[_Vehicle]) -> LotStanding:

@@ -8,11 +8,7 @@ import numpy as np
 
 from clutch_model.calibration import FrictionCurve
 from clutch_model.units import degc_from_k
-from diag_service.diagnosis.condition.verdict import (
-    CHANGE_LEVEL_RATIO,
-    WATCH_LEVEL_RATIO,
-    WATCH_MARGIN_RATIO,
-)
+from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from diag_service.diagnosis.prognosis.assumptions import (
     FUTURE_BENDS,
     HORIZON_M,
@@ -45,23 +41,20 @@ def assumptions_of(
     history: History, starts: tuple[FluidStart, ...], service_distance_m: float, peers: Peers | None
 ) -> tuple[str, ...]:
     """Return the assumptions of a prognosis, one sentence each."""
-    return (*_assumptions(history, starts, service_distance_m), *_of_bends(peers), *_of_peers(peers))
+    return (*_assumptions(history, starts, service_distance_m), *_of_kind(peers))
 
 
-def _of_bends(peers: Peers | None) -> Iterator[str]:
+def _of_kind(peers: Peers | None) -> Iterator[str]:
+    """Yield how ageing may bend, and with what it begins, by what the fleet tells of such clutches."""
     if peers is not None and peers.bend_life_count:
         faster = sum(chance for factor, chance in peers.bends.items() if factor >= CLEAR_BEND)
         yield (
             f"ageing may bend before the limit is passed as in {peers.bend_life_count} lives of this type, "
             f"{_PERCENT * faster:.0f} % of them to {CLEAR_BEND:g} times the rate or more"
         )
-        return
-    factors = " or ".join(f"{factor:g}" for factor in FUTURE_BENDS)
-    chance = sum(FUTURE_BENDS.values())
-    yield f"ageing may become {factors} times as fast before the limit is passed, {_PERCENT * chance:.0f} % in all"
-
-
-def _of_peers(peers: Peers | None) -> Iterator[str]:
+    else:
+        factors, chance = " or ".join(f"{factor:g}" for factor in FUTURE_BENDS), sum(FUTURE_BENDS.values())
+        yield f"ageing may become {factors} times as fast before the limit is passed, {_PERCENT * chance:.0f} % in all"
     if peers is not None:
         fluid = "any fluid" if peers.kind.fluid is None else peers.kind.fluid
         which = "" if peers.version is None else f" (population {peers.version})"
@@ -176,7 +169,8 @@ def prognose(
     today = lives[-1]
     sure = max(probability_falling(one.by_distance) for one in today.channels.values())
     events_per_m = _events_per_m(history)
-    energy_per_m = None if history.slip_energy_j is None else _recent_energy_j(history) * events_per_m
+    energy_j = history.slip_energy_j
+    energy_per_m = None if energy_j is None else float(np.mean(energy_j[-120:])) * events_per_m
     bends = FUTURE_BENDS if peers is None else peers.bends
     watch = either(today, WATCH_MARGIN_RATIO, WATCH_LEVEL_RATIO).bent(bends)
     change = either(today, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO).bent(bends)
@@ -192,28 +186,21 @@ def prognose(
 
 
 def _reach(when: Passage, events_per_m: float, service_distance_m: float) -> Reach:
-    p10_m, p50_m, p90_m = (when.quantile_m(one) for one in (0.1, 0.5, 0.9))
+    ends_m = {name: when.quantile_m(share) for name, share in (("p10", 0.1), ("p50", 0.5), ("p90", 0.9))}
     return Reach(
-        p10_m=p10_m,
-        p50_m=p50_m,
-        p90_m=p90_m,
-        p10_events=None if p10_m is None else p10_m * events_per_m,
-        p50_events=None if p50_m is None else p50_m * events_per_m,
-        p90_events=None if p90_m is None else p90_m * events_per_m,
+        **{f"{name}_m": end_m for name, end_m in ends_m.items()},
+        **{f"{name}_events": None if end_m is None else end_m * events_per_m for name, end_m in ends_m.items()},
         probability_before_service=when.within(service_distance_m),
         passage=when,
     )
 
 
 def _state(channel: AgedChannel, energy_j_per_m: float | None) -> ChannelState:
-    rate, one = channel.rate_per_m, channel.by_distance
-    per_j = None
-    if energy_j_per_m is not None:
-        per_j = Value(mean=rate.mean / energy_j_per_m, std=rate.std / energy_j_per_m)
+    rate, one, per_m = channel.rate_per_m, channel.by_distance, energy_j_per_m
     return ChannelState(
         now=_value(one, Part.NOW),
         rate_per_m=rate,
-        rate_per_j=per_j,
+        rate_per_j=None if per_m is None else Value(mean=rate.mean / per_m, std=rate.std / per_m),
         temperature_per_k=_value(one, Part.WARMTH),
         probability_falling=probability_falling(one),
     )
@@ -243,8 +230,3 @@ def _events_per_m(history: History) -> float:
     is_usual = steps_m <= 10.0 * max(usual_m, 1.0)
     driven_m = float(steps_m[is_usual].sum())
     return float(history.event_count[1:][is_usual].sum()) / max(driven_m, 1.0)
-
-
-def _recent_energy_j(history: History) -> float:
-    energy_j = history.slip_energy_j
-    return 0.0 if energy_j is None else float(np.mean(energy_j[-120:]))

@@ -60,7 +60,8 @@ class Mixture:
 def fit(channel: Channel, clock: int, now_m: float, prior: ChannelPrior, random_per_m: float) -> Fit:
     """Return what a channel says by the clock of this number, which stands at ``now_m``, if wear is that random."""
     bins, common_std, age_m = channel.bins, channel.common_std, channel.bins.ages_m[clock]
-    knees_m = _knees(age_m, now_m)
+    shares = KNEE_SHARES if len(age_m) >= LEAST_KNEE_BINS else ()
+    knees_m = np.array([np.inf, *(share * now_m for share in shares)])  # the first of them never
     reach_m = np.maximum(age_m - knees_m[:, None], 0.0)
     now_reach_m = np.maximum(now_m - knees_m, 0.0)
     knee = prior.knee_std_per_m**2
@@ -88,12 +89,6 @@ def fit(channel: Channel, clock: int, now_m: float, prior: ChannelPrior, random_
         log_evidence=_log_knee_prior(len(knees_m)) - 0.5 * (explained + log_determinant),
         prior_rate_variance=before[:, Part.RATE, Part.RATE],
     )
-
-
-def _knees(age_m: FloatArray, now_m: float) -> FloatArray:
-    """Return the ages at which a bend is assumed, the first of them never."""
-    shares = KNEE_SHARES if len(age_m) >= LEAST_KNEE_BINS else ()
-    return np.array([np.inf, *(share * now_m for share in shares)])
 
 
 def _log_knee_prior(count: int) -> FloatArray:
@@ -210,11 +205,16 @@ def aged(one: Fit, prior: ChannelPrior, clock: Clock, random_per_m: float) -> tu
     std = np.sqrt(covariance[:, Part.RATE, Part.RATE])
     rate = mean[:, Part.RATE, None] + std[:, None] * RATE_STEPS
     log_weight = one.log_evidence[:, None] - 0.5 * RATE_STEPS**2
-    log_weight = log_weight + _log_ageing(rate, prior) - _log_normal_density(rate, one.prior_rate_variance[:, None])
+    variance = one.prior_rate_variance[:, None]
+    without_sign = -0.5 * (rate**2 / variance + np.log(variance))
+    log_weight = log_weight + _log_ageing(rate, prior) - without_sign
     top = float(log_weight.max())
     if not np.isfinite(top):
+        # Results say that friction rises: as slow an ageing as is known.
+        slowest = np.full(len(mean), -prior.typical_rate_per_m * np.exp(-2.5 * prior.typical_log_std))
         farthest = -0.5 * float(RATE_STEPS[-1]) ** 2
-        return _barely_ageing(one, prior, clock, random_per_m), float(one.log_evidence.max()) + farthest
+        barely = _mixture(weights(one), slowest, mean, covariance, prior, clock, random_per_m)
+        return barely, float(one.log_evidence.max()) + farthest
     weight = np.exp(log_weight - top)
     log_evidence = top + float(np.log(weight.sum()))
     bend, step = np.nonzero(weight > LEAST_WEIGHT * weight.max())
@@ -224,13 +224,6 @@ def aged(one: Fit, prior: ChannelPrior, clock: Clock, random_per_m: float) -> tu
     moved = mean[bend] + gain[bend] * (rate[bend, step] - mean[bend, Part.RATE])[:, None]
     share = chosen / chosen.sum()
     return _mixture(share, rate[bend, step], moved, left[bend], prior, clock, random_per_m), log_evidence
-
-
-def _barely_ageing(one: Fit, prior: ChannelPrior, clock: Clock, random_per_m: float) -> Mixture:
-    """Return the mixture where results say that friction rises: as slow an ageing as is known."""
-    slowest = -prior.typical_rate_per_m * np.exp(-2.5 * prior.typical_log_std)
-    rate = np.full(len(one.mean), slowest)
-    return _mixture(weights(one), rate, one.mean, one.covariance, prior, clock, random_per_m)
 
 
 def _mixture(
@@ -262,10 +255,6 @@ def _log_ageing(rate: FloatArray, prior: ChannelPrior) -> FloatArray:
     distance = (np.log(loss) - np.log(prior.typical_rate_per_m)) / prior.typical_log_std
     density = -0.5 * distance**2 - np.log(loss) - np.log(prior.typical_log_std)
     return np.asarray(np.where(rate < 0.0, density, -np.inf))
-
-
-def _log_normal_density(value: FloatArray, variance: FloatArray) -> FloatArray:
-    return np.asarray(-0.5 * (value**2 / variance + np.log(variance)))
 
 
 _BEND_EDGES: Final = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])  # parts of what is left

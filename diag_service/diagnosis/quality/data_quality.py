@@ -125,15 +125,6 @@ def agreement(event: Event, limits: QualityLimits = LIMITS) -> float | None:
     return min((value for value in judged if value is not None), default=None)
 
 
-def compile_agreement() -> None:
-    """Have everything compiled before the first shift comes: it must not wait for it."""
-    one = Series(t_ns=np.zeros(1, np.int64), sequence=np.zeros(1, np.int64), value=np.zeros(1))
-    _divide(one.t_ns, one.value, one.t_ns, one.value, _NEVER, 0.0, 0.0, np.empty(1), 0)
-    _apart(one, one)
-    _worst_spread(one.value, 1.0, one.t_ns)
-    median(one.value)
-
-
 def _wheels(event: Event, limits: QualityLimits) -> float | None:
     """Compare wheel speeds with the speed of the transmission output: their ratio is one number.
 
@@ -143,7 +134,8 @@ def _wheels(event: Event, limits: QualityLimits) -> float | None:
     output = columns.get(Signal.OUTPUT_SPEED)
     if output is None or not len(output.t_ns):
         return None
-    changes_ns = _gear_changes_ns(columns)
+    gears = [columns[signal] for signal in SHAFT_GEARS if signal in columns]
+    changes_ns = np.concatenate([_NEVER, *(gear.t_ns[1:][np.diff(gear.value) != 0.0] for gear in gears)])
     wheels = [columns[signal] for signal in _WHEELS if signal in columns]
     ratios, ends = np.empty(sum(len(wheel.t_ns) for wheel in wheels)), [0]
     least_m_s, ringing_s = limits.least_wheel_m_s, limits.ringing_s
@@ -154,12 +146,6 @@ def _wheels(event: Event, limits: QualityLimits) -> float | None:
     if not len(found):
         return None
     return limits.wheel_ratio.score(math.sqrt(_worst_spread(found, median(found), np.array(ends))))
-
-
-def _gear_changes_ns(columns: Columns) -> Int64Array:
-    """Return when a shaft says that it has a new gear, as far as one does."""
-    gears = [columns[signal] for signal in SHAFT_GEARS if signal in columns]
-    return np.concatenate([_NEVER, *(gear.t_ns[1:][np.diff(gear.value) != 0.0] for gear in gears)])
 
 
 @array_kernel
@@ -493,7 +479,11 @@ def gate(event: Event, basis: QualityBasis, limits: QualityLimits = LIMITS, *, t
 
 def compile_data_quality() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
-    compile_agreement()
+    one = Series(t_ns=np.zeros(1, np.int64), sequence=np.zeros(1, np.int64), value=np.zeros(1))
+    _divide(one.t_ns, one.value, one.t_ns, one.value, _NEVER, 0.0, 0.0, np.empty(1), 0)
+    _apart(one, one)
+    _worst_spread(one.value, 1.0, one.t_ns)
+    median(one.value)
     _late_count(np.zeros(1, np.int64), np.zeros(1, np.int64), 1, 1.0)
     _share_at_ends(np.zeros(1), 0.0, 1.0)
 

@@ -55,10 +55,12 @@ def plausibility_faults(
 ) -> tuple[Reason, ...]:
     """Return why the signals of a shift, once put on one clock, cannot all be true; empty if they can."""
     apart_rad_s = _apart_in_rows_rad_s(signals) if signals.row_s else 0.0
+    is_change = event.from_gear != event.to_gear
+    most_at_hub_rad_s = limits.speeds_rad_s if is_change else limits.launch_speeds_rad_s
     found = {
         Reason.SENSOR_FROZEN: any(is_frozen(event.columns[one], one, limits) for one in BALANCE_SIGNALS),
         Reason.SPEEDS_DISAGREE: speed_gap_rad_s(event, signals, clutch, limits) > limits.speeds_rad_s + apart_rad_s
-        or hub_gap_rad_s(signals, limits) > hub_limit_rad_s(event, limits) + apart_rad_s,
+        or hub_gap_rad_s(signals, limits) > most_at_hub_rad_s + apart_rad_s,
         Reason.PRESSURE_OFF_COMMAND: _misses_command(signals, clutch, limits),
     }
     return tuple(reason for reason, is_found in found.items() if is_found)
@@ -165,11 +167,6 @@ def hub_gap_rad_s(signals: AlignedSignals, limits: QualityLimits = LIMITS) -> fl
     start = signals.grid_s.searchsorted(0.0)  # before a launch the engine may be started
     apart_rad_s = signals.engine_speed.on_grid[start:] - signals.hub_speed.on_grid[start:]
     return _largest_mean(apart_rad_s, limits.speeds_mean_s)
-
-
-def hub_limit_rad_s(event: Event, limits: QualityLimits = LIMITS) -> float:
-    """Return how far engine and hub may be apart [rad/s] in an event."""
-    return limits.speeds_rad_s if event.from_gear != event.to_gear else limits.launch_speeds_rad_s
 
 
 def geared_stretches(

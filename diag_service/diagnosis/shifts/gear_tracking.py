@@ -91,7 +91,6 @@ class LaunchTracker:
         return self._slowest[0] if is_on and self._slowest is not None else None
 
     def track(self, history: History, until_ns: int) -> list[Bounds]:
-        """Walk the speeds with ``t < until_ns``."""
         t_ns, values = self._held.ahead(history, until_ns)
         self._now_ns = until_ns
         gears, engine_rad_s = gears_of_ratio(values, self._gears), values[Signal.ENGINE_SPEED]
@@ -158,7 +157,6 @@ class EngagedTracker:
         return self._left_ns
 
     def track(self, history: History, until_ns: int) -> list[Bounds]:
-        """Walk the gears with ``t < until_ns``."""
         t_ns, values = self._held.ahead(history, until_ns)
         gears = self._gears_of(values)
         found: list[Bounds] = []
@@ -213,11 +211,9 @@ class GearPairTracker:
 
     @property
     def open_ns(self) -> int | None:
-        """When the open shift began, if there is one."""
         return self._lone.open_ns if self._open is None else self._open.start_ns
 
     def track(self, history: History, until_ns: int) -> list[Bounds]:
-        """Walk the gear changes with ``t < until_ns``."""
         found: list[Bounds] = []
         if not self._has_target:
             target_ns = history.ahead(Signal.TARGET_GEAR, until_ns).t_ns
@@ -335,11 +331,9 @@ class TargetTracker:
 
     @property
     def open_ns(self) -> int | None:
-        """When the open shift began, if there is one."""
         return None if self._open is None else self._open.start_ns
 
     def track(self, history: History, until_ns: int) -> list[Bounds]:
-        """Walk target gear and slip with ``t < until_ns``."""
         t_ns, values = self._held.ahead(history, until_ns)
         target = _gears(values[Signal.TARGET_GEAR])
         engine_rad_s = values[Signal.ENGINE_SPEED]

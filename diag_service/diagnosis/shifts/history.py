@@ -37,7 +37,9 @@ class SampleRings:
             return
         for signal, series in columns.items():
             if len(series.t_ns):
-                self._append_series(self._row(signal, series.period_ns), series)
+                rows = np.array([self._row(signal, series.period_ns)], np.int64)
+                size = np.array([len(series.t_ns)], np.int64)
+                self._append_rows(rows, Samples(size, series.t_ns[None], series.sequence[None], series.value[None]))
 
     def between(self, signal: Signal, start_ns: int, stop_ns: int) -> Series:
         """Return the samples of a signal with ``start_ns <= t_ns < stop_ns``; none if there is no such signal."""
@@ -94,15 +96,6 @@ class SampleRings:
             rows = np.array([self._row(signal, period_ns) for signal, period_ns in named], np.int64)
             self._block_rows = block.layout, rows
         self._append_rows(self._block_rows[1], block.samples)
-
-    def _append_series(self, row: int, series: Series) -> None:
-        alone = Samples(
-            filled=np.array([len(series.t_ns)], np.int64),
-            t_ns=series.t_ns[None, :],
-            sequence=series.sequence[None, :],
-            value=series.value[None, :],
-        )
-        self._append_rows(np.array([row], np.int64), alone)
 
     def _append_rows(self, rows: Int64Array, block: Samples) -> None:
         while append_rows(self._samples, self._first, self._changed_ns, rows, block) == _FULL:
@@ -254,7 +247,10 @@ class History:
     def cut(self, start_ns: int, stop_ns: int) -> Columns:
         """Return the samples of all signals with ``start_ns <= t_ns < stop_ns``, each with the cycle that it keeps."""
         found = sorted(self._rings.cut(start_ns, stop_ns).items())
-        return {signal: _at_own_cycle(series) for signal, series in found}
+        return {
+            signal: series if (own := own_period_ns(series)) == series.period_ns else replace(series, period_ns=own)
+            for signal, series in found
+        }
 
     def bad_frame_count(self, start_ns: int, stop_ns: int) -> int:
         """Return how many frames were rejected or missing in ``start_ns <= t_ns < stop_ns``."""
@@ -279,11 +275,6 @@ class History:
         self._bad_ns.clear()
         self._e2e.clear()
         self.watermark_ns = self.walked_ns = BEFORE_ALL_NS
-
-
-def _at_own_cycle(series: Series) -> Series:
-    own_ns = own_period_ns(series)
-    return series if own_ns == series.period_ns else replace(series, period_ns=own_ns)
 
 
 def _worst(changes: list[E2eChange], start_ns: int, stop_ns: int) -> E2eState:

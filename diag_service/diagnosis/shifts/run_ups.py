@@ -72,7 +72,6 @@ class RunUpTracker:
         return None if self._open is None else self._open.start_ns
 
     def track(self, history: History, until_ns: int) -> list[Bounds]:
-        """Walk the engine speed with ``t < until_ns``."""
         speed = history.ahead(Signal.ENGINE_SPEED, until_ns)
         is_neutral = np.ones(len(speed.t_ns), np.bool_)
         for signal in _GEARS:

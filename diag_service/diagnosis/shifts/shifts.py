@@ -8,6 +8,7 @@ gears is a launch, a creep, a clutch that closes onto a rolling car, or one that
 
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Final
 
 import numpy as np
@@ -144,7 +145,6 @@ class EventTracker:
         return min(starts, default=None)
 
     def track(self, history: History, until_ns: int) -> list[Bounds]:
-        """Walk the samples with ``t < until_ns``."""
         self._changes += self._gears.track(history, until_ns)
         if self._slip_tracker is not None:
             self._grips += self._slip_tracker.track(history, until_ns)
@@ -218,19 +218,14 @@ class EventTracker:
 
     def _enter(self, history: History, bounds: Bounds) -> list[Bounds]:
         """Begin a change of gears; what was open before ends here."""
-        found = self._yield_to(history, bounds.start_ns)
+        found = self._end_tail(history)
+        if self._slip is not None and bounds.start_ns - self._slip.start_ns >= PRELUDE_NS:
+            found += self._end_slip(bounds.start_ns, self._how_ended(self._slip))
         if self._slip is not None and bounds.start_ns - self._slip.start_ns >= LEAST_PRELUDE_NS:
             bounds = replace(bounds, start_ns=self._slip.start_ns)
         self._slip = None
         self._inside, self._is_overdue = bounds, False
         self._was_open = self._grip is not _UNKNOWN and self._grip.grip is Grip.OPEN
-        return found
-
-    def _yield_to(self, history: History, start_ns: int) -> list[Bounds]:
-        """End what a change of gears interrupts that begins now."""
-        found = self._end_tail(history)
-        if self._slip is not None and start_ns - self._slip.start_ns >= PRELUDE_NS:
-            found += self._end_slip(start_ns, self._how_ended(self._slip))
         return found
 
     def _leave(self) -> None:
@@ -255,10 +250,8 @@ class EventTracker:
         if self._is_overdue and self._grip.grip is not Grip.SLIPPING and now_ns > self._grip.t_ns + DWELL_NS:
             self._is_overdue = False
         if slip is not None and slip.end_ns is not None:
-            dwell_ns = self._dwell_ns(slip)
-            return (
-                self._end_slip(slip.end_ns + LOCK_NS, self._how_ended(slip)) if now_ns > slip.end_ns + dwell_ns else []
-            )
+            is_over = now_ns > slip.end_ns + self._dwell_ns(slip)
+            return self._end_slip(slip.end_ns + LOCK_NS, self._how_ended(slip)) if is_over else []
         if slip is not None and now_ns > slip.start_ns + MAX_SLIP_NS:
             self._is_overdue = True
             return self._end_slip(slip.start_ns + MAX_SLIP_NS, EndReason.TOO_LONG)
@@ -304,6 +297,9 @@ class EventTracker:
         return replace(bounds, kind=kind_of_change(history, bounds))
 
 
+_END_NS: Final = attrgetter("end_ns")
+
+
 class SideBySide:
     """Two trackers of one stream, whose events come in the order of their ends."""
 
@@ -312,19 +308,13 @@ class SideBySide:
 
     @property
     def open_ns(self) -> int | None:
-        """When the oldest event began that was not reported, if there is one."""
         return min((one.open_ns for one in self._both if one.open_ns is not None), default=None)
 
     def track(self, history: History, until_ns: int) -> list[Bounds]:
-        """Walk the samples with ``t < until_ns``."""
-        return sorted((bounds for one in self._both for bounds in one.track(history, until_ns)), key=_end_ns)
+        return sorted((bounds for one in self._both for bounds in one.track(history, until_ns)), key=_END_NS)
 
     def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
-        return sorted((bounds for one in self._both for bounds in one.interrupt(history, now_ns)), key=_end_ns)
-
-
-def _end_ns(bounds: Bounds) -> int:
-    return bounds.end_ns
+        return sorted((bounds for one in self._both for bounds in one.interrupt(history, now_ns)), key=_END_NS)
 
 
 def _kind_of_slip(change: GripChange) -> EventKind:
