@@ -144,7 +144,8 @@ def _show(options: SimpleNamespace, decoded: Decoded, console: PeopleConsole) ->
     lines += [f"{account.log.frames} frames: {fates}"] if len(decoded.readers) > 1 else []
     lines += [f"{account.row_count} rows in {_place(options)}: {values_text(account)}"]
     hint = [NOTHING_KNOWN] if account.knows_nothing else []
-    console.print_all((*lines, *losses(account), *remarks(account), *hint))
+    for line in (*lines, *losses(account), *remarks(account), *hint):
+        console.print(line)
 
 
 def _choice_of(options: SimpleNamespace) -> TableChoice:

@@ -171,7 +171,8 @@ def sampling_times(event: Event) -> SampleTimes:
     for signal in BALANCE_SIGNALS:
         series = event.columns.get(signal)
         if series is not None:
-            found[signal] = sample_times_s(series, event.start_ns)
+            found[signal] = times_s = np.empty(len(series.t_ns))
+            _free_of_jitter(series.t_ns, series.sequence, event.start_ns, series.period_ns * NS_TO_S, times_s)
     return found
 
 
