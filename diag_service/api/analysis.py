@@ -173,7 +173,7 @@ class Analysis:
 
     def to_json(self) -> str:
         """Return what ``--json`` prints: a line of JSON for each shift, then one with the summary."""
-        return "".join(f"{line}\n" for line in self._lines())
+        return "".join(f"{dump(record)}\n" for record in (*map(shift_record, self.results), dict(self.summary)))
 
     def plot(self, path: AnyPath | None = None) -> "Figure":
         """Draw the friction of all clutches over the shifts: its uncertainty, the verdicts and their thresholds.
@@ -210,10 +210,6 @@ class Analysis:
         warnings = "".join(f"<li>{escape(text)}</li>" for text in self.notices)
         order = f"<p>{escape(self.order)}</p>"
         return f"<p><b>{escape(self._name)}</b>: {escape(self._said)}</p>{order}<ul>{warnings}</ul>"
-
-    def _lines(self) -> Iterator[str]:
-        yield from (dump(shift_record(result)) for result in self.results)
-        yield dump(dict(self.summary))
 
     @property
     def _judged(self) -> list[ShiftResult]:

@@ -97,6 +97,7 @@ def configuration(
 ) -> DiagnosisConfig:
     """Return how frames become results; raises ConfigError or CalibrationError, and TypeError for another keyword."""
     named = calibration if isinstance(calibration, Calibration) else optional_path(calibration)
+    files = {name: optional_path(getattr(delivery, name, None)) for name in ("ca", "cert", "key", "password_file")}
     chosen, gears = described_by(named, optional_path(profile))
     return DiagnosisConfig(
         vehicle=vehicle_of(vehicle, chosen),
@@ -108,7 +109,7 @@ def configuration(
         is_lenient=is_lenient,
         is_strict=is_strict,
         columns=columns,
-        broker=None if delivery is None else broker_of(_options(delivery)),
+        broker=None if delivery is None else broker_of(SimpleNamespace(broker=delivery.broker, **files)),
         acknowledge=Acknowledge.BROKER if delivery is None else _acknowledge(delivery.acknowledge),
         budget_bytes=None if store_budget_mib is None else store_budget_mib * BYTES_PER_MIB,
     )
@@ -143,11 +144,6 @@ def check_one_bus(bus: "can.BusABC | None", *names: object) -> None:
     """Raise ConfigError if a bus was handed over open and named besides."""
     if bus is not None and any(name is not None and name is not False for name in names):
         raise ConfigError("give either an open bus or an interface and a channel, not both")
-
-
-def _options(delivery: Delivery) -> SimpleNamespace:
-    files = {name: optional_path(getattr(delivery, name)) for name in ("ca", "cert", "key", "password_file")}
-    return SimpleNamespace(broker=delivery.broker, **files)
 
 
 def _acknowledge(word: str) -> Acknowledge:

@@ -7,8 +7,8 @@ from typing import Any, Unpack
 
 from diag_service.api.analysis import Analysis, ResultTable
 from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, optional_path, path_list
-from diag_service.batch.drives import Drive, LeftOut
-from diag_service.batch.folder_run import analyse_folders
+from diag_service.batch.drives import LeftOut
+from diag_service.batch.folder_run import FolderListener, analyse_folders
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import columns
 from diag_service.console import collected_notices
@@ -107,7 +107,7 @@ def analyze_folders(
     )
 
 
-class _Listener:
+class _Listener(FolderListener):
     """Keeps what a run says."""
 
     def __init__(self) -> None:
@@ -116,9 +116,6 @@ class _Listener:
 
     def leave_out(self, files: Sequence[LeftOut]) -> None:
         self.left_out = files
-
-    def add(self, drive: Drive, entry: Entry) -> None:
-        """Wait for the end, which tells of all."""
 
     def end(self, totals: Mapping[str, int], entries: Iterable[Entry]) -> None:  # noqa: ARG002 - the entries say it
         self.entries = list(entries)

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Protocol, TextIO
+from typing import TextIO
 
 from canlog.errors import NOTICE, SourceError
 from clutchdiag_io.program import legible, replacement_refusal
@@ -33,8 +33,8 @@ ACCOUNT_VERSION = "4"  # of what a journal keeps of a drive; entries of an older
 _LOG = logging.getLogger(__name__)
 
 
-class FolderListener(Protocol):
-    """Who hears of a run over folders."""
+class FolderListener:
+    """Who hears of a run over folders; what is not overridden is not listened to."""
 
     def leave_out(self, files: Sequence[LeftOut]) -> None:
         """Hear which files are no drives, before the first one is analysed."""
@@ -84,7 +84,11 @@ def analyse_folders(
     for vehicle in {drive.vehicle for drive in drives if drive.vehicle is not None}:
         replace(config, vehicle=vehicle)  # complains of a calibration of another one
     with ExitStack() as stack:
-        journal = stack.enter_context(Journal(_journal_path(output, stack), settings))
+        if output is None:
+            path = Path(stack.enter_context(TemporaryDirectory(prefix="clutchdiag-"))) / "journal"
+        else:
+            path = _journal_of(output)
+        journal = stack.enter_context(Journal(path, settings))
         to_do = [drive for drive in drives if drive.key not in journal.done]
         if len(to_do) < len(drives):
             _LOG.log(NOTICE, "%d of %d drives were done before", len(drives) - len(to_do), len(drives))
@@ -104,12 +108,6 @@ def settings_digest(config: DiagnosisConfig) -> str:
     parts = [config.vehicle, versions.algorithm, versions.calibration, files, str(config.is_strict), ACCOUNT_VERSION]
     parts += [config.columns] if config.columns else []
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
-
-
-def _journal_path(output: Path | None, stack: ExitStack) -> Path:
-    if output is not None:
-        return _journal_of(output)
-    return Path(stack.enter_context(TemporaryDirectory(prefix="clutchdiag-"))) / "journal"
 
 
 def _journal_of(output: Path) -> Path:
@@ -166,7 +164,7 @@ def _counts(entry: Entry) -> dict[str, int]:
     return counts
 
 
-class FolderLines:
+class FolderLines(FolderListener):
     """A line per drive on standard output: for people, or a JSON record per shift and drive."""
 
     def __init__(self, stream: TextIO, *, as_json: bool) -> None:

@@ -27,6 +27,12 @@ class Entry:
     drive: JsonObject
     shifts: tuple[JsonObject, ...]
 
+    @property
+    def is_complete(self) -> bool:
+        """Whether the whole drive was read."""
+        summary = self.drive.get("summary")
+        return isinstance(summary, dict) and bool(summary["complete"])
+
 
 class Journal:
     """A file of JSON lines, owned by one process at a time; created where there is none.
@@ -101,7 +107,10 @@ class Journal:
             end = start + len(line)
             if table["settings"] == self._settings:
                 done[table["key"]] = start
-        if end == 0 and os.fstat(self._descriptor).st_size > 0 and not self._was_begun():
+        begin = b'{"schema":"' + JOURNAL_SCHEMA.encode()
+        with self.path.open("rb") as file:
+            is_ours = begin.startswith(file.read(len(begin)))  # the first line, cut off
+        if end == 0 and not is_ours:
             raise StoreError(f"{self.path} is not a journal of diag-service")
         os.ftruncate(self._descriptor, end)
         return done
@@ -114,10 +123,3 @@ class Journal:
                     return
                 yield start, line
                 start += len(line)
-
-    def _was_begun(self) -> bool:
-        """Return whether the first line, cut off, is one of ours."""
-        begin = b'{"schema":"' + JOURNAL_SCHEMA.encode()
-        with self.path.open("rb") as file:
-            head = file.read(len(begin))
-        return begin.startswith(head)

@@ -114,9 +114,8 @@ def _leaves(table: Mapping[str, object], root: Mapping[str, object], prefix: str
 def _rows(entries: Iterable[Entry]) -> Iterator[dict[str, object]]:
     for entry in entries:
         paths = entry.drive["paths"]
-        summary = entry.drive.get("summary")
-        is_complete = isinstance(summary, dict) and bool(summary["complete"])
-        yield from drive_rows(paths if isinstance(paths, list) else [paths], entry.shifts, is_complete=is_complete)
+        names = paths if isinstance(paths, list) else [paths]
+        yield from drive_rows(names, entry.shifts, is_complete=entry.is_complete)
 
 
 def _write_json_lines(part: Path, entries: Iterable[Entry]) -> None:

@@ -222,10 +222,6 @@ class FluidExchange:
         self._heard: list[FluidFill] = []
         self._told: list[FluidFill] = []
 
-    async def listen(self) -> None:
-        """Begin to hear the fleet."""
-        await self._link.hear_fills(self._vehicle, self._hear)
-
     async def note(self) -> None:
         """Note what the fleet told; the next shift finds it in the store."""
         if not self._heard:
@@ -247,7 +243,8 @@ class FluidExchange:
         except PublishError as exc:  # of a connection that is lost the next message tells
             _LOG.warning("the fleet was not told of fluid fills: %s", exc)
 
-    def _hear(self, fills: list[FluidFill]) -> None:
+    def hear(self, fills: list[FluidFill]) -> None:
+        """Take what the fleet tells."""
         self._heard += fills
         self._wake.set()
 
@@ -326,7 +323,7 @@ class Delivery:
         if self._state.acknowledge is Acknowledge.BACKEND:
             await self._link.listen(self._state.vehicle, self._add_receipts)
         if self._fluid is not None:
-            await self._fluid.listen()
+            await self._link.hear_fills(self._state.vehicle, self._fluid.hear)
         await asyncio.to_thread(self._state.bundling.begin)
         latest = await asyncio.to_thread(self._state.store.latest, self._state.vehicle)
         messages = [*greetings, *await asyncio.to_thread(self._states, latest)]
@@ -409,17 +406,14 @@ class Delivery:
         for position in positions:
             self._state.repeat.pop(position, None)
         self._state.counts.acknowledged += len(positions)
-        self._complain_of([receipt for receipt in receipts if receipt.outcome is Outcome.QUARANTINED])
+        if refused := [receipt for receipt in receipts if receipt.outcome is Outcome.QUARANTINED]:
+            self._state.counts.quarantined += len(refused)
+            key, reason = refused[0].key.text, refused[0].reason
+            _LOG.warning("the backend put aside %d results, the first %s: %s", len(refused), key, reason)
         if self._is_silent:
             _LOG.log(NOTICE, "the backend acknowledges results again")
         self._resend_s, self._asked_s = self._state.limits.resend_after_s, 0.0
         self._has_news, self._is_silent = True, False
-
-    def _complain_of(self, refused: list[Receipt]) -> None:
-        self._state.counts.quarantined += len(refused)
-        if refused:
-            key, reason = refused[0].key.text, refused[0].reason
-            _LOG.warning("the backend put aside %d results, the first %s: %s", len(refused), key, reason)
 
     def _next_messages(self, now_s: float) -> tuple[list[StoredResult], list[Outgoing]]:
         """Return what is sent next, and the messages of it; what is sent again goes alone. Reads the store."""

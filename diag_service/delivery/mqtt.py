@@ -54,9 +54,8 @@ class MqttLink:
         self._tls_fingerprint = None if tls is None else tls.fingerprint()
         self._renewal_period_s = renewal_period_s
         self._on_receipts: OnReceipts | None = None
-        self._early: list[
-            tuple[list[Receipt], bool]
-        ] = []  # heard before anyone listened: a persistent session brings them at once
+        # Heard before anyone listened: a persistent session brings them at once.
+        self._early: list[tuple[list[Receipt], bool]] = []
         self._on_fills: OnFills | None = None
         self._early_fills: list[FluidFill] = []
         self._reader = asyncio.create_task(self._read(), name="mqtt-reader")

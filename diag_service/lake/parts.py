@@ -20,10 +20,10 @@ from tempfile import TemporaryDirectory
 from typing import Any, Final
 from zlib import crc32
 
-from canlog.column_files import TIME_TYPE, ParquetTable, TableFormat, load_pyarrow
+from canlog.column_files import TIME_TYPE, ParquetTable, load_pyarrow
 from canlog.errors import DefinitionError, SourceError
 from canlog.logs import read_log
-from canlog.tables.decoding import Plan, decode_logs
+from canlog.tables.decoding import Plan
 from diag_service.batch.tables import BATCH_ROWS, flattened, write_parquet
 from diag_service.diagnosis.records import iso_utc, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoreError
@@ -430,7 +430,7 @@ def signal_plan(plan: Plan, patterns: str) -> Plan:
     """Return the plan for the signals that are asked for, separated by commas; raises ConfigError if there are none."""
     wanted = [one.strip() for one in patterns.split(",") if one.strip()]
     try:
-        return replace(plan.part(wanted, None, None))
+        return plan.part(wanted, None, None)
     except DefinitionError as exc:
         raise ConfigError(str(exc)) from exc
 
@@ -439,8 +439,3 @@ def first_date(path: Path, log_columns: str) -> str:
     """Return the day, in UTC, on which a log begins; raises SourceError if it cannot be read or holds no frame."""
     with closing(read_log(path, columns=log_columns)) as reader:
         return date_of(utc_from_bus_ns(int(next(reader).t_ns[0])))
-
-
-def write_signals(path: Path, log: Path, plan: Plan, log_columns: str) -> None:
-    """Write the decoded signals of a log as one part; raises SourceError if the log cannot be read."""
-    decode_logs([log], plan, path, TableFormat.PARQUET, columns=log_columns)

@@ -169,14 +169,6 @@ class Place:
             found |= {one["name"]: one for one in listed if one["type"] != "directory"}
         return found
 
-    def _followed(self, path: str, link: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return what a link leads to; one that leads nowhere is a file that nobody can read."""
-        try:
-            found: Mapping[str, Any] = self._files.info(path)
-        except FileNotFoundError:
-            return {**link, "type": "file"}
-        return found
-
     def _full(self, name: str) -> str:
         return f"{self._root}/{name}"
 
@@ -185,7 +177,11 @@ class Place:
 
     def _held(self, path: str, info: Mapping[str, Any]) -> Held | None:
         name = path.removeprefix(self._root).lstrip("/")
-        info = self._followed(path, info) if info.get("islink") else info
+        if info.get("islink"):
+            try:
+                info = self._files.info(path)
+            except FileNotFoundError:  # it leads nowhere: a file that nobody can read
+                info = {**info, "type": "file"}
         if not name or info["type"] != "file" or name.endswith("/"):
             return None
         mark = info.get("ETag") or info.get("etag") or info.get("mtime") or info.get("updated") or ""

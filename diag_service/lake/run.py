@@ -187,7 +187,10 @@ class Dispatch:
                 if outcome.row is not None:
                     yield outcome.row
                 elif outcome.error is not None:
-                    self._refuse(outcome.log, outcome.error)
+                    self._refusals[outcome.log.source] += 1
+                    if self._refusals[outcome.log.source] >= MOST_REFUSALS:
+                        raise outcome.error
+                    self._waiting.append(outcome.log)
                 elif not outcome.is_blamed:
                     self._waiting.appendleft(outcome.log)
                 elif was_alone and self._died(outcome.log) >= MOST_DEATHS:
@@ -206,12 +209,6 @@ class Dispatch:
         self._attempts[log.source] += 1
         self._running_count += 1
         self._pool.submit(log, self._attempts[log.source])
-
-    def _refuse(self, log: LakeLog, error: Exception) -> None:
-        self._refusals[log.source] += 1
-        if self._refusals[log.source] >= MOST_REFUSALS:
-            raise error
-        self._waiting.append(log)
 
     def _died(self, log: LakeLog) -> int:
         self._deaths_alone[log.source] += 1

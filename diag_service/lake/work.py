@@ -12,9 +12,10 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Final
 
+from canlog.column_files import TableFormat
 from canlog.errors import SourceError
 from canlog.logs import looked_at
-from canlog.tables.decoding import Plan
+from canlog.tables.decoding import Plan, decode_logs
 from diag_service.batch.drives import drive_of
 from diag_service.batch.folder_run import settings_digest
 from diag_service.batch.journal import Entry
@@ -33,7 +34,6 @@ from diag_service.lake.parts import (
     part_name,
     signal_plan,
     write_shifts,
-    write_signals,
 )
 from diag_service.lake.places import Held, Place
 from diag_service.mapping.interpretation import Interpretation
@@ -162,14 +162,14 @@ class Maker:
     def _parts(self, log: LakeLog, content: str, entries: Mapping[Path, Entry], folder: Path) -> list[str]:
         """Write the parts of a log, all of them or none, and return their names."""
         files = dict[str, Path]()
-        complete = {entry.drive["stream"]: _is_complete(entry) for entry in entries.values()}
+        complete = {entry.drive["stream"]: entry.is_complete for entry in entries.values()}
         for date, shifts in by_date([shift for entry in entries.values() for shift in entry.shifts]).items():
             made = folder / f"shifts-{date}.parquet"
             write_shifts(made, content, [(shift, complete[shift["stream"]]) for shift in shifts])
             files[part_name(SHIFTS, date, log.vehicle, content, self.job.settings)] = made
         for path, entry in entries.items() if self.job.signals is not None and not log.kept else ():
             made, log_columns = folder / f"signals-{len(files)}.parquet", self.job.config.columns
-            write_signals(made, path, self._plan, log_columns)
+            decode_logs([path], self._plan, made, TableFormat.PARQUET, columns=log_columns)
             own = content if len(entries) == 1 else str(entry.drive["stream"])  # of several in an archive
             date = first_date(path, log_columns)
             files[part_name(SIGNALS, date, log.vehicle, own, self.job.signal_settings)] = made
@@ -245,11 +245,6 @@ def _analysed(analyst: Analyst, log: LakeLog, path: Path, stop: Trigger) -> tupl
         else:
             entries[one.path] = Entry(key=entry.key, drive={**entry.drive, "paths": [shown]}, shifts=entry.shifts)
     return entries, "; ".join(reasons)
-
-
-def _is_complete(entry: Entry) -> bool:
-    summary = entry.drive["summary"]
-    return isinstance(summary, dict) and bool(summary["complete"])
 
 
 @contextmanager

@@ -26,7 +26,6 @@ from diag_service.tester.asking import (
     heard,
     parse_doip,
 )
-from diag_service.tester.description import Description
 from diag_service.tester.description_files import find_description
 from diag_service.tester.trouble import (
     Record,
@@ -89,16 +88,16 @@ def did(options: SimpleNamespace, controls: Controls) -> None:
     """Read data and show them; without names, all that the description has. ControllerError: not all was told."""
     session = hexadecimal(options.session, "--session", questions.LARGEST_SESSION)
     question = questions.DataQuestion(words=tuple(options.data), session=session)
-    answers = ask_one(options, question, _shown_data, controls.stop) or ()
+
+    def told(found: Sequence[questions.DataAnswer]) -> tuple[Record, Iterable[str]]:
+        return {"data": [data_record(one) for one in found]}, data_lines(found)
+
+    answers = ask_one(options, question, told, controls.stop) or ()
     missing = [one for one in answers if one.values is None]
     if any(one.fault for one in missing) or (missing and (options.data or len(missing) == len(answers))):
         named = [f"{one.number:04X}: {one.trouble}" for one in missing[:MOST_NAMED]]
         more = [f"and {len(missing) - MOST_NAMED} more"] if len(missing) > MOST_NAMED else []
         raise ControllerError(f"{len(missing)} of {len(answers)} data were not told: {'; '.join(named + more)}")
-
-
-def _shown_data(answers: Sequence[questions.DataAnswer]) -> tuple[Record, Iterable[str]]:
-    return {"data": [data_record(answer) for answer in answers]}, data_lines(answers)
 
 
 def routine(options: SimpleNamespace, controls: Controls) -> None:
@@ -112,11 +111,7 @@ def routine(options: SimpleNamespace, controls: Controls) -> None:
         lock=None if options.unlock is None else _lock(options.unlock),
         patience_s=options.patience,
     )
-    ask_one(options, question, _shown_routine, controls.stop)
-
-
-def _shown_routine(answer: questions.RoutineAnswer) -> tuple[Record, Iterable[str]]:
-    return {"routine": routine_record(answer)}, routine_lines(answer)
+    ask_one(options, question, lambda one: ({"routine": routine_record(one)}, routine_lines(one)), controls.stop)
 
 
 def _lock(text: str) -> questions.Lock:
@@ -137,8 +132,10 @@ def scan(options: SimpleNamespace, controls: Controls) -> None:
             "scan", plan.requests, heard(plan.place, plan.listen_s, lambda: not stop.is_set), is_json=options.json
         )
     else:
+        count = len(plan.request_ids)
+        text = f"asking {count} identifiers, which takes {count * plan.wait_s:.0f} s or more" if count else "asking"
         with ReadingLine() as line:
-            found = scanning.scan(plan, goes_on=waiting(line, _scan_text(plan), stop))
+            found = scanning.scan(plan, goes_on=waiting(line, text, stop))
         traffic = {} if found.traffic is None else {"bus": traffic_record(found.traffic)}
         record = outcome("scan", is_asked=True, **traffic, controllers=[found_record(one) for one in found.controllers])
         show(record, found_lines(found.controllers), as_json=options.json)
@@ -166,11 +163,6 @@ def _scan_plan(options: SimpleNamespace) -> scanning.ScanPlan:
     )
 
 
-def _scan_text(plan: scanning.ScanPlan) -> str:
-    count = len(plan.request_ids)
-    return f"asking {count} identifiers, which takes {count * plan.wait_s:.0f} s or more" if count else "asking"
-
-
 def ask_one(
     options: SimpleNamespace,
     question: questions.Question[_AnswerT],
@@ -192,9 +184,13 @@ def ask_one(
     timing = timing_of(options)
     description = find_description(options.description)
     wanted = question.requests(description)
-    target = _target(options, description)
+    target: BusTarget | DoipPlace
+    if isinstance(place := doip_place(options) or bus_name(options), DoipPlace):
+        target = place
+    else:
+        where = address_for(parse_address(options.ecu, options.reply, options.address), description)
+        target = BusTarget(bus=place, address=where, is_fd=options.fd, listen_s=options.listen)
     if not options.active:
-        place = target if isinstance(target, DoipPlace) else target.bus
         show_wish(options.command, wanted, heard(place, options.listen, lambda: not stop.is_set), is_json=options.json)
         return None
     with (
@@ -220,18 +216,6 @@ def waiting(line: ReadingLine, what: str, stop: Trigger) -> Callable[[], bool]:
         return not stop.is_set
 
     return goes_on
-
-
-def _target(options: SimpleNamespace, description: Description) -> BusTarget | DoipPlace:
-    place = doip_place(options)
-    if place is not None:
-        return place
-    return BusTarget(
-        bus=bus_name(options),
-        address=address_for(parse_address(options.ecu, options.reply, options.address), description),
-        is_fd=options.fd,
-        listen_s=options.listen,
-    )
 
 
 def show_wish(schema: str, wanted: Sequence[str], traffic: Traffic | None, *, is_json: bool) -> None:

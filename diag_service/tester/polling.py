@@ -82,13 +82,8 @@ def message_of(record: Mapping[str, object]) -> Outgoing:
     if len(message.payload) <= Channel.CONTROLLER.max_bytes:
         return message
     short = [{**code, **{name: [] for name in _KEPT}} for code in codes]
-    return controller_message({**record, "codes": short[: _most(short)]})
-
-
-def _most(codes: list[dict[str, object]]) -> int:
-    """Return how many codes without what was kept fit into a message."""
-    longest = max((len(dump(code)) for code in codes), default=1) + 1
-    return int((Channel.CONTROLLER.max_bytes - 2048) // longest)
+    longest = max((len(dump(code)) for code in short), default=1) + 1
+    return controller_message({**record, "codes": short[: (Channel.CONTROLLER.max_bytes - 2048) // longest]})
 
 
 class Poller(AskingThread):
@@ -111,8 +106,6 @@ class Poller(AskingThread):
         self._read = read
         self._tell = tell
         self._period_s = period_s
-        self.round_count = 0
-        self.failure_count = 0
 
     def _run(self) -> None:
         failed_in_a_row = 0
@@ -128,12 +121,10 @@ class Poller(AskingThread):
                 if not failed_in_a_row:
                     _LOG.warning("the trouble codes were not read: %s; trying again, less and less often", problem)
                 failed_in_a_row += 1
-                self.failure_count += 1
             self._is_over.wait(pause_s(self._period_s, failed_in_a_row))
 
     def _round(self) -> str | None:
         """Ask once and tell; return what went wrong."""
-        self.round_count += 1
         try:
             report = self._read()
             if not self._is_over.is_set():
