@@ -78,8 +78,10 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
     # their own.
     sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # Python's own way to say "not here"
     wait_with(TESTER)
-    if _reads_standard_input(options):
-        _widen_standard_input()  # whoever writes goes on meanwhile: candump loses frames once the pipe is full
+    is_piped = STANDARD_STREAM in _logs(options)
+    if is_piped:
+        with suppress(AttributeError, OSError, ValueError):  # none, or none of the system: reading it says so
+            widen(sys.stdin.fileno())  # whoever writes goes on meanwhile: candump loses frames once the pipe is full
     # Imported here: compiled libraries take a second, in which a signal must already find its handler.
     from diag_service.console import set_up_notices  # noqa: PLC0415 - see above
 
@@ -90,8 +92,10 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
     else:
         module, _, name = _FUNCTIONS.get(word, f"{word}.execute").partition(".")
         execute = getattr(import_module(f"diag_service.commands.{module}"), name)
+    if is_piped:  # whoever writes into the pipe may get the same signal, and end it
+        controls = replace(controls, stop=PatientTrigger(controls.stop))
     try:
-        execute(options, _patient(controls) if _reads_standard_input(options) else controls)
+        execute(options, controls)
     except SourceError as exc:
         if text := _about_store(options):
             raise ConfigError(text) from exc
@@ -110,20 +114,6 @@ def _about_store(options: SimpleNamespace) -> str | None:
 
 def _logs(options: SimpleNamespace) -> Sequence[Path | str]:
     return (getattr(options, "log", None) or "", *getattr(options, "logs", ()))
-
-
-def _reads_standard_input(options: SimpleNamespace) -> bool:
-    return STANDARD_STREAM in _logs(options)
-
-
-def _widen_standard_input() -> None:
-    with suppress(AttributeError, OSError, ValueError):  # none, or none of the system: reading it says so
-        widen(sys.stdin.fileno())
-
-
-def _patient(controls: Controls) -> Controls:
-    """Return controls for who reads a pipe: whoever writes into it may get the same signal, and end it."""
-    return replace(controls, stop=PatientTrigger(controls.stop))
 
 
 def _end_early(exc: Exception, stop: Trigger) -> int:

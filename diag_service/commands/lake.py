@@ -15,7 +15,7 @@ from diag_service.errors import ConfigError, IncompleteError, StoreError
 from diag_service.lake.parts import disagreement, forget, mend, partitions, parts_of
 from diag_service.lake.places import UNFINISHED, Place
 from diag_service.lake.pools import ClusterAddress, run_scheduler, run_workers
-from diag_service.lake.run import LakeTotals, fill_lake, find_logs
+from diag_service.lake.run import fill_lake, find_logs
 from diag_service.lake.work import Job
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import check_vehicle, diagnosis_config, parse_listen_address
@@ -99,7 +99,13 @@ def fill(options: SimpleNamespace, controls: Controls) -> None:
         is_shown=True,
         is_retried=options.retry,
     )
-    _show_totals(totals, lake)
+    sys.stdout.write(
+        f"{totals.found} logs: {totals.before} in the lake before, {totals.done} analysed with {totals.shifts} shifts, "
+        f"{totals.failed} not\n"
+    )
+    if not totals.holds_any:
+        raise SourceError(f"none of {totals.found} logs could be analysed; --retry tries them again")
+    _LOG.log(NOTICE, "the lake is %s", lake.address)
 
 
 def _check_words(options: SimpleNamespace) -> None:
@@ -116,16 +122,6 @@ def _check_words(options: SimpleNamespace) -> None:
     job_count(options.jobs)  # complains
     if options.scheduler == LOCAL and (options.ca or options.cert or options.key):
         raise ConfigError("--ca, --cert and --key are for a scheduler: --scheduler tls://HOST:PORT")
-
-
-def _show_totals(totals: LakeTotals, lake: Place) -> None:
-    sys.stdout.write(
-        f"{totals.found} logs: {totals.before} in the lake before, {totals.done} analysed with {totals.shifts} shifts, "
-        f"{totals.failed} not\n"
-    )
-    if not totals.holds_any:
-        raise SourceError(f"none of {totals.found} logs could be analysed; --retry tries them again")
-    _LOG.log(NOTICE, "the lake is %s", lake.address)
 
 
 def cluster(options: SimpleNamespace, controls: Controls) -> None:

@@ -147,7 +147,6 @@ def record(learned: LearnedVehicle) -> dict[str, object]:
 
 
 def calibrate(options: SimpleNamespace, controls: Controls) -> None:
-    """Calibrate a vehicle and write its file."""
     if text := replacement_refusal(options.output, is_forced=options.force):
         raise ConfigError(text)
     config = diagnosis_config(options)

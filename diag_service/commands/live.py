@@ -124,7 +124,6 @@ _LOG = logging.getLogger(__name__)
 
 
 def config(options: SimpleNamespace, controls: Controls) -> None:
-    """Check the settings and print them."""
     del controls
     diagnosis = diagnosis_config(options)
     bus_config(options)
@@ -144,10 +143,8 @@ def _line(name: str, value: str | float | Path | None) -> str:
     if value is None:
         return f"# {name} is not set\n"
     if isinstance(value, str | Path):
-        value = legible(_masked(str(value)) if name == "broker" else str(value))
+        text = str(value)
+        if name == "broker" and (password := urlsplit(text).password) is not None:
+            text = text.replace(f":{password}@", ":***@")
+        value = legible(text)
     return tomli_w.dumps({name: value})
-
-
-def _masked(url: str) -> str:
-    password = urlsplit(url).password
-    return url if password is None else url.replace(f":{password}@", ":***@")

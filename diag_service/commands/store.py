@@ -67,7 +67,10 @@ def fluid_changed(options: SimpleNamespace, controls: Controls) -> None:
     """Note the fill in the store; a service that is running takes it up before its next shift."""
     del controls
     if options.undo:
-        fill = undone_fill(options.store, options.vehicle, at=options.at)
+        with StoreReader.open(options.store) as store:
+            vehicle = store.vehicle(options.vehicle)
+        moment = None if options.at is None else moment_of(options.at, datetime.now(UTC))
+        fill = withdraw_fill(options.store, vehicle, moment)
         sys.stdout.write(f"{fill.vehicle}: the fill at {fill.filled_at} is taken back\n")
         return
     fill = noted_fill(
@@ -106,13 +109,6 @@ def noted_fill(
         note=_text("--note", note),
     )
     return note_fill(path, fill, is_insisted=is_insisted)
-
-
-def undone_fill(path: Path, vehicle: str | None, *, at: str | None) -> FluidFill:
-    """Take back the last fill, or that of a moment, and return it; raises ConfigError or StoreError."""
-    with StoreReader.open(path) as store:
-        vehicle = store.vehicle(vehicle)
-    return withdraw_fill(path, vehicle, None if at is None else moment_of(at, datetime.now(UTC)))
 
 
 def moment_of(text: str | None, now: datetime) -> str:

@@ -15,7 +15,6 @@ SCHEMA: Final = "clutchdiag/transmission/v1"
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
-    """Show what follows from a description."""
     del controls
     transmission = read_transmission(options.file)
     show(record(transmission), said(transmission), as_json=options.json)

@@ -116,7 +116,6 @@ class InFlight:
         self._hurried: set[int] = set()  # were sent again before their time
 
     def __len__(self) -> int:
-        """Return how many receipts are outstanding."""
         return len(self._sent_s)
 
     def add(self, positions: Iterable[int], now_s: float) -> None:
@@ -124,7 +123,6 @@ class InFlight:
         self._sent_s.update(dict.fromkeys(positions, now_s))
 
     def acknowledge(self, positions: Iterable[int]) -> None:
-        """Note that results arrived."""
         for position in positions:
             self._landed_s = max(self._landed_s, self._sent_s.pop(position, self._landed_s))
             self._hurried.discard(position)

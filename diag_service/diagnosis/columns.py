@@ -150,7 +150,6 @@ class BlockLayout:
         self.row = {signal: row for row, signal in enumerate(signals)}
 
     def room(self, size: int) -> Samples:
-        """Return empty rows for ``size`` samples each."""
         return empty_rows(len(self.signals), size)
 
 

@@ -412,7 +412,6 @@ class RelativeSurvey:
         self._standing, self._phases = Standing(MOST_EVENTS), deque[SlipPhase](maxlen=MOST_EVENTS)
 
     def take(self, event: Event, gears: GearRatios | None) -> None:
-        """Take up an event."""
         self._standing.add(event)
         phase = slip_phase(event, gears)
         if isinstance(phase, SlipPhase) and phase.is_powered and phase.sign > 0.0 and len(phase.drive) > 1:

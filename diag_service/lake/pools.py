@@ -129,7 +129,6 @@ def run_scheduler(host: str, port: int, tls: TlsFiles, page: tuple[str, int] | N
     """
     check_identity(tls)
     distributed = load_distributed()
-    _quieten()
 
     def started() -> Any:  # noqa: ANN401 - an untyped library
         return distributed.Scheduler(
@@ -153,7 +152,6 @@ def run_workers(address: ClusterAddress, host: str, jobs: int, memory_limit_mib:
     """
     address.check()
     distributed = load_distributed()
-    _quieten()
 
     def started() -> Any:  # noqa: ANN401 - an untyped library
         return distributed.Nanny(
@@ -170,11 +168,8 @@ def run_workers(address: ClusterAddress, host: str, jobs: int, memory_limit_mib:
     _run([started] * jobs, stop)
 
 
-def _quieten() -> None:
-    load_extra("dask.config", "a cluster needs Dask", "cluster").set(QUIET)
-
-
 def _run(makers: list[Callable[[], Any]], stop: Trigger) -> None:
+    load_extra("dask.config", "a cluster needs Dask", "cluster").set(QUIET)
     try:
         asyncio.run(_until(makers, stop))
     except (OSError, TimeoutError, RuntimeError) as exc:  # the last from a guardian whose process did not start

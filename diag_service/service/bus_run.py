@@ -68,7 +68,6 @@ class Monitor:
         """Do nothing, as the reporter of the run: the next snapshot has it all."""
 
     def show(self, snapshot: Snapshot) -> None:
-        """Draw the present state."""
         size = (self._console.width, self._console.height) if self._console.is_terminal else None
         self._live.update(screen(snapshot, size, self._hint), refresh=True)
 

@@ -19,7 +19,6 @@ class DriveSurvey:
         self._gears = stages.decoder.gears
 
     def take(self, event: Event) -> None:
-        """Take up the next event."""
         self._ranges.add(event)
         if self._relative is not None:
             self._relative.take(event, self._gears)

@@ -31,7 +31,6 @@ class Trigger:
             listener()
 
     def unsubscribe(self, listener: Callable[[], None]) -> None:
-        """Leave ``listener`` alone from now on."""
         self._listeners.remove(listener)
 
     def listen_to(self, *numbers: signal.Signals) -> None:

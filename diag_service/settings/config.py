@@ -54,7 +54,6 @@ class DiagnosisConfig:
         return meaning.with_gears(self.gears, *([] if self.vehicle_file is None else [self.vehicle_file]))
 
     def __post_init__(self) -> None:
-        """Check what depends on each other."""
         if self.budget_bytes is not None and self.budget_bytes < SMALLEST_BUDGET_BYTES:
             raise ConfigError(f"the disk budget must be at least {SMALLEST_BUDGET_BYTES} bytes")
         if self.broker is None and self.acknowledge is Acknowledge.BACKEND:

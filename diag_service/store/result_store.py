@@ -36,11 +36,6 @@ class DroppedCounts:
     empty: int = 0  # not delivered, but without an estimate
     undelivered: int = 0  # lost
 
-    @property
-    def lost(self) -> int:
-        """Results that nobody will ever have."""
-        return self.empty + self.undelivered
-
 
 MOST_REPORT_BYTES: Final = 16 * 2**20  # of them all, unless the store has a budget
 _REPORTS_SHARE: Final = 8  # of a budget, one part of so many

@@ -158,7 +158,12 @@ def _description(layer: Any) -> Description:  # noqa: ANN401 - of a library with
     for service, request in _constant_requests(layer):
         number = int.from_bytes(request[-2:], "big")
         if request[0] == READ_DATA and len(request) == _HEAD_BYTES:
-            data[number], readers[number] = _datum(service, number), _reader(service, number)
+            responses = service.positive_responses
+            bits = responses[0].get_static_bit_length() if responses else None  # None: not always the same
+            size_bytes = 0 if bits is None else max(0, bits // 8 - _HEAD_BYTES)
+            whole = Field(name="bytes", kind=Coding.BYTES, size_bytes=size_bytes)
+            data[number] = Datum(number=number, name=_name(service), fields=(whole,))
+            readers[number] = _reader(service, number)
         elif request[:2] == bytes([ROUTINE, _START]) and len(request) == 1 + _HEAD_BYTES:
             routines[number] = Routine(number=number, name=_name(service))
     return Description(
@@ -179,14 +184,6 @@ def _constant_requests(layer: Any) -> Iterator[tuple[Any, bytes]]:  # noqa: ANN4
             prefix = bytes(service.request.coded_const_prefix())
             if len(prefix) >= _HEAD_BYTES:
                 yield service, prefix
-
-
-def _datum(service: Any, number: int) -> Datum:  # noqa: ANN401 - see above
-    """Return a datum as long as its response says, if that is always the same."""
-    bits = service.positive_responses[0].get_static_bit_length() if service.positive_responses else None
-    size_bytes = 0 if bits is None else max(0, bits // 8 - _HEAD_BYTES)
-    whole = Field(name="bytes", kind=Coding.BYTES, size_bytes=size_bytes)
-    return Datum(number=number, name=_name(service), fields=(whole,))
 
 
 def _reader(service: Any, number: int) -> Reader:  # noqa: ANN401 - see above

@@ -328,7 +328,6 @@ class DataQuestion:
         return [*_entering(self.session), *map(request_text, questions)]
 
     def ask(self, tester: "Dialogue", description: Description) -> tuple[DataAnswer, ...]:
-        """Ask, in the session that is wanted."""
         with tester.session(self.session):
             return tuple(read_datum(tester, description, number) for number in self._numbers(description))
 

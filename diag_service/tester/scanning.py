@@ -4,6 +4,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
@@ -186,12 +187,18 @@ def _explored(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) ->
         known = UNKNOWN
     services = tuple(_tried(tester, number, request) for number, request in PROBES)
     answered = {one.number for one in services if one.is_there and not one.remark}
+    data = tuple(_data_of(tester, known, plan.data)) if READ_DATA in answered else ()
+    code_count = None
+    if READ_TROUBLE in answered:
+        with suppress(errors.ControllerError):
+            response = tester.ask(bytes([READ_TROUBLE, COUNT_BY_MASK, FAILED_MASK]))
+            code_count = int.from_bytes(response[4:6], "big")
     return Found(
         where=tester.where,
         address=address,
         services=services,
-        data=tuple(_data_of(tester, known, plan.data)) if READ_DATA in answered else (),
-        code_count=_code_count(tester) if READ_TROUBLE in answered else None,
+        data=data,
+        code_count=code_count,
     )
 
 
@@ -221,15 +228,6 @@ def _data_of(tester: "Dialogue", description: Description, numbers: Iterable[int
             continue
         if answer.refusal is None:
             yield answer
-
-
-def _code_count(tester: "Dialogue") -> int | None:
-    """Return how many trouble codes have failed."""
-    try:
-        response = tester.ask(bytes([READ_TROUBLE, COUNT_BY_MASK, FAILED_MASK]))
-    except errors.ControllerError:
-        return None
-    return int.from_bytes(response[4:6], "big")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -203,7 +203,6 @@ class Plan:
         return [one for signal, one in self.fields.items() if signal not in _SLOW]
 
     def due(self, now_s: float) -> list[Question | GroupQuestion]:
-        """Return the questions of the next round."""
         if now_s >= self._again_s:
             self.refused -= self._for_now
             self._for_now.clear()

@@ -51,7 +51,6 @@ from diag_service.tester.signal_asking import (
 )
 
 RATE_S: Final = 5.0
-LEAST_LISTEN_S: Final = 0.0
 PROGRESS_S: Final = 60.0  # from line to line while a drive is recorded
 LOOK_S: Final = 0.1
 HELD_S: Final = 0.5  # frames of several senders come out of order by less
@@ -63,7 +62,7 @@ Show = Callable[[str], object]
 def try_car(options: SimpleNamespace, controls: Controls) -> None:
     """Listen, try the profiles that ask, and say what was found; sends nothing without ``--active``, or dry."""
     show: Show = PeopleConsole().print
-    check_time("--listen", options.listen, least_s=LEAST_LISTEN_S)
+    check_time("--listen", options.listen, least_s=0.0)
     _check_recording(options)
     _check_adapter(options)
     profiles = _profiles(options.profile)
@@ -184,7 +183,6 @@ class InOrder(can.Listener):
         self._count = count()
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Keep a frame for a while."""
         heappush(self._held, (msg.timestamp, next(self._count), msg))
         while self._held[0][0] < msg.timestamp - HELD_S:
             self._log.on_message_received(heappop(self._held)[2])

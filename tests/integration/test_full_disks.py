@@ -100,7 +100,7 @@ def test_a_store_with_a_budget_never_fills_its_disk_and_counts_what_goes(mount: 
         kept = [result.seq for result in store.results("car1")]
         assert store.used_bytes() <= MIB
     assert dropped.delivered >= BUDGET_RESULTS // 2 - 1  # all that someone else has, before any that nobody has
-    assert dropped.delivered + dropped.lost + len(kept) == BUDGET_RESULTS
+    assert dropped.delivered + dropped.empty + dropped.undelivered + len(kept) == BUDGET_RESULTS
     assert kept[-1] == BUDGET_RESULTS
 
 

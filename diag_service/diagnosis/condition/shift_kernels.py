@@ -134,7 +134,6 @@ def fit_slopes(t_s: FloatArray, value: FloatArray, at_s: FloatArray, slopes: Flo
 
 @array_kernel
 def _mean(row: FloatArray, first: int, stop: int) -> float:
-    """Return the mean of some rows."""
     total = 0.0
     for place in range(first, stop):
         total += row[place]

@@ -113,18 +113,14 @@ class LockupState:
 
     def fused(self, blocks: Blocks) -> Self:
         """Return what is known with the blocks of a stretch."""
-        rows, noise = blocks.rows, self._noise_nm2(blocks)
+        alone_nm2 = self.block_variance_nm2 + (LOAD_RATIO * blocks.clutch_nm) ** 2
+        rows, noise = blocks.rows, alone_nm2 * self.blocks_as_one  # neighbours share theirs
         information = np.linalg.inv(self.covariance)
         added = (rows / noise[:, None]).T
         covariance = np.linalg.inv(information + added @ rows)
         covariance = 0.5 * (covariance + covariance.T)
         innovation = blocks.torque_nm - rows @ self.mean
         return replace(self, mean=self.mean + covariance @ (added @ innovation), covariance=covariance)
-
-    def _noise_nm2(self, blocks: Blocks) -> FloatArray:
-        """Return the variance that each block counts with, which neighbours share."""
-        alone = self.block_variance_nm2 + (LOAD_RATIO * blocks.clutch_nm) ** 2
-        return alone * self.blocks_as_one
 
     def residuals_nm(self, blocks: Blocks) -> FloatArray:
         return blocks.torque_nm - blocks.rows @ self.mean

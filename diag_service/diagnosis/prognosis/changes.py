@@ -126,7 +126,9 @@ def _scan(sums: _Sums, relative: FloatArray, correlation: float, count: int) -> 
         for before, share in BEFORE_COUNTS.items():
             steps, stds = _steps(sums.outer, moments, np.maximum(changes - before, 0), changes, ends)
             is_towards_new = steps[0] > steps[1]  # mu_C rises against mu_S; a step the other way is something else
-            better = np.where(is_towards_new, _chi_square(steps / stds, correlation), 0.0)
+            z = steps / stds
+            both = z[0] ** 2 + z[1] ** 2 - 2.0 * correlation * z[0] * z[1]
+            better = np.where(is_towards_new, both / (1.0 - correlation**2), 0.0)
             chi_square = np.minimum(chi_square, better / (share * after_share))
         is_better = chi_square > best[ends - 1]
         rows = ends[is_better] - 1
@@ -152,9 +154,3 @@ def _steps(
                 normal[row][column] = normal[row][column] - share * normal[done][column]
             right[row] = right[row] - share * right[done]
     return np.asarray(right[3] / normal[3][3]), np.asarray(1.0 / np.sqrt(normal[3][3]))
-
-
-def _chi_square(z: FloatArray, correlation: float) -> FloatArray:
-    """Return the chi-square of two steps in their deviations, which are correlated."""
-    both = z[0] ** 2 + z[1] ** 2 - 2.0 * correlation * z[0] * z[1]
-    return np.asarray(both / (1.0 - correlation**2))

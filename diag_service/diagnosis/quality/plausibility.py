@@ -54,7 +54,10 @@ def plausibility_faults(
     event: Event, signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits = LIMITS
 ) -> tuple[Reason, ...]:
     """Return why the signals of a shift, once put on one clock, cannot all be true; empty if they can."""
-    apart_rad_s = _apart_in_rows_rad_s(signals) if signals.row_s else 0.0
+    apart_rad_s = 0.0
+    if signals.row_s:  # speeds of one row may be apart by what they change until the next one
+        speeds = (signals.engine_speed, signals.hub_speed, *signals.input_speed)
+        apart_rad_s = max(float(np.abs(np.diff(speed.value)).max()) for speed in speeds)
     is_change = event.from_gear != event.to_gear
     most_at_hub_rad_s = limits.speeds_rad_s if is_change else limits.launch_speeds_rad_s
     found = {
@@ -64,12 +67,6 @@ def plausibility_faults(
         Reason.PRESSURE_OFF_COMMAND: _misses_command(signals, clutch, limits),
     }
     return tuple(reason for reason, is_found in found.items() if is_found)
-
-
-def _apart_in_rows_rad_s(signals: AlignedSignals) -> float:
-    """Return how far speeds of one row may be apart [rad/s]: by what they change until the next one."""
-    speeds = (signals.engine_speed, signals.hub_speed, *signals.input_speed)
-    return max(float(np.abs(np.diff(speed.value)).max()) for speed in speeds)
 
 
 def zero_has_jumped(known: PressureZeros, measured: PressureZeros, limits: QualityLimits = LIMITS) -> bool:
@@ -152,14 +149,10 @@ def speed_gap_rad_s(
         gaps.append(abs(float(locked[: grid_s.searchsorted(grid_s[0] + limits.locked_s)].mean())))
     if event.kind not in _WITHOUT_LOCK and event.end_reason is EndReason.COMPLETE:
         closed = signals.slip_rad_s[clutch_of_gear(event.to_gear) - 1][grid_s.searchsorted(end_s - limits.locked_s) :]
-        gaps.append(0.0 if _is_settling(closed, limits) else abs(float(closed.mean())))
+        middle = len(closed) // 2  # a coast change still slips; what a sensor reads too much changes less fast
+        is_settling = abs(float(closed[middle:].mean() - closed[:middle].mean())) > limits.settling_rad_s
+        gaps.append(0.0 if is_settling else abs(float(closed.mean())))
     return max(gaps, default=0.0)
-
-
-def _is_settling(slip_rad_s: FloatArray, limits: QualityLimits) -> bool:
-    """Return whether a clutch still slips, as in a coast change; what a sensor reads too much changes less fast."""
-    middle = len(slip_rad_s) // 2
-    return abs(float(slip_rad_s[middle:].mean() - slip_rad_s[:middle].mean())) > limits.settling_rad_s
 
 
 def hub_gap_rad_s(signals: AlignedSignals, limits: QualityLimits = LIMITS) -> float:

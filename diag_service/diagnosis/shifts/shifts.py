@@ -49,7 +49,9 @@ def kind_of_change(history: History, bounds: Bounds) -> EventKind:
     torque_nm = _torque_nm(history, bounds.start_ns)
     if pedal_ratio is None and torque_nm is None:
         return EventKind.SHIFT
-    is_asked = _is_asked(pedal_ratio, torque_nm, is_lifting=_is_lifting(history, bounds.start_ns))
+    pedal = history.samples(Signal.PEDAL, bounds.start_ns - RECENT_NS, bounds.start_ns + 1).value
+    is_lifting = len(pedal) > 0 and bool(pedal[-1] < pedal[0] - PEDAL_RATIO)  # as the change begins
+    is_asked = _is_asked(pedal_ratio, torque_nm, is_lifting=is_lifting)
     if bounds.to_gear > bounds.from_gear:
         is_pulling = is_asked and (torque_nm is None or torque_nm > PULLING_NM)
         return EventKind.POWER_ON_UPSHIFT if is_pulling else EventKind.POWER_OFF_UPSHIFT
@@ -69,12 +71,6 @@ def _is_asked(pedal_ratio: float | None, torque_nm: float | None, *, is_lifting:
     if pedal_ratio > DRIVING_RATIO:
         return True  # torque follows later
     return is_pulling and pedal_ratio > PEDAL_RATIO and not is_lifting  # torque outlasts the foot for a moment
-
-
-def _is_lifting(history: History, start_ns: int) -> bool:
-    """Return whether the foot is coming off the pedal as a change begins."""
-    recent = history.samples(Signal.PEDAL, start_ns - RECENT_NS, start_ns + 1).value
-    return len(recent) > 0 and bool(recent[-1] < recent[0] - PEDAL_RATIO)
 
 
 def _torque_nm(history: History, start_ns: int) -> float | None:

@@ -112,13 +112,11 @@ class SlipTracker:
         self._changes(np.empty(0, np.int64), np.empty(0), np.empty((len(self._held), 0)))
 
     def forget(self) -> None:
-        """Forget all values: another segment begins."""
         self._last = [math.nan] * len(self._held)
         self._doing = np.full(_STATE_SIZE, _NOTHING_YET)
         self._rows = np.empty((1 + _LOADS_ROW, 0))  # engine and shafts, in the last rows of a table
 
     def track(self, history: History, until_ns: int) -> list[GripChange]:
-        """Walk the samples with ``t < until_ns``."""
         engine = history.ahead(self._signals.engine, until_ns)
         held = np.empty((len(self._held), len(engine.t_ns)))
         for row, signal in enumerate(self._held):

@@ -143,7 +143,6 @@ class HeldSignals:
         return t_ns, values
 
     def forget(self) -> None:
-        """Forget all values: another segment begins."""
         self._last = dict.fromkeys(self._last, np.nan)
 
 
