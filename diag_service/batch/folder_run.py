@@ -4,7 +4,6 @@ import hashlib
 import logging
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
 from dataclasses import replace
@@ -125,14 +124,11 @@ def _analysed(
         found = shared_out(analyse_drive, drives, jobs, stop, start_worker, (config, is_shown))
         for done_count, (drive, future) in enumerate(found, 1):
             progress.update(task, advance=drive.size_bytes, done=done_count)
-            yield drive, _outcome(future, drive)
-
-
-def _outcome(future: Future[Entry], drive: Drive) -> Entry:
-    try:
-        return future.result()
-    except BrokenProcessPool as exc:
-        raise SourceError(f"a process died while it analysed {drive.name} or a drive beside it") from exc
+            try:
+                entry = future.result()
+            except BrokenProcessPool as exc:
+                raise SourceError(f"a process died while it analysed {drive.name} or a drive beside it") from exc
+            yield drive, entry
 
 
 def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, listener: FolderListener) -> Counter[str]:

@@ -30,7 +30,6 @@ from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import asked_database
 from diag_service.mapping.survey import proposed_profile
 from diag_service.service.stopping import Controls, Trigger
-from fleet_contract import JsonObject
 
 MOST_DISTINCT = 4096  # values of a column that are kept to find its step
 
@@ -119,7 +118,29 @@ class Inspection:
 
     def to_json(self) -> str:
         """Return what ``--json`` prints: one JSON object, on one line."""
-        return dump(inspection_record(self))
+        counts = self.reader.counts
+        table = asdict(self.traffic)
+        for one in table["ids"]:
+            one["message"] = self.names.get(one["can_id"])
+            if self.values is not None:
+                column = self.values.of(one["can_id"])
+                one.update({name: getattr(column, name) for name in ("unit", "changes", "lowest", "highest", "step")})
+        record = {
+            "schema": SCHEMA,
+            "path": str(self.reader.path),
+            "complete": self.is_whole and not counts.truncated,
+            "stopped_early": not self.is_whole,
+            "format": self.reader.format.value,
+            "evidence": self.reader.evidence,
+            "unreadable": {reason.value: count for reason, count in counts.rejected.items()},
+            "first_unreadable": counts.first_rejected,
+            "truncated": counts.truncated,
+            "notes": list(counts.notes),
+            **table,
+            "protection": {name: asdict(link) for name, link in self.links.items()},
+            **({"conversations": talks.record()} if (talks := self.conversations) is not None else {}),
+        }
+        return dump(record)
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
@@ -208,31 +229,6 @@ def inspect_log(
         conversations=conversations,
         values=values,
     )
-
-
-def inspection_record(inspection: Inspection) -> JsonObject:
-    counts = inspection.reader.counts
-    table = asdict(inspection.traffic)
-    for one in table["ids"]:
-        one["message"] = inspection.names.get(one["can_id"])
-        if inspection.values is not None:
-            column = inspection.values.of(one["can_id"])
-            one.update({name: getattr(column, name) for name in ("unit", "changes", "lowest", "highest", "step")})
-    return {
-        "schema": SCHEMA,
-        "path": str(inspection.reader.path),
-        "complete": inspection.is_whole and not counts.truncated,
-        "stopped_early": not inspection.is_whole,
-        "format": inspection.reader.format.value,
-        "evidence": inspection.reader.evidence,
-        "unreadable": {reason.value: count for reason, count in counts.rejected.items()},
-        "first_unreadable": counts.first_rejected,
-        "truncated": counts.truncated,
-        "notes": list(counts.notes),
-        **table,
-        "protection": {name: asdict(link) for name, link in inspection.links.items()},
-        **({"conversations": talks.record()} if (talks := inspection.conversations) is not None else {}),
-    }
 
 
 def _files(options: SimpleNamespace, columns: str, console: PeopleConsole) -> Iterator[tuple[Path, bool]]:

@@ -221,7 +221,6 @@ class Model:
     parameters: FloatArray
     covariance: FloatArray
     scatter: Scatter
-    event_count: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -270,7 +269,7 @@ def fitted(phases: Sequence[SlipPhase], touch_pa: float | None = None) -> Model:
         covariance = np.asarray(np.linalg.inv(slopes.T @ slopes), np.float64)
         own = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)[: len(measured)]  # leverage: what one fits itself
         scatter = _likeliest(means, (means - measured) / np.sqrt(1.0 - np.minimum(own, MOST_LEVERAGE)), ends)
-    return Model(scales=scales, parameters=found, covariance=covariance, scatter=scatter, event_count=len(phases))
+    return Model(scales=scales, parameters=found, covariance=covariance, scatter=scatter)
 
 
 def predicted(model: Model, phase: SlipPhase) -> Prediction:

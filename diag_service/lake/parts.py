@@ -299,6 +299,7 @@ def _row(row: dict[str, Any]) -> LogRow:
 SHIFTS, SIGNALS = "shifts", "signals"
 NAME_DIGITS: Final = 32  # of a sha256: enough that no two logs share a name
 SETTINGS_DIGITS: Final = 16
+DATE_CHARACTERS: Final = 10  # of a moment in ISO 8601
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -400,16 +401,11 @@ def part_name(kind: str, date: str, vehicle: str, content: str, settings: str) -
     return f"{kind}/date={date}/vehicle={vehicle}/{name}"
 
 
-def date_of(moment: object) -> str:
-    """Return the day, in UTC, of a moment in ISO 8601."""
-    return str(moment)[:10]
-
-
 def by_date(shifts: Sequence[JsonObject]) -> Mapping[str, list[JsonObject]]:
     """Return shifts by the day on which they began."""
     days: dict[str, list[JsonObject]] = defaultdict(list)
     for shift in shifts:
-        days[date_of(shift["start_utc"])].append(shift)
+        days[str(shift["start_utc"])[:DATE_CHARACTERS]].append(shift)
     return days
 
 
@@ -438,4 +434,4 @@ def signal_plan(plan: Plan, patterns: str) -> Plan:
 def first_date(path: Path, log_columns: str) -> str:
     """Return the day, in UTC, on which a log begins; raises SourceError if it cannot be read or holds no frame."""
     with closing(read_log(path, columns=log_columns)) as reader:
-        return date_of(utc_from_bus_ns(int(next(reader).t_ns[0])))
+        return utc_from_bus_ns(int(next(reader).t_ns[0]))[:DATE_CHARACTERS]

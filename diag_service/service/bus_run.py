@@ -213,7 +213,11 @@ async def _run_bus(
         snapshot = taker.take(now_s())
         board.latest = snapshot
         onlooker(snapshot)
-        _report_life(manager, snapshot)
+        if snapshot.stuck is None:
+            manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.summary.frames)}")
+        else:
+            _LOG.error("%s", snapshot.stuck)
+            manager.struggling(str(snapshot.stuck))
 
     with ExitStack() as stack:
         stack.callback(manager.stopping)
@@ -270,15 +274,6 @@ def polling(
         vehicle, bus, bus.poll, store, session.reporter, outbox
     )
     return poll
-
-
-def _report_life(manager: "ServiceManager", snapshot: Snapshot) -> None:
-    """Tell the manager that the service lives, unless one of its stages hangs."""
-    if snapshot.stuck is None:
-        manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.summary.frames)}")
-        return
-    _LOG.error("%s", snapshot.stuck)
-    manager.struggling(str(snapshot.stuck))
 
 
 ADDRESS_VARIABLE = "NOTIFY_SOCKET"

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, TypeVar
 
 from canlog.extras import load_extra
 from canlog.files import check_plain_file
@@ -36,12 +36,7 @@ _START: Final = 0x01
 _HEAD_BYTES: Final = 3  # of a response to service 22: the service and the number of the datum
 
 
-class _Numbered(Protocol):
-    @property
-    def number(self) -> int: ...
-
-
-_NumberedT = TypeVar("_NumberedT", bound=_Numbered)
+_NumberedT = TypeVar("_NumberedT", Datum, Routine)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -257,15 +257,13 @@ class ConditionMemory:
         """
         fits = tuple(fit for fit in self.fits if fit is not Fit.CONTRADICTS)
         linings = both_clutches(kept or _lining(old, clutch) for clutch, kept in enumerate(self.linings, start=1))
-        conditions = (Condition.NO_VERDICT, Condition.NO_VERDICT)
-        launches = (Launches(), Launches())
         return replace(
             self,
-            conditions=conditions,
+            conditions=(Condition.NO_VERDICT, Condition.NO_VERDICT),
             fits=fits,
             fluid_since=filled_at,
             linings=linings,
-            launches=launches,
+            launches=(Launches(), Launches()),
             course=self.course.with_new_fluid(),
         )
 
@@ -423,7 +421,7 @@ def judge(
         trend=since,
         clutch_ratio=clutch_ratio(state),
         lining=lining.change(free) if lining is not None and known else None,
-        stick_slip=launches.reported if launches.juddered else None,
+        stick_slip=launches.reported,
         calibration_ratio=progress,
         advice=advice(clutch, finding.condition, finding.ground, finding.probability),
         slope=slope if known else None,

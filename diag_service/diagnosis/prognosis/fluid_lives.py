@@ -46,7 +46,6 @@ class Value:
 class AgedChannel:
     """One channel with one fluid: what each clock makes of it."""
 
-    prior: ChannelPrior
     by_distance: trend.Fit  # where the fluid ages by distance alone
     mixtures: tuple[trend.Mixture, ...]  # of the likely clocks; all weights together sum to one
 
@@ -147,7 +146,6 @@ def _aged_channel(channel: Channel, clocks: tuple[Clock, ...], prior: ChannelPri
     share = np.exp(np.array(evidence) - max(evidence))
     share /= share.sum()
     return AgedChannel(
-        prior=prior,
         by_distance=fitted(0, int(np.argmax(likely[0]))),
         mixtures=tuple(
             replace(one, weight=one.weight * part) for one, part in zip(mixtures, share.tolist(), strict=True)

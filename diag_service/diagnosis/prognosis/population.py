@@ -75,17 +75,11 @@ def without(history: History, common: Common | None) -> History:
     """Return a history without what all clutches of its type share; after the last month that is known it stays."""
     if common is None:
         return history
-    last = len(common.mu_c) - 1
-    place = (history.end_s / PERIOD_S).astype(np.int64) - common.first_period
-    return replace(
-        history,
-        mu_c=_without(history.mu_c, common.mu_c, np.clip(place, 0, last)),
-        mu_s=_without(history.mu_s, common.mu_s, np.clip(place, 0, last)),
-    )
-
-
-def _without(mu: FloatArray, course: Sequence[float], place: Int64Array) -> FloatArray:
-    return np.asarray(mu * np.exp(-np.array(course)[place]))
+    month = (history.end_s / PERIOD_S).astype(np.int64) - common.first_period
+    place = np.clip(month, 0, len(common.mu_c) - 1)
+    courses = (history.mu_c, common.mu_c), (history.mu_s, common.mu_s)
+    mu_c, mu_s = (np.asarray(mu * np.exp(-np.array(course)[place])) for mu, course in courses)
+    return replace(history, mu_c=mu_c, mu_s=mu_s)
 
 
 def common_course(period: Int64Array, clutch: Int64Array, value: FloatArray) -> FloatArray:

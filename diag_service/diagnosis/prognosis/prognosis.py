@@ -37,13 +37,6 @@ CLEAR_BEND = 1.5  # factor of the rate
 _PERCENT = 100.0
 
 
-def assumptions_of(
-    history: History, starts: tuple[FluidStart, ...], service_distance_m: float, peers: Peers | None
-) -> tuple[str, ...]:
-    """Return the assumptions of a prognosis, one sentence each."""
-    return (*_assumptions(history, starts, service_distance_m), *_of_kind(peers))
-
-
 def _of_kind(peers: Peers | None) -> Iterator[str]:
     """Yield how ageing may bend, and with what it begins, by what the fleet tells of such clutches."""
     if peers is not None and peers.bend_life_count:
@@ -159,7 +152,7 @@ def prognose(
         odometer_m=float(history.odometer_m[-1]) if len(history) else None,
         service_distance_m=service_distance_m,
         fluid_starts=starts,
-        assumptions=assumptions_of(history, starts, service_distance_m, peers),
+        assumptions=(*_assumptions(history, starts, service_distance_m), *_of_kind(peers)),
         left_out_count=history.left_out_count,
         stale_since_s=float(history.end_s[-1]) if history.is_stale else None,
     )
