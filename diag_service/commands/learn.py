@@ -15,7 +15,7 @@ from diag_service.commands.predict import slip_phases
 from diag_service.commands.shown import show
 from diag_service.console import ReadingLine
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.prediction import SlipPhase, Standing
+from diag_service.diagnosis.prediction import PRESSURES, Standing
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.mapping.learning import COMMANDS, LearnedVehicle, VehicleSurvey
@@ -50,18 +50,11 @@ def learned_from(
                 for one in decoder.stream(batch):
                     survey.add(one)
     learned = survey.learned()
-    if known is None and learned.ratios is None:
+    if (known is None and learned.ratios is None) or not {*PRESSURES.values()} <= signals:
         return learned
-    return survey.learned(_power_upshifts(logs, meaning.with_gears(known or learned.ratios), stop, watch, columns))
-
-
-def _power_upshifts(
-    logs: Sequence[Path], meaning: Interpretation, stop: Trigger, watch: Watch | None, columns: str
-) -> list[SlipPhase]:
-    if not {Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE} <= meaning.decoder().signals:
-        return []
-    found = [one for log in logs for one in slip_phases(log, meaning, Standing(), stop, watch, columns)[0]]
-    return [one for one in found if one.sign > 0.0 and one.is_powered]
+    meaning = meaning.with_gears(known or learned.ratios)
+    phases = [one for log in logs for one in slip_phases(log, meaning, Standing(), stop, watch, columns)[0]]
+    return survey.learned([one for one in phases if one.sign > 0.0 and one.is_powered])
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:

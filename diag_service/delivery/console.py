@@ -48,13 +48,8 @@ def gear_words(estimate: ShiftEstimate) -> str:
 
 def reason_words(estimate: ShiftEstimate) -> str:
     """Return why an event was not used; empty if there is no reason."""
-    return ", ".join(_reason_word(reason, estimate) for reason in estimate.reasons)
-
-
-def _reason_word(reason: Reason, estimate: ShiftEstimate) -> str:
-    if reason is Reason.FEW_SAMPLES:
-        return f"not enough samples in the slip ({estimate.sample_count} of at least {LEAST_SLIP_ROWS})"
-    return reason.value.replace("_", " ")
+    few = f"not enough samples in the slip ({estimate.sample_count} of at least {LEAST_SLIP_ROWS})"
+    return ", ".join(few if one is Reason.FEW_SAMPLES else one.value.replace("_", " ") for one in estimate.reasons)
 
 
 _CONDITION_STYLE = {
