@@ -37,7 +37,6 @@ from diag_service.diagnosis.friction.posterior import (
     clutch_ratio,
     common_margin,
     common_scale_std_ratio,
-    friction,
     scale_free,
     trend,
 )
@@ -325,7 +324,7 @@ class ConditionMemory:
         if not before.shift_counts[index]:
             return self
         known = self.scatters[index] or Scatter.begun(alone)
-        scatter = known.with_shift(alone, friction(before, estimate.clutch))
+        scatter = known.with_shift(alone, both_frictions(before, estimate.clutch)[0])
         return replace(self, scatters=with_clutch(self.scatters, estimate.clutch, scatter))
 
     def with_finding(self, clutch: int, finding: Finding) -> Self:

@@ -264,7 +264,7 @@ class Estimator:
             alone = fuse(known, event.evidence)
             reasons = () if is_used else (_why_left_out(known, alone, event.evidence.count),)
             is_valid = reasons in {(), (Reason.NOT_UPDATED,)}
-            friction, free = both_frictions(state.with_only(alone), event.clutch) if is_valid else (None, None)
+            friction, free = both_frictions(state, event.clutch, alone) if is_valid else (None, None)
             is_measured = state.torque is TorqueSource.MEASURED
             yield Revision(
                 clutch=event.clutch,
@@ -394,7 +394,7 @@ class Estimator:
         ratio = alone.chi_square / seen.evidence.count
         gate = misfit_gate(seen.evidence.count)
         fit = min(1.0, max(0.0, (gate - ratio) / (gate - 1.0)))
-        with_scale, without_scale = both_frictions(state.with_only(alone), clutch)
+        with_scale, without_scale = both_frictions(state, clutch, alone)
         is_measured = state.torque is TorqueSource.MEASURED
         return replace(
             without_friction(event, Status.VALID),

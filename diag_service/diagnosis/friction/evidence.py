@@ -339,11 +339,6 @@ class Prior(NamedTuple):
         std[std == 0.0] = 1.0
         return cls(std, np.linalg.pinv(covariance / np.outer(std, std), hermitian=True))
 
-    def share(self, covariance: FloatArray) -> FloatArray:
-        """Return the part of a later covariance that is from then: what drifts is no better known than it was."""
-        kept = covariance / np.maximum(self.std, np.sqrt(covariance.diagonal()))
-        return np.asarray(kept @ self.information @ kept.T)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fusion:

@@ -5,10 +5,9 @@ follow. Leaving an event out costs as much as explaining it badly; so does a ste
 least is believed.
 """
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -280,40 +279,6 @@ def step_since(known: Knowledge, since: Evidence, clutch: int) -> tuple[float, f
     saved = (d * first**2 - (b + c) * first * second + a * second**2) / determinant
     by_chance = 2.0 - (a + d) / determinant / FRICTION_PRIOR_STD**2
     return saved, (d * first - b * second) / determinant / float(known.mean[rows.start]), by_chance
-
-
-MOST_SAVED: Final = (
-    9.0  # of two numbers 1 % are more by chance: what is beyond is no scatter, it is left out or a change
-)
-STATED_COUNT: Final = 20.0  # numbers that are as far apart as was stated, before any event: those of ten
-SCATTER_KEPT: Final = 0.99  # of what an event says of it after each later one: some hundred count
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EventScatter:
-    """By how much the friction of single events differs from what all say together, against what was stated of it.
-
-    They are granted errors of law, moment by moment, that differ from plant to plant: a vehicle shows its own.
-    """
-
-    saved: float = 0.0  # of chi-square, if friction were another in each event
-    by_chance: float = 0.0  # what of it would be, were deviations as stated
-
-    def with_event(self, known: Knowledge, event: JudgedEvent) -> Self:
-        """Return it after an event that belongs, of which ``known`` holds what it says."""
-        saved, _, by_chance = step_since(known, event.evidence, event.clutch)
-        kept = SCATTER_KEPT
-        return type(self)(saved=kept * self.saved + min(saved, MOST_SAVED), by_chance=kept * self.by_chance + by_chance)
-
-    @property
-    def ratio(self) -> float:
-        """What to multiply the variance by that comes from events."""
-        return (STATED_COUNT + self.saved) / (STATED_COUNT + self.by_chance)
-
-    @property
-    def is_possible(self) -> bool:
-        """Whether a store can have kept such numbers."""
-        return 0.0 <= self.saved < math.inf and 0.0 <= self.by_chance < math.inf
 
 
 def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int, step_cost: float) -> Judgement:

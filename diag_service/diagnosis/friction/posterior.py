@@ -10,7 +10,7 @@ the gain is gone, and in one clutch the area too: the second half of this module
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Final, NamedTuple, Self
 
@@ -36,7 +36,7 @@ from diag_service.diagnosis.friction.evidence import (
     prior_mean,
     type_std,
 )
-from diag_service.diagnosis.friction.judgement import EventScatter, JudgedEvent, after_change, is_cheap, judge, together
+from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, is_cheap, judge, step_since, together
 from diag_service.diagnosis.records import (
     ClutchRatio,
     FrictionEstimate,
@@ -48,7 +48,6 @@ from diag_service.diagnosis.records import (
 from fleet_contract import JsonObject
 
 BASELINE_SHIFT_COUNT = 15  # of the clutch: three times the shifts that settle a verdict
-SCATTER_LEAST: Final = 3  # likewise: the first ones agree with nothing but what was assumed
 SHAPES = {"mean": (2,), "covariance": (2, 2), "cross": (PARAMETER_COUNT, 2)}
 
 
@@ -91,9 +90,13 @@ OFFSET_DRIFT_NM: Final = 0.005  # per event: warm-up of the torque model
 PRESSURE_DRIFT_PA: Final = 5.0  # per event: warm-up of the pressure sensors
 VISCOSITY_DRIFT_RATIO: Final = 0.01  # per event: an oil that warms up follows a law of its own
 OPEN_DRAG_DRIFT_LOG: Final = 0.05  # per event: likewise
+MOST_APART: Final = 9.0  # of two numbers 1 % are more by chance: what is beyond is left out, or a change
+LEAST_BY_CHANCE: Final = 1.5  # of two numbers: the first event of a clutch agrees with nothing but what was assumed
+STATED_COUNT: Final = 20.0  # numbers that are as far apart as was stated, before any event: those of ten
+SCATTER_KEPT: Final = 0.99  # of what an event says of it after each later one: some hundred count
 STATE_FORMAT: Final = 4
 _LOWER: Final = np.tril_indices(PARAMETER_COUNT)
-_STORED: Final = ("base", "folded_counts", "baselines", "packs", "scatter")
+_STORED: Final = ("base", "folded_counts", "baselines", "packs", "apart", "apart_by_chance")
 
 
 def _drift() -> FloatArray:
@@ -117,8 +120,9 @@ class Posterior:
     folded_counts: tuple[int, int] = (0, 0)  # events in the base that speak of the friction of clutch 1 and 2
     baselines: tuple[Baseline | None, Baseline | None] = (None, None)  # against the base
     packs: PackTemperatures | None = None
-    scatter: EventScatter = field(default_factory=EventScatter)
     prior: Prior
+    apart: float = 0.0  # chi-square that events would save, older ones faded, had each a friction of its own
+    apart_by_chance: float = 0.0  # likewise, were deviations as stated
     torque: TorqueSource = TorqueSource.MEASURED
     torque_gain: float = 1.0  # of the calibration: the parameters say by how much it is wrong
     stribeck_speed_rad_s: tuple[float, float] = (1.0, 1.0)  # likewise
@@ -150,15 +154,14 @@ class Posterior:
         return self.fusion.knowledge
 
     @property
-    def stated(self) -> Knowledge:
-        """The same, as sure as events show: the variance that comes from them is scaled by how far they are apart."""
-        known, ratio = self.fusion.knowledge, self.scatter.ratio
-        by_prior = self.prior.share(known.covariance)
-        return Knowledge(mean=known.mean, covariance=ratio * known.covariance + (1.0 - ratio) * by_prior)
-
-    def with_only(self, fusion: Fusion) -> "Posterior":
-        """Return what an event says by itself, put together with what is known of all but its friction."""
-        return replace(self, fusion=fusion, scatter=EventScatter())
+    def covariance(self) -> FloatArray:
+        """How sure the parameters are, shape (PARAMETER_COUNT, PARAMETER_COUNT); docs/model.md, equation (38)."""
+        whole = self.fusion.knowledge.covariance
+        if not self.apart_by_chance:
+            return whole
+        ratio = (STATED_COUNT + self.apart) / (STATED_COUNT + self.apart_by_chance)
+        kept = whole / np.maximum(self.prior.std, np.sqrt(whole.diagonal()))  # what drifts was no better known before
+        return ratio * whole + (1.0 - ratio) * (kept @ self.prior.information @ kept.T)
 
     def without(self, place: int) -> Knowledge:
         """Return what is known without one of the recent events."""
@@ -176,25 +179,27 @@ class Posterior:
 
         ``room`` is what `with_room` returns, where that is known.
         """
-        state = self._with_event(event, room)
-        if not state.is_used or not state.is_used[-1] or state.shift_counts[event.clutch - 1] < SCATTER_LEAST:
-            return state
-        return replace(state, scatter=self.scatter.with_event(state.fusion.knowledge, event))
-
-    def _with_event(self, event: JudgedEvent, room: "Posterior | None") -> "Posterior":
         recent = (*self.recent, event)
         judged = judge(self.base, recent)
         state = replace(self, recent=recent, is_used=judged.is_used, fusion=judged.fusion)
         if judged.first_changed is not None:
-            return _changed(state, judged.first_changed)
-        if len(recent) <= RECENT_COUNT:
+            state = _changed(state, judged.first_changed)
+        elif len(recent) > RECENT_COUNT:
+            if room is None or judged.is_used[0] != self.is_used[0]:
+                room = _folded(state, 1)
+            state = _together(replace(room, recent=recent[1:], is_used=judged.is_used[1:]))
+            # Where all belong they do so beside an older base, too: it differs by the drift of one event.
+            is_sure = all(judged.is_used) and is_cheap(state.fusion.chi_square, [one.evidence for one in state.recent])
+            state = state if is_sure else _judged(state)
+        if not state.is_used or not state.is_used[-1]:
             return state
-        if room is None or judged.is_used[0] != self.is_used[0]:
-            room = _folded(state, 1)
-        state = _together(replace(room, recent=recent[1:], is_used=judged.is_used[1:]))
-        # Where all belong they do so beside an older base, too: it differs by the drift of one event.
-        is_sure = all(judged.is_used) and is_cheap(state.fusion.chi_square, [one.evidence for one in state.recent])
-        return state if is_sure else _judged(state)
+        apart, _, by_chance = step_since(state.fusion.knowledge, event.evidence, event.clutch)
+        if by_chance < LEAST_BY_CHANCE:
+            return state
+        apart, by_chance = (
+            SCATTER_KEPT * self.apart + min(apart, MOST_APART), SCATTER_KEPT * self.apart_by_chance + by_chance,
+        )  # fmt: skip
+        return replace(state, apart=apart, apart_by_chance=by_chance)
 
     def with_room(self) -> "Posterior":
         """Return the same with room for one more event: of twelve the oldest is in the base, if it belongs as yet."""
@@ -236,10 +241,12 @@ class Posterior:
             raise ValueError(f"running state of format {table.get('format')!r}, expected {STATE_FORMAT}")
         blank = cls.fresh(calibration)
         try:
-            kept = from_plain({name: table[name] for name in _STORED if name != "scatter" or name in table}, _Stored)
+            kept = from_plain({name: table[name] for name in _STORED if name in table}, _Stored)
             recent = tuple(_restored(one) for one in _rows(table["recent"]))
         except (KeyError, TypeError, ValueError) as exc:
             raise ValueError(f"not a running state: {exc}") from exc
+        if not all(0.0 <= value < math.inf for value in (kept.apart, kept.apart_by_chance)):
+            raise ValueError("not a running state: bad scatter of events")
         shapes = {"mean": (PARAMETER_COUNT,), "covariance": (PARAMETER_COUNT, PARAMETER_COUNT)}
         for record, expected in ((kept.base, shapes), *((one, SHAPES) for one in kept.baselines if one is not None)):
             for name, shape in expected.items():
@@ -301,7 +308,8 @@ class _Stored:
     folded_counts: tuple[int, int]
     baselines: tuple[Baseline | None, Baseline | None]
     packs: PackTemperatures | None
-    scatter: EventScatter = field(default_factory=EventScatter)
+    apart: float = 0.0
+    apart_by_chance: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -377,18 +385,18 @@ class _Pair(NamedTuple):
     correlation: float  # of the errors of both
 
     @classmethod
-    def of(cls, known: Knowledge, clutch: int, place: int, factor: float, slope: float) -> Self:
+    def of(cls, mean: FloatArray, covariance: FloatArray, clutch: int, place: int, factor: float, slope: float) -> Self:
         """Return them, times a factor that has some slope over the parameter in this place."""
         rows = FRICTION_ROWS[clutch - 1]
-        own_c, own_s = known.mean[rows].tolist()
-        (c_c, c_s), (_, s_s) = known.covariance[rows, rows].tolist()
-        (c_f, s_f), f_f = known.covariance[rows, place].tolist(), float(known.covariance[place, place])
+        own_c, own_s = mean[rows].tolist()
+        (c_c, c_s), (_, s_s) = covariance[rows, rows].tolist()
+        (c_f, s_f), f_f = covariance[rows, place].tolist(), float(covariance[place, place])
         by_c, by_s = slope * own_c, slope * own_s
         mu_c, mu_s = factor * own_c, factor * own_s
         variance_c = factor * (factor * c_c + 2.0 * by_c * c_f) + by_c**2 * f_f + (MODEL_STD_RATIO * mu_c) ** 2
         variance_s = factor * (factor * s_s + 2.0 * by_s * s_f) + by_s**2 * f_f + (MODEL_STD_RATIO * mu_s) ** 2
-        covariance = factor * (factor * c_s + by_s * c_f + by_c * s_f) + by_c * by_s * f_f
-        return cls(mu_c, mu_s, variance_c, variance_s, covariance, covariance / math.sqrt(variance_c * variance_s))
+        both = factor * (factor * c_s + by_s * c_f + by_c * s_f) + by_c * by_s * f_f
+        return cls(mu_c, mu_s, variance_c, variance_s, both, both / math.sqrt(variance_c * variance_s))
 
     def with_common(self, ratio: float) -> Self:
         """Return them less certain, both alike."""
@@ -405,28 +413,23 @@ def friction(state: Posterior, clutch: int) -> FrictionEstimate:
     return both_frictions(state, clutch)[0]
 
 
-def both_frictions(state: Posterior, clutch: int) -> tuple[FrictionEstimate, ScaleFreeFriction]:
-    """Return the friction of clutch 1 or 2 as now estimated, and what `scale_free` says of it."""
-    known, area = state.stated, _AREAS[clutch - 1]
-    free = _Pair.of(known, clutch, area, 1.0 + float(known.mean[area]), 1.0)
+def both_frictions(
+    state: Posterior, clutch: int, alone: Fusion | None = None
+) -> tuple[FrictionEstimate, ScaleFreeFriction]:
+    """Return the friction of clutch 1 or 2 as now estimated, and what `scale_free` says of it.
+
+    ``alone`` is what one event says, with what is known of all but its friction: then of that.
+    """
+    mean, covariance = (alone or state.fusion).knowledge.mean, alone.knowledge.covariance if alone else state.covariance
+    area = _AREAS[clutch - 1]
+    free = _Pair.of(mean, covariance, clutch, area, 1.0 + float(mean[area]), 1.0)
     if state.torque is not TorqueSource.MEASURED:
         free = free.with_common(MODELLED_STD_RATIO)
-    told = ScaleFreeFriction(
-        mu_c=free.mu_c,
-        mu_s=free.mu_s,
-        std_mu_c=math.sqrt(free.variance_c),
-        std_mu_s=math.sqrt(free.variance_s),
-        correlation=free.correlation,
-    )
-    return _with_scale(state, known, clutch, free), told
-
-
-def _with_scale(state: Posterior, known: Knowledge, clutch: int, free: _Pair) -> FrictionEstimate:
-    gain = state.torque_gain + float(known.mean[_GAIN])
-    pair = _Pair.of(known, clutch, _GAIN, 1.0 / gain, -1.0 / gain**2)
-    width = state.stribeck_speed_rad_s[clutch - 1] * (1.0 + float(known.mean[_WIDTH]))
+    gain = state.torque_gain + float(mean[_GAIN])
+    pair = _Pair.of(mean, covariance, clutch, _GAIN, 1.0 / gain, -1.0 / gain**2)
+    width = state.stribeck_speed_rad_s[clutch - 1] * (1.0 + float(mean[_WIDTH]))
     difference = NormalDist(pair.mu_c - pair.mu_s, math.sqrt(pair.variance_c + pair.variance_s - 2.0 * pair.covariance))
-    return FrictionEstimate(
+    scaled = FrictionEstimate(
         mu_c=pair.mu_c,
         mu_s=pair.mu_s,
         std_mu_c=math.sqrt(pair.variance_c),
@@ -437,6 +440,13 @@ def _with_scale(state: Posterior, known: Knowledge, clutch: int, free: _Pair) ->
         slope_s_rad=difference.mean / width,
         std_slope_s_rad=difference.stdev / width,
         probability_negative_slope=difference.cdf(0.0),
+    )
+    return scaled, ScaleFreeFriction(
+        mu_c=free.mu_c,
+        mu_s=free.mu_s,
+        std_mu_c=math.sqrt(free.variance_c),
+        std_mu_s=math.sqrt(free.variance_s),
+        correlation=free.correlation,
     )
 
 
@@ -454,13 +464,13 @@ def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalD
     ``new_margins`` are those of new fluid. The better known clutch weighs more, by its variance; what both share is in
     the deviation.
     """
-    known = state.stated
+    known = state.fusion.knowledge
     gain = state.torque_gain + float(known.mean[_GAIN])
     c_1, s_1, c_2, s_2 = known.mean[:FRICTION_COUNT].tolist()
     by_1, by_2 = (1.0 / (gain * new_margin) for new_margin in new_margins)
     left_1, left_2 = by_1 * (c_1 - s_1), by_2 * (c_2 - s_2)
     slope = np.array([[by_1, -by_1, 0.0, 0.0, -left_1 / gain], [0.0, 0.0, by_2, -by_2, -left_2 / gain]])
-    (first, both), (_, second) = (slope @ known.covariance[_FRICTION_AND_GAIN] @ slope.T).tolist()
+    (first, both), (_, second) = (slope @ state.covariance[_FRICTION_AND_GAIN] @ slope.T).tolist()
     first += (MODEL_STD_RATIO * by_1 * math.hypot(c_1, s_1)) ** 2
     second += (MODEL_STD_RATIO * by_2 * math.hypot(c_2, s_2)) ** 2
     weight_1, weight_2 = second / (first + second), first / (first + second)
@@ -470,7 +480,7 @@ def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalD
 
 def common_scale_std_ratio(state: Posterior, clutch: int) -> float:
     """Return the relative deviation of gain times piston area: what all friction of clutch 1 or 2 shares, for good."""
-    known, area = state.stated, _AREAS[clutch - 1]
+    known, area = state.fusion.knowledge, _AREAS[clutch - 1]
     mean, covariance = known.mean, known.covariance
     by_gain, by_area = 1.0 / (state.torque_gain + float(mean[_GAIN])), 1.0 / (1.0 + float(mean[area]))
     gain, both, own = float(covariance[_GAIN, _GAIN]), float(covariance[_GAIN, area]), float(covariance[area, area])
@@ -537,18 +547,14 @@ def clutch_ratio(state: Posterior) -> ClutchRatio | None:
     """Return the friction of clutch 1 over that of clutch 2, or None before both have had a shift."""
     if not all(state.shift_counts):
         return None
-    known = state.stated
-    mean, covariance = known.mean[:FRICTION_COUNT].tolist(), known.covariance[:FRICTION_COUNT, :FRICTION_COUNT].tolist()
-    (ratio_c, std_c), (ratio_s, std_s) = (_ratio(mean, covariance, one) for one in (State.MU_C1, State.MU_S1))
+    mean, covariance = state.fusion.knowledge.mean.tolist(), state.covariance[:FRICTION_COUNT, :FRICTION_COUNT].tolist()
+    ratios = []
+    for first, second in ((State.MU_C1, State.MU_C2), (State.MU_S1, State.MU_S2)):
+        ratio, own, other = mean[first] / mean[second], covariance[first][first], covariance[second][second]
+        shared = (own - 2.0 * ratio * covariance[first][second] + ratio**2 * other) / mean[second] ** 2
+        ratios.append((ratio, math.sqrt(max(shared, 0.0) + 2.0 * (MODEL_STD_RATIO * ratio) ** 2)))
+    (ratio_c, std_c), (ratio_s, std_s) = ratios
     return ClutchRatio(mu_c_ratio=ratio_c, mu_s_ratio=ratio_s, std_mu_c_ratio=std_c, std_mu_s_ratio=std_s)
-
-
-def _ratio(mean: list[float], covariance: list[list[float]], first: int) -> tuple[float, float]:
-    """Return a coefficient of clutch 1 over that of clutch 2, and its deviation."""
-    second = first + 2
-    ratio = mean[first] / mean[second]
-    shared = covariance[first][first] - 2.0 * ratio * covariance[first][second] + ratio**2 * covariance[second][second]
-    return ratio, math.sqrt(max(shared / mean[second] ** 2, 0.0) + 2.0 * (MODEL_STD_RATIO * ratio) ** 2)
 
 
 def curve_band(

@@ -31,7 +31,7 @@ def stored() -> dict[str, Any]:
 
 def test_a_stored_posterior_survives_to_the_last_digit(stored: dict[str, Any]) -> None:
     state = Posterior.from_json(stored["posterior"], CALIBRATION)
-    unknown = {"scatter": {"saved": 0.0, "by_chance": 0.0}}  # by programs that did not count it
+    unknown = {"apart": 0.0, "apart_by_chance": 0.0}  # by programs that did not count it
     assert json.loads(json.dumps(state.to_json())) == stored["posterior"] | unknown
     assert state.shift_counts == (30, 30)
     assert state.is_used == (True,) * 10 + (False,) * 2

@@ -21,8 +21,8 @@ from diag_service.diagnosis.friction.evidence import (
     prior_covariance,
     prior_mean,
 )
-from diag_service.diagnosis.friction.judgement import EventScatter, JudgedEvent, after_change, judge, step_since
-from diag_service.diagnosis.friction.posterior import Posterior
+from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, judge, step_since
+from diag_service.diagnosis.friction.posterior import STATED_COUNT, Posterior
 
 STD = 0.001  # of friction seen in one event
 MU = np.array([0.140, 0.120])
@@ -195,29 +195,36 @@ class Scaled:
         return self._ratio * self._rng.normal(size=size)
 
 
+def scatter_ratio(state: Posterior) -> float:
+    return (STATED_COUNT + state.apart) / (STATED_COUNT + state.apart_by_chance)
+
+
 @pytest.mark.parametrize("ratio", [0.5, 0.7, 1.0, 1.3])
 def test_by_how_much_events_differ_is_learned_from_them_and_scales_what_they_tell(ratio: float) -> None:
     rng = cast("np.random.Generator", Scaled(ratio))
     state = Posterior.fresh(nominal_calibration())
     for number in range(120):
         state = state.with_event(event(number, 1 + number % 2, MU, rng))
-    assert state.scatter.ratio == pytest.approx(ratio**2, abs=0.1 + 0.15 * ratio**2)
-    known, told = state.fusion.knowledge, state.stated
+    assert scatter_ratio(state) == pytest.approx(ratio**2, abs=0.1 + 0.15 * ratio**2)
+    known, told = state.fusion.knowledge.std(), np.sqrt(state.covariance.diagonal())
     friction, gain = slice(0, 2), STATE_COUNT + Considered.TORQUE_GAIN
-    assert told.std()[friction] == pytest.approx(np.sqrt(state.scatter.ratio) * known.std()[friction], rel=0.01)
-    assert told.std()[gain] == pytest.approx(known.std()[gain], rel=1e-6)  # of which they tell nothing
+    assert told[friction] == pytest.approx(np.sqrt(scatter_ratio(state)) * known[friction], rel=0.01)
+    assert told[gain] == pytest.approx(known[gain], rel=1e-6)  # of which they tell nothing
 
 
 def test_one_event_far_off_is_no_scatter() -> None:
-    known = fuse(base(), Evidence.sum([one.evidence for one in events([1.0] * 12)])).knowledge
-    assert EventScatter().with_event(known, events([1.5])[0]).ratio < 1.5
-
-
-def test_the_first_events_tell_nothing_of_scatter() -> None:
     state = Posterior.fresh(nominal_calibration())
-    for one in (*events([1.0] * 2), *events([1.0] * 2, clutch=2)):
+    for one in events([*[1.0] * 12, 1.005]):  # five deviations, but believed
         state = state.with_event(one)
-    assert state.scatter == EventScatter()
+    assert scatter_ratio(state) < 1.5
+
+
+def test_the_first_event_of_a_clutch_tells_nothing_of_scatter() -> None:
+    state = Posterior.fresh(nominal_calibration())
+    for one in (*events([1.0]), *events([1.0], clutch=2)):
+        state = state.with_event(one)
+    assert (state.apart, state.apart_by_chance) == (0.0, 0.0)
+    assert state.with_event(events([1.0])[0]).apart_by_chance > 1.5
 
 
 def test_what_drifted_far_is_not_less_than_uncertain() -> None:
@@ -225,5 +232,12 @@ def test_what_drifted_far_is_not_less_than_uncertain() -> None:
     state = Posterior.fresh(nominal_calibration())
     for number in range(1000):  # of oil and drag they tell nothing
         state = state.with_event(event(number, 1, MU, rng))
-    assert state.scatter.ratio > 1.5
-    assert np.linalg.eigvalsh(state.stated.covariance / np.outer(state.prior.std, state.prior.std))[0] > -1e-9
+    assert scatter_ratio(state) > 1.5
+    assert np.linalg.eigvalsh(state.covariance / np.outer(state.prior.std, state.prior.std))[0] > -1e-9
+
+
+def test_a_damaged_scatter_is_refused() -> None:
+    state = Posterior.fresh(nominal_calibration())
+    for value in (-1.0, float("inf"), float("nan")):
+        with pytest.raises(ValueError, match="bad scatter of events"):
+            Posterior.from_json({**state.to_json(), "apart": value}, nominal_calibration())
