@@ -1,6 +1,7 @@
 """Which of the last events are believed, and from where on a clutch is another one; events are simple on purpose."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_ROWS,
     PARAMETER_COUNT,
@@ -210,6 +212,19 @@ def test_by_how_much_events_differ_is_learned_from_them_and_scales_what_they_tel
     friction, gain = slice(0, 2), STATE_COUNT + Considered.TORQUE_GAIN
     assert told[friction] == pytest.approx(np.sqrt(scatter_ratio(state)) * known[friction], rel=0.01)
     assert told[gain] == pytest.approx(known[gain], rel=1e-6)  # of which they tell nothing
+
+
+def test_events_of_cold_packs_that_agree_show_no_smaller_errors() -> None:
+    cold = PackTemperatures(clutch_k=(330.0, 330.0), at_ns=0)
+    state = replace(Posterior.fresh(nominal_calibration()), packs=cold)
+    rng = cast("np.random.Generator", Scaled(0.3))
+    for number in range(60):
+        state = state.with_event(event(number, 1 + number % 2, MU, rng))
+    assert scatter_ratio(state) == pytest.approx(1.0, abs=0.01)
+    state = replace(state, packs=replace(cold, clutch_k=(360.0, 360.0)))
+    for number in range(60, 120):
+        state = state.with_event(event(number, 1 + number % 2, MU, rng))
+    assert 0.3 < scatter_ratio(state) < 0.6
 
 
 def test_one_event_far_off_is_no_scatter() -> None:
