@@ -10,8 +10,8 @@ import can
 from diag_service.errors import SilentError, StoppedError
 from diag_service.tester.addresses import CanAddress, is_extended
 from diag_service.tester.answers import STOPPED, request_text
-from diag_service.tester.asking import CLASSIC_BYTES, PADDING, receive, send
 from diag_service.tester.libraries import BaseConnection, TimeoutException, isotp
+from diag_service.tester.listening import CLASSIC_BYTES, PADDING, receive, send
 
 LONGEST_MESSAGE: Final = 65_535
 TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr

@@ -19,7 +19,6 @@ from diag_service.tester.asking import (
     BusName,
     BusTarget,
     DoipPlace,
-    Traffic,
     address_for,
     asking,
     check_time,
@@ -27,6 +26,7 @@ from diag_service.tester.asking import (
     parse_doip,
 )
 from diag_service.tester.description_files import find_description
+from diag_service.tester.listening import Traffic
 from diag_service.tester.trouble import (
     Record,
     TroubleCode,

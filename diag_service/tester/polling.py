@@ -16,9 +16,10 @@ from diag_service.settings.config import BusConfig, PollConfig
 from diag_service.store import ResultStore
 from diag_service.tester.addresses import parse_address
 from diag_service.tester.answers import Timing
-from diag_service.tester.asking import LISTEN_S, AskingThread, BusName, BusTarget, address_for, asking, check_libraries
+from diag_service.tester.asking import AskingThread, BusName, BusTarget, address_for, asking, check_libraries
 from diag_service.tester.description import Description
 from diag_service.tester.description_files import find_description
+from diag_service.tester.listening import LISTEN_S
 from diag_service.tester.questions import read_troubles, recognised
 from diag_service.tester.trouble import Record, TroubleCode, code_words, trouble_record
 from fleet_contract import Channel, Outgoing, controller_message

@@ -53,9 +53,10 @@ from diag_service.tester.addresses import (
     is_request,
 )
 from diag_service.tester.answers import MOST_PENDING_S, PENDING_S, is_pending, refusal_text, tells
-from diag_service.tester.asking import LISTEN_S, AskingThread, BusName, opened_bus, receive, send
+from diag_service.tester.asking import AskingThread, BusName, opened_bus
 from diag_service.tester.can_link import CanConnection
 from diag_service.tester.libraries import TimeoutException
+from diag_service.tester.listening import LISTEN_S, receive, send
 
 MOST_LOAD: Final = 0.05  # of the bus, by requests and answers together
 USUAL_BITRATE: Final = 500_000

@@ -37,7 +37,8 @@ from diag_service.settings.options import PROGRAM
 from diag_service.tester.adapters import Line, line_through, parse_adapter, rules_through
 from diag_service.tester.addresses import CanAddress, id_text, is_extended
 from diag_service.tester.answers import refusal_text
-from diag_service.tester.asking import BusName, Traffic, check_time, heard, opened_bus
+from diag_service.tester.asking import BusName, check_time, heard, opened_bus
+from diag_service.tester.listening import Traffic
 from diag_service.tester.signal_asking import (
     MOST_SILENT,
     NO_GROUPS,

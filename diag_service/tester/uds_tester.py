@@ -10,12 +10,10 @@ from diag_service.tester.addresses import CanAddress, usual_response_id
 from diag_service.tester.answers import DEFAULT_SESSION, DialogueCounts, Timing
 from diag_service.tester.asking import (
     LARGEST_LOGICAL,
-    LISTEN_S,
     SHORTEST_ANSWER_S,
     BusName,
     BusTarget,
     DoipPlace,
-    Traffic,
     address_for,
     asking,
     check_time,
@@ -23,6 +21,7 @@ from diag_service.tester.asking import (
     parse_doip,
 )
 from diag_service.tester.description_files import find_description
+from diag_service.tester.listening import LISTEN_S, Traffic
 from diag_service.tester.trouble import TroubleCode
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from diag_service.tester.addresses import CanAddress
-from diag_service.tester.asking import Traffic, check_alone
+from diag_service.tester.listening import Traffic, check_alone
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from tests.integration.test_tester import SLIPS, another_tester, vehicle
 from tests.plugins.broker import Mosquitto
