@@ -15,6 +15,7 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import (
     FILM_MOBILITY_LOG,
     LEAST_SECANT,
+    WORKING_K,
     Balance,
     compile_balance,
     measured,
@@ -446,7 +447,9 @@ def _rejected(estimate: ShiftEstimate, *reasons: Reason) -> ShiftEstimate:
 
 
 def _judged_event(event: Event, seen: _Seen) -> JudgedEvent:
-    return JudgedEvent(clutch=seen.clutch, end_ns=event.end_ns, evidence=seen.evidence)
+    # Laws of film, oil and drag in the cold, and what curves through few rows leave out, are wrong alike in all events.
+    is_off = bool(seen.balance.signals.row_s) or min(seen.balance.final_clutch_k) < WORKING_K
+    return JudgedEvent(clutch=seen.clutch, end_ns=event.end_ns, evidence=seen.evidence, is_off_like_others=is_off)
 
 
 def misfit_gate(count: int) -> float:

@@ -220,6 +220,7 @@ class JudgedEvent:
     clutch: int  # 1 or 2, the one that slipped
     end_ns: int
     evidence: Evidence
+    is_off_like_others: bool = False  # by errors that all such events share, so that they agree better than they are
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,7 +19,6 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, FrictionCurve, TorqueSource, both_clutches, with_clutch
 from clutch_model.pack import friction_law, stribeck_weights
-from diag_service.diagnosis.friction.balance import WORKING_K
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
@@ -197,7 +196,7 @@ class Posterior:
         apart, _, by_chance = step_since(state.fusion.knowledge, event.evidence, event.clutch)
         if by_chance < LEAST_BY_CHANCE:
             return state
-        if self.packs is not None and min(self.packs.clutch_k) < WORKING_K:  # laws of the cold are wrong alike in all
+        if event.is_off_like_others:
             apart = max(apart, by_chance)
         apart, by_chance = (
             SCATTER_KEPT * self.apart + min(apart, MOST_APART), SCATTER_KEPT * self.apart_by_chance + by_chance,

@@ -9,7 +9,6 @@ import pytest
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_ROWS,
     PARAMETER_COUNT,
@@ -214,14 +213,13 @@ def test_by_how_much_events_differ_is_learned_from_them_and_scales_what_they_tel
     assert told[gain] == pytest.approx(known[gain], rel=1e-6)  # of which they tell nothing
 
 
-def test_events_of_cold_packs_that_agree_show_no_smaller_errors() -> None:
-    cold = PackTemperatures(clutch_k=(330.0, 330.0), at_ns=0)
-    state = replace(Posterior.fresh(nominal_calibration()), packs=cold)
+def test_events_that_are_all_off_alike_show_no_smaller_errors_by_agreeing() -> None:
+    state = Posterior.fresh(nominal_calibration())
     rng = cast("np.random.Generator", Scaled(0.3))
     for number in range(60):
-        state = state.with_event(event(number, 1 + number % 2, MU, rng))
+        one = event(number, 1 + number % 2, MU, rng)
+        state = state.with_event(replace(one, is_off_like_others=True))
     assert scatter_ratio(state) == pytest.approx(1.0, abs=0.01)
-    state = replace(state, packs=replace(cold, clutch_k=(360.0, 360.0)))
     for number in range(60, 120):
         state = state.with_event(event(number, 1 + number % 2, MU, rng))
     assert 0.3 < scatter_ratio(state) < 0.6
