@@ -37,7 +37,7 @@ WATCH_PROBABILITY = 0.80
 THIN_PROBABILITY = 0.01  # of a thin margin, to call a fluid good before that: a drive is judged a hundred times
 EARLY_MARGIN_STD_RATIO = 0.15  # worse known, the margin of one clutch is believed only as far as both together say so
 COLD_K = 333.15  # of a pack: below it nobody knows the laws of film and drag well, and a drive has many looks at them
-COLD_CHANGE_PROBABILITY = 0.99
+UNSURE_CHANGE_PROBABILITY = 0.99  # in the cold, and until the margin is known to EARLY_MARGIN_STD_RATIO
 COLD_WATCH_PROBABILITY = 0.95
 SLIP_PROBABILITY = 0.999  # of a lock-up clutch, for either: its slip is judged every minute, for hours
 COMMON_THIN_PROBABILITY = 0.003  # the same by both clutches together: they slip in one oil
@@ -299,7 +299,7 @@ def decide(
     counted
         What the events are, in many; launches are then such events, too.
     """
-    change_at = COLD_CHANGE_PROBABILITY if is_cold else CHANGE_PROBABILITY
+    change_at = UNSURE_CHANGE_PROBABILITY if is_cold else CHANGE_PROBABILITY
     watch_at = COLD_WATCH_PROBABILITY if is_cold else WATCH_PROBABILITY
     if counted != SHIFTS:
         change_at = watch_at = SLIP_PROBABILITY
@@ -313,6 +313,7 @@ def decide(
     negative, thin = friction.probability_negative_slope, own_thin
     if margin.stdev > EARLY_MARGIN_STD_RATIO * reference_margin:  # one clutch may be misread; both rarely are
         negative, thin = min(negative, common.cdf(0.0)), min(own_thin, common_thin)
+        change_at = max(change_at, UNSURE_CHANGE_PROBABILITY)
     elif own_thin > 0.5:  # then both together tell better
         thin = max(own_thin, common_thin)
     facts = _facts(friction, level, since, f"{shift_count} {counted}")
@@ -355,7 +356,7 @@ def decide_up_to_scale(
 
     Slope and change are told without it. That friction is low, or sound, is not.
     """
-    change_at = COLD_CHANGE_PROBABILITY if is_cold else CHANGE_PROBABILITY
+    change_at = UNSURE_CHANGE_PROBABILITY if is_cold else CHANGE_PROBABILITY
     watch_at = COLD_WATCH_PROBABILITY if is_cold else WATCH_PROBABILITY
     if shift_count < MIN_SHIFT_COUNT:
         return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
@@ -370,9 +371,11 @@ def decide_up_to_scale(
         Cause.SHUDDER: launches.probability_negative(slope.probability_negative),
         Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
     }
+    margin_ratio = 1.0 - reference.mu_s / reference.mu_c
+    if slope.std_mu_s_ratio > EARLY_MARGIN_STD_RATIO * margin_ratio:
+        change_at = max(change_at, UNSURE_CHANGE_PROBABILITY)
     if (bad := _standing(Condition.CHANGE_FLUID, change, change_at, previous, kept, facts)) is not None:
         return bad
-    margin_ratio = 1.0 - reference.mu_s / reference.mu_c
     watch = {Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO)}
     if slope.std_mu_s_ratio <= MAX_MARGIN_STD_RATIO * margin_ratio:
         margin = NormalDist(1.0 - slope.mu_s_ratio, slope.std_mu_s_ratio)
