@@ -417,6 +417,7 @@ _EPOCH: Final = datetime(1970, 1, 1)  # noqa: DTZ001 - UTC, which the text says
 _RESULT_KEYS: Final = ("vehicle", "stream", "seq", "produced_at", "algorithm_version", "calibration_version")
 REVISIONS: Final = "revisions"
 _ONLY_WHERE_THERE: Final = frozenset({"slope", REVISIONS, "shift_quality", "micro_slip", "element", "causes"})
+_NOTHING: Final[tuple[object, ...]] = (None, [])  # of these: a number that is 0 is told
 _PUBLIC_NAMES: Final = {"start_ns": "start_bus_ns", "end_ns": "end_bus_ns", "data_quality": "trust"}
 RECENT_COUNT: Final = 8  # results of a run that are kept to be shown
 
@@ -492,11 +493,12 @@ def shift_record(result: ShiftResult) -> JsonObject:
     record = estimate | {public: estimate[name] for name, public in _PUBLIC_NAMES.items()}
     record |= {key: getattr(result, key) for key in _RESULT_KEYS}
     verdict = to_plain(result.verdict) | {"condition": result.verdict.condition.name.lower()}
-    verdict = {key: value for key, value in verdict.items() if key not in _ONLY_WHERE_THERE or value}
+    verdict = {key: value for key, value in verdict.items() if key not in _ONLY_WHERE_THERE or value not in _NOTHING}
     record |= {"schema": SHIFT_SCHEMA, "verdict": verdict}
     start_ns, end_ns = result.estimate.start_ns, result.estimate.end_ns
     record |= {"start_utc": utc_from_bus_ns(start_ns), "end_utc": utc_from_bus_ns(end_ns)}
-    return {key: record[key] for key in _keys_of(Channel.SHIFT) if key not in _ONLY_WHERE_THERE or record[key]}
+    record = {key: record[key] for key in _keys_of(Channel.SHIFT)}
+    return {key: value for key, value in record.items() if key not in _ONLY_WHERE_THERE or value not in _NOTHING}
 
 
 def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:
@@ -508,7 +510,8 @@ def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:
         raise ResultError(f"incomplete {SHIFT_SCHEMA} record: no verdict")
     record = {**verdict, **{key: shift[key] for key in (*_RESULT_KEYS, "end_utc")}}
     record |= {"schema": Channel.CLUTCH.schema_name, **order_record(order)}
-    return {key: record.get(key) for key in _keys_of(Channel.CLUTCH) if key not in _ONLY_WHERE_THERE or record.get(key)}
+    record = {key: record.get(key) for key in _keys_of(Channel.CLUTCH)}
+    return {key: value for key, value in record.items() if key not in _ONLY_WHERE_THERE or value not in _NOTHING}
 
 
 def order_record(order: Order | None) -> JsonObject:

@@ -22,6 +22,9 @@ _EMPTY_M3 = 1.0e-13  # a cavity below this is empty: keeps denormal numbers out 
 _NO_PRESSURE_PA = 1.0e-3
 _OPEN_TOLERANCE_M = 1.0e-12
 _JUST_BELOW = 1.0 - 1.0e-12
+PEAK_SLIP_RAD_S = 120.0  # of the greatest drag of an open pack
+_CLOSING_FILM_RATIO = 4.0  # film over roughness at which the film law holds alone
+_OPEN_FILM_RATIO = 0.9  # film over open gap from which the pack drags as an open one
 _WAYS_M = (13.0, 37.0, 101.0)  # of erratic friction: no two events are alike, and one event is alike throughout
 
 
@@ -48,16 +51,6 @@ def grooved(law: FilmLaw, p: LiningParameters) -> FilmLaw:
     return law._replace(squeeze_factor_m2=law.squeeze_factor_m2 / p.film_mobility_ratio)
 
 
-class OpenDragLaw(NamedTuple):
-    """How an open pack drags, whose oil takes up air: less than the film law says, and never more than a peak."""
-
-    peak_slip_rad_s: float  # slip of the greatest drag
-    closing_film_ratio: float  # film over roughness at which the film law holds alone
-    open_film_ratio: float  # film over open gap from which the pack drags as an open one
-    ratio: float  # on the drag
-    limit_nm: float  # above 0 the film law holds for open packs, too, up to this drag
-
-
 class ClutchLaw(NamedTuple):
     """Everything constant about one clutch."""
 
@@ -67,18 +60,19 @@ class ClutchLaw(NamedTuple):
     valve: HydraulicsParameters
     heat_capacity_j_k: float
     convection_w_k: float
-    open_drag: OpenDragLaw
+    lining: LiningParameters
 
 
 @kernel
 def openness(film_m: float, law: ClutchLaw) -> float:
-    """Return how far a pack drags like an open one: 0 where the film law holds, 1 where it is open."""
-    closing_m = law.open_drag.closing_film_ratio * law.film.roughness_m
+    """Return how far a pack drags like an open one: 0 where the film law holds, 1 where it is open.
+
+    The oil of an open pack takes up air: it drags less than the film law says, and never more than a peak.
+    """
+    closing_m = _CLOSING_FILM_RATIO * law.film.roughness_m
     if film_m <= closing_m:
         return 0.0
-    return min(
-        math.log(film_m / closing_m) / math.log(law.open_drag.open_film_ratio * law.film.open_gap_m / closing_m), 1.0
-    )
+    return min(math.log(film_m / closing_m) / math.log(_OPEN_FILM_RATIO * law.film.open_gap_m / closing_m), 1.0)
 
 
 @kernel
@@ -169,12 +163,12 @@ def viscous_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> flo
     film_nm = float(sheared_torque_nm(slip_rad_s, film_m, viscosity, shear, law.film))
     if u[at.OPEN_DRAG + clutch] == 0.0 or y[at.OPENNESS + clutch] == 0.0 or slip_rad_s == 0.0:
         return film_nm
-    limit_nm = law.open_drag.limit_nm
+    limit_nm = law.lining.open_drag_limit_nm
     if limit_nm > 0.0:
         open_nm = min(max(film_nm, -limit_nm), limit_nm)
     else:
-        share = slip_rad_s / law.open_drag.peak_slip_rad_s
-        open_nm = law.open_drag.ratio * 2.0 * u[at.OPEN_DRAG + clutch] * share / (1.0 + share * share)
+        share = slip_rad_s / PEAK_SLIP_RAD_S
+        open_nm = law.lining.open_drag_ratio * 2.0 * u[at.OPEN_DRAG + clutch] * share / (1.0 + share * share)
     if y[at.OPENNESS + clutch] == 1.0:
         return float(open_nm)
     return float(film_nm * (open_nm / film_nm) ** y[at.OPENNESS + clutch])

@@ -85,7 +85,7 @@ def obey(machine: Machine, law: DriveLaw) -> None:
         line_pa = clutch.valve.line_pressure_pa
         u[at.P_COMMAND + k] = min(max(commands[tcu_data.PRESSURE + k], 0.0), line_pa)
         u[at.T_COMMAND + k] = commands[tcu_data.TORQUE_COMMAND + k]
-        faded = friction_ratio(y[at.T_C + k], law.plant.lining, y[at.DISTANCE])
+        faded = friction_ratio(y[at.T_C + k], clutch.lining, y[at.DISTANCE])
         u[at.MU_C + k] = clutch.friction.mu_c * row[tcu_data.CYCLE_MU + 2 * k] * faded
         u[at.MU_S + k] = clutch.friction.mu_s * row[tcu_data.CYCLE_MU + 2 * k + 1] * faded
         fluid = law.plant.fluid

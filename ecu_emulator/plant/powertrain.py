@@ -6,7 +6,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, ClutchCalibration
 from clutch_model.pack import applied_pressure_pa, contact_torque_nm, equilibrium_film_m, film_law, friction_law
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.clutch import ClutchLaw, OpenDragLaw, grooved, refresh_contact
+from ecu_emulator.plant.clutch import ClutchLaw, grooved, refresh_contact
 from ecu_emulator.plant.converter import converter_law
 from ecu_emulator.plant.course import ROWS_PER_S, Course, as_record, blank_machine, check_step
 from ecu_emulator.plant.drive import DriveSettings, cycle_table
@@ -22,7 +22,6 @@ from ecu_emulator.shift_control.touch_points import PressureSteps
 
 IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure, when the drive begins
 _FULL_BRAKE_M_S = 1.0  # of the shift cycles, which never stop
-OPEN_DRAG = OpenDragLaw(peak_slip_rad_s=120.0, closing_film_ratio=4.0, open_film_ratio=0.9, ratio=1.0, limit_nm=0.0)
 _IDLE_RAD_S = 94.0  # engine speed when a drive begins at rest, about 900 rpm
 
 
@@ -125,16 +124,15 @@ class Powertrain(Course):
 
 
 def _clutch_law(clutch: ClutchCalibration, parameters: PlantParameters, open_drag_ratio: float) -> ClutchLaw:
+    lining = parameters.lining._replace(open_drag_ratio=parameters.lining.open_drag_ratio * open_drag_ratio)
     return ClutchLaw(
-        film=grooved(film_law(clutch), parameters.lining),
+        film=grooved(film_law(clutch), lining),
         friction=friction_law(clutch.friction),
         cavity=cavity_law(clutch),
         valve=parameters.hydraulics,
         heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
         convection_w_k=float(clutch.thermal.convection_w_k),
-        open_drag=OPEN_DRAG._replace(
-            ratio=parameters.lining.open_drag_ratio * open_drag_ratio, limit_nm=parameters.lining.open_drag_limit_nm
-        ),
+        lining=lining,
     )
 
 
@@ -145,8 +143,8 @@ def _plant_law(truth: Calibration, parameters: PlantParameters, drive: DriveSett
     )
     hub_inertia_kg_m2 = truth.input_side.hub_inertia_kg_m2
     if truth.converter is not None:  # there is no second clutch, and the hub is the impeller
-        drag = second.open_drag._replace(ratio=0.0, limit_nm=0.0)
-        second = second._replace(film=second.film._replace(viscous_factor_m4=0.0), open_drag=drag)
+        lining = second.lining._replace(open_drag_ratio=0.0, open_drag_limit_nm=0.0)
+        second = second._replace(film=second.film._replace(viscous_factor_m4=0.0), lining=lining)
         hub_inertia_kg_m2 = truth.converter.impeller_inertia_kg_m2
     return PlantLaw(
         engine=parameters.engine,
@@ -157,7 +155,6 @@ def _plant_law(truth: Calibration, parameters: PlantParameters, drive: DriveSett
         vehicle=parameters.vehicle,
         clutches=ClutchPair(first, second),
         fluid=FluidLaw(float(truth.viscosity.a_pa_s), float(truth.viscosity.b_k), float(truth.viscosity.pole_k)),
-        lining=parameters.lining,
         engine_inertia_kg_m2=float(truth.input_side.engine_inertia_kg_m2),
         hub_inertia_kg_m2=float(hub_inertia_kg_m2),
         hub_damping_nms_rad=float(truth.input_side.hub_damping_nms_rad),

@@ -6,7 +6,7 @@ from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel
 from clutch_model.pack import clutch_heating_rate_k_s, convected_w, sump_heating_rate_k_s
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.clutch import ClutchLaw, LiningParameters, capacity_nm, contact_nm, viscous_nm
+from ecu_emulator.plant.clutch import ClutchLaw, capacity_nm, contact_nm, viscous_nm
 from ecu_emulator.plant.converter import ConverterLaw, impeller_torque_nm, torque_ratio
 from ecu_emulator.plant.driveline import (
     ENGAGED,
@@ -61,7 +61,6 @@ class PlantLaw(NamedTuple):
     vehicle: VehicleParameters
     clutches: ClutchPair
     fluid: FluidLaw
-    lining: LiningParameters
     engine_inertia_kg_m2: float  # J_E
     hub_inertia_kg_m2: float  # J_H
     hub_damping_nms_rad: float  # B_H

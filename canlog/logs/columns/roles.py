@@ -18,7 +18,7 @@ class Role(IntEnum):
     IGNORED = 0
     TIME = 1  # a number [power of ten of its unit, in microseconds], a time of day or a date
     ID = 2  # hexadecimal or decimal [base]
-    DATA = 3  # all bytes [base]
+    DATA = 3  # all bytes [base]; between them what separates columns, if the layout is exact and that is no blank
     BYTE = 4  # one byte [base]
     LENGTH = 5  # bytes, or the code that CAN FD has for so many
     CHANNEL = 6  # a number, or a name with one at its end

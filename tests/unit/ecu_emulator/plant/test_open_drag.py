@@ -7,7 +7,7 @@ from clutch_model.calibration import nominal_calibration
 from clutch_model.pack import viscous_torque_nm
 from ecu_emulator.plant import DriveSettings, nominal_parameters
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.clutch import openness, refresh_contact, viscous_nm
+from ecu_emulator.plant.clutch import PEAK_SLIP_RAD_S, openness, refresh_contact, viscous_nm
 from ecu_emulator.plant.course import as_record
 from ecu_emulator.plant.powertrain import drive_law
 
@@ -33,9 +33,8 @@ def test_an_open_pack_never_drags_more_than_its_peak(slip_rad_s: float) -> None:
 
 
 def test_the_drag_peaks_and_then_falls_as_air_gets_in() -> None:
-    peak_rad_s = LAW.open_drag.peak_slip_rad_s
-    assert drag_nm(OPEN_M, peak_rad_s) == pytest.approx(PEAK_NM)
-    assert drag_nm(OPEN_M, 3.0 * peak_rad_s) < 0.7 * PEAK_NM
+    assert drag_nm(OPEN_M, PEAK_SLIP_RAD_S) == pytest.approx(PEAK_NM)
+    assert drag_nm(OPEN_M, 3.0 * PEAK_SLIP_RAD_S) < 0.7 * PEAK_NM
 
 
 @pytest.mark.parametrize("film_m", [2.0e-6, 1.0e-5, 3.3e-5])
