@@ -1,7 +1,6 @@
 """Wiring: a checked configuration becomes a worker, and runs until it is told to stop."""
 
 import asyncio
-import contextlib
 import logging
 import socket
 import uuid
@@ -26,7 +25,7 @@ from fleet_backend.errors import ConfigError
 from fleet_backend.ingest import Worker, filters_of, until_it_answers
 from fleet_backend.intake import MessageKind
 from fleet_backend.migrate import make_ready
-from fleet_backend.programs import shown_at, stopping
+from fleet_backend.programs import shown_at, until_stopped
 from fleet_backend.quotas import Gate
 from fleet_backend.writer import Writer
 from fleet_link import BrokerAddress
@@ -108,14 +107,12 @@ def run_ingest(
 
 
 async def _ingest(engine: Engine, worker: Worker, gate: Gate, title: str, alive: Path | None) -> None:
-    task = asyncio.ensure_future(_work(engine, worker, gate, title, alive))
-    with stopping(task.cancel), contextlib.suppress(asyncio.CancelledError):
-        try:
-            await task
-        except ExceptionGroup as exc:
-            if len(exc.exceptions) > 1:
-                raise
-            raise exc.exceptions[0] from exc
+    try:
+        await until_stopped(_work(engine, worker, gate, title, alive))
+    except ExceptionGroup as exc:
+        if len(exc.exceptions) > 1:
+            raise
+        raise exc.exceptions[0] from exc
     _LOG.info("%s", _counts_line(worker))
 
 

@@ -22,7 +22,7 @@ from fleet_backend.errors import BrokerError, ConfigError, DatabaseError, ExtraM
 from fleet_contract import VariableError, check_variables
 
 _STATUSES: Final = (
-    (ConfigError, EXIT_CONFIG),
+    ((ConfigError, VariableError), EXIT_CONFIG),
     (BrokerError, EXIT_BROKER),
     (DatabaseError, EXIT_DATABASE),
     (UnknownVehicleError, EXIT_UNKNOWN),
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = COMMAND_LINE.parse(arguments)
     _set_up_log(options.verbose)
     try:
-        _check_environment()
+        check_variables(os.environ)
         with standard_output():
             _load_commands(options).execute(options)
     except KeyboardInterrupt:
@@ -45,20 +45,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return EXIT_OK
 
 
-def _check_environment() -> None:
-    try:
-        check_variables(os.environ)
-    except VariableError as exc:
-        raise ConfigError(str(exc)) from exc
-
-
-def _extras(options: SimpleNamespace) -> str:
-    """Return all extras that a command needs; each of the others brings what `fleet` brings."""
-    if options.command in {"serve", "watch"}:
-        return "page,oidc" if getattr(options, "access", None) else "page"
-    return "nats" if str(getattr(options, "broker", "")).startswith("nats") else "fleet"
-
-
 def _load_commands(options: SimpleNamespace) -> ModuleType:
     """Return the module of the commands; raises ExtraMissingError where what it needs is not installed."""
     try:
@@ -66,7 +52,10 @@ def _load_commands(options: SimpleNamespace) -> ModuleType:
     except ModuleNotFoundError as exc:
         if exc.name is None or exc.name.startswith(("fleet_backend", "fleet_contract")):
             raise
-        raise ExtraMissingError(exc.name, _extras(options)) from exc
+        extra = "nats" if str(getattr(options, "broker", "")).startswith("nats") else "fleet"
+        if options.command in {"serve", "watch"}:  # each of these extras brings what `fleet` brings
+            extra = "page,oidc" if getattr(options, "access", None) else "page"
+        raise ExtraMissingError(exc.name, extra) from exc
 
 
 def _set_up_log(verbosity: int) -> None:

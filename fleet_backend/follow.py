@@ -6,7 +6,6 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Final
@@ -16,7 +15,7 @@ import aiomqtt
 from fleet_backend.arguments import BROKER_VARIABLE
 from fleet_backend.config import parse_broker
 from fleet_backend.errors import BrokerError, ConfigError
-from fleet_backend.programs import stopping
+from fleet_backend.programs import until_stopped
 from fleet_contract import (
     NEVER,
     TOPIC_ROOT,
@@ -49,7 +48,7 @@ def execute(options: SimpleNamespace) -> None:
         raise ConfigError(f"{strangers[0]!r} is not a vehicle id")
     follower = Follower(address, options.vehicles, is_json=options.json)
     try:
-        asyncio.run(follower.run_until_stopped())
+        asyncio.run(until_stopped(follower.run()))
     finally:
         for reason, count in follower.left_out.items():
             _LOG.warning("%d message(s) left out: %s", count, reason)
@@ -63,11 +62,6 @@ class Follower:
         self._address = address
         self._filters = [f"{TOPIC_ROOT}/{name}/{one.label}" for name in vehicles or ("+",) for one in FOLLOWED]
         self._is_json = is_json
-
-    async def run_until_stopped(self) -> None:
-        task = asyncio.ensure_future(self.run())
-        with stopping(task.cancel), suppress(asyncio.CancelledError):
-            await task
 
     async def run(self) -> None:
         """Follow for ever; raises BrokerError if the first connection fails."""

@@ -34,21 +34,14 @@ def migrate(engine: Engine, revision: str = "head") -> None:
     """
     with transaction(engine) as connection:
         is_in_use = engine.dialect.name == "postgresql" and _revision(connection) is not None
-    if is_in_use:
-        _upgrade_between_readers(engine, revision)
+    for _ in range(_MOST_ATTEMPTS if is_in_use else 0):  # whoever reads is never made to wait for long
+        with suppress(DatabaseAwayError):
+            _upgrade(engine, revision)
+            break
+        time.sleep(_PAUSE_S)
     else:
         _upgrade(engine, revision)
     close_to_others(engine)
-
-
-def _upgrade_between_readers(engine: Engine, revision: str) -> None:
-    """Upgrade as soon as nobody reads for a moment; whoever reads is never made to wait for long."""
-    for _ in range(_MOST_ATTEMPTS):
-        with suppress(DatabaseAwayError):
-            _upgrade(engine, revision)
-            return
-        time.sleep(_PAUSE_S)
-    _upgrade(engine, revision)
 
 
 def _upgrade(engine: Engine, revision: str) -> None:

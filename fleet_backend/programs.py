@@ -2,7 +2,7 @@
 
 import asyncio
 import signal
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Coroutine, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
@@ -33,6 +33,13 @@ def stopping(stop: Callable[[], object]) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+async def until_stopped(work: Coroutine[None, None, None]) -> None:
+    """Do something until it ends or SIGINT or SIGTERM comes; main thread only."""
+    task = asyncio.ensure_future(work)
+    with stopping(task.cancel), suppress(asyncio.CancelledError):
+        await task
 
 
 @contextmanager

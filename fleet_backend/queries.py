@@ -224,14 +224,13 @@ def trouble_codes(engine: Engine) -> Sequence[Record]:
     """Return the trouble codes that controllers tell, a record each; a vehicle without any has one record as well."""
     columns = (VEHICLE.c.vehicle, VEHICLE.c.controller, VEHICLE.c.controller_at)
     told = _records(engine, select(*columns).where(VEHICLE.c.controller.is_not(None)).order_by(VEHICLE.c.vehicle))
-    return [code for record in told for code in _codes_of(record)]
-
-
-def _codes_of(record: Record) -> Iterator[Record]:
-    said = json.loads(str(record["controller"]))
-    head = {"vehicle": record["vehicle"], "read_at": record["controller_at"], "controller": said["controller"]}
-    for code in said["codes"] or [dict.fromkeys(_CODE)]:
-        yield {**head, **{name: code[name] for name in _CODE}}
+    found: list[Record] = []
+    for record in told:
+        said = json.loads(str(record["controller"]))
+        head = {"vehicle": record["vehicle"], "read_at": record["controller_at"], "controller": said["controller"]}
+        codes = said["codes"] or [dict.fromkeys(_CODE)]
+        found += ({**head, **{name: code[name] for name in _CODE}} for code in codes)
+    return found
 
 
 def note_fill(

@@ -25,12 +25,9 @@ def version_rank(algorithm_version: str, calibration_version: str) -> str:
     Numbers inside a version count as numbers, so ``-10`` is newer than ``-9``. The rank depends on the versions alone,
     not on when a result arrived, and different versions have different ranks.
     """
-    return _BETWEEN.join(_sortable(version) for version in (algorithm_version, calibration_version))
-
-
-def _sortable(version: str) -> str:
-    """Return the version with the length of each number before it."""
-    return _NUMBER.sub(lambda match: f"{len(match[0]):03}{match[0]}", version)
+    versions = (algorithm_version, calibration_version)
+    # The length of each number stands before it.
+    return _BETWEEN.join(_NUMBER.sub(lambda match: f"{len(match[0]):03}{match[0]}", version) for version in versions)
 
 
 Row = dict[str, object]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
-from sqlalchemy import Connection, Engine, RowMapping, func, insert, or_, select, update
+from sqlalchemy import Connection, Engine, func, insert, or_, select, update
 
 from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
 from fleet_backend.database import transaction
@@ -79,7 +79,10 @@ def take(engine: Engine, carrier: str, now: datetime) -> Letter | None:
         if row is None:
             return None
         mine = update(table).where(table.c.key == row["key"], *waiting).values(claimed_until=now + CLAIM)
-        return _letter(row) if connection.execute(mine).rowcount else None
+        if not connection.execute(mine).rowcount:
+            return None
+    told = {name: row[name] for name in ("key", "carrier", "attempt_count")}
+    return Letter(payload=json.loads(row["payload"]), **told)
 
 
 def settle(engine: Engine, letter: Letter, now: datetime, complaint: str | None) -> None:
@@ -164,8 +167,3 @@ def _payload(step: Transition, number: int) -> dict[str, Any]:
         "at": step.at.astimezone(UTC).isoformat().replace("+00:00", "Z"),
         "reason": step.reason,
     }
-
-
-def _letter(row: RowMapping) -> Letter:
-    payload = json.loads(row["payload"])
-    return Letter(key=row["key"], carrier=row["carrier"], payload=payload, attempt_count=row["attempt_count"])

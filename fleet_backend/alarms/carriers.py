@@ -39,8 +39,8 @@ class Carrier(Protocol):
         """Deliver a message; raises CarrierError if that did not work now."""
 
 
-class _NoRedirects(HTTPRedirectHandler):
-    """An alarm goes where it was sent, nowhere else."""
+class NoRedirects(HTTPRedirectHandler):
+    """An alarm or a secret goes where it was sent, nowhere else."""
 
     def redirect_request(self, *_: object) -> None:
         """Follow none."""
@@ -64,7 +64,7 @@ class Webhook:
             "webhook-timestamp": moment,
             "webhook-signature": signature(self.secret, letter.key, moment, body),
         }
-        opener = build_opener(_NoRedirects, ProxyHandler({}))
+        opener = build_opener(NoRedirects, ProxyHandler({}))
         try:
             with opener.open(Request(self.url, body, headers), timeout=LONGEST_WAIT_S) as answer:  # noqa: S310 - checked
                 status = int(answer.status)

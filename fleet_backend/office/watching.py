@@ -6,9 +6,9 @@ import random
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Container, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from itertools import chain
 from typing import Final
 
@@ -34,7 +34,7 @@ from fleet_backend.page.populations import Kept, latest
 from fleet_backend.page.records import ClutchNow, Severity
 from fleet_backend.page.running import DatabaseSource, last_arrivals
 from fleet_backend.page.vehicle_state import fills_of
-from fleet_backend.programs import shown_at, stopping
+from fleet_backend.programs import shown_at, until_stopped
 from fleet_backend.schema import QUARANTINE
 
 ROUND_S: Final = 10.0
@@ -93,7 +93,7 @@ class Watch:
         written = book.write(self._engine, steps, names)
         for step in written:
             _LOG.info("%s: %s of %s", step.event, step.subject.rule, step.subject)
-        self._told = (*self._database_families(now), *self._round_families(began_s))
+        self._told = tuple(self._round_families(now, began_s))
         return written
 
     def families(self) -> Iterator[Metric]:
@@ -101,13 +101,7 @@ class Watch:
         yield from fleet_families(self._keeper)
         yield from self._told
 
-    def _round_families(self, began_s: float) -> Iterator[Metric]:
-        at_s, took_s = self._now().timestamp(), time.monotonic() - began_s
-        yield gauge("watch_round_timestamp_seconds", "When a round of the watch ended last.", at_s)
-        yield gauge("watch_round_seconds", "How long it took.", took_s)
-        yield gauge("watch_waiting_vehicles", "Vehicles with news that it did not get to.", self.waiting_count)
-
-    def _database_families(self, now: datetime) -> Iterator[Metric]:
+    def _round_families(self, now: datetime, began_s: float) -> Iterator[Metric]:
         open_counts = dict.fromkeys((rule.value for rule in rules.Rule), 0)
         open_counts |= Counter(subject.rule.value for subject in book.open_alarms(self._engine))
         yield gauge("fleet_open_alarms", "Alarms that are not cleared, by their rule.", open_counts, "rule")
@@ -129,6 +123,10 @@ class Watch:
             yield gauge("fleet_months_ahead", "Months after this one that have a partition.", ahead)
             late = parts[-1].row_estimate or 0
             yield gauge("fleet_last_partition_rows", "Results later than all months, estimated.", late)
+        at_s, took_s = self._now().timestamp(), time.monotonic() - began_s
+        yield gauge("watch_round_timestamp_seconds", "When a round of the watch ended last.", at_s)
+        yield gauge("watch_round_seconds", "How long it took.", took_s)
+        yield gauge("watch_waiting_vehicles", "Vehicles with news that it did not get to.", self.waiting_count)
 
     def deliver(self, turn_s: float = LONGEST_WAIT_S) -> int:
         """Deliver what waits, each carrier for a turn, so that none waits for one that hangs; return how many came."""
@@ -221,31 +219,21 @@ def _whose(one: ClutchNow) -> rules.Whose:
 def run_watch(engine: Engine, orders: Orders, metrics: Place | None = None, *, is_once: bool = False) -> None:
     """Watch until SIGINT or SIGTERM, or for one round."""
     if is_once:
-        watch = Watch(engine, orders, _utc_now)
+        watch = Watch(engine, orders, partial(datetime.now, UTC))
         watch.round(ONCE_S, is_drawn=True)
         if watch.waiting_count:
             _LOG.warning("%d vehicles were not judged in %g s; a watch that goes on does", watch.waiting_count, ONCE_S)
         while watch.deliver():  # of what a turn left over, until none arrives any more
             pass
         return
-    asyncio.run(_watch_until_told(engine, orders, metrics))
-
-
-async def _watch_until_told(engine: Engine, orders: Orders, metrics: Place | None) -> None:
-    work = asyncio.ensure_future(watch_for_ever(engine, orders, metrics))
-    with stopping(work.cancel), suppress(asyncio.CancelledError):
-        await work
-
-
-def _utc_now() -> datetime:
-    return datetime.now(UTC)
+    asyncio.run(until_stopped(watch_for_ever(engine, orders, metrics)))
 
 
 async def watch_for_ever(
     engine: Engine, orders: Orders, metrics: Place | None = None, shared: Keeper | None = None
 ) -> None:
     """Look and deliver until it is cancelled."""
-    watch = Watch(engine, orders, _utc_now, shared=shared)
+    watch = Watch(engine, orders, partial(datetime.now, UTC), shared=shared)
     with shown_at(metrics, watch.families):
         _LOG.info("watching")
         try:

@@ -195,7 +195,12 @@ class Access:
             If whoever it is has no role here.
         """
         if self.login is not None:
-            return self._in_session(self.login, headers)
+            key = cookie_in(headers, self.login.session_cookie)
+            person = self.login.sessions.name_of(key)
+            if person is None:
+                raise LoginError("you are not logged in, or your login has expired")
+            token = self.token_of(f"session {key}")
+            return Viewer(name=person, role=self.role_of(person), token=token, has_session=True)
         if self.proxy is None:
             return NOBODY
         said = headers.get(self.proxy.secret_header, "").encode()
@@ -216,13 +221,6 @@ class Access:
     def token_of(self, name: str) -> str:
         """Return what goes with every change that somebody asks for."""
         return hmac.new(self.key, name.encode(), hashlib.sha256).hexdigest()
-
-    def _in_session(self, login: Login, headers: Mapping[str, str]) -> Viewer:
-        key = cookie_in(headers, login.session_cookie)
-        name = login.sessions.name_of(key)
-        if name is None:
-            raise LoginError("you are not logged in, or your login has expired")
-        return Viewer(name=name, role=self.role_of(name), token=self.token_of(f"session {key}"), has_session=True)
 
 
 def is_name(name: str) -> bool:

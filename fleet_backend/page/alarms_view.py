@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any, Final
+from typing import Final
 
-from sqlalchemy import Engine, RowMapping, and_, or_, select
+from sqlalchemy import RowMapping, select
 
 from clutchdiag_io.pages.content import Cell, Link, Section, Table, moment
 from fleet_backend.alarms import book
@@ -18,7 +18,7 @@ from fleet_backend.page.access import Role
 from fleet_backend.page.asking import AFTER, LIMIT, VEHICLE, Ask, Parameter, ParameterType
 from fleet_backend.page.clutches_view import next_of
 from fleet_backend.page.errors import AskError, NotFoundError
-from fleet_backend.page.listing import page_of, read_moment
+from fleet_backend.page.listing import latest_first, page_of
 from fleet_backend.page.records import Alarm, AlarmsAnswer
 from fleet_backend.page.view import Action, Choice, Field, Form, Shown, Sources, View, list_section
 from fleet_contract.orders import name_of
@@ -31,8 +31,18 @@ _NAMES: Final = tuple(field.name for field in fields(Alarm) if field.name != "el
 
 def find(sources: Sources, ask: Ask) -> AlarmsAnswer:
     """Return a part of the alarms."""
-    limit = ask.count("limit")
-    some, following = page_of(_read(sources.engine, ask, limit + 1), limit, _place)
+    limit, state, rule = ask.count("limit"), ask.text("state"), ask.text("rule")
+    statement = latest_first(ALARM, "raised_at", _KEY, ask.text("after"), limit)
+    if state != "all":
+        statement = statement.where(ALARM.c.cleared_at.is_(None))
+    if state == "waiting":
+        statement = statement.where(ALARM.c.acknowledged_at.is_(None))
+    if rule is not None:
+        statement = statement.where(ALARM.c.rule == rule)
+    with transaction(sources.engine) as connection:
+        names = clutch_names(connection)
+        found = [_alarm(row, names) for row in connection.execute(statement).mappings()]
+    some, following = page_of(found, limit, _place)
     return AlarmsAnswer(alarms=some, next=following)
 
 
@@ -57,32 +67,6 @@ def show(answer: AlarmsAnswer, ask: Ask, _sources: Sources) -> Shown:
         ),
         next=next_of("/alarms", ask, answer.next),
     )
-
-
-def _read(engine: Engine, ask: Ask, limit: int) -> tuple[Alarm, ...]:
-    statement = select(ALARM).order_by(ALARM.c.raised_at.desc(), *(ALARM.c[name] for name in _KEY)).limit(limit)
-    state, rule, after = ask.text("state"), ask.text("rule"), ask.text("after")
-    if state != "all":
-        statement = statement.where(ALARM.c.cleared_at.is_(None))
-    if state == "waiting":
-        statement = statement.where(ALARM.c.acknowledged_at.is_(None))
-    if rule is not None:
-        statement = statement.where(ALARM.c.rule == rule)
-    if after is not None:
-        at, key = read_moment(after, (str, int, str, int))
-        statement = statement.where(ALARM.c.raised_at <= at, or_(ALARM.c.raised_at < at, _is_behind(key)))
-    with transaction(engine) as connection:
-        names = clutch_names(connection)
-        return tuple(_alarm(row, names) for row in connection.execute(statement).mappings())
-
-
-def _is_behind(key: list[Any]) -> Any:  # noqa: ANN401 - a condition of SQLAlchemy
-    """Return whether a row comes behind a key: the first column that differs tells."""
-    ways = []
-    for place, name in enumerate(_KEY):
-        equal = [ALARM.c[before] == value for before, value in zip(_KEY[:place], key[:place], strict=True)]
-        ways.append(and_(*equal, ALARM.c[name] > key[place]))
-    return or_(*ways)
 
 
 def _alarm(row: RowMapping, names: Mapping[tuple[str, int], str]) -> Alarm:
@@ -132,10 +116,13 @@ _NOTE: Final = Parameter(name="note", text="what is to be remembered", longest=5
 
 def find_one(sources: Sources, ask: Ask) -> Alarm:
     """Return an alarm; raises NotFoundError if there is none."""
-    found = _read_one(sources.engine, _subject(ask), ask.count("number"))
-    if found is None:
-        raise NotFoundError("there is no such alarm")
-    return found
+    own = (ALARM.c.vehicle == ask.said("vehicle"), ALARM.c.clutch == int(ask.said("clutch")))
+    is_it = (*own, ALARM.c.rule == ask.said("rule"), ALARM.c.number == ask.count("number"))
+    with transaction(sources.engine) as connection:
+        row = connection.execute(select(ALARM).where(*is_it)).mappings().first()
+        if row is None:
+            raise NotFoundError("there is no such alarm")
+        return _alarm(row, clutch_names(connection))
 
 
 def show_one(answer: Alarm, ask: Ask, _sources: Sources) -> Shown:
@@ -176,9 +163,10 @@ def acknowledge(sources: Sources, ask: Ask) -> str:
     find_one(sources, ask)
     role = ask.viewer.role.name.lower()
     note = Note(by=ask.viewer.name, role=role, at=ask.now, text=ask.text("note"))
-    if not book.acknowledge(sources.writer, _subject(ask), ask.count("number"), note):
+    subject = Subject(vehicle=ask.said("vehicle"), clutch=int(ask.said("clutch")), rule=Rule(ask.said("rule")))
+    if not book.acknowledge(sources.writer, subject, ask.count("number"), note):
         raise AskError("somebody else has already acknowledged this alarm")
-    return wording.alarm_href(ask.said("vehicle"), int(ask.said("clutch")), ask.said("rule"), ask.count("number"))
+    return wording.alarm_href(subject.vehicle, subject.clutch, subject.rule, ask.count("number"))
 
 
 def _form(answer: Alarm) -> Form:
@@ -190,17 +178,6 @@ def _form(answer: Alarm) -> Form:
     )
     fields_of_it = (Field(name=_NOTE.name, label="Note", longest=_NOTE.longest),)
     return Form(action=ACTION.path, hidden=hidden, fields=fields_of_it, button="Acknowledge")
-
-
-def _subject(ask: Ask) -> Subject:
-    return Subject(vehicle=ask.said("vehicle"), clutch=int(ask.said("clutch")), rule=Rule(ask.said("rule")))
-
-
-def _read_one(engine: Engine, subject: Subject, number: int) -> Alarm | None:
-    own = (ALARM.c.vehicle == subject.vehicle, ALARM.c.clutch == subject.clutch, ALARM.c.rule == subject.rule.value)
-    with transaction(engine) as connection:
-        row = connection.execute(select(ALARM).where(*own, ALARM.c.number == number)).mappings().first()
-        return None if row is None else _alarm(row, clutch_names(connection))
 
 
 ONE_VIEW: Final = View(

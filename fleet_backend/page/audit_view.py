@@ -2,26 +2,21 @@
 
 from typing import Final
 
-from sqlalchemy import or_, select
-
 from clutchdiag_io.pages.content import Table, moment
 from fleet_backend.database import transaction
 from fleet_backend.office_tables import AUDIT
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import AFTER, LIMIT, Ask
 from fleet_backend.page.clutches_view import next_of
-from fleet_backend.page.listing import page_of, read_moment_and_name
+from fleet_backend.page.listing import latest_first, page_of
 from fleet_backend.page.records import AuditAnswer, AuditEntry
 from fleet_backend.page.view import Shown, Sources, View, list_section
 
 
 def find(sources: Sources, ask: Ask) -> AuditAnswer:
     """Return a part of the audit, the latest first."""
-    limit, after = ask.count("limit"), ask.text("after")
-    statement = select(AUDIT).order_by(AUDIT.c.at.desc(), AUDIT.c.audit_id).limit(limit + 1)
-    if after is not None:
-        at, audit_id = read_moment_and_name(after)
-        statement = statement.where(AUDIT.c.at <= at, or_(AUDIT.c.at < at, AUDIT.c.audit_id > audit_id))
+    limit = ask.count("limit")
+    statement = latest_first(AUDIT, "at", ("audit_id",), ask.text("after"), limit)
     with transaction(sources.engine) as connection:
         found = tuple(AuditEntry(**row) for row in connection.execute(statement).mappings())
     some, following = page_of(found, limit, lambda one: (one.at.isoformat(), one.audit_id))

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Any, Final
 
-from sqlalchemy import Connection, Select, func, select
+from sqlalchemy import Connection, func, select
 
 from clutchdiag_io.pages.content import Cell, Table, number
 from fleet_backend.database import transaction
@@ -27,34 +27,19 @@ _COLUMNS: Final = (
 )
 
 
-def last_before(vehicle: str, clutch: int, since: datetime) -> Select[Any]:
-    """Return the statement for the last result of a clutch that was stored before a moment."""
-    table = SHIFT_RESULT
-    order = (table.c.vehicle, table.c.clutch, table.c.produced_at, table.c.stream, table.c.seq, table.c.version_rank)
-    return (
-        select(*(table.c[name] for name in _COLUMNS))
-        .where(table.c.vehicle == vehicle, table.c.clutch == clutch, table.c.stored_at < since)
-        .order_by(*(column.desc() for column in order))
-        .limit(1)
-    )
-
-
-def stored_since(vehicle: str, clutch: int, since: datetime) -> Select[Any]:
-    """Return the statement that counts the results of a clutch that were stored at or after a moment."""
-    table = SHIFT_RESULT
-    own = (table.c.vehicle == vehicle, table.c.clutch == clutch, table.c.stored_at >= since)
-    return select(func.count()).select_from(table).where(*own)
-
-
 def _change(connection: Connection, now: ClutchNow, since: datetime) -> Change:
-    found = connection.execute(last_before(now.vehicle, now.clutch, since)).mappings().first()
+    result, fill = SHIFT_RESULT.c, FLUID_FILL.c
+    own = (result.vehicle == now.vehicle, result.clutch == now.clutch)
+    order = (result.vehicle, result.clutch, result.produced_at, result.stream, result.seq, result.version_rank)
+    last = select(*(result[name] for name in _COLUMNS)).where(*own, result.stored_at < since).limit(1)
+    found = connection.execute(last.order_by(*(column.desc() for column in order))).mappings().first()
     before: Row | None = None if found is None else dict(found)
-    count = int(connection.execute(stored_since(now.vehicle, now.clutch, since)).scalar_one())
+    fresh = select(func.count()).select_from(SHIFT_RESULT).where(*own, result.stored_at >= since)
+    count = int(connection.execute(fresh).scalar_one())
     fills: Sequence[str] = ()
     if before is not None:
-        table = FLUID_FILL
-        own = (table.c.vehicle == now.vehicle, table.c.filled_at > before["end_at"], table.c.filled_at <= now.end_at)
-        fills = connection.execute(select(table.c.product).where(*own).order_by(table.c.filled_at)).scalars().all()
+        between = (fill.vehicle == now.vehicle, fill.filled_at > before["end_at"], fill.filled_at <= now.end_at)
+        fills = connection.execute(select(fill.product).where(*between).order_by(fill.filled_at)).scalars().all()
     return Change(
         vehicle=now.vehicle,
         clutch=now.clutch,

@@ -55,17 +55,12 @@ class Keeper:
 
     def __init__(self, source: DatabaseSource) -> None:
         self._source = source
-        self._snapshot = Snapshot()
+        self.snapshot = Snapshot()  # the fleet as it was read last
         self._fills: FillsSeen | None = None
         self._fluids: Fluids = {}
-        self._whole_at = self._snapshot.read_at
+        self._whole_at = self.snapshot.read_at
         self._listeners: set[Callable[[Snapshot], None]] = set()
         self.complaint: str | None = None  # why the snapshot is older than it should be
-
-    @property
-    def snapshot(self) -> Snapshot:
-        """The fleet as it was read last."""
-        return self._snapshot
 
     def refresh(self) -> bool:
         """Read what is new; return whether something is.
@@ -75,7 +70,7 @@ class Keeper:
         DatabaseError
             If the database does not answer or cannot be used; the last snapshot stays.
         """
-        now, fills, last = self._source.now(), self._source.fills_seen(), self._snapshot
+        now, fills, last = self._source.now(), self._source.fills_seen(), self.snapshot
         fluids = self._fluids if fills == self._fills else self._source.fluids()
         is_whole = now - self._whole_at >= WHOLE_AFTER
         if is_whole:
@@ -90,26 +85,26 @@ class Keeper:
             changed = {name for name, own in fresh.items() if own != last.vehicles.get(name)}
         self._fills, self._fluids, self._whole_at = fills, fluids, now if is_whole else self._whole_at
         if changed or is_whole:
-            self._snapshot = self._changed(fresh, changed, now, is_whole=is_whole)
+            self.snapshot = self._changed(fresh, changed, now, is_whole=is_whole)
         else:
-            self._snapshot = replace(last, read_at=now)
+            self.snapshot = replace(last, read_at=now)
         return bool(changed)
 
     def _changed(self, fresh: ByVehicle, changed: set[str], now: datetime, *, is_whole: bool) -> Snapshot:
         """Return the fleet with what was read of it: of changed vehicles, or of all."""
-        last = Snapshot() if is_whole else self._snapshot
+        last = Snapshot() if is_whole else self.snapshot
         read = [one for name, own in fresh.items() if is_whole or name in changed for one in own]
         clutches = worst_first([*(one for one in last.clutches if one.vehicle not in changed), *read])
-        is_usual_old = now - self._snapshot.usual_at >= USUAL_FOR
+        is_usual_old = now - self.snapshot.usual_at >= USUAL_FOR
         return replace(
-            self._snapshot,
+            self.snapshot,
             clutches=clutches,
             read_at=now,
-            number=self._snapshot.number + (1 if changed else 0),
-            changed=frozenset(changed) if changed else self._snapshot.changed,
+            number=self.snapshot.number + (1 if changed else 0),
+            changed=frozenset(changed) if changed else self.snapshot.changed,
             vehicles=MappingProxyType({**last.vehicles, **fresh}),
-            usual=usual_of(clutches) if is_usual_old else self._snapshot.usual,
-            usual_at=now if is_usual_old else self._snapshot.usual_at,
+            usual=usual_of(clutches) if is_usual_old else self.snapshot.usual,
+            usual_at=now if is_usual_old else self.snapshot.usual_at,
             # Those of which nothing is left go when all is read.
             fluids=tuple(sorted({*last.fluids, *(one.fluid for one in read if one.fluid is not None)})),
             types=tuple(sorted({*last.types, *map(vehicle_type, read)})),
@@ -140,7 +135,7 @@ class Keeper:
             return
         self.complaint = None
         for listener in tuple(self._listeners) if is_new else ():
-            listener(self._snapshot)
+            listener(self.snapshot)
 
 
 def fleet_families(keeper: Keeper) -> Iterator[Metric]:
@@ -168,13 +163,9 @@ def usual_of(clutches: Iterable[ClutchNow]) -> Mapping[ClutchGroup, Usual]:
     for now in clutches:
         if now.mu_c is not None:
             levels.setdefault(group_of(now), []).append(now.mu_c)
-    return MappingProxyType({
-        kind: Usual(clutch_count=len(some), **_quantiles(some))
-        for kind, some in levels.items()
-        if len(some) >= LEAST_CLUTCHES
-    })  # fmt: skip
-
-
-def _quantiles(levels: list[float]) -> dict[str, float]:
-    low, middle, high = np.quantile(levels, _SHARES).tolist()
-    return {"low_mu_c": low, "middle_mu_c": middle, "high_mu_c": high}
+    usual: dict[ClutchGroup, Usual] = {}
+    for kind, some in levels.items():
+        if len(some) >= LEAST_CLUTCHES:
+            low, middle, high = np.quantile(some, _SHARES).tolist()
+            usual[kind] = Usual(clutch_count=len(some), low_mu_c=low, middle_mu_c=middle, high_mu_c=high)
+    return MappingProxyType(usual)

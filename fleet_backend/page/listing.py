@@ -1,4 +1,4 @@
-"""Which clutches of the fleet a reader asks for, the worst first, part by part: pure, from the fleet as it was read."""
+"""Lists part by part: which clutches of the fleet a reader asks for, the worst first; what came, the latest first."""
 
 import base64
 import binascii
@@ -7,7 +7,9 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
+
+from sqlalchemy import Select, Table, and_, or_, select
 
 from fleet_backend.page.calibrations import type_of
 from fleet_backend.page.errors import NotFoundError
@@ -19,6 +21,7 @@ RowT = TypeVar("RowT")
 SEVERITY: Final = {Severity.CHANGE_FLUID: 0, Severity.WATCH: 1, Severity.GOOD: 2, Severity.NO_VERDICT: 3}
 _NO_LEVEL: Final = 9.0  # of the view
 _MOST: Final = 2**53  # beyond it a float is not exact
+_NO_PLACE: Final = "after: not a position in a list; use `next` of the list before"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,7 +107,7 @@ def read_words(word: str, kinds: Sequence[type]) -> list[object]:
         ]
         if all(type(one) is kind for kind, one in zip(kinds, made, strict=True)):
             return made
-    raise NotFoundError("after: not a position in a list; use `next` of the list before")
+    raise NotFoundError(_NO_PLACE)
 
 
 def _decoded(word: str) -> object:
@@ -118,16 +121,27 @@ def vehicle_type(now: ClutchNow) -> str:
     return type_of(now.vehicle, now.calibration_version)
 
 
-def read_moment(word: str, kinds: Sequence[type]) -> tuple[datetime, list[object]]:
-    """Return a place in a list by time: the moment, and the values of these kinds that tell apart what came then."""
-    at, *key = read_words(word, (str, *kinds))
+def latest_first(table: Table, time: str, key: Sequence[str], after: str | None, limit: int) -> Select[Any]:
+    """Return the statement for the next rows, the latest first, and one more; a key tells apart what came at a time.
+
+    Raises
+    ------
+    NotFoundError
+        If ``after`` is nothing that an earlier part named: the time of its last row, and the values of its key.
+    """
+    at, columns = table.c[time], [table.c[name] for name in key]
+    statement = select(table).order_by(at.desc(), *columns).limit(limit + 1)
+    if after is None:
+        return statement
+    moment, *values = read_words(after, (str, *(column.type.python_type for column in columns)))
     try:
-        return datetime.fromisoformat(str(at)).astimezone(UTC), key
+        last_at = datetime.fromisoformat(str(moment)).astimezone(UTC)
     except (ValueError, OverflowError) as exc:
-        raise NotFoundError("after: not a position in a list; use `next` of the list before") from exc
-
-
-def read_moment_and_name(word: str) -> tuple[datetime, str]:
-    """Return a place in a list by time whose rows have a name each."""
-    at, (name,) = read_moment(word, (str,))
-    return at, str(name)
+        raise NotFoundError(_NO_PLACE) from exc
+    pairs = list(zip(columns, values, strict=True))
+    # The first column that differs tells.
+    behind = (
+        and_(*(one == value for one, value in pairs[:place]), column > last)
+        for place, (column, last) in enumerate(pairs)
+    )
+    return statement.where(at <= last_at, or_(at < last_at, *behind))

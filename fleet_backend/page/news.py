@@ -71,7 +71,9 @@ class News:
                 except TimeoutError:
                     yield ": still here\n\n"
                     continue
-                await self._wait_until(rested_s)
+                with suppress(TimeoutError):
+                    async with asyncio.timeout_at(rested_s):
+                        await self._ended.wait()
                 reader.wakes.clear()
                 if not self._ended.is_set():
                     rested_s = clock() + self._rest_s
@@ -80,9 +82,3 @@ class News:
         finally:
             leave()
             self._readers.discard(reader)
-
-    async def _wait_until(self, moment_s: float) -> None:
-        """Wait until a moment of the event loop, or until all readers are let go."""
-        with suppress(TimeoutError):
-            async with asyncio.timeout_at(moment_s):
-                await self._ended.wait()

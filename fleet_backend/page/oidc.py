@@ -9,7 +9,7 @@ from http.client import HTTPException
 from typing import Any, Final
 from urllib.error import URLError
 from urllib.parse import urlsplit
-from urllib.request import HTTPRedirectHandler, ProxyHandler, Request, build_opener
+from urllib.request import ProxyHandler, Request, build_opener
 
 from authlib.common.errors import AuthlibBaseError
 from authlib.oauth2.auth import ClientAuth
@@ -21,6 +21,7 @@ from joserfc import jwt
 from joserfc.errors import JoseError
 from joserfc.jwk import KeySet
 
+from fleet_backend.alarms.carriers import NoRedirects
 from fleet_backend.page.errors import LoginError, ProviderAwayError
 
 LONGEST_WAIT_S: Final = 10.0
@@ -43,11 +44,6 @@ class Client:
     return_address: str
     name_claim: str
     has_verified_emails: bool = False  # the provider verifies addresses, though its tokens do not say so
-
-
-class _NoRedirects(HTTPRedirectHandler):
-    def redirect_request(self, *_: object) -> None:
-        """Follow none: a secret goes where it was sent, nowhere else."""
 
 
 class OpenIdProvider:
@@ -151,7 +147,7 @@ def is_safe(address: str) -> bool:
 def _read(request: Request) -> dict[str, Any]:
     """Return the JSON object that a provider answers; LoginError if it refuses a form, else ProviderAwayError."""
     try:
-        opener = build_opener(_NoRedirects, ProxyHandler({}))
+        opener = build_opener(NoRedirects, ProxyHandler({}))
         with opener.open(request, timeout=LONGEST_WAIT_S) as answer:
             found = json.loads(answer.read(_MOST_BYTES))
     except URLError as exc:

@@ -22,14 +22,13 @@ from diag_service.diagnosis.records import (
 )
 from fleet_backend.page import past
 from fleet_backend.page.calibrations import reference_of, type_of
-from fleet_backend.page.past import friction_in
+from fleet_backend.page.past import Row, friction_in
 from fleet_backend.page.populations import Kept, latest
 from fleet_backend.page.records import ClutchNow, Fill, OutlookAnswer, ReachAnswer, TrendPoint
 from fleet_backend.page.vehicle_state import VehicleState
 from fleet_backend.schema import RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
 from fleet_contract.orders import Action
 
-Row = Mapping[str, Any]
 _KINDS: Final = frozenset(EventKind)
 _SAME_IN_ROWS: Final = (  # of an estimate
     *("number", "from_gear", "to_gear", "clutch", "sample_count", "window_s", "chi_square_ratio", "quality"),
@@ -199,7 +198,7 @@ def read_past(engine: Engine, vehicle: str, clutch: int, state: VehicleState, se
     )
 
 
-def _point_of(row: past.Row, estimate: ShiftEstimate) -> TrendPoint:
+def _point_of(row: Row, estimate: ShiftEstimate) -> TrendPoint:
     made: dict[str, Any] = {name: row[name] for name in _POINT_NAMES}
     quality = estimate.shift_quality
     made["score"] = None if quality is None else quality.score

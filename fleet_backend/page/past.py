@@ -1,4 +1,4 @@
-"""The past of one vehicle, one of its events, and what was kept aside: read from the database by its indexes."""
+"""The past of one vehicle, and one of its events: read from the database by its indexes."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from fleet_backend.database import transaction
 from fleet_backend.months import CLUTCH_BLOCK, has_partitions, months_with
 from fleet_backend.orders import without_old_fluid
 from fleet_backend.page.calibrations import remember
-from fleet_backend.page.records import ClutchAlarm, Quarantined, ShiftAnswer
+from fleet_backend.page.records import ClutchAlarm, ShiftAnswer
 from fleet_backend.queries import CLUTCH_ALARM
 
 SAME_RATIO: Final = 0.5
@@ -143,18 +143,6 @@ def shift_of(engine: Engine, vehicle: str, stream: str, seq: int) -> ShiftAnswer
     if not rows:
         return None
     return _shift(rows[0], rows[1:])
-
-
-def quarantined(engine: Engine, after: tuple[datetime, str] | None, limit: int) -> tuple[Quarantined, ...]:
-    """Return what was kept aside, the latest first, behind the message that ``after`` names."""
-    table = schema.QUARANTINE
-    statement = select(table).order_by(table.c.received_at.desc(), table.c.digest).limit(limit)
-    if after is not None:
-        at, digest = after
-        is_behind = or_(table.c.received_at < at, table.c.digest > digest)
-        statement = statement.where(table.c.received_at <= at, is_behind)
-    with transaction(engine) as connection:
-        return tuple(Quarantined(**row) for row in connection.execute(statement).mappings())
 
 
 def friction_in(row: Row, prefix: str) -> dict[str, float] | None:

@@ -3,18 +3,22 @@
 from typing import Final
 
 from clutchdiag_io.pages.content import Cell, Table, moment
-from fleet_backend.page import past, wording
+from fleet_backend.database import transaction
+from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask
 from fleet_backend.page.clutches_view import next_of
-from fleet_backend.page.listing import page_of, read_moment_and_name
+from fleet_backend.page.listing import latest_first, page_of
 from fleet_backend.page.records import QuarantineAnswer, Quarantined
 from fleet_backend.page.view import Shown, Sources, View, list_section
+from fleet_backend.schema import QUARANTINE
 
 
 def find(sources: Sources, ask: Ask) -> QuarantineAnswer:
     """Return a part of what was kept aside."""
-    after, limit = ask.text("after"), ask.count("limit")
-    found = past.quarantined(sources.engine, None if after is None else read_moment_and_name(after), limit + 1)
+    limit = ask.count("limit")
+    statement = latest_first(QUARANTINE, "received_at", ("digest",), ask.text("after"), limit)
+    with transaction(sources.engine) as connection:
+        found = [Quarantined(**row) for row in connection.execute(statement).mappings()]
     some, following = page_of(found, limit, lambda one: (one.received_at.isoformat(), one.digest))
     return QuarantineAnswer(messages=some, next=following)
 

@@ -50,11 +50,13 @@ class Endpoints:
             ask = self._ask(request, view.role, view.parameters)
             number = self.sources.keeper.snapshot.number
             drawn = self._drawn(view, view.find(self.sources, ask), ask)
+            words = {name: quote(str(word), safe="") for name, word in request.path_params.items()}
+            query = urlencode([pair for pair in request.query_params.multi_items() if pair[1]])
             text = html_of(
                 view,
                 drawn,
                 viewer=ask.viewer,
-                api_href=_api_href(view, request),
+                api_href=view.api_path.format(**words) + (f"?{query}" if query else ""),
                 number=number,
                 complaint=self.sources.keeper.complaint,
             )
@@ -167,7 +169,12 @@ class Endpoints:
     async def _changing(self, request: Request, role: Role) -> tuple[Viewer, dict[str, str]]:
         """Return who asks for a change by a form of one of our own pages, and its words."""
         viewer = self._viewer(request, role)
-        _check_origin(request, self.access.host_names)
+        fetched_by = request.headers.get("sec-fetch-site", "same-origin")
+        origin = request.headers.get("origin")
+        if fetched_by != "same-origin" or (
+            origin is not None and urlsplit(origin).hostname not in self.access.host_names
+        ):
+            raise ForbiddenError("a page of another site sent this request")
         words = dict(await _form_words(request))
         check_token(viewer, words.pop(_TOKEN, ""))
         return viewer, words
@@ -180,20 +187,6 @@ class Endpoints:
 def api_parameters(view: View) -> Sequence[Parameter]:
     """Return what a program may say: longer parts, and how the answer is written."""
     return [*(replace(one, most=_MOST_IN_A_FILE) if one is LIMIT else one for one in view.parameters), FORMAT]
-
-
-def _api_href(view: View, request: Request) -> str:
-    path = view.api_path.format(**{name: quote(str(word), safe="") for name, word in request.path_params.items()})
-    query = urlencode([pair for pair in request.query_params.multi_items() if pair[1]])
-    return f"{path}?{query}" if query else path
-
-
-def _check_origin(request: Request, host_names: Sequence[str]) -> None:
-    """Raise ForbiddenError if a browser says that a page of another site asks."""
-    fetched_by = request.headers.get("sec-fetch-site", "same-origin")
-    origin = request.headers.get("origin")
-    if fetched_by != "same-origin" or (origin is not None and urlsplit(origin).hostname not in host_names):
-        raise ForbiddenError("a page of another site sent this request")
 
 
 async def _form_words(request: Request) -> list[tuple[str, str]]:

@@ -7,7 +7,7 @@ from datetime import datetime
 from types import MappingProxyType
 from typing import Any, Final
 
-from sqlalchemy import Connection, Engine, TextClause, TextualSelect, bindparam, func, select, text
+from sqlalchemy import Connection, Engine, TextualSelect, bindparam, func, select, text
 
 from fleet_backend.database import transaction
 from fleet_backend.months import CLUTCH_STREAM, has_partitions
@@ -71,17 +71,16 @@ class FillsSeen:
     withdrawn_count: int = 0
 
 
-def _statement(source: str, score: str, where: str) -> TextClause:
-    source = source.format(where=where, happened_at=HAPPENED_AT.format("l."))
-    made = text(_RUNNING.format(source=source, score=score))
-    return made.bindparams(bindparam("vehicles", expanding=True)) if where else made
-
-
 def _statements(where: str) -> Mapping[bool, TextualSelect]:
     """Return the statement for databases that keep results by months, and for others."""
-    columns = {"end_at": UtcDateTime(), "stored_at": UtcDateTime()}
     sources = {True: (_BY_MONTH, _SCORE_OF_JSON), False: (_IN_ONE_TABLE, "json_extract(s.shift_quality, '$.score')")}
-    return MappingProxyType({kind: _statement(*one, where).columns(**columns) for kind, one in sources.items()})
+    found: dict[bool, TextualSelect] = {}
+    for kind, (form, score) in sources.items():
+        source = form.format(where=where, happened_at=HAPPENED_AT.format("l."))
+        made = text(_RUNNING.format(source=source, score=score))
+        made = made.bindparams(bindparam("vehicles", expanding=True)) if where else made
+        found[kind] = made.columns(end_at=UtcDateTime(), stored_at=UtcDateTime())
+    return MappingProxyType(found)
 
 
 _ALL_CLUTCHES: Final = _statements("")

@@ -5,7 +5,6 @@ from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractAsyncContextManager
 from datetime import datetime
 from importlib import resources
-from importlib.resources.abc import Traversable
 from types import MappingProxyType
 from typing import Final
 
@@ -95,6 +94,7 @@ def site(sources: Sources, access: Access, *, lifespan: Lifespan | None = None, 
     """Return the application that answers."""
     make = Endpoints(sources=sources, access=access, now=now)
     description = json_of(openapi([(view, api_parameters(view)) for view in VIEWS]))
+    login = [] if access.login is None else [*LoginRoutes(access=access, login=access.login).all(), make.logout()]
     routes = [
         *(make.page(view) for view in VIEWS),
         *(make.interface(view) for view in VIEWS),
@@ -102,7 +102,7 @@ def site(sources: Sources, access: Access, *, lifespan: Lifespan | None = None, 
         *(make.action(action) for action in ACTIONS),
         make.document(OPENAPI_PATH, description, "application/json"),
         make.events(),
-        *_login_routes(access, make),
+        *login,
         Route("/static/{name}", _static_endpoint(), name="static"),
     ]
     handlers = dict.fromkeys((FleetBackendError, HTTPException, Exception), _tell)
@@ -111,19 +111,16 @@ def site(sources: Sources, access: Access, *, lifespan: Lifespan | None = None, 
     return SafeHeaders(KnownHosts(inside, host_names(access)))  # around everything, what goes wrong included
 
 
-def _login_routes(access: Access, make: Endpoints) -> list[Route]:
-    if access.login is None:
-        return []
-    return [*LoginRoutes(access=access, login=access.login).all(), make.logout()]
-
-
 def host_names(access: Access) -> Collection[str]:
     """Return the names by which readers may call the page: the loopback's, or those that are given instead."""
     return access.host_names or LOOPBACK
 
 
 def _static_endpoint() -> Callable[[Request], Response]:
-    files = {entry.name: entry.read_bytes() for entry in _static_entries()}
+    own = [one for one in resources.files("fleet_backend.page").joinpath("static").iterdir() if one.is_file()]
+    folder = resources.files("clutchdiag_io.pages").joinpath("templates")
+    shared = (folder.joinpath(name) for name in ("style.css", "live.js", "times.js", "icon.svg"))
+    files = {entry.name: entry.read_bytes() for entry in (*own, *shared)}
 
     def answer(request: Request) -> Response:
         name = request.path_params["name"]
@@ -133,12 +130,6 @@ def _static_endpoint() -> Callable[[Request], Response]:
         return Response(files[name], media_type=kind, headers={"cache-control": "max-age=3600"})
 
     return answer
-
-
-def _static_entries() -> list[Traversable]:
-    own = [one for one in resources.files("fleet_backend.page").joinpath("static").iterdir() if one.is_file()]
-    shared = resources.files("clutchdiag_io.pages").joinpath("templates")
-    return [*own, *(shared.joinpath(name) for name in ("style.css", "live.js", "times.js", "icon.svg"))]
 
 
 async def _tell(request: Request, exc: Exception) -> Response:
