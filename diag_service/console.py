@@ -7,11 +7,12 @@ import select
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Any, Final, Self, TextIO
 
+from rich import box
 from rich.cells import cell_len
 from rich.console import Console
 from rich.measure import Measurement
@@ -61,6 +62,16 @@ class PeopleConsole(Console):
             return
         text = what if isinstance(what, Text) else Text(_shown(legible(what)), style)
         yield from text.split("\n", allow_blank=True) if text.plain else [text]
+
+
+def plain_table(columns: Iterable[str], left: Container[str] = (), title: str | None = None) -> Table:
+    """Return a table without a frame; of its columns those named ``left`` begin at the left, the others end there."""
+    table = Table(
+        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
+    )
+    for name in columns:
+        table.add_column(name, justify="left" if name in left else "right", no_wrap=True)
+    return table
 
 
 def folded(line: Text, width: int) -> list[Text]:

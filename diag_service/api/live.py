@@ -265,7 +265,10 @@ class LiveDiagnosis:
         return ResultStore.open(self._store_path, self._config.budget_bytes)
 
     async def _diagnose(self, store: ResultStore) -> None:
-        self._session = session = await asyncio.to_thread(self._new_session, store)
+        reporter = _Handing(self._hand_over, self.controller_reports.append)
+        self._session = session = await asyncio.to_thread(
+            lambda: Session(self._config, self._config.interpretation().decoder(), store, None, reporter)
+        )
         outbox = outbox_of(self._config, store, session, is_live=True)
         async with polling(self._config.vehicle, self._named, store, session, outbox):
             source, schedule = await self._open_bus(session)
@@ -280,10 +283,6 @@ class LiveDiagnosis:
                 duration_s=self._named.duration_s,
                 schedule=schedule,
             )
-
-    def _new_session(self, store: ResultStore) -> Session:
-        reporter = _Handing(self._hand_over, self.controller_reports.append)
-        return Session(self._config, self._config.interpretation().decoder(), store, None, reporter)
 
     async def _open_bus(self, session: Session) -> tuple[LiveSource, ReadSchedule]:
         if self._bus is None:

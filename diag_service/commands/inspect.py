@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 from cantools.database.can import Message
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import FloatArray
 from canlog.database.addressing import NOBODY, address_book, find_slot, message_address, overwritten
 from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.e2e.message_contract import message_contract
@@ -221,7 +221,11 @@ def inspect_log(
         traffic=traffic,
         names=_names(messages, {one.can_id for one in traffic.ids}) if values is None else values.names,
         links={
-            message.name: _link_errors(row, int(lost))
+            message.name: LinkErrors(
+                good=int(row[FrameReason.OK]),
+                errors={one.name.lower(): int(row[one]) for one in FrameReason if one != FrameReason.OK and row[one]},
+                missing=int(lost),
+            )
             for message, row, lost in zip(protected, counts[:-1], missing, strict=True)
             if row.sum()
         },
@@ -268,13 +272,6 @@ def _names(messages: Sequence[Message], can_ids: AbstractSet[int]) -> dict[int, 
     book = address_book([addresses[slot] for slot in kept])
     slots = {can_id: find_slot(book, can_id) for can_id in can_ids if not can_id & (REMOTE_FLAG | ERROR_FLAG)}
     return {can_id: messages[kept[slot]].name for can_id, slot in slots.items() if slot != NOBODY}
-
-
-def _link_errors(row: Int64Array, missing: int) -> LinkErrors:
-    errors = {reason.name.lower(): int(row[reason]) for reason in FrameReason if reason != FrameReason.OK}
-    return LinkErrors(
-        good=int(row[FrameReason.OK]), errors={name: count for name, count in errors.items() if count}, missing=missing
-    )
 
 
 def _show(inspection: Inspection, bitrate: int, console: PeopleConsole) -> None:

@@ -1,11 +1,11 @@
 """A line per shift and a closing table, for people."""
 
-from rich import box
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from clutch_model.units import degc_from_k
+from diag_service.console import plain_table
 from diag_service.delivery.reporters import ControllerNews, News
 from diag_service.diagnosis.condition.shift_course import load_line
 from diag_service.diagnosis.records import (
@@ -190,10 +190,8 @@ def _details(estimate: ShiftEstimate) -> str:
 
 
 def _clutch_table(summary: Summary, *, is_detailed: bool) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    names = ("clutch", "condition", "mu_C", "level", "shifts", *(("mu_S", "P(slope<0)") if is_detailed else ()))
-    for name in names:
-        table.add_column(name, justify="left" if name == "condition" else "right", no_wrap=True)
+    head = ("clutch", "condition", "mu_C", "level", "shifts", *(("mu_S", "P(slope<0)") if is_detailed else ()))
+    table = plain_table(head, {"condition"})
     for result in summary.latest:
         verdict, friction = result.verdict, result.verdict.friction
         cells: list[str | Text] = [

@@ -110,17 +110,15 @@ class MqttLink:
         try:
             incoming = read_message(message.topic, message.payload)
             if incoming.address.channel is Channel.ACK:
-                self._hear(receipts_of(incoming.data), is_taken=takes_bundles(incoming.data))
+                receipts, is_taken = receipts_of(incoming.data), takes_bundles(incoming.data)
+                if self._on_receipts is None:
+                    self._early.append((receipts, is_taken))
+                else:
+                    self._on_receipts(receipts, takes_bundles=is_taken)
             elif incoming.address.channel is Channel.FILLS:
                 (self._on_fills or self._early_fills.extend)(fills_from(incoming.data))
         except ContractError as exc:
             _LOG.warning("a message to this service is ignored: %s", exc)
-
-    def _hear(self, receipts: list[Receipt], *, is_taken: bool) -> None:
-        if self._on_receipts is None:
-            self._early.append((receipts, is_taken))
-        else:
-            self._on_receipts(receipts, takes_bundles=is_taken)
 
 
 class MqttConnector:

@@ -131,7 +131,9 @@ class Outbox:
                     self._is_down = False
                     _LOG.log(NOTICE, "broker %s takes results again", self._where)
                 await self._send_metrics(link)
-            await self._send_states(link)
+            messages, self._unsent = list(self._unsent.values()), {}
+            if messages:
+                await link.send(messages)
             if self._closing.is_set() and not delivery.awaits_receipts and not delivery.wake.is_set():
                 return
             await self._wait(link, delivery)
@@ -153,11 +155,6 @@ class Outbox:
         if not loss.cancelled():
             loss.result()
             raise PublishError("connection lost")
-
-    async def _send_states(self, link: Link) -> None:
-        messages, self._unsent = list(self._unsent.values()), {}
-        if messages:
-            await link.send(messages)
 
     async def _send_metrics(self, link: Link) -> None:
         if self._metrics is None or self._now_s() < self._metrics_due_s:

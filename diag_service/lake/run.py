@@ -193,10 +193,12 @@ class Dispatch:
                     self._waiting.append(outcome.log)
                 elif not outcome.is_blamed:
                     self._waiting.appendleft(outcome.log)
-                elif was_alone and self._died(outcome.log) >= MOST_DEATHS:
-                    yield row_of(self._job, outcome.log, self._attempts[outcome.log.source], reason=DEADLY)
                 else:
-                    self._suspects.append(outcome.log)
+                    self._deaths_alone[outcome.log.source] += was_alone
+                    if self._deaths_alone[outcome.log.source] < MOST_DEATHS:
+                        self._suspects.append(outcome.log)
+                    else:
+                        yield row_of(self._job, outcome.log, self._attempts[outcome.log.source], reason=DEADLY)
 
     def _hand_out(self) -> None:
         most = WAITING_PER_WORKER * self._pool.width
@@ -209,10 +211,6 @@ class Dispatch:
         self._attempts[log.source] += 1
         self._running_count += 1
         self._pool.submit(log, self._attempts[log.source])
-
-    def _died(self, log: LakeLog) -> int:
-        self._deaths_alone[log.source] += 1
-        return self._deaths_alone[log.source]
 
 
 class Ledger:

@@ -5,11 +5,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from rich import box
 from rich.table import Table
 from rich.text import Text
 
 from clutchdiag_io.pages.content import spread
+from diag_service.console import plain_table
 from diag_service.delivery.console import condition_words, order_lines
 from diag_service.diagnosis import records
 from diag_service.diagnosis.condition import shift_course
@@ -117,10 +117,10 @@ def _course(found: Findings) -> Iterator[Text | Table]:
     known = shift_course.courses(estimates)
     if not known:
         return
-    table = _table("How well it shifts: scores by kind, gears and oil; 100 is faultless")
     ends = (f"first {shift_course.COURSE_COUNT}", f"last {shift_course.COURSE_COUNT}")
-    for name in ("change", "gears", "count", *ends, "cold", "warm", "hot", "costs"):
-        table.add_column(name, justify="left" if name in {"change", "costs"} else "right", no_wrap=True)
+    head = ("change", "gears", "count", *ends, "cold", "warm", "hot", "costs")
+    title = "How well it shifts: scores by kind, gears and oil; 100 is faultless"
+    table = plain_table(head, {"change", "costs"}, title)
     for one in known:
         scores = (_NONE if score is None else f"{score:.0f}" for score in (one.first, one.last, *one.by_oil))
         kind, gears = one.kind.value.replace("_", " "), f"{one.from_gear}-{one.to_gear}"
@@ -197,9 +197,8 @@ def _event_record(row: Row, clutch: int, number: int, fill: records.FluidFill | 
 
 
 def _fluid_table(title: str, periods: Sequence[FluidPeriod]) -> Table:
-    table = _table(f"{title}, fluid by fluid")
-    for name in ("fluid", "shifts", "mu_C at the end", "since its baseline", "against the first fluid", "verdict"):
-        table.add_column(name, justify="left" if name in {"fluid", "verdict"} else "right", no_wrap=True)
+    head = ("fluid", "shifts", "mu_C at the end", "since its baseline", "against the first fluid", "verdict")
+    table = plain_table(head, {"fluid", "verdict"}, f"{title}, fluid by fluid")
     for period in periods:
         verdict = period.last_verdict
         table.add_row(
@@ -215,9 +214,9 @@ def _fluid_table(title: str, periods: Sequence[FluidPeriod]) -> Table:
 
 def _event_table(title: str, rows: Sequence[Row], most_rows: int, end: str) -> Table:
     places = spread(range(len(rows)), most_rows)
-    table = _table(f"{title}: {len(places)} of {events_text(len(rows))}; shift is the number that 'show' takes")
-    for name in ("shift", end, "km", "data", "mu_C", "running mu_C", "verdict"):
-        table.add_column(name, justify="left" if name in {"data", "verdict"} else "right", no_wrap=True)
+    told = f"{title}: {len(places)} of {events_text(len(rows))}; shift is the number that 'show' takes"
+    head = ("shift", end, "km", "data", "mu_C", "running mu_C", "verdict")
+    table = plain_table(head, {"data", "verdict"}, told)
     for place in places:
         estimate, verdict = rows[place].result.estimate, rows[place].result.verdict
         table.add_row(
@@ -230,12 +229,6 @@ def _event_table(title: str, rows: Sequence[Row], most_rows: int, end: str) -> T
             condition_words(verdict.condition),
         )
     return table
-
-
-def _table(title: str) -> Table:
-    return Table(
-        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
-    )
 
 
 def _friction(friction: records.FrictionEstimate | None) -> str:

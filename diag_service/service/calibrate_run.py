@@ -2,19 +2,17 @@
 
 import io
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
 from pathlib import Path
-
-from rich import box
-from rich.table import Table
+from typing import Final
 
 from canlog.errors import SourceError
 from canlog.files import replacing
 from clutch_model.calibration import Calibration, TorqueSource, calibration_toml
 from clutch_model.units import NS_PER_S, bar_from_pa
-from diag_service.console import PeopleConsole, ReadingLine
+from diag_service.console import PeopleConsole, ReadingLine, plain_table
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.evidence import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.diagnosis.friction.posterior import friction as friction_of
@@ -49,37 +47,28 @@ class CalibrationEvents:
         return datetime.fromtimestamp(last_ns / NS_PER_S, UTC).date()
 
 
-@dataclass(frozen=True, slots=True)
-class _Unit:
-    """How people read a parameter."""
-
-    label: str
-    unit: str
-    factor: float  # from SI
-
-
-_PER_CENT = 100.0
-_UNITS = {
-    "torque_offset": _Unit("torque offset", "Nm", 1.0),
-    "touch1": _Unit("touch pressure of clutch 1, error", "bar", float(bar_from_pa(1.0))),
-    "touch2": _Unit("touch pressure of clutch 2, error", "bar", float(bar_from_pa(1.0))),
-    "zero1": _Unit("pressure zero of clutch 1", "bar", float(bar_from_pa(1.0))),
-    "zero2": _Unit("pressure zero of clutch 2", "bar", float(bar_from_pa(1.0))),
-    "torque_gain": _Unit("torque gain, error", "%", _PER_CENT),
-    "engine_inertia": _Unit("engine inertia, error", "%", _PER_CENT),
-    "piston_area1": _Unit("piston area of clutch 1, error", "%", _PER_CENT),
-    "piston_area2": _Unit("piston area of clutch 2, error", "%", _PER_CENT),
-    "viscosity": _Unit("viscosity, error", "%", _PER_CENT),
-    "torque_latency": _Unit("torque latency against the speeds", "ms", 1e3),
-    "pressure_latency": _Unit("pressure latency against the speeds", "ms", 1e3),
-    "motoring_gain": _Unit("gain of motoring torque, error", "%", _PER_CENT),
-    "stribeck_speed": _Unit("Stribeck speed, error", "%", _PER_CENT),
-    "contact_stiffness": _Unit("contact stiffness, error", "%", _PER_CENT),
-    "film_mobility": _Unit("film mobility, logarithm of its error", "", 1.0),
-    "stribeck_exponent": _Unit("Stribeck exponent, logarithm of its error", "", 1.0),
-    "friction_temperature": _Unit("friction per temperature", "%/K", _PER_CENT),
-    "open_drag": _Unit("drag of open clutches, logarithm of its error", "", 1.0),
-    "shaft_inertia": _Unit("inertia of the input shafts, error", "%", _PER_CENT),
+_PER_CENT, _BAR = 100.0, float(bar_from_pa(1.0))
+_UNITS: Final[Mapping[str, tuple[str, str, float]]] = {  # how people read a parameter: label, unit, factor from SI
+    "torque_offset": ("torque offset", "Nm", 1.0),
+    "touch1": ("touch pressure of clutch 1, error", "bar", _BAR),
+    "touch2": ("touch pressure of clutch 2, error", "bar", _BAR),
+    "zero1": ("pressure zero of clutch 1", "bar", _BAR),
+    "zero2": ("pressure zero of clutch 2", "bar", _BAR),
+    "torque_gain": ("torque gain, error", "%", _PER_CENT),
+    "engine_inertia": ("engine inertia, error", "%", _PER_CENT),
+    "piston_area1": ("piston area of clutch 1, error", "%", _PER_CENT),
+    "piston_area2": ("piston area of clutch 2, error", "%", _PER_CENT),
+    "viscosity": ("viscosity, error", "%", _PER_CENT),
+    "torque_latency": ("torque latency against the speeds", "ms", 1e3),
+    "pressure_latency": ("pressure latency against the speeds", "ms", 1e3),
+    "motoring_gain": ("gain of motoring torque, error", "%", _PER_CENT),
+    "stribeck_speed": ("Stribeck speed, error", "%", _PER_CENT),
+    "contact_stiffness": ("contact stiffness, error", "%", _PER_CENT),
+    "film_mobility": ("film mobility, logarithm of its error", "", 1.0),
+    "stribeck_exponent": ("Stribeck exponent, logarithm of its error", "", 1.0),
+    "friction_temperature": ("friction per temperature", "%/K", _PER_CENT),
+    "open_drag": ("drag of open clutches, logarithm of its error", "", 1.0),
+    "shaft_inertia": ("inertia of the input shafts, error", "%", _PER_CENT),
 }
 
 
@@ -162,9 +151,9 @@ def run_calibrate(config: DiagnosisConfig, logs: Sequence[Path], path: Path, sto
     told = calibrated(config, logs, stop, ReadingLine())
     write_calibration(path, told.found.calibration)
     if as_json:
-        sys.stdout.write(dump(record(told.found, told.start, told.vehicle, told.gaps)) + "\n")
+        sys.stdout.write(dump(record(told)) + "\n")
     else:
-        show(told.found, told.start, path, PeopleConsole(), told.gaps)
+        show(told, path, PeopleConsole())
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
@@ -174,20 +163,16 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
         part.replace(path)
 
 
-def show(found: SelfCalibration, start: Calibration, path: Path, console: PeopleConsole, gaps: Sequence[Gap]) -> None:
-    for gap in gaps:
+def show(told: FoundCalibration, path: Path, console: PeopleConsole) -> None:
+    for gap in told.gaps:
         console.print(f"{GAP_TEXT[gap]}: calibrated from what there is", style="bold red")
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("parameter", no_wrap=True)
-    for name in ("found", "std", "std before"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
-    for name, value, std, before in _rows(found, start):
-        unit = _UNITS[name]
-        cells = (f"{unit.factor * number:.3g}" for number in (std, before))
-        table.add_row(unit.label, f"{unit.factor * value:+.3g}", *cells, unit.unit)
+    table = plain_table(("parameter", "found", "std", "std before", ""), {"parameter", ""})
+    for name, value, std, before in _rows(told):
+        label, unit, factor = _UNITS[name]
+        cells = (f"{factor * number:.3g}" for number in (std, before))
+        table.add_row(label, f"{factor * value:+.3g}", *cells, unit)
     console.print(table)
-    console.print_all(_lines(found, path))
+    console.print_all(_lines(told.found, path))
 
 
 def _lines(found: SelfCalibration, path: Path) -> Iterator[str]:
@@ -213,17 +198,18 @@ def _lines(found: SelfCalibration, path: Path) -> Iterator[str]:
         yield "it names no vehicle (--vehicle) so it is used for any vehicle"
 
 
-def record(found: SelfCalibration, start: Calibration, vehicle: str, gaps: Sequence[Gap]) -> JsonObject:
+def record(told: FoundCalibration) -> JsonObject:
     """Return what was found, for machines; SI units."""
+    found = told.found
     frictions = {clutch: friction_of(found.state, clutch) for clutch in (1, 2)}
     return {
         "schema": CALIBRATION_SCHEMA,
-        "vehicle": vehicle,
-        "complete": not gaps,
-        "incomplete": [gap.value for gap in gaps],
+        "vehicle": told.vehicle,
+        "complete": not told.gaps,
+        "incomplete": [gap.value for gap in told.gaps],
         "calibration_version": found.calibration.version,
         "parameters": {
-            name: {"value": value, "std": std, "std_before": before} for name, value, std, before in _rows(found, start)
+            name: {"value": value, "std": std, "std_before": before} for name, value, std, before in _rows(told)
         },
         "friction": {
             str(clutch): {key: getattr(friction, key) for key in ("mu_c", "std_mu_c", "mu_s", "std_mu_s")}
@@ -236,8 +222,9 @@ def record(found: SelfCalibration, start: Calibration, vehicle: str, gaps: Seque
     }
 
 
-def _rows(found: SelfCalibration, start: Calibration) -> Iterator[tuple[str, float, float, float]]:
+def _rows(told: FoundCalibration) -> Iterator[tuple[str, float, float, float]]:
     """Yield name, value, std and the type's std of each parameter; ratios and states as they are kept."""
+    found, start = told.found, told.start
     before = prior_covariance(start).diagonal() ** 0.5
     for row, name in enumerate((*State, *Considered)):
         key = name.name.lower()

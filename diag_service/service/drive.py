@@ -3,7 +3,7 @@
 import hashlib
 import logging
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import chain
@@ -168,19 +168,15 @@ class DriveFrames:
         self._marks.release(number)
 
     def _share(self, number: int) -> LogShare:
-        channels = tuple(
-            _channel_share(channel, self._monitor.source_counts(source))
-            for channel, source in self._marks.of_log(number).items()
-        )
-        return LogShare.of(str(self.logs[number].path), channels)
-
-
-def _channel_share(channel: int, counts: Mapping[FrameReason, int]) -> ChannelShare:
-    used = {FrameReason.OK, FrameReason.UNKNOWN_ID}
-    return ChannelShare(
-        channel=channel,
-        frames=sum(counts.values()),
-        decoded=counts.get(FrameReason.OK, 0),
-        ignored=counts.get(FrameReason.UNKNOWN_ID, 0),
-        rejected={reason.name.lower(): count for reason, count in counts.items() if reason not in used},
-    )
+        channels, used = list[ChannelShare](), {FrameReason.OK, FrameReason.UNKNOWN_ID}
+        for channel, source in self._marks.of_log(number).items():
+            counts = self._monitor.source_counts(source)
+            share = ChannelShare(
+                channel=channel,
+                frames=sum(counts.values()),
+                decoded=counts.get(FrameReason.OK, 0),
+                ignored=counts.get(FrameReason.UNKNOWN_ID, 0),
+                rejected={reason.name.lower(): count for reason, count in counts.items() if reason not in used},
+            )
+            channels.append(share)
+        return LogShare.of(str(self.logs[number].path), tuple(channels))

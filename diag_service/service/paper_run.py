@@ -4,13 +4,11 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
-from rich import box
 from rich.table import Table
 
 from canlog.logs.reading import Watch
-from diag_service.console import PeopleConsole, ReadingLine
+from diag_service.console import PeopleConsole, ReadingLine, plain_table
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.paper import (
@@ -78,33 +76,23 @@ def show_paper(config: DiagnosisConfig, paths: Sequence[Path], controls: Control
 
         def use(shift: PaperShift) -> None:
             line.clear()
-            _show(shift, output)
+            if isinstance(output, PeopleConsole):
+                output.print(shift_line(shift))
+            else:
+                output.write(dump(_shift_record(shift)) + "\n")
+                output.flush()
 
         run = run_paper(config, paths, controls.stop, use, begin, line.watch)
-    account = run.account
-    _conclude(run.clutches, account.gaps, frames_line(account.frames), output)
-    insist(account.gaps, account.contributions, is_strict=config.is_strict)
-
-
-def _show(shift: PaperShift, output: PeopleConsole | TextIO) -> None:
-    if isinstance(output, PeopleConsole):
-        output.print(shift_line(shift))
-        return
-    output.write(dump(_shift_record(shift)) + "\n")
-    output.flush()
-
-
-def _conclude(
-    pooled: Sequence[PooledClutch], gaps: tuple[Gap, ...], frames: str, output: PeopleConsole | TextIO
-) -> None:
+    gaps = run.account.gaps
     if isinstance(output, PeopleConsole):
         if gaps:
             output.print(gaps_line(gaps), style="bold red")
-        output.print(_table(pooled))
+        output.print(_table(run.clutches))
         output.print("n: samples that passed every gate; no uncertainty is stated, so no verdict")
-        output.print(frames)
-        return
-    output.writelines(dump(_pooled_record(clutch, gaps)) + "\n" for clutch in pooled)
+        output.print(frames_line(run.account.frames))
+    else:
+        output.writelines(dump(_pooled_record(clutch, gaps)) + "\n" for clutch in run.clutches)
+    insist(gaps, run.account.contributions, is_strict=config.is_strict)
 
 
 def shift_line(shift: PaperShift) -> str:
@@ -118,9 +106,7 @@ def shift_line(shift: PaperShift) -> str:
 
 
 def _table(pooled: Sequence[PooledClutch]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for name in ("clutch", "mu_C", "n", "mu_S", "n", "std", "shifts"):
-        table.add_column(name, justify="right", no_wrap=True)
+    table = plain_table(("clutch", "mu_C", "n", "mu_S", "n", "std", "shifts"))
     for clutch in pooled:
         mu_c, mu_s, mu_c_samples, mu_s_samples = _found(clutch.estimate).values()
         cells = (_number(mu_c), mu_c_samples, _number(mu_s), mu_s_samples, "n/a", clutch.shift_count)

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Final
 
 from clutchdiag_io.files import OPEN_FLAGS, PRIVATE_MODE, create_private, lock
-from diag_service.errors import StoreError, StoreFullError
+from diag_service.diagnosis.records import ShiftResult, parse_shift
+from diag_service.errors import ResultError, StoreError, StoreFullError
 
 APPLICATION_ID: Final = 0x434C4449  # "CLDI", in the header of every store
 SCHEMA_VERSION: Final = 6
@@ -189,13 +190,6 @@ def _opened(path: Path, *pragmas: str) -> sqlite3.Connection:
     return connection
 
 
-def connect_in_memory() -> sqlite3.Connection:
-    """Return the database of a store that ends with the process."""
-    connection = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
-    create_tables(connection)
-    return connection
-
-
 @contextmanager
 def translated(where: str) -> Iterator[None]:
     """Make SQLite's errors ours."""
@@ -218,16 +212,29 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
     (table_count,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     if application_id != APPLICATION_ID and (table_count or application_id):
         raise StoreError(f"{path} is an SQLite file of another program, not a result store")
-    if version > SCHEMA_VERSION:
-        raise StoreError(
-            f"store {path} was written by a newer diag-service (schema {version}, this one knows {SCHEMA_VERSION})"
-        )
+    refuse_newer(version, path)
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = FULL")
     if not table_count:
         create_tables(connection)
     elif version < SCHEMA_VERSION:
         migrate(connection, version)
+
+
+def refuse_newer(version: int, path: Path) -> None:
+    """Raise StoreError for a store of a form that a later program made."""
+    if version > SCHEMA_VERSION:
+        raise StoreError(
+            f"store {path} was written by a newer diag-service (schema {version}, this one knows {SCHEMA_VERSION})"
+        )
+
+
+def parsed(text: str, where: str) -> ShiftResult:
+    """Return a result that a store holds; raises StoreError if it is none."""
+    try:
+        return parse_shift(text)
+    except ResultError as exc:
+        raise StoreError(f"store {where} is damaged: {exc}") from exc
 
 
 def remove_store(path: Path) -> None:

@@ -11,9 +11,9 @@ from typing import Final, Self
 from urllib.parse import quote
 
 from canlog.files import open_plain_file
-from diag_service.diagnosis.records import FluidFill, ShiftResult, parse_shift
-from diag_service.errors import ResultError, StoreError
-from diag_service.store.file import APPLICATION_ID, SCHEMA_VERSION, translated
+from diag_service.diagnosis.records import FluidFill, ShiftResult
+from diag_service.errors import StoreError
+from diag_service.store.file import APPLICATION_ID, parsed, refuse_newer, translated
 from diag_service.store.fills import read_fills
 from fleet_contract import JsonObject
 
@@ -56,11 +56,7 @@ class StoreReader:
             raise StoreError(f"{path} is not a result store")
         with closing(_connect(path)) as connection, translated(str(path)):
             (version,) = connection.execute("PRAGMA user_version").fetchone()
-            if version > SCHEMA_VERSION:
-                raise StoreError(
-                    f"store {path} was written by a newer diag-service (schema {version}, this one knows "
-                    f"{SCHEMA_VERSION})"
-                )
+            refuse_newer(version, path)
             yield cls(connection, str(path))
 
     def vehicle(self, named: str | None) -> str:
@@ -87,7 +83,7 @@ class StoreReader:
             "SELECT position, json FROM result WHERE vehicle = ? ORDER BY position", (vehicle,)
         )
         for position, text in rows:
-            yield Row(position=int(position), result=self._parsed(text))
+            yield Row(position=int(position), result=parsed(text, self.where))
 
     def record(self, position: int) -> JsonObject:
         """Return the record of the result at a position, as it was stored; raises StoreError if there is none."""
@@ -97,19 +93,13 @@ class StoreReader:
         if row is None:
             (last,) = self._connection.execute("SELECT coalesce(max(position), 0) FROM result").fetchone()
             raise StoreError(f"store {self.where} has no shift {position}; the newest is {last}")
-        self._parsed(row[0])
+        parsed(row[0], self.where)
         record: JsonObject = json.loads(row[0])
         return record
 
     def fills(self, vehicle: str) -> list[FluidFill]:
         """Return the fills of a vehicle, the earliest first."""
         return read_fills(self._connection, vehicle)
-
-    def _parsed(self, text: str) -> ShiftResult:
-        try:
-            return parse_shift(text)
-        except ResultError as exc:
-            raise StoreError(f"store {self.where} is damaged: {exc}") from exc
 
 
 def _connect(path: Path) -> sqlite3.Connection:

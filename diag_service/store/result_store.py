@@ -18,8 +18,8 @@ from typing import Final, Self
 
 from clutchdiag_io.files import keep_private
 from diag_service.diagnosis.events import DATED_NS
-from diag_service.diagnosis.records import FluidFill, ShiftResult, StoredResult, dump, parse_shift, shift_record
-from diag_service.errors import ResultError, StoreError, StoreFullError
+from diag_service.diagnosis.records import FluidFill, ShiftResult, StoredResult, dump, shift_record
+from diag_service.errors import StoreError, StoreFullError
 from diag_service.store import file
 from diag_service.store.fills import add_fills, all_fills, latest_fill, read_fills
 from fleet_contract import JsonObject, Outcome, Receipt, ResultKey
@@ -132,7 +132,9 @@ class ResultStore:
     @classmethod
     def in_memory(cls, *, keeps_state: bool = False) -> Self:
         """Return a store that ends with the process; nobody takes up a state in it unless a session follows another."""
-        return cls(file.connect_in_memory(), None, "memory", keeps_state=keeps_state)
+        connection = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
+        file.create_tables(connection)
+        return cls(connection, None, "memory", keeps_state=keeps_state)
 
     def close(self) -> None:
         """Close the store and let others have it; closing twice does no harm."""
@@ -195,7 +197,7 @@ class ResultStore:
         key = (vehicle, stream, seq, versions.algorithm, versions.calibration)
         with self._transaction() as sql:
             row = sql.execute("SELECT json" + _BY_KEY, key).fetchone()
-        return None if row is None else self._parse(row[0])
+        return None if row is None else file.parsed(row[0], self.where)
 
     def state(self, vehicle: str) -> VehicleState | None:
         """Return the running state of a vehicle, whatever version wrote it."""
@@ -334,7 +336,7 @@ class ResultStore:
         """Yield all results of a vehicle in the order they were stored."""
         with self._transaction() as sql:
             rows = sql.execute("SELECT json FROM result WHERE vehicle = ? ORDER BY position", (vehicle,)).fetchall()
-        return (self._parse(text) for (text,) in rows)
+        return (file.parsed(text, self.where) for (text,) in rows)
 
     def add_fills(self, fills: Iterable[FluidFill]) -> int:
         """Note fluid fills; return how many were not known before."""
@@ -369,12 +371,6 @@ class ResultStore:
     def _keep_stream(self, sql: sqlite3.Connection, seq: int) -> None:
         own = (("stream", self.stream), ("last_seq", str(seq)))
         sql.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", own)
-
-    def _parse(self, text: str) -> ShiftResult:
-        try:
-            return parse_shift(text)
-        except ResultError as exc:
-            raise StoreError(f"store {self.where} is damaged: {exc}") from exc
 
     def _object(self, text: str) -> JsonObject:
         try:

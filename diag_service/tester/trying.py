@@ -88,11 +88,9 @@ def try_car(options: SimpleNamespace, controls: Controls) -> None:
     def opened(profile: Profile) -> AbstractContextManager[Line]:
         if options.adapter is not None:
             return line_through(options.adapter, str(bus.channel), lambda: not controls.stop.is_set)
-        fields = profile.asked.values()
-        addresses = [address_of(one) for one in fields]
         return line_on(
             bus,
-            addresses,
+            [address_of(one) for one in profile.asked.values()],
             tuple(profile.groups.values()),
             is_fd=bus.is_fd,
             listen_s=options.listen,

@@ -96,7 +96,8 @@ def history_of_estimates(estimates: Iterable[ShiftEstimate], fills: Sequence[Flu
         valid_count += 1
         row = _row(estimate)
         if row is not None:
-            usable.append(row | {"event_count": float(number), "fluid_number": _fluid_of(estimate, fills)})
+            fluid_number = sum(fill.filled_at <= utc_from_bus_ns(estimate.start_ns) for fill in fills)
+            usable.append(row | {"event_count": float(number), "fluid_number": fluid_number})
         unused_count = 0 if row is not None else unused_count + 1
     rows, dropped_count = _plausible(usable)
     unused_count += dropped_count
@@ -183,13 +184,6 @@ def _row(estimate: ShiftEstimate) -> dict[str, float] | None:
     if not all(map(isfinite, row.values())) or min(random_c, random_s) <= 0.0:
         return None
     return row | {"slip_energy_j": -1.0 if energy_j is None else energy_j}
-
-
-def _fluid_of(estimate: ShiftEstimate, fills: Sequence[FluidFill]) -> int:
-    if not fills:
-        return 0
-    start = utc_from_bus_ns(estimate.start_ns)
-    return sum(fill.filled_at <= start for fill in fills)
 
 
 def _energies(energy_j: FloatArray) -> FloatArray | None:
