@@ -415,6 +415,7 @@ class FluidFill:
 SHIFT_SCHEMA: Final = Channel.SHIFT.schema_name
 _EPOCH: Final = datetime(1970, 1, 1)  # noqa: DTZ001 - UTC, which the text says
 _RESULT_KEYS: Final = ("vehicle", "stream", "seq", "produced_at", "algorithm_version", "calibration_version")
+_TO_JSON: Final = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
 REVISIONS: Final = "revisions"
 _ONLY_WHERE_THERE: Final = frozenset({"slope", REVISIONS, "shift_quality", "micro_slip", "element", "causes"})
 _NOTHING: Final[tuple[object, ...]] = (None, [])  # of these: a number that is 0 is told
@@ -529,10 +530,8 @@ def status_record(status: ServiceStatus) -> JsonObject:
 def dump(record: Mapping[str, object]) -> str:
     """Return a record as one line of JSON, floats to every bit; raises ResultError if one is NaN or infinite."""
     try:
-        text = json.dumps(record, allow_nan=False, separators=(",", ":"))
-        return (
-            text if "\\ud" not in text else json.dumps(legible_record(record), allow_nan=False, separators=(",", ":"))
-        )
+        text = _TO_JSON.encode(record)
+        return text if "\\ud" not in text else _TO_JSON.encode(legible_record(record))
     except ValueError as exc:
         raise ResultError(f"a result holds a number that is not finite: {record!r}") from exc
 
