@@ -17,7 +17,7 @@ from rich.text import Text
 _GAP: Final = 2  # spaces between columns; inside a text there is never more than one
 _NARROW_GAP: Final = 1
 _RULE: Final = "─"
-_NONE: Final = "-"
+NONE: Final = "-"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +47,7 @@ def lines_of(sheet: Sheet, width: int | None) -> Iterator[Text]:
     remarks = [(whom, plain(text)) for whom, text in sheet.remarks or ()]
     if width is None:
         if sheet.remarks is not None:
-            last = ["reason", *(text or _NONE for _, text in remarks)]
+            last = ["reason", *(text or NONE for _, text in remarks)]
             rows = [[*row, text] for row, text in zip(rows, last, strict=True)]
         yield Text(plain(sheet.title))
         widths = _natural(rows)

@@ -8,11 +8,10 @@ from typing import Final, TextIO
 
 from rich.console import Console
 
-from fleet_backend.layout import Sheet, lines_of
+from fleet_backend.layout import NONE, Sheet, lines_of
 
 Record = Mapping[str, object]
 Cell = Callable[[Record], str]
-_NONE: Final = "-"
 _STYLES: Final = MappingProxyType({"change fluid": "bold red", "watch": "yellow", "good": "green"})
 
 
@@ -109,7 +108,7 @@ def seen_table(records: Sequence[Record]) -> Sheet:
         records,
         {
             "vehicle": _plain("vehicle"),
-            "service": lambda record: {None: _NONE, True: "online", False: "offline"}[_truth(record["is_online"])],
+            "service": lambda record: {None: NONE, True: "online", False: "offline"}[_truth(record["is_online"])],
             "since (UTC)": _moment("connected_at"),
             "last result": _moment("last_result_at"),
             "metrics": _moment("metrics_at"),
@@ -125,7 +124,7 @@ def partition_table(records: Sequence[Record]) -> Sheet:
         records,
         {
             "partition": _plain("name"),
-            "month": lambda record: _NONE if record["month"] is None else f"{record['month']:%Y-%m}",
+            "month": lambda record: NONE if record["month"] is None else f"{record['month']:%Y-%m}",
             "results, about": _plain("row_estimate"),
             "MiB": _number("size_bytes", "{:.1f}", scale=2.0**-20),
         },
@@ -189,7 +188,7 @@ def codes_table(records: Sequence[Record]) -> Sheet:
         {
             "vehicle": _plain("vehicle"),
             "code": _plain("code"),
-            "state": lambda record: _NONE if record["states"] is None else ", ".join(_texts(record["states"])),
+            "state": lambda record: NONE if record["states"] is None else ", ".join(_texts(record["states"])),
             "text": _plain("text"),
             "read (UTC)": _moment("read_at"),
             "controller": _plain("controller"),
@@ -233,13 +232,13 @@ def _sheet(
 
 
 def _plain(name: str) -> Cell:
-    return lambda record: _NONE if record.get(name) is None else str(record[name])
+    return lambda record: NONE if record.get(name) is None else str(record[name])
 
 
 def _number(name: str, form: str, *, scale: float = 1.0) -> Cell:
     def cell(record: Record) -> str:
         value = record.get(name)
-        return form.format(value * scale) if isinstance(value, int | float) else _NONE
+        return form.format(value * scale) if isinstance(value, int | float) else NONE
 
     return cell
 
@@ -248,7 +247,7 @@ def _interval(name: str, high: str, form: str, *, scale: float = 1.0) -> Cell:
     def cell(record: Record) -> str:
         value, end = record.get(name), record.get(high)
         if not isinstance(value, int | float) or not isinstance(end, int | float):
-            return _NONE
+            return NONE
         return f"{form.format(value * scale)} ±{form.replace('+', '').format((end - value) * scale)}"
 
     return cell
@@ -257,7 +256,7 @@ def _interval(name: str, high: str, form: str, *, scale: float = 1.0) -> Cell:
 def _spread(name: str, std: str) -> Cell:
     def cell(record: Record) -> str:
         if record.get(name) is None:
-            return _NONE
+            return NONE
         return f"{_number(name, '{:.4f}')(record)} ±{_number(std, '{:.4f}')(record)}"
 
     return cell
@@ -266,7 +265,7 @@ def _spread(name: str, std: str) -> Cell:
 def _moment(name: str, form: str = "%Y-%m-%d %H:%M:%S") -> Cell:
     def cell(record: Record) -> str:
         value = record.get(name)
-        return value.strftime(form) if isinstance(value, datetime) else _NONE
+        return value.strftime(form) if isinstance(value, datetime) else NONE
 
     return cell
 

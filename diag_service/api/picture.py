@@ -9,7 +9,7 @@ from canlog.extras import load_extra
 from diag_service.delivery.console import condition_words
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.records import Condition, ShiftResult, Status
-from diag_service.report.pictures import new_mu_c_of
+from diag_service.report.pictures import BAND_STD, new_mu_c_of
 from fleet_contract import CLUTCHES
 from fleet_contract.orders import name_of
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIZE_INCH: Final = (9.0, 6.0)
-BAND_STD: Final = 2.0
 STRIP: Final = (0.0, 0.04)  # of the height: where the verdicts stand
 MU_C_COLOUR: Final = "#c2410c"
 MU_S_COLOUR: Final = "#0f6cbd"

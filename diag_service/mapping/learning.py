@@ -14,7 +14,7 @@ from canlog.arrays import BoolArray, FloatArray, Series
 from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
-from diag_service.diagnosis.prediction import LEAST_EVENTS, SlipPhase, fitted
+from diag_service.diagnosis.prediction import HELD_PA, LEAST_EVENTS, SlipPhase, fitted
 from diag_service.mapping.proposal import LEAST_SAMPLES, LEAST_SPEED, GearRatio, densest, is_complete
 
 MOST_ROWS: Final = 400_000  # that are kept of all drives: beyond, every second one goes
@@ -24,7 +24,6 @@ LEAST_CLUSTER: Final = (
 )
 APART_RATIO: Final = 0.06  # neighbouring gears are further apart
 CLOSED_PA: Final = 0.3e5  # the pressure of a closed clutch is higher by more than this
-HELD_PA: Final = 0.3e5  # at standstill: what is less is an empty piston
 STEADY_PA: Final = 0.15e5  # spread of a pressure that is held
 STANDING: Final = 0.5  # rad/s or m/s
 HOLD_STD_PA: Final = 1.0e4  # controllers hold a clutch that near to its touch point

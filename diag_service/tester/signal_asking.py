@@ -52,7 +52,7 @@ from diag_service.tester.addresses import (
     is_extended,
     is_request,
 )
-from diag_service.tester.answers import MOST_PENDING_S, PENDING_S, is_pending, refusal_text, tells
+from diag_service.tester.answers import BUSY, MOST_PENDING_S, PENDING_S, is_pending, refusal_text, tells
 from diag_service.tester.asking import AskingThread, BusName, opened_bus
 from diag_service.tester.can_link import CanConnection
 from diag_service.tester.libraries import TimeoutException
@@ -71,7 +71,6 @@ GROUP_ANSWER_S: Final = 0.25  # SAE J1939-21: 0.2 s
 REQUEST_PRIORITY: Final = 6
 REST_S: Final = 0.05  # where there is nothing to ask for just now
 ANSWER_S: Final = LATEST_NS / 1e9  # what comes later is no sample
-BUSY: Final = 0x21
 BUSY_PAUSE_S: Final = 0.1
 NOT_NOW: Final = frozenset({0x22, 0x24, 0x26, *range(0x81, 0x94)})  # refused by how the car is just now (ISO 14229-1)
 AGAIN_S: Final = 10.0  # until that is asked for again

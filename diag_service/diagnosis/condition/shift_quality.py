@@ -22,7 +22,7 @@ from diag_service.diagnosis.events import GEAR_CHANGES, EndReason, Event, EventK
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import Knowledge, State
 from diag_service.diagnosis.records import ShiftEstimate, ShiftIndices, ShiftQuality
-from diag_service.diagnosis.shifts.slip_tracking import LOADED_NM, LOADED_PA, SLIP_RAD_S
+from diag_service.diagnosis.shifts.slip_tracking import LOADED_NM, LOADED_PA, PRESSURES, SHAFTS, SLIP_RAD_S
 
 BEFORE_S, AFTER_S = 0.3, 0.1  # of the signals around the event
 NS_PER_S = 1e9
@@ -93,13 +93,11 @@ class _Pack:
         )
 
 
-_PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
-_SHAFTS: Final = (Signal.INPUT1_SPEED, Signal.INPUT2_SPEED)
 _COMMANDS: Final = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
 _ASKINGS: Final = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
-_SPEEDS: Final = (Signal.ENGINE_SPEED, Signal.HUB_SPEED, Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED, *_SHAFTS)
+_SPEEDS: Final = (Signal.ENGINE_SPEED, Signal.HUB_SPEED, Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED, *SHAFTS)
 _SIGNALS: Final = tuple(  # by which clutch comes on
-    (*_SPEEDS, *_PRESSURES, *of_clutch, Signal.ENGINE_TORQUE) for of_clutch in zip(_COMMANDS, _ASKINGS, strict=True)
+    (*_SPEEDS, *PRESSURES, *of_clutch, Signal.ENGINE_TORQUE) for of_clutch in zip(_COMMANDS, _ASKINGS, strict=True)
 )
 
 
@@ -176,8 +174,8 @@ class ShiftScorer:
         touch_pa = packs[0].touch_pa, packs[1].touch_pa
         if known is not None:
             for row, signal, zero_pa in (
-                (loops.PRESSURE_ON, _PRESSURES[on], known.mean[State.ZERO1 + on]),
-                (loops.PRESSURE_OFF, _PRESSURES[off], known.mean[State.ZERO1 + off]),
+                (loops.PRESSURE_ON, PRESSURES[on], known.mean[State.ZERO1 + on]),
+                (loops.PRESSURE_OFF, PRESSURES[off], known.mean[State.ZERO1 + off]),
                 (loops.COMMAND, _COMMANDS[on], 0.0),
                 (loops.ASKED, _ASKINGS[on], 0.0),
                 (loops.TORQUE, Signal.ENGINE_TORQUE, 0.0),
@@ -212,8 +210,8 @@ class ShiftScorer:
             if signal in values:
                 rows[loops.ENGINE] = values[signal]
         for row, clutch, gear in zip((loops.ON, loops.OFF), clutches, (event.to_gear, event.from_gear), strict=True):
-            if _SHAFTS[clutch] in values:
-                rows[row] = values[_SHAFTS[clutch]]
+            if SHAFTS[clutch] in values:
+                rows[row] = values[SHAFTS[clutch]]
             elif gears is not None and gears.over in values:  # asked for after the engine's speed
                 t_ns = event.columns[gears.over].t_ns
                 skew_s = float(t_ns[-1] - t_ns[0]) / NS_PER_S / (len(t_ns) - 1)
@@ -337,9 +335,9 @@ def borne(before: Mapping[int, Load], estimate: ShiftEstimate) -> dict[int, Load
     return found
 
 
-_INDEX_SPEEDS: Final = (Signal.HUB_SPEED, Signal.ENGINE_SPEED, *_SHAFTS, Signal.INPUT_SPEED)
+_INDEX_SPEEDS: Final = (Signal.HUB_SPEED, Signal.ENGINE_SPEED, *SHAFTS, Signal.INPUT_SPEED)
 _TORQUES: Final = (Signal.CLUTCH_TORQUE, Signal.ENGINE_TORQUE)
-_INDEX_SIGNALS: Final = (*_INDEX_SPEEDS, Signal.CLUTCH_SLIP, *_PRESSURES, *_ASKINGS, *_TORQUES)
+_INDEX_SIGNALS: Final = (*_INDEX_SPEEDS, Signal.CLUTCH_SLIP, *PRESSURES, *_ASKINGS, *_TORQUES)
 
 
 class _Grid(NamedTuple):
@@ -396,7 +394,7 @@ def _reslip(slip_rad_s: FloatArray, is_pressed: BoolArray) -> float:
 
 def _pressed(grid: _Grid, calibration: Calibration) -> BoolArray:
     """Return where the clutch of the gear carries load, shape (n,); everywhere if nothing tells."""
-    pressure_pa = grid.values.get(_PRESSURES[grid.clutch - 1])
+    pressure_pa = grid.values.get(PRESSURES[grid.clutch - 1])
     if pressure_pa is not None:
         return pressure_pa > calibration.clutches[grid.clutch - 1].touch_pressure_pa + LOADED_PA
     asked_nm = grid.values.get(_ASKINGS[grid.clutch - 1])

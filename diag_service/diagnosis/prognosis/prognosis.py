@@ -34,7 +34,7 @@ from diag_service.diagnosis.prognosis.trend import Fit, Part, Passage, probabili
 
 M_PER_KM = 1000.0
 CLEAR_BEND = 1.5  # factor of the rate
-_PERCENT = 100.0
+PERCENT = 100.0
 
 
 def _of_kind(peers: Peers | None) -> Iterator[str]:
@@ -43,11 +43,11 @@ def _of_kind(peers: Peers | None) -> Iterator[str]:
         faster = sum(chance for factor, chance in peers.bends.items() if factor >= CLEAR_BEND)
         yield (
             f"ageing may bend before the limit is passed as in {peers.bend_life_count} lives of this type, "
-            f"{_PERCENT * faster:.0f} % of them to {CLEAR_BEND:g} times the rate or more"
+            f"{PERCENT * faster:.0f} % of them to {CLEAR_BEND:g} times the rate or more"
         )
     else:
         factors, chance = " or ".join(f"{factor:g}" for factor in FUTURE_BENDS), sum(FUTURE_BENDS.values())
-        yield f"ageing may become {factors} times as fast before the limit is passed, {_PERCENT * chance:.0f} % in all"
+        yield f"ageing may become {factors} times as fast before the limit is passed, {PERCENT * chance:.0f} % in all"
     if peers is not None:
         fluid = "any fluid" if peers.kind.fluid is None else peers.kind.fluid
         which = "" if peers.version is None else f" (population {peers.version})"
@@ -56,12 +56,12 @@ def _of_kind(peers: Peers | None) -> Iterator[str]:
 
 def _assumptions(history: History, starts: tuple[FluidStart, ...], service_distance_m: float) -> Iterator[str]:
     yield (
-        f"watch: margin below {_PERCENT * WATCH_MARGIN_RATIO:.0f} % of that of new fluid, or mu_C below "
-        f"{_PERCENT * WATCH_LEVEL_RATIO:.0f} % of new or of its own start"
+        f"watch: margin below {PERCENT * WATCH_MARGIN_RATIO:.0f} % of that of new fluid, or mu_C below "
+        f"{PERCENT * WATCH_LEVEL_RATIO:.0f} % of new or of its own start"
     )
-    yield f"change_fluid: margin gone, or mu_C below {_PERCENT * CHANGE_LEVEL_RATIO:.0f} % of new or of its own start"
+    yield f"change_fluid: margin gone, or mu_C below {PERCENT * CHANGE_LEVEL_RATIO:.0f} % of new or of its own start"
     yield f"friction as at {degc_from_k(REFERENCE_K):.0f} degC of the oil"
-    yield f"the load stays as it was lately, within {_PERCENT * LOAD_LOG_STD:.0f} % (one deviation)"
+    yield f"the load stays as it was lately, within {PERCENT * LOAD_LOG_STD:.0f} % (one deviation)"
     horizon = f"{HORIZON_M / M_PER_KM:,.0f} km"
     yield f"the next service is {service_distance_m / M_PER_KM:,.0f} km ahead; there is no forecast beyond {horizon}"
     yield "torque gain, piston area and sensors drift no more than fluid ages: results cannot tell the two apart"

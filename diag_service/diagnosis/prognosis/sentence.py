@@ -10,10 +10,9 @@ from math import inf, isnan
 from typing import Final
 
 from diag_service.diagnosis.prognosis.assumptions import HORIZON_M, LEAST_ROWS
-from diag_service.diagnosis.prognosis.prognosis import M_PER_KM, Outlook, Prognosis, Reach
+from diag_service.diagnosis.prognosis.prognosis import M_PER_KM, PERCENT, Outlook, Prognosis, Reach
 from fleet_contract.orders import Action, name_of
 
-_PERCENT: Final = 100.0
 LIKELY: Final = 0.5  # so likely the limit comes before the service: then an order that waits for it is not all
 _AGES: Final = "The fluid ages: left in"
 _SOONER: Final = {
@@ -96,4 +95,4 @@ def _km(distance_m: float) -> str:
 def _percent(probability: float) -> str:
     if probability < 0.005:
         return "less than 1 %"
-    return "more than 99 %" if probability > 0.995 else f"{_PERCENT * probability:.0f} %"
+    return "more than 99 %" if probability > 0.995 else f"{PERCENT * probability:.0f} %"

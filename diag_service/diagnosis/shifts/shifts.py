@@ -16,7 +16,7 @@ import numpy as np
 from clutch_model.calibration import Calibration
 from diag_service.diagnosis.columns import EngineState, GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, EventKind
-from diag_service.diagnosis.shifts.gear_tracking import GearPairTracker, LaunchTracker, tracker_for
+from diag_service.diagnosis.shifts.gear_tracking import ROLLING_RATIO, GearPairTracker, LaunchTracker, tracker_for
 from diag_service.diagnosis.shifts.history import History
 from diag_service.diagnosis.shifts.slip_tracking import PEDAL_RATIO, Grip, GripChange, SlipTracker, slip_signals
 from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, EventFinder, Tracker
@@ -30,7 +30,6 @@ LIFTED_NS: Final = NS_PER_S // 2  # a clutch may carry nothing so long while the
 LOCKED_NS: Final = NS_PER_S // 2  # a clutch that begins to carry may stick for a moment; in gear it does for longer
 LEAST_SLIP_NS: Final = NS_PER_S // 5  # without a change of gears: a clutch that opens slips for a moment
 LOW_RAD_S: Final = 130.0  # of the engine: near idle a clutch is let slip on purpose, above it a locked one must hold
-ROLLING_RATIO: Final = 0.5  # of the engine's speed: a shaft that turns as fast is not set in motion by its clutch
 MAX_SLIP_NS: Final = 15 * NS_PER_S  # a launch takes three seconds, on a hill with a trailer ten
 MAX_TAIL_NS: Final = 2 * NS_PER_S  # a clutch that works so long after its gear is engaged does not lock
 _UNKNOWN: Final = GripChange(

@@ -27,10 +27,10 @@ HELD_ROWS: Final = 4  # a value may be held for so many
 LOADED_PA: Final = 0.15e5  # above the touch point: three times what touch point and zero are known to
 LOADED_NM: Final = 5.0  # asked for: what is less does not move a car
 PEDAL_RATIO: Final = 0.02  # beyond it a foot is on the pedal, below it may be the zero of its sensor
-_PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
+PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
 _TORQUES: Final = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
 _TORQUE: Final = (Signal.CLUTCH_TORQUE, Signal.CLUTCH_TORQUE)
-_SHAFTS: Final = (Signal.INPUT1_SPEED, Signal.INPUT2_SPEED)
+SHAFTS: Final = (Signal.INPUT1_SPEED, Signal.INPUT2_SPEED)
 _SHAFT: Final = (Signal.INPUT_SPEED, Signal.INPUT_SPEED)
 
 _SHAFTS_ROW: Final = 0  # of held values, and what follows: where the signals of both clutches begin, or one stands
@@ -92,12 +92,12 @@ def slip_signals(signals: AbstractSet[Signal], calibration: Calibration) -> Slip
     """Return where slip and load are told, or None if they are not."""
     first, second = (clutch.touch_pressure_pa + LOADED_PA for clutch in calibration.clutches)
     engine = next((one for one in (Signal.HUB_SPEED, Signal.ENGINE_SPEED) if one in signals), None)
-    shafts = next((pair for pair in (_SHAFTS, _SHAFT) if signals >= set(pair)), None)
-    loads = next((pair for pair in (_PRESSURES, _TORQUES, _TORQUE) if signals >= set(pair)), None)
+    shafts = next((pair for pair in (SHAFTS, _SHAFT) if signals >= set(pair)), None)
+    loads = next((pair for pair in (PRESSURES, _TORQUES, _TORQUE) if signals >= set(pair)), None)
     gear = next((one for one in (Signal.CURRENT_GEAR, Signal.TARGET_GEAR) if one in signals), None)
     if engine is None or shafts is None or loads is None or gear is None:
         return None
-    above = (first, second) if loads is _PRESSURES else (LOADED_NM, LOADED_NM)
+    above = (first, second) if loads is PRESSURES else (LOADED_NM, LOADED_NM)
     return SlipSignals(engine=engine, shafts=shafts, loads=loads, loaded_above=above, gear=gear)
 
 
