@@ -8,7 +8,6 @@ from enum import StrEnum
 from importlib import import_module
 from importlib.machinery import PathFinder
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, BinaryIO, Final, Self
 
 from canlog.extras import extra_missing, load_extra
@@ -122,18 +121,16 @@ class TableFormat(StrEnum):
     MF4 = "mf4"
 
 
-FORMAT_OF_SUFFIX: Final[Mapping[str, TableFormat]] = MappingProxyType(
-    {
-        ".parquet": TableFormat.PARQUET,
-        ".csv": TableFormat.CSV,
-        ".jsonl": TableFormat.JSON_LINES,
-        ".arrows": TableFormat.ARROW,
-        ".mf4": TableFormat.MF4,
-    }
-)
-SUFFIX_OF_FORMAT: Final[Mapping[TableFormat, str]] = MappingProxyType(
-    {table_format: suffix for suffix, table_format in FORMAT_OF_SUFFIX.items()}
-)
+FORMAT_OF_SUFFIX: Final[Mapping[str, TableFormat]] = {
+    ".parquet": TableFormat.PARQUET,
+    ".csv": TableFormat.CSV,
+    ".jsonl": TableFormat.JSON_LINES,
+    ".arrows": TableFormat.ARROW,
+    ".mf4": TableFormat.MF4,
+}
+SUFFIX_OF_FORMAT: Final[Mapping[TableFormat, str]] = {
+    table_format: suffix for suffix, table_format in FORMAT_OF_SUFFIX.items()
+}
 STREAMED: Final = frozenset({TableFormat.CSV, TableFormat.JSON_LINES, TableFormat.ARROW})
 ARROW_COMPRESSION: Final = (
     "lz4"  # most cells of a wide table are empty, and take longer to be written than to be packed

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from itertools import chain
-from types import MappingProxyType
 from typing import Final
 
 LONGEST_ITEM: Final = 60  # characters of a statement that are shown
@@ -174,15 +173,13 @@ NUMBER_KINDS: Final = frozenset({"INT", "HEX", "FLOAT"})
 FRAME_FORMATS: Final = 16  # that CAN FD and J1939 databases tell apart
 TEXT: Final = "STRING"
 # Attributes that mean something, and of which kinds they may be.
-KINDS: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
-    {
-        "SPN": WHOLE_KINDS,
-        "GenSigStartValue": WHOLE_KINDS | {"FLOAT"},
-        "DBName": frozenset({TEXT}),
-        "VFrameFormat": frozenset({"INT", "ENUM"}),
-        "Baudrate": WHOLE_KINDS | {"FLOAT"},
-    }
-)
+KINDS: Final[Mapping[str, frozenset[str]]] = {
+    "SPN": WHOLE_KINDS,
+    "GenSigStartValue": WHOLE_KINDS | {"FLOAT"},
+    "DBName": frozenset({TEXT}),
+    "VFrameFormat": frozenset({"INT", "ENUM"}),
+    "Baudrate": WHOLE_KINDS | {"FLOAT"},
+}
 OWNERS: Final = frozenset({"SG_", "BO_", "EV_", "BU_", "BU_SG_REL_", "BU_BO_REL_", "BU_EV_REL_"})
 CHOSEN: Final = frozenset({"GenMsgSendType", "VFrameFormat"})  # whose value is the place of a choice
 

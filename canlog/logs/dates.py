@@ -4,7 +4,6 @@ import re
 import unicodedata
 from collections.abc import Mapping
 from datetime import UTC, datetime, timezone
-from types import MappingProxyType
 
 US_PER_S, US_PER_MS = 1_000_000, 1_000
 LONGEST_DATE = 100
@@ -26,9 +25,7 @@ _STEMS = (
     "nov noi lis kas marras ноя",
     "dec dez dic des gru pro ara joulu дек",
 )
-MONTH_OF_STEM: Mapping[str, int] = MappingProxyType(
-    {stem: number for number, stems in enumerate(_STEMS, 1) for stem in stems.split()}
-)
+MONTH_OF_STEM: Mapping[str, int] = {stem: number for number, stems in enumerate(_STEMS, 1) for stem in stems.split()}
 ZONES_OF_UTC = {"utc", "gmt", "z"}
 MOST_MONTHS = 12
 MOST_OTHER_WORDS = 1  # the day of the week

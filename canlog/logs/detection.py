@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
-from types import MappingProxyType
 
 from canlog.database.signal_columns import SignalColumn
 from canlog.errors import SourceError
@@ -62,88 +61,80 @@ class LogFormat(StrEnum):
     SIGNALS = "signals"
 
 
-TEXT_LOGS: Mapping[LogFormat, Callable[[], TextLog]] = MappingProxyType(
-    # In this order a text without a header is tried.
-    {
-        LogFormat.CANDUMP: CandumpLog,
-        LogFormat.CONSOLE: ConsoleLog,
-        LogFormat.TRC: Trc,
-        LogFormat.CSV: programs.PythonCanCsv,
-        LogFormat.GVRET: programs.GvretCsv,
-        LogFormat.BUSMASTER: Busmaster,
-        LogFormat.CRTD: partial(TableLog, programs.CRTD),
-        LogFormat.CARBUS: partial(TableLog, programs.CARBUS),
-        LogFormat.CANHACKER: programs.CanHacker,
-        LogFormat.MICROCHIP: programs.Microchip,
-        LogFormat.CLX000: Clx000,
-        LogFormat.CANKING: partial(TableLog, programs.CANKING),
-        LogFormat.CANBOAT: programs.Canboat,
-        LogFormat.YACHT_DEVICES: programs.YachtDevices,
-        LogFormat.ACTISENSE: programs.Actisense,
-        LogFormat.ASC: AscLog,
-        LogFormat.COLUMNS: ColumnsLog,  # by the names in its header, never by its lines
-    }
-)
+# In this order a text without a header is tried.
+TEXT_LOGS: Mapping[LogFormat, Callable[[], TextLog]] = {
+    LogFormat.CANDUMP: CandumpLog,
+    LogFormat.CONSOLE: ConsoleLog,
+    LogFormat.TRC: Trc,
+    LogFormat.CSV: programs.PythonCanCsv,
+    LogFormat.GVRET: programs.GvretCsv,
+    LogFormat.BUSMASTER: Busmaster,
+    LogFormat.CRTD: partial(TableLog, programs.CRTD),
+    LogFormat.CARBUS: partial(TableLog, programs.CARBUS),
+    LogFormat.CANHACKER: programs.CanHacker,
+    LogFormat.MICROCHIP: programs.Microchip,
+    LogFormat.CLX000: Clx000,
+    LogFormat.CANKING: partial(TableLog, programs.CANKING),
+    LogFormat.CANBOAT: programs.Canboat,
+    LogFormat.YACHT_DEVICES: programs.YachtDevices,
+    LogFormat.ACTISENSE: programs.Actisense,
+    LogFormat.ASC: AscLog,
+    LogFormat.COLUMNS: ColumnsLog,  # by the names in its header, never by its lines
+}
 NAMED_ONLY = frozenset({LogFormat.COLUMNS, LogFormat.CLX000})  # columns of any name, and times of any digits
 UNNAMED = tuple(log_format for log_format in TEXT_LOGS if log_format not in NAMED_ONLY)
-HEADERS: Mapping[LogFormat, re.Pattern[bytes]] = MappingProxyType(
-    {
-        LogFormat.ASC: FIRST_LINE,
-        LogFormat.TRC: re.compile(rb";\$FILEVERSION", re.IGNORECASE),
-        LogFormat.CSV: programs.PYTHON_CAN_HEADER,
-        LogFormat.GVRET: programs.GVRET_HEADER,
-        LogFormat.BUSMASTER: re.compile(rb"\*\*\*BUSMASTER"),
-        LogFormat.CARBUS: programs.CARBUS_HEADER,
-        LogFormat.CANHACKER: programs.CANHACKER_HEADER,
-        LogFormat.MICROCHIP: programs.MICROCHIP_HEADER,
-        LogFormat.CLX000: CLX000_HEADER,
-        LogFormat.CANKING: programs.CANKING_HEADER,
-    }
-)
+HEADERS: Mapping[LogFormat, re.Pattern[bytes]] = {
+    LogFormat.ASC: FIRST_LINE,
+    LogFormat.TRC: re.compile(rb";\$FILEVERSION", re.IGNORECASE),
+    LogFormat.CSV: programs.PYTHON_CAN_HEADER,
+    LogFormat.GVRET: programs.GVRET_HEADER,
+    LogFormat.BUSMASTER: re.compile(rb"\*\*\*BUSMASTER"),
+    LogFormat.CARBUS: programs.CARBUS_HEADER,
+    LogFormat.CANHACKER: programs.CANHACKER_HEADER,
+    LogFormat.MICROCHIP: programs.MICROCHIP_HEADER,
+    LogFormat.CLX000: CLX000_HEADER,
+    LogFormat.CANKING: programs.CANKING_HEADER,
+}
 
 
 # What lines of tables without a header must look like besides: a column of anything proves nothing.
-TYPICAL: Mapping[LogFormat, re.Pattern[bytes]] = MappingProxyType(
-    {
-        LogFormat.CONSOLE: re.compile(
-            rb"(?:\x1b\[[\d;]*m|\s)*(?:\([-\d.: ]+\)\s+)?(?:\x1b\[[\d;]*m)*\s*"  # colours, a time
-            rb"[\w.-]+[^\n\[{]{0,40}[0-9A-F]{3}\s+[\[{]|DROPCOUNT:"
-        ),
-        LogFormat.TRC: re.compile(rb"\s*(?:\d+\)\s+-?[\d.]+\s|;)"),
-        LogFormat.CSV: re.compile(rb"[\d.eE+-]+,\s*0x[0-9a-fA-F]+,[01],"),
-        LogFormat.GVRET: re.compile(rb"[\d.eE+-]+,[0-9a-fA-F]+,(?:true|false),", re.IGNORECASE),
-        LogFormat.BUSMASTER: re.compile(rb"\s*(?:\d+:\d+:\d+:\d+\s+[RT]x\s|\*\*\*)"),
-        LogFormat.CARBUS: re.compile(rb"\d\d,\d{3,6}\t\d+\t[0-9A-F]{4,8}\t[0-9A-F]+\t\d+\t"),
-        LogFormat.CANHACKER: re.compile(rb"\d\d[.,]\d{3}\s+[0-9A-F]{3,8}\s+\d\s"),
-        LogFormat.CANKING: re.compile(
-            rb"\s*\d+\s+[0-9A-Fa-f]{3,8}\s+(?:[A-Za-z]+\s+)?(?:\d\s+)?(?:[0-9A-Fa-f]{2}\s+)*\d+[.,]\d+\s+[RT]\s*$"
-        ),
-        LogFormat.CANBOAT: re.compile(rb"\d{4}-\d\d-\d\d[-TZ ]\d\d:\d\d:\d\d\S*?,[0-7],\d{1,6},\d+,\d+,\d+(?:,|\s*$)"),
-        LogFormat.YACHT_DEVICES: re.compile(rb"\d\d:\d\d:\d\d\.\d{3}\s+[RT]\s+[0-9A-Fa-f]{3,8}\s"),
-        LogFormat.ACTISENSE: re.compile(rb"A\d{6}\.\d{3}\s+[0-9A-Fa-f]{5}\s+[0-9A-Fa-f]{4,5}\s|[$!]"),
-        LogFormat.MICROCHIP: re.compile(rb"\d+;[RT]X;0x[0-9A-Fa-f]+;\d+;"),
-        LogFormat.CRTD: re.compile(rb"\d+(?:\.\d+)?\s+\d?(?:[RT](?:11|29)|C[A-Z]{2})\s"),
-    }
-)
+TYPICAL: Mapping[LogFormat, re.Pattern[bytes]] = {
+    LogFormat.CONSOLE: re.compile(
+        rb"(?:\x1b\[[\d;]*m|\s)*(?:\([-\d.: ]+\)\s+)?(?:\x1b\[[\d;]*m)*\s*"  # colours, a time
+        rb"[\w.-]+[^\n\[{]{0,40}[0-9A-F]{3}\s+[\[{]|DROPCOUNT:"
+    ),
+    LogFormat.TRC: re.compile(rb"\s*(?:\d+\)\s+-?[\d.]+\s|;)"),
+    LogFormat.CSV: re.compile(rb"[\d.eE+-]+,\s*0x[0-9a-fA-F]+,[01],"),
+    LogFormat.GVRET: re.compile(rb"[\d.eE+-]+,[0-9a-fA-F]+,(?:true|false),", re.IGNORECASE),
+    LogFormat.BUSMASTER: re.compile(rb"\s*(?:\d+:\d+:\d+:\d+\s+[RT]x\s|\*\*\*)"),
+    LogFormat.CARBUS: re.compile(rb"\d\d,\d{3,6}\t\d+\t[0-9A-F]{4,8}\t[0-9A-F]+\t\d+\t"),
+    LogFormat.CANHACKER: re.compile(rb"\d\d[.,]\d{3}\s+[0-9A-F]{3,8}\s+\d\s"),
+    LogFormat.CANKING: re.compile(
+        rb"\s*\d+\s+[0-9A-Fa-f]{3,8}\s+(?:[A-Za-z]+\s+)?(?:\d\s+)?(?:[0-9A-Fa-f]{2}\s+)*\d+[.,]\d+\s+[RT]\s*$"
+    ),
+    LogFormat.CANBOAT: re.compile(rb"\d{4}-\d\d-\d\d[-TZ ]\d\d:\d\d:\d\d\S*?,[0-7],\d{1,6},\d+,\d+,\d+(?:,|\s*$)"),
+    LogFormat.YACHT_DEVICES: re.compile(rb"\d\d:\d\d:\d\d\.\d{3}\s+[RT]\s+[0-9A-Fa-f]{3,8}\s"),
+    LogFormat.ACTISENSE: re.compile(rb"A\d{6}\.\d{3}\s+[0-9A-Fa-f]{5}\s+[0-9A-Fa-f]{4,5}\s|[$!]"),
+    LogFormat.MICROCHIP: re.compile(rb"\d+;[RT]X;0x[0-9A-Fa-f]+;\d+;"),
+    LogFormat.CRTD: re.compile(rb"\d+(?:\.\d+)?\s+\d?(?:[RT](?:11|29)|C[A-Z]{2})\s"),
+}
 MOST_NAMED = 20  # columns in a complaint
-OTHER_FORMATS: Mapping[bytes, str] = MappingProxyType(
-    {
-        b"7z\xbc\xaf": "a 7z archive",
-        b"Rar!\x1a\x07": "a RAR archive",
-        b"\x04\x22\x4d\x18": "a file compressed by lz4",
-        b"\x1f\x9d": "a file compressed by compress",
-        b"\x89PNG": "a picture (PNG)",
-        b"\xff\xd8\xff": "a picture (JPEG)",
-        b"GIF8": "a picture (GIF)",
-        b"%PDF-": "a PDF document",
-        b"\x7fELF": "a program",
-        b"\xd0\xcf\x11\xe0": "a document of Microsoft Office",
-        b"\x89HDF": "an HDF5 file",
-        b'VERSION "': "a message database (DBC): it belongs behind --dbc",
-        b"FormatVersion=": "a message database (SYM): it belongs behind --dbc",
-        b"<?xml": "an XML text",
-    }
-)
+OTHER_FORMATS: Mapping[bytes, str] = {
+    b"7z\xbc\xaf": "a 7z archive",
+    b"Rar!\x1a\x07": "a RAR archive",
+    b"\x04\x22\x4d\x18": "a file compressed by lz4",
+    b"\x1f\x9d": "a file compressed by compress",
+    b"\x89PNG": "a picture (PNG)",
+    b"\xff\xd8\xff": "a picture (JPEG)",
+    b"GIF8": "a picture (GIF)",
+    b"%PDF-": "a PDF document",
+    b"\x7fELF": "a program",
+    b"\xd0\xcf\x11\xe0": "a document of Microsoft Office",
+    b"\x89HDF": "an HDF5 file",
+    b'VERSION "': "a message database (DBC): it belongs behind --dbc",
+    b"FormatVersion=": "a message database (SYM): it belongs behind --dbc",
+    b"<?xml": "an XML text",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

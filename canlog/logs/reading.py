@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import partial
 from io import BufferedReader
 from pathlib import Path
-from types import MappingProxyType
 from typing import BinaryIO, Self, cast
 
 from canlog.database.signal_columns import SignalColumn
@@ -37,17 +36,15 @@ from canlog.logs.streams import (
 from canlog.logs.text_log import reader_of
 
 LOAD_FRAMES = 2_000  # the first ones, from which a load is told
-READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]] = MappingProxyType(
-    {
-        LogFormat.BLF: read_blf,
-        LogFormat.MF4: read_mf4,
-        LogFormat.SQLITE: read_sqlite,
-        LogFormat.PCAP: read_capture,
-        LogFormat.PCAPNG: read_capture,
-        LogFormat.SIGNALS: read_signal_table,
-        **{log_format: reader_of(new_log) for log_format, new_log in TEXT_LOGS.items()},
-    }
-)
+READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]] = {
+    LogFormat.BLF: read_blf,
+    LogFormat.MF4: read_mf4,
+    LogFormat.SQLITE: read_sqlite,
+    LogFormat.PCAP: read_capture,
+    LogFormat.PCAPNG: read_capture,
+    LogFormat.SIGNALS: read_signal_table,
+    **{log_format: reader_of(new_log) for log_format, new_log in TEXT_LOGS.items()},
+}
 
 
 def _reader_of(contents: Contents) -> Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]:

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import StrEnum
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import MappingProxyType
 from typing import Any, BinaryIO, Final, Protocol
 
 from canlog.errors import InputLeftError, SourceError
@@ -37,16 +36,14 @@ class Compression(StrEnum):
     ZSTD = "zstd"
 
 
-MAGICS: Mapping[bytes, Compression] = MappingProxyType(
-    {
-        b"\x1f\x8b\x08": Compression.GZIP,
-        b"\xfd7zXZ\0": Compression.XZ,
-        **{b"BZh%d1AY&SY" % level: Compression.BZIP2 for level in range(1, 10)},
-        **{b"BZh%d\x17\x72\x45\x38\x50\x90" % level: Compression.BZIP2 for level in range(1, 10)},  # of nothing
-        b"\x28\xb5\x2f\xfd": Compression.ZSTD,
-        **{bytes([kind]) + b"\x2a\x4d\x18": Compression.ZSTD for kind in range(0x50, 0x60)},  # a frame to be skipped
-    }
-)
+MAGICS: Mapping[bytes, Compression] = {
+    b"\x1f\x8b\x08": Compression.GZIP,
+    b"\xfd7zXZ\0": Compression.XZ,
+    **{b"BZh%d1AY&SY" % level: Compression.BZIP2 for level in range(1, 10)},
+    **{b"BZh%d\x17\x72\x45\x38\x50\x90" % level: Compression.BZIP2 for level in range(1, 10)},  # of nothing
+    b"\x28\xb5\x2f\xfd": Compression.ZSTD,
+    **{bytes([kind]) + b"\x2a\x4d\x18": Compression.ZSTD for kind in range(0x50, 0x60)},  # a frame to be skipped
+}
 LONGEST_MAGIC = max(len(magic) for magic in MAGICS)
 XZ_MEMORY_BYTES = 192 * 1024 * 1024  # the highest preset asks for 65 MiB
 ZSTD_WINDOW_BYTES = 128 * 1024 * 1024  # what zstd itself takes without being told to take more

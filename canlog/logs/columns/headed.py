@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
-from types import MappingProxyType
 from typing import Final
 
 from canlog.logs.columns.header import names_in
@@ -238,18 +237,16 @@ SENT: Final = 0x8  # of a frame's type; its lowest bit says that the identifier 
 ENTRY: Final = re.compile(rb"^# (Value separator|Time): *\"?([^\"\r\n]*)", re.MULTILINE)
 CLX000_HEADER: Final = re.compile(rb"# Logger type: (?:CL|CANLogger)")
 CLX000_START: Final = re.compile(r"(\d{4})(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)")
-ROLES: Final = MappingProxyType(
-    {
-        "timestamp": Column(Role.STAMP),
-        "type": Column(Role.FLAGS, SENT),
-        "id": Column(Role.ID, HEXADECIMAL),
-        "length": Column(Role.LENGTH),
-        "data": Column(Role.DATA, HEXADECIMAL),
-    }
-)  # others are passed over
+ROLES: Final[Mapping[str, Column]] = {
+    "timestamp": Column(Role.STAMP),
+    "type": Column(Role.FLAGS, SENT),
+    "id": Column(Role.ID, HEXADECIMAL),
+    "length": Column(Role.LENGTH),
+    "data": Column(Role.DATA, HEXADECIMAL),
+}  # others are passed over
 # Digits of a time up to its days, hours and so on, each with after how long it begins again; 0: as the month is long.
 DAYS, HOURS, MINUTES, SECONDS = 11, 9, 7, 5
-LAPS_US: Final = MappingProxyType({DAYS: 0, HOURS: DAY_US, MINUTES: 60 * MINUTE_US, SECONDS: MINUTE_US, 3: 1_000_000})
+LAPS_US: Final[Mapping[int, int]] = {DAYS: 0, HOURS: DAY_US, MINUTES: 60 * MINUTE_US, SECONDS: MINUTE_US, 3: 1_000_000}
 USUAL_NAMES: Final = ("timestamp", "type", "id", "data")
 LAYOUT: Final = Layout(columns=tuple(ROLES[name] for name in USUAL_NAMES), separator=ord(";"))
 NO_NAMES: Final = "no line names the columns: the default columns of the loggers are assumed"

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -22,69 +21,63 @@ from canlog.logs.log_counts import MICROSECONDS, MILLISECONDS, SECONDS
 SEPARATORS: Final = b",;\t|"
 MOST_COLUMNS: Final = 200
 NANOSECONDS: Final = -3
-UNITS: Final[Mapping[str, int]] = MappingProxyType(
-    {
-        **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), SECONDS),
-        **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), MILLISECONDS),
-        **dict.fromkeys(("us", "µs", "usec", "micros", "microseconds"), MICROSECONDS),
-        **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), NANOSECONDS),
-    }
-)
-BASES: Final[Mapping[str, int]] = MappingProxyType({"hex": HEXADECIMAL, "dec": DECIMAL, "decimal": DECIMAL})
-ROLE_OF_NAME: Final[Mapping[str, Role]] = MappingProxyType(
-    {
-        "time": Role.TIME,
-        "id": Role.ID,
-        "data": Role.DATA,
-        "length": Role.LENGTH,
-        "channel": Role.CHANNEL,
-        "extended": Role.EXTENDED,
-        "remote": Role.REMOTE,
-        "error": Role.ERROR,
-        "fd": Role.FD,
-        "brs": Role.BIT_RATE_SWITCH,
-        "esi": Role.ERROR_STATE,
-        "direction": Role.DIRECTION,
-    }
-)
+UNITS: Final[Mapping[str, int]] = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), SECONDS),
+    **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), MILLISECONDS),
+    **dict.fromkeys(("us", "µs", "usec", "micros", "microseconds"), MICROSECONDS),
+    **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), NANOSECONDS),
+}
+BASES: Final[Mapping[str, int]] = {"hex": HEXADECIMAL, "dec": DECIMAL, "decimal": DECIMAL}
+ROLE_OF_NAME: Final[Mapping[str, Role]] = {
+    "time": Role.TIME,
+    "id": Role.ID,
+    "data": Role.DATA,
+    "length": Role.LENGTH,
+    "channel": Role.CHANNEL,
+    "extended": Role.EXTENDED,
+    "remote": Role.REMOTE,
+    "error": Role.ERROR,
+    "fd": Role.FD,
+    "brs": Role.BIT_RATE_SWITCH,
+    "esi": Role.ERROR_STATE,
+    "direction": Role.DIRECTION,
+}
 """What columns are called on the command line."""
 
 # What columns are called in the wild, without blanks, marks and units, the best name first.
-SYNONYMS: Final[Mapping[Role, tuple[str, ...]]] = MappingProxyType(
-    {
-        Role.TIME: (
-            "timestamp", "abstime", "absolutetime", "timeabs", "time", "datetime", "epoch", "timestampepoch",
-            "timeoffset", "systemtime", "t", "zeit", "zeitstempel", "temps", "offset", "reltime", "relativetime",
-            "unixtime", "unixtimestamp", "epochtime", "unix",
-        ),
-        Role.ID: (
-            "id", "canid", "arbitrationid", "arbid", "identifier", "messageid", "msgid", "frameid", "canidentifier",
-            "arbitrationidentifier", "addr", "address", "canaddress", "idhex", "iddec",
-        ),
-        Role.DATA: (
-            "data", "databytes", "payload", "datafield", "candata", "bytes", "datahex", "datadec", "hexdata",
-            "rawdata", "databyte", "daten", "message",
-        ),
-        Role.LENGTH: (
-            "dlc", "len", "length", "datalength", "datalen", "datalengthcode", "size", "nbytes", "bytecount", "lng",
-            "messagelength", "msglen",
-        ),
-        Role.CHANNEL: (
-            "bus", "channel", "chn", "chan", "ch", "can", "interface", "network", "port", "busid", "canbus",
-            "canchannel", "kanal", "buschannel", "channelid", "busnumber", "channelnumber",
-        ),
-        Role.EXTENDED: (
-            "extended", "ext", "xtd", "ide", "isextended", "isextendedid", "extendedid", "eff", "frameformat",
-            "idtype", "format",
-        ),
-        Role.REMOTE: ("remote", "rtr", "isremote", "isremoteframe", "remoteframe"),
-        Role.ERROR: ("error", "er", "err", "iserror", "iserrorframe", "errorframe"),
-        Role.FD: ("fd", "isfd", "canfd", "fdf", "edl"),
-        Role.BIT_RATE_SWITCH: ("brs", "bitrateswitch"),
-        Role.ERROR_STATE: ("esi", "errorstateindicator"),
-        Role.DIRECTION: ("dir", "direction", "rxtx", "txrx", "tx", "transmit", "richtung"),
-    }
-)  # fmt: skip
+SYNONYMS: Final[Mapping[Role, tuple[str, ...]]] = {
+    Role.TIME: (
+        "timestamp", "abstime", "absolutetime", "timeabs", "time", "datetime", "epoch", "timestampepoch",
+        "timeoffset", "systemtime", "t", "zeit", "zeitstempel", "temps", "offset", "reltime", "relativetime",
+        "unixtime", "unixtimestamp", "epochtime", "unix",
+    ),
+    Role.ID: (
+        "id", "canid", "arbitrationid", "arbid", "identifier", "messageid", "msgid", "frameid", "canidentifier",
+        "arbitrationidentifier", "addr", "address", "canaddress", "idhex", "iddec",
+    ),
+    Role.DATA: (
+        "data", "databytes", "payload", "datafield", "candata", "bytes", "datahex", "datadec", "hexdata",
+        "rawdata", "databyte", "daten", "message",
+    ),
+    Role.LENGTH: (
+        "dlc", "len", "length", "datalength", "datalen", "datalengthcode", "size", "nbytes", "bytecount", "lng",
+        "messagelength", "msglen",
+    ),
+    Role.CHANNEL: (
+        "bus", "channel", "chn", "chan", "ch", "can", "interface", "network", "port", "busid", "canbus",
+        "canchannel", "kanal", "buschannel", "channelid", "busnumber", "channelnumber",
+    ),
+    Role.EXTENDED: (
+        "extended", "ext", "xtd", "ide", "isextended", "isextendedid", "extendedid", "eff", "frameformat",
+        "idtype", "format",
+    ),
+    Role.REMOTE: ("remote", "rtr", "isremote", "isremoteframe", "remoteframe"),
+    Role.ERROR: ("error", "er", "err", "iserror", "iserrorframe", "errorframe"),
+    Role.FD: ("fd", "isfd", "canfd", "fdf", "edl"),
+    Role.BIT_RATE_SWITCH: ("brs", "bitrateswitch"),
+    Role.ERROR_STATE: ("esi", "errorstateindicator"),
+    Role.DIRECTION: ("dir", "direction", "rxtx", "txrx", "tx", "transmit", "richtung"),
+}  # fmt: skip
 BYTE_NAME: Final = re.compile(r"(?:d|b|db|data|byte|databyte|datab)(\d{1,2})")
 NUMBER_IN_BRACKETS: Final = re.compile(r"[\[(](\d+)[)\]]")
 NO_BASE: Final = 0  # of identifiers: they tell it themselves
