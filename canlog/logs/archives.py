@@ -43,14 +43,6 @@ def is_compressed_tar(stream: BinaryIO, probe: bytes) -> bool:
         stream.seek(0)
 
 
-class _Inflated(InflatedStream):
-    """As what it is made from, but the file stays open: it is read again."""
-
-    def close(self) -> None:
-        """Leave the file open."""
-        io.RawIOBase.close(self)
-
-
 class TarContents:
     """What is in a file, or in what is compressed there; going forward in it costs least."""
 
@@ -58,7 +50,7 @@ class TarContents:
         compression = compression_of(probe)
         stream.seek(0)
         self._file = stream
-        self._inflated = None if compression is None else _Inflated(stream, compression)
+        self._inflated = None if compression is None else InflatedStream(stream, compression)
         self._at = 0
 
     def tell(self) -> int:
@@ -71,7 +63,7 @@ class TarContents:
             self._at = position
             return
         if position < self._at:
-            self._inflated = _Inflated(self._file, self._inflated.kind)
+            self._inflated = InflatedStream(self._file, self._inflated.kind)
             self._at = 0
         while self._at < position and self._next(min(SKIPPED_BYTES, position - self._at)):
             pass
@@ -311,33 +303,28 @@ def _check_directory(stream: BinaryIO) -> None:
 class MemberStream(io.RawIOBase):
     """The contents of one member; what is damaged ends them and is counted, with what came before it.
 
-    With ``is_a_look`` the archive stays open when this is closed.
+    Without ``counts`` this is a look, which leaves the archive open.
     """
 
-    def __init__(self, stream: BinaryIO, member: Member, *, is_a_look: bool = False) -> None:
-        self._is_a_look = is_a_look
+    def __init__(self, stream: BinaryIO, member: Member, counts: LogCounts | None = None) -> None:
+        self._is_a_look = counts is None
         if member.refusal:
             raise SourceError(member.refusal)
         self._file = stream
         self._member = member
+        self._counts = counts or LogCounts()
         at = stream.tell()  # what inflates a compressed archive goes on from here
         self._file_bytes = stream.seek(0, io.SEEK_END)
         stream.seek(at)
-        self._contents: MemberContents | None = None
-        self.restart(LogCounts())
+        self._given_bytes = 0
+        try:
+            self._contents: MemberContents | None = member.open()
+        except (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, struct.error, EOFError) as exc:
+            raise SourceError(f"{self.name} is damaged: {exc}") from exc
 
     @property
     def name(self) -> str:
         return f"{self._member.name} in the {self._member.kind} archive"
-
-    def restart(self, counts: LogCounts) -> None:
-        """Begin again, and count damage here from now on."""
-        self._counts = counts
-        self._given_bytes = 0
-        try:
-            self._contents = self._member.open()
-        except (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, struct.error, EOFError) as exc:
-            raise SourceError(f"{self.name} is damaged: {exc}") from exc
 
     def readable(self) -> bool:
         return True
@@ -399,21 +386,21 @@ def contents_of(stream: BinaryIO, member: str = "", columns: str = "") -> Conten
     probe = stream.read(PROBE_BYTES)
     stream.seek(0)
     if has_members(stream):
-        return _unpacked(MemberStream(stream, _meant(stream, member, columns)), columns)
+        return _unpacked(partial(MemberStream, stream, _meant(stream, member, columns)), columns)
     if member:
         raise SourceError("it is a file, not an archive")
     compression = compression_of(probe)
     if compression is None:
         detected = detect_as_columns(probe, columns) if columns else detect(probe)
         return Contents(stream=stream, detected=detected, counts=LogCounts(), is_packed=False, columns=columns)
-    return _unpacked(InflatedStream(stream, compression), columns)
+    return _unpacked(partial(InflatedStream, stream, compression), columns)
 
 
 def looks_inside(stream: BinaryIO, columns: str = "") -> Iterator[tuple[Member, Detected | SourceError]]:
     """Yield the files in an archive, each with what it is taken for or why it is no log; raises as ``members_of``."""
     for member in members_of(stream):
         try:
-            yield member, _detected(MemberStream(stream, member, is_a_look=True), columns)
+            yield member, _detected(MemberStream(stream, member), columns)
         except SourceError as exc:
             yield member, exc
 
@@ -436,9 +423,10 @@ def _meant(stream: BinaryIO, name: str, columns: str) -> Member:
     raise SourceError(f"the {looks[0][0].kind if looks else 'empty'} archive holds no log{first}")
 
 
-def _unpacked(packed: PackedStream, columns: str) -> Contents:
-    detected, counts = _detected(packed, columns), LogCounts()
-    packed.restart(counts)
+def _unpacked(opened: Callable[..., PackedStream], columns: str) -> Contents:
+    """Return the log that is packed in what is ``opened``: once for a look, and from its beginning to be read."""
+    detected, counts = _detected(opened(), columns), LogCounts()
+    packed = opened(counts)
     stream = cast("BinaryIO", packed)
     if detected.format not in TEXT_LOGS:
         with packed:
@@ -448,20 +436,13 @@ def _unpacked(packed: PackedStream, columns: str) -> Contents:
 
 def _detected(packed: PackedStream, columns: str) -> Detected:
     """Return what packed contents are taken for, by their beginning."""
-    beginning = _beginning(packed)
+    beginning = b""
+    while len(beginning) < PROBE_BYTES and (piece := packed.read(PROBE_BYTES - len(beginning))):
+        beginning += piece
+    if not beginning:
+        raise SourceError(f"{packed.name} holds nothing")
     inner = compression_of(beginning)
     if inner is not None or is_archive(beginning):
         inside = inner or ("tar" if is_tar(beginning) else "zip")
         raise SourceError(f"it is packed twice: {inside} inside {packed.name}; unpack it once")
     return detect_as_columns(beginning, columns) if columns else detect(beginning)
-
-
-def _beginning(packed: PackedStream) -> bytes:
-    """Return the first bytes that something packed holds."""
-    pieces, missing_bytes = list[bytes](), PROBE_BYTES
-    while missing_bytes and (piece := packed.read(missing_bytes)):
-        pieces.append(piece)
-        missing_bytes -= len(piece)
-    if not pieces:
-        raise SourceError(f"{packed.name} holds nothing")
-    return b"".join(pieces)

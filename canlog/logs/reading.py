@@ -256,8 +256,10 @@ def table_columns(
             return ()
         file = kept(stream.pieces(is_stopped))
         wait_for_reader(PipeStream(file.fileno(), is_stopped, file=file))
-        again = BufferedReader(open_plain_file(Path(str(file.name))))
-        with LogReader(STANDARD_INPUT, contents_of(again, columns=columns)) as reader:
+        with (
+            BufferedReader(open_plain_file(Path(str(file.name)))) as again,
+            LogReader(STANDARD_INPUT, contents_of(again, columns=columns)) as reader,
+        ):
             return reader.columns
     except (OSError, SourceError) as exc:
         raise named_error(shown_name(STANDARD_INPUT), exc) from exc

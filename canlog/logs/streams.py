@@ -152,7 +152,8 @@ def check_growth(what: str, taken_bytes: int, given_bytes: int) -> None:
 class InflatedStream(io.RawIOBase):
     """The contents of a compressed file, which may be several streams one after the other.
 
-    A stream that is cut or damaged ends the contents and is counted: what follows cannot be found.
+    A stream that is cut or damaged ends the contents and is counted: what follows cannot be found. Without ``counts``
+    this is a look, which leaves the file open.
 
     Raises
     ------
@@ -160,22 +161,18 @@ class InflatedStream(io.RawIOBase):
         On reading, if the contents are so much larger than the file that they can be no log.
     """
 
-    def __init__(self, stream: BinaryIO, compression: Compression) -> None:
+    def __init__(self, stream: BinaryIO, compression: Compression, counts: LogCounts | None = None) -> None:
         self._stream = stream
         self.kind = compression
-        self.restart(LogCounts())
+        self._is_a_look = counts is None
+        self._counts = counts or LogCounts()
+        stream.seek(0)
+        self._inflater: Inflater | None = new_inflater(compression)
+        self._taken_bytes = self._given_bytes = 0
 
     @property
     def name(self) -> str:
         return f"the {self.kind} file"
-
-    def restart(self, counts: LogCounts) -> None:
-        """Begin again, and count damage here from now on."""
-        self._stream.seek(0)
-        self._counts = counts
-        self._inflater: Inflater | None = new_inflater(self.kind)
-        self._taken_bytes = 0
-        self._given_bytes = 0
 
     def readable(self) -> bool:
         return True
@@ -191,7 +188,8 @@ class InflatedStream(io.RawIOBase):
         return 0
 
     def close(self) -> None:
-        self._stream.close()
+        if not self._is_a_look:
+            self._stream.close()
         super().close()
 
     def _next(self, most_bytes: int) -> bytes:

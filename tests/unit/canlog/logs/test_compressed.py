@@ -24,8 +24,8 @@ WRAPPED = {
 
 
 def contents(wrapped: bytes, kind: Compression) -> tuple[bytes, LogCounts]:
-    stream, counts = InflatedStream(io.BytesIO(wrapped), kind), LogCounts()
-    stream.restart(counts)
+    counts = LogCounts()
+    stream = InflatedStream(io.BytesIO(wrapped), kind, counts)
     buffer, pieces = bytearray(10_007), list[bytes]()
     while got := stream.readinto(buffer):
         pieces.append(bytes(buffer[:got]))
