@@ -232,14 +232,6 @@ def _tar_members(stream: BinaryIO, probe: bytes) -> tuple[Member, ...]:
     return tuple(found)
 
 
-def find_member(members: tuple[Member, ...], name: str) -> Member:
-    """Return the member of a name; raises SourceError if there is none."""
-    found = [member for member in members if member.name == _plain(name)]
-    if not found:
-        raise SourceError(f"the archive holds no {name}")
-    return found[-1]  # of two that are called alike the last one counts, as unpacking leaves it
-
-
 def _plain(name: str) -> str:
     """Return a name in an archive as the part of a path that it is."""
     return PurePosixPath(name.replace("\\", "/").lstrip("/")).as_posix()
@@ -408,7 +400,10 @@ def looks_inside(stream: BinaryIO, columns: str = "") -> Iterator[tuple[Member, 
 def _meant(stream: BinaryIO, name: str, columns: str) -> Member:
     """Return the member that a name means; without one, the only one that is a log."""
     if name:
-        return find_member(members_of(stream), name)
+        found = [member for member in members_of(stream) if member.name == _plain(name)]
+        if not found:
+            raise SourceError(f"the archive holds no {name}")
+        return found[-1]  # of two that are called alike the last one counts, as unpacking leaves it
     looks = list(looks_inside(stream, columns))
     logs = [member for member, found in looks if isinstance(found, Detected)]
     if len(logs) == 1:

@@ -309,8 +309,11 @@ class ObjectStream:
     def __len__(self) -> int:
         return int(self._report[ROWS])
 
-    def feed(self, data: bytes | bytearray) -> None:
-        """Add the frames of the objects that end in this piece."""
+    def feed(self, data: bytes | bytearray, *, is_whole: bool = True) -> None:
+        """Add the frames of the objects that end in this piece; of one that is not whole the rest is missing.
+
+        Then an object that it begins is forgotten; the next one that can be found goes on.
+        """
         raw, report = self._joined(data), self._report
         report[POSITION] = report[SKIPPED] = report[DAMAGED] = 0
         self._frames.reserve(len(self) + len(raw) // STAMPED_HEADER_BYTES + 1, len(self))
@@ -325,6 +328,8 @@ class ObjectStream:
         self._counts.skipped += int(report[SKIPPED])
         if report[DAMAGED]:
             self._counts.reject(LogReject.DAMAGED, f"object {report[FIRST_DAMAGED]}", int(report[DAMAGED]))
+        if not is_whole:
+            self._tail, report[IS_LOST] = self._tail[:0], True
 
     def hand_over(self) -> FrameBatch:
         """Return the frames added since the last time."""
@@ -343,11 +348,6 @@ class ObjectStream:
         joined = self._buffer[: kept + len(piece)]
         joined[:kept], joined[kept:] = self._tail, piece
         return joined
-
-    def lose_track(self) -> None:
-        """Forget an object whose continuation is missing; go on with the next one that can be found."""
-        self._tail = self._tail[:0]
-        self._report[IS_LOST] = True
 
     def finish(self) -> None:
         """Count an object that the file does not complete."""
@@ -371,9 +371,7 @@ def read_blf(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     counts.truncated = size_bytes < stated_bytes or stated_bytes <= header_bytes < size_bytes
     objects = ObjectStream(start_us(fields[START_FIELDS]), counts, FRAMES_PER_BATCH + FRAMES_PER_CONTAINER)
     for data, is_whole in containers(stream, header_bytes, size_bytes, counts):
-        objects.feed(data)
-        if not is_whole:
-            objects.lose_track()
+        objects.feed(data, is_whole=is_whole)
         if len(objects) >= FRAMES_PER_BATCH:  # of many containers: what works on columns wants long ones
             yield objects.hand_over()
     objects.finish()

@@ -8,7 +8,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import Int64Array
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, MAX_GAP_NS, FrameBatch, join
 from canlog.jit import array_kernel
 from canlog.logs.frame_buffer import FrameRows, rows_of
@@ -206,19 +206,13 @@ def _load_ratio(batch: FrameBatch) -> float:
     if len(batch) < LEAST_FRAMES:
         return 0.0
     span_us = float(batch.t_ns.max() - batch.t_ns.min()) / 1e3
-    busy_us = float(_least_us(batch)[1:].sum())
-    return busy_us / span_us if span_us else float("inf")
-
-
-def _least_us(batch: FrameBatch) -> FloatArray:
     overhead = np.where(batch.can_id & np.uint32(EXTENDED_FLAG), EXTENDED_BITS, STANDARD_BITS) * FASTEST_BIT_US
     is_fd = (batch.flags & np.uint8(FD_FLAG)) != 0
     bit_us = np.where(is_fd, FASTEST_FD_BIT_US, FASTEST_BIT_US)
-    least_us: FloatArray = np.where(is_fd, STANDARD_BITS / 2.0, overhead) + BITS_PER_BYTE * bit_us * batch.length
-    return least_us
+    least_us = np.where(is_fd, STANDARD_BITS / 2.0, overhead) + BITS_PER_BYTE * bit_us * batch.length
+    busy_us = float(least_us[1:].sum())
+    return busy_us / span_us if span_us else float("inf")
 
-
-NS_PER_S = 1e9
 
 # What the steps from frame to frame come to.
 BACK, AHEAD, FIRST_JUMP, REPEATED, STEP_FIELDS = range(5)
@@ -244,7 +238,7 @@ class TimeWatch:
         look_at_steps(rows_of(batch), steps)
         row = int(steps[FIRST_JUMP])
         if row and not counts.first_jump:
-            step_s = int(batch.t_ns[row] - batch.t_ns[row - 1]) / NS_PER_S
+            step_s = int(batch.t_ns[row] - batch.t_ns[row - 1]) / 1e9
             counts.first_jump = f"frame {number + row}: time jumps by {step_s:+.6f} s"
         counts.jumps_back += int(steps[BACK])
         counts.jumps_ahead += int(steps[AHEAD])

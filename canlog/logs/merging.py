@@ -85,7 +85,11 @@ class SourceMarks:
         marks = self._marks[number]
         present = np.flatnonzero(np.bincount(batch.channel, minlength=MOST_SOURCES))
         for channel in present[marks[present] == _UNKNOWN].tolist():
-            marks[channel] = self._new_mark(number, channel)
+            if not self._free:
+                raise SourceError(f"{self._names[number]}: more than {MOST_SOURCES} channels of logs at the same time")
+            marks[channel] = mark = channel if channel in self._free else min(self._free)
+            self._free.remove(mark)
+            self._begin(number, channel, mark)
         if np.array_equal(marks[present], present):
             return batch
         return replace(batch, channel=marks[batch.channel].astype(np.uint8))
@@ -97,11 +101,3 @@ class SourceMarks:
     def release(self, number: int) -> None:
         """Give the marks of a log that has ended to others."""
         self._free |= set(self.of_log(number).values())
-
-    def _new_mark(self, number: int, channel: int) -> int:
-        if not self._free:
-            raise SourceError(f"{self._names[number]}: more than {MOST_SOURCES} channels of logs at the same time")
-        mark = channel if channel in self._free else min(self._free)
-        self._free.remove(mark)
-        self._begin(number, channel, mark)
-        return mark

@@ -121,7 +121,12 @@ class Mf4File:
 
         Raises UnknownStructureError if one is missing, or stored in a way that is not understood here.
         """
-        return [self._data_group(block) for block in self._chain(self._need(FIRST_BLOCK, b"##HD").links[0], b"##DG")]
+        found = list[DataGroup]()
+        for block in self._chain(self._need(FIRST_BLOCK, b"##HD").links[0], b"##DG"):
+            groups = tuple(self._channel_group(one) for one in self._chain(block.links[1], CHANNEL_GROUP))
+            link_at, id_bytes = block.at + HEADER.size + 2 * LINK.size, self._bytes(block.body_at, 1)[0]
+            found.append(DataGroup(link_at=link_at, data_at=block.links[2], id_bytes=id_bytes, groups=groups))
+        return found
 
     def measured_groups(self) -> list[MeasuredGroup]:
         """Return all groups that have records, with their channels; raises UnknownStructureError."""
@@ -197,17 +202,13 @@ class Mf4File:
     def records_of(self, stored: Stored) -> Iterator[bytes]:
         """Yield the bytes of records in pieces, up to where they end or the file does."""
         for block in stored.blocks:
-            if block.kind == PLAIN:
-                yield from self._plain(block)
-            else:
+            if block.kind != PLAIN:
                 yield self._unpacked(block)
-
-    def _data_group(self, block: Block) -> DataGroup:
-        groups = tuple(self._channel_group(one) for one in self._chain(block.links[1], CHANNEL_GROUP))
-        body = self._bytes(block.body_at, 1)
-        return DataGroup(
-            link_at=block.at + HEADER.size + 2 * LINK.size, data_at=block.links[2], id_bytes=body[0], groups=groups
-        )
+                continue
+            at, end = block.body_at, min(block.at + block.length, self.size_bytes)
+            self.data_ranges.append((at, end))
+            for begin in range(at, end, PIECE_BYTES):
+                yield self._bytes(begin, min(PIECE_BYTES, end - begin))
 
     def _channel_group(self, block: Block) -> ChannelGroup:
         record_id, cycles, flags, _, data_bytes, invalid_bytes = GROUP.unpack(self._bytes(block.body_at, GROUP.size))
@@ -298,12 +299,6 @@ class Mf4File:
                 place = piece.find(b"##", place + 1)
             at += max(len(piece) - 1, 1)
         return self.size_bytes
-
-    def _plain(self, block: Block) -> Iterator[bytes]:
-        at, end = block.body_at, min(block.at + block.length, self.size_bytes)
-        self.data_ranges.append((at, end))
-        for begin in range(at, end, PIECE_BYTES):
-            yield self._bytes(begin, min(PIECE_BYTES, end - begin))
 
     def _unpacked(self, block: Block) -> bytes:
         """Return what a packed block holds, as far as it is there; transposed it must be there whole."""

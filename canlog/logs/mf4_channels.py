@@ -13,14 +13,13 @@ import numpy as np
 from canlog.arrays import FloatArray, UInt32Array
 from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.errors import SourceError
-from canlog.frames import EXTENDED_FLAG, FrameBatch
+from canlog.frames import EXTENDED_FLAG, NS_PER_US, FrameBatch
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.mf4_blocks import MeasuredGroup, Mf4File, UnknownStructureError
 from canlog.logs.mf4_mending import FREE_BYTES, MOST_RATIO, UNFINISHED_MAGIC
 from canlog.logs.signal_tables import checked_rows, signal_columns
 
 CELLS: Final = 250_000  # that are read at once
-NS_PER_US: Final = 1000
 Untyped = Any  # asammdf's own objects
 
 

@@ -83,7 +83,13 @@ class RecordCounter:
         """Yield the bytes of whole records, up to the first byte that belongs to none."""
         for piece in pieces:
             data = self._rest + piece
-            end = self._end_of_sorted(data) if self._only else self._end_of_unsorted(data)
+            if (group := self._only) is None:
+                end = self._end_of_unsorted(data)
+            elif not group.record_bytes or group.is_variable:
+                self.is_lost, end = True, 0
+            else:
+                end = len(data) // group.record_bytes * group.record_bytes
+                self.found[group.at] += len(data) // group.record_bytes
             yield data[:end]
             self._rest = data[end:]
             if self.is_lost:
@@ -111,15 +117,6 @@ class RecordCounter:
                 self.stand_ins[part.at] += lacking
                 self.variable_bytes[part.at] += LENGTH.size * lacking
                 yield (part.record_id.to_bytes(self._id_bytes, "little") + LENGTH.pack(0)) * lacking
-
-    def _end_of_sorted(self, data: bytes) -> int:
-        group = self._only
-        if group is None or not group.record_bytes or group.is_variable:
-            self.is_lost = True
-            return 0
-        count = len(data) // group.record_bytes
-        self.found[group.at] += count
-        return count * group.record_bytes
 
     def _end_of_unsorted(self, data: bytes) -> int:
         at, id_bytes, groups, found = 0, self._id_bytes, self._groups, self.found

@@ -200,22 +200,19 @@ class InflatedStream(io.RawIOBase):
         try:
             contents = inflated(inflater, b"", most_bytes)
             if not contents and not inflater.eof:
-                contents = inflated(inflater, self._piece(), most_bytes)
-        except (DamagedStreamError, EOFError) as exc:
-            self._end(LogReject.CUT_OFF if isinstance(exc, EOFError) else LogReject.DAMAGED)
+                if not (piece := self._stream.read(PIECE_BYTES)):
+                    self._end(LogReject.CUT_OFF)
+                    return b""
+                self._taken_bytes += len(piece)
+                contents = inflated(inflater, piece, most_bytes)
+        except DamagedStreamError:
+            self._end(LogReject.DAMAGED)
             return b""
         if inflater.eof:
             self._follow(inflater.unused_data)
         self._given_bytes += len(contents)
         check_growth(self.name, self._taken_bytes, self._given_bytes)
         return contents
-
-    def _piece(self) -> bytes:
-        piece = self._stream.read(PIECE_BYTES)
-        if not piece:
-            raise EOFError
-        self._taken_bytes += len(piece)
-        return piece
 
     def _follow(self, unused: bytes) -> None:
         """Go on with the stream that follows one that ended."""
@@ -330,18 +327,14 @@ class PipeStream(io.RawIOBase):
             wait_s = min(LOOK_S, deadline_s - time.monotonic())
             if wait_s <= 0.0:
                 return False
-            if _is_ready(self._descriptor, wait_s):
+            try:
+                if select.select([self._descriptor], [], [], wait_s)[0]:
+                    return True
+            except (OSError, ValueError):  # a system whose select knows nothing but sockets: reading itself waits
                 return True
             if self._is_stopped():
                 self._has_ended = self.was_left = True
         return False
-
-
-def _is_ready(descriptor: int, wait_s: float) -> bool:
-    try:
-        return bool(select.select([descriptor], [], [], wait_s)[0])
-    except (OSError, ValueError):  # a system whose select knows nothing but sockets: reading itself waits
-        return True
 
 
 _WAITING: dict[int, PipeStream] = {}  # of standard input, by its object: it cannot be opened twice

@@ -169,8 +169,10 @@ def chosen(choice: str, names: Sequence[str]) -> Proposal:
         role = ROLE_OF_NAME.get(word.strip().lower())
         if role is None or not rest.strip():
             raise SourceError(f"--columns {part!r}: say what is what as {'|'.join(ROLE_OF_NAME)}=COLUMN")
-        name, option = _with_option(rest.strip(), names)
-        places = _places(name, names)
+        name, mark, option = rest.strip().rpartition(":")
+        if not mark or rest.strip().casefold() in {one.casefold() for one in names}:  # a colon that is part of a name
+            name, option = rest.strip(), ""
+        option, places = option.strip().lower(), _places(name, names)
         own = Role.BYTE if role is Role.DATA and len(places) > 1 else role
         if role is not Role.DATA and len(places) > 1:
             raise SourceError(f"--columns {part!r}: only data may be several columns")
@@ -277,13 +279,6 @@ def _byte_places(plain: Sequence[str]) -> list[int]:
     return places if places == sorted(places) else []
 
 
-def _with_option(text: str, names: Sequence[str]) -> tuple[str, str]:
-    """Return the name of a column and what stands behind its colon, unless that is a part of the name."""
-    name, mark, option = text.rpartition(":")
-    is_whole_name = text.casefold() in {one.casefold() for one in names}
-    return (text, "") if is_whole_name or not mark else (name, option.strip().lower())
-
-
 def _places(text: str, names: Sequence[str]) -> list[int]:
     """Return the places of a column, or of all from one to another; raises SourceError if it is not there."""
     place = _place(text, names)
@@ -327,7 +322,6 @@ IDENTIFIER: Final = re.compile(r"(?:0x)?([0-9A-Fa-f]{1,10})[xh]?", re.IGNORECASE
 BYTES: Final = re.compile(r"(?:0x)?[0-9A-Fa-f]{2}(?:[\s:._-]*(?:0x)?[0-9A-Fa-f]{2}){0,63}")
 LENGTH: Final = re.compile(r"[0-9]|[1-5][0-9]|6[0-4]")
 BYTE: Final = re.compile(r"(?:0x)?[0-9A-Fa-f]{2}")
-Rows = Sequence[tuple[str, ...]]
 Cells = Sequence[Sequence[str]]  # of each column, those that are not empty
 
 
@@ -353,7 +347,7 @@ def is_traffic(batch: FrameBatch) -> bool:
     return len(can_ids) <= max(FEW_IDS, len(batch) // 2) and bool(np.mean(are_fitting) >= LEAST_FITTING)
 
 
-def _roles(names: Sequence[str], rows: Rows, width: int) -> dict[str, list[int]]:
+def _roles(names: Sequence[str], rows: Sequence[tuple[str, ...]], width: int) -> dict[str, list[int]]:
     """Return the places of columns by what they are taken for: by their names first, then by what they hold."""
     cells = [[row[place] for row in rows if place < len(row) and row[place]] for place in range(width)]
     spelled = {role: word for word, role in ROLE_OF_NAME.items()}

@@ -10,6 +10,7 @@ from canlog.arrays import Int64Array, UInt8Array
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.logs.columns import header, kernel
+from canlog.logs.columns.header import COMMENTS, LEAST_COLUMNS
 from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, Column, Layout, Role
 from canlog.logs.dates import date_us
 from canlog.logs.frame_buffer import MOST_CHANNELS, FrameRows
@@ -18,8 +19,6 @@ from canlog.logs.text_log import TextLog, frames_of
 
 HEADER_LINES_LOOKED_AT = 20
 SAMPLE_LINES = 2_000
-LEAST_COLUMNS = 2
-COMMENTS = b"#"
 ENOUGH_BYTES = 8  # of a table without lengths: a frame with so many is whole
 HALF_BYTE_AT_END = {
     HEXADECIMAL: re.compile(rb"[^0-9A-Fa-f][0-9A-Fa-f]\n"),
@@ -103,13 +102,14 @@ class ColumnsLog(TableLog):
         rows = [header.names_in(line, separator) for line in body if line.strip() and not line.startswith(COMMENTS)]
         self.taken_for = found.in_words()
         columns = tuple(self._based(column, place, rows, found.names) for place, column in enumerate(found.columns))
+        id_digits = {len(value.lower().removeprefix("0x")) for value in _values(columns, Role.ID, rows)}
         self.set_layout(
             Layout(
                 columns=columns,
                 separator=separator,
                 comment_starts=COMMENTS,
                 header_lines=number,
-                extended_digits=8 if _are_told_by_digits(_values(columns, Role.ID, rows)) else 0,
+                extended_digits=8 if 8 in id_digits and id_digits & {3, 4} else 0,  # where others have 3, or 4
                 has_decimal_comma=separator != ord(","),
                 names=found.names,
                 channel_names=self._channel_names(_values(columns, Role.CHANNEL, rows)),
@@ -147,7 +147,10 @@ class ColumnsLog(TableLog):
             self.set_layout(replace(layout, wrap_us=DAY_US))
             self.notes.append("times are times of day, taken as those of 1970-01-01")
         elif times and not found.has_unit:
-            unit = _likely_unit(layout, times, body)
+            unit = SECONDS  # where they have fractions; else what a bus can carry
+            if not any("." in time or "," in time for time in times):
+                counted = replace(layout, columns=header.in_unit(layout.columns, MICROSECONDS), header_lines=0)
+                unit = likely_unit(frames_of(TableLog(counted), body))[0]
             self.notes.append(f"times are taken as {UNIT_NAMES[unit]}: the header does not say")
             self.set_layout(replace(layout, columns=header.in_unit(layout.columns, unit)))
 
@@ -155,9 +158,7 @@ class ColumnsLog(TableLog):
         """Take dates without an offset as local time, all with the offset of the first."""
         local_us = date_us(date.replace("T", " ").replace("/", "-").encode())
         layout = Layout(columns=(Column(Role.TIME), Column(Role.ID, 16)), separator=ord(";"))
-        reader = TableLog()
-        reader.set_layout(layout)
-        as_utc = frames_of(reader, date.encode() + b";1")
+        as_utc = frames_of(TableLog(layout), date.encode() + b";1")
         if local_us is not None and len(as_utc):
             self.set_base(local_us - int(as_utc.t_ns[0]) // 1_000)
             self.notes.append("dates are taken as local time: they have no UTC offset")
@@ -211,9 +212,9 @@ def _numbered(lines: Sequence[bytes], choice: str) -> tuple[int, int, header.Pro
     """Return the same of columns that are named by their numbers: the header ends where the first frame is."""
     first_line = next((line for line in lines if line.strip() and not line.startswith(COMMENTS)), b"")
     separator = header.separator_of(first_line)
-    found, reader = header.chosen(choice, ()), TableLog()
+    found = header.chosen(choice, ())
     columns = tuple(replace(one, parameter=HEXADECIMAL) if one.role is Role.ID else one for one in found.columns)
-    reader.set_layout(Layout(columns=columns, separator=separator, has_decimal_comma=separator != ord(",")))
+    reader = TableLog(Layout(columns=columns, separator=separator, has_decimal_comma=separator != ord(",")))
     numbers = range(min(len(lines), HEADER_LINES_LOOKED_AT))
     first = next((number for number in numbers if len(frames_of(reader, lines[number]))), 0)
     return first, separator, found
@@ -230,18 +231,3 @@ def _is_number(text: str) -> bool:
 def _values(columns: Sequence[Column], role: Role, rows: Sequence[tuple[str, ...]]) -> list[str]:
     place = next((place for place, column in enumerate(columns) if column.role is role), None)
     return [] if place is None else [row[place] for row in rows if place < len(row) and row[place]]
-
-
-def _are_told_by_digits(values: Sequence[str]) -> bool:
-    """Return whether eight digits mean an extended identifier: where others have three, or four."""
-    digits = {len(value.lower().removeprefix("0x")) for value in values}
-    return 8 in digits and bool(digits & {3, 4})
-
-
-def _likely_unit(layout: Layout, times: Sequence[str], body: bytes) -> int:
-    """Return the unit of times that no header tells: seconds where they have fractions, else what a bus can carry."""
-    if any("." in time or "," in time for time in times):
-        return SECONDS
-    reader = TableLog()
-    reader.set_layout(replace(layout, columns=header.in_unit(layout.columns, MICROSECONDS), header_lines=0))
-    return likely_unit(frames_of(reader, body))[0]
