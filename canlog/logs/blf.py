@@ -137,8 +137,10 @@ def _count_damage(report: Int64Array) -> None:
 def _locate(raw: UInt8Array, at: int, report: Int64Array) -> tuple[int, int]:
     """Return where the next object is and its size, -1 if the buffer does not hold all of it; count what is damaged."""
     while True:
-        found = _next_object(raw, at)
-        if found < 0:
+        found = at
+        while found + 4 <= len(raw) and lower(raw, found) != MAGIC_WORD:
+            found += 1
+        if found + 4 > len(raw):
             return max(at, len(raw) - 3), -1
         if found - at > LONGEST_PADDING and not report[IS_LOST]:
             _count_damage(report)
@@ -151,16 +153,6 @@ def _locate(raw: UInt8Array, at: int, report: Int64Array) -> tuple[int, int]:
         _count_damage(report)
         report[IS_LOST] = 1
         at = found + 4
-
-
-@array_kernel
-def _next_object(raw: UInt8Array, at: int) -> int:
-    """Return where the next object begins, -1 if there is none."""
-    while at + 4 <= len(raw):
-        if lower(raw, at) == MAGIC_WORD:
-            return at
-        at += 1
-    return -1
 
 
 @inlined_kernel
@@ -198,20 +190,15 @@ def _frame(raw: UInt8Array, at: int, size: int, layout: Int64Array, rows: FrameR
         rows.flags[row] |= FD_FLAG | (BRS_FLAG if is_fast else 0) | (ESI_FLAG if is_passive else 0)
     end = raw[body + layout[EXTENSION]] if layout[EXTENSION] >= 0 else 0
     stored = 0 if is_remote else (min(end, size) if end else size) - header - layout[DATA]
-    _copy(raw, body + layout[DATA], max(min(stored, count), 0), rows, row)
-    return WRITTEN
-
-
-@inlined_kernel
-def _copy(raw: UInt8Array, at: int, count: int, rows: FrameRows, row: int) -> None:
-    """Copy a payload into a row that is zero behind it."""
+    begin, count = body + layout[DATA], max(min(stored, count), 0)
     for index in range(rows.words.shape[1]):
         rows.words[row, index] = 0
-    if count <= PAYLOAD_BYTES and at + PAYLOAD_BYTES <= raw.size:  # nearly all there are
-        rows.words[row, 0] = word(raw, at) & FIRST_BYTES[count]
-        return
-    for index in range(count):
-        rows.data[row, index] = raw[at + index]
+    if count <= PAYLOAD_BYTES and begin + PAYLOAD_BYTES <= raw.size:  # nearly all there are
+        rows.words[row, 0] = word(raw, begin) & FIRST_BYTES[count]
+    else:
+        for index in range(count):
+            rows.data[row, index] = raw[begin + index]
+    return WRITTEN
 
 
 @inlined_kernel
@@ -314,7 +301,13 @@ class ObjectStream:
 
         Then an object that it begins is forgotten; the next one that can be found goes on.
         """
-        raw, report = self._joined(data), self._report
+        raw, report, kept = np.frombuffer(data, np.uint8), self._report, len(self._tail)
+        if kept:
+            if len(self._buffer) < kept + len(raw):
+                self._buffer = np.empty(kept + len(raw), np.uint8)
+            joined = self._buffer[: kept + len(raw)]
+            joined[:kept], joined[kept:] = self._tail, raw
+            raw = joined
         report[POSITION] = report[SKIPPED] = report[DAMAGED] = 0
         self._frames.reserve(len(self) + len(raw) // STAMPED_HEADER_BYTES + 1, len(self))
         while True:
@@ -337,17 +330,6 @@ class ObjectStream:
         self._counts.frames += len(self)
         self._report[ROWS] = 0
         return batch
-
-    def _joined(self, data: bytes | bytearray) -> UInt8Array:
-        """Return a piece behind what is left of the one before it."""
-        piece, kept = np.frombuffer(data, np.uint8), len(self._tail)
-        if not kept:
-            return piece
-        if len(self._buffer) < kept + len(piece):
-            self._buffer = np.empty(kept + len(piece), np.uint8)
-        joined = self._buffer[: kept + len(piece)]
-        joined[:kept], joined[kept:] = self._tail, piece
-        return joined
 
     def finish(self) -> None:
         """Count an object that the file does not complete."""

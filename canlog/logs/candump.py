@@ -95,8 +95,10 @@ def _usual_line(
     time_ns = _usual_time_ns(text, at)
     name = word(text, at + USUAL_TIME_BYTES)
     if (name ^ names.words[index]) & names.masks[index]:
-        index = _place_of_name(name, names, known)
-    if time_ns < 0 or index < 0:
+        index = 0
+        while index < known and (name ^ names.words[index]) & names.masks[index]:
+            index += 1
+    if time_ns < 0 or index == known:
         return 0, UNUSUAL
     identifier, behind = _usual_id(text, at + USUAL_TIME_BYTES + names.bytes[index])
     if behind >= 0:
@@ -117,15 +119,6 @@ def _usual_time_ns(text: UInt8Array, at: int) -> int:
     if seconds | pair | micros < 0:
         return UNUSUAL
     return int((seconds * 100 + pair) * NS_PER_S + micros * NS_PER_US)
-
-
-@inlined_kernel
-def _place_of_name(name: np.uint64, names: NameWords, known: int) -> int:
-    """Return the place of a channel among those that are known, -1 if it is not among them."""
-    for index in range(known):
-        if (name ^ names.words[index]) & names.masks[index] == 0:
-            return index
-    return -1
 
 
 @inlined_kernel
@@ -175,7 +168,10 @@ def _parse_line(text: UInt8Array, at: int, rows: FrameRows, row: int, names: Nam
             return TOO_LONG, at
         at = _parse_fd_payload(text, at + 1, rows, row)
     elif text[at] == LETTER_R or text[at] == SMALL_R:
-        at = _parse_remote(text, at + 1, rows, row)
+        rows.data[row, :] = 0
+        rows.can_id[row] |= np.uint32(REMOTE_FLAG)
+        rows.length[row], at = decimal(text, at + 1, 1)
+        at = at if rows.length[row] <= PAYLOAD_BYTES else -at
     else:
         rows.length[row], at = _payload(text, at, rows.data, row, PAYLOAD_BYTES)
     if at >= 0:
@@ -235,15 +231,6 @@ def _parse_fd_payload(text: UInt8Array, at: int, rows: FrameRows, row: int) -> i
     count, at = _payload(text, at + 1, rows.data, row, FD_PAYLOAD_BYTES)
     rows.flags[row], rows.length[row] = FD_FLAG | (digit & FD_DIGIT_BITS), count
     return at if IS_LENGTH[count] else -at
-
-
-@array_kernel
-def _parse_remote(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
-    """Parse what follows the ``R`` of a remote frame; return the position, negative if it is none."""
-    rows.data[row, :] = 0
-    rows.can_id[row] |= np.uint32(REMOTE_FLAG)
-    rows.length[row], at = decimal(text, at, 1)
-    return at if rows.length[row] <= PAYLOAD_BYTES else -at
 
 
 @array_kernel

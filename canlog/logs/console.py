@@ -215,22 +215,15 @@ def _read_payload(text: UInt8Array, at: int, rows: FrameRows, row: int, count: i
         if value < 0:
             return -at
         rows.data[row, index] = value
-    if is_swapped:
-        _reverse(rows.data, row, count)
+    for index in range(count // 2 if is_swapped else 0):
+        other = count - 1 - index
+        rows.data[row, index], rows.data[row, other] = rows.data[row, other], rows.data[row, index]
     at = _skip_shown(text, at)
     if rows.can_id[row] & np.uint32(ERROR_FLAG) and _behind(text, at, ERROR_WORD) > 0:
         at = _behind(text, at, ERROR_WORD)
     elif text[at] == QUOTE or text[at] == TICK:
         at = _read_shown(text, at, rows.data, row, count)
     return _end(text, at) if at >= 0 else at
-
-
-@array_kernel
-def _reverse(data: UInt8Array, row: int, count: int) -> None:
-    """Put the first bytes of a row into the opposite order."""
-    for index in range(count // 2):
-        other = count - 1 - index
-        data[row, index], data[row, other] = data[row, other], data[row, index]
 
 
 @array_kernel
@@ -340,10 +333,15 @@ class ConsoleLog(TextLog):
         if not found:
             self.notes.append(NO_TIMES)
         elif date := found[0]["date"]:
-            self._set_zone(date)
+            # Dates are local time, all with the offset of the first.
+            as_utc, local_us = frames_of(ConsoleLog(), b"(" + date + b") c 000 [0]").t_ns, date_us(date)
+            if local_us is not None and len(as_utc):
+                self._clock[BASE_NS] = local_us * NS_PER_US - int(as_utc[0])
         elif len(found[0]["count"].partition(b".")[0]) < EPOCH_DIGITS:
             times_s = np.array([float(one["count"]) for one in found if one["count"]])
-            self._clock[IS_DELTA] = are_steps(times_s)
+            steps_s = np.diff(times_s)  # of times since the frame before some fall, or all are the same above zero
+            is_constant = len(times_s) > 2 and times_s[1] > 0.0 and not steps_s[1:].any()
+            self._clock[IS_DELTA] = is_constant or np.count_nonzero(steps_s < 0.0) > LEAST_FALLS * len(steps_s)
             kind = "frame before (candump -t d)" if self._clock[IS_DELTA] else "start (candump -t z)"
             self.notes.append(f"times are taken as those since the {kind}, and count from 1970")
 
@@ -364,17 +362,3 @@ class ConsoleLog(TextLog):
     def is_whole(self, line: bytes, frame: FrameBatch) -> bool:  # noqa: ARG002 - the grammar's length decides
         """Return whether all is there that the length speaks of; without bytes "remote request" might be missing."""
         return bool(frame.length[0]) or bool(frame.can_id[0] & np.uint32(REMOTE_FLAG))
-
-    def _set_zone(self, date: bytes) -> None:
-        """Take dates as local time, all with the offset of the first."""
-        as_utc = frames_of(ConsoleLog(), b"(" + date + b") c 000 [0]").t_ns
-        local_us = date_us(date)
-        if local_us is not None and len(as_utc):
-            self._clock[BASE_NS] = local_us * NS_PER_US - int(as_utc[0])
-
-
-def are_steps(times_s: "np.typing.NDArray[np.float64]") -> bool:
-    """Return whether times are those since the frame before: they fall, or stay the same above zero."""
-    steps_s = np.diff(times_s)
-    is_constant = len(times_s) > 2 and times_s[1] > 0.0 and not steps_s[1:].any()
-    return bool(is_constant or np.count_nonzero(steps_s < 0.0) > LEAST_FALLS * len(steps_s))

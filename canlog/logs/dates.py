@@ -50,7 +50,10 @@ def date_us(text: bytes) -> int | None:
     no month: ``3/4/2026`` may be two days and is none.
     """
     folded = _folded(text)
-    clock = CLOCK.search(_without_day(folded))
+    without_day = folded  # in numbers, whose colons are not those of a time
+    for pattern in (DAY_FIRST, YEAR_FIRST):
+        without_day = pattern.sub(lambda found: " " * len(found[0]), without_day)
+    clock = CLOCK.search(without_day)
     if clock is None or len(text) > LONGEST_DATE:
         return None
     rest = folded.replace(clock[0], " ", 1)
@@ -66,7 +69,9 @@ def date_us(text: bytes) -> int | None:
     if len([word for word in words if word not in ZONES_OF_UTC]) > MOST_OTHER_WORDS:
         return None
     start_s = _epoch_s(day, hour, int(clock["minute"]), int(clock["second"]), zone)
-    return None if start_s is None else start_s * US_PER_S + _fraction_us(clock["fraction"] or "")
+    digits = clock["fraction"] or "0"
+    fraction_us = int(digits) * US_PER_MS if len(digits) <= MILLISECOND_DIGITS else int(digits.ljust(6, "0")[:6])
+    return None if start_s is None else start_s * US_PER_S + fraction_us
 
 
 def local_midnight_us(time_us: int) -> int:
@@ -94,13 +99,6 @@ def _folded(text: bytes) -> str:
     spelled = decoded(text[: LONGEST_DATE + 1]).partition("//")[0].casefold()
     apart = unicodedata.normalize("NFKD", spelled.replace("й", "\0"))
     return "".join(character for character in apart if not unicodedata.combining(character)).replace("\0", "й")
-
-
-def _without_day(folded: str) -> str:
-    """Return a date with a blank for the day in numbers, whose colons are not those of a time."""
-    for pattern in (DAY_FIRST, YEAR_FIRST):
-        folded = pattern.sub(lambda found: " " * len(found[0]), folded)
-    return folded
 
 
 def _numbered_day(rest: str) -> Day | None:
@@ -133,12 +131,6 @@ def _hour(hour: int, is_afternoon: bool | None) -> int | None:  # noqa: FBT001 -
     if hour > HALF_DAY_HOURS:
         return hour if is_afternoon else None
     return hour % HALF_DAY_HOURS + HALF_DAY_HOURS * is_afternoon
-
-
-def _fraction_us(digits: str) -> int:
-    if len(digits) <= MILLISECOND_DIGITS:
-        return int(digits or 0) * US_PER_MS
-    return int(digits.ljust(6, "0")[:6])
 
 
 def _epoch_s(day: Day, hour: int, minute: int, second: int, zone: timezone | None) -> int | None:

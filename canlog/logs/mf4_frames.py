@@ -70,7 +70,9 @@ def mf4_batches(path: Path, folder: Path, counts: LogCounts) -> Iterator[FrameBa
             # Of a stream rows are read in pieces, of a path all that a channel has.
             source = opened if measured.groups else whole.path
             mdf = asammdf.MDF(source, process_bus_logging=False, temporary_folder=folder)
-            start_ns = measurement_start_ns(mdf.header)
+            start_ns = int(mdf.header.abs_time)
+            if mdf.header.start_time.tzinfo is None:  # a local time without a zone counts as this machine's
+                start_ns = int(mdf.header.start_time.timestamp()) * int(NS_PER_S) + start_ns % int(NS_PER_S)
             kinds = {number: kind for number, group in enumerate(mdf.groups) if (kind := frame_kind(group))}
             addresses = {one.at for one in measured.groups} or {mdf.groups[one].channel_group.address for one in kinds}
             count_missing(mdf.groups, addresses, whole, counts)
@@ -106,13 +108,6 @@ def end_quietly(mdf: Untyped) -> None:
     """Close an MDF object that may lack what its constructor did not come to."""
     with suppress(AttributeError):
         mdf.close()
-
-
-def measurement_start_ns(header: Untyped) -> int:
-    """Return the start of measurement since the epoch; a local time without a zone counts as this machine's."""
-    if header.start_time.tzinfo is None:
-        return int(header.start_time.timestamp()) * int(NS_PER_S) + int(header.abs_time) % int(NS_PER_S)
-    return int(header.abs_time)
 
 
 def count_missing(groups: Sequence[Untyped], addresses: Collection[int], whole: Mended, counts: LogCounts) -> None:

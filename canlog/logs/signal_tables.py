@@ -137,10 +137,6 @@ class _Table:
             rows.append(cells)
             numbers.append(number)
         self._line += len(lines)
-        return self._frames(rows, numbers)
-
-    def _frames(self, rows: list[list[str]], numbers: Sequence[int]) -> FrameBatch:
-        header = self._header
         columns = list(zip(*rows, strict=True)) if rows else [()] * header.width
         time_us = self._times_us(columns[header.time_place], numbers)
         values = np.empty((len(rows), len(header.places)), np.float64)
