@@ -113,12 +113,8 @@ class BusClock:
         self._last = read()
         self._offset_ns = 0  # wall clock minus bus time
         self._newest_ns: int | None = None  # bus time of the last frame
-        self._step_count = 0
+        self.step_count = 0
         self._before: tuple[int, int, int] | None = None  # offset before a step, and the two looks around it, bus time
-
-    @property
-    def step_count(self) -> int:
-        return self._step_count
 
     def look(self) -> None:
         """Compare the clocks; on a machine too busy to read both at one moment, the next look tells."""
@@ -136,7 +132,7 @@ class BusClock:
             earliest_ns = looked_ns if self._newest_ns is None else max(looked_ns, self._newest_ns)
             self._before = (self._offset_ns, earliest_ns - SLACK_NS, looked_ns + elapsed_ns + SLACK_NS)
             self._offset_ns += round(step_ns / NS_PER_US) * NS_PER_US  # the stamps are in whole microseconds
-            self._step_count += 1
+            self.step_count += 1
 
     def look_if_stale(self, stamp_ns: int) -> None:
         """Look unless a step was just seen, or this frame was stamped soon after the last look."""

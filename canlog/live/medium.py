@@ -87,7 +87,8 @@ def open_medium() -> Iterator[Medium]:
         finally:
             _run("ip", "link", "delete", own)
         return
-    found = _existing_vcan()
+    answer = _run("ip", "-json", "link", "show", "up", "type", "vcan")  # never real hardware, on which a car may hang
+    found = next((str(link["ifname"]) for link in json.loads(answer or "[]") if "ifname" in link), None)
     if found is None:
         yield multicast("no vcan interface is up, and making one takes root")
     else:
@@ -139,13 +140,6 @@ def _has_can_sockets() -> bool:
     except OSError:
         return False
     return True
-
-
-def _existing_vcan() -> str | None:
-    """Return a vcan interface that is up; never one of real hardware, on which a car may hang."""
-    answer = _run("ip", "-json", "link", "show", "up", "type", "vcan")
-    names = [link["ifname"] for link in json.loads(answer or "[]") if "ifname" in link]
-    return str(names[0]) if names else None
 
 
 def _run(program: str, *arguments: str) -> str | None:

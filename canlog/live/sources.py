@@ -133,22 +133,18 @@ class FrameQueue:
         self._lock = threading.Lock()
         self._batches: deque[FrameBatch] = deque()
         self._waiting = 0  # frames in the queue
-        self._dropped = 0
+        self.dropped = 0  # frames
         self._is_silent = False
         self._is_closed = False
         self._error: SourceError | None = None
         self._has_frames = asyncio.Event()
         self._is_urgent = asyncio.Event()
 
-    @property
-    def dropped(self) -> int:
-        return self._dropped
-
     def offer(self, batch: FrameBatch) -> None:
         """Append frames, as many as fit; to be called from one thread."""
         with self._lock:
             fitting = 0 if self._is_closed else min(len(batch), self._limit - self._waiting)
-            self._dropped += len(batch) - fitting
+            self.dropped += len(batch) - fitting
             if fitting == 0:
                 return
             self._is_silent = False  # times of these frames tell

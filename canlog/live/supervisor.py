@@ -47,7 +47,7 @@ class BusWatch:
         self._state = BusState.UP
         self._errors: Counter[BusTrouble] = Counter()
         self._interruption_count = 0
-        self._restart_count = 0
+        self.restart_count = 0  # restarts asked of the controller
         self._last_problem: str | None = None
         self._dropped = 0
         self._trouble_s: float | None = None
@@ -81,9 +81,6 @@ class BusWatch:
     def mark_back(self) -> None:
         self._state = BusState.RESTARTED
 
-    def count_restart(self) -> None:
-        self._restart_count += 1
-
     def status(self, now_s: float) -> BusStatus:
         is_troubled = self._trouble_s is not None and now_s - self._trouble_s < TROUBLE_S
         state = BusState.DEGRADED if self._state is BusState.UP and is_troubled else self._state
@@ -91,7 +88,7 @@ class BusWatch:
             state=state,
             errors=MappingProxyType(dict(self._errors)),
             interruption_count=self._interruption_count,
-            restart_count=self._restart_count,
+            restart_count=self.restart_count,
             last_problem=self._last_problem,
         )
 
@@ -226,7 +223,7 @@ class SupervisedSource:
         last_refusal: str | None = None
         while self.status.state is BusState.BUS_OFF:
             refusal = await self._opener.restart()
-            self._watch.count_restart()
+            self._watch.restart_count += 1
             if refusal is None:
                 _LOG.log(NOTICE, "%s is bus-off; asked it to restart", self.description)
             elif refusal != last_refusal:
