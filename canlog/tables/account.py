@@ -108,12 +108,6 @@ class DecodeAccount:
         return [slot for slot, row in enumerate(self.counts[:-1].tolist()) if any(row) or slot in self.long_counts]
 
     @property
-    def valued_slots(self) -> list[int]:
-        """The messages that have values, likewise."""
-        counts = self.counts[:-1, list(HAS_VALUES)].sum(axis=1)
-        return sorted({*np.flatnonzero(counts).tolist(), *self.long_counts})
-
-    @property
     def refused(self) -> dict[str, str]:
         """Why signals of messages that came cannot be decoded; a message without any tells of each of its signals."""
         found: dict[str, str] = {}
@@ -284,7 +278,8 @@ def frame_texts(account: DecodeAccount) -> Iterator[str]:
 def values_text(account: DecodeAccount) -> str:
     """Return how many values there are, in words."""
     values = [counts.values for counts in account.signals.values() if counts.values]
-    return f"{sum(values)} values of {len(values)} signals in {len(account.valued_slots)} messages"
+    in_frames = np.flatnonzero(account.counts[:-1, list(HAS_VALUES)].sum(axis=1)).tolist()
+    return f"{sum(values)} values of {len(values)} signals in {len({*in_frames, *account.long_counts})} messages"
 
 
 def account_record(account: DecodeAccount) -> JsonObject:

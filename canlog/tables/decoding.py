@@ -230,30 +230,23 @@ def message_columns(
         yield slot, columns
 
 
+@dataclass(slots=True)
 class MessageRows:
     """A table for each message, of its frames alone."""
 
-    def __init__(
-        self,
-        tables: TableFolder,
-        table_format: TableFormat,
-        account: DecodeAccount,
-        values: Values,
-        origins: Origins | None,
-    ) -> None:
-        self._tables = tables
-        self._format = table_format
-        self._account = account
-        self._values = values
-        self._origins = origins
-        self._layouts: dict[int, WideLayout] = {}
-        self._open: dict[int, ColumnSink] = {}
+    tables: TableFolder
+    table_format: TableFormat
+    account: DecodeAccount
+    values: Values
+    origins: Origins | None
+    _layouts: dict[int, WideLayout] = field(default_factory=dict)
+    _open: dict[int, ColumnSink] = field(default_factory=dict)
 
     def write_group(self, group: FrameGroup) -> None:
-        for slot, columns in message_columns(group, self._account, self._layouts, self._values, self._origins):
+        for slot, columns in message_columns(group, self.account, self._layouts, self.values, self.origins):
             if slot not in self._open:
-                layout = self._layouts[slot]
-                self._open[slot] = open_columns(self._tables.file(slot), self._format, layout.kinds, layout.metadata)
+                file, layout = self.tables.file(slot), self._layouts[slot]
+                self._open[slot] = open_columns(file, self.table_format, layout.kinds, layout.metadata)
             self._open[slot].write_columns(columns)
 
     def close(self) -> None:

@@ -68,7 +68,9 @@ class LogSet:
     ) -> None:
         self.paths = tuple(paths)
         self.readers: list[LogReader] = []  # of the last reading
-        self.origins = Origins(names=tuple(map(_as_text, paths))) if len(paths) > 1 else None
+        # Bytes that are no text become escapes.
+        names = (shown_name(one).encode(errors="surrogateescape").decode(errors="backslashreplace") for one in paths)
+        self.origins = Origins(names=tuple(names)) if len(paths) > 1 else None
         self._is_stopped = is_stopped
         self._watch = watch
         self._columns = columns
@@ -93,8 +95,10 @@ class LogSet:
     def frames(self) -> Iterator[FrameBatch]:
         """Yield all frames from the first; raises SourceError."""
         self._close_readers()
+        is_stopped, watch, columns = self._is_stopped, self._watch, self._columns
         for path in self.paths:
-            self.readers.append(self._open(path))
+            source, name = self._kept_path if path == STANDARD_INPUT else path, shown_name(path)
+            self.readers.append(read_log(source, is_stopped=is_stopped, watch=watch, name=name, columns=columns))
         origins = self.origins
         if origins is None:
             yield from self.readers[0]
@@ -111,12 +115,6 @@ class LogSet:
         for reader in self.readers:
             total.add(_with_name(reader.counts, reader.name))
         return total
-
-    def _open(self, path: Path) -> LogReader:
-        if path != STANDARD_INPUT:
-            return read_log(path, watch=self._watch, columns=self._columns)
-        name, columns = shown_name(path), self._columns
-        return read_log(self._kept_path, is_stopped=self._is_stopped, watch=self._watch, name=name, columns=columns)
 
     def _of(self, number: int, marks: SourceMarks) -> Iterator[FrameBatch]:
         yield from self.readers[number]
@@ -135,11 +133,6 @@ def _with_name(counts: LogCounts, name: str) -> LogCounts:
             setattr(counts, place, f"{name}: {text}")
     counts.notes = tuple(f"{name}: {note}" for note in counts.notes)
     return counts
-
-
-def _as_text(path: Path) -> str:
-    """Return the name of a log as a text; bytes that are none become escapes."""
-    return shown_name(path).encode(errors="surrogateescape").decode(errors="backslashreplace")
 
 
 def log_paths(path: Path | str | Sequence[Path | str]) -> list[Path]:

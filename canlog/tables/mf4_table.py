@@ -71,7 +71,8 @@ class Mf4Table:
         for log, channel in np.unique(np.stack((logs, channels)), axis=1).T.tolist():
             own = (channels == channel) & (logs == log)
             of_channel = {name: (value[own], missing[own]) for name, (value, missing) in columns.items()}
-            self._append(slot, self._place(log, channel), group.frames.t_ns[rows][own], of_channel)
+            place = f"channel {channel}" + (f" of {self._origins.names[log]}" if self._origins is not None else "")
+            self._append(slot, place, group.frames.t_ns[rows][own], of_channel)
 
     def _append(
         self, slot: int, place: str, t_ns: Int64Array, columns: Mapping[str, tuple[FloatArray, BoolArray]]
@@ -94,10 +95,6 @@ class Mf4Table:
         ]
         name = f"{self._names.messages[slot]}, {place}"
         self._groups[slot, place] = self._file.append(signals, acq_name=name, comment=name, common_timebase=True)
-
-    def _place(self, log: int, channel: int) -> str:
-        """Return where frames come from, for people."""
-        return f"channel {channel}" + (f" of {self._origins.names[log]}" if self._origins is not None else "")
 
 
 def _column(name: str, parts: Sequence[MessageValues], order: Int64Array) -> tuple[FloatArray, BoolArray]:
