@@ -12,7 +12,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
-_AT_ONCE: Final = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)  # names of POSIX
+# So a file is opened without waiting for whoever may write into it; names of POSIX.
+_AT_ONCE: Final = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 MAX_TABLE_BYTES: Final = 4 * 2**20  # far above any settings file, calibration, profile or scenario
 
 
@@ -31,7 +32,7 @@ def read_small_file(path: Path, most_bytes: int = MAX_TABLE_BYTES) -> bytes:
 def open_plain_file(path: Path) -> FileIO:
     """Return a plain file, opened for reading; raises as ``read_small_file``, and never waits, whatever the name is."""
     try:
-        file = FileIO(str(path), "rb", opener=_open_at_once)
+        file = FileIO(str(path), "rb", opener=lambda name, flags: os.open(name, flags | _AT_ONCE))
     except OSError as error:
         if error.errno == errno.ENXIO:  # a socket, or a device without anything behind it
             _check_kind(path, path.stat())
@@ -59,11 +60,6 @@ def read_toml_file(path: Path) -> dict[str, Any]:
         return tomllib.loads(text)
     except RecursionError:
         raise ValueError("its lists or tables are nested too deeply") from None
-
-
-def _open_at_once(name: str, flags: int) -> int:
-    """Open a file without waiting for whoever may write into it."""
-    return os.open(name, flags | _AT_ONCE)
 
 
 def _check_kind(path: Path, status: os.stat_result) -> None:

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import FloatArray
 from canlog.frames import BEFORE_ALL_NS, ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 
 NS_PER_S = 1_000_000_000
@@ -183,7 +183,8 @@ class TrafficMeter:
         np.maximum.at(self._length, rows, segment.length[order].astype(np.int64))
         np.add.at(self._elapsed_ns, row, step_ns)
         np.maximum.at(self._longest_ns, row, step_ns)
-        cell = row * BIN_COUNT + _bin_of(step_ns)
+        steps = STEPS_PER_OCTAVE * np.log2(np.maximum(step_ns, 1000) / 1000.0)  # on a logarithmic scale
+        cell = row * BIN_COUNT + np.minimum(steps, BIN_COUNT - 1).astype(np.int64)
         step_s = step_ns / NS_PER_S
         np.add.at(self._bins.reshape(-1), cell, 1)
         np.add.at(self._sums_s.reshape(-1), cell, step_s)
@@ -225,10 +226,3 @@ class TrafficMeter:
             gap_count=steps - regular,
             longest_gap_s=int(self._longest_ns[row]) / NS_PER_S if steps > regular else 0.0,
         )
-
-
-def _bin_of(step_ns: Int64Array) -> Int64Array:
-    """Return the logarithmic bin of intervals, shape (n,)."""
-    steps = STEPS_PER_OCTAVE * np.log2(np.maximum(step_ns, 1000) / 1000.0)
-    bins: Int64Array = np.minimum(steps, BIN_COUNT - 1).astype(np.int64)
-    return bins

@@ -35,7 +35,10 @@ class PayloadWords:
     """Some rows of payloads, or all, as 64-bit words; bytes past the end of the rows are zeros."""
 
     def __init__(self, data: UInt8Array, rows: Int64Array | None = None) -> None:
-        self._payloads = word_view(data)
+        missing = -data.shape[1] % WORD_BYTES
+        whole = np.pad(data, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(data)
+        words: UInt64Array = whole.view(LITTLE_WORD)
+        self._payloads = words if words.flags.aligned else words.copy()
         self._rows = np.arange(len(data)) if rows is None else rows
         self._words: dict[tuple[int, bool], UInt64Array] = {}  # those of multiplexers serve many signals
 
@@ -54,14 +57,6 @@ class PayloadWords:
         found = np.empty((len(starts), len(self)), np.uint64)
         pick_words(self._payloads, self._rows, starts, found)
         return found
-
-
-def word_view(data: UInt8Array) -> UInt64Array:
-    """Return payloads as little-endian words, shape (n, words), zeros behind their last byte."""
-    missing = -data.shape[1] % WORD_BYTES
-    whole = np.pad(data, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(data)
-    words: UInt64Array = whole.view(LITTLE_WORD)
-    return words if words.flags.aligned else words.copy()
 
 
 @array_kernel

@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canlog.arrays import FloatArray, Int64Array, Series
+from canlog.arrays import Int64Array, Series
 from canlog.e2e.profile1 import COUNTER_PERIOD
 from canlog.jit import array_kernel
 
@@ -192,8 +192,12 @@ def own_period_ns(series: Series) -> int:
         return series.period_ns
     if most_are_shorter(series.t_ns, series.sequence, SLOWER_RATIO * series.period_ns):
         return series.period_ns  # what follows would say so too, at length
-    mean_ns = _mean_step_ns(series)
-    steps_ns = _steps_ns(series)
+    # From one transmission to the next: over the whole stretch, and wherever two samples tell it.
+    steps_ns, count = np.diff(series.t_ns).astype(np.float64), len(series.t_ns) - 1
+    if series.sequence[0] >= 0:
+        steps_ns /= np.maximum(np.diff(series.sequence), 1)
+        count = int(series.sequence[-1] - series.sequence[0])
+    mean_ns = int(series.t_ns[-1] - series.t_ns[0]) / max(count, 1)
     typical_ns = float(np.median(steps_ns))
     if not SLOWER_RATIO * series.period_ns <= typical_ns <= (SLOWEST + NEAR) * series.period_ns:
         return series.period_ns
@@ -234,17 +238,3 @@ def most_are_shorter(t_ns: Int64Array, sequence: Int64Array, limit_ns: float) ->
 def compile_now() -> None:
     """Have it compiled before the first frames come: they must not wait for it."""
     most_are_shorter(_NO_SAMPLES, _NO_SAMPLES, 0.0)
-
-
-def _mean_step_ns(series: Series) -> float:
-    """Return the time from one transmission to the next over the whole stretch."""
-    count = len(series.t_ns) - 1 if series.sequence[0] < 0 else int(series.sequence[-1] - series.sequence[0])
-    return int(series.t_ns[-1] - series.t_ns[0]) / max(count, 1)
-
-
-def _steps_ns(series: Series) -> FloatArray:
-    """Return the time from one transmission to the next, wherever two samples tell it, shape (n - 1,)."""
-    steps_ns: FloatArray = np.diff(series.t_ns).astype(np.float64)
-    if series.sequence[0] >= 0:
-        steps_ns /= np.maximum(np.diff(series.sequence), 1)
-    return steps_ns

@@ -51,7 +51,10 @@ class FastPackets:
                 return None
             one = None
         if one is None:
-            self._without_beginning(t_ns, key, sequence, number)
+            last = self._orphan.get(key)
+            if last is None or last[0] != sequence or number <= last[1] or t_ns - last[2] > LIMIT_NS:
+                self._fault(Fault.NO_BEGINNING)
+            self._remember(key, sequence, number, t_ns)
             return None
         one.data += data[1:FRAME_BYTES]
         one.frames, one.last_ns = one.frames + 1, t_ns
@@ -78,12 +81,6 @@ class FastPackets:
         one = _Open(t_ns, t_ns, data[1], sequence, bytearray(data[2:FRAME_BYTES]))
         self._open[key] = one
         return self._whole(key, one) if len(one.data) >= one.length else None
-
-    def _without_beginning(self, t_ns: int, key: Key, sequence: int, number: int) -> None:
-        last = self._orphan.get(key)
-        if last is None or last[0] != sequence or number <= last[1] or t_ns - last[2] > LIMIT_NS:
-            self._fault(Fault.NO_BEGINNING)
-        self._remember(key, sequence, number, t_ns)
 
     def _remember(self, key: Key, sequence: int, number: int, t_ns: int) -> None:
         if len(self._orphan) >= MOST_OPEN and key not in self._orphan:
