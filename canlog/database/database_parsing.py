@@ -99,19 +99,15 @@ def one_line(error: Exception) -> str:
     cause = error.__cause__ or error
     frames = list(traceback.walk_tb(cause.__traceback__))[::-1]  # the innermost first
     text = " ".join(str(cause).split()) or type(cause).__name__
-    if text.startswith(_RIDDLE) or (isinstance(cause, _UNMEANT) and not _is_raised(cause)):
+    last = traceback.extract_tb(cause.__traceback__)[-1:]
+    is_meant = bool(last) and (last[0].line or "").startswith("raise")  # else Python raised it, at something unforeseen
+    if text.startswith(_RIDDLE) or (isinstance(cause, _UNMEANT) and not is_meant):
         value = _VALUE.search(text) if isinstance(cause, ValueError) else None
         text = f"{value[0]} stands where a number has to be" if value else "something that it needs is missing"
     places = (_place(one) for frame, _ in frames for one in reversed(frame.f_locals.values()))
     place = next(filter(None, places), "")
     text = text if len(text) <= 160 else f"{text[:157]}..."
     return f"{text.rstrip('.')}, in {place}" if place else text
-
-
-def _is_raised(cause: BaseException) -> bool:
-    """Return whether somebody meant to raise an error; else Python did, at something unforeseen."""
-    last = traceback.extract_tb(cause.__traceback__)[-1:]
-    return bool(last) and (last[0].line or "").startswith("raise")
 
 
 def _place(value: object) -> str:

@@ -227,18 +227,14 @@ class AttributeRules:
             return f"the attribute {words[1]} is not defined"
         owners = [words[at + 1] for at, word in enumerate(words) if word in {"BO_", "SG_"}]
         if not all(owner.isascii() and owner.isdecimal() for owner in owners):
-            return "the identifier must be a whole number"
-        return wrong_value(words[1], definition, words[-2])
-
-
-def wrong_value(name: str, definition: _Definition, value: str) -> str:
-    """Return what is wrong with a value; empty if nothing is."""
-    if definition.kind in WHOLE_KINDS | {"FLOAT"} and (cause := wrong_number(definition.kind, value)):
-        return cause
-    choices = FRAME_FORMATS if name == "VFrameFormat" and definition.kind == "INT" else definition.choices
-    if name in CHOSEN and choices and not 0 <= int(Decimal(value)) < choices:
-        return f"its value is not one of the {choices} choices"
-    return ""
+            return NOT_WHOLE
+        name, value = words[1], words[-2]
+        if definition.kind in WHOLE_KINDS | {"FLOAT"} and (cause := wrong_number(definition.kind, value)):
+            return cause
+        choices = FRAME_FORMATS if name == "VFrameFormat" and definition.kind == "INT" else definition.choices
+        if name in CHOSEN and choices and not 0 <= int(Decimal(value)) < choices:
+            return f"its value is not one of the {choices} choices"
+        return ""
 
 
 def wrong_number(kind: str, value: str) -> str:

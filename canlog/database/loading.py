@@ -107,7 +107,9 @@ def load_database(
         _refuse_absurd_sizes(text, file)
     parsed = _parse(text, database_format, file, is_lenient=is_lenient, parser_time_s=parser_time_s)
     if parsed.database is None:
-        raise DefinitionError(_refusal(parsed, file))
+        more = f"; {parsed.offence_count - 1} more like this" if parsed.offence_count > 1 else ""
+        hint = "(--lenient leaves out what cannot be right)"
+        raise DefinitionError(f"{file} does not load strictly: {parsed.offences[0]}{more} {hint}")
     if not parsed.database.messages:
         raise DefinitionError(f"{file} is not {database_format.in_words}, or it has no messages")
     offences = [f"{one}{'' if one.is_mended else ' (left out)'}" for one in parsed.offences]
@@ -116,7 +118,8 @@ def load_database(
     _warn_each(file, complaints, len(complaints))
     chosen = _chosen_messages(parsed.database, bus, file, is_lenient=is_lenient)
     long = [message for message in chosen.messages if message.is_extended_frame]
-    if not is_j1939 and is_of_groups(long, _protocol_of(chosen)):
+    protocol = chosen.dbc.attributes.get("ProtocolType") if chosen.dbc else None
+    if not is_j1939 and is_of_groups(long, str(protocol.value) if protocol else ""):
         _LOG.log(
             NOTICE, "%s: %d messages are matched by their parameter groups (PGN), as J1939 has it", file, len(long)
         )
@@ -124,11 +127,6 @@ def load_database(
     for message in long if is_j1939 else ():
         message.protocol = J1939
     return chosen
-
-
-def _refusal(parsed: Parsed, path: Path) -> str:
-    more = f"; {parsed.offence_count - 1} more like this" if parsed.offence_count > 1 else ""
-    return f"{path} does not load strictly: {parsed.offences[0]}{more} (--lenient leaves out what cannot be right)"
 
 
 def _warn_each(path: Path, said: Sequence[str], count: int) -> None:
@@ -263,7 +261,8 @@ def _chosen_messages(database: Database, bus: str, path: Path, *, is_lenient: bo
     for message in wanted:
         other = first.setdefault((message.frame_id, message.is_extended_frame), message)
         if other is not message:
-            said = _twice(message, other)
+            places = (f"{one.name} of {one.bus_name}" if one.bus_name else one.name for one in (other, message))
+            said = f"the identifier {message.frame_id:#x} belongs to {' and to '.join(places)}"
             if other.bus_name != message.bus_name:
                 raise DefinitionError(f"{path}: {said}; name one of them: {path}{_BUS_MARK}{message.bus_name}")
             _LOG.warning("%s: %s%s", path, said, " (left out)" if is_lenient else "")
@@ -275,16 +274,6 @@ def _chosen_messages(database: Database, bus: str, path: Path, *, is_lenient: bo
         messages=kept, nodes=database.nodes, buses=database.buses, version=database.version,
         dbc_specifics=database.dbc, strict=False,
     )  # fmt: skip
-
-
-def _protocol_of(database: Database) -> str:
-    attribute = database.dbc.attributes.get("ProtocolType") if database.dbc else None
-    return str(attribute.value) if attribute else ""
-
-
-def _twice(message: Message, other: Message) -> str:
-    places = (f"{one.name} of {one.bus_name}" if one.bus_name else one.name for one in (other, message))
-    return f"the identifier {message.frame_id:#x} belongs to {' and to '.join(places)}"
 
 
 def database_of(database: Database | Path | str, *, is_lenient: bool) -> Database:
