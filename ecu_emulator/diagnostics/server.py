@@ -94,8 +94,9 @@ def answer(table: DiagnosticTable, state: ServerState, request: Request, moment:
         return Reply(payload=None, state=state)
     sensed, moment = moment, under_control(table, state, moment)
     state = _settled(table, state, moment)
-    if state.waiting is not None:
-        return _while_waiting(state, request)
+    if state.waiting is not None:  # all is refused but what only keeps the session alive
+        busy = None if request.payload == KEEP_ALIVE else _negative(request, Nrc.BUSY_REPEAT_REQUEST)
+        return Reply(payload=busy, state=state)
     result = _outcome(Call(table=table, state=state, moment=moment, sensed=sensed, request=request))
     if not result.is_final:
         waiting = Waiting(
@@ -104,17 +105,16 @@ def answer(table: DiagnosticTable, state: ServerState, request: Request, moment:
             again_s=moment.t_s + AGAIN_RATIO * table.timing.p2_star_s,
         )
         return Reply(payload=_negative(request, Nrc.RESPONSE_PENDING), state=replace(result.state, waiting=waiting))
-    said, is_kept_back = _said(request, result.response), _is_kept_back(request, result.response)
-    return Reply(payload=None if is_kept_back else said, state=result.state, withheld=said if is_kept_back else None)
+    return _replied(request, result.response, result.state)
 
 
 def _outcome(call: Call) -> Outcome:
     """Return what a service does for the client who holds the session, or for a guest of it."""
-    before = call.state
+    before, number = call.state, call.payload[0]
     is_guest = before.session != DEFAULT_SESSION and call.request.client != before.holder
     seen = sessions.as_guest(before) if is_guest else replace(before, heard_s=call.moment.t_s)
     call = replace(call, state=seen, is_guest=is_guest)
-    result = _checked(call)
+    result = OBD_HANDLERS[number](call) if _is_obd(call) else _refusal(call) or _HANDLERS[number](call)
     if isinstance(result, Nrc):
         result = Outcome(response=result, state=call.state)
     return replace(result, state=sessions.after_guest(before, result.state)) if is_guest else result
@@ -204,13 +204,6 @@ def _settled(table: DiagnosticTable, state: ServerState, moment: Instant) -> Ser
     return data.only_allowed(state, table)
 
 
-def _while_waiting(state: ServerState, request: Request) -> Reply:
-    """Refuse what comes while a response is awaited, but not what only keeps the session alive."""
-    if request.payload == KEEP_ALIVE:
-        return Reply(payload=None, state=state)
-    return Reply(payload=_negative(request, Nrc.BUSY_REPEAT_REQUEST), state=state)
-
-
 def refusal(table: DiagnosticTable, state: ServerState, request: Request) -> Reply | None:
     """Return the refusal of what is not supported at all, for which nobody is to wait; None if it is."""
     is_guest = state.session != DEFAULT_SESSION and request.client != state.holder
@@ -218,16 +211,7 @@ def refusal(table: DiagnosticTable, state: ServerState, request: Request) -> Rep
     seen = sessions.as_guest(state) if is_guest else state
     call = Call(table=table, state=seen, moment=nowhere, sensed=nowhere, request=request, is_guest=is_guest)
     nrc = None if not request.payload or _is_obd(call) else _refusal(call)
-    if nrc is None:
-        return None
-    said, is_kept_back = _said(request, nrc), _is_kept_back(request, nrc)
-    return Reply(payload=None if is_kept_back else said, state=state, withheld=said if is_kept_back else None)
-
-
-def _checked(call: Call) -> Result:
-    if _is_obd(call):
-        return OBD_HANDLERS[call.payload[0]](call)
-    return _refusal(call) or _HANDLERS[call.payload[0]](call)
+    return None if nrc is None else _replied(request, nrc, state)
 
 
 def _is_obd(call: Call) -> bool:
@@ -273,16 +257,17 @@ def _sessions_of_sub_function(call: Call) -> tuple[int, ...]:
     return table.services[number].sessions if call.sub_function in known else ()
 
 
-def _said(request: Request, response: bytes | Nrc) -> bytes:
-    return _negative(request, response) if isinstance(response, Nrc) else response
-
-
-def _is_kept_back(request: Request, response: bytes | Nrc) -> bool:
-    """Return whether a response stays off the bus: its client did not want it, or others were meant."""
+def _replied(request: Request, response: bytes | Nrc, state: ServerState) -> Reply:
+    """Return a response as it goes out; it stays off the bus if its client did not want it, or others were meant."""
     if isinstance(response, Nrc):
-        return request.is_functional and response in SILENT_WHEN_FUNCTIONAL
-    payload = request.payload
-    return _has_sub_function(payload[0]) and len(payload) > 1 and bool(payload[1] & SUPPRESS)
+        said, is_kept_back = _negative(request, response), request.is_functional and response in SILENT_WHEN_FUNCTIONAL
+    else:
+        payload = request.payload
+        said, is_kept_back = (
+            response,
+            len(payload) > 1 and _has_sub_function(payload[0]) and bool(payload[1] & SUPPRESS),
+        )
+    return Reply(payload=None, state=state, withheld=said) if is_kept_back else Reply(payload=said, state=state)
 
 
 def _negative(request: Request, nrc: Nrc) -> bytes:

@@ -3,7 +3,7 @@
 import math
 import re
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 from ecu_emulator.diagnostics.descriptions import Coding, Condition, Field
@@ -49,7 +49,7 @@ def _encoded(entry: Field, value: Value | None, *, keeps_code: bool) -> bytes:
 
 def _float_bytes(entry: Field, value: float) -> bytes:
     """Return a number as IEEE 754 has it; one that is too large for four bytes is infinite."""
-    number = _in_unit(entry, value)
+    number = entry.conversion[0](value)
     try:
         return struct.pack(_FORMATS[entry.size_bytes], number)
     except OverflowError:
@@ -66,23 +66,22 @@ def _number(entry: Field, value: float, *, keeps_code: bool) -> int:
         if entry.kind is Coding.SIGNED
         else (0, (1 << bits) - 1 - keeps_code)
     )
-    steps = (_in_unit(entry, value) - entry.offset) / entry.resolution
+    steps = (entry.conversion[0](value) - entry.offset) / entry.resolution
     return high if steps >= high else low if steps <= low else round(steps)
 
 
-def _in_unit(entry: Field, value: float) -> float:
-    return entry.conversion[0](value)
+def _pieces(fields: tuple[Field, ...], raw: bytes) -> Iterator[tuple[Field, bytes]]:
+    """Yield each field and its bytes."""
+    place = 0
+    for entry in fields:
+        yield entry, raw[place : place + entry.size_bytes]
+        place += entry.size_bytes
 
 
 def decoded(fields: tuple[Field, ...], raw: bytes) -> dict[str, float]:
     """Return the numbers in bytes by source, in SI; those that are not available are missing."""
-    found, place = dict[str, float](), 0
-    for entry in fields:
-        piece = raw[place : place + entry.size_bytes]
-        place += entry.size_bytes
-        if _is_available(entry, piece):
-            found[entry.source] = entry.conversion[1](decode_number(entry, piece))
-    return found
+    available = ((entry, piece) for entry, piece in _pieces(fields, raw) if _is_available(entry, piece))
+    return {entry.source: entry.conversion[1](decode_number(entry, piece)) for entry, piece in available}
 
 
 def _is_available(entry: Field, raw: bytes) -> bool:
@@ -100,13 +99,7 @@ def decode_number(entry: Field, raw: bytes) -> float:
 
 def are_valid(fields: tuple[Field, ...], raw: bytes) -> bool:
     """Return whether bytes, which are as long as the fields, are within what the fields allow."""
-    place = 0
-    for entry in fields:
-        piece = raw[place : place + entry.size_bytes]
-        place += entry.size_bytes
-        if not _is_valid(entry, piece):
-            return False
-    return True
+    return all(_is_valid(entry, piece) for entry, piece in _pieces(fields, raw))
 
 
 def _is_valid(entry: Field, raw: bytes) -> bool:
@@ -115,9 +108,7 @@ def _is_valid(entry: Field, raw: bytes) -> bool:
     if entry.kind is Coding.TEXT:
         is_printable = all(0x20 <= byte < 0x7F for byte in raw)
         return is_printable and (not entry.pattern or re.fullmatch(entry.pattern, raw.decode("ascii")) is not None)
-    value = decode_number(entry, raw)
-    is_above = entry.minimum is None or value >= entry.minimum
-    return is_above and (entry.maximum is None or value <= entry.maximum)
+    return _is_within(entry, decode_number(entry, raw))
 
 
 def holds(condition: Condition, values: Values) -> bool:
@@ -125,5 +116,9 @@ def holds(condition: Condition, values: Values) -> bool:
     value = values.get(condition.source)
     if not isinstance(value, int | float) or math.isnan(value):
         return False
-    is_above = condition.minimum is None or value >= condition.minimum
-    return is_above and (condition.maximum is None or value <= condition.maximum)
+    return _is_within(condition, value)
+
+
+def _is_within(limits: Field | Condition, value: float) -> bool:
+    is_above = limits.minimum is None or value >= limits.minimum
+    return is_above and (limits.maximum is None or value <= limits.maximum)

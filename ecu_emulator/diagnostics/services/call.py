@@ -35,10 +35,6 @@ class Call:
         """Return a positive response with these data, and the state that goes with it."""
         return Outcome(response=bytes([self.payload[0] + POSITIVE]) + data, state=state or self.state)
 
-    def refused(self, nrc: Nrc, state: ServerState) -> "Outcome":
-        """Return a negative response that is remembered."""
-        return Outcome(response=nrc, state=state)
-
     def echoed(self, data: bytes = b"", state: ServerState | None = None) -> "Outcome":
         """Return a positive response that repeats the sub-function before its data."""
         return self.positive(bytes([self.sub_function]) + data, state)

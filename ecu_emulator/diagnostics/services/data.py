@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Final
 
-from ecu_emulator.diagnostics.descriptions import BLOCK, Access, Datum, Pid, Profile, VehicleInfo, supported
+from ecu_emulator.diagnostics.descriptions import Access, Datum, Pid, Profile, VehicleInfo, supported
 from ecu_emulator.diagnostics.iso14229 import Nrc, Service, Status
 from ecu_emulator.diagnostics.memory import FrozenPids, emission_codes, is_lamp_on, located
 from ecu_emulator.diagnostics.services.call import (
@@ -160,10 +160,8 @@ def _control_refusal(call: Call, datum: Datum) -> Nrc | None:
 
 def define_data(call: Call) -> Result:
     """Make a datum of pieces of others, or forget it."""
-    return _defined(call) if call.sub_function == DEFINE_BY_IDENTIFIER else _forgotten(call)
-
-
-def _defined(call: Call) -> Result:
+    if call.sub_function == CLEAR_DEFINITION:
+        return _forgotten(call)
     described = call.payload[2 + _NAME_BYTES :]
     if not described or len(described) % _PIECE_BYTES:
         return Nrc.INCORRECT_LENGTH
@@ -179,10 +177,8 @@ def _defined(call: Call) -> Result:
         )
         for place in range(0, len(described), _PIECE_BYTES)
     ]
-    if not all(_is_within(call, piece) for piece in pieces):
-        return Nrc.REQUEST_OUT_OF_RANGE
-    used = sum(map(len, call.state.defined.values()))
-    if used + len(pieces) > call.table.limits.most_pieces:
+    count = len(pieces) + sum(map(len, call.state.defined.values()))
+    if not all(_is_within(call, piece) for piece in pieces) or count > call.table.limits.most_pieces:
         return Nrc.REQUEST_OUT_OF_RANGE
     if refusal := read_refusal(call, pieces):
         return refusal
@@ -258,7 +254,12 @@ def only_allowed(state: ServerState, table: DiagnosticTable) -> ServerState:
     if not state.periodic:
         return state
     is_there = state.session in table.services[Service.READ_PERIODICALLY].sessions
-    left = {number: run for number, run in state.periodic.items() if is_there and _may_go_on(table, state, number)}
+    left = {
+        number: run
+        for number, run in state.periodic.items()
+        if is_there and _can_be_sent(table, state, number)
+        if all(is_unlocked(state, table.data[one.source].read.levels) for one in readable(table, state, number))
+    }
     return state if len(left) == len(state.periodic) else replace(state, periodic=left)
 
 
@@ -281,12 +282,6 @@ def _can_be_sent(table: DiagnosticTable, state: ServerState, number: int) -> boo
     return 0 < size_bytes <= table.most_periodic_bytes
 
 
-def _may_go_on(table: DiagnosticTable, state: ServerState, number: int) -> bool:
-    pieces = readable(table, state, number)
-    is_open = all(is_unlocked(state, table.data[piece.source].read.levels) for piece in pieces)
-    return is_open and _can_be_sent(table, state, number)
-
-
 _LAMP: Final = 0x80
 _MOST_CODES: Final = 0x7F
 _COMPONENTS: Final = 0x04  # monitored all the time, and therefore always ready
@@ -302,17 +297,15 @@ def odometer_m(moment: Instant) -> float | None:
 
 def pid_data(pid: Pid, table: DiagnosticTable, state: ServerState, moment: Instant) -> bytes:
     """Return what a parameter holds now."""
-    return pid.initial_bytes or _encoded(pid, _with_obd(table, state, moment))
+    return pid.initial_bytes or encode(pid.fields, _with_obd(table, state, moment), keeps_code=False)
 
 
 def frozen_pids(table: DiagnosticTable, state: ServerState, moment: Instant) -> FrozenPids:
     """Return the parameters that a freeze frame keeps."""
     if table.obd is None:
         return ()
-    values = _with_obd(table, state, moment)
-    return tuple(
-        (pid.number, pid.initial_bytes or _encoded(pid, values)) for pid in table.obd.pids.values() if pid.is_frozen
-    )
+    frozen = (pid for pid in table.obd.pids.values() if pid.is_frozen)
+    return tuple((pid.number, pid_data(pid, table, state, moment)) for pid in frozen)
 
 
 def info_data(info: VehicleInfo, table: DiagnosticTable, state: ServerState) -> bytes:
@@ -326,24 +319,14 @@ def info_data(info: VehicleInfo, table: DiagnosticTable, state: ServerState) -> 
 
 def emission_data(table: DiagnosticTable, state: ServerState, moment: Instant, number: int) -> bytes | None:
     """Return what a data identifier of SAE J1979-2 holds; None if it is none, or OBD is not spoken in that way."""
-    if table.obd is None or table.obd.profile is not Profile.UDS:
+    obd, page, place = table.obd, number & 0xFF00, number & 0xFF
+    if obd is None or obd.profile is not Profile.UDS or page not in {PID_DATA, INFO_DATA}:
         return None
-    place = number & 0xFF
-    if number & 0xFF00 == PID_DATA:
-        if place % BLOCK == 0:
-            return supported(table.obd.pids, place)
-        pid = table.obd.pids.get(place)
-        return None if pid is None else pid_data(pid, table, state, moment)
-    if number & 0xFF00 == INFO_DATA:
-        if place % BLOCK == 0:
-            return supported(table.obd.infos, place)
-        info = table.obd.infos.get(place)
-        return None if info is None else info_data(info, table, state)
-    return None
-
-
-def _encoded(pid: Pid, values: Values) -> bytes:
-    return encode(pid.fields, values, keeps_code=False)
+    if page == PID_DATA and place in obd.pids:
+        return pid_data(obd.pids[place], table, state, moment)
+    if page == INFO_DATA and place in obd.infos:
+        return info_data(obd.infos[place], table, state)
+    return supported(obd.pids if page == PID_DATA else obd.infos, place)
 
 
 def _with_obd(table: DiagnosticTable, state: ServerState, moment: Instant) -> Values:

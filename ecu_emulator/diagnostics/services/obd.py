@@ -4,9 +4,10 @@ What is not there is not answered when all controllers were asked, and refused (
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Final
+from functools import partial
+from typing import Final, TypeVar
 
-from ecu_emulator.diagnostics.descriptions import BLOCK, Obd, supported
+from ecu_emulator.diagnostics.descriptions import BLOCK, MonitorTest, Obd, VehicleInfo, supported
 from ecu_emulator.diagnostics.iso14229 import ALL_CODES, Nrc, ObdService, Status
 from ecu_emulator.diagnostics.memory import FAILED_COUNTER, PASSED_COUNTER, TroubleRecord, emission_codes
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet
@@ -24,6 +25,8 @@ _CODE_BYTES: Final = 2
 _MOST_CODES: Final = 0xFF
 ONE_ITEM: Final = 0x01
 
+EntryT = TypeVar("EntryT")
+
 
 def current_data(call: Call) -> Result:
     """Read up to six parameters, or bitmaps of those that are there."""
@@ -36,10 +39,9 @@ def current_data(call: Call) -> Result:
 def _pid(call: Call, obd: Obd, number: int) -> bytes:
     """Return a parameter behind its number, nothing if it is not there."""
     pid = obd.pids.get(number)
-    if pid is not None:
-        return bytes([number]) + pid_data(pid, call.table, call.state, call.moment)
-    bitmap = supported(obd.pids, number)
-    return b"" if bitmap is None else bytes([number]) + bitmap
+    if pid is None:
+        return _bitmap(obd.pids, number)
+    return bytes([number]) + pid_data(pid, call.table, call.state, call.moment)
 
 
 def freeze_frame(call: Call) -> Result:
@@ -64,18 +66,9 @@ def _frozen_pid(call: Call, number: int) -> bytes:
     return b"" if data is None else bytes([number, FRAME]) + data
 
 
-def confirmed_codes(call: Call) -> Result:
-    return _codes(call, emission_codes(call.table.troubles, call.state.memory, Status.CONFIRMED))
-
-
-def pending_codes(call: Call) -> Result:
-    """Read the codes of OBD that failed in this operation cycle or the last one that was completed."""
-    return _codes(call, emission_codes(call.table.troubles, call.state.memory, Status.PENDING))
-
-
-def permanent_codes(call: Call) -> Result:
-    """Read the codes of OBD that no client can clear."""
-    return _codes(call, sorted(call.state.emissions.permanent))
+def _codes_with(bits: Status, call: Call) -> Result:
+    """Read the codes of OBD whose status has one of these bits."""
+    return _codes(call, emission_codes(call.table.troubles, call.state.memory, bits))
 
 
 def _codes(call: Call, numbers: Iterable[int]) -> Result:
@@ -100,37 +93,26 @@ def clear_emission_codes(call: Call) -> Result:
 
 
 def vehicle_information(call: Call) -> Result:
-    """Read one piece of vehicle information, or up to six bitmaps of those that are there."""
-    obd, numbers = _obd(call), call.payload[1:]
-    if not 1 <= len(numbers) <= MOST_PIDS:
-        return NOT_THERE
-    if all(number % BLOCK == 0 for number in numbers):
-        return _found(call, _bitmaps(obd.infos, numbers))
-    info = obd.infos.get(numbers[0])
-    if info is None or len(numbers) != 1:
-        return NOT_THERE
-    return call.positive(bytes([info.number, ONE_ITEM]) + info_data(info, call.table, call.state))
+    """Read one piece of vehicle information, or what pieces there are."""
+
+    def read(info: VehicleInfo) -> bytes:
+        return bytes([info.number, ONE_ITEM]) + info_data(info, call.table, call.state)
+
+    return _one_or_bitmaps(call, _obd(call).infos, read)
 
 
 def test_results(call: Call) -> Result:
-    """Read the result of one monitor, or up to six bitmaps of those that are there.
+    """Read the result of one monitor, or what monitors there are.
 
     The result is the fault detection counter of the monitor's trouble code; before its test has run, all is zero.
     """
-    obd, numbers = _obd(call), call.payload[1:]
-    if not 1 <= len(numbers) <= MOST_PIDS:
-        return NOT_THERE
-    if all(number % BLOCK == 0 for number in numbers):
-        return _found(call, _bitmaps(obd.monitors, numbers))
-    monitor = obd.monitors.get(numbers[0])
-    if monitor is None or len(numbers) != 1:
-        return NOT_THERE
-    records = (
-        call.state.memory.records[number]
-        for number, trouble in call.table.troubles.items()
-        if trouble.code == monitor.code
-    )
-    return call.positive(b"".join(bytes([monitor.number]) + _test_result(record) for record in records))
+
+    def read(monitor: MonitorTest) -> bytes:
+        numbers = (number for number, trouble in call.table.troubles.items() if trouble.code == monitor.code)
+        records = (call.state.memory.records[number] for number in numbers)
+        return b"".join(bytes([monitor.number]) + _test_result(record) for record in records)
+
+    return _one_or_bitmaps(call, _obd(call).monitors, read)
 
 
 def _test_result(record: TroubleRecord) -> bytes:
@@ -140,10 +122,21 @@ def _test_result(record: TroubleRecord) -> bytes:
     return bytes([COUNTER_TEST, SIGNED_COUNT]) + b"".join(number.to_bytes(2, "big", signed=True) for number in numbers)
 
 
-def _bitmaps(known: Mapping[int, object], numbers: bytes) -> Iterable[bytes]:
-    for number in numbers:
-        bitmap = supported(known, number)
-        yield b"" if bitmap is None else bytes([number]) + bitmap
+def _one_or_bitmaps(call: Call, known: Mapping[int, EntryT], read: Callable[[EntryT], bytes]) -> Result:
+    """Read one of what a service knows, or up to six bitmaps of what is there."""
+    numbers = call.payload[1:]
+    if not 1 <= len(numbers) <= MOST_PIDS:
+        return NOT_THERE
+    if all(number % BLOCK == 0 for number in numbers):
+        return _found(call, (_bitmap(known, number) for number in numbers))
+    entry = known.get(numbers[0])
+    return NOT_THERE if entry is None or len(numbers) != 1 else call.positive(read(entry))
+
+
+def _bitmap(known: Mapping[int, object], number: int) -> bytes:
+    """Return the bitmap of what is there behind its number, nothing if it is none."""
+    bitmap = supported(known, number)
+    return b"" if bitmap is None else bytes([number]) + bitmap
 
 
 def _found(call: Call, pieces: Iterable[bytes]) -> Result:
@@ -161,10 +154,14 @@ def _obd(call: Call) -> Obd:
 OBD_HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
     ObdService.CURRENT_DATA: current_data,
     ObdService.FREEZE_FRAME: freeze_frame,
-    ObdService.CONFIRMED_CODES: confirmed_codes,
+    ObdService.CONFIRMED_CODES: partial(_codes_with, Status.CONFIRMED),
     ObdService.CLEAR: clear_emission_codes,
     ObdService.TEST_RESULTS: test_results,
-    ObdService.PENDING_CODES: pending_codes,
+    ObdService.PENDING_CODES: partial(
+        _codes_with, Status.PENDING
+    ),  # failed in this operation cycle or the last that was completed
     ObdService.VEHICLE_INFORMATION: vehicle_information,
-    ObdService.PERMANENT_CODES: permanent_codes,
+    ObdService.PERMANENT_CODES: lambda call: _codes(
+        call, sorted(call.state.emissions.permanent)
+    ),  # no client can clear them
 }

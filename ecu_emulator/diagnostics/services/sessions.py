@@ -6,7 +6,7 @@ from typing import Final
 from ecu_emulator.diagnostics.descriptions import SecurityLevel
 from ecu_emulator.diagnostics.iso14229 import DEFAULT_SESSION, Nrc
 from ecu_emulator.diagnostics.memory import after_cycle, begin_cycle
-from ecu_emulator.diagnostics.services.call import Call, Result, locked, unmet_by_service
+from ecu_emulator.diagnostics.services.call import Call, Outcome, Result, locked, unmet_by_service
 from ecu_emulator.diagnostics.state import Communication, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 
@@ -189,6 +189,6 @@ def _take_key(call: Call, level: SecurityLevel) -> Result:
     count = state.wrong_keys.get(level.number, 0) + 1
     state = replace(state, wrong_keys={**state.wrong_keys, level.number: count})
     if count < level.most_attempts:
-        return call.refused(Nrc.INVALID_KEY, state)
+        return Outcome(response=Nrc.INVALID_KEY, state=state)
     until_s = {**state.locked_until_s, level.number: call.moment.t_s + level.delay_s}
-    return call.refused(Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS, replace(state, locked_until_s=until_s))
+    return Outcome(response=Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS, state=replace(state, locked_until_s=until_s))

@@ -1,6 +1,6 @@
 """Trouble codes: services 14 (clear) and 19 (read)."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -58,11 +58,9 @@ def clear_codes(call: Call) -> Result:
 def cleared(call: Call, group: int) -> ServerState:
     """Return the state without what was known of one code, of all, or of those of OBD."""
     memory = call.state.memory
-    if group == ALL_EMISSION_CODES:
-        for number in [number for number, trouble in call.table.troubles.items() if trouble.lights_lamp]:
-            memory = clear(memory, number)
-    else:
-        memory = clear(memory, group)
+    emission_codes_alone = [number for number, trouble in call.table.troubles.items() if trouble.lights_lamp]
+    for number in emission_codes_alone if group == ALL_EMISSION_CODES else [group]:
+        memory = clear(memory, number)
     emissions = after_clear(call.state.emissions, memory, group, odometer_m(call.moment))
     return replace(call.state, memory=memory, emissions=emissions)
 
@@ -80,46 +78,29 @@ def read_codes(call: Call) -> Result:
     return call.echoed(result)
 
 
-def _records(call: Call) -> Iterable[tuple[int, TroubleRecord]]:
-    return call.state.memory.records.items()
-
-
 def _masked(call: Call) -> list[int]:
     """Return the codes that have one of the bits that the client named."""
-    return [number for number, record in _records(call) if record.status & call.payload[2]]
+    return [number for number, record in call.state.memory.records.items() if record.status & call.payload[2]]
 
 
 def _listed(call: Call, numbers: Iterable[int]) -> bytes:
     return b"".join(_code(number) + bytes([call.state.memory.records[number].status]) for number in numbers)
 
 
-def _number_by_mask(call: Call) -> bytes:
-    return bytes([ALL_BITS, CODE_FORMAT]) + len(_masked(call)).to_bytes(2, "big")
-
-
-def _codes_by_mask(call: Call) -> bytes:
-    return bytes([ALL_BITS]) + _listed(call, _masked(call))
-
-
 def _snapshot_names(call: Call) -> bytes:
-    return b"".join(
-        _code(number) + bytes([name]) for number, record in _records(call) for name, _ in _snapshots(record)
-    )
-
-
-def _snapshot_by_code(call: Call) -> bytes | Nrc:
-    return _kept_by_code(call, frozenset({FIRST_RECORD, LATEST_RECORD, ALL_RECORDS}), _snapshot_records)
+    records = call.state.memory.records.items()
+    return b"".join(_code(number) + bytes([name]) for number, record in records for name, _ in _snapshots(record))
 
 
 def _extended_by_code(call: Call) -> bytes | Nrc:
     names = {ALL_RECORDS, *call.table.extended}
     if max(call.table.extended, default=0) >= FIRST_REGULATED:
         names.add(ALL_REGULATED_RECORDS)
-    return _kept_by_code(call, frozenset(names), _extended_records)
+    return _kept_by_code(call, names, _extended_records)
 
 
 def _kept_by_code(
-    call: Call, names: frozenset[int], kept: Callable[[Call, Trouble, TroubleRecord, int], bytes]
+    call: Call, names: Collection[int], kept: Callable[[Call, Trouble, TroubleRecord, int], bytes]
 ) -> bytes | Nrc:
     """Return a code, its status and what is kept of it; no more than the status if nothing is."""
     number, name = int.from_bytes(call.payload[2:5], "big"), call.payload[5]
@@ -171,15 +152,11 @@ def _counters(call: Call, described: ExtendedRecord, trouble: Trouble, record: T
     )
 
 
-def _supported(call: Call) -> bytes:
-    return bytes([ALL_BITS]) + _listed(call, call.state.memory.records)
-
-
 def _detection_counters(call: Call) -> bytes:
     """Return the codes on their way to a failure that are not there yet."""
     return b"".join(
         _code(number) + bytes([record.detection_counter])
-        for number, record in _records(call)
+        for number, record in call.state.memory.records.items()
         if 0 < record.detection_counter < FAILED_COUNTER
     )
 
@@ -228,12 +205,12 @@ def _code(number: int) -> bytes:
 
 _Report = Callable[[Call], bytes | Nrc]
 _REPORTS: Final[Mapping[int, tuple[int, _Report]]] = {  # with the length of the request
-    0x01: (3, _number_by_mask),
-    0x02: (3, _codes_by_mask),
+    0x01: (3, lambda call: bytes([ALL_BITS, CODE_FORMAT]) + len(_masked(call)).to_bytes(2, "big")),
+    0x02: (3, lambda call: bytes([ALL_BITS]) + _listed(call, _masked(call))),
     0x03: (2, _snapshot_names),
-    0x04: (6, _snapshot_by_code),
+    0x04: (6, lambda call: _kept_by_code(call, (FIRST_RECORD, LATEST_RECORD, ALL_RECORDS), _snapshot_records)),
     0x06: (6, _extended_by_code),
-    0x0A: (2, _supported),
+    0x0A: (2, lambda call: bytes([ALL_BITS]) + _listed(call, call.state.memory.records)),  # all that are supported
     0x14: (2, _detection_counters),
     0x1A: (3, _codes_by_record),
     0x42: (5, _emission_codes_by_mask),
