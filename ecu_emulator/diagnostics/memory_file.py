@@ -3,18 +3,19 @@
 The file is replaced as a whole, after its bytes have reached the disk: at any moment it is the old one or the new one.
 """
 
-import fcntl
 import hashlib
 import json
 import math
 import os
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final, Self
 
+import msgspec
+
 from canlog.files import read_small_file
+from clutchdiag_io.files import OPEN_FLAGS, PRIVATE_MODE, lock
 from ecu_emulator.diagnostics.clutches import CLUTCHES, Adaptation, OnBoardFriction
 from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.memory import (
@@ -34,7 +35,6 @@ from ecu_emulator.scenario.scenario import FluidVerdict
 from ecu_emulator.shift_control.touch_points import TouchPoint
 
 FORMAT: Final = 1
-OWNER_ONLY: Final = 0o600
 MOST_PRESSURE_PA: Final = 1e7  # what a file may say of a touch point
 _EMISSIONS: Final = ("warm_ups", "cleared_at_m", "lamp_at_m", "is_driven", "driven_cycles")
 _COUNTERS: Final = ("occurrences", "failed_cycles", "passed_cycles", "aged_cycles")
@@ -59,13 +59,13 @@ class MemoryFile:
     def __init__(self, path: Path, table: DiagnosticTable) -> None:
         self._path = path
         self._table = table
-        self._saved: dict[str, Any] | None = None
+        self._saved: object = None
         self._lock = -1
 
     def __enter__(self) -> Self:
         try:
-            self._lock = os.open(self._beside("lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY)
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._lock = os.open(self._beside("lock"), OPEN_FLAGS, PRIVATE_MODE)
+            lock(self._lock)
         except BlockingIOError as exc:
             os.close(self._lock)
             raise RecordError(f"{self._path} is used by another process") from exc
@@ -89,7 +89,8 @@ class MemoryFile:
             raise RecordError(f"cannot read {self._path}: {exc.strerror or exc}") from exc
         except (ValueError, RecursionError) as exc:
             raise self._damaged("not JSON") from exc
-        if not isinstance(document, dict) or document.pop("sha256", None) != _digest(document):
+        digest = document.pop("sha256", None) if isinstance(document, dict) else ""
+        if digest != _digest(document):
             raise self._damaged("its checksum does not fit")
         if document.get("format") != FORMAT:
             raise RecordError(f"{self._path} has format {document.get('format')}, this program knows {FORMAT}")
@@ -106,13 +107,13 @@ class MemoryFile:
 
         Raises RecordError if the disk is full or cannot be written; the file is as it was before.
         """
-        document = _document(state)
+        document = msgspec.json.decode(msgspec.json.encode(_document(state)))  # a number that is none becomes null
         if document == self._saved:
             return
         temporary = self._beside("part")
         text = json.dumps({**document, "sha256": _digest(document)}, indent=1, sort_keys=True)
         try:
-            descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, OWNER_ONLY)
+            descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, PRIVATE_MODE)
             with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
                 stream.write(text + "\n")
                 stream.flush()
@@ -141,64 +142,40 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _digest(document: Mapping[str, Any]) -> str:
+def _digest(document: object) -> str:
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode("utf-8")).hexdigest()
 
 
 def _document(state: ServerState) -> dict[str, Any]:
-    memory = state.memory
+    memory, emissions, frame = state.memory, state.emissions, state.emissions.frame
     return {
         "format": FORMAT,
         "has_begun": memory.has_begun,
         "is_warmed_up": memory.is_warmed_up,
         "codes": {f"{number:06X}": _record_document(record) for number, record in memory.records.items()},
         "written": {f"{number:04X}": data.hex() for number, data in state.written.items()},
-        "wrong_keys": {str(level): count for level, count in state.wrong_keys.items()},
-        "obd": _emissions_document(state.emissions),
-        "adaptation": None if state.adaptation is None else _adaptation_document(state.adaptation),
-        "estimates": {
-            str(clutch): {name: None if str(value) == "nan" else value for name, value in asdict(estimate).items()}
-            for clutch, estimate in state.estimates.items()
+        "wrong_keys": state.wrong_keys,
+        "obd": {
+            "permanent": sorted(f"{number:06X}" for number in emissions.permanent),
+            "frame": None if frame is None else {"code": f"{frame.code:06X}", "pids": _digits(frame.pids)},
+            **{name: getattr(emissions, name) for name in _EMISSIONS},
+            "ran_cycles": {f"{number:06X}": count for number, count in emissions.ran_cycles.items()},
         },
-    }
-
-
-def _adaptation_document(adaptation: Adaptation) -> dict[str, Any]:
-    points = {
-        str(clutch): {
-            "pressure_pa": point.pressure_pa,
-            "std_pa": point.std_pa if math.isfinite(point.std_pa) else None,
-            "is_at_limit": point.is_at_limit,
-        }
-        for clutch, point in adaptation.touch_points.items()
-    }
-    return {"touch_points": points, "awaits_estimate": adaptation.awaits_estimate}
-
-
-def _emissions_document(emissions: Emissions) -> dict[str, Any]:
-    frame = emissions.frame
-    pids = None if frame is None else [[number, data.hex()] for number, data in frame.pids]
-    return {
-        "permanent": sorted(f"{number:06X}" for number in emissions.permanent),
-        "frame": None if frame is None else {"code": f"{frame.code:06X}", "pids": pids},
-        **{name: getattr(emissions, name) for name in _EMISSIONS},
-        "ran_cycles": {f"{number:06X}": count for number, count in emissions.ran_cycles.items()},
+        "adaptation": state.adaptation,
+        "estimates": state.estimates,
     }
 
 
 def _record_document(record: TroubleRecord) -> dict[str, Any]:
-    counters = {name: getattr(record, name) for name in _COUNTERS}
-    captures = {"first": _capture_document(record.first), "latest": _capture_document(record.latest)}
-    return {"status": int(record.status), **counters, **captures}
-
-
-def _capture_document(capture: Capture | None) -> dict[str, Any] | None:
-    if capture is None:
-        return None
-    return {
-        "snapshot": [[number, data.hex()] for number, data in capture.snapshot],
-        "extended": [[number, data.hex()] for number, data in capture.extended],
+    captures = {
+        name: None if one is None else {"snapshot": _digits(one.snapshot), "extended": _digits(one.extended)}
+        for name, one in (("first", record.first), ("latest", record.latest))
     }
+    return {"status": int(record.status), **{name: getattr(record, name) for name in _COUNTERS}, **captures}
+
+
+def _digits(kept: tuple[tuple[int, bytes], ...]) -> list[tuple[int, str]]:
+    return [(number, data.hex()) for number, data in kept]
 
 
 def _state(document: Mapping[str, Any], table: DiagnosticTable) -> ServerState:
@@ -240,19 +217,17 @@ def _adaptation(entry: Mapping[str, Any] | None) -> Adaptation | None:
     """Return what was adapted; nothing of a file that an earlier program wrote."""
     if entry is None:
         return None
-    points = {int(clutch): _touch_point(told) for clutch, told in entry["touch_points"].items()}
+    points = {
+        int(clutch): TouchPoint(
+            pressure_pa=_pressure_pa(told["pressure_pa"]),
+            std_pa=math.nan if told["std_pa"] is None else _pressure_pa(told["std_pa"]),
+            is_at_limit=bool(_count(told["is_at_limit"])),
+        )
+        for clutch, told in entry["touch_points"].items()
+    }
     if not set(points) <= set(CLUTCHES):
         raise ValueError(f"not clutches: {sorted(points)}")
     return Adaptation(touch_points=points, awaits_estimate=bool(_count(entry["awaits_estimate"])))
-
-
-def _touch_point(entry: Mapping[str, Any]) -> TouchPoint:
-    std_pa = entry["std_pa"]
-    return TouchPoint(
-        pressure_pa=_pressure_pa(entry["pressure_pa"]),
-        std_pa=math.nan if std_pa is None else _pressure_pa(std_pa),
-        is_at_limit=bool(_count(entry["is_at_limit"])),
-    )
 
 
 def _pressure_pa(value: object) -> float:
