@@ -19,6 +19,7 @@ from ecu_emulator.diagnostics.values import Values
 from ecu_emulator.errors import RecordError
 
 LONGEST_SEED_BYTES: Final = 16
+TICK_S: Final = 0.01  # about so often a transport calls `tick`
 
 
 class Controller:

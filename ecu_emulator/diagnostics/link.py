@@ -14,17 +14,16 @@ from typing import TYPE_CHECKING, Final, Self
 import can
 import isotp
 
-from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.controller import TICK_S, Controller
 from ecu_emulator.diagnostics.iso14229 import NEGATIVE, Nrc, Service
 from ecu_emulator.diagnostics.isotp_frames import single_payload, usable
-from ecu_emulator.diagnostics.server import AGAIN_RATIO, KEEP_ALIVE
+from ecu_emulator.diagnostics.server import AGAIN_RATIO, KEEP_ALIVE, PENDING_RATIO
 from ecu_emulator.diagnostics.table import Addressing, Transport
 from ecu_emulator.errors import ConfigError
 
 if TYPE_CHECKING:
     from ecu_emulator.diagnostics.state import Reply
 
-TICK_S: Final = 0.01
 MOST_FRAMES: Final = 4096  # that wait; what comes on top is dropped and counted
 MOST_REQUESTS: Final = 32  # that wait for the response before them to go out
 LONGEST_MESSAGE: Final = 4095
@@ -33,7 +32,6 @@ MOST_WAIT_FRAMES: Final = 1 << 31  # a sender waits for as long as it is asked t
 LARGEST_STANDARD_ID: Final = 0x7FF
 FULL_FD_BYTES: Final = 64
 _PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
-PENDING_RATIO: Final = 0.6  # of P2, after which a client is told to wait
 _LOGGER: Final = "ecu_emulator.isotp"  # the library warns of every odd frame; they are counted instead
 logging.getLogger(_LOGGER).setLevel(logging.CRITICAL + 1)
 

@@ -39,6 +39,7 @@ from ecu_emulator.diagnostics.state import Instant, Reply, Request, ServerState,
 from ecu_emulator.diagnostics.table import DiagnosticTable
 
 AGAIN_RATIO: Final = 0.7  # of P2*, after which 78 is sent again
+PENDING_RATIO: Final = 0.6  # of P2, after which a client is told to wait
 KEEP_ALIVE: Final = bytes([Service.TESTER_PRESENT, SUPPRESS])  # wants no answer, not even 78: nothing is done
 
 _HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {

@@ -67,8 +67,7 @@ class TableFile:
 @cache
 def shipped_table() -> DiagnosticTable:
     """Return the table of the emulated transmission controller."""
-    text = files("ecu_emulator").joinpath("diagnostics/tcu.toml").read_text(encoding="utf-8")
-    return parse_table(text, "tcu.toml")
+    return parse_table(_shipped_text("tcu"), "tcu.toml")
 
 
 @cache
@@ -77,15 +76,9 @@ def table_of(transmission: str) -> DiagnosticTable:
     shipped = shipped_table()
     if transmission not in CONVERTERS:
         return shipped
-    document = tomllib.loads(files("ecu_emulator").joinpath("diagnostics/converter.toml").read_text(encoding="utf-8"))
-    access = {"open": Access(sessions=tuple(shipped.sessions))}
+    document = tomllib.loads(_shipped_text("converter"))
     own = _numbered(_records(Trouble, document, "trouble"), "trouble")
-    return replace(
-        shipped,
-        name=document["name"],
-        data={**shipped.data, **_numbered(_records(Datum, _with_access(document, access), "data"), "data")},
-        troubles={**shipped.troubles, **own},
-    )
+    return replace(_with_data(shipped, document), troubles={**shipped.troubles, **own})
 
 
 def personalities() -> tuple[str, ...]:
@@ -102,17 +95,23 @@ def table_like(name: str, transmission: str = "nominal") -> DiagnosticTable:
     """
     if name not in personalities():
         raise ConfigError(f"nobody answers like {name}: there are {', '.join(personalities())}")
-    file = files("ecu_emulator").joinpath(f"diagnostics/{_LIKE}{name}.toml")
-    document, own = tomllib.loads(file.read_text(encoding="utf-8")), table_of(transmission)
-    access = {"open": Access(sessions=tuple(own.sessions))}
-    data = _numbered(_records(Datum, _with_access(document, access), "data"), "data")
+    document, own = tomllib.loads(_shipped_text(f"{_LIKE}{name}")), table_of(transmission)
     return replace(
-        own,
-        name=document["name"],
+        _with_data(own, document),
         timing=replace(own.timing, **document["timing"]),
         limits=replace(own.limits, **document["limits"]),
-        data={**own.data, **data},
     )
+
+
+def _shipped_text(name: str) -> str:
+    return files("ecu_emulator").joinpath(f"diagnostics/{name}.toml").read_text(encoding="utf-8")
+
+
+def _with_data(table: DiagnosticTable, document: Mapping[str, Any]) -> DiagnosticTable:
+    """Return a table under another name, with more data that may be read in every session."""
+    access = {"open": Access(sessions=tuple(table.sessions))}
+    data = _numbered(_records(Datum, _with_access(document, access), "data"), "data")
+    return replace(table, name=document["name"], data={**table.data, **data})
 
 
 def load_table(path: Path) -> DiagnosticTable:
@@ -205,8 +204,8 @@ def _check_signs(value: object, where: str = "") -> None:
 
 def _with_access(document: Mapping[str, Any], access: Mapping[str, Access]) -> dict[str, Any]:
     """Return a document in which who may use data and routines stands in place of the names for that."""
-    told = {key: document[key] for key in ("data", "routine") if key in document}
-    return {**document, **{key: _resolved(entries, key, access) for key, entries in told.items()}}
+    told = {key: _resolved(document[key], key, access) for key in ("data", "routine") if key in document}
+    return {**document, **told}
 
 
 def _resolved(entries: object, where: str, access: Mapping[str, Access]) -> object:

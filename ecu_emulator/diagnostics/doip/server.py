@@ -11,12 +11,12 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Final, Self
 
-from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.controller import TICK_S, Controller
 from ecu_emulator.diagnostics.doip import streams
 from ecu_emulator.diagnostics.doip.listening import Listening, Place, listen
 from ecu_emulator.diagnostics.doip.messages import announcement, datagram_reply
 from ecu_emulator.diagnostics.iso14229 import NEGATIVE, Nrc, Service
-from ecu_emulator.diagnostics.server import AGAIN_RATIO, KEEP_ALIVE
+from ecu_emulator.diagnostics.server import AGAIN_RATIO, KEEP_ALIVE, PENDING_RATIO
 from ecu_emulator.diagnostics.table import DoipEntity
 
 VIN = 0xF190
@@ -110,10 +110,8 @@ class DatagramServer(asyncio.DatagramProtocol):
         return random.uniform(0.0, self._entity.announce_wait_s)  # noqa: S311 - so that not all speak at once
 
 
-TICK_S: Final = 0.01
 READ_BYTES: Final = 4096
 LINGER_S: Final = 1.0  # in which a tester may take what was said before its connection was closed
-PENDING_RATIO: Final = 0.6  # of P2, after which a tester is told to wait
 _PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
 
 

@@ -17,7 +17,7 @@ from typing import Final, Self
 
 import can
 
-from ecu_emulator.diagnostics.controller import Controller
+from ecu_emulator.diagnostics.controller import TICK_S, Controller
 from ecu_emulator.diagnostics.elm327.interpreter import LARGEST_STANDARD_ID, Interpreter, Shown
 from ecu_emulator.diagnostics.elm327.interpreter import line as frame_line
 from ecu_emulator.diagnostics.iso14229 import NEGATIVE, Nrc
@@ -206,7 +206,6 @@ def _emptied(waiting: "queue.Queue[can.Message] | queue.Queue[bytes]") -> None:
 PORT: Final = 35000  # where adapters on a wireless network listen
 LOOPBACK: Final = "127.0.0.1"
 MOST_CLIENTS: Final = 8
-TICK_S: Final = 0.01
 IDLE_S: Final = 300.0  # a client that says nothing for so long has gone, as DoIP has it
 _LARGEST_PORT: Final = 65535
 
