@@ -1,6 +1,6 @@
 """Where the energy goes: what the engine gives against what moves, is sprung, or turned to heat."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import array_kernel
@@ -29,7 +29,7 @@ ACCOUNT_COUNT = 12
 class PowerBalance:
     """Energies since the start of a drive [J]; the residuals are what the integration gained or lost."""
 
-    engine_j: float
+    engine_j: float  # from here on in the order of the account
     engine_absolute_j: float  # integral of |power|: the scale of the residual
     clutch_j: float
     bearing_j: float
@@ -39,10 +39,10 @@ class PowerBalance:
     tyre_j: float
     brake_j: float
     road_j: float
+    coolant_j: float
+    converter_j: float
     stored_j: float  # change of kinetic and spring energy
     heated_j: float  # change of the heat in clutches and sump
-    coolant_j: float
-    converter_j: float = 0.0
 
     @property
     def residual_j(self) -> float:
@@ -156,19 +156,7 @@ def add_powers(
 
 def power_balance(account: FloatArray, before: FloatArray, after: FloatArray, law: PlantLaw) -> PowerBalance:
     """Close the account over a stretch: ``before`` and ``after`` are the state arrays at its ends."""
-    return PowerBalance(
-        engine_j=float(account[ENGINE]),
-        engine_absolute_j=float(account[ENGINE_ABSOLUTE]),
-        clutch_j=float(account[CLUTCH]),
-        bearing_j=float(account[BEARINGS]),
-        damper_j=float(account[DAMPERS]),
-        gear_j=float(account[GEARS]),
-        synchroniser_j=float(account[SYNCHRONISERS]),
-        tyre_j=float(account[TYRES]),
-        brake_j=float(account[BRAKES]),
-        road_j=float(account[ROAD]),
-        stored_j=stored_energy_j(after, law) - stored_energy_j(before, law),
-        heated_j=stored_heat_j(after, law) - stored_heat_j(before, law),
-        coolant_j=float(account[COOLANT]),
-        converter_j=float(account[CONVERTER]),
-    )
+    stored_j = stored_energy_j(after, law) - stored_energy_j(before, law)
+    heated_j = stored_heat_j(after, law) - stored_heat_j(before, law)
+    names = [member.name for member in fields(PowerBalance)]
+    return PowerBalance(**dict(zip(names, (*account[:ACCOUNT_COUNT].tolist(), stored_j, heated_j), strict=True)))
