@@ -1,7 +1,7 @@
 """A trip: a car, under its conditions, follows a speed trace, one row of the plant per millisecond."""
 
-import math
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -15,25 +15,15 @@ from ecu_emulator.driving.parameters import DrivingParameters, nominal_driving
 from ecu_emulator.driving.trace import SpeedTrace
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.clutch import refresh_contact
-from ecu_emulator.plant.course import ROWS_PER_S, Course, as_record, blank_machine, check_step
+from ecu_emulator.plant.course import ROWS_PER_S, Course, as_record, check_step, idle_machine
 from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
 from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL
-from ecu_emulator.plant.engine import throttle_flow_kg_s
 from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
-from ecu_emulator.plant.powertrain import IDLE_MANIFOLD_RATIO, believe, drive_law
+from ecu_emulator.plant.powertrain import drive_law
+from ecu_emulator.scenario.scenario import Ranged, ranged
 from ecu_emulator.shift_control import tcu_data
 
-_MS_PER_S = 1000
-_MAX_STEP_S = 2.5e-4
-_RANGES = {
-    "oil_k": (258.15, 403.15),
-    "coolant_k": (243.15, 393.15),
-    "ambient_k": (233.15, 328.15),
-    "dt_s": (1.0e-6, _MAX_STEP_S),
-    "whim_ratio": (0.0, 1.0),
-}
 _WHIM_COUNT = 1021  # prime: no pattern of events meets the same whims again and again
 _LONGEST_WHIM_DELAY_S = 0.7
 _LONGEST_IN_GEAR_DELAY_S = 5.0
@@ -42,7 +32,7 @@ _DEEPER_PEDAL = (0.15, 0.6)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveConditions:
+class DriveConditions(Ranged):
     """Temperatures as the drive begins, and how the driver behaves.
 
     Raises
@@ -51,19 +41,16 @@ class DriveConditions:
         On construction, naming the first number outside its range.
     """
 
-    oil_k: float = 363.15
-    coolant_k: float = 358.15
-    ambient_k: float = 298.15
+    oil_k: float = ranged(363.15, 258.15, 403.15)
+    coolant_k: float = ranged(358.15, 243.15, 393.15)
+    ambient_k: float = ranged(298.15, 233.15, 328.15)
     friction_factors: FrictionFactors = field(default_factory=FrictionFactors)
-    whim_ratio: float = 0.1  # share of the events in which the driver's foot moves without need
-    dt_s: float = 2.5e-4  # a whole fraction of a millisecond
+    dt_s: float = ranged(2.5e-4, 1.0e-6, 2.5e-4)  # a whole fraction of a millisecond
+    whim_ratio: float = ranged(0.1, 0.0, 1.0)  # share of the events in which the driver's foot moves without need
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _RANGES.items():
-            value = getattr(self, name)
-            if not (math.isfinite(value) and low <= value <= high):
-                raise ConfigError(f"{name} must be {low:g}..{high:g}, got {value}")
-        steps = 1.0 / (_MS_PER_S * self.dt_s)
+        Ranged.__post_init__(self)
+        steps = 1.0 / (ROWS_PER_S * self.dt_s)
         if abs(steps - round(steps)) > 1.0e-6 * steps:
             raise ConfigError(f"dt_s must divide 1 ms, got {self.dt_s}")
 
@@ -115,19 +102,14 @@ class Trip(Course):
         law = driving_law(car, conditions)
         check_step(conditions.dt_s, law.drive.plant, law.drive.overall_ratios, starts_in_neutral=True)
         self._law = as_record(law)
-        if car.touch_pressures_pa is not None:
-            believe(self._law.drive.actuation, car.touch_pressures_pa)
         self._road = _road(trace, conditions, rng)
-        super().__init__(_initial_machine(self._law, conditions, is_audited=is_audited), self._law.drive.plant)
+        begin = partial(_initial_machine, self._law, conditions, is_audited=is_audited)
+        super().__init__(self._law.drive, car.touch_pressures_pa, begin)
 
     @property
     def finished(self) -> bool:
         """Whether the end of the trace is reached."""
         return bool(self._machine.clock[0] >= self._road.end[0])
-
-    def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
-        """Let the control take these for its clutches' touch points from the next row on."""
-        believe(self._law.drive.actuation, touch_pressures_pa)
 
     def advance(self, duration_s: float) -> FloatArray:
         """Drive on and return the next rows, shape (n, len(Col)); fewer at the end of the trace, none after it."""
@@ -177,16 +159,16 @@ def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited
     factors = conditions.friction_factors
     cycles = np.zeros((1, tcu_data.CYCLE_COLUMN_COUNT))
     cycles[0, tcu_data.CYCLE_MU : tcu_data.CYCLE_UP] = (factors.mu_c1, factors.mu_s1, factors.mu_c2, factors.mu_s2)
-    machine = blank_machine(
+    machine = idle_machine(
         cycles,
+        law.drive.plant,
+        conditions.oil_k,
         memory_count=indices.MEMORY_COUNT,
         sense_count=indices.SENSE_COUNT,
         command_count=indices.COMMAND_COUNT,
         is_audited=is_audited,
     )
     machine.u[at.COOLANT] = machine.sense[indices.COOLANT] = conditions.coolant_k
-    machine.u[at.DIRECTION : at.DIRECTION + 2] = 1.0
-    machine.u[at.AIR_FLOW] = throttle_flow_kg_s(0.0, law.drive.plant.engine)
     gears = (1, 2)
     machine.modes[at.LINK : at.LINK + 2] = ENGAGED
     if law.drive.plant.converter.is_there:  # behind one shaft, which is in some gear at any time
@@ -197,20 +179,8 @@ def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited
     machine.modes[at.HELD] = 1
     machine.u[at.RATIO : at.RATIO + 2] = [law.drive.overall_ratios[gear] for gear in gears]
     machine.commands[tcu_data.WANTED_GEAR : tcu_data.WANTED_GEAR + 2] = gears
-    machine.commands[tcu_data.SPARK] = 1.0
     machine.memory[tcu_data.CURRENT_GEAR] = machine.memory[tcu_data.TARGET_GEAR] = 1
     machine.memory[indices.STATE] = DriveState.STANDSTILL
     machine.memory[indices.BRAKE] = law.driving.driver.standing_brake_m_s2
-    _fill_state(machine, law, conditions)
+    machine.y[[at.W_E, at.W_H]] = idle_rad_s(machine.sense, law)
     return machine
-
-
-def _fill_state(machine: Machine, law: DrivingLaw, conditions: DriveConditions) -> None:
-    y, plant = machine.y, law.drive.plant
-    y[[at.W_E, at.W_H]] = idle_rad_s(machine.sense, law)
-    y[at.P_M] = IDLE_MANIFOLD_RATIO * plant.engine.ambient_pressure_pa
-    y[at.SPARK] = 1.0
-    y[[at.T_C, at.T_C + 1, at.T_OIL]] = conditions.oil_k
-    for index, clutch in enumerate((plant.clutches.first, plant.clutches.second)):
-        y[at.FILM + index] = clutch.film.open_gap_m
-        refresh_contact(y, index, clutch)

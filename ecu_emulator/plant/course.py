@@ -1,7 +1,7 @@
 """What the shift cycles and a trip have in common: laws as records, a step they can take, a machine, its energy."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar, cast
 
 import numpy as np
@@ -13,14 +13,18 @@ from clutch_model.errors import DomainError
 from clutch_model.tables import require
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import PowerBalance, power_balance
+from ecu_emulator.plant.clutch import refresh_contact
+from ecu_emulator.plant.engine import throttle_flow_kg_s
 from ecu_emulator.plant.integration import workspace
-from ecu_emulator.plant.loop import Machine
+from ecu_emulator.plant.loop import DriveLaw, Machine
 from ecu_emulator.plant.rates import PlantLaw
+from ecu_emulator.shift_control import tcu_data
 
 LawT = TypeVar("LawT", bound=tuple[object, ...])
 # Classic Runge-Kutta is stable to 2.79 on the real and to 2.83 on the imaginary axis.
 _STABILITY_LIMIT = 2.5
 ROWS_PER_S = 1000
+_IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure, when a drive begins
 
 
 def as_record(law: LawT) -> LawT:
@@ -112,11 +116,21 @@ def _synchroniser_rate(law: PlantLaw, overall_ratios: Sequence[float], gear: int
     return law.synchroniser.torque_nm / law.synchroniser.full_torque_slip_rad_s * mobility
 
 
-def blank_machine(
-    cycles: FloatArray, *, memory_count: int, sense_count: int, command_count: int, is_audited: bool
+def idle_machine(
+    cycles: FloatArray,
+    law: PlantLaw,
+    oil_k: float,
+    *,
+    memory_count: int,
+    sense_count: int,
+    command_count: int,
+    is_audited: bool,
 ) -> Machine:
-    """Return a machine at time 0 whose numbers are all 0; controllers have the counts of places they need."""
-    return Machine(
+    """Return a machine at time 0: the manifold as at idle, oil and clutches warm, both clutches open, all else 0.
+
+    Controllers have the counts of places they need.
+    """
+    machine = Machine(
         y=np.zeros(at.STATE_COUNT),
         u=np.zeros(at.INPUT_COUNT),
         modes=np.zeros(at.MODE_COUNT, np.int64),
@@ -127,6 +141,16 @@ def blank_machine(
         clock=np.zeros(1, np.int64),
         cycles=cycles,
     )
+    y = machine.y
+    y[at.P_M] = _IDLE_MANIFOLD_RATIO * law.engine.ambient_pressure_pa
+    y[at.SPARK] = machine.commands[tcu_data.SPARK] = 1.0
+    y[[at.T_C, at.T_C + 1, at.T_OIL]] = oil_k
+    for index, clutch in enumerate((law.clutches.first, law.clutches.second)):
+        y[at.FILM + index] = clutch.film.open_gap_m
+        refresh_contact(y, index, clutch)
+    machine.u[at.AIR_FLOW] = throttle_flow_kg_s(0.0, law.engine)
+    machine.u[at.DIRECTION : at.DIRECTION + 2] = 1.0
+    return machine
 
 
 class Course:
@@ -134,16 +158,26 @@ class Course:
 
     Parameters
     ----------
-    machine : Machine
-        As it starts.
-    plant : PlantLaw
-        What it obeys.
+    law : DriveLaw
+        What it obeys, as a record that kernels take.
+    touch_pressures_pa : tuple of two, or None
+        Touch points that the control believes in; None: those of the clutches.
+    begin : callable
+        Returns the machine as it starts, which depends on what the control believes in.
     """
 
-    def __init__(self, machine: Machine, plant: PlantLaw) -> None:
-        self._machine = machine
-        self._plant = plant
-        self._start = machine.y.copy()
+    def __init__(
+        self, law: DriveLaw, touch_pressures_pa: tuple[float, float] | None, begin: Callable[[], Machine]
+    ) -> None:
+        self._drive_law = law
+        if touch_pressures_pa is not None:
+            self.believe(touch_pressures_pa)
+        self._machine = begin()
+        self._start = self._machine.y.copy()
+
+    def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
+        """Let the control take these for its clutches' touch points from the next row on."""
+        np.asarray(self._drive_law.actuation.touch_pressure_pa)[:] = touch_pressures_pa
 
     @property
     def time_s(self) -> float:
@@ -155,4 +189,4 @@ class Course:
         """Energies since the start; raises DomainError if no account is kept."""
         if self._machine.work.account.size == 0:
             raise DomainError("there is a power balance only of what was audited from its start")
-        return power_balance(self._machine.work.account, self._start, self._machine.y, self._plant)
+        return power_balance(self._machine.work.account, self._start, self._machine.y, self._drive_law.plant)

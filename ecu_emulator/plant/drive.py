@@ -1,6 +1,5 @@
 """What a drive is: how often and how the cycle is driven, and how driver and friction vary from cycle to cycle."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,13 +7,11 @@ import numpy.typing as npt
 
 from clutch_model.errors import CalibrationError
 from clutch_model.tables import require
+from ecu_emulator.scenario.scenario import MAX_REVS, Ranged, check_range, ranged
 from ecu_emulator.shift_control import tcu_data
 from ecu_emulator.shift_control.tcu_data import ControlParameters
 
-_MAX_REVS = 20
 _VARIATION_LIMIT = 2.5  # standard deviations; the driver never leaves the range in which the cycle makes sense
-_MAX_STEP_S = 5.0e-4
-_MAX_VARIATION_RATIO = 0.1
 _MIN_PEDAL_RATIO = 0.25  # a little less and the car does not reach the last upshift
 # Colder oil drags the idle shaft harder than the synchroniser can hold it: preselection would take for ever.
 _COLDEST_OIL_K = 313.15
@@ -31,7 +28,7 @@ class FrictionFactors:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveSettings:
+class DriveSettings(Ranged):
     """One drive on level ground of ``cycles`` shift cycles, up through all gears and down again.
 
     Raises
@@ -40,41 +37,33 @@ class DriveSettings:
         On construction, naming the first number outside its range.
     """
 
+    error = CalibrationError
+
     cycles: int = 1
     seed: int = 0
-    pedal_ratio: float = 0.45
-    brake_m_s2: float = 0.7
-    vary_ratio: float = 0.0  # relative standard deviation from cycle to cycle: pedal, brake, every shift speed
-    initial_oil_k: float = 363.15
-    coolant_k: float = 353.15
-    ambient_k: float = 298.15  # also the temperature of the intake air
-    initial_engine_rad_s: float = 150.0  # rolling in 1st gear
-    open_revs: int = 0  # of the workshop routine before the cycles: in neutral, at rest, both clutches open
-    closed_revs: int = 0  # then both closed
+    pedal_ratio: float = ranged(0.45, _MIN_PEDAL_RATIO, 0.9)
+    brake_m_s2: float = ranged(0.7, 0.0, 1.0)
+    vary_ratio: float = ranged(0.0, 0.0, 0.1)  # relative deviation from cycle to cycle: pedal, brake, shift speeds
+    initial_oil_k: float = ranged(363.15, _COLDEST_OIL_K, 403.15)
+    coolant_k: float = ranged(353.15, _COLDEST_OIL_K, 393.15)
+    ambient_k: float = ranged(298.15, 233.15, 328.15)  # also the temperature of the intake air
+    initial_engine_rad_s: float = ranged(150.0, 80.0, 300.0)  # rolling in 1st gear
+    dt_s: float = ranged(2.5e-4, 1.0e-6, 5.0e-4)  # a whole fraction of a millisecond
+    open_revs: int = ranged(0, 0, MAX_REVS)  # of the workshop routine before: in neutral, at rest, clutches open
+    closed_revs: int = ranged(0, 0, MAX_REVS)  # then both closed
     waits: bool = False  # the routine waits until somebody asks for it, and says how many revs
-    dt_s: float = 2.5e-4  # a whole fraction of a millisecond
     friction_factors: tuple[FrictionFactors, ...] = ()  # per cycle, the last one goes on; none: 1
 
     def __post_init__(self) -> None:
         """Check every number against the range in which the cycle can be driven."""
         require(self.cycles >= 1, f"cycles must be >= 1, got {self.cycles}")
         require(self.seed >= 0, f"seed must be >= 0, got {self.seed}")
-        _check_range("pedal_ratio", self.pedal_ratio, _MIN_PEDAL_RATIO, 0.9)
-        _check_range("brake_m_s2", self.brake_m_s2, 0.0, 1.0)
-        _check_range("vary_ratio", self.vary_ratio, 0.0, _MAX_VARIATION_RATIO)
-        _check_range("initial_oil_k", self.initial_oil_k, _COLDEST_OIL_K, 403.15)
-        _check_range("coolant_k", self.coolant_k, _COLDEST_OIL_K, 393.15)
-        _check_range("ambient_k", self.ambient_k, 233.15, 328.15)
-        _check_range("initial_engine_rad_s", self.initial_engine_rad_s, 80.0, 300.0)
-        _check_range("dt_s", self.dt_s, 1.0e-6, _MAX_STEP_S)
+        Ranged.__post_init__(self)
         steps = 1.0e-3 / self.dt_s
         require(abs(steps - round(steps)) < 1.0e-6 * steps, f"dt_s must divide 1 ms, got {self.dt_s}")
-        for name in ("open_revs", "closed_revs"):
-            count = getattr(self, name)
-            require(0 <= count <= _MAX_REVS, f"{name} must be 0..{_MAX_REVS}, got {count}")
         for factors in self.friction_factors:
             for name in ("mu_c1", "mu_s1", "mu_c2", "mu_s2"):
-                _check_range(f"friction_factors {name}", getattr(factors, name), 0.3, 2.0)
+                check_range(f"friction_factors {name}", getattr(factors, name), 0.3, 2.0, CalibrationError)
 
     @property
     def has_routine(self) -> bool:
@@ -108,8 +97,3 @@ def cycle_table(drive: DriveSettings, control: ControlParameters) -> npt.NDArray
         now = factors[min(cycle, len(factors) - 1)]
         table[cycle, tcu_data.CYCLE_MU : tcu_data.CYCLE_UP] = (now.mu_c1, now.mu_s1, now.mu_c2, now.mu_s2)
     return table
-
-
-def _check_range(name: str, value: float, low: float, high: float) -> None:
-    if not (math.isfinite(value) and low <= value <= high):
-        raise CalibrationError(f"{name} must be {low:g}..{high:g}, got {value}")

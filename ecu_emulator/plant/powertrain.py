@@ -1,5 +1,7 @@
 """The powertrain: assembles parameters into laws, holds the state, hands out rows."""
 
+from functools import partial
+
 import numpy as np
 
 from canlog.arrays import FloatArray
@@ -8,10 +10,9 @@ from clutch_model.pack import applied_pressure_pa, contact_torque_nm, equilibriu
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import ClutchLaw, grooved, refresh_contact
 from ecu_emulator.plant.converter import converter_law
-from ecu_emulator.plant.course import ROWS_PER_S, Course, as_record, blank_machine, check_step
+from ecu_emulator.plant.course import ROWS_PER_S, Course, as_record, check_step, idle_machine
 from ecu_emulator.plant.drive import DriveSettings, cycle_table
 from ecu_emulator.plant.driveline import ENGAGED
-from ecu_emulator.plant.engine import throttle_flow_kg_s
 from ecu_emulator.plant.hydraulics import cavity_law, closed_volume_m3
 from ecu_emulator.plant.loop import COLUMN_COUNT, DriveLaw, Machine, run
 from ecu_emulator.plant.parameters import GearboxParameters, PlantParameters
@@ -20,7 +21,6 @@ from ecu_emulator.shift_control import tcu_data, workshop
 from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters
 from ecu_emulator.shift_control.touch_points import PressureSteps
 
-IDLE_MANIFOLD_RATIO = 0.35  # of ambient pressure, when the drive begins
 _FULL_BRAKE_M_S = 1.0  # of the shift cycles, which never stop
 _IDLE_RAD_S = 94.0  # engine speed when a drive begins at rest, about 900 rpm
 
@@ -57,10 +57,8 @@ class Powertrain(Course):
         law = drive_law(truth, parameters, drive)
         check_step(drive.dt_s, law.plant, law.overall_ratios, starts_in_neutral=drive.has_routine)
         self._law = as_record(law)
-        if touch_pressures_pa is not None:
-            believe(self._law.actuation, touch_pressures_pa)
-        machine = _initial_machine(self._law, drive, parameters.control, is_audited=is_audited)
-        super().__init__(machine, self._law.plant)
+        begin = partial(_initial_machine, self._law, drive, parameters.control, is_audited=is_audited)
+        super().__init__(self._law, touch_pressures_pa, begin)
 
     @property
     def finished(self) -> bool:
@@ -107,10 +105,6 @@ class Powertrain(Course):
         """Break pressure steps off: the car empties its clutches and waits."""
         if self._machine.memory[tcu_data.ROUTINE] >= tcu_data.STEPS_ENGAGING:
             workshop.enter_stage(self._machine.memory, tcu_data.STEPS_RELEASING)
-
-    def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
-        """Let the control take these for its clutches' touch points from the next row on."""
-        believe(self._law.actuation, touch_pressures_pa)
 
     def advance(self, duration_s: float) -> FloatArray:
         """Drive on and return the next rows, shape (n, len(Col)).
@@ -181,11 +175,6 @@ def _actuation(plant: PlantLaw, friction_coefficient: float) -> ClutchActuation:
     )
 
 
-def believe(actuation: ClutchActuation, touch_pressures_pa: tuple[float, float]) -> None:
-    """Change, in a record that kernels take, which touch points the control believes in."""
-    np.asarray(actuation.touch_pressure_pa)[:] = touch_pressures_pa
-
-
 def overall_ratios(gearbox: GearboxParameters) -> tuple[float, ...]:
     """Return i(g) = ratio * final drive for gears 0, 1, ...; 0 in neutral."""
     pairs = zip(gearbox.gear_ratios, gearbox.final_drive_ratios, strict=True)
@@ -215,39 +204,26 @@ def drive_law(truth: Calibration, parameters: PlantParameters, drive: DriveSetti
 
 def _initial_machine(law: DriveLaw, drive: DriveSettings, control: ControlParameters, *, is_audited: bool) -> Machine:
     """Return the state in which a drive begins: rolling in 1st gear or, for the workshop routine, idling at rest."""
-    machine = blank_machine(
+    machine = idle_machine(
         cycle_table(drive, control),
+        law.plant,
+        drive.initial_oil_k,
         memory_count=tcu_data.MEMORY_COUNT,
         sense_count=tcu_data.SENSE_COUNT,
         command_count=tcu_data.COMMAND_COUNT,
         is_audited=is_audited,
     )
-    _fill_engine_and_oil(machine, law, drive)
     if drive.has_routine:
-        _idle_at_rest(machine, law, drive)
+        _idle_at_rest(machine, drive)
     else:
         _roll(machine, law, drive)
-    machine.u[at.DIRECTION : at.DIRECTION + 2] = 1.0
     machine.memory[tcu_data.IS_DRIVING] = 1.0
-    machine.commands[tcu_data.SPARK] = 1.0
     return machine
 
 
-def _fill_engine_and_oil(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None:
-    y, plant = machine.y, law.plant
-    y[at.P_M] = IDLE_MANIFOLD_RATIO * plant.engine.ambient_pressure_pa
-    y[at.SPARK] = 1.0
-    y[[at.T_C, at.T_C + 1, at.T_OIL]] = drive.initial_oil_k
-    machine.u[at.AIR_FLOW] = throttle_flow_kg_s(0.0, plant.engine)
-
-
-def _idle_at_rest(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None:
+def _idle_at_rest(machine: Machine, drive: DriveSettings) -> None:
     """Neutral on both shafts, both clutches open, the car at rest; the open clutches soon drag the shafts along."""
-    y, clutches = machine.y, law.plant.clutches
-    y[[at.W_E, at.W_H]] = _IDLE_RAD_S
-    for index, clutch in enumerate((clutches.first, clutches.second)):
-        y[at.FILM + index] = clutch.film.open_gap_m
-        refresh_contact(y, index, clutch)
+    machine.y[[at.W_E, at.W_H]] = _IDLE_RAD_S
     machine.memory[tcu_data.OPEN_REV_COUNT] = drive.open_revs
     machine.memory[tcu_data.CLOSED_REV_COUNT] = drive.closed_revs
     machine.memory[tcu_data.ROUTINE] = tcu_data.WAITING if drive.waits else tcu_data.OPEN_REVS
@@ -272,12 +248,10 @@ def _roll(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None:
 
 def _close_first_clutch(machine: Machine, law: DriveLaw) -> None:
     y, actuation = machine.y, law.actuation
-    first, second = law.plant.clutches.first, law.plant.clutches.second
+    first = law.plant.clutches.first
     hold_nm = law.control.hold_margin_nm
     hold_pa = actuation.touch_pressure_pa[0] + hold_nm * actuation.pressure_per_torque_pa_nm[0]
     y[at.P_V] = hold_pa
     y[at.VOLUME] = closed_volume_m3(hold_pa, first.cavity, first.valve)
     y[at.FILM] = equilibrium_film_m(applied_pressure_pa(hold_pa, first.film), first.film)
-    y[at.FILM + 1] = second.film.open_gap_m
     refresh_contact(y, 0, first)
-    refresh_contact(y, 1, second)

@@ -3,9 +3,9 @@
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from typing import Final
+from typing import ClassVar, Final, TypeVar
 
 from clutch_model.calibration import CONVERTERS, SHIPPED, nominal_calibration
 from ecu_emulator.errors import ConfigError
@@ -14,6 +14,7 @@ from ecu_emulator.scenario.faults import BusFault, Cause, SensorFault
 from ecu_emulator.scenario.signals import NOMINAL_SENSORS, Sensors
 
 Overrides = Mapping[str, object]  # dotted key -> TOML value
+NumberT = TypeVar("NumberT", int, float)
 
 _VEHICLE_ID: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")  # safe in a file name and in an MQTT topic
 _MACHINED: Final = frozenset({"input_shaft_inertia_ratio"})
@@ -32,19 +33,26 @@ class FluidCondition(StrEnum):
     AGEING = "ageing"  # drifts from ideal to case 2 while driving
 
 
-def ranged(default: float, low: float, high: float) -> float:
+def ranged(default: NumberT, low: float, high: float) -> NumberT:
     """Declare a number of a record with its default and its inclusive range."""
     return field(default=default, metadata={"low": low, "high": high})
 
 
+def check_range(name: str, value: float, low: float, high: float, error: type[Exception]) -> None:
+    if not (math.isfinite(value) and low <= value <= high):
+        raise error(f"{name} must be {low:g}..{high:g}, got {value}")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Ranged:
-    """A record that checks the numbers it declares with ``ranged``."""
+class Ranged:
+    """A record that checks the numbers it declares with ``ranged``, in the order in which it does."""
+
+    error: ClassVar[type[Exception]] = ConfigError
 
     def __post_init__(self) -> None:
         for member in fields(self):
             if "low" in member.metadata:
-                _check_range(member, getattr(self, member.name))
+                check_range(member.name, getattr(self, member.name), **member.metadata, error=self.error)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +69,7 @@ class Fluid:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Driver(_Ranged):
+class Driver(Ranged):
     """How the car is driven."""
 
     pedal_ratio: float = ranged(0.45, 0.25, 0.9)
@@ -69,25 +77,25 @@ class Driver(_Ranged):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Routine(_Ranged):
+class Routine(Ranged):
     """Workshop routine before the cycles: revs in neutral, the car at rest.
 
     It is there if there are revs of either kind, or a tester asks for it: then that one says how many.
     """
 
-    open_revs: int = field(default=0, metadata={"low": 0, "high": MAX_REVS})  # both clutches open
-    closed_revs: int = field(default=0, metadata={"low": 0, "high": MAX_REVS})  # then both closed
+    open_revs: int = ranged(0, 0, MAX_REVS)  # both clutches open
+    closed_revs: int = ranged(0, 0, MAX_REVS)  # then both closed
     on_request: bool = False  # the car waits in neutral until a tester starts the routine (service 31)
 
     def __post_init__(self) -> None:
         """Check ranges, and that nobody else than the tester says how many revs there are."""
-        _Ranged.__post_init__(self)
+        Ranged.__post_init__(self)
         if self.on_request and self.open_revs + self.closed_revs > 0:
             raise ConfigError("on request the tester says how many revs: leave out open_revs and closed_revs")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ambient(_Ranged):
+class Ambient(Ranged):
     """Temperatures around and inside the transmission when the drive begins."""
 
     temperature_k: float = ranged(293.15, 233.15, 323.15)
@@ -96,7 +104,7 @@ class Ambient(_Ranged):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Startup(_Ranged):
+class Startup(Ranged):
     """How long after the start each controller sends only not-available codes."""
 
     ecm_s: float = ranged(0.1, 0.0, 60.0)
@@ -110,7 +118,7 @@ class Startup(_Ranged):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scatter(_Ranged):
+class Scatter(Ranged):
     """Standard deviations of production scatter; the members mean what those of the belief's ``Uncertainty`` mean."""
 
     torque_gain_ratio: float = ranged(0.0, 0.0, 0.1)
@@ -128,7 +136,7 @@ class Scatter(_Ranged):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Effects(_Ranged):
+class Effects(Ranged):
     """What is true of this vehicle and unknown to the service's model; by default nothing. Ratios multiply.
 
     docs/model.md, section "Effects the estimator does not model".
@@ -147,7 +155,7 @@ class Effects(_Ranged):
     crank_ripple_ratio: float = ranged(0.0, 0.0, 1.0)  # amplitude of the firing torque, three per turn
     engine_speed_is_sampled: bool = False  # broadcast as it is at the instant, not as the mean of a crank segment
     motoring_torque_ratio: float = ranged(1.0, 0.5, 1.5)  # on negative torque as the engine controller reports it
-    least_cycle_ms: int = field(default=0, metadata={"low": 0, "high": 100})  # no message is sent more often
+    least_cycle_ms: int = ranged(0, 0, 100)  # no message is sent more often
     frame_loss_ratio: float = ranged(0.0, 0.0, 0.5)  # of all frames, at random
 
     def switched_on(self) -> dict[str, float]:
@@ -217,7 +225,7 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scenario(_Ranged):
+class Scenario(Ranged):
     """Everything that decides what one drive puts on the bus."""
 
     name: str
@@ -247,7 +255,7 @@ class Scenario(_Ranged):
     causes: tuple[Cause, ...] = ()  # of what is wrong with the car
 
     def __post_init__(self) -> None:
-        _Ranged.__post_init__(self)
+        Ranged.__post_init__(self)
         if not _VEHICLE_ID.fullmatch(self.vehicle):
             raise ConfigError(f"vehicle must be 1..64 letters, digits, '-' or '_', got {self.vehicle!r}")
         if self.transmission not in SHIPPED:
@@ -279,9 +287,3 @@ class Scenario(_Ranged):
     def seed_of_drive(self) -> int:
         """Seed of what changes from drive to drive."""
         return self.seed if self.drive_seed is None else self.drive_seed
-
-
-def _check_range(member: "Field[object]", value: float) -> None:
-    low, high = member.metadata["low"], member.metadata["high"]
-    if not (math.isfinite(value) and low <= value <= high):
-        raise ConfigError(f"{member.name} must be {low:g}..{high:g}, got {value}")
