@@ -7,7 +7,7 @@ The result depends on the rows and the seed only, not on how the rows were cut i
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,23 +20,22 @@ from ecu_emulator.scenario.faults import PhaseCode, Scheduled, SensorFault, Sens
 from ecu_emulator.scenario.signals import NOMINAL_SENSORS, STATES, Sensor, Sensors, generator, split_unit
 
 MS_PER_S: Final = 1000.0
+ScheduledT = TypeVar("ScheduledT", bound=Scheduled)
 
 
-class Onsets:
-    """Begin and end of each scheduled thing in milliseconds of scenario time; infinite while not known."""
+class Onsets(Generic[ScheduledT]):
+    """Scheduled faults, with begin and end of each in milliseconds of scenario time; infinite while not known."""
 
-    def __init__(self, scheduled: Sequence[Scheduled]) -> None:
-        self._scheduled: list[Scheduled] = []
+    def __init__(self) -> None:
+        self.faults: list[ScheduledT] = []
         self._start_ms: list[float] = []
-        for one in scheduled:
-            self.add(one)
         self._last = np.array((0.0, 0.0, PhaseCode.HOLD))  # current gear, target gear, phase
         self._shift_count = 0  # completed, as the truth counts them
 
-    def add(self, one: Scheduled, origin_ms: float = 0.0) -> None:
-        """Schedule one more; without a shift its start counts from ``origin_ms``."""
-        self._scheduled.append(one)
-        self._start_ms.append(math.inf if one.shift else origin_ms + math.ceil(one.start_s * MS_PER_S))
+    def add(self, fault: ScheduledT, origin_s: float = 0.0) -> None:
+        """Take one more fault; without a shift its start counts from ``origin_s``."""
+        self.faults.append(fault)
+        self._start_ms.append(math.inf if fault.shift else origin_s * MS_PER_S + math.ceil(fault.start_s * MS_PER_S))
 
     def feed(self, rows: FloatArray, first_ms: int) -> None:
         """Look for the phases of shifts in the next plant rows, one per millisecond."""
@@ -44,7 +43,7 @@ class Onsets:
         for row in np.flatnonzero(np.any(np.diff(seen, axis=0), axis=1)).tolist():
             (was, wanted, before), (gear, _, phase) = seen[row : row + 2].tolist()
             self._shift_count += was != gear == wanted and was > 0.0
-            for index, one in enumerate(self._scheduled if gear and phase != before else ()):
+            for index, one in enumerate(self.faults if gear and phase != before else ()):
                 if one.shift == self._shift_count + 1 and phase == PhaseCode[one.phase.name]:
                     self._start_ms[index] = first_ms + row + math.ceil(one.start_s * MS_PER_S)
         self._last = seen[-1]
@@ -52,12 +51,12 @@ class Onsets:
     def span_ms(self, index: int) -> tuple[float, float]:
         """Return begin and end [ms] of one of them; what is at the end is outside."""
         start_ms = self._start_ms[index]
-        return start_ms, start_ms + self._scheduled[index].duration_s * MS_PER_S
+        return start_ms, start_ms + self.faults[index].duration_s * MS_PER_S
 
     @property
     def spans_s(self) -> tuple[tuple[float, float], ...]:
         """Begin and end [s] of each."""
-        spans_ms = map(self.span_ms, range(len(self._scheduled)))
+        spans_ms = map(self.span_ms, range(len(self.faults)))
         return tuple((start_ms / MS_PER_S, stop_ms / MS_PER_S) for start_ms, stop_ms in spans_ms)
 
 
@@ -69,50 +68,34 @@ class _Progress:
     changed_count: int = 0
 
 
-class SensorFaults:
+class SensorFaults(Onsets[SensorFault]):
     """All scripted sensor faults of a drive."""
 
     def __init__(self, faults: Sequence[SensorFault]) -> None:
-        self._faults: list[SensorFault] = []
+        super().__init__()
         self._progress: list[_Progress] = []
-        self._onsets = Onsets(())
         for fault in faults:
             self.add(fault)
 
-    @property
-    def faults(self) -> tuple[SensorFault, ...]:
-        return tuple(self._faults)
-
     def add(self, fault: SensorFault, origin_s: float = 0.0) -> None:
-        """Take one more fault; without a shift its start counts from ``origin_s``."""
-        self._faults.append(fault)
+        super().add(fault, origin_s)
         self._progress.append(_Progress())
-        self._onsets.add(fault, origin_s * MS_PER_S)
 
     @property
     def changed_counts(self) -> tuple[int, ...]:
         """How many readings each fault has touched."""
         return tuple(progress.changed_count for progress in self._progress)
 
-    @property
-    def spans_s(self) -> tuple[tuple[float, float], ...]:
-        """Begin and end [s] of each fault, infinite while not known."""
-        return self._onsets.spans_s
-
-    def feed(self, rows: FloatArray, first_ms: int) -> None:
-        """Take the next plant rows, in which faults may be triggered."""
-        self._onsets.feed(rows, first_ms)
-
     def applied(self, quantity: str, send_ms: npt.NDArray[np.int64], reading: FloatArray) -> FloatArray:
         """Return the readings of one quantity at these instants, shape (n,), as the faults leave them."""
-        for index, fault in enumerate(self._faults):
+        for index, fault in enumerate(self.faults):
             if fault.quantity == quantity and len(reading):
                 reading = self._wrong(index, send_ms, reading)
         return reading
 
     def _wrong(self, index: int, send_ms: npt.NDArray[np.int64], reading: FloatArray) -> FloatArray:
-        fault, progress = self._faults[index], self._progress[index]
-        start_ms, stop_ms = self._onsets.span_ms(index)
+        fault, progress = self.faults[index], self._progress[index]
+        start_ms, stop_ms = self.span_ms(index)
         first, stop = np.searchsorted(send_ms, (start_ms, stop_ms)).tolist()
         if first:
             progress.held = float(reading[first - 1])

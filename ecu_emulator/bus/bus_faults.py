@@ -11,7 +11,7 @@ from canlog.arrays import FloatArray
 from canlog.e2e.message_contract import MessageContract
 from canlog.e2e.profile1 import COUNTER_PERIOD, CRC_BYTE, PAYLOAD_BYTES, counter_of, protect
 from canlog.frames import ERROR_FLAG
-from ecu_emulator.bus.frames import EncodedFrames, merge
+from ecu_emulator.bus.frames import EncodedFrames, joined, merge
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind
 from ecu_emulator.scenario.signals import generator
@@ -26,16 +26,6 @@ FRAME_S: Final = 111.0 / 500e3  # eight bytes, standard identifier, no stuff bit
 FOREIGN_IDS: Final = (0x500, 0x5FF)  # none of the wire contract's, and below all of them in priority
 
 
-def joined(first: EncodedFrames, second: EncodedFrames) -> EncodedFrames:
-    """Return the frames of both, one after the other."""
-    return EncodedFrames(
-        t_s=np.concatenate((first.t_s, second.t_s)),
-        can_id=np.concatenate((first.can_id, second.can_id)),
-        length=np.concatenate((first.length, second.length)),
-        data=np.concatenate((first.data, second.data)),
-    )
-
-
 def without(frames: EncodedFrames, rows: Rows) -> EncodedFrames:
     return frames[np.delete(np.arange(len(frames)), rows)]
 
@@ -45,11 +35,6 @@ def postponed(frames: EncodedFrames, rows: Rows, by_s: FloatArray | float) -> En
     t_s = frames.t_s.copy()
     t_s[rows] += by_s
     return replace(frames, t_s=t_s)
-
-
-def duplicated(frames: EncodedFrames, rows: Rows) -> EncodedFrames:
-    """Return the frames and a copy of those in ``rows``, next on the bus."""
-    return joined(frames, postponed(frames[rows], np.arange(len(rows)), FRAME_S))
 
 
 def with_bad_crc(frames: EncodedFrames, rows: Rows) -> EncodedFrames:
@@ -273,7 +258,9 @@ _ACTIONS: Final[Mapping[BusFaultKind, Callable[[_Injector, EncodedFrames, Rows],
     BusFaultKind.LOSS: lambda _, frames, rows: without(frames, rows),
     BusFaultKind.SILENCE: lambda _, frames, rows: without(frames, rows),
     BusFaultKind.RESTART: lambda _, frames, rows: without(frames, rows),
-    BusFaultKind.DUPLICATE: lambda _, frames, rows: duplicated(frames, rows),
+    BusFaultKind.DUPLICATE: lambda _, frames, rows: joined(
+        frames, postponed(frames[rows], np.arange(len(rows)), FRAME_S)
+    ),
     BusFaultKind.BAD_CRC: lambda _, frames, rows: with_bad_crc(frames, rows),
     BusFaultKind.SHORT: lambda _, frames, rows: shortened(frames, rows),
     BusFaultKind.ERROR_FRAME: lambda _, frames, rows: joined(frames, error_frames(frames.t_s[rows] + FRAME_S)),
@@ -295,28 +282,18 @@ class BusFaults:
     """
 
     def __init__(self, faults: Sequence[BusFault], seed: int, contracts: Mapping[str, MessageContract]) -> None:
+        self.onsets: Final = Onsets[BusFault]()
         self._seed = seed
         self._contracts = {contract.can_id: contract for contract in contracts.values()}
-        self._faults: list[BusFault] = []
         self._injectors: list[_Injector] = []
-        self._onsets = Onsets(())
         self._driven_from_s = self._end_s = -np.inf
         for fault in faults:
             self.add(fault)
 
     @property
-    def faults(self) -> tuple[BusFault, ...]:
-        return tuple(self._faults)
-
-    @property
     def counts(self) -> tuple[int, ...]:
         """How many frames each fault has struck, or added."""
         return tuple(injector.count for injector in self._injectors)
-
-    @property
-    def spans_s(self) -> tuple[tuple[float, float], ...]:
-        """Begin and end [s] of each fault, infinite while not known."""
-        return self._onsets.spans_s
 
     def check(self, fault: BusFault) -> None:
         """Raise ConfigError if the fault could not be added."""
@@ -324,9 +301,8 @@ class BusFaults:
 
     def add(self, fault: BusFault, origin_s: float = 0.0) -> None:
         """Take one more fault; without a shift its start counts from ``origin_s``."""
-        self._injectors.append(_Injector(fault, len(self._faults), self._seed, self._contracts))
-        self._faults.append(fault)
-        self._onsets.add(fault, origin_s * MS_PER_S)
+        self._injectors.append(_Injector(fault, len(self._injectors), self._seed, self._contracts))
+        self.onsets.add(fault, origin_s)
 
     def feed(
         self, frames: EncodedFrames, rows: FloatArray, first_ms: int, end_s: float, *, is_last: bool
@@ -342,11 +318,11 @@ class BusFaults:
         is_last : bool
             Nothing follows: what is held back leaves as well.
         """
-        self._onsets.feed(rows, first_ms)
+        self.onsets.feed(rows, first_ms)
         if first_ms / MS_PER_S > self._end_s + GAP_S:
             self._driven_from_s = first_ms / MS_PER_S
         self._end_s = end_s
-        for injector, span_s in zip(self._injectors, self.spans_s, strict=True):
+        for injector, span_s in zip(self._injectors, self.onsets.spans_s, strict=True):
             frames = injector.feed(frames, span_s, (self._driven_from_s, end_s), is_last=is_last)
         return frames
 

@@ -189,14 +189,28 @@ class FrameEncoder:
         return word.astype("<u8").view(np.uint8).reshape(-1, PAYLOAD_BYTES)
 
 
+_NO_FRAMES: Final = EncodedFrames(
+    t_s=np.empty(0),
+    can_id=np.empty(0, np.uint32),
+    length=np.empty(0, np.uint8),
+    data=np.empty((0, PAYLOAD_BYTES), np.uint8),
+)
+
+
+def joined(*parts: EncodedFrames) -> EncodedFrames:
+    """Return the frames of all parts, one after the other."""
+    return EncodedFrames(
+        t_s=np.concatenate([part.t_s for part in parts]),
+        can_id=np.concatenate([part.can_id for part in parts]),
+        length=np.concatenate([part.length for part in parts]),
+        data=np.concatenate([part.data for part in parts]),
+    )
+
+
 def merge(parts: Sequence[EncodedFrames]) -> EncodedFrames:
     """Return all frames in the order of time; at the same instant the lower identifier wins, as in arbitration."""
-    t_s = np.concatenate([part.t_s for part in parts]) if parts else np.empty(0)
-    can_id = np.concatenate([part.can_id for part in parts]) if parts else np.empty(0, np.uint32)
-    length = np.concatenate([part.length for part in parts]) if parts else np.empty(0, np.uint8)
-    data = np.concatenate([part.data for part in parts]) if parts else np.empty((0, PAYLOAD_BYTES), np.uint8)
-    order = np.lexsort((can_id, t_s))
-    return EncodedFrames(t_s=t_s[order], can_id=can_id[order], length=length[order], data=data[order])
+    frames = joined(_NO_FRAMES, *parts)
+    return frames[np.lexsort((frames.can_id, frames.t_s))]
 
 
 def _message_code(message: Message) -> _MessageCode:

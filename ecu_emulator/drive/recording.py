@@ -205,8 +205,8 @@ class Drive:
     def _fault_truths(self) -> tuple[FaultTruth, ...]:
         sensors, bus = self._sensors.faults, self._bus_faults
         described = [(fault.quantity, fault.kind.value, fault.size) for fault in sensors.faults]
-        described += [(fault.message or "bus", fault.kind.value, fault.share) for fault in bus.faults]
-        spans_s, counts = (*sensors.spans_s, *bus.spans_s), (*sensors.changed_counts, *bus.counts)
+        described += [(fault.message or "bus", fault.kind.value, fault.share) for fault in bus.onsets.faults]
+        spans_s, counts = (*sensors.spans_s, *bus.onsets.spans_s), (*sensors.changed_counts, *bus.counts)
         return tuple(
             FaultTruth(
                 what=what,

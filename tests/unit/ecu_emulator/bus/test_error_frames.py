@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from can.io import CanutilsLogReader
 
-from ecu_emulator.bus.bus_faults import error_frames, joined
+from ecu_emulator.bus.bus_faults import error_frames
+from ecu_emulator.bus.frames import joined
 from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.errors import RecordError
 from ecu_emulator.log_formats.record import open_log
