@@ -54,12 +54,6 @@ class Driven:
     last_shift_ns: int = 0  # end of the last shift, time of the bus
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Performance:
-    shifts_before: int
-    over_s: float | None = None  # since when all of it is driven
-
-
 class RequestedRoutine:
     """Has the car perform what a tester's routine asks for, and ends the routine once that is judged.
 
@@ -74,7 +68,8 @@ class RequestedRoutine:
     def __init__(self, performer: Performer, controller: Controller) -> None:
         self._performer = performer
         self._controller = controller
-        self._performance: _Performance | None = None
+        self._shifts_before: int | None = None  # None: nothing is performed
+        self._over_s: float | None = None  # since when all of it is driven
 
     @property
     def is_possible(self) -> bool:
@@ -97,14 +92,20 @@ class RequestedRoutine:
         """
         found = running_routine(self._controller, Task.REVS)
         if found is None:
-            self._performance = None
+            self._shifts_before = self._over_s = None
             return
         number, run = found
-        if self._performance is None:
+        if self._shifts_before is None:
             self._performer.begin_routine(Routine(open_revs=run.options[0], closed_revs=run.options[1]))
-            self._performance = _Performance(shifts_before=driven.shift_count)
-        now = self._performance = _after(self._performance, driven, t_s)
-        if now.over_s is not None and (not is_live or has_judged(estimates, driven) or t_s >= now.over_s + ESTIMATE_S):
+            self._shifts_before = driven.shift_count
+        is_through = driven.shift_count > self._shifts_before and driven.gear == FIRST_GEAR  # is back in it
+        if is_through and self._over_s is None:
+            self._over_s = t_s
+        if self._over_s is None:
+            return
+        latest_ns = max((estimate.end_ns for estimate in estimates.values()), default=0)
+        has_judged = latest_ns >= driven.last_shift_ns - SAME_END_NS
+        if not is_live or has_judged or t_s >= self._over_s + ESTIMATE_S:
             self._controller.finish(number)
 
 
@@ -114,18 +115,6 @@ def running_routine(controller: Controller, task: Task) -> tuple[int, RoutineRun
         if run.is_running and controller.table.routines[number].task is task:
             return number, run
     return None
-
-
-def _after(performance: _Performance, driven: Driven, t_s: float) -> _Performance:
-    """Return how far the car is: it is through the gears once it is back in the first one."""
-    is_through = driven.shift_count > performance.shifts_before and driven.gear == FIRST_GEAR
-    return replace(performance, over_s=t_s) if is_through and performance.over_s is None else performance
-
-
-def has_judged(estimates: OnBoardEstimates, driven: Driven) -> bool:
-    """Return whether estimates take the last shift into account."""
-    latest_ns = max((estimate.end_ns for estimate in estimates.values()), default=0)
-    return latest_ns >= driven.last_shift_ns - SAME_END_NS
 
 
 class AdaptedCar(Performer, Protocol):

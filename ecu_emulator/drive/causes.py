@@ -86,7 +86,8 @@ class CausedChanges:
             for sums in (both, *each) if clutch == 0 else (each[clutch - 1],):
                 for name, size in changes.items():
                     sums[name] = sums.get(name, 0.0) + size
-            shown = {name: size if _is_added(name) else math.exp(size) for name, size in changes.items()}
+            added = {name for name in changes if name == "erratic" or name.endswith(("_nm", "_n", "_pa"))}
+            shown = {name: size if name in added else math.exp(size) for name, size in changes.items()}
             truths.append(CauseTruth(kind=cause.kind, strength=strength, clutch=clutch or None, changes=shown))
         return cls(truths=tuple(truths), both=both, each=each)
 
@@ -146,10 +147,6 @@ def _drawn(cause: Cause, seed: int) -> tuple[int, dict[str, float]]:
     sizes = PER_STRENGTH[cause.kind].items()
     drawn = {name: sign * size * factor for (name, size), factor in zip(sizes, factors, strict=True)}
     return (cause.clutch or clutch) if cause.kind.is_of_one_clutch else 0, drawn
-
-
-def _is_added(name: str) -> bool:
-    return name == "erratic" or name.endswith(("_nm", "_n", "_pa"))
 
 
 def _ratio(changes: Mapping[str, float], name: str) -> float:

@@ -3,11 +3,11 @@
 import json
 import logging
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from queue import SimpleQueue
 from threading import Event
 from typing import Final, Protocol, Self
 
@@ -24,6 +24,7 @@ from ecu_emulator.errors import ConfigError, RecordError
 from ecu_emulator.live.control import ControlSocket
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.scenario.scenario import Scenario
+from ecu_emulator.sensing import MS_PER_S
 from ecu_emulator.truth import (
     ROTATED_BYTES,
     DriveTruth,
@@ -55,8 +56,7 @@ class SentTruth:
     def __init__(self, drive: Drive, writer: TruthSink | None) -> None:
         self.drive: Final = drive
         self._writer = writer
-        self._ahead: SimpleQueue[Happened] = SimpleQueue()  # filled by the thread that drives
-        self._next: Happened | None = None
+        self._ahead: deque[Happened] = deque()  # filled by the thread that drives
         self.shift_count = 0
         self.event_count = 0
         self.sent_s = 0.0
@@ -66,26 +66,18 @@ class SentTruth:
     def frames(self) -> Iterator[EncodedFrames]:
         """Drive, and yield what is to be sent; may run in a thread of its own."""
         for stretch in self.drive.stretches(SHORT_STRETCH_S):
-            for truth in stretch.truths:
-                self._ahead.put(truth)
+            self._ahead.extend(stretch.truths)
             yield stretch.frames
 
     def sent_until(self, t_s: float) -> None:
         """Write what had happened by this scenario time [s]."""
         self.sent_s = t_s
-        while True:
-            if self._next is None and not self._ahead.empty():
-                self._next = self._ahead.get()
-            if self._next is None or known_at_s(self._next) > t_s:
-                return
-            self._write(self._next)
-            self._next = None
-
-    def _write(self, truth: Happened) -> None:
-        if self._writer is not None:
-            self._writer.write([truth])
-        self.shift_count += isinstance(truth, ShiftTruth)
-        self.event_count += isinstance(truth, EventTruth)
+        while self._ahead and known_at_s(self._ahead[0]) <= t_s:
+            truth = self._ahead.popleft()
+            if self._writer is not None:
+                self._writer.write([truth])
+            self.shift_count += isinstance(truth, ShiftTruth)
+            self.event_count += isinstance(truth, EventTruth)
 
     def finish(self, report: TransmitReport) -> None:
         """Write what is left, and the totals of what was sent."""
@@ -161,27 +153,18 @@ class OtherSenders:
                 continue
             if message is None:
                 continue
-            if self._is_foreign(message):
-                self._note(message.arbitration_id)
-            else:
+            is_plain = not (message.is_error_frame or message.is_extended_id)
+            if not is_plain or message.arbitration_id not in self._can_ids:
                 self._pass_on(message)
-
-    def _is_foreign(self, message: can.Message) -> bool:
-        is_plain = not (message.is_error_frame or message.is_extended_id)
-        return is_plain and message.arbitration_id in self._can_ids
-
-    def _note(self, can_id: int) -> None:
-        self.frame_count += 1
-        if self.frame_count == WORTH_SAYING:
-            self._on_heard(can_id)
+                continue
+            self.frame_count += 1
+            if self.frame_count == WORTH_SAYING:
+                self._on_heard(message.arbitration_id)
 
 
 def _filter(can_id: int) -> can.typechecking.CanFilter:
     is_extended = can_id > STANDARD_MASK
     return {"can_id": can_id, "can_mask": EXTENDED_MASK if is_extended else STANDARD_MASK, "extended": is_extended}
-
-
-MS_PER_S: Final = 1e3
 
 
 class SignOfLife:

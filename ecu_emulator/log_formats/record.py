@@ -60,7 +60,8 @@ class LogStream:
 
     def write(self, frames: EncodedFrames) -> None:
         """Append frames; raises OSError if nobody takes them, RecordError as ``LogFile.write``."""
-        _check_error_frames(frames, self._format, self._name)
+        if self._format is not LogFormat.CANDUMP and np.any(frames.can_id & np.uint32(ERROR_FLAG)):
+            raise RecordError(f"cannot write {self._name}: error frames are written to candump logs only")
         t_us = self._header.start_us + np.rint(frames.t_s * US_PER_S).astype(np.int64)
         self._writer.write(t_us, frames)
         self._stream.flush()
@@ -176,11 +177,6 @@ def _header(start_ns: int, channel: str) -> writers.Header:
     if not channel or any(character.isspace() for character in channel):
         raise RecordError(f"not a channel name: {channel!r}")
     return writers.Header(start_us=start_ns // NS_PER_US, channel=channel)
-
-
-def _check_error_frames(frames: EncodedFrames, log_format: LogFormat, name: str) -> None:
-    if log_format is not LogFormat.CANDUMP and np.any(frames.can_id & np.uint32(ERROR_FLAG)):
-        raise RecordError(f"cannot write {name}: error frames are written to candump logs only")
 
 
 def format_of(path: Path) -> LogFormat | None:
