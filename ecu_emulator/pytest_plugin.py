@@ -4,14 +4,12 @@ Nothing is loaded until a fixture is used.
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
-    import can
-
     from canlog.live.medium import Medium
     from canlog.live.recorder import FrameRecorder
     from ecu_emulator.api import Emulator
@@ -97,18 +95,9 @@ def recorded_frames(
             from canlog.live.recorder import FrameRecorder  # noqa: PLC0415 - not before it is used
 
             medium = request.getfixturevalue("vcan_bus") if bus is None else bus
-            return stack.enter_context(FrameRecorder(stack.enter_context(_end(medium))))
+            return stack.enter_context(FrameRecorder(stack.enter_context(medium.open())))
 
         yield start
-
-
-@contextmanager
-def _end(medium: "Medium") -> Iterator["can.BusABC"]:
-    bus = medium.open()
-    try:
-        yield bus
-    finally:
-        bus.shutdown()
 
 
 def _buses() -> dict[str, Callable[[], AbstractContextManager["Medium"]]]:
@@ -117,14 +106,9 @@ def _buses() -> dict[str, Callable[[], AbstractContextManager["Medium"]]]:
     return {
         AUTO: _best_bus,
         "socketcan": medium.open_vcan,
-        "udp_multicast": lambda: _just(medium.multicast("it was asked for")),
-        "virtual": lambda: _just(medium.virtual("it was asked for")),
+        "udp_multicast": lambda: nullcontext(medium.multicast("it was asked for")),
+        "virtual": lambda: nullcontext(medium.virtual("it was asked for")),
     }
-
-
-@contextmanager
-def _just(medium: "Medium") -> Iterator["Medium"]:
-    yield medium
 
 
 @contextmanager
