@@ -20,9 +20,12 @@ from benchmarks.drive_accuracy import WRONG
 from benchmarks.mismatch_road import road_section
 from benchmarks.mismatch_rows import BY_NAME, ROWS, Mismatch
 from benchmarks.study import diagnose, over_drives, percent, root_mean_square
+from diag_service.diagnosis.friction.evidence import REFERENCE_K
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.records import FrictionEstimate, Status
 from diag_service.service.stages import Diagnosis
+from ecu_emulator.plant.clutch import friction_ratio
+from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario
 
@@ -74,15 +77,17 @@ def is_used(diagnosis: Diagnosis) -> bool:
 
 
 def outcomes(case: Case) -> list[Outcome]:
-    """Make one drive and compare its running estimate with the truth at the reference temperature."""
+    """Make one drive and compare its running estimate with the truth at the temperature for which it is stated."""
     diagnoses, truth = diagnose(scenario_of(case))
     used = sum(map(is_used, diagnoses)) / (CYCLES * SHIFTS_PER_CYCLE)
+    lining = nominal_parameters().lining._replace(fade_per_k=BY_NAME[case.row].effects.friction_fade_per_k)
+    fade = friction_ratio(REFERENCE_K, lining)
     true = {"mu_c": truth.drive.mu_c, "mu_s": truth.drive.mu_s}
 
     final = {one.verdict.clutch: one.verdict.condition for one in diagnoses}
 
     def outcome(parameter: str, clutch: int, friction: FrictionEstimate) -> Outcome:
-        mu = true[parameter][clutch - 1]
+        mu = true[parameter][clutch - 1] * fade
         return Outcome(
             row=case.row,
             scenario=case.scenario,

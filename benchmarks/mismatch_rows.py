@@ -55,7 +55,7 @@ ROWS: tuple[Mismatch, ...] = (
     MATCHED,
     Mismatch(
         name="friction falls 0.1 % per K above 80 degC",
-        way="the packs run at about 90 degC: friction is truly lower than at the reference it is compared with",
+        way="friction is stated, and compared, for packs of 90 degC; those of events are some kelvin colder or hotter",
         effects=Effects(friction_fade_per_k=0.001),
     ),
     Mismatch(
