@@ -14,7 +14,7 @@ from ecu_emulator.scenario.faults import BusFault, Cause, SensorFault
 from ecu_emulator.scenario.signals import NOMINAL_SENSORS, Sensors
 
 Overrides = Mapping[str, object]  # dotted key -> TOML value
-NumberT = TypeVar("NumberT", int, float)
+RangedT = TypeVar("RangedT", int, float)
 
 _VEHICLE_ID: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")  # safe in a file name and in an MQTT topic
 _MACHINED: Final = frozenset({"input_shaft_inertia_ratio"})
@@ -33,7 +33,7 @@ class FluidCondition(StrEnum):
     AGEING = "ageing"  # drifts from ideal to case 2 while driving
 
 
-def ranged(default: NumberT, low: float, high: float) -> NumberT:
+def ranged(default: RangedT, low: float, high: float) -> RangedT:
     """Declare a number of a record with its default and its inclusive range."""
     return field(default=default, metadata={"low": low, "high": high})
 
