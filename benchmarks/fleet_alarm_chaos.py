@@ -34,8 +34,8 @@ from fleet_backend.errors import DatabaseAwayError
 from fleet_backend.migrate import migrate
 from fleet_backend.office_tables import ALARM, ALARM_MESSAGE
 from fleet_backend.writer import Batch, Writer
-from tests.plugins.broker import free_port
 from tests.support.fleet import fleet_result, row_of
+from tests.support.ports import free_port
 
 VEHICLES = 50
 CALM_S = 120.0  # the most that is waited after the last kill

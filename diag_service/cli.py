@@ -64,10 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _statuses() -> Sequence[tuple[Kinds, int]]:
     """Return the exit status of each kind of error."""
     from clutch_model.errors import CalibrationError  # noqa: PLC0415 - of a package that most commands do not need
-    from fleet_contract import VariableError  # noqa: PLC0415 - likewise
 
     return (
-        ((ConfigError, CalibrationError, DefinitionError, ExtraMissingError, VariableError), EXIT_CONFIG),
+        ((ConfigError, CalibrationError, DefinitionError, ExtraMissingError), EXIT_CONFIG),
         ((SourceError, ControllerError), EXIT_SOURCE),
         ((StoreError, OutputError), EXIT_STORE),
         (IncompleteError, EXIT_INCOMPLETE),

@@ -56,9 +56,12 @@ def _read_elsewhere(ctx: click.Context, _option: click.Parameter, file: Path | N
     """Check the names of the environment's variables and take the values of a settings file as defaults."""
     if ctx.resilient_parsing:
         return file
-    from fleet_contract import check_variables  # noqa: PLC0415 - help does without
+    from fleet_contract import VariableError, check_variables  # noqa: PLC0415 - help does without
 
-    check_variables(os.environ)
+    try:
+        check_variables(os.environ)
+    except VariableError as exc:
+        raise ConfigError(str(exc)) from exc
     if file is not None:
         ctx.default_map = read_settings(file)
     return file

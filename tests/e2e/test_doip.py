@@ -6,8 +6,8 @@ import subprocess
 import sys
 
 from tests.e2e.test_uds import emulator
-from tests.support.doip.tester import free_port
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 
 
 def test_a_workshop_tester_asks_a_car_that_drives_over_ip() -> None:

@@ -27,7 +27,7 @@ from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.elm327.server import ElmServer
 from tests.integration.test_signal_asking import controller, wait_for
 from tests.support.asked import batch_of
-from tests.support.doip.tester import free_port
+from tests.support.ports import free_port
 
 pytestmark = pytest.mark.asks
 

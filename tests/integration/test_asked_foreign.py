@@ -38,8 +38,8 @@ from tests.integration.test_other_senders import two_ends
 from tests.integration.test_signal_asking import controller, wait_for
 from tests.integration.test_tester import vehicle
 from tests.support.asked import batch_of
-from tests.support.doip.tester import free_port
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 from tests.support.replay import free_bus
 from tests.support.uds.udsoncan_client import CONFIG, ISO_TP, Number
 

@@ -17,9 +17,10 @@ from diag_service.diagnosis.summary import order_by
 from diag_service.store import ResultStore
 from fleet_contract import schema
 from fleet_link import BrokerAddress
-from tests.plugins.broker import Mosquitto, free_port
+from tests.plugins.broker import Mosquitto
 from tests.support.outboxes import NOW, STATUS, put, sending, until
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 from tests.support.subscriber import Subscriber
 
 pytestmark = pytest.mark.broker

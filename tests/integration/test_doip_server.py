@@ -17,8 +17,9 @@ from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.state import Reply, ServerState
 from ecu_emulator.errors import BusError
 from tests.support.doip.desk import activation, framed, request
-from tests.support.doip.tester import Tester, entity, free_port
+from tests.support.doip.tester import Tester, entity
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 from tests.support.uds.full_table import full_table
 from tests.support.uds.wire import Wire
 from tests.tools.doip_streams import run_on_sockets

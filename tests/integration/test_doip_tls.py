@@ -17,9 +17,10 @@ from ecu_emulator.diagnostics.memory import TestResult as Result
 from ecu_emulator.errors import ConfigError
 from fleet_backend.certificates.authority import Authority, Lifetime
 from tests.support.doip.desk import activation, framed
-from tests.support.doip.tester import entity, free_port
+from tests.support.doip.tester import entity
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 
 SLIPS = 0x081107
 PATIENT = ("--ecu", "1011", "--active", "--listen", "0", "--timeout", "20")

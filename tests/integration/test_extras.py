@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.plugins.broker import free_port
 from tests.support.plain_install import PlainInstall, core_distributions, extra_modules, plain_install
+from tests.support.ports import free_port
 
 PROGRAMS = {
     "ecu-emulator": "ecu_emulator.cli",

@@ -19,9 +19,9 @@ from fleet_backend.office_tables import AUDIT
 from fleet_backend.rows import Poison, controller_row, quarantine_row
 from fleet_backend.writer import Batch, Writer
 from tests.golden import CONTROLLER
-from tests.plugins.broker import free_port
 from tests.support.fleet import fleet_result, row_of
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 
 
 @pytest.fixture(autouse=True)

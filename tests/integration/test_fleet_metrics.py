@@ -21,11 +21,12 @@ from fleet_backend.database import open_database
 from fleet_backend.intake import MessageKind
 from fleet_backend.rows import Poison, quarantine_row
 from fleet_backend.writer import Batch, Writer
-from tests.plugins.broker import Mosquitto, free_port
+from tests.plugins.broker import Mosquitto
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
 from tests.support.fleet_worker import worker
 from tests.support.grafana import PROMETHEUS, ROOT, yaml
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 from tests.support.prometheus import Samples, check_rules, parsed
 
 WORN = Condition.CHANGE_FLUID

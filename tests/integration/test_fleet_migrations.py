@@ -26,8 +26,8 @@ from fleet_backend.queries import (
 from fleet_backend.rows import moment
 from fleet_backend.schema import UtcDateTime
 from fleet_backend.writer import Batch, Writer
-from tests.plugins.broker import free_port
 from tests.support.fleet import fleet_result, row_of
+from tests.support.ports import free_port
 
 EARLIER = revisions()[:-1]
 GOLDEN = Path(__file__).parents[1] / "golden"

@@ -17,9 +17,10 @@ from paho.mqtt import publish
 from diag_service.diagnosis.records import shift_record
 from fleet_backend.cli import main
 from fleet_contract import Outgoing, bundle_messages, shift_message, status_message
-from tests.plugins.broker import Mosquitto, free_port
+from tests.plugins.broker import Mosquitto
 from tests.support.fleet import fleet_result
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 
 Next = Callable[[], str]
 TIME = "2026-01-01T00:00:00.000000Z"

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.plugins.broker import Mosquitto, free_port
+from tests.plugins.broker import Mosquitto
 from tests.support.image.compose import read_compose
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 from tests.support.replay import INTERFACE, free_bus
 from tests.support.service import service
 

@@ -16,10 +16,11 @@ from jsonschema import Draft202012Validator
 
 from clutch_model.calibration import nominal_calibration
 from fleet_contract import schema
-from tests.plugins.broker import Mosquitto, free_port
+from tests.plugins.broker import Mosquitto
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.in_process import ended as run
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 from tests.support.replay import INTERFACE, free_bus
 from tests.support.service import PROGRAM, environment, run_service, service
 from tests.support.subscriber import Subscriber

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 
 _PROGRAM_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
 
@@ -115,15 +116,6 @@ class Mosquitto:
         self._process.send_signal(number)
         self._process.wait(timeout=HANG_S)
         self._process = None
-
-
-def free_port() -> int:
-    """Return a TCP port on which nobody listens now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    assert isinstance(port, int)
-    return port
 
 
 @pytest.fixture

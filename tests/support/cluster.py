@@ -11,8 +11,8 @@ from typing import Self
 import psutil
 
 from fleet_backend.certificates.authority import Authority, Lifetime
-from tests.plugins.broker import free_port
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 from tests.support.service import NOTHING, PROGRAM, environment
 
 _POLL_S = 0.02

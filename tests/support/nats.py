@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from demo.programs import DemoError
+from tests.support.ports import free_port
 
 _START_S: Final = 60.0
 _ALWAYS_SYNCS: Final = (2, 10)  # the first version whose JetStream can sync at every message
@@ -37,7 +38,7 @@ class NatsServer:
     """
 
     def __init__(self, folder: Path, text: str = _OWN) -> None:
-        self.port, self.nats_port = _free_ports(2)
+        self.port, self.nats_port = free_port(), free_port()
         self._folder = folder
         self._process: subprocess.Popen[bytes] | None = None
         self._program = shutil.which("nats-server", path=f"{os.environ.get('PATH', os.defpath)}:/usr/sbin")
@@ -103,14 +104,3 @@ def version(program: str) -> tuple[int, ...]:
 def _listens(port: int) -> bool:
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0
-
-
-def _free_ports(count: int) -> list[int]:
-    probes = [socket.socket() for _ in range(count)]
-    try:
-        for probe in probes:
-            probe.bind(("127.0.0.1", 0))
-        return [int(probe.getsockname()[1]) for probe in probes]
-    finally:
-        for probe in probes:
-            probe.close()

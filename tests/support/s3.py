@@ -12,8 +12,8 @@ from typing import Any
 
 import fsspec
 
-from tests.plugins.broker import free_port
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 
 BUCKET = "fleet"
 _POLL_S = 0.02

@@ -27,7 +27,8 @@ from typing import Final
 import numpy as np
 import psutil
 
-from tests.plugins.broker import Mosquitto, free_port
+from tests.plugins.broker import Mosquitto
+from tests.support.ports import free_port
 from tests.support.rough_bus import RoughBus, is_guest
 from tests.support.service import Ended, Service, service
 from tests.uml.vcan import create_vcan, has_can_sockets, ip_link

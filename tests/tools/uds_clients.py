@@ -26,8 +26,8 @@ from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.pdx.package import pdx_package
 from ecu_emulator.diagnostics.table_file import shipped_table
-from tests.support.doip.tester import free_port
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 from tests.support.replay import free_bus
 from tests.support.uds.clients_script import CLIENTS, LIST
 from tests.uml.vcan import has_can_sockets, is_up

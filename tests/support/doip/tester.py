@@ -15,23 +15,11 @@ from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from tests.support.doip.desk import activation, framed, request
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 from tests.support.uds.full_table import full_table
 from tests.support.uds.wire import PARKED
 
 MASK = 0x5AA5C33C
-
-
-def free_port() -> int:
-    """Return a port on which nobody listens now, neither for connections nor for datagrams."""
-    while True:
-        with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp:
-            tcp.bind(("127.0.0.1", 0))
-            port: int = tcp.getsockname()[1]
-            try:
-                udp.bind(("127.255.255.255", port))
-            except OSError:
-                continue
-            return port
 
 
 @contextmanager
