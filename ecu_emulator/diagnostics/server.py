@@ -263,11 +263,8 @@ def _replied(request: Request, response: bytes | Nrc, state: ServerState) -> Rep
     if isinstance(response, Nrc):
         said, is_kept_back = _negative(request, response), request.is_functional and response in SILENT_WHEN_FUNCTIONAL
     else:
-        payload = request.payload
-        said, is_kept_back = (
-            response,
-            len(payload) > 1 and _has_sub_function(payload[0]) and bool(payload[1] & SUPPRESS),
-        )
+        said, payload = response, request.payload
+        is_kept_back = len(payload) > 1 and _has_sub_function(payload[0]) and bool(payload[1] & SUPPRESS)
     return Reply(payload=None, state=state, withheld=said) if is_kept_back else Reply(payload=said, state=state)
 
 

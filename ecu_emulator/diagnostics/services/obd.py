@@ -157,11 +157,9 @@ OBD_HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
     ObdService.CONFIRMED_CODES: partial(_codes_with, Status.CONFIRMED),
     ObdService.CLEAR: clear_emission_codes,
     ObdService.TEST_RESULTS: test_results,
-    ObdService.PENDING_CODES: partial(
-        _codes_with, Status.PENDING
-    ),  # failed in this operation cycle or the last that was completed
+    # Those that failed in this operation cycle or the last that was completed.
+    ObdService.PENDING_CODES: partial(_codes_with, Status.PENDING),
     ObdService.VEHICLE_INFORMATION: vehicle_information,
-    ObdService.PERMANENT_CODES: lambda call: _codes(
-        call, sorted(call.state.emissions.permanent)
-    ),  # no client can clear them
+    # Those that no client can clear.
+    ObdService.PERMANENT_CODES: lambda call: _codes(call, sorted(call.state.emissions.permanent)),
 }
