@@ -9,7 +9,7 @@ from clutch_model.calibration import TorqueSource, nominal_calibration
 from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, Fit, judge
 from diag_service.diagnosis.condition.verdict import LEAST_SHIFT_COUNT, Cause
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, FRICTION_ROWS, STATE_COUNT, Considered, Knowledge
-from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, Baseline, Posterior
+from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, Baseline, Posterior, friction
 from diag_service.diagnosis.records import ClutchVerdict, Condition, Reason, Status
 from tests.support.builders import rejected, shift_estimate, shift_result
 
@@ -116,6 +116,17 @@ def test_what_one_clutch_alone_says_early_is_no_alarm_if_the_other_contradicts_i
         mean[FRICTION_ROWS[1]] = (0.140, 0.119)
         contradicted = Posterior.of(replace(state.known, mean=mean), CALIBRATION)
         assert condition_of(replace(contradicted, folded_counts=(5, 5))) is expected
+
+
+def test_of_a_margin_hardly_known_a_change_is_said_only_if_it_is_nearly_certain() -> None:
+    """A few events may mislead: then 95 % are not enough for a workshop visit."""
+    told = {}
+    for margin, std in ((-0.0120, 0.004), (-0.0160, 0.004), (-0.0025, 0.0008)):
+        state = believed(0.123, 0.123 - margin, std=std)
+        told[margin] = friction(state, 1).probability_negative_slope, condition_of(state)
+    assert 0.95 < told[-0.0120][0] < 0.99 < told[-0.0160][0]
+    assert 0.95 < told[-0.0025][0] < 0.99
+    assert [said for _, said in told.values()] == [Condition.NO_VERDICT, *[Condition.CHANGE_FLUID] * 2]
 
 
 def test_each_clutch_has_its_own_memory() -> None:
