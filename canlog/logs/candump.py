@@ -95,10 +95,8 @@ def _usual_line(
     time_ns = _usual_time_ns(text, at)
     name = word(text, at + USUAL_TIME_BYTES)
     if (name ^ names.words[index]) & names.masks[index]:
-        index = 0
-        while index < known and (name ^ names.words[index]) & names.masks[index]:
-            index += 1
-    if time_ns < 0 or index == known:
+        index = _place_of_name(name, names, known)
+    if time_ns < 0 or index < 0:
         return 0, UNUSUAL
     identifier, behind = _usual_id(text, at + USUAL_TIME_BYTES + names.bytes[index])
     if behind >= 0:
@@ -119,6 +117,15 @@ def _usual_time_ns(text: UInt8Array, at: int) -> int:
     if seconds | pair | micros < 0:
         return UNUSUAL
     return int((seconds * 100 + pair) * NS_PER_S + micros * NS_PER_US)
+
+
+@inlined_kernel
+def _place_of_name(name: np.uint64, names: NameWords, known: int) -> int:
+    """Return the place of a channel among those that are known, -1 if it is not among them."""
+    for index in range(known):
+        if (name ^ names.words[index]) & names.masks[index] == 0:
+            return index
+    return -1
 
 
 @inlined_kernel
