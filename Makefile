@@ -140,10 +140,12 @@ static-and-warm: setup
 	wait $$compiling && exit $$checked
 
 # Compiling inside User-Mode Linux is twelve times slower than here, so the caches are filled before.
-# What a package keeps as a template for other Pythons does not compile, and need not.
+# What a package keeps as a template for other Pythons does not compile, and need not. Tests compile as they are
+# collected: once, not in each worker.
 warm: setup
-	@echo "test: compiling the libraries and the numerical kernels, unless cached"
+	@echo "test: compiling the libraries, the tests and the numerical kernels, unless cached"
 	@$(PY) -m compileall -qq "$(VENV)/lib" || true
+	@$(PY) -m pytest --collect-only -qq >/dev/null
 	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && { \
 	  $(PY) -m ecu_emulator record "$$folder/warm.log" --scenario noise_only --cycles 1 && \
 	  $(PY) -m diag_service analyze "$$folder/warm.log" --json && \
@@ -158,10 +160,10 @@ test-both: setup
 	  wait $$beside; on_vcan=$$?; cat "$$said"; [ $$on_host -eq 0 ] && [ $$on_vcan -eq 0 ]; \
 	}
 
-# Three workers keep two cores busy: one of them mostly waits, for a drive in real time, a broker or a process that was killed.
+# Four workers keep two cores busy: half of them wait, for a drive in real time, a broker or a process that was killed.
 test-host: setup
 	@echo "test: on this machine, $$(uname -sr)"
-	@$(PY) -m pytest -m "not vcan" -n 3 --dist worksteal $(SHUFFLED)
+	@$(PY) -m pytest -m "not vcan" -n 4 --dist worksteal $(SHUFFLED)
 
 test-vcan: setup
 	@echo "test: on a real vcan"

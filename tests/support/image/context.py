@@ -42,7 +42,8 @@ def is_ignored(path: str, patterns: list[Pattern]) -> bool:
 def context_files(root: Path) -> Iterator[str]:
     """Yield the files of a clone that .dockerignore leaves to the build, relative to its root."""
     patterns = read_patterns((root / ".dockerignore").read_text(encoding="utf-8"))
-    for path in sorted(root.rglob("*")):
+    cloned = (top for top in root.iterdir() if top.name not in NOT_CLONED)
+    for path in sorted(path for top in cloned for path in (top, *top.rglob("*"))):
         relative = path.relative_to(root)
         if NOT_CLONED.isdisjoint(relative.parts) and path.is_file() and not is_ignored(relative.as_posix(), patterns):
             yield relative.as_posix()
