@@ -35,7 +35,7 @@ class Vehicle:
     speed_latency_s: float
     effects: Effects
     transmission: str = "nominal"
-    oil: Mapping[str, float] = field(default_factory=dict)  # of another viscosity, as a scenario has it
+    oil: Mapping[str, float] = field(default_factory=dict, hash=False)  # of another viscosity, as a scenario has it
 
     def scenario(self, drive: int, routine: Routine) -> Scenario:
         """Return one of its drives; noise and driver differ from drive to drive."""
