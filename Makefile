@@ -145,8 +145,8 @@ static-and-warm: setup
 warm: setup
 	@echo "test: compiling the libraries, the tests and the numerical kernels, unless cached"
 	@$(PY) -m compileall -qq "$(VENV)/lib" || true
-	@$(PY) -m pytest --collect-only -qq >/dev/null
 	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && { \
+	  $(PY) -m pytest --collect-only -qq && \
 	  $(PY) -m ecu_emulator record "$$folder/warm.log" --scenario noise_only --cycles 1 && \
 	  $(PY) -m diag_service analyze "$$folder/warm.log" --json && \
 	  $(PY) -c 'from canlog.live.socketcan import FrameReceiver; FrameReceiver(-1)'; } >"$$folder/said" 2>&1 || { \
