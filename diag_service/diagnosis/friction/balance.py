@@ -235,6 +235,7 @@ def _fill_torques(
 COLD_SPAN_K: Final = 60.0  # below that temperature, where the deviations are as large as these:
 FILM_MOBILITY_LOG: Final = 1.0
 LEAST_SECANT: Final = 0.2  # of that: below it the tangent is near enough
+COLD_DOUBT_RATIO: Final = 0.8  # of what the slower film changes: no law holds for the course of one that closes
 MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
 DOUBT_RATIO = 0.01  # of a clutch's torque: so far no law of friction and film holds moment by moment
 MODELLED_DOUBT_NM: Final = np.array([10.0, 5.0, 2.0, 1.0, 0.7])  # of a torque's mean in a piece, its slope, its bends
@@ -338,13 +339,15 @@ class Sensitivity:
         self._spread = _Spread.of(balance.signals, balance.weights, balance.calibration.input_side)
         self._torque_nm = balance.weights.fitted(balance.signals.engine_torque.on_grid[rows], SLIP_DEGREE)
         tracks = integrate_films(self._planned, laws, balance.window.rows.stop, COARSE)
-        is_cold = max(balance.film_steps) >= LEAST_SECANT
-        self._slower = self._of_slower_films(tracks) if is_cold else [None, None]
         self._torques = Torques.of(self._planned, tracks, balance.tracks, laws, rows)
+        is_cold = max(balance.film_steps) >= LEAST_SECANT
+        self._lost_nm = self._by_slower_films(tracks) if is_cold else [None, None]
         self._answers = [ContactAnswers(*np.empty((5, rows.stop - rows.start))) for _ in laws]
         for m, answers in enumerate(self._answers):
             law, slip_rad_s, contact_pa = laws[m], self._planned[m].slip_rad_s[rows], tracks[m].contact_pa[rows]
             doubt_nm, area_ratio = balance.tracks[m].doubt_nm[rows], law.film.piston_area_m2 / law.film.lining_area_m2
+            if (lost_nm := self._lost_nm[m]) is not None:
+                doubt_nm = np.hypot(doubt_nm, COLD_DOUBT_RATIO * balance.film_steps[m] * lost_nm)
             contact_nm, mu = self._torques.contact_nm[m], balance.mu[m]
             _fill_answers(slip_rad_s, contact_nm, contact_pa, doubt_nm, mu, law.friction, area_ratio, answers)
         self._nominal = weigh(balance.weights, self._torques)
@@ -352,21 +355,18 @@ class Sensitivity:
         self.slope = self._slope()
         self.overlaps = self._overlaps()
 
-    def _of_slower_films(self, tracks: tuple[FilmTrack, FilmTrack]) -> list[FloatArray | None]:
-        """Return by how much contact [Pa] and film [N m] carry less where films yield as slowly as cold ones may.
+    def _by_slower_films(self, tracks: tuple[FilmTrack, FilmTrack]) -> list[FloatArray | None]:
+        """Return by how much each clutch carries less [N m] where films yield as slowly as cold ones may.
 
-        Per unit of the logarithm of the mobility; (2, n) of each clutch, None where its oil is warm. A film that closes
+        Per unit of the logarithm of the mobility; (n,) of each clutch, None where its oil is warm. A film that closes
         before the window, as believed, has no tangent there, and one that closes three times as slowly has not closed.
         """
-        balance, rows, steps = self._balance, self._balance.weights.rows, self._balance.film_steps
-        moved = slower_films(balance, self._planned)
-        return [
-            None
-            if step < LEAST_SECANT
-            else np.stack((was.contact_pa[rows] - now.contact_pa[rows], was.viscous_nm[rows] - now.viscous_nm[rows]))
-            / step
-            for was, now, step in zip(tracks, moved, steps, strict=True)
-        ]
+        balance, rows, found = self._balance, self._balance.weights.rows, list[FloatArray | None]()
+        for m, (was, now) in enumerate(zip(tracks, slower_films(balance, self._planned), strict=True)):
+            step, lost_pa = balance.film_steps[m], was.contact_pa[rows] - now.contact_pa[rows]
+            lost_nm = balance.mu[m] @ self._torques.lever_m3[m] * lost_pa + was.viscous_nm[rows] - now.viscous_nm[rows]
+            found.append(lost_nm / step if step >= LEAST_SECANT else None)
+        return found
 
     def _slope(self) -> FloatArray:
         balance, at = self._balance, self._balance.at
@@ -405,8 +405,8 @@ class Sensitivity:
         considered[:, Considered.PISTON_AREA1 + m] = answers[:, FilmCause.PISTON_AREA]
         for parameter, cause in COMMON_CAUSES.items():
             considered[:, parameter] += answers[:, cause]
-        if (slower := self._slower[m]) is not None:
-            secant = balance.weights.value @ (lever_m3 * slower[0] + slower[1])
+        if (lost_nm := self._lost_nm[m]) is not None:
+            secant = balance.weights.value @ lost_nm
             considered[:, Considered.FILM_MOBILITY] += secant - answers[:, FilmCause.FILM_MOBILITY]
 
     def _overlaps(self) -> list[FloatArray]:

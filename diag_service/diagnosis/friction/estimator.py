@@ -13,7 +13,6 @@ from diag_service.diagnosis.alignment import NS_TO_S, compile_alignment
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import (
-    FILM_MOBILITY_LOG,
     LEAST_SECANT,
     WORKING_K,
     Balance,
@@ -55,17 +54,19 @@ from diag_service.diagnosis.quality import plausibility
 from diag_service.diagnosis.quality.data_quality import Samples, aligned, compile_usability
 from diag_service.diagnosis.records import LEAST_SLIP_ROWS, FrictionSlope, Reason, Revision, ShiftEstimate, Status
 
-TOUCH_PRESSURE_PA: Final = 20e3
-VISCOSITY_RATIO: Final = 0.2
-PRESSURE_LATENCY_S: Final = 0.02  # a film that closes or opens earlier or later
-CONTACT_STIFFNESS_RATIO: Final = 0.2
+TOUCH_PRESSURE_PA: Final = 12e3
+VISCOSITY_RATIO: Final = 0.12
+PRESSURE_LATENCY_S: Final = 0.012  # a film that closes or opens earlier or later
+CONTACT_STIFFNESS_RATIO: Final = 0.12
+OWN_MOBILITY_LOG: Final = 0.6
 OPEN_DRAG_LOG: Final = 1.0
-SCALE_RATIO: Final = 0.03  # of gain and inertia: a film whose law is not known is no scale for torques
-SCALE_ROW_S: Final = 0.06  # likewise where rows are so far apart: an engine read often shows what curves leave out
+COLD_SCALE_RATIO: Final = 0.02  # of gain and inertia: a film whose law is not known is no scale for torques
+SCALE_RATIO: Final = 0.03  # likewise where rows are so far apart: an engine read often shows what curves leave out
+SCALE_ROW_S: Final = 0.06
 OPEN_DRAG_SPEED_LOG: Final = 0.7  # also at work: twice or half; how drag goes with the slip is another in every pack
 FRICTION_RATIO: Final = 0.01  # of mu, also at work: heat, oil and load are spread over the linings anew each time
-COLD_FRICTION_RATIO: Final = 0.07  # and by this in oil that is 60 K colder: no law of the cold holds in every car
-MOST_SLOW_FILM_SHARE: Final = 0.7  # likewise of a film that yields more slowly
+COLD_FRICTION_RATIO: Final = 0.03  # and by this in oil that is 60 K colder: no law of the cold holds in every car
+MOST_SLOW_FILM_SHARE: Final = 0.5  # likewise of a film that yields more slowly
 MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it nothing is said of friction
 
 
@@ -76,9 +77,9 @@ def _cold_variance() -> FloatArray:
     variance[STATE_COUNT + Considered.VISCOSITY] = VISCOSITY_RATIO**2
     variance[STATE_COUNT + Considered.PRESSURE_LATENCY] = PRESSURE_LATENCY_S**2
     variance[STATE_COUNT + Considered.CONTACT_STIFFNESS] = CONTACT_STIFFNESS_RATIO**2
-    variance[STATE_COUNT + Considered.FILM_MOBILITY] = FILM_MOBILITY_LOG**2
+    variance[STATE_COUNT + Considered.FILM_MOBILITY] = OWN_MOBILITY_LOG**2
     variance[STATE_COUNT + Considered.OPEN_DRAG] = OPEN_DRAG_LOG**2
-    variance[[STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA]] = SCALE_RATIO**2
+    variance[[STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA]] = COLD_SCALE_RATIO**2
     return variance
 
 
@@ -120,7 +121,7 @@ def is_carried_by_film(balance: Balance, clutch: int) -> bool:
     return False
 
 
-ALGORITHM_VERSION = "torque-impulse-14"
+ALGORITHM_VERSION = "torque-impulse-15"
 MAX_PASS_COUNT = 4  # of linearisation: the first events of a vehicle move latencies by more than a line follows
 CONVERGED = 0.2  # of a standard deviation
 NEAR_STEP = 0.5  # standard deviations of the type: up to there derivatives are the same

@@ -12,10 +12,11 @@ from clutch_model.units import k_from_degc
 from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import Estimator, Posterior
-from diag_service.diagnosis.friction.balance import COLD_SPAN_K, WORKING_K, Torques, coldness
+from diag_service.diagnosis.friction import Estimator, Posterior, balance
+from diag_service.diagnosis.friction.balance import COLD_DOUBT_RATIO, COLD_SPAN_K, WORKING_K, Torques, coldness
 from diag_service.diagnosis.friction.estimator import (
     COLD_FRICTION_RATIO,
+    COLD_SCALE_RATIO,
     FRICTION_RATIO,
     SCALE_RATIO,
     SCALE_ROW_S,
@@ -78,7 +79,7 @@ def test_each_event_has_a_film_of_its_own_the_colder_its_pack(below_k: float, sh
     balance = cast("Any", SimpleNamespace(coldness=cold, at=at, signals=signals_of(0.0)))
     variance = own_variance(balance, 1)
     assert variance[STATE_COUNT + Considered.VISCOSITY] == pytest.approx((share * VISCOSITY_RATIO) ** 2)
-    assert variance[STATE_COUNT + Considered.TORQUE_GAIN] == pytest.approx((share * SCALE_RATIO) ** 2)
+    assert variance[STATE_COUNT + Considered.TORQUE_GAIN] == pytest.approx((share * COLD_SCALE_RATIO) ** 2)
     assert variance[STATE_COUNT + Considered.STRIBECK_SPEED] == 0.0
     ratio = FRICTION_RATIO + share * COLD_FRICTION_RATIO
     assert variance[:FRICTION_COUNT] == pytest.approx((ratio * at[:FRICTION_COUNT]) ** 2)
@@ -117,3 +118,19 @@ def test_where_the_film_carries_the_torque_nothing_is_said_of_friction() -> None
     assert (estimate.status, estimate.reasons) == (Status.UNOBSERVED, (Reason.NO_SLIP_WINDOW,))
     assert after.shift_counts == (0, 0)
     assert estimator.estimate(warm, usable_samples(warm), state)[1].status is Status.VALID
+
+
+@pytest.mark.parametrize(("oil_degc", "widened"), [(30.0, True), (90.0, False)])
+def test_the_course_of_a_closing_film_tells_less_of_friction_in_cold_oil(
+    oil_degc: float, widened: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No law of the cold holds moment by moment: a launch whose early film is misjudged would mislead."""
+    event = in_oil(first_shifts()[0], oil_degc)
+    samples = usable_samples(event)
+    stds = []
+    for ratio in (0.0, COLD_DOUBT_RATIO):
+        monkeypatch.setattr(balance, "COLD_DOUBT_RATIO", ratio)
+        _, found = Estimator(CALIBRATION).estimate(event, samples, Posterior.fresh(CALIBRATION))
+        assert found.friction is not None
+        stds.append(found.friction.std_mu_s)
+    assert (stds[1] > 1.05 * stds[0]) is widened
