@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from clutch_model.calibration import TorqueSource
 from diag_service.diagnosis.condition.shift_quality import Load
-from diag_service.diagnosis.condition.verdict import Silence, advice
+from diag_service.diagnosis.condition.verdict import Silence, advice, likely
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
 from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.records import (
@@ -347,7 +347,7 @@ def slope_line(verdict: ClutchVerdict) -> str:
         return ""
     return (
         f"up to a scale mu_C {free.mu_c:.4f} ± {free.std_mu_c:.4f}; mu_S/mu_C {slope.mu_s_ratio:.3f} ± "
-        f"{slope.std_mu_s_ratio:.3f}, a falling slope is {100.0 * slope.probability_negative:.1f} % likely"
+        f"{slope.std_mu_s_ratio:.3f}, a falling slope is {likely(slope.probability_negative)}"
     )
 
 

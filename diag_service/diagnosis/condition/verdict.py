@@ -51,6 +51,7 @@ CALIBRATED_RATIO = 0.7  # of what driving tells of a vehicle: from there on it i
 
 _PERCENT: Final = 100.0  # of a ratio
 _NEARLY_SURE: Final = 0.995  # beyond it a rounded percentage would promise certainty
+_STEP: Final = 0.001  # to which a reason says a probability
 
 
 class Cause(StrEnum):
@@ -337,7 +338,7 @@ def decide(
     is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
     if not is_sure and _may_be_thin(own_thin, common_thin, previous):
         by_either = max(own_thin, common_thin)
-        return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({_likely(by_either)}): {facts}")
+        return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({likely(by_either)}): {facts}")
     return _unless_they_judder(launches, 1.0 - max(watch.values()), facts, counted)
 
 
@@ -361,7 +362,7 @@ def decide_up_to_scale(
     if shift_count < MIN_SHIFT_COUNT:
         return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
     facts = ", ".join((
-        f"a negative mu-v slope is {_likely(slope.probability_negative)}",
+        f"a negative mu-v slope is {likely(slope.probability_negative)}",
         f"mu_S {100.0 * slope.mu_s_ratio:.0f} +- {100.0 * slope.std_mu_s_ratio:.0f} % of mu_C",
         *(() if since is None else (_changed(since),)),
         f"{shift_count} shifts",
@@ -401,7 +402,7 @@ def _unless_they_judder(launches: Launches, probability: float, facts: str, coun
 
 def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend | None, told_by: str) -> str:
     facts = (
-        f"a negative mu-v slope is {_likely(friction.probability_negative_slope)}, "
+        f"a negative mu-v slope is {likely(friction.probability_negative_slope)}, "
         f"mu_C {100.0 * level.mean:.0f} +- {100.0 * level.stdev:.0f} % of new"
     )
     if since is not None:
@@ -413,8 +414,13 @@ def _changed(since: FrictionTrend) -> str:
     return f"{100.0 * since.change_mu_c_ratio:+.1f} +- {100.0 * since.std_change_mu_c_ratio:.1f} % since the baseline"
 
 
-def _likely(probability: float) -> str:
-    return f"{100.0 * probability:.1f} % likely"
+def likely(probability: float) -> str:
+    """Return how likely something is, for people; never certain, never impossible."""
+    if probability < 0.5 * _STEP:
+        return f"under {_PERCENT * _STEP:.1f} % likely"
+    if probability > 1.0 - 0.5 * _STEP:
+        return f"over {_PERCENT * (1.0 - _STEP):.1f} % likely"
+    return f"{_PERCENT * probability:.1f} % likely"
 
 
 def _lost(since: FrictionTrend | None, level_ratio: float) -> float:
@@ -437,6 +443,6 @@ def _standing(
     if previous is condition and causes[cause] < give_at:  # earlier programs kept no cause
         cause, give_at = cause if kept is None else kept, LEAVE_PROBABILITY
     probability = causes.get(cause, 0.0)
-    reason = f"{cause} ({_likely(probability)}): {facts}"
+    reason = f"{cause} ({likely(probability)}): {facts}"
     found = Finding(condition=condition, reason=reason, ground=cause, probability=probability)
     return found if probability >= give_at else None

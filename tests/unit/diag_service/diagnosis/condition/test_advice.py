@@ -7,7 +7,7 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge, no_verdict
-from diag_service.diagnosis.condition.verdict import Cause, Silence, advice
+from diag_service.diagnosis.condition.verdict import Cause, Silence, advice, likely
 from diag_service.diagnosis.records import (
     Causes,
     ClutchVerdict,
@@ -178,3 +178,18 @@ def test_results_of_before_have_no_sentence() -> None:
     del record["verdict"]["advice"]
     assert parse_shift(dump(record)).verdict.advice is None
     assert clutch_record(record)["advice"] is None
+
+
+@pytest.mark.parametrize(
+    ("probability", "said"),
+    [
+        (0.0, "under 0.1 % likely"),
+        (0.0004, "under 0.1 % likely"),
+        (0.0006, "0.1 % likely"),
+        (0.206, "20.6 % likely"),
+        (0.9994, "99.9 % likely"),
+        (1.0, "over 99.9 % likely"),
+    ],
+)
+def test_nothing_is_said_to_be_certain_or_impossible(probability: float, said: str) -> None:
+    assert likely(probability) == said

@@ -399,7 +399,7 @@ def test_without_measured_torque_slope_and_change_are_judged_and_the_level_is_no
     assert sound.slope is not None
     assert sound.slope.mu_s_ratio == pytest.approx(0.85)
     assert sound.slope.probability_negative < 0.01
-    assert "engine torque is modelled, not measured: a negative mu-v slope is 0." in sound.reason
+    assert "engine torque is modelled, not measured: a negative mu-v slope is under 0.1 % likely" in sound.reason
     assert "cannot be called sound" in (sound.advice or "")
     low = modelled(believed(0.10, 0.085))  # of a wrong scale, for all that is known
     assert low.condition is Condition.NO_VERDICT
