@@ -54,36 +54,27 @@ from diag_service.diagnosis.quality import plausibility
 from diag_service.diagnosis.quality.data_quality import Samples, aligned, compile_usability
 from diag_service.diagnosis.records import LEAST_SLIP_ROWS, FrictionSlope, Reason, Revision, ShiftEstimate, Status
 
-TOUCH_PRESSURE_PA: Final = 12e3
-VISCOSITY_RATIO: Final = 0.12
-PRESSURE_LATENCY_S: Final = 0.012  # a film that closes or opens earlier or later
-CONTACT_STIFFNESS_RATIO: Final = 0.12
-OWN_MOBILITY_LOG: Final = 0.6
-OPEN_DRAG_LOG: Final = 1.0
-COLD_SCALE_RATIO: Final = 0.02  # of gain and inertia: a film whose law is not known is no scale for torques
-SCALE_RATIO: Final = 0.03  # likewise where rows are so far apart: an engine read often shows what curves leave out
+COLD_STD: Final = {
+    State.TOUCH1: 12e3,
+    State.TOUCH2: 12e3,
+    STATE_COUNT + Considered.VISCOSITY: 0.12,
+    STATE_COUNT + Considered.PRESSURE_LATENCY: 0.012,  # a film that closes or opens earlier or later
+    STATE_COUNT + Considered.CONTACT_STIFFNESS: 0.12,
+    STATE_COUNT + Considered.FILM_MOBILITY: 0.6,
+    STATE_COUNT + Considered.OPEN_DRAG: 1.0,
+    STATE_COUNT + Considered.TORQUE_GAIN: 0.02,  # a film whose law is not known is no scale for torques
+    STATE_COUNT + Considered.ENGINE_INERTIA: 0.02,
+}
+"""How far the parameters of one event may be off in oil that is colder than at work by the whole span."""
+_COLD_VARIANCE: Final = np.zeros(PARAMETER_COUNT)
+_COLD_VARIANCE[list(COLD_STD)] = np.square(list(COLD_STD.values()))
+SCALE_RATIO: Final = 0.03  # of gain and inertia where rows are so far apart: what curves leave out, an engine shows
 SCALE_ROW_S: Final = 0.06
 OPEN_DRAG_SPEED_LOG: Final = 0.7  # also at work: twice or half; how drag goes with the slip is another in every pack
 FRICTION_RATIO: Final = 0.01  # of mu, also at work: heat, oil and load are spread over the linings anew each time
 COLD_FRICTION_RATIO: Final = 0.03  # and by this in oil that is 60 K colder: no law of the cold holds in every car
-MOST_SLOW_FILM_SHARE: Final = 0.5  # likewise of a film that yields more slowly
 MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it nothing is said of friction
-
-
-def _cold_variance() -> FloatArray:
-    """Return how far the parameters of one event may be off in oil that is colder than at work by the whole span."""
-    variance = np.zeros(PARAMETER_COUNT)
-    variance[[State.TOUCH1, State.TOUCH2]] = TOUCH_PRESSURE_PA**2
-    variance[STATE_COUNT + Considered.VISCOSITY] = VISCOSITY_RATIO**2
-    variance[STATE_COUNT + Considered.PRESSURE_LATENCY] = PRESSURE_LATENCY_S**2
-    variance[STATE_COUNT + Considered.CONTACT_STIFFNESS] = CONTACT_STIFFNESS_RATIO**2
-    variance[STATE_COUNT + Considered.FILM_MOBILITY] = OWN_MOBILITY_LOG**2
-    variance[STATE_COUNT + Considered.OPEN_DRAG] = OPEN_DRAG_LOG**2
-    variance[[STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA]] = COLD_SCALE_RATIO**2
-    return variance
-
-
-_COLD_VARIANCE: Final = _cold_variance()
+MOST_SLOW_FILM_SHARE: Final = 0.5  # likewise of a film that yields more slowly
 
 
 def own_variance(balance: Balance, clutch: int) -> FloatArray:

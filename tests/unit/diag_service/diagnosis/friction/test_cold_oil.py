@@ -16,11 +16,10 @@ from diag_service.diagnosis.friction import Estimator, Posterior, balance
 from diag_service.diagnosis.friction.balance import COLD_DOUBT_RATIO, COLD_SPAN_K, WORKING_K, Torques, coldness
 from diag_service.diagnosis.friction.estimator import (
     COLD_FRICTION_RATIO,
-    COLD_SCALE_RATIO,
+    COLD_STD,
     FRICTION_RATIO,
     SCALE_RATIO,
     SCALE_ROW_S,
-    VISCOSITY_RATIO,
     own_variance,
 )
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, STATE_COUNT, Considered
@@ -78,8 +77,8 @@ def test_each_event_has_a_film_of_its_own_the_colder_its_pack(below_k: float, sh
     at, cold = Posterior.fresh(CALIBRATION).known.mean, coldness(cast("Any", (track, track)), slice(0, 10))
     balance = cast("Any", SimpleNamespace(coldness=cold, at=at, signals=signals_of(0.0)))
     variance = own_variance(balance, 1)
-    assert variance[STATE_COUNT + Considered.VISCOSITY] == pytest.approx((share * VISCOSITY_RATIO) ** 2)
-    assert variance[STATE_COUNT + Considered.TORQUE_GAIN] == pytest.approx((share * COLD_SCALE_RATIO) ** 2)
+    for row in (STATE_COUNT + Considered.VISCOSITY, STATE_COUNT + Considered.TORQUE_GAIN):
+        assert variance[row] == pytest.approx((share * COLD_STD[row]) ** 2)
     assert variance[STATE_COUNT + Considered.STRIBECK_SPEED] == 0.0
     ratio = FRICTION_RATIO + share * COLD_FRICTION_RATIO
     assert variance[:FRICTION_COUNT] == pytest.approx((ratio * at[:FRICTION_COUNT]) ** 2)
