@@ -15,6 +15,7 @@ cannot tell. *mu times gain* leaves the area in, of which 1 % is drawn.
     python -m benchmarks.self_calibration --vehicles 102
     python -m benchmarks.self_calibration --belief drawn
     python -m benchmarks.self_calibration --mismatch      # film, viscosity, w_S, K_c and touch point unlike the belief
+    python -m benchmarks.self_calibration --trace wltc --oil-degc -10 --other-laws     # from one drive on the road
 """
 
 import argparse
@@ -27,6 +28,8 @@ import numpy as np
 
 from benchmarks.accuracy import to_batch
 from benchmarks.drawn_vehicle import CYCLES, Vehicle, draw
+from benchmarks.drive_accuracy import STRETCH_S, Case, scenario_of
+from benchmarks.drive_events import planned
 from benchmarks.study import over_drives, root_mean_square
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
@@ -43,8 +46,8 @@ from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
-from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.bus.frames import EncodedFrames, merge
+from ecu_emulator.drive.recording import Drive, frames_of
 from ecu_emulator.scenario.scenario import Routine, Scenario
 
 FIRST_SEED = 27_000  # seeds below were looked at while priors and gates were chosen
@@ -109,6 +112,23 @@ def study(vehicle: Vehicle, start: Calibration) -> list[Row]:
         drives = [driven_friction(vehicle.scenario(drive, Routine()), found.calibration) for drive in (1, 2)]
         rows.append(Row(kind="trend", trend=tuple((100.0 * (drives[1] - drives[0]) / true).tolist())))
     return rows
+
+
+def road_study(case: Case, start: Calibration) -> list[Row]:
+    """Drive one vehicle along a trace and return what its events calibrate; a road has no revs in neutral."""
+    scenario, vehicle = scenario_of(case)
+    if vehicle is None:
+        raise ValueError("a vehicle just like its type has nothing to calibrate")
+    drive, decoder, finder, shifts = Drive(scenario, planned=iter([planned(case.trace)])), _decoder(), ShiftFinder(), []
+    for stretch in drive.stretches(STRETCH_S):
+        for columns in decoder.stream(to_batch(merge([stretch.frames]))):
+            shifts += finder.feed(columns)
+    found = self_calibrate(shifts + finder.flush(), [], start, "study")
+    kind = f"{case.trace} from {case.oil_degc:g} degC"
+    if isinstance(found, str):
+        return [Row(kind=kind, problem=found)]
+    true = np.array([value for m in range(2) for value in (drive.truth.mu_c[m], drive.truth.mu_s[m])])
+    return [judged(kind, vehicle, found, true)]
 
 
 def events_of(frames: EncodedFrames) -> tuple[list[Event], list[Event]]:
@@ -242,13 +262,26 @@ def main() -> int:
         "--mismatch", action="store_true", help="vehicles whose films and linings are unlike the belief"
     )
     parser.add_argument("--belief", choices=list(BELIEFS), default="shipped", help="what the calibration allows for")
+    parser.add_argument("--trace", choices=("wltc", "udds", "hwfet", "us06", "city"), help="from one drive on the road")
+    parser.add_argument("--oil-degc", type=float, default=80.0, help="with --trace")
+    parser.add_argument(
+        "--other-laws", action="store_true", help="with --trace: of cold oil, as drive_accuracy has them"
+    )
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.vehicles)
-    vehicles = [draw(seed, has_mismatch=arguments.mismatch) for seed in seeds]
-    rows = over_drives(partial(study, start=BELIEFS[arguments.belief]()), vehicles, arguments.jobs)
+    start = BELIEFS[arguments.belief]()
+    if arguments.trace is None:
+        vehicles = [draw(seed, has_mismatch=arguments.mismatch) for seed in seeds]
+        rows = over_drives(partial(study, start=start), vehicles, arguments.jobs)
+    else:
+        case = partial(
+            Case, trace=arguments.trace, oil_degc=arguments.oil_degc, is_plain=False, has_mismatch=arguments.mismatch,
+            loss_ratio=0.0, has_other_laws=arguments.other_laws,
+        )  # fmt: skip
+        rows = over_drives(partial(road_study, start=start), [case(seed=seed) for seed in seeds], arguments.jobs)
     print(
-        f"self-calibration, {CYCLES} cycles, seeds {seeds[0]}..{seeds[-1]}"
+        f"self-calibration, {arguments.trace or f'{CYCLES} cycles'}, seeds {seeds[0]}..{seeds[-1]}"
         + (", film, viscosity, w_S, K_c and touch point unlike the belief" if arguments.mismatch else "")
         + f", {arguments.belief} belief"
     )
