@@ -339,6 +339,11 @@ class Prior(NamedTuple):
         std[std == 0.0] = 1.0
         return cls(std, np.linalg.pinv(covariance / np.outer(std, std), hermitian=True))
 
+    def stated(self, whole: FloatArray, ratio: float) -> FloatArray:
+        """Return a covariance of which what events tell is scaled by a ratio; docs/model.md, equation (38)."""
+        kept = whole / np.maximum(self.std, np.sqrt(whole.diagonal()))  # what drifts was no better known before
+        return ratio * whole + (1.0 - ratio) * (kept @ self.information @ kept.T)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fusion:

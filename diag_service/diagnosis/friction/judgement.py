@@ -223,6 +223,33 @@ class JudgedEvent:
     is_off_like_others: bool = False  # by errors that all such events share, so that they agree better than they are
 
 
+MOST_APART: Final = 9.0  # of two numbers 1 % are more by chance: what is beyond is left out, or a change
+LEAST_BY_CHANCE: Final = 1.5  # of two numbers: the first event of a clutch agrees with nothing but what was assumed
+STATED_COUNT: Final = 5.0  # numbers that are as far apart as was stated, before any event: those of three
+SCATTER_KEPT: Final = 0.99  # of what an event says of it after each later one: some hundred count
+
+
+class Scatter(NamedTuple):
+    """By how much the friction of single events is apart; docs/model.md, equation (38)."""
+
+    apart: float = 0.0  # chi-square that events would save, older ones faded, had each a friction of its own
+    by_chance: float = 0.0  # likewise, were deviations as stated
+
+    @property
+    def ratio(self) -> float:
+        """Of the variance that events are granted."""
+        return (STATED_COUNT + self.apart) / (STATED_COUNT + self.by_chance)
+
+    def with_event(self, known: Knowledge, event: JudgedEvent) -> "Scatter":
+        """Return it after an event which is part of what is known."""
+        apart, _, by_chance = step_since(known, event.evidence, event.clutch)
+        if by_chance < LEAST_BY_CHANCE:
+            return self
+        if event.is_off_like_others:
+            apart = max(apart, by_chance)
+        return Scatter(SCATTER_KEPT * self.apart + min(apart, MOST_APART), SCATTER_KEPT * self.by_chance + by_chance)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
     """What is believed of some events."""

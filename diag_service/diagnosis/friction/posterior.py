@@ -36,7 +36,7 @@ from diag_service.diagnosis.friction.evidence import (
     prior_mean,
     type_std,
 )
-from diag_service.diagnosis.friction.judgement import JudgedEvent, after_change, is_cheap, judge, step_since, together
+from diag_service.diagnosis.friction.judgement import JudgedEvent, Scatter, after_change, is_cheap, judge, together
 from diag_service.diagnosis.records import (
     ClutchRatio,
     FrictionEstimate,
@@ -90,10 +90,6 @@ OFFSET_DRIFT_NM: Final = 0.005  # per event: warm-up of the torque model
 PRESSURE_DRIFT_PA: Final = 5.0  # per event: warm-up of the pressure sensors
 VISCOSITY_DRIFT_RATIO: Final = 0.01  # per event: an oil that warms up follows a law of its own
 OPEN_DRAG_DRIFT_LOG: Final = 0.05  # per event: likewise
-MOST_APART: Final = 9.0  # of two numbers 1 % are more by chance: what is beyond is left out, or a change
-LEAST_BY_CHANCE: Final = 1.5  # of two numbers: the first event of a clutch agrees with nothing but what was assumed
-STATED_COUNT: Final = 5.0  # numbers that are as far apart as was stated, before any event: those of three
-SCATTER_KEPT: Final = 0.99  # of what an event says of it after each later one: some hundred count
 STATE_FORMAT: Final = 4
 _LOWER: Final = np.tril_indices(PARAMETER_COUNT)
 _STORED: Final = ("base", "folded_counts", "baselines", "packs", "apart", "apart_by_chance")
@@ -157,11 +153,12 @@ class Posterior:
     def covariance(self) -> FloatArray:
         """How sure the parameters are, shape (PARAMETER_COUNT, PARAMETER_COUNT); docs/model.md, equation (38)."""
         whole = self.fusion.knowledge.covariance
-        if not self.apart_by_chance:
-            return whole
-        ratio = (STATED_COUNT + self.apart) / (STATED_COUNT + self.apart_by_chance)
-        kept = whole / np.maximum(self.prior.std, np.sqrt(whole.diagonal()))  # what drifts was no better known before
-        return ratio * whole + (1.0 - ratio) * (kept @ self.prior.information @ kept.T)
+        return self.prior.stated(whole, self.scatter.ratio) if self.apart_by_chance else whole
+
+    @property
+    def scatter(self) -> Scatter:
+        """By how much the friction of single events is apart."""
+        return Scatter(self.apart, self.apart_by_chance)
 
     def without(self, place: int) -> Knowledge:
         """Return what is known without one of the recent events."""
@@ -193,15 +190,8 @@ class Posterior:
             state = state if is_sure else _judged(state)
         if not state.is_used or not state.is_used[-1]:
             return state
-        apart, _, by_chance = step_since(state.fusion.knowledge, event.evidence, event.clutch)
-        if by_chance < LEAST_BY_CHANCE:
-            return state
-        if event.is_off_like_others:
-            apart = max(apart, by_chance)
-        apart, by_chance = (
-            SCATTER_KEPT * self.apart + min(apart, MOST_APART), SCATTER_KEPT * self.apart_by_chance + by_chance,
-        )  # fmt: skip
-        return replace(state, apart=apart, apart_by_chance=by_chance)
+        scatter = self.scatter.with_event(state.fusion.knowledge, event)
+        return replace(state, apart=scatter.apart, apart_by_chance=scatter.by_chance)
 
     def with_room(self) -> "Posterior":
         """Return the same with room for one more event: of twelve the oldest is in the base, if it belongs as yet."""

@@ -18,7 +18,7 @@ from clutch_model.units import degc_from_k
 from diag_service.diagnosis.alignment import AlignedSignals
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction.balance import Balance, measured, motoring_corrected_nm
+from diag_service.diagnosis.friction.balance import WORKING_K, Balance, measured, motoring_corrected_nm
 from diag_service.diagnosis.friction.drives import (
     PackTemperatures,
     SlipWindow,
@@ -40,6 +40,7 @@ from diag_service.diagnosis.friction.evidence import (
     Evidence,
     Knowledge,
     Measurement,
+    Prior,
     State,
     displaced,
     open_drag_ratio,
@@ -47,6 +48,7 @@ from diag_service.diagnosis.friction.evidence import (
     prior_mean,
 )
 from diag_service.diagnosis.friction.film import PackLaws, PressureDrive, integrate_films, pack_laws
+from diag_service.diagnosis.friction.judgement import JudgedEvent, Scatter
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
@@ -226,6 +228,7 @@ class _Seen:
     window: SlipWindow
     grid_s: FloatArray
     is_closed_run_up: bool = False
+    is_cold: bool = False  # laws of the cold are wrong alike in all events
 
     @property
     def fits(self) -> bool:
@@ -285,6 +288,7 @@ def self_calibrate(
         )
     if problem := _departure(mean - prior, spread):
         return problem
+    covariance = Prior.of(spread).stated(covariance, _scatter(Knowledge(mean=mean, covariance=covariance), used).ratio)
     return _concluded(point, mean, covariance, used, len(shifts), version)
 
 
@@ -308,6 +312,16 @@ def _share(step: FloatArray, spread: FloatArray) -> float:
     """Return how much of a step the linearisation bears, 0..1."""
     longest = float(np.max(np.abs(step[FRICTION_COUNT:]) / np.sqrt(np.diag(spread)[FRICTION_COUNT:])))
     return LONGEST_STEP / max(longest, LONGEST_STEP)
+
+
+def _scatter(known: Knowledge, used: Sequence[_Seen]) -> Scatter:
+    """Return by how much the friction of the shifts is apart."""
+    scatter = Scatter()
+    for one in used:
+        if one.clutch:
+            event = JudgedEvent(clutch=one.clutch, end_ns=0, evidence=one.balance, is_off_like_others=one.is_cold)
+            scatter = scatter.with_event(known, event)
+    return scatter
 
 
 def _departure(moved: FloatArray, spread: FloatArray) -> str:
@@ -361,6 +375,7 @@ def _seen_shifts(
                 number=event.number,
                 window=window,
                 grid_s=signals.grid_s,
+                is_cold=min(balance.final_clutch_k) < WORKING_K,
             )
 
 

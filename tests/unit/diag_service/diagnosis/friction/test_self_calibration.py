@@ -13,6 +13,7 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.alignment import Resampled
 from diag_service.diagnosis.events import EndReason, Event
+from diag_service.diagnosis.friction import judgement
 from diag_service.diagnosis.friction.balance import Balance, measured
 from diag_service.diagnosis.friction.drives import SlipWindow, measured_drives, slip_window
 from diag_service.diagnosis.friction.evidence import NAMES, STATE_COUNT, Considered, Measurement, State, displaced
@@ -123,6 +124,17 @@ def test_the_found_calibration_holds_its_own_uncertainty_and_starts_a_state_with
     for name, state in (("torque_offset", State.TORQUE_OFFSET), ("touch1", State.TOUCH1)):
         assert fresh.std()[state] == pytest.approx(result.std(name), rel=1e-6)
     assert np.allclose(fresh.mean[State.TORQUE_OFFSET : STATE_COUNT], result.mean[State.TORQUE_OFFSET : STATE_COUNT])
+
+
+def test_shifts_that_differ_less_than_is_granted_are_believed_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the type tells stays as sure as it was: no number of shifts shows the gain of the torque."""
+    shifts, _ = unlike_its_type()
+    scaled = found(shifts, ())
+    monkeypatch.setattr(judgement, "STATED_COUNT", 1e9)
+    as_granted = found(shifts, ())
+    assert scaled.std("torque_latency") < 0.9 * as_granted.std("torque_latency")
+    assert scaled.std("torque_gain") == pytest.approx(as_granted.std("torque_gain"), rel=0.05)
+    assert np.array_equal(scaled.mean, as_granted.mean)
 
 
 def test_a_vehicle_is_calibrated_from_its_type_only() -> None:
