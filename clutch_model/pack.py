@@ -270,12 +270,6 @@ def film_mobility_m(film_m: float, law: FilmLaw) -> float:
 
 
 @kernel
-def squeeze_rate_m_s(film_m: float, applied_pa: float, viscosity: float, law: FilmLaw) -> float:
-    """Return the film's rate under a load [m/s], no separator springs; docs/model.md eq. (7)."""
-    return _squeezed_m_s(applied_pa - contact_pressure_pa(film_m, law), film_mobility_m(film_m, law), viscosity)
-
-
-@kernel
 def _squeezed_m_s(net_pa: float, mobility_m: float, viscosity: float) -> float:
     return -net_pa * mobility_m / viscosity
 
@@ -317,13 +311,6 @@ def _closed_rate_m_s(
     springs_pa = law.separation_pressure_pa * (1.0 - film_m / law.open_gap_m)
     squeezed_m_s = _squeezed_m_s(applied_pa - springs_pa - contact_pa, mobility_m, viscosity)
     return min(squeezed_m_s, _opening_m_s(film_m, law))
-
-
-@kernel
-def measured_film_rate_m_s(film_m: float, piston_pa: float, viscosity: float, law: FilmLaw) -> float:
-    """Return the rate of the film [m/s] when only the piston pressure is known: closed above the touch point."""
-    applied_pa = applied_pressure_pa(piston_pa, law)
-    return film_rate_m_s(film_m, applied_pa, viscosity, applied_pa > 0.0, law)
 
 
 @kernel
@@ -474,7 +461,7 @@ def _value(pieces: FloatArray, piece: int, law: int, along: float) -> float:
 
 @unchecked_kernel
 def point_rate_m_s(point: FilmPoint, piston_pa: float, fluidity: float, law: FilmLaw) -> float:
-    """Return `measured_film_rate_m_s` of a film in oil of a ``fluidity`` [1/(Pa s)], one over its viscosity."""
+    """Return `film_rate_m_s` by the piston pressure, closed above the touch point; ``fluidity`` is 1/viscosity."""
     applied_pa = applied_pressure_pa(piston_pa, law)
     return _rate_m_s(point.film_m, point.contact_pa, point.mobility_m * fluidity, applied_pa, law)
 

@@ -15,11 +15,11 @@ from clutch_model.pack import (
     friction_law,
     kinetic_friction,
     shear_factor_difference,
-    squeeze_rate_m_s,
     viscosity_pa_s,
 )
 from clutch_model.units import k_from_degc, pa_from_bar
 from diag_service.diagnosis.friction.paper.differentiate import steady_kalman_gain
+from tests.support.film_laws import squeeze_rate_m_s
 
 CALIBRATION = nominal_calibration()
 LAWS = tuple(film_law(clutch) for clutch in CALIBRATION.clutches)

@@ -416,11 +416,9 @@ def _changed(since: FrictionTrend) -> str:
 
 def likely(probability: float) -> str:
     """Return how likely something is, for people; never certain, never impossible."""
-    if probability < 0.5 * _STEP:
-        return f"under {_PERCENT * _STEP:.1f} % likely"
-    if probability > 1.0 - 0.5 * _STEP:
-        return f"over {_PERCENT * (1.0 - _STEP):.1f} % likely"
-    return f"{_PERCENT * probability:.1f} % likely"
+    least, most = _STEP, 1.0 - _STEP
+    bound = "under " if probability < 0.5 * least else "over " if probability > 1.0 - 0.5 * least else ""
+    return f"{bound}{_PERCENT * min(max(probability, least), most):.1f} % likely"
 
 
 def _lost(since: FrictionTrend | None, level_ratio: float) -> float:

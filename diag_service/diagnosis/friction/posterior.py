@@ -153,12 +153,9 @@ class Posterior:
     def covariance(self) -> FloatArray:
         """How sure the parameters are, shape (PARAMETER_COUNT, PARAMETER_COUNT); docs/model.md, equation (38)."""
         whole = self.fusion.knowledge.covariance
-        return self.prior.stated(whole, self.scatter.ratio) if self.apart_by_chance else whole
-
-    @property
-    def scatter(self) -> Scatter:
-        """By how much the friction of single events is apart."""
-        return Scatter(self.apart, self.apart_by_chance)
+        if not self.apart_by_chance:
+            return whole
+        return self.prior.stated(whole, Scatter(self.apart, self.apart_by_chance).ratio)
 
     def without(self, place: int) -> Knowledge:
         """Return what is known without one of the recent events."""
@@ -190,7 +187,7 @@ class Posterior:
             state = state if is_sure else _judged(state)
         if not state.is_used or not state.is_used[-1]:
             return state
-        scatter = self.scatter.with_event(state.fusion.knowledge, event)
+        scatter = Scatter(self.apart, self.apart_by_chance).with_event(state.fusion.knowledge, event)
         return replace(state, apart=scatter.apart, apart_by_chance=scatter.by_chance)
 
     def with_room(self) -> "Posterior":

@@ -7,11 +7,10 @@ from clutch_model.pack import (
     equilibrium_film_m,
     film_law,
     film_rate_m_s,
-    measured_film_rate_m_s,
     shear_factor_difference,
-    squeeze_rate_m_s,
     viscous_torque_nm,
 )
+from tests.support.film_laws import measured_film_rate_m_s, squeeze_rate_m_s
 
 CLUTCH = nominal_calibration().clutches[0]
 LAW = film_law(CLUTCH)

@@ -15,11 +15,11 @@ from clutch_model.pack import (
     film_mobility_m,
     film_point,
     film_shape,
-    measured_film_rate_m_s,
     point_motion,
     point_rate_m_s,
     shear_factor_difference,
 )
+from tests.support.film_laws import measured_film_rate_m_s
 
 CLUTCH = nominal_calibration().clutches[0]
 LAW = film_law(CLUTCH)

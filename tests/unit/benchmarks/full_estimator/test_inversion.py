@@ -8,7 +8,8 @@ import pytest
 from benchmarks.full_estimator.inversion import clutch_torque_nm, film_of_torque_m, heated_k
 from benchmarks.full_estimator.windows import Window
 from clutch_model.calibration import nominal_calibration
-from clutch_model.pack import equilibrium_film_m, film_law, friction_law, measured_film_rate_m_s
+from clutch_model.pack import equilibrium_film_m, film_law, friction_law
+from tests.support.film_laws import measured_film_rate_m_s
 
 CALIBRATION = nominal_calibration()
 PERIOD_S, SUBSTEPS = 1e-3, 40

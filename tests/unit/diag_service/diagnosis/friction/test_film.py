@@ -11,11 +11,11 @@ from clutch_model.pack import (
     contact_pressure_pa,
     equilibrium_film_m,
     film_law,
-    measured_film_rate_m_s,
     viscosity_pa_s,
 )
 from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films, pack_laws
+from tests.support.film_laws import measured_film_rate_m_s
 
 CALIBRATION = nominal_calibration()
 OIL_K = 363.15
