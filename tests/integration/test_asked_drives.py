@@ -20,7 +20,7 @@ from diag_service.diagnosis.records import ShiftResult
 from diag_service.mapping.interpretation import interpret
 from diag_service.service.stages import Stages
 from ecu_emulator.cli import main as emulator
-from tests.golden.analyses import RECORDINGS
+from tests.golden.compare import RECORDINGS
 from tests.support.asked import DSG, asked_profile, dialogue_of, merged, write_candump
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S

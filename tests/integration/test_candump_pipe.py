@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.golden.analyses import RECORDINGS
+from tests.golden.compare import RECORDINGS
 from tests.integration.test_piped_logs import without
 from tests.plugins.drives import send_time_s
 from tests.support.bus_end import wait_for_listener

@@ -12,7 +12,7 @@ from ecu_emulator.drive.build import ROAD_MESSAGES
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.driving.indices import DriveState, EngineState
 from ecu_emulator.log_formats.record import open_log
-from tests.golden.analyses import RECORDINGS
+from tests.golden.compare import RECORDINGS
 from tests.support.in_process import ended as run
 from tests.support.road import START_AND_STOP, road_scenario
 from tests.support.service import Record

@@ -12,7 +12,7 @@ import pytest
 from diag_service.diagnosis.records import FluidFill
 from diag_service.store import ResultStore, fills, note_fill
 from fleet_contract.orders import odometer_complaint
-from tests.golden.analyses import RECORDINGS
+from tests.golden.compare import RECORDINGS
 from tests.support.histories import fill_store, history
 from tests.support.in_process import ended
 

@@ -22,7 +22,7 @@ from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import make_ready
 from fleet_backend.rows import shift_row
 from fleet_backend.schema import SHIFT_RESULT
-from tests.golden import analyses, earlier
+from tests.golden import compare, earlier
 from tests.support.in_process import ended
 
 FLEET_HASH = "fbdbd0a37cfbe9c19f8e1258cb6e6405e3ffd5b2fa672e43197c429b84061864"
@@ -35,7 +35,7 @@ def _store_path(tmp_path: Path) -> Path:
 
 
 def analyze(recording: str, store: Path) -> tuple[str, str]:
-    with contextlib.chdir(analyses.RECORDINGS):
+    with contextlib.chdir(compare.RECORDINGS):
         done = ended("analyze", f"{recording}.log.xz", "--vehicle", "car1", "--json", "--store", store)
     assert done.status == 0, done.err
     return done.out, done.err

@@ -43,6 +43,11 @@ class Subscriber:
         with self._lock:
             return [payload for topic, payload, _ in self._messages if topic.endswith(suffix)]
 
+    def messages(self) -> list[tuple[str, Payload]]:
+        """Return what came, by topic, oldest first."""
+        with self._lock:
+            return sorted(((topic, payload) for topic, payload, _ in self._messages), key=lambda heard: heard[0])
+
     def retained(self) -> dict[str, Payload]:
         """Return what the broker had kept when we subscribed."""
         with self._lock:
