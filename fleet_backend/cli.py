@@ -54,7 +54,7 @@ def _load_commands(options: SimpleNamespace) -> ModuleType:
             raise
         extra = "nats" if str(getattr(options, "broker", "")).startswith("nats") else "fleet"
         if options.command in {"serve", "watch"}:  # each of these extras brings what `fleet` brings
-            extra = "page,oidc" if getattr(options, "access", None) else "page"
+            extra = "page"
         raise ExtraMissingError(exc.name, extra) from exc
 
 

@@ -41,7 +41,7 @@ _LOTS: Final = Command(
     examples=(f"{PROGRAM} lots --read lots.csv", f"{PROGRAM} lots --json"),
 )
 _ACCESS: Final = Option(
-    "--access FILE", "who may read and change what, by a login here or by a proxy with one (docs/page.md)", FILE
+    "--access FILE", "who may read and change what, behind a proxy that logs people in (docs/page.md)", FILE
 )
 _SERVE: Final = Command(
     "serve",

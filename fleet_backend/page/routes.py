@@ -18,13 +18,11 @@ from fleet_backend.page.description import FORMAT
 from fleet_backend.page.errors import AskError, ForbiddenError, LoginError
 from fleet_backend.page.files import MEDIA_TYPES, Format, file_of, json_of
 from fleet_backend.page.html import body_of, html_of
-from fleet_backend.page.login import logged_out
 from fleet_backend.page.view import Action, Drawn, Sources, View
 
 ASKING: Final = 4  # answers at a time that ask the database: more would wait for each other, and for new connections
 THINKING: Final = 2  # likewise that ask none
 EVENTS_PATH: Final = "/events"
-LOGOUT_PATH: Final = "/logout"
 _FORM: Final = "application/x-www-form-urlencoded"
 _MOST_IN_A_FILE: Final = 50_000
 _LONGEST_FORM: Final = 16_384  # bytes
@@ -124,15 +122,6 @@ class Endpoints:
             return RedirectResponse(where, status_code=303)
 
         return Route(action.path, answer, name=action.name, methods=["POST"])
-
-    def logout(self) -> Route:
-        """Return the route that ends a session; only our own form gets through, as with any change."""
-
-        async def answer(request: Request) -> Response:
-            await self._changing(request, Role.VIEWER)
-            return RedirectResponse(logged_out(self.access, request), status_code=303)
-
-        return Route(LOGOUT_PATH, answer, name="logout", methods=["POST"])
 
     def events(self) -> Route:
         """Return the route that tells a page that something is new; who comes back says what was heard last."""

@@ -12,7 +12,7 @@ from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -31,11 +31,10 @@ from fleet_backend.page import (
 )
 from fleet_backend.page.access import Access
 from fleet_backend.page.description import Problem, openapi
-from fleet_backend.page.errors import LoginError, PageError
+from fleet_backend.page.errors import PageError
 from fleet_backend.page.files import json_of
 from fleet_backend.page.html import NAVIGATION, problem_page
-from fleet_backend.page.login import LOGIN_PATH, LoginRoutes, login_address
-from fleet_backend.page.routes import EVENTS_PATH, Endpoints, api_parameters
+from fleet_backend.page.routes import Endpoints, api_parameters
 from fleet_backend.page.view import Sources
 
 _KEEP_NOTHING: Final = "no-store"  # of what says something of vehicles
@@ -94,7 +93,6 @@ def site(sources: Sources, access: Access, *, lifespan: Lifespan | None = None, 
     """Return the application that answers."""
     make = Endpoints(sources=sources, access=access, now=now)
     description = json_of(openapi([(view, api_parameters(view)) for view in VIEWS]))
-    login = [] if access.login is None else [*LoginRoutes(access=access, login=access.login).all(), make.logout()]
     routes = [
         *(make.page(view) for view in VIEWS),
         *(make.interface(view) for view in VIEWS),
@@ -102,12 +100,10 @@ def site(sources: Sources, access: Access, *, lifespan: Lifespan | None = None, 
         *(make.action(action) for action in ACTIONS),
         make.document(OPENAPI_PATH, description, "application/json"),
         make.events(),
-        *login,
         Route("/static/{name}", _static_endpoint(), name="static"),
     ]
     handlers = dict.fromkeys((FleetBackendError, HTTPException, Exception), _tell)
     inside = Starlette(routes=routes, exception_handlers=handlers, lifespan=lifespan)
-    inside.state.has_login = access.login is not None
     return SafeHeaders(KnownHosts(inside, host_names(access)))  # around everything, what goes wrong included
 
 
@@ -134,9 +130,6 @@ def _static_endpoint() -> Callable[[Request], Response]:
 
 async def _tell(request: Request, exc: Exception) -> Response:
     """Return what a reader is told instead of an answer."""
-    is_page = request.method == "GET" and not request.url.path.startswith((_API, EVENTS_PATH, LOGIN_PATH))
-    if isinstance(exc, LoginError) and request.app.state.has_login and is_page:
-        return RedirectResponse(login_address(request), status_code=303)
     status, title, detail = _problem(exc)
     headers = {"retry-after": "5"} if status == 503 else {}
     if isinstance(exc, HTTPException) and exc.headers:

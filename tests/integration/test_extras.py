@@ -77,10 +77,10 @@ def test_a_broker_is_followed_without_an_extra(plain: PlainInstall) -> None:
 
 
 def test_extras_are_asked_for_at_once(plain: PlainInstall, tmp_path: Path) -> None:
-    access, package = tmp_path / "access.toml", tmp_path / "car.pdx"
+    package = tmp_path / "car.pdx"
     database = ["--database", "sqlite:///fleet.sqlite"]
     runs = {
-        "page,oidc": ["serve", *database, "--access", str(access)],
+        "page": ["serve", *database],
         "nats": ["ingest", *database, "--broker", "nats://127.0.0.1"],
     }
     told = plain.run_all("fleet_backend.cli", list(runs.values()), cwd=tmp_path)
