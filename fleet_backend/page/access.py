@@ -24,7 +24,6 @@ class Role(IntEnum):
 
     VIEWER = 1  # reads
     WORKSHOP = 2  # acknowledges alarms
-    ADMIN = 3  # reads who changed what
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -99,10 +99,8 @@ VIEW: Final = View(
         LIMIT,
     ),
     answer=AlarmsAnswer,
-    row=Alarm,
     find=find,
     show=show,
-    rows=lambda answer: answer.alarms,
 )
 
 _ONE: Final = (
@@ -186,10 +184,8 @@ ONE_VIEW: Final = View(
     text="One alarm that a rule raised.",
     parameters=_ONE,
     answer=Alarm,
-    row=Alarm,
     find=find_one,
     show=show_one,
-    rows=lambda answer: [answer],
 )
 ACTION: Final = Action(
     name="acknowledge",

@@ -123,8 +123,6 @@ VIEW: Final = View(
         LIMIT,
     ),
     answer=ChangesAnswer,
-    row=Change,
     find=find,
     show=show,
-    rows=lambda answer: answer.changes,
 )

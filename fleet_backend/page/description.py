@@ -7,10 +7,8 @@ from typing import Any, Final
 import msgspec
 
 from fleet_backend.page.asking import TEXT, Parameter, ParameterType
-from fleet_backend.page.files import MEDIA_TYPES, Format
 from fleet_backend.page.view import View
 
-FORMAT: Final = Parameter(name="format", text="how the answer is written", choices=tuple(one.value for one in Format))
 _REF: Final = "#/components/schemas/{name}"
 
 
@@ -43,8 +41,7 @@ def openapi(views: Sequence[tuple[View, Sequence[Parameter]]]) -> dict[str, Any]
 
 
 def _operation(view: View, parameters: Iterable[Parameter], schema: object, problem: object) -> dict[str, Any]:
-    content = {MEDIA_TYPES[Format.JSON]: {"schema": schema}}
-    content |= {MEDIA_TYPES[one].partition(";")[0]: {} for one in (Format.CSV, Format.PARQUET)}
+    content = {"application/json": {"schema": schema}}
     wrong = {"content": {"application/problem+json": {"schema": problem}}}
     answers = {
         "200": {"description": view.text, "content": content},

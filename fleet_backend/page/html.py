@@ -7,11 +7,9 @@ from jinja2 import Environment
 from markupsafe import Markup
 
 from clutchdiag_io.pages.content import Link, templates_of
-from fleet_backend.page.access import NOBODY, Role, Viewer
-from fleet_backend.page.files import Format
+from fleet_backend.page.access import NOBODY, Viewer
 from fleet_backend.page.view import Drawn, Shown, View
 
-_ADMIN_PAGES: Final = (Link(text="Audit", href="/audit"),)
 NAVIGATION: Final = (
     Link(text="Fleet", href="/"),
     Link(text="Clutches", href="/clutches"),
@@ -42,10 +40,10 @@ def html_of(view: View, drawn: Drawn, *, viewer: Viewer, api_href: str, number: 
         .render(
             page=drawn.shown,
             body=drawn.body,
-            navigation=(*NAVIGATION, *(_ADMIN_PAGES if viewer.role >= Role.ADMIN else ())),
+            navigation=NAVIGATION,
             viewer=viewer,
             here=view.page_path,
-            formats=_formats(api_href, view),
+            api_href=api_href,
             complaint=complaint,
             number=number,
         )
@@ -66,12 +64,3 @@ def problem_page(title: str, detail: str) -> str:
 @cache
 def _templates() -> Environment:
     return templates_of("fleet_backend.page")
-
-
-def _formats(api_href: str, view: View) -> tuple[Link, ...]:
-    """Return the same answer as files."""
-    _, _, query = api_href.partition("?")
-    joint = "&" if query else "?"
-    calendars = (Link(text="Calendar", href=f"{view.calendar_path}?{query}".removesuffix("?")),)
-    files = tuple(Link(text=one.value.upper(), href=f"{api_href}{joint}format={one}") for one in Format)
-    return (*files, *calendars) if view.calendar else files

@@ -6,8 +6,7 @@ is foretold here, the worst first.
 
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from datetime import UTC, date, datetime, timedelta
+from datetime import date, datetime, timedelta
 from typing import Final
 
 from sqlalchemy import Engine, delete, func, insert, select
@@ -27,52 +26,7 @@ from fleet_backend.page.vehicle_state import state_of
 from fleet_backend.page.vehicle_view import SERVICE_KM, past_of
 from fleet_backend.page.view import Shown, Sources, View
 from fleet_backend.schema import VEHICLE
-from fleet_contract.orders import Action, name_of
-
-_LONGEST: Final = 75  # bytes of a line, its end not counted
-_ESCAPED: Final = str.maketrans({"\\": "\\\\", ";": "\\;", ",": "\\,", "\n": "\\n", "\r": ""})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
-    """Something on one day; of the same key in a later calendar it takes the place."""
-
-    key: str
-    day: date
-    title: str
-    text: str
-
-
-def calendar_of(name: str, entries: Iterable[Entry], now: datetime) -> bytes:
-    return "".join(_folded(line) for line in _lines(name, entries, now)).encode()
-
-
-def _lines(name: str, entries: Iterable[Entry], now: datetime) -> Iterator[str]:
-    yield from ("BEGIN:VCALENDAR", "VERSION:2.0", "PRODID:-//clutchdiag//fleet//EN", "CALSCALE:GREGORIAN")
-    yield f"X-WR-CALNAME:{name.translate(_ESCAPED)}"
-    for one in entries:
-        yield from ("BEGIN:VEVENT", f"UID:{one.key.translate(_ESCAPED)}")
-        yield f"DTSTAMP:{now.astimezone(UTC):%Y%m%dT%H%M%SZ}"
-        yield f"DTSTART;VALUE=DATE:{one.day:%Y%m%d}"
-        yield f"DTEND;VALUE=DATE:{one.day + timedelta(days=1):%Y%m%d}"
-        yield f"SUMMARY:{one.title.translate(_ESCAPED)}"
-        yield f"DESCRIPTION:{one.text.translate(_ESCAPED)}"
-        yield from ("TRANSP:TRANSPARENT", "END:VEVENT")
-    yield "END:VCALENDAR"
-
-
-def _folded(line: str) -> str:
-    """Return a line in pieces of 75 bytes at most; no character is cut."""
-    pieces, size = [""], 0
-    for character in line:
-        width = len(character.encode())
-        if size + width > _LONGEST:
-            pieces.append(" ")
-            size = 1
-        pieces[-1] += character
-        size += width
-    return "\r\n".join(pieces) + "\r\n"
-
+from fleet_contract.orders import Action
 
 MOST: Final = 200
 FORETOLD_HERE: Final = 200  # clutches: each takes a prognosis
@@ -109,21 +63,6 @@ def show(answer: MaintenanceAnswer, ask: Ask, _sources: Sources) -> Shown:
         sections=(Section(name="due", title="What is due", texts=texts, tables=(table,) if answer.clutches else ()),),
         next=next_of("/maintenance", ask, answer.next),
     )
-
-
-def calendar(answer: MaintenanceAnswer, ask: Ask) -> bytes:
-    """Return the days from which fluids are due, as a calendar."""
-    entries = (
-        Entry(
-            key=f"{one.vehicle}-{one.clutch}@fluid.clutchdiag",
-            day=one.due_from,
-            title=f"Fluid of {one.vehicle}, {name_of(one.clutch, one.element)}",
-            text=one.text,
-        )
-        for one in answer.clutches
-        if one.due_from is not None
-    )
-    return calendar_of("Fluids of the fleet", entries, ask.now)
 
 
 def by_day(due: Iterable[Due]) -> tuple[Due, ...]:
@@ -250,9 +189,6 @@ VIEW: Final = View(
     text="When the fluids of the fleet are due, in the order of their days.",
     parameters=(AFTER, _LIMIT),
     answer=MaintenanceAnswer,
-    row=Due,
     find=find,
     show=show,
-    rows=lambda answer: answer.clutches,
-    calendar=calendar,
 )

@@ -58,8 +58,6 @@ VIEW: Final = View(
     text="Messages that could not be used, the latest first.",
     parameters=(AFTER, LIMIT),
     answer=QuarantineAnswer,
-    row=Quarantined,
     find=find,
     show=show,
-    rows=lambda answer: answer.messages,
 )

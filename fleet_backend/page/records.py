@@ -335,23 +335,3 @@ class MaintenanceAnswer:
     clutches: tuple[Due, ...]
     clutch_count: int
     next: str | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AuditEntry:
-    """What somebody changed."""
-
-    audit_id: str
-    at: datetime
-    who: str
-    role: str
-    action: str
-    subject: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AuditAnswer:
-    """A part of the audit, the latest first; ``next`` continues it."""
-
-    entries: tuple[AuditEntry, ...]
-    next: str | None

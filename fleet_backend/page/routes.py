@@ -7,6 +7,7 @@ from datetime import datetime
 from typing import Final
 from urllib.parse import parse_qsl, quote, urlencode, urlsplit
 
+import msgspec
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response, StreamingResponse
@@ -14,9 +15,7 @@ from starlette.routing import Route
 
 from fleet_backend.page.access import Access, Role, Viewer, check_role, check_token
 from fleet_backend.page.asking import LIMIT, VEHICLE, Ask, Parameter, ParameterType, read_words
-from fleet_backend.page.description import FORMAT
 from fleet_backend.page.errors import AskError, ForbiddenError, LoginError
-from fleet_backend.page.files import MEDIA_TYPES, Format, file_of, json_of
 from fleet_backend.page.html import body_of, html_of
 from fleet_backend.page.view import Action, Drawn, Sources, View
 
@@ -24,7 +23,7 @@ ASKING: Final = 4  # answers at a time that ask the database: more would wait fo
 THINKING: Final = 2  # likewise that ask none
 EVENTS_PATH: Final = "/events"
 _FORM: Final = "application/x-www-form-urlencoded"
-_MOST_IN_A_FILE: Final = 50_000
+_MOST_FOR_PROGRAMS: Final = 50_000
 _LONGEST_FORM: Final = 16_384  # bytes
 _TOKEN: Final = "token"  # noqa: S105 - the name of a field
 _EVENT_WORDS: Final = (
@@ -90,27 +89,9 @@ class Endpoints:
 
         def answer(request: Request) -> Response:
             ask = self._ask(request, view.role, parameters)
-            form = Format(ask.text(FORMAT.name) or Format.JSON)
-            found = view.find(self.sources, ask)
-            if form is Format.JSON:
-                return Response(json_of(found), media_type=MEDIA_TYPES[form])
-            name = f'attachment; filename="{view.name}.{form}"'
-            body = file_of(form, view.rows(found), view.row)
-            return Response(body, media_type=MEDIA_TYPES[form], headers={"content-disposition": name})
+            return Response(msgspec.json.encode(view.find(self.sources, ask)), media_type="application/json")
 
         return Route(view.api_path, self._worked_on(view, answer), name=f"api {view.name}")
-
-    def calendar(self, view: View) -> Route:
-        """Return the route of the days in a view, for calendars: all of them unless fewer are asked for."""
-        most = _MOST_IN_A_FILE
-        parameters = [replace(one, default=most) if one.name == LIMIT.name else one for one in view.parameters]
-
-        def answer(request: Request) -> Response:
-            ask = self._ask(request, view.role, parameters)
-            found = view.find(self.sources, ask)
-            return Response(view.calendar(found, ask) if view.calendar else b"", media_type="text/calendar")
-
-        return Route(view.calendar_path, self._worked_on(view, answer), name=f"calendar {view.name}")
 
     def action(self, action: Action) -> Route:
         """Return the route of a change; only a form of one of our own pages gets through."""
@@ -174,8 +155,8 @@ class Endpoints:
 
 
 def api_parameters(view: View) -> Sequence[Parameter]:
-    """Return what a program may say: longer parts, and how the answer is written."""
-    return [*(replace(one, most=_MOST_IN_A_FILE) if one is LIMIT else one for one in view.parameters), FORMAT]
+    """Return what a program may say: as a reader, but for longer parts."""
+    return [replace(one, most=_MOST_FOR_PROGRAMS) if one is LIMIT else one for one in view.parameters]
 
 
 async def _form_words(request: Request) -> list[tuple[str, str]]:

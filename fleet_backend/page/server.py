@@ -62,9 +62,7 @@ def run_server(
         where = address_of(listener)
         sys.stdout.write(f"{where}  {len(keeper.snapshot.vehicles)} vehicles of {place_of(engine)}; ends with Ctrl-C\n")
         sys.stdout.flush()
-        sources = Sources(
-            engine=engine, keeper=keeper, news=News(keeper), writer=writer if access.proxy else None
-        )
+        sources = Sources(engine=engine, keeper=keeper, news=News(keeper), writer=writer if access.proxy else None)
         asyncio.run(_serve_until_told(sources, listener, access, None if beside is None else beside(keeper)))
 
 

@@ -160,8 +160,6 @@ VIEW: Final = View(
     text="One event of a vehicle: its own estimate, the running one after it, and what its data were worth.",
     parameters=_PARAMETERS,
     answer=ShiftAnswer,
-    row=ShiftAnswer,
     find=find,
     show=show,
-    rows=lambda answer: [answer],
 )

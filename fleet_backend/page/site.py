@@ -8,6 +8,7 @@ from importlib import resources
 from types import MappingProxyType
 from typing import Final
 
+import msgspec
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
@@ -20,7 +21,6 @@ from clutchdiag_io.pages.content import SAFE_HEADERS, host_of
 from fleet_backend.errors import DatabaseError, FleetBackendError
 from fleet_backend.page import (
     alarms_view,
-    audit_view,
     changes_view,
     clutches_view,
     fleet_view,
@@ -32,7 +32,6 @@ from fleet_backend.page import (
 from fleet_backend.page.access import Access
 from fleet_backend.page.description import Problem, openapi
 from fleet_backend.page.errors import PageError
-from fleet_backend.page.files import json_of
 from fleet_backend.page.html import NAVIGATION, problem_page
 from fleet_backend.page.routes import Endpoints, api_parameters
 from fleet_backend.page.view import Sources
@@ -75,7 +74,7 @@ class KnownHosts:
 VIEWS: Final = (
     *(fleet_view.VIEW, clutches_view.VIEW, vehicle_view.VIEW, shift_view.VIEW),
     *(alarms_view.VIEW, alarms_view.ONE_VIEW, maintenance_view.VIEW, changes_view.VIEW),
-    *(quarantine_view.VIEW, audit_view.VIEW),
+    quarantine_view.VIEW,
 )
 ACTIONS: Final = (alarms_view.ACTION,)
 OPENAPI_PATH: Final = "/api/v1/openapi.json"
@@ -92,11 +91,10 @@ Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
 def site(sources: Sources, access: Access, *, lifespan: Lifespan | None = None, now: Callable[[], datetime]) -> ASGIApp:
     """Return the application that answers."""
     make = Endpoints(sources=sources, access=access, now=now)
-    description = json_of(openapi([(view, api_parameters(view)) for view in VIEWS]))
+    description = msgspec.json.encode(openapi([(view, api_parameters(view)) for view in VIEWS]))
     routes = [
         *(make.page(view) for view in VIEWS),
         *(make.interface(view) for view in VIEWS),
-        *(make.calendar(view) for view in VIEWS if view.calendar is not None),
         *(make.action(action) for action in ACTIONS),
         make.document(OPENAPI_PATH, description, "application/json"),
         make.events(),
@@ -136,7 +134,7 @@ async def _tell(request: Request, exc: Exception) -> Response:
         headers |= exc.headers
     if request.url.path.startswith(_API):
         content = Problem(title=title, status=status, detail=detail)
-        return Response(json_of(content), status, headers, media_type="application/problem+json")
+        return Response(msgspec.json.encode(content), status, headers, media_type="application/problem+json")
     return Response(problem_page(title, detail), status, headers, media_type="text/html")
 
 

@@ -304,10 +304,8 @@ VIEW: Final = View(
     text="One vehicle: its clutches now, how far their fluid will go, and their past.",
     parameters=_PARAMETERS,
     answer=VehicleAnswer,
-    row=TrendPoint,
     find=find,
     show=show,
-    rows=lambda answer: [point for clutch in answer.clutches for point in clutch.trend],
     subtitle=_subtitle,
     state=Same,
 )

@@ -1,6 +1,6 @@
-"""What a view is: one question, answered for people as a page and for programs as JSON, CSV or Parquet."""
+"""What a view is: one question, answered for people as a page and for programs as JSON."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -107,10 +107,10 @@ class View:
 
     Parameters
     ----------
-    find, show, rows :
-        What answers it; how the answer looks; its rows in a table of a file.
-    answer, row :
-        The records that ``find`` and ``rows`` return.
+    find, show :
+        What answers it; how the answer looks.
+    answer :
+        The record that ``find`` returns.
     state :
         Of an answer: while it stays the same, so does the page, its subtitle apart; None: pages are not kept.
     """
@@ -120,12 +120,9 @@ class View:
     text: str
     parameters: tuple[Parameter, ...]
     answer: type
-    row: type
     find: Callable[[Sources, Ask], Any]
     show: Callable[[Any, Ask, Sources], Shown]
-    rows: Callable[[Any], Sequence[Any]]
     role: Role = Role.VIEWER  # the least that may ask
-    calendar: Callable[[Any, Ask], bytes] | None = None  # the days in an answer, where it has any
     subtitle: Callable[[Any, Sources], str] = lambda _answer, _sources: ""  # of a page that is kept
     state: Callable[[Any], Hashable] | None = None
     asks_database: bool = True
@@ -134,11 +131,6 @@ class View:
     def api_path(self) -> str:
         """The address of the answer for programs."""
         return f"/api/v1{'/vehicles' if self.page_path == '/' else self.page_path}"
-
-    @property
-    def calendar_path(self) -> str:
-        """The address of the answer as a calendar."""
-        return f"{self.page_path}.ics"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -510,14 +510,10 @@ def test_numbers_of_no_clutch_leave_it_without_a_prognosis_and_the_others_with_t
     assert (found.clutch_count, found.left_out_count) == (4, 1)
 
 
-async def test_a_calendar_has_all_days_and_a_forgotten_vehicle_none(engine: Engine) -> None:
+def test_a_forgotten_vehicle_is_due_no_more(engine: Engine) -> None:
     vehicles = [f"car{number:02}" for number in range(51)]
     rows = [row_of(fleet_result(1, vehicle=name, condition=Condition.CHANGE_FLUID)) for name in vehicles]
     Writer(engine).store(Batch(shifts=rows))
-    transport = httpx.ASGITransport(site(sources_of(engine), Access(), now=lambda: NOW))
-    async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
-        for words, count in (("", 51), ("?limit=2", 2)):
-            assert (await client.get(f"/maintenance.ics{words}")).text.count("BEGIN:VEVENT") == count
     watch = WatchOfOffice(engine, Orders(), lambda: NOW)
     watch.round(judging_s=0.0)
     for vehicle in vehicles:

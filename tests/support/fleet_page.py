@@ -33,7 +33,7 @@ SECRET = "0123456789abcdef0123456789abcdef"  # noqa: S105
 ACCESS = Access(
     host_names=("127.0.0.1",),
     proxy=Proxy(user_header="X-Forwarded-User", secret_header="X-Fleet-Proxy", secret=SECRET),  # noqa: S106
-    roles={"ann": Role.WORKSHOP, "bob": Role.WORKSHOP, "eve": Role.VIEWER, "root": Role.ADMIN},
+    roles={"ann": Role.WORKSHOP, "bob": Role.WORKSHOP, "eve": Role.VIEWER},
 )
 
 

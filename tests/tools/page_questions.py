@@ -1,6 +1,6 @@
 """Schemathesis against the interface of the fleet's page: questions by its own description, sound ones and others.
 
-A fleet with something of everything is served on loopback, and an admin asks, so that every operation is open. What the
+A fleet with something of everything is served on loopback, and somebody of a workshop asks, so that every operation is open. What the
 description does not allow is a remark: a server error, an answer of another shape, a sound question that is refused, a
 wrong one that is answered. Ends with status 1 if there is any. Schemathesis is no requirement of the project:
 
@@ -35,7 +35,7 @@ def fleet(folder: Path) -> str:
 
 def asked(program: str, address: str, minutes: float, seed: int, folder: Path) -> int:
     """Ask for some minutes, and return the status with which it ends."""
-    headers = [word for name, value in headers_of("root").items() for word in ("--header", f"{name}: {value}")]
+    headers = [word for name, value in headers_of("bob").items() for word in ("--header", f"{name}: {value}")]
     command = [
         *(program, "run", f"{address}{OPENAPI_PATH}", *headers),
         *("--max-time", str(max(1, round(minutes * S_PER_MIN))), "--seed", str(seed)),

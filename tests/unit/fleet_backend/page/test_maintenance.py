@@ -1,15 +1,9 @@
 """What is due: in the order of its days, what is overdue first."""
 
-from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
-from typing import Any
 
-import pytest
-from icalendar import Calendar
-
-from fleet_backend.page.maintenance_view import Entry, by_day, calendar_of, driven_a_day_m
+from fleet_backend.page.maintenance_view import by_day, driven_a_day_m
 from fleet_backend.page.records import Due
-from tests.support.fleet import NOW
 
 
 def due(vehicle: str, day: date | None, *, is_overdue: bool = False) -> Due:
@@ -31,29 +25,6 @@ def test_the_next_day_comes_first_and_what_has_none_last() -> None:
     some = (due("none", None), due("late", date(2026, 5, 1)), due("soon", date(2026, 2, 1)))
     overdue = due("overdue", date(2026, 3, 1), is_overdue=True)
     assert [one.vehicle for one in by_day((*some, overdue))] == ["overdue", "soon", "late", "none"]
-
-
-TEXTS = ["plain", "a, b; c\\d", "line\nbreak", "ä" * 200, "🛢" * 60, "", "BEGIN:VEVENT", "x" * 74 + "é"]
-
-
-def events_in(content: bytes) -> list[Any]:
-    return list(Calendar.from_ical(content.decode()).walk("VEVENT"))
-
-
-@pytest.mark.parametrize("text", TEXTS)
-def test_a_calendar_is_read_as_it_was_meant(text: str) -> None:
-    entry = Entry(key="car1-2@fluid", day=date(2026, 3, 1), title=text, text=text)
-    content = calendar_of(f"Fleet {text}", [entry, replace(entry, key="b")], NOW)
-    assert all(len(line) <= 75 for line in content.split(b"\r\n"))
-    first, second = events_in(content)
-    assert (str(first["UID"]), str(second["UID"])) == ("car1-2@fluid", "b")
-    assert (str(first["SUMMARY"]), str(first["DESCRIPTION"])) == (text, text)
-    assert (first["DTSTART"].dt, first["DTEND"].dt) == (date(2026, 3, 1), date(2026, 3, 2))
-    assert first["DTSTAMP"].dt == NOW
-
-
-def test_an_empty_calendar_is_one() -> None:
-    assert events_in(calendar_of("Fleet", [], NOW)) == []
 
 
 def test_how_much_a_vehicle_is_driven_is_counted_over_the_last_months() -> None:
