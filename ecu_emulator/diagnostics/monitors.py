@@ -6,7 +6,7 @@ missing that is not its own matter. Whether samples make a failure is the troubl
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from clutch_model.calibration import clutch_of_gear
@@ -33,6 +33,9 @@ class MonitorLimits:
     least_pressure_ratio: float = 0.7  # of what is commanded
     stuck_off_ratio: float = 0.2  # of what is commanded: the solenoid does nothing
     most_pressure_excess_pa: float = 1.5e5  # of the clutch that shall be open
+    most_held_excess_pa: float = 0.75e5  # of one that shall hold: what its sensor adds when open, it adds then as well
+    least_zero_pa: float = -0.4e5  # of one without command; noise stays above -0.2 bar
+    believed_looks: int = 5  # in a row that find a pressure wrong: no transient lasts so long
     pressures_pa: tuple[float, float] = (-0.5e5, 35.0e5)  # the sensor's range
     most_fluid_k: float = 393.15  # 120 degC
     fluid_range_k: tuple[float, float] = (233.15, 443.15)
@@ -79,6 +82,45 @@ class Driven:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PressureLooks:
+    """What was read of one clutch's pressure when it was last held and last open: error, and looks that found it.
+
+    Errors are -2, next to nothing; -1, too little; 0, right; 1, too much; None: not looked at.
+    """
+
+    held: tuple[int | None, int] = (None, 0)
+    open: tuple[int | None, int] = (None, 0)
+
+    def noted(self, error: int, *, is_held: bool) -> "PressureLooks":
+        """Return the same after one more look."""
+        was, looks = self.held if is_held else self.open
+        look = (error, looks + 1 if error == was else 1)
+        return replace(self, held=look) if is_held else replace(self, open=look)
+
+    def believed(self, limits: MonitorLimits) -> tuple[int | None, int | None]:
+        """Return the errors of the held and of the open clutch; what is not yet believed is as right."""
+        held, opened = (
+            0 if error and looks < limits.believed_looks else error for error, looks in (self.held, self.open)
+        )
+        return held, opened
+
+    def is_sensor_biased(self, limits: MonitorLimits) -> bool:
+        """Whether it reads what cannot be without command, or something wrong with command and without."""
+        held, opened = self.believed(limits)
+        return opened == -1 or bool(held and opened)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PressureCodes:
+    """What is blamed for a wrong pressure of one clutch."""
+
+    sensor: str
+    stuck_off: str
+    stuck_on: str
+    low: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Watch:
     """What monitors remember from sample to sample."""
 
@@ -92,6 +134,7 @@ class Watch:
     lockup_state: tuple[float | None, bool] = (None, False)  # and whether the engine pulls
     lockup_since_s: float = 0.0  # when it became so
     clutches_k: tuple[float, float] | None = None  # as the controller computes them
+    pressures: Mapping[str, PressureLooks] = field(default_factory=dict)  # by clutch
     driven: Driven = field(default_factory=Driven)
 
 
@@ -106,9 +149,11 @@ LOCKUP_OPEN, LOCKUP_SLIPPING, LOCKUP_LOCKED = 0.0, 2.0, 3.0  # of the states of 
 IN_GEAR: Final = 0.0  # of the drive states
 WARM_COOLANT_K: Final = 344.15  # 71 degC, where a warm-up cycle of OBD ends
 WARMED_BY_K: Final = 22.2  # 40 degF, that it has become warmer in it at least
-PRESSURE_SENSOR_CODES: Final = {1: "P0841", 2: "P0846"}  # by clutch
-STUCK_ON_CODES: Final = {1: "P0747", 2: "P0777"}
-STUCK_OFF_CODES: Final = {1: "P0746", 2: "P0776"}
+PRESSURE_CODES: Final = {  # by clutch
+    "clutch1": PressureCodes(sensor="P0841", stuck_off="P0746", stuck_on="P0747", low="P0868"),
+    "clutch2": PressureCodes(sensor="P0846", stuck_off="P0776", stuck_on="P0777", low="P0868"),
+    "lockup": PressureCodes(sensor="P0841", stuck_off="P2757", stuck_on="P2758"),
+}
 RATIO_CODES: Final = ("P0731", "P0732", "P0733", "P0734", "P0735", "P0729", "P076F", "P07D9")  # by gear
 LOST_CODES: Final = {"ECM": "U0100", "ABS": "U0121", "IC": "U0155"}  # by sender
 _SHAFT_SPEEDS: Final = ("hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_rad_s")
@@ -136,14 +181,17 @@ def judge(
     is_pulling = known.get("engine_torque_nm", 0.0) > limits.tested_torque_nm
     lockup_state = (known.get("lockup_state"), is_pulling)
     lockup_since_s = watch.lockup_since_s if lockup_state == watch.lockup_state else t_s
+    lasts_s = (t_s - since_s, t_s - lockup_since_s)
+    pressures = {**watch.pressures, **dict(_looks(watch.pressures, gears, known, lasts_s, limits))}
     samples = (
         *_lost_samples(known),
         *_fluid_samples(watch, known, t_s, limits),
-        *_shift_samples(gears, t_s - since_s, limits),
+        *_shift_samples(gears, lasts_s[0], limits),
+        *_pressure_samples(watch.pressures, pressures, known, limits),
         *(
-            _converter_samples(gears, known, (t_s - since_s, t_s - lockup_since_s), limits)
+            _converter_samples(gears, known, lasts_s, limits)
             if limits.has_converter
-            else _clutch_samples(gears, known, t_s - since_s, limits)
+            else _clutch_samples(gears, known, lasts_s[0], limits)
         ),
     )
     fluid_k = known.get("sump_temperature_k")
@@ -161,9 +209,10 @@ def judge(
         lockup_state=lockup_state,
         lockup_since_s=lockup_since_s,
         clutches_k=clutches_k,
+        pressures=pressures,
         driven=watch.driven.later(known, since_look_s),
     )
-    return after, (*samples, *(_heat_samples(clutches_k, known, limits) if is_oil_believed else ()))
+    return after, (*samples, *(_heat_samples(clutches_k, samples, limits) if is_oil_believed else ()))
 
 
 def is_warm(watch: Watch, values: Values) -> bool:
@@ -218,24 +267,17 @@ def _is_frozen(watch: Watch, known: Mapping[str, float], limits: MonitorLimits) 
 def _clutch_samples(
     gears: tuple[float, float], known: Mapping[str, float], lasts_s: float, limits: MonitorLimits
 ) -> Iterator[Sample]:
-    for clutch, code in PRESSURE_SENSOR_CODES.items():
-        yield _sample(code, is_failed=_pressure_pa(known, clutch, limits) is None)
     yield _sample("P0715", is_failed=any(known.get(name) is None for name in _SHAFT_SPEEDS))
-    yield from _gear_samples(gears, known, lasts_s, limits)
+    if _is_held(gears, known, lasts_s, limits):
+        yield from _gear_samples(int(gears[0]), known, limits)
 
 
 def _converter_samples(
     gears: tuple[float, float], known: Mapping[str, float], last_s: tuple[float, float], limits: MonitorLimits
 ) -> Iterator[Sample]:
     """Judge a lock-up clutch, and the ratio behind its converter; ``last_s`` tells how long gear and clutch are so."""
-    state, pressure_pa = known.get("lockup_state"), _pressure_pa(known, "lockup", limits)
-    yield _sample("P0841", is_failed=pressure_pa is None)
+    state = known.get("lockup_state")
     yield _sample("P0715", is_failed=known.get("turbine_speed_rad_s") is None)
-    commanded_pa = known.get("lockup_pressure_command_pa")
-    if pressure_pa is not None and commanded_pa is not None and last_s[1] >= limits.lockup_settled_s:
-        yield _sample("P2758", is_failed=pressure_pa > commanded_pa + limits.most_pressure_excess_pa)
-        if commanded_pa > limits.tested_lockup_pa:
-            yield _sample("P2757", is_failed=pressure_pa < limits.stuck_off_ratio * commanded_pa)
     slip, torque = known.get("lockup_slip_rad_s"), known.get("engine_torque_nm", 0.0)
     if slip is not None and last_s[1] >= limits.lockup_settled_s:
         if state in {LOCKUP_SLIPPING, LOCKUP_LOCKED}:
@@ -250,18 +292,82 @@ def _converter_samples(
         yield from _ratio_samples(gear, "turbine", known, limits)
 
 
-def _pressure_pa(known: Mapping[str, float], clutch: int | str, limits: MonitorLimits) -> float | None:
-    """Return a clutch pressure [Pa], None if its sensor says nothing or nonsense."""
-    pressure_pa = known.get(f"clutch{clutch}_pressure_pa" if isinstance(clutch, int) else f"{clutch}_pressure_pa")
-    low_pa, high_pa = limits.pressures_pa
+def _pressure_pa(known: Mapping[str, float], clutch: str, limits: MonitorLimits) -> float | None:
+    """Return a clutch pressure [Pa], None if its sensor says nothing or what it cannot measure."""
+    pressure_pa, (low_pa, high_pa) = known.get(f"{clutch}_pressure_pa"), limits.pressures_pa
     return pressure_pa if pressure_pa is not None and low_pa <= pressure_pa <= high_pa else None
 
 
+def _looks(
+    before: Mapping[str, PressureLooks],
+    gears: tuple[float, float],
+    known: Mapping[str, float],
+    lasts_s: tuple[float, float],
+    limits: MonitorLimits,
+) -> Iterator[tuple[str, PressureLooks]]:
+    """Yield the clutches whose pressure was looked at now, since what is commanded of it has settled."""
+    held = None if limits.has_converter else f"clutch{clutch_of_gear(int(gears[0]))}"
+    least_pa = limits.tested_lockup_pa if limits.has_converter else limits.tested_pressure_pa
+    if limits.has_converter:
+        is_settled = lasts_s[1] >= limits.lockup_settled_s
+    else:
+        is_settled = _is_held(gears, known, lasts_s[0], limits)
+    for clutch in _clutches(limits) if is_settled else ():
+        wanted, present = known.get(f"{clutch}_pressure_command_pa"), known.get(f"{clutch}_pressure_pa")
+        if wanted is None or present is None:
+            continue
+        if is_held := wanted > least_pa and held in {None, clutch}:
+            is_low, is_off = present < limits.least_pressure_ratio * wanted, present < limits.stuck_off_ratio * wanted
+            error = -is_low - is_off or int(present > wanted + limits.most_held_excess_pa)
+        elif clutch != held:
+            error = int(present > wanted + limits.most_pressure_excess_pa) - (present < limits.least_zero_pa)
+        else:
+            continue
+        yield clutch, before.get(clutch, PressureLooks()).noted(error, is_held=is_held)
+
+
+def _pressure_samples(
+    before: Mapping[str, PressureLooks],
+    after: Mapping[str, PressureLooks],
+    known: Mapping[str, float],
+    limits: MonitorLimits,
+) -> Iterator[Sample]:
+    """Judge sensors and pressures: what is wrong only with command, or only without, is the pressure itself.
+
+    A wrong one is judged when the clutch is next in the other state, as its sensor then shows itself.
+    """
+    for clutch in _clutches(limits):
+        codes, looks = PRESSURE_CODES[clutch], after.get(clutch, PressureLooks())
+        is_biased = looks.is_sensor_biased(limits)
+        yield _sample(codes.sensor, is_failed=is_biased or _pressure_pa(known, clutch, limits) is None)
+        was = before.get(clutch, PressureLooks())
+        if is_biased or looks is was:
+            continue
+        held, opened = looks.believed(limits)
+        if looks.held is not was.held and looks.held[0] == 0:
+            yield _sample(codes.stuck_off, is_failed=False)
+            if codes.low is not None and all(other.believed(limits)[0] != -1 for other in after.values()):
+                yield _sample(codes.low, is_failed=False)
+            if opened is not None:
+                yield _sample(codes.stuck_on, is_failed=opened > 0)
+        elif looks.open is not was.open and looks.open[0] == 0:
+            yield _sample(codes.stuck_on, is_failed=False)
+            if held == -2:
+                yield _sample(codes.stuck_off, is_failed=True)
+            elif held == -1 and codes.low is not None:
+                yield _sample(codes.low, is_failed=True)
+
+
+def _clutches(limits: MonitorLimits) -> tuple[str, ...]:
+    return ("lockup",) if limits.has_converter else ("clutch1", "clutch2")
+
+
 def _heat_samples(
-    clutches_k: tuple[float, float] | None, known: Mapping[str, float], limits: MonitorLimits
+    clutches_k: tuple[float, float] | None, samples: tuple[Sample, ...], limits: MonitorLimits
 ) -> Iterator[Sample]:
     """Judge the clutches' temperature while pressures can be believed."""
-    if clutches_k is not None and all(_pressure_pa(known, clutch, limits) is not None for clutch in (1, 2)):
+    sensors = {codes.sensor for codes in PRESSURE_CODES.values()}
+    if clutches_k is not None and not any((code, TestResult.PREFAILED) in samples for code in sensors):
         yield _sample("P2787", is_failed=max(clutches_k) > limits.most_clutch_k)
 
 
@@ -273,17 +379,16 @@ def _shift_samples(gears: tuple[float, float], lasts_s: float, limits: MonitorLi
         yield _sample("P0780", is_failed=False)
 
 
-def _gear_samples(
-    gears: tuple[float, float], known: Mapping[str, float], lasts_s: float, limits: MonitorLimits
-) -> Iterator[Sample]:
-    """Judge clutches and ratio while a gear is held."""
-    gear = int(gears[0])
+def _is_held(gears: tuple[float, float], known: Mapping[str, float], lasts_s: float, limits: MonitorLimits) -> bool:
+    """Return whether a gear is held for long enough to be judged."""
     is_driven = known.get("drive_state", IN_GEAR) == IN_GEAR  # the shift cycle does not say: it always is
-    is_held = gears[0] == gears[1] and known.get("shift_phase") == 0.0 and lasts_s >= limits.settled_s and is_driven
-    if not is_held or not 1 <= gear <= len(limits.input_output_ratios):
-        return
+    is_steady = gears[0] == gears[1] and known.get("shift_phase") == 0.0 and lasts_s >= limits.settled_s
+    return is_steady and is_driven and 1 <= gears[0] < len(limits.input_output_ratios) + 1
+
+
+def _gear_samples(gear: int, known: Mapping[str, float], limits: MonitorLimits) -> Iterator[Sample]:
+    """Judge clutch and ratio of a gear that is held."""
     clutch = clutch_of_gear(gear)
-    yield from _pressure_samples(clutch, known, limits)
     shaft_rad_s = known.get("output_speed_rad_s", 0.0) * limits.input_output_ratios[gear - 1]
     is_speed_odd = _is_speed_odd(clutch, shaft_rad_s, known, limits)
     if is_speed_odd is not None:
@@ -306,19 +411,6 @@ def _is_speed_odd(clutch: int, expected_rad_s: float, known: Mapping[str, float]
     is_hub_odd = min(abs(hub - engine), abs(hub - shaft)) > most and abs(shaft - expected_rad_s) <= most
     is_shaft_odd = min(abs(shaft - hub), abs(shaft - expected_rad_s)) > most and abs(hub - expected_rad_s) <= most
     return is_hub_odd or is_shaft_odd
-
-
-def _pressure_samples(clutch: int, known: Mapping[str, float], limits: MonitorLimits) -> Iterator[Sample]:
-    commanded, reached = known.get(f"clutch{clutch}_pressure_command_pa"), _pressure_pa(known, clutch, limits)
-    if commanded is not None and reached is not None and commanded > limits.tested_pressure_pa:
-        is_stuck = reached < limits.stuck_off_ratio * commanded
-        yield _sample(STUCK_OFF_CODES[clutch], is_failed=is_stuck)
-        if not is_stuck:
-            yield _sample("P0868", is_failed=reached < limits.least_pressure_ratio * commanded)
-    idle = 3 - clutch
-    wanted, present = known.get(f"clutch{idle}_pressure_command_pa"), _pressure_pa(known, idle, limits)
-    if wanted is not None and present is not None:
-        yield _sample(STUCK_ON_CODES[idle], is_failed=present > wanted + limits.most_pressure_excess_pa)
 
 
 def _ratio_samples(gear: int, name: str, known: Mapping[str, float], limits: MonitorLimits) -> Iterator[Sample]:

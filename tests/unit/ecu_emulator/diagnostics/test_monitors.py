@@ -1,6 +1,6 @@
 """What the monitors say of a sound drive, and of each fault that they are there for."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import islice
 
@@ -14,7 +14,7 @@ from ecu_emulator.diagnostics.monitors import NOMINAL_LIMITS, MonitorLimits, Wat
 from ecu_emulator.diagnostics.table_file import shipped_table, table_like, table_of
 from ecu_emulator.drive.recording import Drive, frames_of
 from ecu_emulator.plant.parameters import nominal_parameters
-from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
+from ecu_emulator.scenario.faults import Cause, CauseKind, SensorFault, SensorFaultKind
 from ecu_emulator.scenario.scenario import Ambient, Fluid, FluidCondition, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario
 from tests.support.road import road_scenario
@@ -63,9 +63,6 @@ def test_a_gear_that_is_held_soundly_passes() -> None:
         ("P0846", {"clutch2_pressure_pa": 36e5}),
         ("P0841", {"clutch1_pressure_pa": 36e5}),
         ("P0841", {"clutch1_pressure_pa": -0.9e5, "clutch1_pressure_command_pa": 0.0}),
-        ("P0868", {"clutch1_pressure_pa": 5e5}),
-        ("P0746", {"clutch1_pressure_pa": 1e5}),  # none of it: the solenoid does nothing
-        ("P0777", {"clutch2_pressure_pa": 3e5}),  # too much
         ("P0733", {"input1_speed_rad_s": 152.0}),
         ("P0716", {"input1_speed_rad_s": 170.0, "clutch1_slip_rad_s": -23.6}),  # hub and output say something else
         ("P0716", {"hub_speed_rad_s": 170.0, "clutch1_slip_rad_s": 23.6}),  # so do engine and shaft
@@ -79,15 +76,50 @@ def test_each_fault_fails_its_own_code(code: str, change: dict[str, float]) -> N
     assert failing(faulty, faulty) == {code}
 
 
-def test_the_other_clutch_has_codes_of_its_own() -> None:
-    fourth = HOLDING | {
-        "current_gear": 4.0, "target_gear": 4.0, "clutch2_pressure_pa": 8e5, "clutch2_pressure_command_pa": 8e5,
-        "clutch1_pressure_pa": 0.2e5, "clutch1_pressure_command_pa": 0.1e5, "input2_speed_rad_s": 107.9,
-        "hub_speed_rad_s": 107.9, "engine_speed_rad_s": 107.9, "clutch2_slip_rad_s": 0.0,
-    }  # fmt: skip
-    assert failing(fourth, fourth) == set()
-    stuck_on, stuck_off = fourth | {"clutch1_pressure_pa": 3e5}, fourth | {"clutch2_pressure_pa": 0.5e5}
-    assert (failing(stuck_on, stuck_on), failing(stuck_off, stuck_off)) == ({"P0747"}, {"P0776"})
+FOURTH = HOLDING | {
+    "current_gear": 4.0, "target_gear": 4.0, "clutch2_pressure_pa": 8e5, "clutch2_pressure_command_pa": 8e5,
+    "clutch1_pressure_pa": 0.2e5, "clutch1_pressure_command_pa": 0.1e5, "input2_speed_rad_s": 107.9,
+    "hub_speed_rad_s": 107.9, "engine_speed_rad_s": 107.9, "clutch1_slip_rad_s": 40.0, "clutch2_slip_rad_s": 0.0,
+}  # fmt: skip
+
+
+def changing(clutch: int, change: Callable[[float], float], looks: int = 12) -> list[dict[str, float]]:
+    """Return gears 3, 4, 3 and 4 as they are held, with something done to the pressure of one clutch."""
+    name = f"clutch{clutch}_pressure_pa"
+    return [held | {name: change(held[name])} for held in (HOLDING, FOURTH) * 2 for _ in range(looks)]
+
+
+@pytest.mark.parametrize("clutch", [1, 2])
+@pytest.mark.parametrize("bias_pa", [-8e5, -3e5, -1e5, -0.7e5, 1.6e5, 3e5, 8e5])
+def test_a_biased_sensor_is_called_by_its_name_and_silences_what_depends_on_it(clutch: int, bias_pa: float) -> None:
+    def biased(pressure_pa: float) -> float:
+        return max(pressure_pa + bias_pa, -1e5)
+
+    said = {1: "P0841", 2: "P0846"}[clutch]
+    assert failing(*changing(clutch, biased)) == {said}
+    assert failing(*changing(clutch, biased)[6:]) == {said}  # whenever it begins
+
+
+@pytest.mark.parametrize("clutch", [1, 2])
+@pytest.mark.parametrize(
+    ("codes", "low_pa", "high_pa"),
+    [
+        (("P0868", "P0868"), 0.2e5, 5e5),
+        (("P0746", "P0776"), 0.2e5, 1e5),  # none of it: the solenoid does nothing
+        (("P0747", "P0777"), 3e5, 8e5),  # never without
+    ],
+)
+def test_a_pressure_that_is_wrong_with_a_right_sensor_has_a_code_of_its_own(
+    clutch: int, codes: tuple[str, str], low_pa: float, high_pa: float
+) -> None:
+    moments = changing(clutch, lambda pressure_pa: high_pa if pressure_pa > 4e5 else low_pa)
+    assert failing(*moments) == failing(*moments[6:]) == {codes[clutch - 1]}
+
+
+def test_a_pressure_that_was_wrong_for_a_moment_only_is_not_believed() -> None:
+    moments = changing(1, lambda pressure_pa: pressure_pa)
+    moments[10:12] = [moments[10] | {"clutch1_pressure_pa": 5e5}] * 2
+    assert failing(*moments) == set()
 
 
 @pytest.mark.parametrize(
@@ -147,7 +179,8 @@ def test_nothing_is_said_of_clutches_where_it_cannot_be_known() -> None:
     assert "P0811" not in verdicts(*[slipping | {"engine_torque_nm": 10.0}] * 2)
     assert "P0811" not in verdicts(*[slipping | {"target_gear": 4.0}] * 2)
     assert "P0733" not in verdicts(*[HOLDING | {"output_speed_rad_s": 2.0}] * 2)
-    assert "P0868" not in verdicts(*[HOLDING | {"clutch1_pressure_command_pa": 1e5}] * 2)
+    low = HOLDING | {"clutch1_pressure_command_pa": 1e5}
+    assert not {"P0868", "P0746"} & set(verdicts(*[low] * 12))
 
 
 def test_a_warm_engine_makes_a_warm_up_cycle() -> None:
@@ -255,8 +288,8 @@ def test_launches_creeps_and_stops_of_a_sound_car_fail_nothing(oil_k: float) -> 
     [
         ("sump_temperature_k", SensorFaultKind.NOT_AVAILABLE, 0.0, "P0711"),
         ("clutch1_pressure_pa", SensorFaultKind.NOT_AVAILABLE, 0.0, "P0841"),
-        ("clutch2_pressure_pa", SensorFaultKind.OFFSET, 3e5, "P0777"),
-        ("clutch1_pressure_pa", SensorFaultKind.OFFSET, 3e5, "P0747"),
+        ("clutch2_pressure_pa", SensorFaultKind.OFFSET, 3e5, "P0846"),
+        ("clutch1_pressure_pa", SensorFaultKind.OFFSET, 3e5, "P0841"),
         ("clutch2_pressure_pa", SensorFaultKind.NOT_AVAILABLE, 0.0, "P0846"),
         ("input2_speed_rad_s", SensorFaultKind.NOT_AVAILABLE, 0.0, "P0715"),
         ("input1_speed_rad_s", SensorFaultKind.OFFSET, 25.0, "P0716"),
@@ -266,6 +299,33 @@ def test_launches_creeps_and_stops_of_a_sound_car_fail_nothing(oil_k: float) -> 
 )
 def test_a_fault_of_a_drive_is_found(quantity: str, kind: SensorFaultKind, size: float, code: str) -> None:
     assert failed_on_drive("ideal", SensorFault(quantity=quantity, kind=kind, size=size, start_s=5.0))[code] >= 5
+
+
+@pytest.mark.parametrize("start_s", [0.0, 3.0, 5.0, 7.7])
+@pytest.mark.parametrize(("clutch", "size_pa"), [(1, -3e5), (2, -3e5), (1, -1.2e5), (2, 2e5), (1, 6e5)])
+def test_a_biased_sensor_fails_no_other_code_on_a_drive_whenever_it_begins(
+    clutch: int, size_pa: float, start_s: float
+) -> None:
+    fault = SensorFault(
+        quantity=f"clutch{clutch}_pressure_pa", kind=SensorFaultKind.OFFSET, size=size_pa, start_s=start_s
+    )
+    count = failed_on_drive("ideal", fault)
+    assert {code for code, number in count.items() if number} == {{1: "P0841", 2: "P0846"}[clutch]}
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_pump_that_no_longer_reaches_its_pressure_is_no_matter_of_sensors(seed: int) -> None:
+    weak = (Cause(kind=CauseKind.WEAK_PUMP, strength=4.0),)
+    scenario = replace(load_scenario("ideal"), cycles=1, seed=seed, causes=weak)
+    count = failures(sensed(frames_of(scenario)[0]))
+    assert count["P0868"] >= 10
+    assert not any(count.get(code) for code in ("P0841", "P0846", "P0746", "P0776", "P0747", "P0777"))
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13, 14])
+def test_sound_vehicles_of_any_seed_fail_nothing(seed: int) -> None:
+    count = failures(sensed(frames_of(replace(load_scenario("ideal"), cycles=1, seed=seed))[0]))
+    assert {code: number for code, number in count.items() if number} == {}
 
 
 CONVERTER_LIMITS = MonitorLimits(
@@ -301,7 +361,8 @@ def test_a_lock_up_clutch_without_friction_slips_too_much() -> None:
     ("quantity", "kind", "size", "code"),
     [
         ("lockup_pressure_pa", SensorFaultKind.NOT_AVAILABLE, 0.0, "P0841"),
-        ("lockup_pressure_pa", SensorFaultKind.OFFSET, 3e5, "P2758"),
+        ("lockup_pressure_pa", SensorFaultKind.OFFSET, 3e5, "P0841"),
+        ("lockup_pressure_pa", SensorFaultKind.OFFSET, -3e5, "P0841"),
         ("lockup_pressure_pa", SensorFaultKind.FROZEN, 0.0, "P2757"),
         ("turbine_speed_rad_s", SensorFaultKind.NOT_AVAILABLE, 0.0, "P0715"),
         ("turbine_speed_rad_s", SensorFaultKind.OFFSET, 40.0, "P0741"),
