@@ -143,9 +143,14 @@ def _is_foreign(module: str) -> bool:
 FOREIGN = frozenset({"numpy", "numba", "math", "builtins", "typing", "cmath", "collections", "scipy"})
 
 
-def on_compiling(listener: Callable[[str], None]) -> None:
-    """Call ``listener`` with the name of each kernel that is about to be compiled, since it is not in the cache."""
+def on_compiling(listener: Callable[[str], None]) -> Callable[[], None]:
+    """Call ``listener`` with the name of each kernel that is about to be compiled, since it is not in the cache.
+
+    What it raises ends the call that needs the kernel; those that were compiled before are kept. Return what takes it
+    back.
+    """
     _listeners.append(listener)
+    return lambda: _listeners.remove(listener)
 
 
 def cache_folder(configured: str) -> Path | None:
@@ -177,8 +182,7 @@ def announce_compiling(say: Callable[[str], object]) -> Callable[[], None]:
             say(f"compiling numerical kernels: {count} done, of those that this run needs")
         count += 1
 
-    on_compiling(tell)
-    return lambda: _listeners.remove(tell)
+    return on_compiling(tell)
 
 
 def _how_often() -> str:

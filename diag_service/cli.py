@@ -35,6 +35,7 @@ _FUNCTIONS: Final = {  # of commands that share a module; the others are ``execu
     "cluster": "lake.cluster",
     "signals": "inspect.propose",
 }
+ENDED_BY_SIGNALS: Final = ("run", "monitor")  # as a rule
 COUNTS_WANTED: Final = tuple(number for number in signal.Signals if number.name == "SIGUSR1")  # POSIX alone has it
 
 
@@ -52,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             with standard_output():
                 _run(options, controls)
         except (StoppedError, InputLeftError) as exc:
-            return _end_early(exc, controls.stop)
+            return _end_early(exc, controls.stop, is_usual=options.command in ENDED_BY_SIGNALS)
         except Exception as exc:  # noqa: BLE001 - the one place where nothing may pass
             return complain(PROGRAM, exc, _statuses(), is_verbose=is_verbose, hint=" (-v shows where)")
         return EXIT_OK
@@ -83,6 +84,7 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
         with suppress(AttributeError, OSError, ValueError):  # none, or none of the system: reading it says so
             widen(sys.stdin.fileno())  # whoever writes goes on meanwhile: candump loses frames once the pipe is full
     # Imported here: compiled libraries take a second, in which a signal must already find its handler.
+    from canlog.jit import on_compiling  # noqa: PLC0415 - see above
     from diag_service.console import set_up_notices  # noqa: PLC0415 - see above
 
     set_up_notices(options.verbose)
@@ -94,12 +96,15 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
         execute = getattr(import_module(f"diag_service.commands.{module}"), name)
     if is_piped:  # whoever writes into the pipe may get the same signal, and end it
         controls = replace(controls, stop=PatientTrigger(controls.stop))
+    unheed = on_compiling(lambda _kernel: None if is_piped else _check(controls.stop))  # what came by a pipe is judged
     try:
         execute(options, controls)
     except SourceError as exc:
         if text := _about_store(options):
             raise ConfigError(text) from exc
         raise
+    finally:
+        unheed()
 
 
 def _about_store(options: SimpleNamespace) -> str | None:
@@ -116,9 +121,15 @@ def _logs(options: SimpleNamespace) -> Sequence[Path | str]:
     return (getattr(options, "log", None) or "", *getattr(options, "logs", ()))
 
 
-def _end_early(exc: Exception, stop: Trigger) -> int:
+def _check(stop: Trigger) -> None:
+    """Raise StoppedError if a run was told to stop: compiling can take minutes."""
+    if stop.is_set:
+        raise StoppedError("stopped early: numerical kernels were being compiled")
+
+
+def _end_early(exc: Exception, stop: Trigger, *, is_usual: bool) -> int:
     """Say that a run was stopped and return the exit status; a reader that hung up wants to hear no more."""
     if stop.signal is None:
         return EXIT_OK
     sys.stderr.write(f"{PROGRAM}: {exc}\n")
-    return EXIT_SIGNALLED + stop.signal
+    return EXIT_OK if is_usual else EXIT_SIGNALLED + stop.signal

@@ -13,7 +13,7 @@ from ecu_emulator.scenario.drive_names import DriveName
 PROGRAM: Final = "ecu-emulator"
 EXIT_TEXT: Final = (
     "exit status: 0 done or stopped; 1 unexpected error; 2 usage, scenario or an extra that is not installed; 3 bus; "
-    "4 file; 130 interrupted twice"
+    "4 file; 130, 143 a recording stopped early by SIGINT, SIGTERM; 130 interrupted twice"
 )
 _NS_PER_S: Final = 1_000_000_000  # not of clutch_model, which imports numpy
 DEFAULT_REVS: Final = "4,4"

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Final
 
 from clutchdiag_io.program import complain, is_attached, part, refusal, standard_output
 from ecu_emulator.arguments import COMMAND_LINE, PROGRAM
-from ecu_emulator.errors import BusError, ConfigError, ExtraMissingError, RecordError
+from ecu_emulator.errors import BusError, ConfigError, ExtraMissingError, RecordError, StoppedError
 
 if TYPE_CHECKING:
     from types import FrameType
 
+STATUS_SIGNALLED: Final = 128  # and the number of the signal, as a shell tells it
 STATUS_INTERRUPTED: Final = 130  # SIGINT again, without waiting for the clean stop
 STATUSES: Final = (((ConfigError, ExtraMissingError), 2), (BusError, 3), (RecordError, 4))
 PATIENCE_S: Final = 1.0
@@ -26,34 +27,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program and return its exit status."""
     with _stop_on_signals(is_program=arguments is None) as stop:
         options = COMMAND_LINE.parse(arguments)
+        is_whole = True
         try:
             with standard_output():
-                _execute(options, stop)
+                is_whole = _execute(options, stop)
+        except StoppedError as exc:
+            sys.stderr.write(f"{PROGRAM}: {exc}\n")
+            is_whole = options.command == "run"  # whose usual end is a signal
         except KeyboardInterrupt:
             sys.stderr.write(f"{PROGRAM}: error: interrupted\n")
             return STATUS_INTERRUPTED
         except Exception as exc:  # noqa: BLE001 - the one place where nothing may escape
             return complain(PROGRAM, exc, STATUSES, is_verbose=options.verbose)
-    return 0
+    return 0 if is_whole or stop.number is None else STATUS_SIGNALLED + stop.number
 
 
-def _execute(options: SimpleNamespace, stop: Event) -> None:
+class _Stop(Event):
+    """Set by a signal, which it knows."""
+
+    number: int | None = None
+
+    def check(self, _kernel: str) -> None:
+        """Raise StoppedError if it is set: compiling can take minutes."""
+        if self.is_set():
+            raise StoppedError("stopped early: numerical kernels were being compiled, nothing was driven")
+
+
+def _execute(options: SimpleNamespace, stop: _Stop) -> bool:
+    """Run a command; return whether it did all of what it was to do."""
     with _without("asammdf"):  # python-can loads it where it is installed, and that pandas: 0.3 s for nothing
-        from canlog.jit import announce_compiling  # noqa: PLC0415 - heavy; signals are in hand before
+        from canlog.jit import announce_compiling, on_compiling  # noqa: PLC0415 - heavy; signals are in hand before
         from ecu_emulator import commands  # noqa: PLC0415 - likewise
         from ecu_emulator.live import live_drive as live  # noqa: PLC0415 - likewise
 
     silence = announce_compiling(lambda line: sys.stderr.write(f"{PROGRAM}: {line}\n"))
+    unheed = on_compiling(stop.check)
     try:
         if options.command == "scenarios":
             commands.list_scenarios()
-            return
+            return True
         if is_attached("ecu_emulator.commands", options.command):
             part("ecu_emulator.commands", options.command)(options)
-            return
+            return True
         if options.command == "dbc":
             commands.save_dbc(options.output, is_forced=options.force, transmission=options.transmission)
-            return
+            return True
         scenario = commands.choose_scenario(commands.drive_options(options))
         if options.command == "record":
             log = commands.LogOptions(
@@ -65,8 +83,7 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
                 longest_stay_s=options.parked,
                 table=commands.table_options(options),
             )
-            commands.record(scenario, log, stop, is_json=options.json, is_forced=options.force)
-            return
+            return commands.record(scenario, log, stop, is_json=options.json, is_forced=options.force)
         written = (options.truth, options.summary)
         kept = (options.control, options.alive, vars(options).get("diagnostic_memory"))
         if text := refusal(*written, is_forced=options.force) or refusal(*written, *kept, is_forced=True):
@@ -86,7 +103,9 @@ def _execute(options: SimpleNamespace, stop: Event) -> None:
             is_json=options.json,
             stop=stop,
         )
+        return True
     finally:
+        unheed()
         silence()  # a program that called this one prints nothing of its own
 
 
@@ -102,12 +121,12 @@ def _without(module: str) -> Iterator[None]:
 
 
 @contextmanager
-def _stop_on_signals(*, is_program: bool) -> Iterator[Event]:
+def _stop_on_signals(*, is_program: bool) -> Iterator[_Stop]:
     """Turn SIGINT and SIGTERM into a request to stop; a SIGINT much later interrupts what does not heed it.
 
     A program ignores both in the end: one that comes while the interpreter winds down must not change the exit status.
     """
-    stop = Event()
+    stop = _Stop()
     deadline_s = math.inf
 
     def request(number: int, _frame: "FrameType | None") -> None:
@@ -115,6 +134,7 @@ def _stop_on_signals(*, is_program: bool) -> Iterator[Event]:
         now_s = time.monotonic()
         if number == signal.SIGINT and now_s > deadline_s:
             raise KeyboardInterrupt
+        stop.number = stop.number or number
         deadline_s = min(deadline_s, now_s + PATIENCE_S)  # a terminal and a wrapper may both hand on the same Ctrl-C
         stop.set()
 

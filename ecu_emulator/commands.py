@@ -20,7 +20,7 @@ from clutchdiag_io.program import refusal
 from dbc.contract import dbc_path
 from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
-from ecu_emulator.errors import ConfigError, RecordError
+from ecu_emulator.errors import ConfigError, RecordError, StoppedError
 from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFile, LogFormat, LogStream, open_log, open_log_stream
 from ecu_emulator.log_formats.table import TableOptions, write_table
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
@@ -278,12 +278,18 @@ def write_log(
         TruthWriter(truth_file, place=place) as writer,
     ):
         writer.drive(drive.truth)
-        for stretch in drive.stretches(LONG_STRETCH_S):
-            log.write(stretch.frames)
-            writer.write(stretch.truths)
-            show(drive.totals, time.perf_counter() - began_s)
-            if stop.is_set():
-                break
+        has_driven = False
+        try:
+            for stretch in drive.stretches(LONG_STRETCH_S):
+                log.write(stretch.frames)
+                writer.write(stretch.truths)
+                has_driven = True
+                show(drive.totals, time.perf_counter() - began_s)
+                if stop.is_set():
+                    break
+        except StoppedError:  # while kernels were compiled that the drive had not needed before
+            if not has_driven:
+                raise
         writer.totals(drive.totals)
     if options.table is not None:
         write_table(path, options.table, scenario.seed_of_drive, scenario.transmission)
@@ -306,8 +312,10 @@ def _open(options: LogOptions) -> LogFile | LogStream:
     return open_log(options.path, log_format=chosen, start_ns=options.start_ns, channel=options.channel)
 
 
-def record(scenario: Scenario, options: LogOptions, stop: Event, *, is_json: bool, is_forced: bool = False) -> None:
-    """Write a drive to a log and say what it holds; raises what ``write_log`` raises.
+def record(scenario: Scenario, options: LogOptions, stop: Event, *, is_json: bool, is_forced: bool = False) -> bool:
+    """Write a drive to a log and say what it holds; return whether it is the whole drive.
+
+    Raises what ``write_log`` raises.
 
     Raises ConfigError, too, if a file is there already, or results would get among the frames on standard output.
     """
@@ -340,3 +348,4 @@ def record(scenario: Scenario, options: LogOptions, stop: Event, *, is_json: boo
     )
     if is_json:
         print_json(made.to_record())
+    return made.is_finished

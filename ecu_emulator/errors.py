@@ -5,6 +5,10 @@ class EmulatorError(Exception):
     """Root of all errors raised by this package; its text is one clear line for the user."""
 
 
+class StoppedError(EmulatorError):
+    """The program was told to stop before it had done anything: start it again."""
+
+
 class ConfigError(EmulatorError):
     """The command line or a scenario cannot be used: correct it and start again."""
 

@@ -1,13 +1,41 @@
-"""The first start of a program on a machine says that it compiles, before it does."""
+"""The first start of a program on a machine says that it compiles, before it does; a signal ends it meanwhile."""
 
+import lzma
+import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
+import can
 import pytest
 
+from canlog.live.medium import open_medium
+from tests.support.patience import HANG_S
 from tests.support.service import environment
+
+COMPILING = "compiling numerical kernels, as at every first start; this takes up to a minute\n"
+FEW_KERNELS = 15  # of some hundred that a drive needs, and of some fifty that a diagnosis needs
+RECORDING = Path(__file__).parents[1] / "golden" / "recordings" / "case2.log.xz"
+
+
+@contextmanager
+def first_started(folder: Path, *command: str, **variables: str) -> Iterator["subprocess.Popen[str]"]:
+    """Start a module with an empty cache."""
+    with subprocess.Popen(
+        [sys.executable, "-m", *command],
+        cwd=folder,
+        env={**environment(), "XDG_CACHE_HOME": str(folder / "cache"), **variables},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as program:
+        try:
+            yield program
+        finally:
+            program.kill()
 
 
 @pytest.mark.parametrize(
@@ -19,15 +47,74 @@ from tests.support.service import environment
 )
 def test_the_first_start_says_that_it_compiles(program: str, command: Sequence[str], tmp_path: Path) -> None:
     (tmp_path / "drive.log").write_bytes(b"(1700000000.000000) can0 123#11\n")
-    starting = subprocess.Popen(
-        [sys.executable, "-m", *command],
-        cwd=tmp_path,
-        env={**environment(), "XDG_CACHE_HOME": str(tmp_path / "cache")},
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    with starting:
+    with first_started(tmp_path, *command) as starting:
         assert starting.stderr is not None
-        first = starting.stderr.readline()
-        starting.kill()
-    assert first == f"{program}: compiling numerical kernels, as at every first start; this takes up to a minute\n"
+        assert starting.stderr.readline() == f"{program}: {COMPILING}"
+
+
+def ended_by(number: signal.Signals, program: "subprocess.Popen[str]", folder: Path) -> tuple[int, str, int]:
+    """Stop a program as it begins to compile; return its status, what else it said, and how many kernels it kept."""
+    assert program.stderr is not None
+    for line in program.stderr:
+        if line.endswith(COMPILING):
+            break
+    program.send_signal(number)
+    _, said = program.communicate(timeout=HANG_S)
+    return program.returncode, said, len(list((folder / "cache").rglob("*.nbi")))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("ecu_emulator", "record", "made.log", "--cycles", "1"),
+        ("diag_service", "analyze", "drive.log"),
+        ("diag_service", "analyze", "drive.log", "--store", "made.sqlite"),
+    ],
+)
+def test_a_signal_ends_a_program_that_compiles_and_nothing_is_left(
+    command: Sequence[str], number: signal.Signals, tmp_path: Path
+) -> None:
+    (tmp_path / "drive.log").write_bytes(lzma.decompress(RECORDING.read_bytes()))
+    with first_started(tmp_path, *command) as program:
+        status, said, kernels = ended_by(number, program, tmp_path)
+    assert status == 128 + number, said
+    assert "stopped early" in said
+    assert kernels < FEW_KERNELS
+    assert {path.name for path in tmp_path.iterdir()} == {"cache", "drive.log"}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_an_emulator_that_compiles(number: signal.Signals, tmp_path: Path) -> None:
+    with first_started(tmp_path, "ecu_emulator", "run", "-i", "virtual", "-c", "any") as program:
+        status, said, kernels = ended_by(number, program, tmp_path)
+    assert (status, kernels < FEW_KERNELS) == (0, True), said
+    assert "stopped early" in said
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_live_service_that_compiles(number: signal.Signals, tmp_path: Path) -> None:
+    lines = lzma.decompress(RECORDING.read_bytes()).decode("ascii").splitlines()
+    frames = [line.split()[2].split("#") for line in lines]
+    is_over = threading.Event()
+    with open_medium() as medium, can.Bus(**medium.can_options) as bus:
+
+        def send() -> None:
+            while not is_over.is_set():
+                for can_id, data in frames:
+                    bus.send(
+                        can.Message(arbitration_id=int(can_id, 16), data=bytes.fromhex(data), is_extended_id=False)
+                    )
+                    if is_over.wait(0.0005):
+                        return
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        try:
+            words = ("diag_service", "run", *medium.arguments, "--store", "made.sqlite")
+            with first_started(tmp_path, *words, **medium.environment) as program:
+                status, said, kernels = ended_by(number, program, tmp_path)
+        finally:
+            is_over.set()
+            sender.join()
+    assert (status, kernels < FEW_KERNELS) == (0, True), said
