@@ -104,6 +104,9 @@ _BUSY_TIMEOUT_S: Final = 5.0  # for a person who reads the store with another pr
 _NO_ROOM: Final = frozenset({
     *(sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE, sqlite3.SQLITE_IOERR_FSYNC, sqlite3.SQLITE_IOERR_SHMSIZE)
 })  # fmt: skip
+_DAMAGED: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
+_PRIMARY: Final = 0xFF  # of a result code of SQLite
+STORE_FAILURES: Final = (sqlite3.Error, ValueError, TypeError, ArithmeticError)
 _MARK_AT, _LONGEST_LOCK = 32, 256  # in a lock [bytes]: behind the process stands the mark
 _LOG = logging.getLogger(__name__)
 
@@ -192,17 +195,21 @@ def _opened(path: Path, *pragmas: str) -> sqlite3.Connection:
 
 @contextmanager
 def translated(where: str) -> Iterator[None]:
-    """Make SQLite's errors ours."""
+    """Make SQLite's errors ours, and those of who understands nothing of what a store holds."""
     try:
         yield
-    except sqlite3.Error as exc:
+    except STORE_FAILURES as exc:
         raise store_error(where, exc) from exc
 
 
-def store_error(where: str, exc: sqlite3.Error) -> StoreError:
-    """Return an error of SQLite's as one of ours."""
-    kind = StoreFullError if getattr(exc, "sqlite_errorcode", None) in _NO_ROOM else StoreError
-    return kind(f"cannot use store {where}: {exc}")
+def store_error(where: str, exc: Exception) -> StoreError:
+    """Return an error of SQLite's, or one that damaged content makes, as one of ours."""
+    code = getattr(exc, "sqlite_errorcode", None)
+    if not isinstance(exc, sqlite3.Error) or (code is not None and code & _PRIMARY in _DAMAGED):
+        return StoreError(
+            f"store {where} is damaged: {exc}; put a copy in its place, or move it away to begin a new one"
+        )
+    return (StoreFullError if code in _NO_ROOM else StoreError)(f"cannot use store {where}: {exc}")
 
 
 def _prepare(connection: sqlite3.Connection, path: Path) -> None:
@@ -234,7 +241,7 @@ def parsed(text: str, where: str) -> ShiftResult:
     try:
         return parse_shift(text)
     except ResultError as exc:
-        raise StoreError(f"store {where} is damaged: {exc}") from exc
+        raise store_error(where, exc) from exc
 
 
 def remove_store(path: Path) -> None:

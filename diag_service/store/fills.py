@@ -44,7 +44,12 @@ def all_fills(sql: sqlite3.Connection, vehicle: str) -> list[FluidFill]:
     cursor = sql.execute("SELECT * FROM fill WHERE vehicle = ? ORDER BY filled_at", (vehicle,))
     names = [column for column, *_ in cursor.description]
     rows = (dict(zip(names, row, strict=True)) for row in cursor)
-    return [FluidFill(**{**row, "is_withdrawn": bool(row.get("is_withdrawn"))}) for row in rows]
+    fills = [FluidFill(**{**row, "is_withdrawn": bool(row.get("is_withdrawn"))}) for row in rows]
+    for fill in fills:
+        _moment(fill)
+        if not isinstance(fill.odometer_m, float | int | None):
+            raise TypeError(f"the odometer of a fill is {fill.odometer_m!r}")
+    return fills
 
 
 def read_fills(sql: sqlite3.Connection, vehicle: str) -> list[FluidFill]:

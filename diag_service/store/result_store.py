@@ -54,7 +54,7 @@ _LATEST: Final = (  # of the last of each stream, which an index finds, those co
     " ORDER BY clutch, max(json_extract(json, '$.end_bus_ns'), ?4), position"
 )
 _OUTCOMES: Final = {Outcome.ACCEPTED: file.DELIVERED, Outcome.QUARANTINED: file.QUARANTINED}
-_END: Final = 2**63 - 1  # beyond the last position
+_END: Final = 2**63 - 1  # beyond the last position and sequence number: SQLite counts no further
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,14 +96,16 @@ class ResultStore:
         with self._transaction() as sql:
             self.stream = self._read_stream()
             row = sql.execute("SELECT value FROM meta WHERE key = 'last_seq'").fetchone()
-        self._last_seq = 0 if row is None else int(row[0])  # of the live stream, which its owner alone writes
+            self._last_seq = 0 if row is None else int(row[0])  # of the live stream, which its owner alone writes
         if lock_descriptor is not None:
-            if (
+            is_used_up = self._last_seq >= _END
+            if is_used_up or (
                 mark is not None
                 and (row or mark)
                 and file.is_put_back(lock_descriptor, mark, self.stream, self._last_seq)
             ):
-                _LOG.warning("store %s is a copy or was put back: its next results begin a new stream", where)
+                why = "has used up its numbers" if is_used_up else "is a copy or was put back"
+                _LOG.warning("store %s %s: its next results begin a new stream", where, why)
                 self.stream, self._last_seq = str(uuid.uuid4()), 0
                 with suppress(StoreFullError), self._transaction() as sql:
                     self._keep_stream(sql, 0)
@@ -373,12 +375,10 @@ class ResultStore:
         sql.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", own)
 
     def _object(self, text: str) -> JsonObject:
-        try:
+        with file.translated(self.where):
             table = json.loads(text)
-        except ValueError as exc:
-            raise StoreError(f"store {self.where} is damaged: {exc}") from exc
-        if not isinstance(table, dict):
-            raise StoreError(f"store {self.where} is damaged: a state is not an object")
+            if not isinstance(table, dict):
+                raise TypeError("a state is not an object")
         return table
 
     @contextmanager
@@ -392,7 +392,7 @@ class ResultStore:
             except BaseException as exc:
                 if self._connection.in_transaction:
                     self._connection.execute("ROLLBACK")
-                if isinstance(exc, sqlite3.Error):
+                if isinstance(exc, file.STORE_FAILURES):
                     raise file.store_error(self.where, exc) from exc
                 raise
 

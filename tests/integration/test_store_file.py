@@ -23,6 +23,7 @@ from diag_service.store import (
     VehicleState,
     Versions,
     is_store,
+    withdraw_fill,
 )
 from fleet_contract import Receipt, raw_shift_message, read_message
 from tests.golden import FOLDER as GOLDEN
@@ -188,8 +189,54 @@ def test_a_damaged_store_is_told_to_its_readers(path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[100:4096] = b"\xa5" * 3996  # the tables, behind the header
     path.write_bytes(content)
-    with pytest.raises(StoreError, match=r"cannot use store .*malformed"), StoreReader.open(path):
+    with (
+        pytest.raises(StoreError, match=r"store .* is damaged: .*malformed; put a copy in its place"),
+        StoreReader.open(path),
+    ):
         pass
+
+
+def changed(path: Path, sql: str, *values: object) -> None:
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute(sql, values)
+
+
+def test_damage_that_sqlite_cannot_put_into_words_is_told(path: Path) -> None:
+    fill(path, 3)
+    path.write_bytes(path.read_bytes().replace(b"TABLE controller (", b"TABLE controlle\xe8 \xe8", 1))
+    with pytest.raises(StoreError, match=r"store .* is damaged: .*; put a copy in its place"), StoreReader.open(path):
+        pass
+    with pytest.raises(StoreError, match=r"store .* is damaged: .*; put a copy in its place"):
+        ResultStore.open(path)
+
+
+@pytest.mark.parametrize(
+    ("filled_at", "odometer_m"), [("2020-01-01T00:00:00.%00000Z", None), ("2020-01-01T00:00:00Z", b"\xff")]
+)
+def test_a_fill_that_is_none_is_told(path: Path, filled_at: str, odometer_m: object) -> None:
+    fill(path, 3)
+    words = "INSERT INTO fill (vehicle, filled_at, odometer_m) VALUES ('car1', ?, ?)"
+    changed(path, words, filled_at, odometer_m)
+    with pytest.raises(StoreError, match=r"store .* is damaged: "), StoreReader.open(path) as store:
+        store.fills("car1")
+    with pytest.raises(StoreError, match=r"store .* is damaged: "):
+        withdraw_fill(path, "car1", None)
+
+
+def test_a_number_of_a_stream_that_is_none_is_told(path: Path) -> None:
+    fill(path, 3)
+    changed(path, "UPDATE meta SET value = 'x' WHERE key = 'last_seq'")
+    with pytest.raises(StoreError, match=r"store .* is damaged: "):
+        ResultStore.open(path)
+
+
+def test_a_stream_that_has_used_up_its_numbers_ends_and_another_one_begins(path: Path) -> None:
+    stream = fill(path, 1)
+    changed(path, "UPDATE meta SET value = ? WHERE key = 'last_seq'", str(2**63 - 1))
+    with closing(ResultStore.open(path)) as store:
+        assert (store.stream != stream, store.next_seq()) == (True, 1)
+        assert store.add(shift_result(store.next_seq(), stream=store.stream), STATE)
+        assert store.unpublished_count("car1") == 2
 
 
 @pytest.mark.parametrize("position", [0, -1, 4, 2**63, -(2**70)])
