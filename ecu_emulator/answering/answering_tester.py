@@ -38,6 +38,7 @@ from ecu_emulator.diagnostics.elm327.server import ElmServer, parse_place
 from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.monitors import SENSED, SENSED_OF_CONVERTER
+from ecu_emulator.diagnostics.services.data import STARTING
 from ecu_emulator.diagnostics.table_file import load_table, table_like, table_of
 from ecu_emulator.errors import ExtraMissingError
 
@@ -320,6 +321,7 @@ class Answering:
             "time_s": self._clock() - self._began_s,
             "shift_count": float(self._driven.shift_count),
             "engine_run_time_s": self._engine_ran_s,
+            STARTING: float(not self._sent.has_begun),
             "revs_possible": float(self._routine is not None and self._routine.is_possible),
             "clearing_possible": float(self._clearing.is_possible),
             "adaptation_possible": float(self._adaptation is not None and self._adaptation.is_possible),

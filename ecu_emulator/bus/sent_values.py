@@ -107,6 +107,11 @@ class SentValues:
         self._payloads = {}
         self._now_s = None
 
+    @property
+    def has_begun(self) -> bool:
+        """Whether anything has been sent since the start."""
+        return self._now_s is not None
+
     def has_all(self, quantities: Collection[str]) -> bool:
         """Return whether the messages that carry these have been sent, whatever they said of them."""
         return all(self._carriers[quantity][0].frame_id in self._payloads for quantity in quantities)

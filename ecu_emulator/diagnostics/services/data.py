@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Final
 
-from ecu_emulator.diagnostics.descriptions import Access, Datum, Pid, Profile, VehicleInfo, supported
+from ecu_emulator.diagnostics.descriptions import Access, Datum, Field, Pid, Profile, VehicleInfo, supported
 from ecu_emulator.diagnostics.iso14229 import Nrc, Service, Status
 from ecu_emulator.diagnostics.memory import FrozenPids, emission_codes, is_lamp_on, located
 from ecu_emulator.diagnostics.services.call import (
@@ -20,6 +20,7 @@ from ecu_emulator.diagnostics.state import Instant, PeriodicRun, Piece, ServerSt
 from ecu_emulator.diagnostics.table import PERIODIC_PAGE, DiagnosticTable
 from ecu_emulator.diagnostics.values import Value, Values, are_valid, encode
 
+STARTING: Final = "is_starting"  # a value: the vehicle has said nothing yet, as while its kernels are compiled
 DEFINE_BY_IDENTIFIER: Final = 0x01
 CLEAR_DEFINITION: Final = 0x03
 DEFINABLE_PAGE: Final = 0xF3  # annex C: upper byte of what clients may define, beside what is sent periodically
@@ -49,6 +50,8 @@ def read_data(call: Call) -> Result:
         name = names[place : place + _NAME_BYTES]
         sources = readable(call.table, call.state, int.from_bytes(name, "big"))
         if not sources:
+            if name[0] == PID_DATA >> 8 and is_pid_awaited(call, name[1]):
+                return Nrc.BUSY_REPEAT_REQUEST
             emission = emission_data(call.table, call.state, call.moment, int.from_bytes(name, "big"))
             is_any |= emission is not None
             response += b"" if emission is None else name + emission
@@ -76,12 +79,26 @@ def readable(table: DiagnosticTable, state: ServerState, number: int) -> tuple[P
 
 def read_refusal(call: Call, pieces: Iterable[Piece]) -> Nrc | None:
     """Return why pieces of data cannot be read now: security, or the vehicle."""
-    for access in (call.table.data[piece.source].read for piece in pieces):
-        if not is_unlocked(call.state, access.levels):
+    for datum in (call.table.data[piece.source] for piece in pieces):
+        if not is_unlocked(call.state, datum.read.levels):
             return Nrc.SECURITY_ACCESS_DENIED
-        if refusal := unmet(call, access.conditions):
+        if datum.initial is None and datum.number not in call.state.controlled and _are_awaited(datum.fields, call):
+            return Nrc.BUSY_REPEAT_REQUEST
+        if refusal := unmet(call, datum.read.conditions):
             return refusal
     return None
+
+
+def _are_awaited(fields: Iterable[Field], call: Call) -> bool:
+    """Return whether some value is not known only since the vehicle has said nothing yet."""
+    known = {*_with_obd(call.table, call.state, call.moment), "active_session"}
+    return bool(call.moment.values.get(STARTING)) and any(entry.source not in known for entry in fields)
+
+
+def is_pid_awaited(call: Call, number: int) -> bool:
+    """Return whether a parameter of OBD is not known only since the vehicle has said nothing yet."""
+    pid = None if call.table.obd is None else call.table.obd.pids.get(number)
+    return pid is not None and not pid.initial and _are_awaited(pid.fields, call)
 
 
 def data_in(table: DiagnosticTable, state: ServerState, moment: Instant, pieces: Iterable[Piece]) -> bytes:

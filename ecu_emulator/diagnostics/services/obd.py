@@ -11,7 +11,7 @@ from ecu_emulator.diagnostics.descriptions import BLOCK, MonitorTest, Obd, Vehic
 from ecu_emulator.diagnostics.iso14229 import ALL_CODES, Nrc, ObdService, Status
 from ecu_emulator.diagnostics.memory import FAILED_COUNTER, PASSED_COUNTER, TroubleRecord, emission_codes
 from ecu_emulator.diagnostics.services.call import Call, Result, unmet
-from ecu_emulator.diagnostics.services.data import info_data, pid_data
+from ecu_emulator.diagnostics.services.data import info_data, is_pid_awaited, pid_data
 from ecu_emulator.diagnostics.services.trouble import cleared
 
 MOST_PIDS: Final = 6  # in one request
@@ -33,6 +33,8 @@ def current_data(call: Call) -> Result:
     obd, numbers = _obd(call), call.payload[1:]
     if not 1 <= len(numbers) <= MOST_PIDS:
         return NOT_THERE
+    if any(is_pid_awaited(call, number) for number in numbers):
+        return Nrc.BUSY_REPEAT_REQUEST
     return _found(call, (_pid(call, obd, number) for number in numbers))
 
 

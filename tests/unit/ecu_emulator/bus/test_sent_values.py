@@ -164,6 +164,23 @@ def test_a_tester_silences_the_controller_and_nobody_else() -> None:
     assert bus.messages == [ecm, tcu]
 
 
+def test_a_controller_whose_vehicle_has_not_begun_is_busy_with_what_it_will_know_and_answers_the_rest() -> None:
+    answering = Answering(Sent(), table="", memory=None, doip=None, is_fd=False)
+
+    def ask(request: str, *, to_all: bool = False) -> str:
+        return (answering.controller.ask(bytes.fromhex(request), is_functional=to_all) or b"").hex()
+
+    live = ("22 0206", "22 F190 0206", "01 0C", "01 00 0C")
+    for request in live:
+        assert ask(request) == ask(request, to_all=True) == f"7f{request[:2]}21"
+    for request in ("22 F190", "09 02", "01 00", "01 01", "03", "19 02 FF", "3E 00"):
+        assert not ask(request).startswith("7f")
+    for name in MESSAGES:
+        answering.send(frames(name)[0])
+    for request in live:
+        assert not ask(request).startswith("7f")
+
+
 def test_shifts_are_counted_and_error_frames_are_no_values() -> None:
     answering = Answering(Sent(), table="", memory=None, doip=None, is_fd=False)
     for gear in (0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 0.0, 2.0):
