@@ -20,7 +20,7 @@ def test_a_workshop_tester_asks_a_car_that_drives_over_ip() -> None:
     assert client.returncode == 0, client.stderr
     told = json.loads(client.stdout)
     dialogue = told.pop("dialogue")
-    identity = ["WDCTEMULATED00001", 0x1011, "020000001011", 0]
+    identity = ["WDCTEMUL3TED00047", 0x1011, "020000001011", 0]
     assert told == {
         "by request": identity,
         "by EID": identity,
@@ -31,7 +31,7 @@ def test_a_workshop_tester_asks_a_car_that_drives_over_ip() -> None:
         "unknown target": "Diagnostic request rejected with negative acknowledge code: 3",
         "unknown tester": "Activation Request failed with code 0",
     }
-    assert dialogue["vin"] == "WDCTEMULATED00001"
+    assert dialogue["vin"] == "WDCTEMUL3TED00047"
     assert dialogue["live"]["258"] > 100  # more than 1 km/h: the drive begins rolling
     assert [dialogue[name] for name in ("locked", "session", "no key", "written", "default")] == [
         0x7F, 3, 0x33, "CLUTCHSHOP", 1,

@@ -52,7 +52,7 @@ def test_a_scan_tool_asks_a_car_that_drives(tmp_path: Path) -> None:
         "count": 1,
         "confirmed": ["P2787"],
         "pending": ["P2787"],
-        "vin": "WDCTEMULATED00001",
+        "vin": "WDCTEMUL3TED00047",
         "calibration": "DCTCAL-0100",
         "clear": None,  # it drives
     }

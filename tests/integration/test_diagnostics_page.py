@@ -55,7 +55,7 @@ def test_a_tester_on_the_bus(capsys: pytest.CaptureFixture[str]) -> None:
     with vehicle("page", controller):
         run(block("python", "PythonIsoTpConnection"), {"vcan0": "page", "socketcan": "virtual"})
     said = capsys.readouterr().out
-    assert "WDCTEMULATED00001" in said
+    assert "WDCTEMUL3TED00047" in said
     assert f"0x{TOO_HOT:06x}" in said.lower()
 
 

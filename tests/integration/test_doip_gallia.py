@@ -32,7 +32,7 @@ def gallia(folder: Path, *words: str) -> str:
 
 def test_it_discovers_the_entity_and_its_address(target: str, tmp_path: Path) -> None:
     told = gallia(tmp_path, "discover", "doip", "--target", target, "--start", "0x1010", "--stop", "0x1012")
-    assert "VIN=b'WDCTEMULATED00001'" in told
+    assert "VIN=b'WDCTEMUL3TED00047'" in told
     assert "is a Node with 0/4 concurrent TCP sockets currently open and a maximum data size of 4095" in told
     assert "0x1010 is an unknown target address" in told
     assert "0x1011 responded: TesterPresentResponse()" in told

@@ -48,7 +48,7 @@ def test_everybody_is_asked_who_is_there(port: int) -> None:
         for host in ("127.0.0.1", EVERYBODY):
             one.sendto(framed(1), (host, port))
             data, sender = one.recvfrom(100)
-            assert data[8:27] == b"WDCTEMULATED00001\x10\x11"
+            assert data[8:27] == b"WDCTEMUL3TED00047\x10\x11"
             assert sender == ("127.0.0.1", port)
 
 
@@ -57,10 +57,10 @@ def test_an_entity_says_the_number_that_was_written() -> None:
         for request_ in ("10 03", "10 40", "27 03"):
             seed = controller.ask(bytes.fromhex(request_)) or b""
         controller.ask(b"\x27\x04" + (int.from_bytes(seed[2:], "big") ^ 0x0123456789ABCDEF).to_bytes(8, "big"))
-        controller.ask(b"\x2e\xf1\x90" + b"WDCTEMULATED00002")
+        controller.ask(b"\x2e\xf1\x90" + b"WDCTEMUL5TED00048")
         one.settimeout(HANG_S)
-        one.sendto(framed(3, b"WDCTEMULATED00002"), ("127.0.0.1", server.place.port))
-        assert one.recv(100)[8:25] == b"WDCTEMULATED00002"
+        one.sendto(framed(3, b"WDCTEMUL5TED00048"), ("127.0.0.1", server.place.port))
+        assert one.recv(100)[8:25] == b"WDCTEMUL5TED00048"
 
 
 def test_two_testers_are_answered_each_by_its_own(port: int) -> None:

@@ -190,7 +190,7 @@ def test_data_by_number_by_name_and_all(car: Vehicle) -> None:
     assert "error: 1 of 3 data were not told: 0999: request out of range (31)" in refused.err
     found = refused.records[0]["data"]
     assert [one["values"] for one in found] == [
-        {"VIN": "WDCTEMULATED00001"}, {"temperature [degC]": 80}, None,
+        {"VIN": "WDCTEMUL3TED00047"}, {"temperature [degC]": 80}, None,
     ]  # fmt: skip
     assert found[2]["refusal_text"] == "request out of range (31)"
     everything = {one["number"]: one for one in told("did", *BUS, "--active")["data"]}
@@ -269,7 +269,7 @@ def test_29_bits_are_scanned_on_request() -> None:
         bus = ("-i", "virtual", "-c", "29", *PATIENT, "--active")
         record = told("scan", *bus, "--extended", "--first", "16", "--last", "19", *WAIT)
         assert [one["request_id"] for one in record["controllers"]] == ["18DA18F1"]
-        assert told("did", "F190", *bus, "--ecu", "18DA18F1")["data"][0]["values"] == {"VIN": "WDCTEMULATED00001"}
+        assert told("did", "F190", *bus, "--ecu", "18DA18F1")["data"][0]["values"] == {"VIN": "WDCTEMUL3TED00047"}
 
 
 def test_two_controllers_are_told_apart() -> None:
@@ -286,13 +286,13 @@ def test_extended_addressing() -> None:
     with vehicle("extended", parked_controller(Transport(own_address=0x18))):
         bus = ("-i", "virtual", "-c", "extended", *PATIENT, "--active")
         (datum,) = told("did", "F190", *bus, "--ecu", "7E1", "--address", "18")["data"]
-        assert datum["values"] == {"VIN": "WDCTEMULATED00001"}
+        assert datum["values"] == {"VIN": "WDCTEMUL3TED00047"}
 
 
 def test_frames_of_can_fd() -> None:
     with vehicle("fd", parked_controller(), is_fd=True):
         found = told("did", "F190", "F186", "-i", "virtual", "-c", "fd", "--fd", *PATIENT, "--active")["data"]
-        assert [one["values"] for one in found] == [{"VIN": "WDCTEMULATED00001"}, {"session": 1}]
+        assert [one["values"] for one in found] == [{"VIN": "WDCTEMUL3TED00047"}, {"session": 1}]
 
 
 @contextmanager

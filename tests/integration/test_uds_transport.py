@@ -22,7 +22,7 @@ from tests.support.uds.full_table import full_table
 from tests.support.uds.wire import ALL_ID, RESPONSE_ID, Wire, parked_controller
 from tests.tools.uds_streams import run
 
-VIN = b"\x62\xf1\x90WDCTEMULATED00001"
+VIN = b"\x62\xf1\x90WDCTEMUL3TED00047"
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from tests.support.doip.entity_by_the_book import NEVER_REFUSED, Book
 from tests.support.doip.tester import Tester, entity
 
 LONGEST_STREAM = 12
-VIN = b"WDCTEMULATED00001"
+VIN = b"WDCTEMUL3TED00047"
 KINDS = (0x0000, 0x0001, 0x0002, 0x0003, 0x0004, 0x0005, 0x0007, 0x0008, 0x4001, 0x4003, 0x8001, 0x8002, 0xF000)
 
 

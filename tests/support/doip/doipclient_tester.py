@@ -39,7 +39,7 @@ def told_by(port: int, version: int) -> dict[str, Any]:
         for name, found in (
             ("by request", tester.request_vehicle_identification()),
             ("by EID", tester.request_vehicle_identification(eid=bytes.fromhex("020000001011"))),
-            ("by VIN", tester.request_vehicle_identification(vin="WDCTEMULATED00001")),
+            ("by VIN", tester.request_vehicle_identification(vin="WDCTEMUL3TED00047")),
         ):
             told[name] = [found.vin, found.logical_address, found.eid.hex(), found.vin_sync_status]
         status = tester.request_entity_status()

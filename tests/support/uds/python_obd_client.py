@@ -30,9 +30,7 @@ def page_rpm(port: str) -> float | None:
 
 def told(port: str) -> dict[str, Any]:
     """Return what the car says to a scan tool."""
-    vin, calibration = (  # its own commands strip 0, 1 and 2 from both ends
-        obd.OBDCommand(name, name, request, 0, _payload) for name, request in (("VIN_", b"0902"), ("CAL_", b"0904"))
-    )
+    calibration = obd.OBDCommand("CAL_", "CAL_", b"0904", 0, _payload)  # its own strips 0, 1, 2 and x from both ends
     with_adapter = obd.OBD(f"socket://127.0.0.1:{port}", fast=False, timeout=5)
     try:
         values = {
@@ -49,7 +47,7 @@ def told(port: str) -> dict[str, Any]:
             "count": status.DTC_count,
             "confirmed": [code for code, _ in with_adapter.query(obd.commands.GET_DTC).value],
             "pending": [code for code, _ in with_adapter.query(obd.commands.GET_CURRENT_DTC).value],
-            "vin": with_adapter.query(vin, force=True).value,
+            "vin": bytes(with_adapter.query(obd.commands.VIN, force=True).value).decode("ascii"),
             "calibration": with_adapter.query(calibration, force=True).value,
             "clear": with_adapter.query(obd.commands.CLEAR_DTC, force=True).value,
             "page_rpm": page_rpm(port),

@@ -110,12 +110,21 @@ def test_six_parameters_come_in_one_answer_without_those_that_are_not_there(benc
 
 
 def test_vehicle_information(bench: Bench) -> None:
-    assert bench.ask("09 02") == "49 02 01 " + b"WDCTEMULATED00001".hex(" ")
+    assert bench.ask("09 02") == "49 02 01 " + b"WDCTEMUL3TED00047".hex(" ")
     assert bench.ask("09 04") == "49 04 01 " + b"DCTCAL-0100".ljust(16, b"\0").hex(" ")
     assert bench.ask("09 0A") == "49 0a 01 " + b"TCM\0-TransmisCtrl".ljust(20, b"\0").hex(" ")
     bench.unlock(3)
-    assert bench.ask("2E F1 90 " + b"WDCTEMULATED00002".hex()) == "6e f1 90"
-    assert bench.ask("09 02").endswith("30 32")
+    assert bench.ask("2E F1 90 " + b"WDCTEMUL5TED00048".hex()) == "6e f1 90"
+    assert bench.ask("09 02").endswith("34 38")
+
+
+def test_the_vehicle_is_numbered_as_iso_3779_has_it_and_as_no_app_shortens_it(bench: Bench) -> None:
+    vin = bytes.fromhex(bench.ask("09 02"))[3:].decode("ascii")
+    letters = {**dict(zip("ABCDEFGHJKLMNPRSTUVWXYZ", (*range(1, 9), *range(1, 6), 7, 9, *range(2, 10)), strict=True))}
+    weights = (8, 7, 6, 5, 4, 3, 2, 10, 0, 9, 8, 7, 6, 5, 4, 3, 2)
+    total = sum(weight * letters.get(sign, ord(sign) - ord("0")) for sign, weight in zip(vin, weights, strict=True))
+    assert vin[8] == "0123456789X"[total % 11]
+    assert vin.strip().strip("\0\1\2\\x012") == vin  # as python-OBD does
 
 
 def fail(bench: Bench, code: str) -> None:
@@ -243,7 +252,7 @@ def test_obd_by_the_services_of_uds(bench: Bench) -> None:
     assert bench.ask("22 F4 0C F4 0D F8 0A") == "62 f4 0c 1f 40 f4 0d 00 f8 0a " + b"TCM\0-TransmisCtrl".ljust(
         20, b"\0"
     ).hex(" ")
-    assert bench.ask("22 F8 02", to_all=True) == "62 f8 02 " + b"WDCTEMULATED00001".hex(" ")
+    assert bench.ask("22 F8 02", to_all=True) == "62 f8 02 " + b"WDCTEMUL3TED00047".hex(" ")
     assert bench.ask("22 F4 02", to_all=True) == ""
     assert bench.ask("22 F4 02") == "7f 22 31"
     bitmaps = [bytes.fromhex(bench.ask(f"22 F4 {first:02x}"))[3:] for first in range(0, 0xC0, 0x20)]

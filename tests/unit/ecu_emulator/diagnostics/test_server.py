@@ -238,9 +238,9 @@ def test_what_is_written_is_read(bench: Bench) -> None:
 
 def test_the_maker_writes_the_vin(bench: Bench) -> None:
     bench.unlock(3)
-    assert bench.ask("2e f1 90 " + b"WDCTEMULATED0OOPS".hex()) == "7f 2e 31"  # a VIN has no O
-    assert bench.ask("2e f1 90 " + b"WDCTEMULATED00002".hex()) == "6e f1 90"
-    assert bench.ask("22 f1 90") == "62 f1 90 " + b"WDCTEMULATED00002".hex(" ")
+    assert bench.ask("2e f1 90 " + b"WDCTEMUL3TED0OOPS".hex()) == "7f 2e 31"  # a VIN has no O
+    assert bench.ask("2e f1 90 " + b"WDCTEMUL5TED00048".hex()) == "6e f1 90"
+    assert bench.ask("22 f1 90") == "62 f1 90 " + b"WDCTEMUL5TED00048".hex(" ")
 
 
 def test_data_are_scaled_and_know_what_is_not_known(bench: Bench) -> None:

@@ -5,7 +5,7 @@ import pytest
 from ecu_emulator.diagnostics.doip.messages import announcement, datagram_reply
 from tests.support.doip.desk import ENTITY, framed
 
-VIN = b"WDCTEMULATED00001"
+VIN = b"WDCTEMUL3TED00047"
 IDENTITY = VIN.hex() + "1011" + "020000001011" * 2 + "0000"
 
 

@@ -8,7 +8,7 @@ from ecu_emulator.diagnostics.elm327.interpreter import Interpreter
 from ecu_emulator.diagnostics.table_file import shipped_table
 from tests.unit.ecu_emulator.diagnostics.bench import Bench
 
-VIN = b"WDCTEMULATED00001"
+VIN = b"WDCTEMUL3TED00047"
 
 
 class Adapter:
