@@ -15,7 +15,8 @@ from sqlalchemy import URL, Connection, Engine, create_engine, event, exc, make_
 from clutchdiag_io.files import create_private, keep_private
 from fleet_backend.errors import ConfigError, DatabaseAwayError, DatabaseError, ExtraMissingError, RowRefusedError
 
-_NOT_OURS: Final = frozenset({SQLITE_ERROR, SQLITE_NOTADB, SQLITE_CORRUPT})  # no pause puts these right
+_DAMAGED: Final = frozenset({SQLITE_NOTADB, SQLITE_CORRUPT})
+_NOT_OURS: Final = _DAMAGED | {SQLITE_ERROR}  # no pause puts these right
 _IN_MEMORY: Final = frozenset({None, "", ":memory:"})
 _BUSY_TIMEOUT_S: Final = 30  # two workers share one SQLite file
 _POSTGRES_OPTIONS: Final = {  # a server that vanished is known after half a minute, not after two hours
@@ -97,10 +98,13 @@ def translated(engine: Engine) -> Iterator[None]:
     except exc.DBAPIError as error:
         text = f"database {place_of(engine)}: {_first_line(error)}"
         if isinstance(error, exc.ProgrammingError) or _sqlite_code(error) in _NOT_OURS:
-            raise DatabaseError(text) from error
+            advice = "; it is damaged, put a backup in its place" if _sqlite_code(error) in _DAMAGED else ""
+            raise DatabaseError(f"{text}{advice}") from error
         if isinstance(error, exc.IntegrityError | exc.DataError):
             raise RowRefusedError(text) from error
         raise DatabaseAwayError(text) from error
+    except UnicodeDecodeError as error:  # SQLite's own words about it are no text
+        raise DatabaseError(f"database {place_of(engine)}: damaged; put a backup in its place") from error
     except exc.StatementError as error:  # a value that the driver cannot even send
         raise RowRefusedError(f"database {place_of(engine)}: {_first_line(error)}") from error
 
@@ -175,7 +179,7 @@ def _begin_immediate(connection: Connection) -> None:
 def _sqlite_code(error: exc.DBAPIError) -> int | None:
     """Return SQLite's own code; its driver calls a missing table and a locked file by one name."""
     code = getattr(error.orig, "sqlite_errorcode", None)
-    return code if isinstance(code, int) else None
+    return code & 0xFF if isinstance(code, int) else None  # the rest of it tells more of the same
 
 
 def _first_line(error: exc.StatementError) -> str:

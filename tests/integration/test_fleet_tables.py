@@ -167,6 +167,24 @@ def test_a_file_that_is_no_fleet_database_is_an_error(
         assert not path.is_file() or path == empty or path.read_bytes() == before
 
 
+@pytest.mark.parametrize("words", ALL, ids=" ".join)
+@pytest.mark.parametrize("damage", [b"TABLE \xe8\xe8", b"TABLE ( ("])
+def test_a_damaged_database_is_told_with_what_to_do(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str], damage: bytes
+) -> None:
+    path = tmp_path / "fleet.sqlite"
+    assert main(["migrate", "--database", f"sqlite:///{path}"]) == 0
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+    path.write_bytes(re.sub(rb"TABLE \w\w\w", lambda name: damage.ljust(len(name[0])), path.read_bytes()))
+    capsys.readouterr()
+    assert main([*words, "--database", f"sqlite:///{path}"]) == 4
+    assert re.fullmatch(
+        rf"fleet-backend: error: database sqlite:///{path}: .*damaged.* put a backup in its place\n",
+        capsys.readouterr().err,
+    )
+
+
 def test_another_programs_database_is_left_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "places.sqlite"
     with sqlite3.connect(path) as other:
