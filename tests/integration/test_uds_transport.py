@@ -49,10 +49,10 @@ def test_a_long_response_waits_for_flow_control(wire: Wire) -> None:
     wire.put("03 22 f1 90")
     assert wire.get() == "10 14 62 f1 90 57 44 43"
     wire.put("30 01 00")  # one frame, then ask again
-    assert wire.get() == "21 54 45 4d 55 4c 41 54"
+    assert wire.get() == "21 54 45 4d 55 4c 33 54"
     wire.put("31 00 00")  # wait
     wire.put("30 00 00")
-    assert wire.get() == "22 45 44 30 30 30 30 31"
+    assert wire.get() == "22 45 44 30 30 30 34 37"
 
 
 def test_a_client_that_aborts_gets_no_more(wire: Wire) -> None:
@@ -330,7 +330,7 @@ def test_a_sender_waits_as_often_as_it_is_asked_to(wire: Wire) -> None:
     for _ in range(25):
         wire.put("31 00 00")
     wire.put("30 00 00")
-    assert [wire.get(), wire.get()] == ["21 54 45 4d 55 4c 41 54", "22 45 44 30 30 30 30 31"]
+    assert [wire.get(), wire.get()] == ["21 54 45 4d 55 4c 33 54", "22 45 44 30 30 30 34 37"]
     assert wire.link.counts.broken_messages == 0
 
 
