@@ -9,6 +9,7 @@ What is named here is imported when it is first used: ``import canlog`` itself t
 import typing
 
 from canlog.extras import on_demand as _on_demand
+from canlog.extras import wait_with as _wait_with
 
 if typing.TYPE_CHECKING:
     from canlog.database.loading import load_database
@@ -46,4 +47,5 @@ _HOMES = {
     "canlog.whole_log": ("Log", "Samples", "read"),
     "canlog.tables.decoding": ("TableChoice", "write_parquet", "write_table"),
 }
+_wait_with("cantools.tester")  # a live bus for cantools; it takes python-can along, and that asammdf, pandas and polars
 __getattr__, __dir__ = _on_demand(__name__, _HOMES)

@@ -8,12 +8,11 @@ from importlib.machinery import ModuleSpec, PathFinder
 from importlib.metadata import packages_distributions
 from importlib.util import LazyLoader
 from types import ModuleType
-from typing import Any, Final
+from typing import Any
 
 from canlog.errors import ExtraMissingError
 
 _OWN_NAME = "canlog"
-TESTER: Final = "cantools.tester"  # a live bus for cantools, which takes all of python-can along: 60 ms
 
 
 def load_extra(module: str, what: str, extra: str = "") -> Any:  # noqa: ANN401 - a module of any library

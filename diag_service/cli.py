@@ -11,7 +11,6 @@ from types import SimpleNamespace
 from typing import Final
 
 from canlog.errors import DefinitionError, ExtraMissingError, InputLeftError, OutputError, SourceError
-from canlog.extras import TESTER, wait_with
 from canlog.files import widen
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.program import Kinds, complain, is_attached, part, reckon_in_one_thread, standard_output
@@ -78,7 +77,6 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
     # python-can loads asammdf where it is installed, and that pandas: 0.3 s, 45 MB. MF4 logs are read in a process of
     # their own.
     sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # Python's own way to say "not here"
-    wait_with(TESTER)
     is_piped = STANDARD_STREAM in _logs(options)
     if is_piped:
         with suppress(AttributeError, OSError, ValueError):  # none, or none of the system: reading it says so

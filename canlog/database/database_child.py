@@ -11,8 +11,6 @@ import sys
 from contextlib import suppress
 from typing import Final
 
-from canlog.extras import TESTER, wait_with
-
 UNREADABLE: Final = 3
 OUT_OF_MEMORY: Final = 4
 LENIENT: Final = "lenient"
@@ -48,9 +46,6 @@ def _limit(memory_bytes: int, time_s: int) -> None:
 
 def parse(text: str, database_format: str, *, is_lenient: bool) -> int:
     """Parse a text; write what came out."""
-    # python-can would take asammdf along: half a second and a hundred megabytes for nothing.
-    sys.modules["asammdf"] = None  # type: ignore[assignment]  # as the import system marks what is not there
-    wait_with(TESTER)
     from canlog.database import database_parsing as parsing  # noqa: PLC0415 - within the limits
 
     try:

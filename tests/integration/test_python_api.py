@@ -171,6 +171,16 @@ def test_importing_it_loads_no_library() -> None:
     assert loaded == set()
 
 
+def test_reading_with_a_database_loads_no_heavy_library(drive_log: Path) -> None:
+    program = (
+        "import sys, canlog, dbc.contract; log = canlog.read(sys.argv[1], dbc.contract.DBC_PATH); log.signals()\n"
+        "print([name for name in ('asammdf', 'can', 'pandas', 'polars') if name in sys.modules])\n"
+        "import cantools; print(cantools.tester.Tester.__name__)"  # and whoever wants a live bus of cantools has it
+    )
+    done = subprocess.run([sys.executable, "-c", program, drive_log], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["[]", "Tester"]
+
+
 def test_several_logs_are_read_in_the_order_of_time(drive_log: Path, tmp_path: Path) -> None:
     lines = drive_log.read_bytes().splitlines(keepends=True)
     halves = [tmp_path / "later.log", tmp_path / "earlier.log"]
