@@ -1,11 +1,12 @@
 """What ``decode`` costs from the log to the file, beside python-can and cantools, which decode and write nothing.
 
-A hundred messages with 700 signals, 651,360 frames, as candump text and as BLF. Every contender is a program of its
+A hundred messages with 700 signals, 651,360 frames, as candump text and as BLF; as MF4 beside a script of asammdf with
+pyarrow, which writes a Parquet file for each message as ``--layout messages`` does. Every contender is a program of its
 own; counted is the processor time of it and its children, user and system. The start of each, imports and database, is
 what it takes for a log of a hundred frames. Contenders take turns; printed are the medians of the rounds and their
 ratios: of whole programs, and with the starts taken off on both sides.
 
-    python -m benchmarks.decoded_tables [--frames 651360] [--rounds 3] [--format .log] [--format .blf]
+    python -m benchmarks.decoded_tables [--frames 651360] [--rounds 3] [--format .log] [--format .blf] [--format .mf4]
 """
 
 import argparse
@@ -36,6 +37,16 @@ with can.LogReader(sys.argv[1]) as log:
     for message in log:
         decode(message.arbitration_id, bytes(message.data), decode_choices=False)
 """
+MF4_PEER: Final = """
+import sys, asammdf, pyarrow, pyarrow.parquet
+with asammdf.MDF(sys.argv[1]) as log:
+    signals = log.extract_bus_logging({"CAN": [(sys.argv[2], 0)]}, ignore_value2text_conversion=True)
+for number, group in enumerate(signals.groups):
+    found = [signals.get(group=number, index=place) for place in range(1, len(group.channels))]
+    columns = {"time": found[0].timestamps, **{one.name: one.samples for one in found}}
+    pyarrow.parquet.write_table(pyarrow.table(columns), f"{sys.argv[1]}-{number}.parquet", compression="zstd")
+"""
+FORMATS: Final = {".log": PEER, ".blf": PEER, ".mf4": MF4_PEER}
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +75,7 @@ def commands(log: Path, dbc: Path) -> dict[str, list[str]]:
     ours = ["-m", "diag_service", "decode", str(log), "--dbc", str(dbc), "--force"]
     return {
         **{one: [*ours, "--layout", one, "-o", str(written(log, one))] for one in GOALS},
-        "peer": ["-c", PEER, str(log), str(dbc)],
+        "peer": ["-c", FORMATS[log.suffix], str(log), str(dbc)],
     }
 
 
@@ -109,14 +120,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=FRAMES, help="of each log (%(default)s)")
     parser.add_argument("--rounds", type=int, default=3, help="of which the medians are printed (%(default)s)")
-    parser.add_argument("--format", action="append", choices=[".log", ".blf"], help="of the log (both)")
+    parser.add_argument("--format", action="append", choices=[*FORMATS], help="of the log (all)")
     options = parser.parse_args()
     console = Console(width=130)
     table = Table("log", "contender", "whole s", "start s", "net s", "MB", "of the peer", "net of starts", "goal")
     recorded = frames(options.frames)
     with TemporaryDirectory() as folder:
         dbc = write_database(Path(folder) / "bus.dbc")
-        for suffix in options.format or [".log", ".blf"]:
+        for suffix in options.format or FORMATS:
             log = write_log(Path(folder) / f"drive{suffix}", recorded)
             short = write_log(Path(folder) / f"short{suffix}", recorded[:SHORT])
             for words in commands(short, dbc).values():

@@ -20,7 +20,7 @@ from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_lo
 from canlog.tables.account import DecodeAccount, losses
 from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, groups, message_columns, stretches
 from canlog.tables.frame_groups import FrameGroup, log_paths
-from canlog.tables.layouts import BARE_ID, ShapeName, TableShapeName, Values, ValuesName, WideLayout
+from canlog.tables.layouts import BARE_ID, ShapeName, TableShapeName, Values, ValuesName, WideLayout, column_of
 from canlog.transport import LongMessage, LongMessages
 
 WARNED_CELLS: Final = 50_000_000  # of a wide table: 0.4 GB
@@ -228,11 +228,11 @@ class Log:
         )
         flags = [(frames.can_id & np.uint32(flag)) != 0 for flag in (EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)]
         columns = [
-            arrow.array(frames.t_ns, arrow.timestamp("ns", "UTC")),
-            frames.channel,
-            frames.can_id & np.uint32(BARE_ID),
-            *flags,
-            (frames.flags & FD_FLAG) != 0,
+            column_of(frames.t_ns, kind=arrow.timestamp("ns", "UTC")),
+            column_of(frames.channel),
+            column_of(frames.can_id & np.uint32(BARE_ID)),
+            *map(column_of, flags),
+            column_of((frames.flags & FD_FLAG) != 0),
             data.cast(arrow.binary()),
         ]
         return arrow.table(columns, schema=arrow_schema(KINDS))

@@ -1,16 +1,10 @@
 """ASAM MDF 4 files, read by asammdf in a child process: nobody vouches for a file, so memory and time are limited.
 
-A server process imports the library once and forks a child for each file, so a file costs milliseconds. The child sends
-batches, then its counts; what ends it early is one clear error here.
+A child of the server (canlog/mf4_server.py) sends batches, then its counts; what ends it early is one clear error here.
 """
 
-import atexit
 import json
 import os
-import socket
-import subprocess
-import sys
-import threading
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from importlib.machinery import PathFinder
@@ -26,6 +20,7 @@ from canlog.logs.log_counts import LogCounts
 from canlog.logs.mf4_channels import measured_channels
 from canlog.logs.mf4_frames import NEEDS_ASAMMDF, mf4_batches
 from canlog.logs.mf4_mending import UNFINISHED_MAGIC
+from canlog.mf4_server import IS_LIMITED, SERVER
 
 MEMORY_BYTES = 128 * 1024 * 1024  # beyond what the library itself takes, for a small file
 MEMORY_PER_BYTE = 4
@@ -34,8 +29,6 @@ CPU_S = 2.0
 BYTES_PER_CPU_S = 2_000_000
 MEASURED_SLOWER = 4  # a byte, where records of many channels are packed
 WAIT_PER_CPU_S = 20.0  # others may use the machine, too; processor time is what is limited
-CHILD = "canlog.logs.mf4_child"
-IS_LIMITED = sys.platform == "linux" and hasattr(os, "fork")  # elsewhere files are read in this process
 GAVE_UP = "reading it takes more time or memory than any intact file of its size: it is damaged"
 
 
@@ -68,7 +61,7 @@ def read_mf4(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
                     "file_bytes": MEMORY_BYTES + COPY_PER_BYTE * content_bytes,
                     "cpu_s": int(cpu_s) + 1,
                 }
-                _SERVER.ask(json.dumps(request).encode(), sending.fileno())
+                SERVER.ask(json.dumps(request).encode(), sending.fileno())
             while isinstance(message := _receive(receiving, WAIT_PER_CPU_S * cpu_s), FrameBatch):
                 yield message
     if isinstance(message, LogCounts):
@@ -102,49 +95,3 @@ def _receive(receiving: Connection, wait_s: float) -> FrameBatch | LogCounts | s
     except (EOFError, OSError):
         pass
     return GAVE_UP
-
-
-class _Server:
-    """The process that forks the children; started when it is first needed, ended with this one."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._process: subprocess.Popen[bytes] | None = None
-        self._control: socket.socket | None = None
-
-    def ask(self, request: bytes, reply_to: int) -> None:
-        """Have a child do what the request says and write to this pipe.
-
-        Raises SourceError if no process can be started.
-        """
-        with self._lock:
-            try:
-                control = self._control
-                if control is None or self._process is None or self._process.poll() is not None:
-                    control = self._start()
-                socket.send_fds(control, [request], [reply_to])
-            except OSError as exc:
-                raise SourceError(f"no process can be started to read it: {exc.strerror or exc}") from exc
-
-    def stop(self) -> None:
-        if self._control is not None and self._process is not None:
-            self._control.close()
-            self._process.wait()
-
-    def _start(self) -> socket.socket:
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with closing(theirs):
-            self._process = subprocess.Popen(  # noqa: S603 - this interpreter, a module of this package
-                [sys.executable, "-m", CHILD, str(theirs.fileno())],
-                pass_fds=[theirs.fileno()],
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(folder for folder in sys.path if folder)},
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
-        self._control = ours
-        return ours
-
-
-_SERVER = _Server()
-atexit.register(_SERVER.stop)

@@ -12,6 +12,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from canlog.errors import SourceError
+from canlog.extras import wait_with
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.mf4_frames import mf4_batches
 
@@ -24,6 +25,7 @@ def serve(control: socket.socket) -> None:
     """Fork a child for every request, until the other end is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is the parent's matter
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # children need no funeral
+    wait_with("polars")  # which asammdf takes along, and reads no frame with
     with suppress(ImportError):
         import_module("asammdf")  # once, not in every child
     while True:

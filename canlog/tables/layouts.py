@@ -184,10 +184,10 @@ class TableLayout:
             log = {LOG: _name_column(self._origins.names, group.log[rows].astype(np.int32))}
         return {
             **log,
-            TIME: arrow.array(group.frames.t_ns[rows], type=arrow.timestamp("ns", "UTC")),
-            CHANNEL: group.channel[rows],
-            ID: (can_id & np.uint32(BARE_ID)).astype(np.int32),
-            IS_EXTENDED: (can_id & np.uint32(EXTENDED_FLAG)) != 0,
+            TIME: column_of(group.frames.t_ns[rows], kind=arrow.timestamp("ns", "UTC")),
+            CHANNEL: column_of(group.channel[rows]),
+            ID: column_of((can_id & np.uint32(BARE_ID)).astype(np.int32)),
+            IS_EXTENDED: column_of((can_id & np.uint32(EXTENDED_FLAG)) != 0),
         }
 
     def unit(self, place: Place) -> str:
@@ -277,10 +277,10 @@ class LongLayout(TableLayout):
         if self.values is not Values.NUMBERS:
             arrow = load_pyarrow()
             texts = arrow.concat_arrays([_name_column(part.names, part.codes) for part in parts])
-            text = {TEXT: texts.take(arrow.array(order))}
+            text = {TEXT: texts.take(column_of(order))}
             if self.values is Values.TEXTS:
                 is_good &= text[TEXT].is_null().to_numpy(zero_copy_only=False)
-        columns[VALUE] = value if is_good.all() else _column(value, is_good)
+        columns[VALUE] = column_of(value, None if is_good.all() else is_good)
         columns.update(text)
         columns[UNIT] = _name_column([self.unit(part.place) for part in parts], which)
         return len(rows), columns
@@ -341,9 +341,7 @@ class _Cells:
             if value is None:
                 found[place] = arrow.nulls(self._count, "float64")
                 continue
-            is_there = np.packbits(self._is_there[place], bitorder="little")
-            buffers = [arrow.py_buffer(is_there), arrow.py_buffer(value)]
-            found[place] = arrow.Array.from_buffers(arrow.float64(), self._count, buffers)
+            found[place] = column_of(value, self._is_there[place])
         return found
 
     def texts(self, place: Place, names: Sequence[str]) -> Column:
@@ -362,12 +360,21 @@ def _name_column(names: Sequence[str], which: Int32Array) -> Column:
     arrow = load_pyarrow()
     known = {name: code for code, name in enumerate(dict.fromkeys(names))}
     codes = np.array([*(known[name] for name in names), NAMELESS], np.int32)[which]  # NAMELESS is the last place, too
-    indices = _column(np.maximum(codes, 0), codes != NAMELESS)  # readers check the codes of what is null as well
-    return arrow.DictionaryArray.from_arrays(indices, arrow.array(list(known), arrow.string()))
+    indices = column_of(np.maximum(codes, 0), codes != NAMELESS)  # readers check the codes of what is null as well
+    texts = [name.encode() for name in known]
+    ends = np.cumsum([0, *map(len, texts)], dtype=np.int32)
+    found = arrow.StringArray.from_buffers(len(texts), arrow.py_buffer(ends), arrow.py_buffer(b"".join(texts)))
+    return arrow.DictionaryArray.from_arrays(indices, found)
 
 
-def _column(values: npt.NDArray[Any], is_there: BoolArray) -> Column:
-    """Return values as a column, null where they are not there; they are not copied, and their bits are packed fast."""
+def column_of(values: npt.NDArray[Any], is_there: BoolArray | None = None, kind: Any = None) -> Column:  # noqa: ANN401 - a type of pyarrow
+    """Return values as a column, null where they are not there; they are not copied, and their bits are packed fast.
+
+    pyarrow's own way takes longer, and loads pandas where it is installed.
+    """
     arrow = load_pyarrow()
-    buffers = [arrow.py_buffer(np.packbits(is_there, bitorder="little")), arrow.py_buffer(values)]
-    return arrow.Array.from_buffers(arrow.from_numpy_dtype(values.dtype), len(values), buffers)
+    packed = np.packbits(values, bitorder="little") if values.dtype == np.bool_ else values
+    bits = None if is_there is None else arrow.py_buffer(np.packbits(is_there, bitorder="little"))
+    return arrow.Array.from_buffers(
+        kind or arrow.from_numpy_dtype(values.dtype), len(values), [bits, arrow.py_buffer(packed)]
+    )
