@@ -20,18 +20,21 @@ OPENBLAS_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS
 
 PY = "$(VENV)/bin/python"
+INSTALL = $(PY) -m pip --disable-pip-version-check install -qq
 SHUFFLED = $(if $(ORDER),--order-seed "$(ORDER)")
 # The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.
 BENCHMARKS = decode estimator fleet_ingest live_bus live_latency outbox plant readers service service_memory start
 
-.PHONY: help setup setup-system demo fleet docs check static static-and-warm test warm test-both test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom clean
+.PHONY: help setup setup-all setup-system demo fleet docs check static static-and-warm test warm test-both test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom clean
 
 help:
-	@echo "make setup         virtual environment in $(VENV) with the locked requirements and the project"
+	@echo "make setup         virtual environment in $(VENV) with the project and what its programs and the demonstration need"
+	@echo "make setup-all     the same with all that tests, documents and benchmarks need, as their targets do it"
 	@echo "make demo          emulator and service on one bus, a live line per shift, a table and a picture"
 	@echo "                   SCENARIO=case2 for another drive, BROKER=mqtt://host for a broker of your own"
 	@echo "make fleet         broker, database, two ingest workers, three vehicles with different fluids; the fleet, worst first, and its page"
-	@echo "make docs          the documents as a site with a search: build/site/index.html; fails on a broken link"
+	@echo "make docs          the documents as a site: build/site/index.html; fails on a broken link"
+	@echo "                   its search needs a server: python3 -m http.server --directory build/site"
 	@echo "make check         format, lint, types, import contracts, DBC, unit and property tests (under 2 minutes)"
 	@echo "make test          everything CI runs, the tests on a real vcan included; ORDER=n shuffles them"
 	@echo "make bench         speed and size figures"
@@ -41,12 +44,14 @@ help:
 	@echo "make mismatch      bias, RMS and coverage where the vehicle differs from the belief; writes into docs"
 	@echo "make setup-system  the Debian packages that 'make test' needs (mosquitto, can-utils, ...)"
 	@echo "make sbom          the bill of materials of requirements.lock, as CycloneDX JSON; RUNTIME=1 of what runs, with licences"
-	@echo "make lock          resolve requirements.lock again; UPGRADE=1 for newer versions"
+	@echo "make lock          resolve requirements.lock and requirements-demo.lock again; UPGRADE=1 for newer versions"
 	@echo "Variables: PYTHON=$(PYTHON) (3.11 or newer), VENV=$(VENV)"
 
 # --- setting up -------------------------------------------------------------------------------------------------------
 
 setup: $(VENV)/.project-installed
+
+setup-all: $(VENV)/.all-installed
 
 $(VENV)/bin/python:
 	@command -v "$(PYTHON)" >/dev/null || { \
@@ -62,14 +67,20 @@ $(VENV)/bin/python:
 	  exit 1; }
 
 # Twice -q: pip's notes about indices that lack a package are the machine's matter, its errors are ours.
-$(VENV)/.requirements-installed: requirements.lock | $(VENV)/bin/python
-	@echo "setup: installing the locked requirements (their hashes are checked; a minute or two the first time)"
-	@$(PY) -m pip --disable-pip-version-check install -qq --no-compile --require-hashes -r requirements.lock
+$(VENV)/.requirements-installed: requirements-demo.lock | $(VENV)/bin/python
+	@echo "setup: installing the requirements of the programs and the demonstration (their hashes are checked)"
+	@$(INSTALL) --no-compile --require-hashes -r requirements-demo.lock
 	@touch "$@"
 
 $(VENV)/.project-installed: pyproject.toml $(VENV)/.requirements-installed
 	@echo "setup: installing clutchdiag itself, editable"
-	@$(PY) -m pip --disable-pip-version-check install -qq --no-deps --no-build-isolation -e .
+	@$(INSTALL) --no-deps --no-build-isolation -e .
+	@touch "$@"
+
+# The lock of the programs has the versions of this one, so nothing is installed twice.
+$(VENV)/.all-installed: requirements.lock $(VENV)/.project-installed
+	@echo "setup: installing what tests, documents and benchmarks need besides"
+	@$(INSTALL) --no-compile --require-hashes -r requirements.lock
 	@touch "$@"
 
 setup-system:
@@ -79,37 +90,40 @@ setup-system:
 sbom:
 	@$(if $(RUNTIME),$(MAKE) --no-print-directory setup >&2 && $(PY) .ci/sbom.py --run-time,"$(PYTHON)" .ci/sbom.py)
 
-lock: setup
-	@$(PY) -m uv pip compile pyproject.toml --all-extras --generate-hashes --no-emit-index-url --universal \
-	  --python-version 3.11 $(if $(UPGRADE),--upgrade) -q -o requirements.lock
+COMPILE = $(PY) -m uv pip compile pyproject.toml --generate-hashes --no-emit-index-url --universal \
+	  --python-version 3.11 $(if $(UPGRADE),--upgrade) -q
+
+lock: setup-all
+	@$(COMPILE) --all-extras -o requirements.lock
+	@$(COMPILE) --extra demo --constraints requirements.lock -o requirements-demo.lock
 
 # --- using ------------------------------------------------------------------------------------------------------------
 
 demo: setup
 	@$(PY) -m demo $(if $(SCENARIO),--scenario "$(SCENARIO)") $(if $(BROKER),--broker "$(BROKER)")
 
-fleet: setup
+fleet: setup-all
 	@$(PY) -m demo.fleet
 
-docs: setup
+docs: setup-all
 	@NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict --quiet
-	@echo "docs: build/site/index.html"
+	@echo "docs: build/site/index.html; with a search: python3 -m http.server --directory build/site"
 
-bench: setup
+bench: setup-all
 	@set -e; for name in $(BENCHMARKS); do \
 	  echo "== benchmark: $$name"; $(PY) -m "benchmarks.$$name"; \
 	done
 
-accuracy: setup
+accuracy: setup-all
 	@$(PY) -m benchmarks.accuracy $(if $(SEEDS),--seeds "$(SEEDS)")
 
-reproduce: setup
+reproduce: setup-all
 	@$(PY) -m benchmarks.reproduce $(if $(SEEDS),--seeds "$(SEEDS)")
 
-operating-curve: setup
+operating-curve: setup-all
 	@$(PY) -m benchmarks.operating_curve $(if $(SEEDS),--seeds "$(SEEDS)")
 
-mismatch: setup
+mismatch: setup-all
 	@$(PY) -m benchmarks.mismatch $(if $(SEEDS),--seeds "$(SEEDS)")
 
 # --- checking ---------------------------------------------------------------------------------------------------------
@@ -118,7 +132,7 @@ check: static
 	@echo "check: unit and property tests"
 	@$(PY) -m pytest -q -n 2 -m "not vcan and not slow" tests/unit tests/properties
 
-static: setup
+static: setup-all
 	@echo "check: format, lint, types, import contracts, spelling"
 	@$(PY) -m ruff format --quiet --check .
 	@$(PY) -m ruff check --quiet .
@@ -134,7 +148,7 @@ test: setup-system static-and-warm test-both
 	@echo "test: all passed, none skipped"
 
 # Each keeps one core busy.
-static-and-warm: setup
+static-and-warm: setup-all
 	@$(MAKE) --no-print-directory warm & compiling=$$!; \
 	$(MAKE) --no-print-directory static; checked=$$?; \
 	wait $$compiling && exit $$checked
@@ -142,7 +156,7 @@ static-and-warm: setup
 # Compiling inside User-Mode Linux is twelve times slower than here, so the caches are filled before.
 # What a package keeps as a template for other Pythons does not compile, and need not. Tests compile as they are
 # collected: once, not in each worker.
-warm: setup
+warm: setup-all
 	@echo "test: compiling the libraries, the tests and the numerical kernels, unless cached"
 	@$(PY) -m compileall -qq "$(VENV)/lib" || true
 	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && { \
@@ -153,7 +167,7 @@ warm: setup
 	  cat "$$folder/said" >&2; exit 1; }
 
 # The guest has one processor and mostly waits for real time, so it runs beside; what it said follows.
-test-both: setup
+test-both: setup-all
 	@said=$$(mktemp) && trap 'rm -f "$$said"' EXIT && trap 'kill $$beside 2>/dev/null; exit 130' INT TERM && { \
 	  $(MAKE) --no-print-directory test-vcan >"$$said" 2>&1 & beside=$$!; \
 	  $(MAKE) --no-print-directory test-host; on_host=$$?; \
@@ -161,11 +175,11 @@ test-both: setup
 	}
 
 # Four workers keep two cores busy: half of them wait, for a drive in real time, a broker or a process that was killed.
-test-host: setup
+test-host: setup-all
 	@echo "test: on this machine, $$(uname -sr)"
 	@$(PY) -m pytest -m "not vcan" -n 4 --dist worksteal $(SHUFFLED)
 
-test-vcan: setup
+test-vcan: setup-all
 	@echo "test: on a real vcan"
 	@$(PY) -m tests.uml.run --time-limit "$(VCAN_LIMIT_S)" -- $(PY) -m pytest -m vcan $(SHUFFLED) tests/e2e tests/integration
 

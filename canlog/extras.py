@@ -41,9 +41,9 @@ def load_asammdf(what: str) -> Any:  # noqa: ANN401 - an untyped library
 
 
 def extra_missing(what: str, extra: str) -> ExtraMissingError:
-    """Return the error that says what to install: an extra of the distribution that this package came with."""
-    distributions = packages_distributions().get(_OWN_NAME, [_OWN_NAME])
-    return ExtraMissingError(f"{what}: pip install '{distributions[0]}[{extra}]'")
+    """Return the error that says what to install: an extra of the checkout that this package came with."""
+    folder = "./canlog" if packages_distributions().get(_OWN_NAME) == [_OWN_NAME] else "."
+    return ExtraMissingError(f"{what}: pip install '{folder}[{extra}]' in the checkout")
 
 
 class _LazyFinder(MetaPathFinder):

@@ -37,7 +37,7 @@ def check_extra(extra: str) -> None:
     """Raise ExtraMissingError unless the libraries of an extra can be found."""
     for module, name in EXTRA_OF.items():
         if name == extra and find_spec(module) is None:
-            raise ExtraMissingError(f"the module {module} is not installed: pip install 'clutchdiag[{extra}]'")
+            raise ExtraMissingError(f"the module {module} is not installed: pip install '.[{extra}]' in the checkout")
 
 
 def to_its_end(name: str, work: Coroutine[None, None, int]) -> int:

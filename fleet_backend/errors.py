@@ -17,7 +17,7 @@ class ExtraMissingError(ConfigError):
     """A library that only an extra brings is not installed: install it."""
 
     def __init__(self, module: str, extra: str = "fleet") -> None:
-        super().__init__(f"the module {module} is not installed: pip install 'clutchdiag[{extra}]'")
+        super().__init__(f"the module {module} is not installed: pip install '.[{extra}]' in the checkout")
 
 
 class UnknownVehicleError(FleetBackendError):

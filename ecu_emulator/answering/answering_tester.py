@@ -102,7 +102,7 @@ class Answering:
         try:
             from ecu_emulator.diagnostics.link import DiagnosticLink  # noqa: PLC0415 - an extra
         except ImportError as exc:
-            raise ExtraMissingError("diagnostics need can-isotp: pip install 'clutchdiag[diagnostics]'") from exc
+            raise ExtraMissingError("diagnostics need can-isotp: pip install '.[diagnostics]' in the checkout") from exc
         self._bus = bus
         self._stack = ExitStack()
         self._clock = clock

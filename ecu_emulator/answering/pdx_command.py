@@ -33,7 +33,7 @@ def save_pdx(table: Path | None, path: Path, *, is_forced: bool) -> tuple[Diagno
     try:
         from ecu_emulator.diagnostics.pdx.package import pdx_package  # noqa: PLC0415 - an extra
     except ImportError as exc:
-        raise ExtraMissingError("PDX files need odxtools: pip install 'clutchdiag[odx]'") from exc
+        raise ExtraMissingError("PDX files need odxtools: pip install '.[odx]' in the checkout") from exc
 
     if table is not None and path.absolute() == table.absolute():
         raise ConfigError(f"table and package cannot both be {path}")

@@ -291,7 +291,7 @@ class Mf4Writer:
             from asammdf.blocks import v4_constants  # noqa: PLC0415
             from asammdf.blocks.v4_blocks import SourceInformation  # noqa: PLC0415
         except ImportError as exc:
-            raise ExtraMissingError("MF4 needs the optional package asammdf: pip install 'clutchdiag[mf4]'") from exc
+            raise ExtraMissingError("MF4 needs asammdf: pip install '.[mf4]' in the checkout") from exc
         self._stream = stream
         self._start_us = header.start_us
         self._signal: Any = asammdf.Signal

@@ -77,7 +77,7 @@ def _execute(options: SimpleNamespace) -> None:
     except ModuleNotFoundError as exc:
         if exc.name is None or exc.name.startswith("fleet_backend.certificates"):
             raise
-        raise CertificateError(f"the module {exc.name} is not installed: pip install 'clutchdiag[security]'") from exc
+        raise CertificateError(f"{exc.name} is not installed: pip install '.[security]' in the checkout") from exc
     if options.command == "access":
         write_access(options.folder)
         return

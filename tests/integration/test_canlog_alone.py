@@ -164,7 +164,7 @@ for table in (log.to_arrow, log.to_pandas, log.to_polars):
         print(exc)
 """
     assert alone.run("-c", program, cwd=tmp_path).out.splitlines() == [
-        "Parquet needs pyarrow: pip install 'canlog[parquet]'",
+        "Parquet needs pyarrow: pip install './canlog[parquet]' in the checkout",
         "to_pandas() needs pandas: pip install pandas",
         "to_polars() needs polars: pip install polars",
     ]

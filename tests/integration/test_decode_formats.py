@@ -359,13 +359,13 @@ def test_every_log_of_an_archive_becomes_a_table(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("missing", "log", "output", "told"),
     [
-        ("pyarrow", "drive.log", "out.csv", "csv needs pyarrow: pip install 'clutchdiag[parquet]'"),
-        ("pyarrow", "drive.log", "out.parquet", "parquet needs pyarrow: pip install 'clutchdiag[parquet]'"),
+        ("pyarrow", "drive.log", "out.csv", "csv needs pyarrow: pip install '.[parquet]'"),
+        ("pyarrow", "drive.log", "out.parquet", "parquet needs pyarrow: pip install '.[parquet]'"),
         (
             "pyarrow asammdf zstandard",
             "drive.mf4.zst",
             "out.jsonl",
-            "jsonl needs pyarrow, MF4 logs need asammdf, logs inside zstd need zstandard: pip install 'clutchdiag[mf4,",
+            "jsonl needs pyarrow, MF4 logs need asammdf, logs inside zstd need zstandard: pip install '.[mf4,",
         ),
     ],
 )

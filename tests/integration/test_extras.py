@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.documents import ROOT
 from tests.support.plain_install import PlainInstall, core_distributions, extra_modules, plain_install
 from tests.support.ports import free_port
 
@@ -27,7 +28,21 @@ def _plain(tmp_path_factory: pytest.TempPathFactory) -> PlainInstall:
 
 def one_line(program: str, extra: str, text: str) -> None:
     """Hold a complaint against what every complaint of this kind is."""
-    assert re.fullmatch(rf"{program}: error: .*pip install 'clutchdiag\[{extra}\]'\n", text), text
+    assert re.fullmatch(rf"{program}: error: .*pip install '\.\[{extra}\]' in the checkout\n", text), text
+
+
+def test_what_is_to_be_installed_is_where_pip_finds_it() -> None:
+    """The project is in no package index: only its folder can be installed."""
+    folders = [
+        ROOT / name for name in ("docs", "examples", "demo", "canlog", "diag_service", "ecu_emulator", "fleet_backend")
+    ]
+    files = [
+        ROOT / "README.md",
+        *(path for folder in folders for end in ("md", "py") for path in folder.rglob(f"*.{end}")),
+    ]
+    advice = [line for path in files for line in path.read_text(encoding="utf-8").splitlines() if "pip install" in line]
+    assert len(advice) > 10
+    assert [line for line in advice if re.search(r"pip install[^`]* '?(clutchdiag|canlog)\b", line)] == []
 
 
 def test_nothing_of_the_extras_can_be_imported(plain: PlainInstall) -> None:
@@ -143,7 +158,7 @@ def test_a_folder_goes_on_without_the_logs_that_need_an_extra(plain: PlainInstal
     (told,) = plain.run_all("diag_service.cli", [["analyze", str(tmp_path), "--jobs", "1"]], cwd=tmp_path)
     assert told.status == 3
     assert "drive.mf4: not read: " in told.out
-    assert "pip install 'clutchdiag[mf4]'" in told.err
+    assert "pip install '.[mf4]'" in told.err
 
 
 def test_a_log_in_mf4_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
@@ -204,5 +219,5 @@ for wanted in (
     told = plain.run("-c", program, cwd=tmp_path)
     extras = ["parquet", None, None, "parquet", "mf4", "uds", "uds"]
     names = ["", "pandas", "polars", "", "", "", ""]
-    wanted = [f"'clutchdiag[{extra}]'" if extra else name for extra, name in zip(extras, names, strict=True)]
+    wanted = [f"'.[{extra}]' in the checkout" if extra else name for extra, name in zip(extras, names, strict=True)]
     assert told.out.splitlines() == wanted, told.err

@@ -166,7 +166,7 @@ def test_decode_without_pyarrow_says_what_to_install(short_log: Path, tmp_path: 
     program = "import sys; sys.modules['pyarrow'] = None; from diag_service.cli import main; sys.exit(main())"
     arguments = ("decode", short_log, "-o", tmp_path / "o.parquet")
     with service(tmp_path / "run", *arguments, program=(sys.executable, "-c", program)) as running:
-        running.wait().assert_one_line(2, "pip install 'clutchdiag[parquet]'")
+        running.wait().assert_one_line(2, "pip install '.[parquet]'")
 
 
 def test_what_reads_mf4_starts_before_all_else_and_nothing_loads_what_is_not_needed(

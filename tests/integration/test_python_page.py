@@ -2,13 +2,15 @@
 
 import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 import diag_service
 import ecu_emulator
-from tests.support.documents import ROOT, page_text
+from tests.support.documents import page_text
 from tests.support.in_process import never_a_program
 
 PAGE = "docs/python.md"
@@ -18,7 +20,6 @@ BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 def test_the_blocks_of_the_page_run_in_their_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shutil.copy(ROOT / "dbc" / "dct.dbc", tmp_path / "car.dbc")
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "__main__"}
     blocks = BLOCK.findall(page_text(PAGE))
@@ -44,6 +45,17 @@ def test_the_blocks_of_the_page_run_in_their_order(
     for made in ("drive.svg", "results.jsonl", "car1.toml", "recordings/drive.log"):
         assert (tmp_path / made).is_file(), made
     assert (tmp_path / "drive.svg").read_text(encoding="utf-8").startswith("<?xml")
+
+
+def test_a_block_that_starts_processes_is_a_file_that_they_can_import(drive_log: Path, tmp_path: Path) -> None:
+    shutil.copy(drive_log, tmp_path / "drive.log")
+    files = [block for block in BLOCK.findall(page_text(PAGE)) if "__main__" in block]
+    assert files
+    for number, block in enumerate(files):
+        (tmp_path / f"file{number}.py").write_text(block, encoding="utf-8")
+        command = [sys.executable, f"file{number}.py"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.parametrize("package", [diag_service, ecu_emulator])

@@ -1,7 +1,9 @@
 """What the distribution promises: names, versions, a lock without machines, documents whose links lead somewhere."""
 
 import importlib
+import os
 import re
+import subprocess
 import tomllib
 from importlib.metadata import distribution, entry_points, version
 from pathlib import Path
@@ -40,8 +42,21 @@ def project() -> dict[str, Any]:
     return table
 
 
-def lock_lines() -> list[str]:
-    return (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
+LOCKS = ("requirements.lock", "requirements-demo.lock")
+
+
+def lock_lines(name: str = "requirements.lock") -> list[str]:
+    return (ROOT / name).read_text(encoding="utf-8").splitlines()
+
+
+def locked(name: str) -> dict[tuple[str, str], frozenset[str]]:
+    """Return the hashes of a lock by name and version."""
+    found: dict[tuple[str, str], frozenset[str]] = {}
+    for entry in re.split(r"\n(?=[a-z0-9])", "\n".join(lock_lines(name)))[1:]:
+        pin = PIN.match(entry)
+        assert pin is not None, entry
+        found[normal(pin[1]), pin[2]] = frozenset(re.findall(r"--hash=(\S+)", entry))
+    return found
 
 
 def normal(name: str) -> str:
@@ -96,14 +111,16 @@ def test_the_plugins_of_pytest_are_modules_with_fixtures() -> None:
     assert {"vcan_bus", "emulated_vehicle", "diagnosis"} <= fixtures
 
 
-def test_the_lock_names_no_machine() -> None:
-    text = "\n".join(lock_lines())
+@pytest.mark.parametrize("lock", LOCKS)
+def test_the_lock_names_no_machine(lock: str) -> None:
+    text = "\n".join(lock_lines(lock))
     assert re.findall(r"https?://|file:|--(?:extra-)?index-url|--find-links|--trusted-host", text) == []
     assert re.findall(r"(?:^|\s)(?:/|~|[A-Z]:\\)\S+", text) == []
 
 
-def test_everything_in_the_lock_has_a_version_and_a_hash() -> None:
-    lines = lock_lines()
+@pytest.mark.parametrize("lock", LOCKS)
+def test_everything_in_the_lock_has_a_version_and_a_hash(lock: str) -> None:
+    lines = lock_lines(lock)
     starts = [index for index, line in enumerate(lines) if line and not line.startswith((" ", "#"))]
     assert starts
     for index in starts:
@@ -117,6 +134,30 @@ def test_the_lock_holds_every_direct_requirement() -> None:
     names = {normal(re.split(r"[<>=!~;\[ ]", entry, maxsplit=1)[0]) for entry in wanted}
     locked = {normal(match[1]) for line in lock_lines() if (match := PIN.fullmatch(line))}
     assert names - locked == set()
+
+
+def test_the_locks_agree_and_the_small_one_has_what_runs_and_shows() -> None:
+    everything, small = (locked(name) for name in LOCKS)
+    assert [pinned for pinned, hashes in small.items() if everything.get(pinned) != hashes] == []
+    table = project()["project"]
+    wanted = {*table["dependencies"], *table["optional-dependencies"]["demo"]}
+    assert {normal(re.split(r"[<>=!~;\[ ]", one, maxsplit=1)[0]) for one in wanted} <= {name for name, _ in small}
+    assert not {"mypy", "pytest", "polars", "pyarrow", "playwright"} & {name for name, _ in small}
+
+
+def test_each_target_installs_what_it_needs_and_no_more() -> None:
+    """The demonstration is for whoever has just come: it does not bring the developers' tools."""
+    for target, installs_tools in {"setup": False, "demo": False, "check": True, "test": True, "docs": True}.items():
+        steps = subprocess.run(
+            ["make", "-n", "-B", target],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+            env=os.environ | {"MAKEFLAGS": ""},
+        ).stdout
+        assert "-r requirements-demo.lock" in steps, target
+        assert ("-r requirements.lock" in steps) == installs_tools, target
 
 
 def test_the_changelog_is_a_line_a_change_and_newest_first() -> None:
