@@ -1,7 +1,7 @@
 """The outcome of a demonstration: estimates beside the truth, frames of both ends, what is wrong; and how it looks."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,8 +16,12 @@ from fleet_contract import CLUTCHES
 
 MAX_ERROR_STD: Final = 4.0  # beyond it an estimate is wrong, not unlucky: 6e-5 by chance
 UNUSUAL_STD: Final = 2.0
+BAND_STD: Final = 2.0  # what is printed after ±
 SHIFTS_PER_CYCLE: Final = 10  # 1-2-3-4-5-6-5-4-3-2-1
-_CONDITION_STYLE: Final = {"no verdict": "dim", "good": "green", "watch": "yellow", "change fluid": "bold red"}
+CONDITION_STYLE: Final = {"no verdict": "dim", "good": "green", "watch": "yellow", "change fluid": "bold red"}
+SLOPE_NOTE: Final = (
+    "mu_C and mu_S err together: bands may overlap though it is sure which is larger; P(slope<0) is that of mu_S > mu_C"
+)
 _COEFFICIENTS: Final = {"mu_C": "mu_c", "mu_S": "mu_s"}
 _NO_FRICTION: Final = ("-",) * 3 * len(_COEFFICIENTS)
 
@@ -160,10 +164,11 @@ def live_line(result: ShiftResult) -> Text:
     found = "no estimate"
     if friction is not None:
         found = (
-            f"mu_C {friction.mu_c:.4f} ± {friction.std_mu_c:.4f}  mu_S {friction.mu_s:.4f} ± {friction.std_mu_s:.4f}"
+            f"mu_C {friction.mu_c:.4f} ± {BAND_STD * friction.std_mu_c:.4f}  "
+            f"mu_S {friction.mu_s:.4f} ± {BAND_STD * friction.std_mu_s:.4f}"
         )
     line = Text(f"{estimate.number:>5}  {estimate.from_gear}-{estimate.to_gear}  clutch {estimate.clutch}  {found:<44}")
-    line.append(f"  {condition:<12}", _CONDITION_STYLE[condition])
+    line.append(f"  {condition:<12}", CONDITION_STYLE[condition])
     if estimate.reasons:
         line.append(f"  [{_reasons(result)}]")
     line.append(f"  {time.time() - estimate.end_ns / 1e9:.1f} s after its end", "dim")
@@ -173,28 +178,41 @@ def live_line(result: ShiftResult) -> Text:
 def tables(outcome: Outcome) -> tuple[Table, Table]:
     """Return the single shifts, and the running estimates, which combine all shifts of a clutch, beside the truth."""
     shifts = _table(
-        "Single shifts, as an MQTT subscriber received them, beside the truth", ("shift", "gears", "clutch")
+        "Single shifts, as an MQTT subscriber received them, beside the truth",
+        ("shift", "gears", "clutch"),
+        ("P(slope<0)",),
     )
     for result in outcome.shifts:
         estimate, true = result.estimate, outcome.true_shift(result)
         gears = f"{estimate.from_gear}-{estimate.to_gear}"
         truth = None if true is None else (true.mu_c, true.mu_s)
-        shifts.add_row(str(estimate.number), gears, str(estimate.clutch), *_cells(estimate.friction, truth))
+        cells = _cells(estimate.friction, truth)
+        shifts.add_row(str(estimate.number), gears, str(estimate.clutch), *cells, _probability(estimate.friction))
     clutches = _table("Running estimates, as the service leaves them", ("clutch", "shifts"), ("P(slope<0)",))
     for clutch, verdict in sorted(outcome.clutches.items()):
         friction = verdict.friction
-        probability = "-" if friction is None else f"{friction.probability_negative_slope:.3f}"
         cells = _cells(friction, outcome.true_friction(clutch))
-        clutches.add_row(str(clutch), str(verdict.shift_count), *cells, probability)
+        clutches.add_row(str(clutch), str(verdict.shift_count), *cells, _probability(friction))
+    shifts.caption = clutches.caption = SLOPE_NOTE
+    shifts.caption_justify = clutches.caption_justify = "left"
     return shifts, clutches
 
 
+def _probability(friction: FrictionEstimate | None) -> str:
+    return "-" if friction is None else f"{friction.probability_negative_slope:.3f}"
+
+
 def _table(title: str, first: tuple[str, ...], last: tuple[str, ...] = ()) -> Table:
+    beside = [f"{symbol} ± {BAND_STD:.0f} std,truth,error/std".split(",") for symbol in _COEFFICIENTS]
+    return plain_table(title, (*first, *(name for names in beside for name in names), *last))
+
+
+def plain_table(title: str, columns: Sequence[str]) -> Table:
+    """Return a table without rows."""
     table = Table(
         title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
     )
-    beside = [f"{symbol} ± std,truth,error/std".split(",") for symbol in _COEFFICIENTS]
-    for name in (*first, *(name for names in beside for name in names), *last):
+    for name in columns:
         table.add_column(name, justify="right", no_wrap=True)
     return table
 
@@ -206,7 +224,7 @@ def _cells(friction: FrictionEstimate | None, truth: tuple[float, float] | None)
     for _, estimate, std, true, error_std in compared(friction, *truth):
         size = abs(error_std)
         style = "" if size <= UNUSUAL_STD else "yellow" if size <= MAX_ERROR_STD else "bold red"
-        cells += [f"{estimate:.4f} ± {std:.4f}", f"{true:.4f}", Text(f"{error_std:+.1f}", style)]
+        cells += [f"{estimate:.4f} ± {BAND_STD * std:.4f}", f"{true:.4f}", Text(f"{error_std:+.1f}", style)]
     return tuple(cells)
 
 
@@ -229,6 +247,6 @@ def verdict_lines(outcome: Outcome) -> Iterator[Text]:
     for clutch, verdict in sorted(outcome.clutches.items()):
         condition = condition_words(verdict.condition)
         line = Text(f"verdict: clutch {clutch} ")
-        yield line.append(condition, _CONDITION_STYLE[condition])
+        yield line.append(condition, CONDITION_STYLE[condition])
         if verdict.advice is not None:
             yield Text(f"         {verdict.advice}")

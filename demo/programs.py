@@ -111,15 +111,21 @@ class Program:
 
 @asynccontextmanager
 async def program(
-    module: str, *arguments: str | Path, folder: Path, environment: Mapping[str, str] | None = None
+    module: str,
+    *arguments: str | Path,
+    folder: Path,
+    environment: Mapping[str, str] | None = None,
+    stdin: int = asyncio.subprocess.DEVNULL,
+    stdout: int | None = None,
 ) -> AsyncIterator[Program]:
-    """Start a module as a program; it does not outlive the block."""
+    """Start a module as a program, with ends of pipes where they are given; it does not outlive the block."""
     inherited = {name: value for name, value in os.environ.items() if not name.startswith(_OWN_VARIABLES)}
     out_file, log_file = output_files(module, folder)
     with out_file.open("wb") as out, log_file.open("wb") as log:
         process = await asyncio.create_subprocess_exec(
             sys.executable, "-m", module, *map(str, arguments),
-            stdin=asyncio.subprocess.DEVNULL, stdout=out, stderr=log, env={**inherited, **(environment or {})},
+            stdin=stdin, stdout=out if stdout is None else stdout, stderr=log,
+            env={**inherited, **(environment or {})},
         )  # fmt: skip
     child = Program(module, folder, process)
     try:

@@ -20,7 +20,9 @@ from rich.text import Text
 
 import diag_service
 from canlog.live.medium import Medium, open_medium
+from demo import ageing
 from demo.outcome import (
+    BAND_STD,
     SHIFTS_PER_CYCLE,
     Outcome,
     complaints,
@@ -44,7 +46,16 @@ READY_S: Final = 30.0  # for a program to load and announce itself
 LAST_RESULT_S: Final = 10.0  # from the last frame to the last result
 RECORDING, TRUTH, TRANSMITTED = "drive.log", "truth.jsonl", "transmitted.json"
 STORE, PICTURE = "results.sqlite", "demo.png"
-LEFT: Final = (RECORDING, TRUTH, TRANSMITTED, PICTURE, *(f"{STORE}{suffix}" for suffix in ("", "-wal", "-shm")))
+LEFT: Final = (
+    RECORDING,
+    TRUTH,
+    TRANSMITTED,
+    PICTURE,
+    ageing.RESULTS,
+    ageing.TRUTH,
+    ageing.PICTURE,
+    *(f"{STORE}{suffix}" for suffix in ("", "-wal", "-shm")),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,14 +91,17 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
             (folder / name).unlink(missing_ok=True)
         console.print(f"bus:    {medium.explanation}", soft_wrap=True)
         await _warm_up(options, console)
+        ages = f"a fluid that ages within {ageing.MINUTES} minutes of driving, through a pipe, faster than real time"
+        console.print(f"{ages}: about {ageing.TAKES_S} s", soft_wrap=True)
+        found = await ageing.show_ageing(folder, console)
         scan_tool = ScanTool()
         outcome = await _drive(options, medium, console, scan_tool)
         for table in tables(outcome):
             console.print(table)
         analysis = await asyncio.to_thread(diag_service.analyze, folder / RECORDING)
         await asyncio.to_thread(analysis.plot, folder / PICTURE)
-    found = complaints(outcome)
-    lines: list[str | Text] = [*frame_lines(outcome.frames), f"picture: {folder / PICTURE}"]
+    found += complaints(outcome)
+    lines: list[str | Text] = [*frame_lines(outcome.frames), f"pictures: {folder / PICTURE}, {folder / ageing.PICTURE}"]
     lines += [Text(f"failed: {complaint}", style="bold red") for complaint in found]
     lines += [*verdict_lines(outcome), f"order:   {outcome.order}", scan_tool.line]
     for line in lines:
@@ -97,7 +111,8 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
 
 async def _warm_up(options: DemoOptions, console: Console) -> None:
     """Record and analyse the same drive once: compiles the kernels of both programs, and the picture needs it."""
-    console.print("compiling the kernels of both programs, unless cached ... ", end="")
+    takes = "about 10 s, a minute more where kernels are still to be compiled"
+    console.print(f"both programs once without a bus: {takes} ... ", end="", soft_wrap=True)
     began_s, recording = time.monotonic(), options.folder / RECORDING
     await run(EMULATOR, "record", recording, "--force", *options.drive, folder=options.folder)
     await run(SERVICE, "analyze", recording, "--json", folder=options.folder)
@@ -131,7 +146,8 @@ async def _drive(options: DemoOptions, medium: Medium, console: Console, scan_to
         async with _watched(heard.listen(results), service):
             if not await heard.within(READY_S, lambda: heard.is_online):
                 raise DemoError(f"the service did not announce itself within {READY_S:.0f} s")
-            console.print(f"driving {options.cycles * CYCLE_S:.0f} s in real time; each line as MQTT delivers it")
+            drive = f"driving on the bus in real time: about {options.cycles * CYCLE_S:.0f} s"
+            console.print(f"{drive}; each line as MQTT delivers it, ± {BAND_STD:.0f} std")
             async with driving as driver:
                 with scan_tool:
                     await driver.wait()

@@ -1,6 +1,7 @@
 """The demonstration, as people run it: one cycle of aged fluid to its verdict, and Ctrl-C in the middle."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -75,6 +76,10 @@ def test_aged_fluid_is_found(tmp_path: Path) -> None:
     assert said.splitlines()[-1] == SCANNED, said
     assert "unexplained: 0" in said
     assert (folder / "demo.png").read_bytes().startswith(b"\x89PNG")
+    table = said[said.index("while its fluid ages") : said.index("broker: ")]
+    course = [words for words in re.findall(r"(good|watch|change fluid) *$", table, re.MULTILINE)]
+    assert list(dict.fromkeys(course)) == ["good", "watch", "change fluid"], said
+    assert (folder / "ageing.svg").read_text(encoding="utf-8").startswith("<?xml")
 
 
 def verdicts(said: str) -> list[str]:

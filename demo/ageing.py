@@ -1,0 +1,109 @@
+"""A fluid that ages: emulator and service at the two ends of a pipe, which goes as fast as both reckon."""
+
+import json
+import os
+from collections.abc import Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Final
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from benchmarks.ageing_picture import Point, draw
+from demo.outcome import BAND_STD, CONDITION_STYLE, plain_table
+from demo.programs import EMULATOR, SERVICE, program
+from diag_service.delivery.console import condition_words
+from diag_service.diagnosis.records import SHIFT_SCHEMA, shift_from
+from ecu_emulator.truth import TruthLog, read_truth
+
+CLUTCH: Final = 2
+SCENARIO: Final = "ageing"
+RESULTS, TRUTH, PICTURE = "ageing.jsonl", "ageing.truth.jsonl", "ageing.svg"
+MINUTES, TAKES_S = 17, 20  # of the drive; of showing it, on two idle cores
+EVERY: Final = 15  # shifts of the clutch between rows
+COURSE: Final = ("good", "watch", "change fluid")
+
+
+async def show_ageing(folder: Path, console: Console) -> list[str]:
+    """Let a fluid age, show what the service says of it beside the truth; return what is not as it must be."""
+    reading, writing = os.pipe()
+    try:
+        driving = program(
+            EMULATOR, "record", "-", "--scenario", SCENARIO, "--truth", folder / TRUTH, "--force",
+            folder=folder, stdout=writing,
+        )  # fmt: skip
+        listening = program(SERVICE, "analyze", "-", "--json", folder=folder, stdin=reading)
+        async with listening as service, driving as emulator:
+            for end in (reading, writing):  # each of the two ends when the other has let go
+                os.close(end)
+            reading = writing = -1
+            await emulator.wait()
+            await service.wait()
+            results = service.output
+    finally:
+        for end in (reading, writing):
+            if end >= 0:
+                os.close(end)
+    (folder / RESULTS).write_text(results, encoding="utf-8")
+    points = points_of(results, read_truth(folder / TRUTH))
+    console.print(ageing_table(points))
+    (folder / PICTURE).write_text(draw(points), encoding="utf-8")
+    return course_complaints(points)
+
+
+def points_of(results: str, truth: TruthLog) -> list[Point]:
+    """Return what was said after each shift onto the clutch, and what was true in it."""
+    true_of = {shift.number: shift for shift in truth.shifts}
+    records = [json.loads(line) for line in results.splitlines()]
+    shifts = [shift_from(record) for record in records if record["schema"] == SHIFT_SCHEMA]
+    return [
+        Point(
+            truth=true_of[one.estimate.number],
+            running=one.verdict.friction,
+            condition=one.verdict.condition,
+        )
+        for one in shifts
+        if one.estimate.clutch == CLUTCH and one.verdict.friction is not None
+    ]
+
+
+def ageing_table(points: Sequence[Point]) -> Table:
+    """Return the running estimate beside the truth, every few shifts and wherever the verdict has changed."""
+    table = plain_table(
+        f"Clutch {CLUTCH} while its fluid ages: the running estimate beside the truth",
+        (
+            "shift",
+            f"mu_C ± {BAND_STD:.0f} std",
+            "truth",
+            f"mu_S ± {BAND_STD:.0f} std",
+            "truth",
+            "P(slope<0)",
+            "verdict",
+        ),
+    )
+    number = 0
+    for condition, same in groupby(points, key=lambda point: point.condition):
+        for place, point in enumerate(same):
+            number += 1
+            if place and number % EVERY and number != len(points):
+                continue
+            friction, words = point.running, condition_words(condition)
+            table.add_row(
+                str(number),
+                f"{friction.mu_c:.4f} ± {BAND_STD * friction.std_mu_c:.4f}", f"{point.truth.mu_c:.4f}",
+                f"{friction.mu_s:.4f} ± {BAND_STD * friction.std_mu_s:.4f}", f"{point.truth.mu_s:.4f}",
+                f"{friction.probability_negative_slope:.3f}", Text(words, CONDITION_STYLE[words]),
+            )  # fmt: skip
+    return table
+
+
+def course_complaints(points: Sequence[Point]) -> list[str]:
+    """Return what is wrong with the verdicts: they must be good, then watch, then change fluid until the end."""
+    heard = [condition_words(point.condition) for point in points]
+    first = [heard.index(words) for words in COURSE if words in heard]
+    if len(first) < len(COURSE) or first != sorted(first) or heard[-1] != COURSE[-1]:
+        course = ", ".join(words for words, _ in groupby(heard))
+        return [f"of the ageing fluid the service said {course or 'nothing'}, not {', '.join(COURSE)}"]
+    return []
