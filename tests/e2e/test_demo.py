@@ -77,7 +77,7 @@ def test_aged_fluid_is_found(tmp_path: Path) -> None:
     assert "unexplained: 0" in said
     assert (folder / "demo.png").read_bytes().startswith(b"\x89PNG")
     table = said[said.index("while its fluid ages") : said.index("broker: ")]
-    course = [words for words in re.findall(r"(good|watch|change fluid) *$", table, re.MULTILINE)]
+    course = re.findall(r"(good|watch|change fluid) *$", table, re.MULTILINE)
     assert list(dict.fromkeys(course)) == ["good", "watch", "change fluid"], said
     assert (folder / "ageing.svg").read_text(encoding="utf-8").startswith("<?xml")
 
