@@ -193,8 +193,7 @@ def tables(outcome: Outcome) -> tuple[Table, Table]:
         friction = verdict.friction
         cells = _cells(friction, outcome.true_friction(clutch))
         clutches.add_row(str(clutch), str(verdict.shift_count), *cells, _probability(friction))
-    shifts.caption = clutches.caption = SLOPE_NOTE
-    shifts.caption_justify = clutches.caption_justify = "left"
+    clutches.caption, clutches.caption_justify = SLOPE_NOTE, "left"
     return shifts, clutches
 
 
