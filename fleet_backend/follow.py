@@ -12,6 +12,7 @@ from typing import Final
 
 import aiomqtt
 
+from clutchdiag_io.people import PLUS_MINUS, plus_minus
 from fleet_backend.arguments import BROKER_VARIABLE
 from fleet_backend.config import parse_broker
 from fleet_backend.errors import BrokerError, ConfigError
@@ -34,7 +35,6 @@ from fleet_link import BrokerAddress
 FOLLOWED: Final = (Channel.SHIFT, Channel.BUNDLE, Channel.STATUS)
 FIRST_PAUSE_S: Final = 1.0  # before a lost connection is tried again; doubled until the longest
 LONGEST_PAUSE_S: Final = 30.0
-BAND_STD: Final = 2.0
 _LOG: Final = logging.getLogger(__name__)
 
 
@@ -136,4 +136,4 @@ def _finding(data: JsonObject) -> str:
         reasons = data["reasons"]
         return f"not used ({', '.join(map(str, reasons)) if isinstance(reasons, list) else reasons})"
     mu_c, mu_s, std_c, std_s = (float(str(friction[name])) for name in ("mu_c", "mu_s", "std_mu_c", "std_mu_s"))
-    return f"mu_C {mu_c:.4f} ± {BAND_STD * std_c:.4f}, mu_S {mu_s:.4f} ± {BAND_STD * std_s:.4f}"
+    return f"mu_C {plus_minus(mu_c, std_c)}, mu_S {plus_minus(mu_s, std_s)} ({PLUS_MINUS})"

@@ -8,6 +8,7 @@ from typing import Final, TextIO
 
 from rich.console import Console
 
+from clutchdiag_io.people import PLUS_MINUS, STDS
 from fleet_backend.layout import NONE, Sheet, lines_of
 
 Record = Mapping[str, object]
@@ -22,7 +23,7 @@ def write_json(records: Sequence[Record], out: TextIO) -> None:
 def fleet_table(records: Sequence[Record]) -> Sheet:
     """Return the clutches of the fleet, worst first, with intervals of two standard deviations and what is wrong."""
     return _sheet(
-        f"Fleet, worst first: {len(records)} clutches; ± two standard deviations, slope in 1e-3 s/rad",
+        f"Fleet, worst first: {len(records)} clutches; {PLUS_MINUS}, slope in 1e-3 s/rad",
         records,
         {
             "vehicle": _plain("vehicle"),
@@ -45,7 +46,7 @@ def fleet_table(records: Sequence[Record]) -> Sheet:
 def trend_table(title: str, records: Sequence[Record]) -> Sheet:
     """Return the estimates of a clutch, one shift per line."""
     return _sheet(
-        title,
+        f"{title}; {PLUS_MINUS}",
         records,
         {
             "shift": _plain("shift_number"),
@@ -136,7 +137,7 @@ def usual_table(records: Sequence[Record], clutch_count: int, left_out_count: in
     """Return how fluids of each kind usually age."""
     left_out = f"; {left_out_count} of another calibration are left out" if left_out_count else ""
     return _sheet(
-        f"What is usual, learned from {clutch_count} clutches{left_out}; ± scatter between them",
+        f"What is usual, learned from {clutch_count} clutches{left_out}; {PLUS_MINUS} between them",
         records,
         {
             "type": _plain("vehicle_type"),
@@ -144,9 +145,9 @@ def usual_table(records: Sequence[Record], clutch_count: int, left_out_count: in
             "lives": _plain("life_count"),
             "of new": _plain("channel"),
             "begins at": _number("start", "{:.3f}"),
-            "±": _number("start_std", "{:.3f}"),
+            "±": _number("start_std", "{:.3f}", scale=STDS),
             "lost in 100,000 km": _number("loss_per_m", "{:.3f}", scale=1e8),
-            "± %": _number("loss_log_std", "{:.0f}", scale=100.0),
+            "± %": _number("loss_log_std", "{:.0f}", scale=100.0 * STDS),
         },
         dispensable=("type",),
     )
@@ -156,7 +157,8 @@ def lot_standings_table(records: Sequence[Record]) -> Sheet:
     """Return how the lots stand, the worst first."""
     named = sum(bool(record["is_faster_than_others"]) for record in records)
     return _sheet(
-        f"Lots that age faster than the others: {named} of {len(records)}; at most one in ten of those named by chance",
+        f"Lots that age faster than the others: {named} of {len(records)}; at most one in ten of those named by "
+        f"chance; {PLUS_MINUS}",
         records,
         {
             "property": _plain("name"),
@@ -164,7 +166,7 @@ def lot_standings_table(records: Sequence[Record]) -> Sheet:
             "faster than others": lambda record: "yes" if record["is_faster_than_others"] else "no",
             "vehicles": _plain("vehicle_count"),
             "times as fast": _number("loss_ratio", "{:.2f}"),
-            "± %": _number("loss_ratio_log_std", "{:.0f}", scale=100.0),
+            "± %": _number("loss_ratio_log_std", "{:.0f}", scale=100.0 * STDS),
             "e-value": _number("e_value", "{:.3g}"),
         },
         dispensable=("e-value", "± %"),
@@ -257,7 +259,7 @@ def _spread(name: str, std: str) -> Cell:
     def cell(record: Record) -> str:
         if record.get(name) is None:
             return NONE
-        return f"{_number(name, '{:.4f}')(record)} ±{_number(std, '{:.4f}')(record)}"
+        return f"{_number(name, '{:.4f}')(record)} ±{_number(std, '{:.4f}', scale=STDS)(record)}"
 
     return cell
 

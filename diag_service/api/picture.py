@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Final
 
 from canlog.errors import OutputError
 from canlog.extras import load_extra
+from clutchdiag_io.people import PLUS_MINUS, STDS
 from diag_service.delivery.console import condition_words
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.records import Condition, ShiftResult, Status
-from diag_service.report.pictures import BAND_STD, new_mu_c_of
+from diag_service.report.pictures import new_mu_c_of
 from fleet_contract import CLUTCHES
 from fleet_contract.orders import name_of
 
@@ -48,7 +49,7 @@ def draw(results: Sequence[ShiftResult], name: str) -> "Figure":
         _draw_thresholds(axes, own)
         axes.set_title(title, loc="left")
         axes.set_ylabel("friction coefficient")
-    panels[-1].set_xlabel("shift; dots: single shifts, lines: all shifts combined, bands: 2 standard deviations")
+    panels[-1].set_xlabel(f"shift; dots: single shifts, lines: all shifts combined, bars and bands: {PLUS_MINUS}")
     handles = [Patch(color=colour, label=condition_words(condition)) for condition, colour in CONDITION_COLOUR.items()]
     handles += [Patch(color=MU_C_COLOUR, label="mu_C"), Patch(color=MU_S_COLOUR, label="mu_S")]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
@@ -74,7 +75,9 @@ def _draw_clutch(axes: "Axes", results: list[ShiftResult]) -> None:
         ]
         if single:
             numbers, values, stds = zip(*single, strict=True)
-            axes.errorbar(numbers, values, yerr=stds, fmt="o", ms=3.0, lw=0.8, color=colour, alpha=0.6)
+            axes.errorbar(
+                numbers, values, yerr=[STDS * std for std in stds], fmt="o", ms=3.0, lw=0.8, color=colour, alpha=0.6
+            )
         running = [
             (one.estimate.number, getattr(one.verdict.friction, name), getattr(one.verdict.friction, f"std_{name}"))
             for one in results
@@ -83,7 +86,7 @@ def _draw_clutch(axes: "Axes", results: list[ShiftResult]) -> None:
         if running:
             numbers, values, stds = zip(*running, strict=True)
             low, high = (
-                [value + sign * BAND_STD * std for value, std in zip(values, stds, strict=True)] for sign in (-1, 1)
+                [value + sign * STDS * std for value, std in zip(values, stds, strict=True)] for sign in (-1, 1)
             )
             axes.plot(numbers, values, color=colour, lw=1.6)
             axes.fill_between(numbers, low, high, color=colour, alpha=0.15, lw=0.0)

@@ -10,6 +10,8 @@ from canlog.files import replacing
 from canlog.logs import read_log
 from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
+from clutch_model.units import bar_from_pa, pa_from_bar, rpm_from_rad_s
+from clutchdiag_io.people import PLUS_MINUS, half_width, plus_minus
 from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.commands.predict import slip_phases
 from diag_service.commands.shown import show
@@ -19,7 +21,7 @@ from diag_service.diagnosis.prediction import PRESSURES, Standing
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.mapping.learning import COMMANDS, LearnedVehicle, VehicleSurvey
-from diag_service.mapping.vehicle_file import PA_PER_KPA, description_toml
+from diag_service.mapping.vehicle_file import description_toml
 from diag_service.service import calibrate_run
 from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import diagnosis_config
@@ -89,11 +91,12 @@ def write_description(path: Path, learned: LearnedVehicle, assumed: Calibration,
 
 def said(learned: LearnedVehicle) -> Iterator[str]:
     """Yield what was learned and what was not, a line each."""
+    yield f"{PLUS_MINUS}:"
     if not learned.gears:
         yield "gears: none was driven for long with its clutch closed"
     for gear, one in learned.gears.items():
         by = "the pressures do not tell its clutch" if one.clutch is None else f"clutch {one.clutch}"
-        yield f"gear {gear}: ratio {one.ratio.ratio:.4g} +- {one.ratio.std:.2g}, {by}"
+        yield f"gear {gear}: ratio {one.ratio.ratio:.4g} ± {half_width(one.ratio.std, '{:.2g}')}, {by}"
     if learned.gears and not learned.are_named:
         yield "gears are numbered from the highest ratio that was driven: no signal names them"
     if learned.gears and learned.ratios is None:
@@ -102,19 +105,19 @@ def said(learned: LearnedVehicle) -> Iterator[str]:
         yield "clutch 1 carries the even gears here: name the two pressures the other way round in the profile"
     for clutch in (1, 2):
         if (touch := learned.touch_point(clutch)) is not None:
-            pressure = f"{touch.value / PA_PER_KPA:.0f} +- {touch.std / PA_PER_KPA:.0f} kPa"
+            pressure = f"{plus_minus(bar_from_pa(touch.value), bar_from_pa(touch.std), '{:.2f}')} bar"
             yield f"clutch {clutch}: touch point {pressure} ({touch.origin})"
         else:
             yield f"clutch {clutch}: touch point not in the logs, assumed"
         yield f"clutch {clutch}: {_lag_said(learned, clutch)}"
         if (gain := learned.gain_rad_s2_pa.get(clutch)) is not None:
-            value, std = (PA_PER_KPA * one for one in (gain.value, gain.std))
-            yield f"clutch {clutch}: engine speed changes by {value:.3g} +- {std:.2g} rad/s2 a kPa ({gain.origin})"
+            change = plus_minus(rpm_from_rad_s(gain.value), rpm_from_rad_s(gain.std), "{:.3g}", scale=pa_from_bar(1.0))
+            yield f"clutch {clutch}: engine speed changes by {change} rpm/s a bar ({gain.origin})"
 
 
 def _lag_said(learned: LearnedVehicle, clutch: int) -> str:
     if (lag := learned.lag_s.get(clutch)) is not None:
-        return f"pressure {1e3 * lag.value:.0f} +- {1e3 * lag.std:.0f} ms behind its command"
+        return f"pressure {plus_minus(lag.value, lag.std, '{:.0f}', scale=1e3)} ms behind its command"
     if COMMANDS[clutch - 1] in learned.rates_hz:
         return "lag of the pressure not told: its command moves too little, or not as the pressure does"
     return "lag of the pressure not told: the profile names no commanded pressure"

@@ -11,6 +11,7 @@ import numpy as np
 
 from canlog.logs import read_log
 from canlog.logs.reading import Watch
+from clutchdiag_io.people import PLUS_MINUS, plus_minus
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.prediction import (
@@ -231,13 +232,17 @@ def _record(title: str, shown: Sequence[Shown], touch_pa: float | None) -> dict[
 
 def _lines(title: str, shown: Sequence[Shown]) -> Iterator[str]:
     """Yield the table of one group: engine speed from the old gear to the last sample before the clutch locks."""
-    yield f"{title}: change of engine speed in the slip [rad/s], each predicted from others"
+    yield f"{title}: change of engine speed in the slip [rad/s], each predicted from others; {PLUS_MINUS}"
     yield f"{'log':<16} {'gears':>5} {'samples':>7} {'measured':>8} {'predicted':>15} {'error':>6}  in 50 % in 90 %"
     for one in shown:
         said, true = one.predictions[OURS], float(one.phase.change_rad_s[-1])
         mean, scale = float(said.mean_rad_s[-1]), float(said.scale_rad_s[-1])
         inside = ["yes" if _inside([(mean, scale, said.freedom, true)], part) else "no" for part in (50, 90)]
-        gears, spread = f"{one.phase.from_gear}-{one.phase.to_gear}", f"{mean:.0f} +- {scale:.0f}"
+        std = scale * (said.freedom / (said.freedom - 2.0)) ** 0.5  # of Student's distribution
+        gears, spread = (
+            f"{one.phase.from_gear}-{one.phase.to_gear}",
+            plus_minus(mean, std, "{:.0f}"),
+        )
         yield (
             f"{one.log[:16]:<16} {gears:>5} {len(one.phase.t_s):>7} {true:>8.0f} {spread:>15} "
             f"{100 * (mean / true - 1):>5.0f}%  {inside[0]:>7} {inside[1]:>7}"

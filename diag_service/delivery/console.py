@@ -5,6 +5,7 @@ from rich.table import Table
 from rich.text import Text
 
 from clutch_model.units import degc_from_k
+from clutchdiag_io.people import PLUS_MINUS, SHORT_PLUS_MINUS, half_width, plus_minus
 from diag_service.console import plain_table
 from diag_service.delivery.reporters import ControllerNews, News
 from diag_service.diagnosis.condition.shift_course import load_line
@@ -59,8 +60,8 @@ _CONDITION_STYLE = {
     Condition.CHANGE_FLUID: "bold red",
 }
 _STATUS_STYLE = {Status.VALID: "green", Status.REJECTED: "red", Status.UNOBSERVED: "yellow"}
-_HEAD = f"{'shift':>5}  {'gears':<5} {'event':<18} {'clutch':>6}  {'status':<10} {'mu_C':>8} {'std':>7} "
-_DETAIL_HEAD = f"{'mu_S':>8} {'std':>7} {'P(slope<0)':>10} {'trust':>5} {'oil':>6} "
+_HEAD = f"{'shift':>5}  {'gears':<5} {'event':<18} {'clutch':>6}  {'status':<10} {'mu_C':>8} {SHORT_PLUS_MINUS:>7} "
+_DETAIL_HEAD = f"{'mu_S':>8} {SHORT_PLUS_MINUS:>7} {'P(slope<0)':>10} {'trust':>5} {'oil':>6} "
 _HEAD_END = " clutch is"
 
 
@@ -143,7 +144,9 @@ def shift_line(result: ShiftResult, *, is_detailed: bool = True) -> Text:
     line = Text(f"{estimate.number:>5}  {gear_words(estimate):<5} {kind_words(estimate):<18} {estimate.clutch:>6}  ")
     line.append(f"{estimate.status.value:<10} ", _STATUS_STYLE[estimate.status])
     friction = estimate.friction
-    line.append(f"{'-':>8} {'-':>7}" if friction is None else f"{friction.mu_c:>8.4f} {friction.std_mu_c:>7.4f}")
+    line.append(
+        f"{'-':>8} {'-':>7}" if friction is None else f"{friction.mu_c:>8.4f} {half_width(friction.std_mu_c):>7}"
+    )
     line.append(f" {_details(estimate)}  " if is_detailed else "  ")
     line.append(condition_words(verdict.condition), _CONDITION_STYLE[verdict.condition])
     if estimate.reasons:
@@ -183,7 +186,9 @@ def _details(estimate: ShiftEstimate) -> str:
     friction, quality, oil_k = estimate.friction, estimate.data_quality, estimate.sump_temperature_k
     static = f"{'-':>8} {'-':>7} {'-':>10}"
     if friction is not None:
-        static = f"{friction.mu_s:>8.4f} {friction.std_mu_s:>7.4f} {friction.probability_negative_slope:>10.3f}"
+        static = (
+            f"{friction.mu_s:>8.4f} {half_width(friction.std_mu_s):>7} {friction.probability_negative_slope:>10.3f}"
+        )
     trust = "-" if quality is None else f"{quality.score:.2f}"
     oil = "-" if oil_k is None else f"{degc_from_k(oil_k):.0f} °C"
     return f"{static} {trust:>5} {oil:>6}"
@@ -191,18 +196,18 @@ def _details(estimate: ShiftEstimate) -> str:
 
 def _clutch_table(summary: Summary, *, is_detailed: bool) -> Table:
     head = ("clutch", "condition", "mu_C", "level", "shifts", *(("mu_S", "P(slope<0)") if is_detailed else ()))
-    table = plain_table(head, {"condition"})
+    table = plain_table(head, {"condition"}, PLUS_MINUS)
     for result in summary.latest:
         verdict, friction = result.verdict, result.verdict.friction
         cells: list[str | Text] = [
             verdict.element or str(verdict.clutch),
             Text(condition_words(verdict.condition), _CONDITION_STYLE[verdict.condition]),
-            "-" if friction is None else f"{friction.mu_c:.4f} ± {friction.std_mu_c:.4f}",
+            "-" if friction is None else plus_minus(friction.mu_c, friction.std_mu_c),
             "-" if verdict.level_ratio is None else f"{100.0 * verdict.level_ratio:.1f} %",
             str(verdict.shift_count),
         ]
         if is_detailed:
-            cells.append("-" if friction is None else f"{friction.mu_s:.4f} ± {friction.std_mu_s:.4f}")
+            cells.append("-" if friction is None else plus_minus(friction.mu_s, friction.std_mu_s))
             cells.append("-" if friction is None else f"{friction.probability_negative_slope:.3f}")
         table.add_row(*cells)
     return table

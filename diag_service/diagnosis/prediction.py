@@ -21,6 +21,7 @@ from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.jit import array_kernel
 from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import NS_PER_S
+from clutchdiag_io.people import PLUS_MINUS, plus_minus
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.events import Event
 
@@ -394,13 +395,13 @@ class RelativeFriction:
     def __str__(self) -> str:
         """Return the same as one line for people."""
         ratios = ", ".join(
-            f"event {number} {ratio.value:.2f} ± {ratio.std:.2f}" for number, ratio in self.shifts.items()
+            f"event {number} {plus_minus(ratio.value, ratio.std, '{:.2f}')}" for number, ratio in self.shifts.items()
         )
         slope, trend = self.slope_s_rad * (PERCENT * SLIP_RAD_S), self.trend * PERCENT
         return (
             f"clutch {self.clutch}, friction of each power upshift over its others: {ratios}; "
-            f"{slope.value:+.1f} ± {slope.std:.1f} % over {SLIP_RAD_S:.0f} rad/s of slip; "
-            f"{trend.value:+.1f} ± {trend.std:.1f} % from the first to the last"
+            f"{plus_minus(slope.value, slope.std, '{:+.1f}')} % over {SLIP_RAD_S:.0f} rad/s of slip; "
+            f"{plus_minus(trend.value, trend.std, '{:+.1f}')} % from the first to the last ({PLUS_MINUS})"
         )
 
 

@@ -7,6 +7,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from clutch_model.calibration import TorqueSource
+from clutchdiag_io.people import half_width, plus_minus
 from diag_service.diagnosis.condition.shift_quality import Load
 from diag_service.diagnosis.condition.verdict import Silence, advice, likely
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
@@ -346,8 +347,9 @@ def slope_line(verdict: ClutchVerdict) -> str:
     if free is None or slope is None:
         return ""
     return (
-        f"up to a scale mu_C {free.mu_c:.4f} ± {free.std_mu_c:.4f}; mu_S/mu_C {slope.mu_s_ratio:.3f} ± "
-        f"{slope.std_mu_s_ratio:.3f}, a falling slope is {likely(slope.probability_negative)}"
+        f"up to a scale mu_C {plus_minus(free.mu_c, free.std_mu_c)}; mu_S/mu_C "
+        f"{plus_minus(slope.mu_s_ratio, slope.std_mu_s_ratio, '{:.3f}')}, "
+        f"a falling slope is {likely(slope.probability_negative)}"
     )
 
 
@@ -356,12 +358,12 @@ def scale_free_lines(verdict: ClutchVerdict) -> Iterator[str]:
     free, scatter, since = verdict.scale_free, verdict.shift_scatter, verdict.trend
     if free is not None and verdict.common_scale_std_ratio is not None:
         yield (
-            f"scale-free mu_C {free.mu_c:.4f} ± {free.std_mu_c:.4f}, mu_S {free.mu_s:.4f} ± {free.std_mu_s:.4f}; "
-            f"common scale ± {100.0 * verdict.common_scale_std_ratio:.1f} %"
+            f"scale-free mu_C {plus_minus(free.mu_c, free.std_mu_c)}, mu_S {plus_minus(free.mu_s, free.std_mu_s)}; "
+            f"common scale ± {half_width(verdict.common_scale_std_ratio, '{:.1f}', scale=100.0)} %"
         )
     if scatter is not None:
-        std = f"mu_C {scatter.std_mu_c:.4f}, mu_S {scatter.std_mu_s:.4f}"
-        yield f"shift-to-shift std {std} ({scatter.shift_count} shifts)"
+        widths = f"mu_C ± {half_width(scatter.std_mu_c)}, mu_S ± {half_width(scatter.std_mu_s)}"
+        yield f"scatter from shift to shift {widths} ({scatter.shift_count} shifts)"
     if since is not None:
         yield (
             f"trend mu_C {_change(since.change_mu_c_ratio, since.std_change_mu_c_ratio)}, "
@@ -377,13 +379,13 @@ def ratio_line(summary: Summary) -> str:
     if ratio is None:
         return ""
     return (
-        f"mu_C1/mu_C2 {ratio.mu_c_ratio:.3f} ± {ratio.std_mu_c_ratio:.3f}, "
-        f"mu_S1/mu_S2 {ratio.mu_s_ratio:.3f} ± {ratio.std_mu_s_ratio:.3f}"
+        f"mu_C1/mu_C2 {plus_minus(ratio.mu_c_ratio, ratio.std_mu_c_ratio, '{:.3f}')}, "
+        f"mu_S1/mu_S2 {plus_minus(ratio.mu_s_ratio, ratio.std_mu_s_ratio, '{:.3f}')}"
     )
 
 
 def _change(ratio: float, std_ratio: float) -> str:
-    return f"{100.0 * ratio:+.1f} ± {100.0 * std_ratio:.1f} %"
+    return plus_minus(ratio, std_ratio, "{:+.1f}", scale=100.0) + " %"
 
 
 def _with_reasons(head: str, counts: Mapping[str, int]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.decode.signals import NO_INVALID, Decoded, InvalidCounts
+from clutchdiag_io.people import PLUS_MINUS, half_width
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.errors import ConfigError
@@ -223,13 +224,14 @@ def gears_text(over: Signal, ratios: Mapping[int, GearRatio]) -> str:
     if not ratios:
         return ""
     shown = [
-        f"# gear {gear}: {one.ratio:.4g} +- {one.std:.2g}, {one.sample_count} samples"
+        f"# gear {gear}: {one.ratio:.4g} ± {half_width(one.std, '{:.2g}')}, {one.sample_count} samples"
         for gear, one in sorted(ratios.items())
     ]
     mark = "" if is_complete(ratios) else "# "
     missing = [] if not mark else ["# Complete it: not every gear was driven with its clutch closed for long."]
     values = ", ".join(f"{one.ratio:.4g}" for _, one in sorted(ratios.items()))
-    lines = ["", *shown, *missing, f"{mark}[gears]", f'{mark}over = "{over.value}"', f"{mark}ratios = [{values}]"]
+    shown = [f"# {PLUS_MINUS}:", *shown, *missing]
+    lines = ["", *shown, f"{mark}[gears]", f'{mark}over = "{over.value}"', f"{mark}ratios = [{values}]"]
     return "\n".join(lines) + "\n"
 
 

@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from clutchdiag_io.pages.content import spread
+from clutchdiag_io.people import PLUS_MINUS, plus_minus
 from diag_service.console import plain_table
 from diag_service.delivery.console import condition_words, order_lines
 from diag_service.diagnosis import records
@@ -198,7 +199,7 @@ def _event_record(row: Row, clutch: int, number: int, fill: records.FluidFill | 
 
 def _fluid_table(title: str, periods: Sequence[FluidPeriod]) -> Table:
     head = ("fluid", "shifts", "mu_C at the end", "since its baseline", "against the first fluid", "verdict")
-    table = plain_table(head, {"fluid", "verdict"}, f"{title}, fluid by fluid")
+    table = plain_table(head, {"fluid", "verdict"}, f"{title}, fluid by fluid; {PLUS_MINUS}")
     for period in periods:
         verdict = period.last_verdict
         table.add_row(
@@ -214,7 +215,7 @@ def _fluid_table(title: str, periods: Sequence[FluidPeriod]) -> Table:
 
 def _event_table(title: str, rows: Sequence[Row], most_rows: int, end: str) -> Table:
     places = spread(range(len(rows)), most_rows)
-    told = f"{title}: {len(places)} of {events_text(len(rows))}; shift is the number that 'show' takes"
+    told = f"{title}: {len(places)} of {events_text(len(rows))}; shift is the number that 'show' takes; {PLUS_MINUS}"
     head = ("shift", end, "km", "data", "mu_C", "running mu_C", "verdict")
     table = plain_table(head, {"data", "verdict"}, told)
     for place in places:
@@ -232,10 +233,10 @@ def _event_table(title: str, rows: Sequence[Row], most_rows: int, end: str) -> T
 
 
 def _friction(friction: records.FrictionEstimate | None) -> str:
-    return _NONE if friction is None else f"{friction.mu_c:.4f} ± {friction.std_mu_c:.4f}"
+    return _NONE if friction is None else plus_minus(friction.mu_c, friction.std_mu_c)
 
 
 def _change(since: records.FrictionTrend | records.LiningChange | None) -> str:
     if since is None:
         return _NONE
-    return f"{100.0 * since.change_mu_c_ratio:+.1f} ± {100.0 * since.std_change_mu_c_ratio:.1f} %"
+    return plus_minus(since.change_mu_c_ratio, since.std_change_mu_c_ratio, "{:+.1f}", scale=100.0) + " %"

@@ -12,6 +12,7 @@ import numpy as np
 from canlog.files import replacing
 from clutch_model.units import NS_PER_S
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Key, Section, Table, number, spread, templates_of
+from clutchdiag_io.people import PLUS_MINUS, STDS
 from clutchdiag_io.program import legible, legible_record
 from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis import records
@@ -29,8 +30,6 @@ from diag_service.diagnosis.summary import (
 from diag_service.errors import StoreError
 from diag_service.report.findings import Findings, moment_words
 from diag_service.report.pictures import (
-    BAND_STD,
-    BAND_WORDS,
     MOST_MOMENTS,
     MOST_POINTS,
     PANELS,
@@ -237,7 +236,7 @@ def events_section(found: Findings) -> Section:
     rows = found.rows[-MOST_ROWS:]
     texts = [f"The newest {len(rows)} of {len(found.rows)} events."] if len(rows) < len(found.rows) else []
     start = "start (UTC)" if found.is_dated else "start in the log"
-    head = ("event", start, "kind", "gears", "clutch", "data", "mu_C", "std", "verdict after it", "reasons")
+    head = ("event", start, "kind", "gears", "clutch", "data", "mu_C", PLUS_MINUS, "verdict after it", "reasons")
     table = Table(caption="Events", head=head, rows=tuple(map(_event_cells, rows)))
     return Section(name="events", title="Events", texts=tuple(texts), tables=(table,))
 
@@ -263,7 +262,7 @@ def _numbers_table(verdict: records.ClutchVerdict) -> Table:
     count, title = verdict.shift_count, title_of(verdict.clutch, verdict.element)
     return Table(
         caption=f"{title}: running estimate from {count} {'shift' if count == 1 else 'shifts'}",
-        head=("quantity", "value", "standard deviation"),
+        head=("quantity", "value", PLUS_MINUS),
         rows=tuple(_number_rows(verdict)),
     )
 
@@ -274,32 +273,38 @@ def _relative_table(found: RelativeFriction) -> Table:
     numbers["change from the first to the last"] = found.trend
     return Table(
         caption=f"Clutch {found.clutch}: friction in power upshifts, up to a scale that is not known",
-        head=("quantity", "value", "standard deviation"),
-        rows=tuple((name, number(one.value, "{:.3f}"), number(one.std, "{:.3f}")) for name, one in numbers.items()),
+        head=("quantity", "value", PLUS_MINUS),
+        rows=tuple(
+            (name, number(one.value, "{:.3f}"), number(STDS * one.std, "{:.3f}")) for name, one in numbers.items()
+        ),
     )
 
 
 def _number_rows(verdict: records.ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
     friction, slope = verdict.friction, verdict.slope
     if friction is not None:
-        yield "mu_C, at high slip", number(friction.mu_c), number(friction.std_mu_c)
-        yield "mu_S, at no slip", number(friction.mu_s), number(friction.std_mu_s)
+        yield "mu_C, at high slip", number(friction.mu_c), number(STDS * friction.std_mu_c)
+        yield "mu_S, at no slip", number(friction.mu_s), number(STDS * friction.std_mu_s)
         if verdict.level_ratio is not None:
             std_ratio = friction.std_mu_c / friction.mu_c * verdict.level_ratio
-            yield "mu_C over new", number(verdict.level_ratio, "{:.1%}"), number(std_ratio, "{:.1%}")
-        yield "slope [s/rad]", number(friction.slope_s_rad, "{:.5f}"), number(friction.std_slope_s_rad, "{:.5f}")
+            yield "mu_C over new", number(verdict.level_ratio, "{:.1%}"), number(STDS * std_ratio, "{:.1%}")
+        yield "slope [s/rad]", number(friction.slope_s_rad, "{:.5f}"), number(STDS * friction.std_slope_s_rad, "{:.5f}")
         yield "probability of a falling slope", number(friction.probability_negative_slope, "{:.1%}"), NONE
     elif slope is not None and verdict.scale_free is not None:
-        yield "mu_C up to a scale", number(verdict.scale_free.mu_c), number(verdict.scale_free.std_mu_c)
-        yield "mu_S over mu_C", number(slope.mu_s_ratio, "{:.3f}"), number(slope.std_mu_s_ratio, "{:.3f}")
+        yield "mu_C up to a scale", number(verdict.scale_free.mu_c), number(STDS * verdict.scale_free.std_mu_c)
+        yield "mu_S over mu_C", number(slope.mu_s_ratio, "{:.3f}"), number(STDS * slope.std_mu_s_ratio, "{:.3f}")
         yield "probability of a falling slope", number(slope.probability_negative, "{:.1%}"), NONE
     else:
         yield "friction", NONE, NONE
         return
     if (micro := verdict.micro_slip) is not None:
         rpm = f"{micro.slip_rad_s * 30.0 / np.pi:.0f} rpm"
-        yield f"mu at {rpm}", number(micro.mu), number(micro.std_mu)
-        yield f"slope at {rpm} [s/rad]", number(micro.slope_s_rad, "{:.5f}"), number(micro.std_slope_s_rad, "{:.5f}")
+        yield f"mu at {rpm}", number(micro.mu), number(STDS * micro.std_mu)
+        yield (
+            f"slope at {rpm} [s/rad]",
+            number(micro.slope_s_rad, "{:.5f}"),
+            number(STDS * micro.std_slope_s_rad, "{:.5f}"),
+        )
         yield "slip that it rests on [min]", number(micro.slip_s / 60.0, "{:.0f}"), NONE
         if (seen := micro.shudder) is not None:
             swung = f"{seen.seen_count} of {seen.window_count} windows"
@@ -309,7 +314,7 @@ def _number_rows(verdict: records.ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
             yield (
                 f"change of mu_C since the {name}",
                 number(since.change_mu_c_ratio, "{:+.1%}"),
-                number(since.std_change_mu_c_ratio, "{:.1%}"),
+                number(STDS * since.std_change_mu_c_ratio, "{:.1%}"),
             )
 
 
@@ -323,12 +328,12 @@ def _trend_figure(trend: Trend, results: list[records.ShiftResult]) -> Figure:
         keys=(
             Key(style=f"dots clutch{clutch}", text="single events"),
             Key(style=f"clutch{clutch}", text="estimate from all events so far"),
-            Key(style=f"band clutch{clutch}", text=BAND_WORDS),
+            Key(style=f"band clutch{clutch}", text=PLUS_MINUS),
             *THRESHOLD_KEYS,
         ),
         table=Table(
             caption=f"{trend.title}: {len(rows)} of {events_text(len(results))}, evenly spread",
-            head=("event", end, "km", "mu_C", BAND_WORDS, "verdict"),
+            head=("event", end, "km", "mu_C", PLUS_MINUS, "verdict"),
             rows=rows,
         ),
     )
@@ -341,7 +346,7 @@ def _trend_cells(place: int, result: records.ShiftResult) -> tuple[Cell, ...]:
         moment_words(result.estimate.end_ns),
         number(None if odometer_m is None else odometer_m / 1000.0, "{:.0f}"),
         number(None if friction is None else friction.mu_c),
-        number(None if friction is None else BAND_STD * friction.std_mu_c),
+        number(None if friction is None else STDS * friction.std_mu_c),
         condition_words(result.verdict.condition),
     )
 
@@ -390,7 +395,7 @@ def _event_cells(row: Row) -> tuple[Cell, ...]:
         estimate.element or str(estimate.clutch),
         estimate.status.value,
         number(None if friction is None else friction.mu_c),
-        number(None if friction is None else friction.std_mu_c),
+        number(None if friction is None else STDS * friction.std_mu_c),
         condition_words(result.verdict.condition),
         reason_words(estimate) or NONE,
     )

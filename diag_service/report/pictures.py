@@ -12,6 +12,7 @@ from clutch_model.calibration import FrictionCurve
 from clutch_model.units import NS_PER_S, bar_from_pa, degc_from_k, rpm_from_rad_s
 from clutchdiag_io.pages.content import Cell, Figure, Key, Section, Table, number
 from clutchdiag_io.pages.plot import Axis, Plot, thinned
+from clutchdiag_io.people import PLUS_MINUS, STDS
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.shift_course import COURSE_COUNT, Course, change_words, part_words
 from diag_service.diagnosis.condition.shift_quality import ENERGY_BOUNDS_J, Load
@@ -21,13 +22,11 @@ from diag_service.diagnosis.friction.posterior import curve_band, new_curve
 from diag_service.diagnosis.records import Causes, ClutchVerdict, FrictionEstimate, ShiftResult, utc_from_bus_ns
 from fleet_contract.orders import cause_words, title_of
 
-BAND_STD: Final = 2.0
 MOST_POINTS: Final = 600  # of a trend; a screen shows no more
 MOST_SAMPLES: Final = 400  # of one signal of a shift
 MOST_MOMENTS: Final = 8  # names of moments do not overlap too much
 _SLIP_RAD_S: Final = np.linspace(0.0, 40.0, 121)
 TABLE_SLIPS_RAD_S: Final = np.array([0.0, 2.0, 5.0, 10.0, 20.0, 40.0])
-BAND_WORDS: Final = f"± {BAND_STD:.0f} standard deviations"
 THRESHOLD_KEYS: Final = (
     Key(style="watch", text=f"watch below {100.0 * WATCH_LEVEL_RATIO:.0f} % of new"),
     Key(style="change", text=f"change below {100.0 * CHANGE_LEVEL_RATIO:.0f} % of new"),
@@ -74,7 +73,7 @@ def curve_picture(
     """Return the friction of one clutch over slip, beside that of new fluid and the thresholds of the verdict."""
     new = new_curve(_SLIP_RAD_S, reference)
     mean, std = curve_band(_SLIP_RAD_S, friction, reference)
-    low, high = mean - BAND_STD * std, mean + BAND_STD * std
+    low, high = mean - STDS * std, mean + STDS * std
     levels = [ratio * reference.mu_c for ratio, _ in _THRESHOLDS]
     x = Axis(low=0.0, high=float(_SLIP_RAD_S[-1]), label="slip speed [rad/s]")
     what = "friction coefficient over slip speed, estimate with band, new fluid, thresholds"
@@ -97,7 +96,7 @@ def curve_figure(
     new = new_curve(TABLE_SLIPS_RAD_S, reference)
     mean, std = curve_band(TABLE_SLIPS_RAD_S, friction, reference)
     rows = tuple(
-        (number(slip, "{:g}"), number(value), number(BAND_STD * one), number(fresh))
+        (number(slip, "{:g}"), number(value), number(STDS * one), number(fresh))
         for slip, value, one, fresh in zip(TABLE_SLIPS_RAD_S, mean, std, new, strict=True)
     )
     caption = f"{title_of(clutch, element)}: friction over slip{f', {what}' if what else ''}"
@@ -106,17 +105,17 @@ def curve_figure(
         caption=caption,
         keys=(
             Key(style=f"clutch{clutch}", text=what or "estimate, all shifts"),
-            Key(style=f"band clutch{clutch}", text=BAND_WORDS),
+            Key(style=f"band clutch{clutch}", text=PLUS_MINUS),
             Key(style="new dashed", text="new fluid"),
             *THRESHOLD_KEYS,
         ),
-        table=Table(caption=caption, head=("slip [rad/s]", "estimate", BAND_WORDS, "new fluid"), rows=rows),
+        table=Table(caption=caption, head=("slip [rad/s]", "estimate", PLUS_MINUS, "new fluid"), rows=rows),
     )
 
 
 def trend_picture(trend: Trend) -> Markup:
     """Return how the friction of one clutch went, thinned to what a screen can show."""
-    number, std = trend.number, BAND_STD * trend.std_mu_c
+    number, std = trend.number, STDS * trend.std_mu_c
     levels = [] if trend.new_mu_c is None else [ratio * trend.new_mu_c for ratio, _ in _THRESHOLDS]
     y = Axis.around("mu_C", trend.single_mu_c, trend.mu_c - std, trend.mu_c + std, np.array(levels))
     x = Axis(low=0.0, high=len(number) + 1.0, label=f"event of {trend.title.lower()}")
@@ -266,24 +265,22 @@ def _moved_figure(causes: Causes) -> Figure:
     heights = np.arange(len(causes.moved), 0.0, -1.0)
     sizes = np.array([(one.change / one.std, one.expected / one.std) for one in causes.moved])
     caption = "What moved most, and what the likeliest cause would move"
-    x = Axis.around(
-        "change over its standard deviation", [0.0], sizes[:, 0] - BAND_STD, sizes[:, 0] + BAND_STD, sizes[:, 1]
-    )
+    x = Axis.around("change over its standard deviation", [0.0], sizes[:, 0] - STDS, sizes[:, 0] + STDS, sizes[:, 1])
     plot = Plot(caption, x, Axis(low=0.4, high=len(heights) + 0.9, label=""))
     plot.moment(0.0, "fill", "unchanged")
     for height, (moved, expected), one in zip(heights, sizes, causes.moved, strict=True):
         plot.level(float(height), "new", one.quantity)
-        plot.line(moved + np.array([-BAND_STD, BAND_STD]), np.array([height, height]), "line strong clutch2")
+        plot.line(moved + np.array([-STDS, STDS]), np.array([height, height]), "line strong clutch2")
         plot.line(np.array([expected, expected]), height + np.array([-0.2, 0.2]), "line strong clutch1")
     rows = tuple(
-        (one.quantity, *(number(value, "{:.3g}") for value in (one.change, BAND_STD * one.std, one.expected)), one.unit)
+        (one.quantity, *(number(value, "{:.3g}") for value in (one.change, STDS * one.std, one.expected)), one.unit)
         for one in causes.moved
     )
     return Figure(
         picture=plot.markup(),
         caption=caption,
-        keys=(Key(style="clutch2", text=f"moved, {BAND_WORDS}"), Key(style="clutch1", text="expected")),
-        table=Table(caption=caption, head=("quantity", "moved", BAND_WORDS, "expected", "unit"), rows=rows),
+        keys=(Key(style="clutch2", text=f"moved, {PLUS_MINUS}"), Key(style="clutch1", text="expected")),
+        table=Table(caption=caption, head=("quantity", "moved", PLUS_MINUS, "expected", "unit"), rows=rows),
     )
 
 

@@ -12,6 +12,7 @@ from canlog.errors import SourceError
 from canlog.files import replacing
 from clutch_model.calibration import Calibration, TorqueSource, calibration_toml
 from clutch_model.units import NS_PER_S, bar_from_pa
+from clutchdiag_io.people import PLUS_MINUS, half_width, plus_minus
 from diag_service.console import PeopleConsole, ReadingLine, plain_table
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.evidence import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
@@ -166,10 +167,10 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
 def show(told: FoundCalibration, path: Path, console: PeopleConsole) -> None:
     for gap in told.gaps:
         console.print(f"{GAP_TEXT[gap]}: calibrated from what there is", style="bold red")
-    table = plain_table(("parameter", "found", "std", "std before", ""), {"parameter", ""})
+    table = plain_table(("parameter", "found", "±", "± before", ""), {"parameter", ""}, PLUS_MINUS)
     for name, value, std, before in _rows(told):
         label, unit, factor = _UNITS[name]
-        cells = (f"{factor * number:.3g}" for number in (std, before))
+        cells = (half_width(number, "{:.3g}", scale=factor) for number in (std, before))
         table.add_row(label, f"{factor * value:+.3g}", *cells, unit)
     console.print(table)
     console.print_all(_lines(told.found, path))
@@ -179,8 +180,8 @@ def _lines(found: SelfCalibration, path: Path) -> Iterator[str]:
     for clutch in (1, 2):
         friction = friction_of(found.state, clutch)
         yield (
-            f"clutch {clutch}: mu_C {friction.mu_c:.4f} ± {friction.std_mu_c:.4f}"
-            f"  mu_S {friction.mu_s:.4f} ± {friction.std_mu_s:.4f}  (total std)"
+            f"clutch {clutch}: mu_C {plus_minus(friction.mu_c, friction.std_mu_c)}"
+            f"  mu_S {plus_minus(friction.mu_s, friction.std_mu_s)}  ({PLUS_MINUS}, total)"
         )
     opened, closed = found.run_up_counts
     yield (

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, func, select
 
+from clutchdiag_io.people import PLUS_MINUS, STDS
 from clutchdiag_io.pages.content import Cell, Table, number
 from fleet_backend.database import transaction
 from fleet_backend.page import wording
@@ -84,7 +85,17 @@ def find(sources: Sources, ask: Ask) -> ChangesAnswer:
 
 
 def show(answer: ChangesAnswer, ask: Ask, _sources: Sources) -> Shown:
-    head = ("vehicle", "clutch", "verdict before", "verdict now", "mu_C before", "std", "mu_C now", "std", "why")
+    head = (
+        "vehicle",
+        "clutch",
+        "verdict before",
+        "verdict now",
+        "mu_C before",
+        PLUS_MINUS,
+        "mu_C now",
+        PLUS_MINUS,
+        "why",
+    )
     table = Table(caption="What changed, worst first", head=head, rows=tuple(map(_cells, answer.changes)))
     return Shown(
         title="Changes",
@@ -105,9 +116,9 @@ def _cells(one: Change) -> tuple[Cell, ...]:
         wording.plain(None) if one.condition_before is None else wording.badge(one.condition_before),
         wording.badge(one.condition),
         number(one.mu_c_before),
-        number(one.std_mu_c_before),
+        number(one.std_mu_c_before and STDS * one.std_mu_c_before),
         number(one.mu_c),
-        number(one.std_mu_c),
+        number(one.std_mu_c and STDS * one.std_mu_c),
         "; ".join(one.why),
     )
 

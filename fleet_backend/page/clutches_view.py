@@ -6,6 +6,7 @@ from typing import Final
 from urllib.parse import urlencode
 
 from clutchdiag_io.pages.content import Cell, Table, moment, number
+from clutchdiag_io.people import PLUS_MINUS, STDS
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter
 from fleet_backend.page.cache import Same
@@ -76,7 +77,7 @@ _COLUMNS: Final[Mapping[str, Callable[[ClutchNow], Cell]]] = MappingProxyType({
     "verdict": lambda now: wording.badge(now.condition),
     "what to do": lambda now: now.order,
     "mu_C": lambda now: number(now.mu_c),
-    "std": lambda now: number(now.std_mu_c),
+    PLUS_MINUS: lambda now: number(now.std_mu_c and STDS * now.std_mu_c),
     "of new": lambda now: wording.share(now.level_ratio),
     "P(falling slope)": lambda now: wording.probability(now.probability_negative_slope),
     "shifts": lambda now: str(now.shift_count),

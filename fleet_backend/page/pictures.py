@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
-from typing import Final
 
 import numpy as np
 from markupsafe import Markup
@@ -13,6 +12,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
 from clutchdiag_io.pages.content import Key
 from clutchdiag_io.pages.plot import Axis, Plot, thinned
+from clutchdiag_io.people import PLUS_MINUS, STDS
 from diag_service.diagnosis.condition.shift_course import COURSE_COUNT
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from diag_service.report.pictures import MOST_MOMENTS, MOST_POINTS, THRESHOLD_KEYS
@@ -21,8 +21,6 @@ from fleet_backend.page.records import ClutchNow, TrendPoint, Usual, VehicleAnsw
 from fleet_backend.page.wording import M_PER_KM
 from fleet_contract.orders import name_of, title_of
 
-STD_OF_50_PERCENT: Final = 0.6744897501960817  # of a normal distribution
-STD_OF_90_PERCENT: Final = 1.6448536269514722
 Level = tuple[float, str, str]  # where a line lies, its style, its name
 
 
@@ -131,21 +129,20 @@ def _levels(quantity: Quantity, points: Sequence[TrendPoint], new: FrictionCurve
 
 def course_picture(course: Course) -> Markup:
     """Return how a quantity of a clutch went, thinned to what a screen can show."""
-    half, wide = STD_OF_50_PERCENT * course.std_running, STD_OF_90_PERCENT * course.std_running
+    wide = STDS * course.std_running
     usual = [] if course.usual is None else [course.usual.low_mu_c, course.usual.high_mu_c]
     marks = np.array([*(y for y, _, _ in course.levels), *usual])
     y = Axis.around(course.quantity, course.single, course.running - wide, course.running + wide, marks)
     x = Axis.around(course.label, course.along, np.array([place for place, _, _ in course.moments]), margin_ratio=0.02)
-    what = f"trend of {course.quantity}, single events, running estimate with bands of 50 and 90 percent"
+    what = f"trend of {course.quantity}, single events, running estimate with its band"
     plot = Plot(f"{course.title}: {what}", x, y)
     if usual:
         plot.band(np.array([x.low, x.high]), np.full(2, usual[0]), np.full(2, usual[1]), "shade")
     for level in course.levels:
         plot.level(*level)
     single, running = thinned(course.single, MOST_POINTS), thinned(course.running, MOST_POINTS)
-    for width in (wide, half):
-        low, high = (course.running - width)[running], (course.running + width)[running]
-        plot.band(course.along[running], low, high, f"band clutch{course.clutch}")
+    low, high = (course.running - wide)[running], (course.running + wide)[running]
+    plot.band(course.along[running], low, high, f"band clutch{course.clutch}")
     plot.dots(course.along[single], course.single[single], f"clutch{course.clutch}")
     plot.line(course.along[running], course.running[running], f"line strong clutch{course.clutch}")
     for place, style, text in course.moments:
@@ -171,7 +168,7 @@ def course_keys(course: Course) -> tuple[Key, ...]:
     return (
         Key(style=f"dots clutch{clutch}", text="single events"),
         Key(style=f"clutch{clutch}", text=so_far),
-        Key(style=f"band clutch{clutch}", text="likely range: 50 % (dark) and 90 %"),
+        Key(style=f"band clutch{clutch}", text=PLUS_MINUS),
         *(() if course.usual is None else (usual,)),
         *(thresholds[course.quantity] if course.levels else ()),
     )

@@ -6,6 +6,7 @@ from typing import Final
 
 from clutch_model.units import degc_from_k
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Link, Section, Table, moment, number
+from clutchdiag_io.people import PLUS_MINUS, STDS
 from diag_service.report.pictures import curve_figure
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
@@ -87,13 +88,14 @@ def _friction_section(answer: ShiftAnswer) -> Section:
     )
 
 
-_FRICTION_HEAD: Final = ("quantity", "this event", "standard deviation", "all so far", "standard deviation")
+_FRICTION_HEAD: Final = ("quantity", "this event", PLUS_MINUS, "all so far", PLUS_MINUS)
 
 
 def _friction_rows(answer: ShiftAnswer) -> Iterator[tuple[Cell, ...]]:
     own, running = answer.friction or {}, answer.running or {}
     for name, value, std, form in _QUANTITIES:
-        yield name, *(number(some.get(one), form) for some in (own, running) for one in (value, std))
+        told = [(some.get(value), some.get(std)) for some in (own, running)]
+        yield name, *(number(one, form) for at, off in told for one in (at, off and STDS * off))
     chances = [wording.probability(some.get("probability_negative_slope")) for some in (own, running)]
     yield "probability of a falling slope", chances[0], NONE, chances[1], NONE
 

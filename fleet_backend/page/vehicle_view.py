@@ -5,6 +5,7 @@ from math import isfinite
 from typing import Any, Final
 
 from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, moment, number, spread
+from clutchdiag_io.people import PLUS_MINUS, STDS
 from diag_service.diagnosis.condition.shift_course import adapting_lines
 from diag_service.diagnosis.condition.shift_quality import Load
 from diag_service.diagnosis.records import Causes
@@ -17,8 +18,6 @@ from fleet_backend.page.keeper import group_of
 from fleet_backend.page.listing import vehicle_type
 from fleet_backend.page.outlook import Past, outlook_text, read_past
 from fleet_backend.page.pictures import (
-    STD_OF_50_PERCENT,
-    STD_OF_90_PERCENT,
     Course,
     Quantity,
     course_keys,
@@ -207,7 +206,19 @@ def _clutch_section(answer: VehicleAnswer, clutch: ClutchHistory) -> Section:
     newest = clutch.trend[::-1][:_EVENT_ROWS]
     events = Table(
         caption=f"{name}: the newest {len(newest)} events",
-        head=("end (UTC)", "km", "kind", "data", "mu_C", "std", "running mu_C", "std", "score", "verdict", "reasons"),
+        head=(
+            "end (UTC)",
+            "km",
+            "kind",
+            "data",
+            "mu_C",
+            PLUS_MINUS,
+            "running mu_C",
+            PLUS_MINUS,
+            "score",
+            "verdict",
+            "reasons",
+        ),
         rows=tuple(map(_event_cells, newest)),
     )
     return Section(
@@ -235,7 +246,7 @@ def _course_figure(answer: VehicleAnswer, clutch: ClutchHistory, quantity: Quant
     rows = spread(range(len(clutch.trend)), _TREND_ROWS)
     table = Table(
         caption=f"{_title(clutch)}, {quantity}: {len(rows)} of {len(clutch.trend)} events, evenly spread",
-        head=("end (UTC)", "km", quantity, "± 50 %", "± 90 %", "verdict"),
+        head=("end (UTC)", "km", quantity, PLUS_MINUS, "verdict"),
         rows=tuple(_trend_cells(clutch.trend[row], course, row) for row in rows),
     )
     caption = f"{_title(clutch)}: trend of {quantity}"
@@ -244,7 +255,7 @@ def _course_figure(answer: VehicleAnswer, clutch: ClutchHistory, quantity: Quant
 
 def _trend_cells(point: TrendPoint, course: Course, row: int) -> tuple[Cell, ...]:
     value, std = course.running[row], course.std_running[row]
-    numbers = (value, STD_OF_50_PERCENT * std, STD_OF_90_PERCENT * std)
+    numbers = (value, STDS * std)
     return (
         wording.shift_link(f"{point.end_at:%Y-%m-%d %H:%M}", point.vehicle, point.stream, point.seq, at=point.end_at),
         wording.km(point.odometer_m),
@@ -262,9 +273,9 @@ def _event_cells(point: TrendPoint) -> tuple[Cell, ...]:
         wording.plain(point.kind and point.kind.replace("_", " ")),
         point.status,
         number(point.mu_c),
-        number(point.std_mu_c),
+        number(point.std_mu_c and STDS * point.std_mu_c),
         number(point.running_mu_c),
-        number(point.running_std_mu_c),
+        number(point.running_std_mu_c and STDS * point.running_std_mu_c),
         number(point.score, "{:.0f}"),
         wording.badge(point.condition),
         wording.words(point.reasons),

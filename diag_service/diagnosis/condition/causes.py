@@ -21,6 +21,7 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
+from clutchdiag_io.people import STDS
 from diag_service.diagnosis.condition.condition import FILLED_COUNT, LOWER, MEASURED, SENSORS, Course, Stretch
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT, State
 from diag_service.diagnosis.friction.posterior import Posterior
@@ -489,8 +490,8 @@ def _listed(change: Change, std: FloatArray, expected: FloatArray, weight: Float
     for place in np.argsort(-weight)[:most].tolist():
         if weight[place] > 0.0:
             words, unit, factor = _named(place)
-            moved, its_std, due = (factor * float(one[place]) for one in (change.mean, std, expected))
-            told = f"{_rounded(moved, 2):+g} ± {_rounded(abs(its_std), 1):g} {unit} (expected {_rounded(due, 2):+g})"
+            moved, off, due = (factor * float(one[place]) for one in (change.mean, STDS * std, expected))
+            told = f"{_rounded(moved, 2):+g} ± {_rounded(abs(off), 1):g} {unit} (expected {_rounded(due, 2):+g})"
             parts.append(f"{words} {told}")
     return "; ".join(parts)
 

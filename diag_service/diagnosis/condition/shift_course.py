@@ -11,6 +11,7 @@ from typing import Final
 
 from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import degc_from_k
+from clutchdiag_io.people import half_width
 from diag_service.diagnosis.condition.shift_quality import PARTS, Load, borne
 from diag_service.diagnosis.events import EventKind, events_text
 from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality
@@ -124,9 +125,10 @@ def correction_lines(estimates: Iterable[ShiftEstimate]) -> list[str]:
 def _correction(quality: ShiftQuality, name: str) -> str:
     error, std = (getattr(quality, key) or 0.0 for key in (name, f"std_{name}"))
     if name == "touch_error_pa":
-        bar, std_bar = error / PASCAL_PER_BAR, std / PASCAL_PER_BAR
-        return f"touch point {abs(bar):.2f} bar {'later' if bar > 0.0 else 'earlier'} than believed (± {std_bar:.2f})"
-    return f"fill for {1e3 * abs(error):.0f} ms {'longer' if error > 0.0 else 'less'} (± {1e3 * std:.0f})"
+        bar, off = error / PASCAL_PER_BAR, half_width(std / PASCAL_PER_BAR, "{:.2f}")
+        return f"touch point {abs(bar):.2f} bar {'later' if bar > 0.0 else 'earlier'} than believed (± {off})"
+    off = half_width(std, "{:.0f}", scale=1e3)
+    return f"fill for {1e3 * abs(error):.0f} ms {'longer' if error > 0.0 else 'less'} (± {off})"
 
 
 def loads(estimates: Iterable[ShiftEstimate]) -> list[Load]:

@@ -14,6 +14,7 @@ from statistics import NormalDist
 from typing import Final, Self
 
 from clutch_model.calibration import FrictionCurve
+from clutchdiag_io.people import plus_minus
 from diag_service.diagnosis.events import EndReason, EventKind, Shudder
 from diag_service.diagnosis.records import (
     Condition,
@@ -363,7 +364,7 @@ def decide_up_to_scale(
         return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
     facts = ", ".join((
         f"a negative mu-v slope is {likely(slope.probability_negative)}",
-        f"mu_S {100.0 * slope.mu_s_ratio:.0f} +- {100.0 * slope.std_mu_s_ratio:.0f} % of mu_C",
+        f"mu_S {plus_minus(slope.mu_s_ratio, slope.std_mu_s_ratio, '{:.0f}', scale=100.0)} % of mu_C",
         *(() if since is None else (_changed(since),)),
         f"{shift_count} shifts",
         *((launches.text(SHIFTS),) if launches.speak else ()),
@@ -403,7 +404,7 @@ def _unless_they_judder(launches: Launches, probability: float, facts: str, coun
 def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend | None, told_by: str) -> str:
     facts = (
         f"a negative mu-v slope is {likely(friction.probability_negative_slope)}, "
-        f"mu_C {100.0 * level.mean:.0f} +- {100.0 * level.stdev:.0f} % of new"
+        f"mu_C {plus_minus(level.mean, level.stdev, '{:.0f}', scale=100.0)} % of new"
     )
     if since is not None:
         facts += f", {_changed(since)}"
@@ -411,7 +412,8 @@ def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend |
 
 
 def _changed(since: FrictionTrend) -> str:
-    return f"{100.0 * since.change_mu_c_ratio:+.1f} +- {100.0 * since.std_change_mu_c_ratio:.1f} % since the baseline"
+    change = plus_minus(since.change_mu_c_ratio, since.std_change_mu_c_ratio, "{:+.1f}", scale=100.0)
+    return f"{change} % since the baseline"
 
 
 def likely(probability: float) -> str:
