@@ -1,7 +1,9 @@
 """The only conversion factors of the project: what people and wires use, to and from SI. Floats or arrays."""
 
 import math
-from typing import TypeVar
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -49,3 +51,26 @@ def m_s_from_km_h(speed_km_h: Quantity) -> Quantity:
 def km_h_from_m_s(speed_m_s: Quantity) -> Quantity:
     """Return a speed in kilometres per hour."""
     return speed_m_s * _KM_H_PER_M_S
+
+
+_OF_PEOPLE: Final[Mapping[str, tuple[Callable[[float], float], str]]] = MappingProxyType(
+    {
+        "_pa": (bar_from_pa, "bar"),
+        "_rise_k": (float, "K"),  # a difference
+        "_k": (degc_from_k, "°C"),
+        "_rad_s": (rpm_from_rad_s, "rpm"),
+        "_m_s": (km_h_from_m_s, "km/h"),
+        "_m": (lambda length_m: length_m / 1000.0, "km"),
+        "_nm": (float, "Nm"),
+        "_j": (lambda energy_j: energy_j / 1000.0, "kJ"),
+    }
+)
+
+
+def for_people(name: str, value: float) -> tuple[str, float, str]:
+    """Return name, value and unit of a quantity as people read it; ``name`` ends in its SI unit."""
+    for suffix, (factor, unit) in _OF_PEOPLE.items():
+        if name.endswith(suffix):
+            kept = "_rise" if suffix == "_rise_k" else ""
+            return name.removesuffix(suffix) + kept, factor(value), unit
+    return name, value, ""

@@ -1,10 +1,13 @@
-"""How people read numbers: how far a value may be off."""
+"""How people read numbers: with few digits, and with how far they may be off."""
 
+from math import floor, isfinite, log10
 from typing import Final
 
 STDS: Final = 2.0  # on either side: about 95 of 100 truths lie within
 PLUS_MINUS: Final = "± two standard deviations"
 SHORT_PLUS_MINUS: Final = "± 2 std"  # heads of narrow columns
+_DIGITS: Final = 4
+_MOST_DECIMALS: Final = 6
 
 
 def plus_minus(value: float, std: float, form: str = "{:.4f}", *, scale: float = 1.0) -> str:
@@ -15,3 +18,13 @@ def plus_minus(value: float, std: float, form: str = "{:.4f}", *, scale: float =
 def half_width(std: float, form: str = "{:.4f}", *, scale: float = 1.0) -> str:
     """Return two standard deviations, times ``scale``; what a form says of signs does not hold for them."""
     return form.replace("+", "").format(STDS * scale * std)
+
+
+def digits(value: float) -> str:
+    """Return a number with four significant digits at most, and no digit before the point lost: 0.1209, 12346."""
+    if value == 0.0 or not isfinite(value):
+        return f"{value:g}"
+    decimals = min(max(_DIGITS - 1 - floor(log10(abs(value))), 0), _MOST_DECIMALS)
+    text = f"{value:.{decimals}f}"
+    text = text.rstrip("0").rstrip(".") if decimals else text
+    return "0" if text == "-0" else text

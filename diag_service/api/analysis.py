@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from canlog.column_files import arrow_schema, row_table
 from canlog.extras import load_extra
+from clutchdiag_io.people import digits
 from clutchdiag_io.program import legible
 from diag_service.api.choices import AnyPath, AnyPaths, Delivery, LogMeaning, configuration, optional_path, path_list
 from diag_service.batch.tables import columns, drive_rows, flattened, record_columns
@@ -101,7 +102,7 @@ class ResultTable:
 def _cell(value: object) -> str:
     if value is None:
         return ""
-    return f"{value:.4g}" if isinstance(value, float) else escape(str(value))
+    return digits(value) if isinstance(value, float) else escape(str(value))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,6 +22,7 @@ from canlog.logs import STANDARD_INPUT, LogReader, is_folder, read_log
 from canlog.logs.log_counts import assumed_texts, lost_texts
 from canlog.logs.reading import Watch
 from canlog.traffic import MAX_IDS, NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
+from clutchdiag_io.people import digits
 from diag_service.batch.drives import LeftOut, left_out_record, sorted_out
 from diag_service.commands.talks import Conversations, conversations_of
 from diag_service.console import PeopleConsole, ReadingLine
@@ -323,9 +324,9 @@ def _column_lines(traffic: TrafficReport, values: TableValues) -> Iterator[str]:
             f"{one.rate_hz:.1f}" if one.rate_hz > 0.0 else "-",
             f"{one.jitter_s * MS_PER_S:.2f}" if one.rate_hz > 0.0 else "-",
             str(column.changes),
-            f"{column.step:.4g}",
-            f"{column.lowest:.6g}",
-            f"{column.highest:.6g}",
+            digits(column.step),
+            digits(column.lowest),
+            digits(column.highest),
         )
 
 

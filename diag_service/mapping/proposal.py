@@ -10,7 +10,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.decode.signals import NO_INVALID, Decoded, InvalidCounts
-from clutchdiag_io.people import PLUS_MINUS, half_width
+from clutchdiag_io.people import PLUS_MINUS, digits, half_width
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.errors import ConfigError
@@ -322,14 +322,18 @@ class Ranges:
                 if _can_be(signal, to_si(signal, replace(source, unit=None), unit)(own))
             ]
             hint = f", but in {' or '.join(map(repr, fitting))}" if fitting else "; is it another column?"
-            place = f"values from {own[0]:g} to {own[1]:g} of column {source.column!r}"
+            place = f"values from {digits(own[0])} to {digits(own[1])} of column {source.column!r}"
             yield f"{signal.value}: {place} can hardly be in {source.unit!r}{hint}"
 
 
 def _said(one: Candidate) -> str:
     stat = one.statistics
     unit = one.unit if one.unit == stat.unit else f"{one.unit} (assumed: nothing says the unit)"
-    return f"{stat.lowest:g} to {stat.highest:g} {unit}, {stat.count} values, score {one.score:.1f}".replace(" ,", ",")
+    return (
+        f"{digits(stat.lowest)} to {digits(stat.highest)} {unit}, {stat.count} values, score {one.score:.1f}".replace(
+            " ,", ","
+        )
+    )
 
 
 def _quoted(text: str) -> str:

@@ -13,6 +13,7 @@ from canlog.logs import STANDARD_INPUT, read_log, shown_name, table_columns
 from canlog.logs.reading import Watch
 from canlog.logs.streams import never
 from canlog.traffic import NS_PER_S
+from clutchdiag_io.people import digits
 from clutchdiag_io.program import legible
 from dbc.contract import DBC_PATH
 from diag_service.diagnosis.columns import Signal
@@ -76,7 +77,7 @@ class Survey:
                 name, unit = message.name, "values"
             yield f"{name}: {count} {unit}, {rate_hz:.1f} Hz"
             for _, one in sorted(self._signals[slot].items()):
-                span = f"{one.lowest:g} to {one.highest:g} {one.unit}".rstrip() if one.count else "no value"
+                span = f"{digits(one.lowest)} to {digits(one.highest)} {one.unit}".rstrip() if one.count else "no value"
                 lost = {reason.replace("_", " "): count for reason, count in one.invalid._asdict().items() if count}
                 called = "" if self._are_columns else f"{one.signal}: "
                 yield f"  {called}{span}{''.join(f', {count} values {reason}' for reason, count in lost.items())}"

@@ -8,8 +8,9 @@ from typing import Final
 from rich.table import Table
 from rich.text import Text
 
+from clutch_model.units import for_people
 from clutchdiag_io.pages.content import spread
-from clutchdiag_io.people import PLUS_MINUS, plus_minus
+from clutchdiag_io.people import PLUS_MINUS, digits, plus_minus
 from diag_service.console import plain_table
 from diag_service.delivery.console import condition_words, order_lines
 from diag_service.diagnosis import records
@@ -163,6 +164,9 @@ def _value_lines(table: Mapping[str, object], indent: str) -> Iterator[Text]:
             yield from _value_lines(value, f"{indent}  ")
         elif isinstance(value, list):
             yield Text(f"{indent}{name}  {', '.join(map(str, value)) or _NONE}")
+        elif isinstance(value, float):
+            label, amount, unit = for_people(name, value)
+            yield Text(f"{indent}{label}  {digits(amount)} {unit}".rstrip())
         else:
             yield Text(f"{indent}{name}  {_NONE if value is None else value}")
 

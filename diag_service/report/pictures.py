@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
-from clutch_model.units import NS_PER_S, bar_from_pa, degc_from_k, rpm_from_rad_s
+from clutch_model.units import NS_PER_S, bar_from_pa, degc_from_k, rad_s_from_rpm, rpm_from_rad_s
 from clutchdiag_io.pages.content import Cell, Figure, Key, Section, Table, number
 from clutchdiag_io.pages.plot import Axis, Plot, thinned
 from clutchdiag_io.people import PLUS_MINUS, STDS
@@ -25,8 +25,8 @@ from fleet_contract.orders import cause_words, title_of
 MOST_POINTS: Final = 600  # of a trend; a screen shows no more
 MOST_SAMPLES: Final = 400  # of one signal of a shift
 MOST_MOMENTS: Final = 8  # names of moments do not overlap too much
-_SLIP_RAD_S: Final = np.linspace(0.0, 40.0, 121)
-TABLE_SLIPS_RAD_S: Final = np.array([0.0, 2.0, 5.0, 10.0, 20.0, 40.0])
+_SLIP_RAD_S: Final = rad_s_from_rpm(np.linspace(0.0, 400.0, 121))
+TABLE_SLIPS_RAD_S: Final = rad_s_from_rpm(np.array([0.0, 20.0, 50.0, 100.0, 200.0, 400.0]))
 THRESHOLD_KEYS: Final = (
     Key(style="watch", text=f"watch below {100.0 * WATCH_LEVEL_RATIO:.0f} % of new"),
     Key(style="change", text=f"change below {100.0 * CHANGE_LEVEL_RATIO:.0f} % of new"),
@@ -75,13 +75,14 @@ def curve_picture(
     mean, std = curve_band(_SLIP_RAD_S, friction, reference)
     low, high = mean - STDS * std, mean + STDS * std
     levels = [ratio * reference.mu_c for ratio, _ in _THRESHOLDS]
-    x = Axis(low=0.0, high=float(_SLIP_RAD_S[-1]), label="slip speed [rad/s]")
+    slip_rpm = rpm_from_rad_s(_SLIP_RAD_S)
+    x = Axis(low=0.0, high=float(slip_rpm[-1]), label="slip speed [rpm]")
     what = "friction coefficient over slip speed, estimate with band, new fluid, thresholds"
     plot = Plot(f"{title_of(clutch, element)}: {what}", x, Axis.around("friction coefficient", new, low, high, levels))
     _draw_thresholds(plot, reference.mu_c)
-    plot.line(_SLIP_RAD_S, new, "line new dashed")
-    plot.band(_SLIP_RAD_S, low, high, f"band clutch{clutch}")
-    plot.line(_SLIP_RAD_S, mean, f"line strong clutch{clutch}")
+    plot.line(slip_rpm, new, "line new dashed")
+    plot.band(slip_rpm, low, high, f"band clutch{clutch}")
+    plot.line(slip_rpm, mean, f"line strong clutch{clutch}")
     return plot.markup()
 
 
@@ -96,7 +97,7 @@ def curve_figure(
     new = new_curve(TABLE_SLIPS_RAD_S, reference)
     mean, std = curve_band(TABLE_SLIPS_RAD_S, friction, reference)
     rows = tuple(
-        (number(slip, "{:g}"), number(value), number(STDS * one), number(fresh))
+        (number(rpm_from_rad_s(float(slip)), "{:.0f}"), number(value), number(STDS * one), number(fresh))
         for slip, value, one, fresh in zip(TABLE_SLIPS_RAD_S, mean, std, new, strict=True)
     )
     caption = f"{title_of(clutch, element)}: friction over slip{f', {what}' if what else ''}"
@@ -109,7 +110,7 @@ def curve_figure(
             Key(style="new dashed", text="new fluid"),
             *THRESHOLD_KEYS,
         ),
-        table=Table(caption=caption, head=("slip [rad/s]", "estimate", PLUS_MINUS, "new fluid"), rows=rows),
+        table=Table(caption=caption, head=("slip [rpm]", "estimate", PLUS_MINUS, "new fluid"), rows=rows),
     )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
+from clutchdiag_io.people import digits
 from diag_service.errors import MalformedError
 from diag_service.tester.answers import EXTENDED, HEAD_BYTES, ROW_BYTES, SNAPSHOTS, shown
 from diag_service.tester.description import STANDARD_EXTENDED, Description, Values, code_text, read_fields
@@ -191,7 +192,7 @@ def values_text(values: Values) -> str:
     """Return values for people: name, number, unit; the name of one that is alone says nothing new."""
     texts = []
     for label, value in values.items():
-        shown = NOTHING if value is None else f"{value:.10g}" if isinstance(value, float) else str(value)
+        shown = NOTHING if value is None else digits(value) if isinstance(value, float) else str(value)
         name, bracket, unit = label.partition(" [")
         unit = f" {unit.removesuffix(']')}" if bracket and value is not None else ""
         texts.append(f"{name if len(values) > 1 else ''} {shown}{unit}".strip())

@@ -20,6 +20,8 @@ import numpy as np
 from cantools.database.can import Database
 
 from canlog.errors import OutputError, SourceError
+from clutch_model.units import for_people
+from clutchdiag_io.people import digits
 from clutchdiag_io.program import replacement_refusal
 from dbc.contract import load_contract
 from diag_service.commands.arguments import COMMAND_LINE
@@ -56,7 +58,6 @@ PROGRESS_S: Final = 60.0  # from line to line while a drive is recorded
 LOOK_S: Final = 0.1
 HELD_S: Final = 0.5  # frames of several senders come out of order by less
 LOGS: Final = (".log", ".asc", ".blf")  # python-can writes them, and they are read again
-_ROUND: Final = 4  # significant digits of a value that is shown
 Show = Callable[[str], object]
 
 
@@ -294,7 +295,8 @@ def _told(line: Line, profile: Profile, show: Show) -> frozenset[Signal]:
             told.add(signal)
             continue
         value = float(to_si(signal, profile.sources[signal], None)(np.array([float(raw)]))[0])
-        show(f"  {signal.value} = {value:.{_ROUND}g} ({question})")
+        name, shown, unit = for_people(signal.value, value)
+        show(f"  {name} = {f'{digits(shown)} {unit}'.rstrip()} ({question})")
         told.add(signal)
     for signal, pgn in profile.groups.items():
         group = GroupQuestion(pgn)

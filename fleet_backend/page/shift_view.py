@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Final
 
-from clutch_model.units import degc_from_k
-from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Link, Section, Table, moment, number
-from clutchdiag_io.people import PLUS_MINUS, STDS
+from clutch_model.units import degc_from_k, for_people
+from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Link, Number, Section, Table, moment, number
+from clutchdiag_io.people import PLUS_MINUS, STDS, digits
 from diag_service.report.pictures import curve_figure
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
@@ -104,9 +104,14 @@ def _shift_sections(answer: ShiftAnswer) -> Iterator[Section]:
     """Yield how well the event went, if that is known."""
     if answer.shift_quality is not None:
         told = {key: value for key, value in asdict(answer.shift_quality).items() if isinstance(value, int | float)}
-        rows = tuple((key.replace("_", " "), number(value, "{:.4g}")) for key, value in told.items())
-        table = Table(caption="Score and its parts, SI units", head=("part", "value"), rows=rows)
+        rows = tuple(_for_people(key, value) for key, value in told.items())
+        table = Table(caption="Score and its parts", head=("part", "value", "unit"), rows=rows)
         yield Section(name="shifting", title="How well it went", tables=(table,))
+
+
+def _for_people(name: str, value: float) -> tuple[Cell, ...]:
+    label, shown, unit = for_people(name, value)
+    return label.replace("_", " "), Number(value=value, text=digits(shown)), unit
 
 
 def _quality_section(answer: ShiftAnswer) -> Section:

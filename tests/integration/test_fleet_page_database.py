@@ -150,7 +150,7 @@ def test_how_well_a_vehicle_shifts_is_on_its_page_and_a_fall_and_a_sure_correcti
     Writer(engine).store(Batch(shifts=[row_of(scored(seq, 60.0, 9e3, "touch_error_pa")) for seq in range(31, 51)]))
     raised = {step.subject.rule: step for step in watch.round()}
     assert "clutch 2 score 30 points less than the first" in raised[Rule.SCORE].reason
-    assert raised[Rule.CORRECTION].reason == "adapt clutch 2: touch point 0.09 bar later than believed (± 0.01)"
+    assert raised[Rule.CORRECTION].reason == "adapt clutch 2: touch point 0.09 bar later than believed (± 0.02)"
     sources = sources_of(engine)
     answer = vehicle_view.find(sources, ask(vehicle_view.VIEW, "rough"))
     (change,), (load,) = answer.changes, answer.loads
@@ -163,7 +163,7 @@ def test_how_well_a_vehicle_shifts_is_on_its_page_and_a_fall_and_a_sure_correcti
     assert section.texts == (
         "Power on upshift 1-2 scores 60: jerk.",
         f"Scores are without what the signals do not tell: {untold}.",
-        "Adapt clutch 2: touch point 0.09 bar later than believed (± 0.01).",
+        "Adapt clutch 2: touch point 0.09 bar later than believed (± 0.02).",
     )
     assert [table.rows[0][0] for table in section.tables] == ["power on upshift 1-2", "2"]
     captions = [figure.caption for one in shown.sections for figure in one.figures]

@@ -41,11 +41,11 @@ def test_the_newest_word_on_a_clutch_counts() -> None:
     early = replace(late, touch_error_pa=-6_000.0, corrections=("touch_error_pa", "fill_error_s"),
                     fill_error_s=0.06, std_fill_error_s=0.01)  # fmt: skip
     assert correction_lines([result(1, early), result(2, late)]) == [
-        "clutch 2: touch point 0.04 bar later than believed (± 0.01)"
+        "clutch 2: touch point 0.04 bar later than believed (± 0.02)"
     ]
     assert correction_lines([result(1, late), result(2, early)]) == [
-        "clutch 2: fill for 60 ms longer (± 10)",
-        "clutch 2: touch point 0.06 bar earlier than believed (± 0.01)",
+        "clutch 2: fill for 60 ms longer (± 20)",
+        "clutch 2: touch point 0.06 bar earlier than believed (± 0.02)",
     ]
     assert correction_lines([result(1, late), result(2, UPSHIFT)]) == []
 
