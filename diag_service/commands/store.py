@@ -153,7 +153,7 @@ def report(options: SimpleNamespace, controls: Controls) -> None:
     with ReadingLine() as line:
         found = findings_of(config, options.logs, named, controls.stop, watch=line.watch)
         line.show("making the page")
-        size_bytes = write_page(options.output, page_of(found, utc_now()))
+        size_bytes = write_page(options.output, page_of(found, utc_now(), is_full=options.full))
     sys.stdout.write(f"{legible(str(options.output))}: {size_bytes / 1000.0:.0f} kB\n")
     if found.summary is not None:
         insist(found.summary.gaps, found.summary.contributions, is_strict=False)

@@ -101,7 +101,7 @@ def history_lines(
     yield Text(f"{found.vehicle}: {events_text(len(found.rows))}{left_out}")
     yield from order_lines(found.order)
     yield from map(Text, cause_lines(newest_causes(found.latest)))
-    yield _outlook(found, population)
+    yield Text(outlook_of(found, population))
     for clutch in (one for one in clutches if one in found.clutches):
         periods = periods_of(found, clutch)
         rows = [row for period in periods for row in period.rows]
@@ -132,10 +132,10 @@ def _course(found: Findings) -> Iterator[Text | Table]:
     yield from (Text(shift_course.load_line(load)) for load in shift_course.loads(estimates))
 
 
-def _outlook(found: Findings, population: Population | None) -> Text:
+def outlook_of(found: Findings, population: Population | None = None) -> str:
     """Return how far the fluid will go by the clutches that have engaged; new fluid is that of the calibration."""
     if found.calibration is None:
-        return Text("No prognosis: these results are of another calibration; --calibration names it.")
+        return "No prognosis: these results are of another calibration; --calibration names it."
     outlooks, known = [], ""
     for clutch in sorted({result.estimate.clutch for result in found.results}):
         past, peers = history_of(found.results, found.fills, clutch), None
@@ -146,7 +146,7 @@ def _outlook(found: Findings, population: Population | None) -> Text:
         outlooks.append(prognose(clutch, past, found.calibration.clutches[clutch - 1].friction, peers=peers))
         known = "" if peers is None else f" Before its own results: as {peers.life_count} lives of its peers."
     element = found.latest[0].verdict.element if found.latest else None
-    return Text(outlook_line(outlooks, found.order.action, element) + known)
+    return outlook_line(outlooks, found.order.action, element) + known
 
 
 def shift_lines(record: JsonObject) -> Iterator[Text]:

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
@@ -29,6 +29,7 @@ from diag_service.diagnosis.summary import (
 )
 from diag_service.errors import StoreError
 from diag_service.report.findings import Findings, moment_words
+from diag_service.report.history import outlook_of
 from diag_service.report.pictures import (
     MOST_MOMENTS,
     MOST_POINTS,
@@ -68,13 +69,15 @@ class Page:
     advice: tuple[Advice, ...]
     sections: tuple[Section, ...]
     record: object  # the same for programs, as JSON has it
+    is_full: bool = False  # whether paper gets all sections
 
 
-def page_of(found: Findings, made_at: str) -> Page:
+def page_of(found: Findings, made_at: str, *, is_full: bool = False) -> Page:
     """Return the page of a report; ``made_at`` is the present moment (ISO 8601 UTC)."""
     causes = [] if (known := newest_causes(found.latest)) is None else [causes_section(known)]
     sections = (
-        *causes,  # first: they may say that what the verdict advises will not help
+        brief_section(found),
+        *causes,  # before the rest: they may say that what the verdict advises will not help
         friction_section(found),
         trend_section(found),
         shifts_section(found),
@@ -90,6 +93,7 @@ def page_of(found: Findings, made_at: str) -> Page:
         advice=(advice_of(found.order),),
         sections=sections,
         record=legible_record(record_of(found)),
+        is_full=is_full,
     )
 
 
@@ -165,6 +169,34 @@ def _versions_section(found: Findings, made_at: str) -> Section:
     return Section(name="versions", title="Versions", tables=(table,))
 
 
+def brief_section(found: Findings) -> Section:
+    """Return what a workshop asks first: how far it goes, what is in, and the friction of the worse clutch."""
+    known_m = [one.estimate.odometer_m for one in found.results if one.estimate.odometer_m is not None]
+    fill = found.fills[-1] if found.fills else None
+    filled = (NONE, NONE, NONE) if fill is None else (fill.product or NONE, fill.filled_at[:10], _km(fill.odometer_m))
+    rows = (
+        ("km left", outlook_of(found)),
+        ("odometer [km]", _km(known_m[-1] if known_m else None)),
+        *zip(("fluid", "filled on", "filled at [km]"), filled, strict=True),
+    )
+    facts = Table(caption="The vehicle and its fluid; – is not known", head=("what", "value"), rows=rows)
+    drawn = [one.verdict for one in found.latest if one.verdict.friction is not None]
+    worst = min(drawn, key=lambda one: (-one.condition, one.level_ratio or 1.0), default=None)
+    figures = () if worst is None else tuple(replace(one, table=facts) for one in _curve_of(found, worst))
+    return Section(name="brief", title="At a glance", tables=() if figures else (facts,), figures=figures)
+
+
+def _km(distance_m: float | None) -> Cell:
+    return number(None if distance_m is None else distance_m / 1000.0, "{:.0f}")
+
+
+def _curve_of(found: Findings, verdict: records.ClutchVerdict) -> Iterator[Figure]:
+    """Yield the friction of a clutch over slip, if that and its calibration are known."""
+    if found.calibration is not None and verdict.friction is not None:
+        reference = found.calibration.clutches[verdict.clutch - 1].friction
+        yield curve_figure(verdict.clutch, verdict.friction, reference, element=verdict.element)
+
+
 def friction_section(found: Findings) -> Section:
     """Return friction over slip of each clutch, or why there is none."""
     texts = [WHAT_CURVES_SAY]
@@ -173,12 +205,7 @@ def friction_section(found: Findings) -> Section:
             f"Curves are not drawn: the results were made with calibration {found.versions.calibration}, which is not "
             "the one at hand; name it by --calibration."
         )
-    calibration, figures = found.calibration, []
-    for result in found.latest:
-        clutch, verdict = result.estimate.clutch, result.verdict
-        if calibration is not None and verdict.friction is not None:
-            reference = calibration.clutches[clutch - 1].friction
-            figures.append(curve_figure(clutch, verdict.friction, reference, element=verdict.element))
+    figures = [figure for result in found.latest for figure in _curve_of(found, result.verdict)]
     tables = [_numbers_table(result.verdict) for result in found.latest]
     tables += [] if found.summary is None else [_relative_table(one) for one in found.summary.relative]
     return Section(name="friction", title="Friction", texts=tuple(texts), tables=tuple(tables), figures=tuple(figures))
@@ -344,7 +371,7 @@ def _trend_cells(place: int, result: records.ShiftResult) -> tuple[Cell, ...]:
     return (
         str(place + 1),
         moment_words(result.estimate.end_ns),
-        number(None if odometer_m is None else odometer_m / 1000.0, "{:.0f}"),
+        _km(odometer_m),
         number(None if friction is None else friction.mu_c),
         number(None if friction is None else STDS * friction.std_mu_c),
         condition_words(result.verdict.condition),
