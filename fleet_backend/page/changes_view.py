@@ -6,8 +6,8 @@ from typing import Any, Final
 
 from sqlalchemy import Connection, func, select
 
-from clutchdiag_io.people import PLUS_MINUS, STDS
 from clutchdiag_io.pages.content import Cell, Table, number
+from clutchdiag_io.people import PLUS_MINUS, STDS
 from fleet_backend.database import transaction
 from fleet_backend.page import wording
 from fleet_backend.page.asking import AFTER, LIMIT, Ask, Parameter, ParameterType
