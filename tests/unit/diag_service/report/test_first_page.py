@@ -19,7 +19,8 @@ def test_a_workshop_reads_all_it_needs_before_any_detail() -> None:
     found = replace(findings(30), fills=(FILL,))
     html = html_of(page_of(found, NOW))
     text = " ".join(re.sub(r"<[^>]+>", " ", first_section(html)).split())
-    for told in ("km left", "odometer [km] 1 ", "fluid DCTF 75W", "filled on 2025-06-01", "filled at [km] 500"):
+    odometer = f"odometer [km] {(found.results[-1].estimate.odometer_m or 0.0) / 1000.0:.0f} "
+    for told in ("km left", odometer, "fluid DCTF 75W", "filled on 2025-06-01", "filled at [km] 500"):
         assert told in text
     assert html.index(found.order.text) < html.index("<section")
     assert first_section(html).count("<svg") == 1
