@@ -15,7 +15,7 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from fleet_backend.errors import CertificateError
-from fleet_contract import TOPIC_ROOT, Channel
+from fleet_contract import CLUTCHES, TOPIC_ROOT, Channel
 
 OFFICE: Final = "fleet-"  # what the names of the backend's programs begin with; no vehicle's does
 ALARMS: Final = "clutchdiag/alarms/v1/+"
@@ -79,8 +79,14 @@ def _office_rules() -> list[dict[str, object]]:
 
 
 def _topics(name: str, *, is_to_vehicle: bool) -> list[str]:
-    chosen = [channel for channel in Channel if channel.is_to_vehicle is is_to_vehicle]
-    return [f"{TOPIC_ROOT}/{name}/{channel.label}{'/+' * (channel is Channel.CLUTCH)}" for channel in chosen]
+    """Return the topics of one side; a vehicle's are literal: a broker keeps the last message of each name."""
+    clutches = ("+",) if name == "+" else CLUTCHES
+    return [
+        f"{TOPIC_ROOT}/{name}/{label}"
+        for channel in Channel
+        if channel.is_to_vehicle is is_to_vehicle
+        for label in ([f"clutch/{one}" for one in clutches] if channel is Channel.CLUTCH else [channel.label])
+    ]
 
 
 def _rule(kind: str, topic: str) -> dict[str, object]:
@@ -90,12 +96,14 @@ def _rule(kind: str, topic: str) -> dict[str, object]:
 def _nats_user(name: str) -> str:
     if name.startswith(OFFICE):
         publish = [*_subjects("+", is_to_vehicle=True), "$JS.API.>", "$JS.ACK.>"]
-        subscribe = ["_INBOX.>"]
+        subscribe, kinds = ["_INBOX.>"], "STANDARD"
     else:
         publish = _subjects(name, is_to_vehicle=False)
-        subscribe = [*_subjects(name, is_to_vehicle=True), "$MQTT.sub.>"]
+        # On the port of NATS itself the last subject would be everybody's messages.
+        subscribe, kinds = [*_subjects(name, is_to_vehicle=True), "$MQTT.sub.>"], "MQTT"
     permissions = f"{{publish: {json.dumps(publish)}, subscribe: {json.dumps(subscribe)}}}"
-    return f"  {{user: {json.dumps(f'CN={name}')}, permissions: {permissions}}}\n"
+    kept_to = f"allowed_connection_types: [{json.dumps(kinds)}]"
+    return f"  {{user: {json.dumps(f'CN={name}')}, {kept_to}, permissions: {permissions}}}\n"
 
 
 def _subjects(name: str, *, is_to_vehicle: bool) -> list[str]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from fleet_backend.certificates.access import mosquitto_access, write_access
+from fleet_backend.certificates.access import mosquitto_access, nats_users, write_access
 from tests.support.fleet_broker import DEPLOY
 from tests.support.hostile_vehicle import BAD, attack, authority_of
 
@@ -20,6 +20,7 @@ async def test_it_hurts_nobody_and_is_seen(tmp_path: Path, kind: str) -> None:
     assert (outcome.granted, outcome.heard) == ([], [])
     assert outcome.stored_count == 2 * len(GOOD) * SHIFTS
     assert outcome.unseen(kind) == []
+    assert outcome.kept_bytes < outcome.sent_bytes / 3
     assert outcome.took_s < 60.0
     if kind == "mosquitto":
         assert not any(f"Client {name} already connected" in outcome.log for name in (*GOOD, "fleet-backend"))
@@ -33,3 +34,4 @@ def test_the_shipped_access_is_what_the_program_writes(tmp_path: Path) -> None:
     assert '"vehicle fleet-backend"' not in written
     shipped = (DEPLOY / "dynamic-security.json").read_text(encoding="utf-8")
     assert shipped == mosquitto_access(["CAR1", "fleet-backend"])
+    assert nats_users(["fleet-backend", "CAR1"]) in (DEPLOY / "nats.conf").read_text(encoding="utf-8")

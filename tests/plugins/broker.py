@@ -69,6 +69,11 @@ class Mosquitto:
         """Where the broker listens."""
         return f"mqtt://127.0.0.1:{self.port}"
 
+    @property
+    def pid(self) -> int:
+        """Process id of the running broker."""
+        return self._running().pid
+
     def start(self) -> None:
         """Start the broker and wait until it listens."""
         with (self._folder / "mosquitto.log").open("ab") as log:

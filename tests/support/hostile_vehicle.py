@@ -11,7 +11,11 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
+import nats
+import nats.errors
 import paho.mqtt.client as mqtt
+import psutil
+from nats.aio.msg import Msg
 from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
 
 from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Outbox
@@ -30,6 +34,7 @@ from tests.support.patience import HANG_S
 
 QUICK = DeliveryLimits(first_pause_s=0.05, longest_pause_s=0.2)
 BAD = "carX"
+SETTLE_S = 20.0  # for what a broker neither takes nor refuses
 GROUP = "unguessed-7f3a"
 OTHERS = (
     f"$share/{GROUP}/clutchdiag/v1/+/shift",  # even where the name leaks
@@ -42,7 +47,20 @@ OTHERS = (
     "#",
     "$SYS/#",
     "$CONTROL/#",
+    "$MQTT/#",
+    "$JS/#",
+    "_INBOX/#",
 )
+INNER = "$MQTT/sub/#"  # where a nats-server hands messages of quality 1 to its sessions
+NATIVE = (">", "$MQTT.>", "$MQTT.sub.>", "$JS.>", "_INBOX.>", "clutchdiag.v1.>", f"clutchdiag.v1.{BAD}.ack")
+TOPICS, PARTS, PART_BYTES = 200, 100, 100_000  # retained, and of quality 2 without an end, of the attack in the tests
+
+
+class _Unreleased(mqtt.Client):
+    """A client that never releases what it sent with quality 2: the broker is to keep it."""
+
+    def _handle_pubrec(self) -> mqtt.MQTTErrorCode:
+        return mqtt.MQTT_ERR_SUCCESS
 
 
 class Hostile:
@@ -53,6 +71,7 @@ class Hostile:
     ) -> None:
         self.codes: list[int] = []  # what the broker said to its subscriptions
         self.heard: list[str] = []  # topics on which it was told something
+        self._native: nats.NATS | None = None
         self._folder = authority.folder
         self._port = port
         self._victims = victims
@@ -60,10 +79,10 @@ class Hostile:
         self._version = MQTTProtocolVersion.MQTTv5 if is_version_5 else MQTTProtocolVersion.MQTTv311
         self._is_over = threading.Event()
 
-    def client(self, identifier: str, *, is_huge: bool = False) -> mqtt.Client:
+    def client(self, identifier: str, *, is_huge: bool = False, kind: type[mqtt.Client] = mqtt.Client) -> mqtt.Client:
         """Return a connection under a name, with a will that speaks for another."""
         is_clean = not is_huge if self._version is MQTTProtocolVersion.MQTTv311 else None
-        client = mqtt.Client(
+        client = kind(
             CallbackAPIVersion.VERSION2, identifier, is_clean, protocol=self._version, reconnect_on_failure=False
         )
         folder = self._folder
@@ -72,6 +91,7 @@ class Hostile:
         )
         client.on_subscribe = lambda _c, _u, _m, codes, _p: self.codes.extend(code.value for code in codes)
         client.on_message = lambda _c, _u, message: self.heard.append(message.topic)
+        client.max_inflight_messages_set(2_000)
         client.will_set("clutchdiag/v1/car1/status", b"{}", qos=1, retain=True)
         client.connect("127.0.0.1", self._port)
         client.loop_start()
@@ -95,6 +115,44 @@ class Hostile:
         client.publish(topic, b"x", 1).wait_for_publish(HANG_S)
         client.disconnect()
         client.loop_stop()
+
+    def fill(self, topic_count: int, part_count: int) -> None:
+        """Make the broker keep all it can: retained messages under made-up names, quality 2 that is never released."""
+        self._send(mqtt.Client, [f"clutchdiag/v1/{BAD}/clutch/{number}" for number in range(3, topic_count + 3)], 1)
+        self._send(_Unreleased, [f"clutchdiag/v1/{BAD}/shift"] * part_count, 2)
+
+    def _send(self, kind: type[mqtt.Client], topics: Sequence[str], qos: int) -> None:
+        client = self.client(f"{BAD}-fill-{qos}", kind=kind)
+        deadline_s = time.monotonic() + SETTLE_S
+        while not client.is_connected() and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        sent = [client.publish(topic, b"x" * PART_BYTES, qos, retain=qos == 1) for topic in topics]
+        while client.is_connected() and not all(one.is_published() for one in sent) and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        client.disconnect()
+        client.loop_stop()
+
+    async def listen(self, url: str) -> None:
+        """Subscribe on the port of NATS itself, whatever is said there to sessions and workers."""
+        context = ssl.create_default_context(cafile=str(self._folder / "ca.crt"))
+        context.load_cert_chain(self._folder / f"{BAD}.crt", self._folder / f"{BAD}.key")
+
+        async def hear(message: Msg) -> None:
+            self.heard.append(message.subject)
+
+        client = nats.NATS()
+        try:
+            await client.connect(url.replace("nats://", "tls://"), tls=context, allow_reconnect=False)
+            for subject in NATIVE:
+                await client.subscribe(subject, cb=hear)
+            await client.flush()
+            self._native = client
+        except (nats.errors.Error, OSError):  # refused
+            await client.close()
+
+    async def close(self) -> None:
+        if self._native is not None:
+            await self._native.close()
 
     def vanish(self) -> None:
         """Leave without a farewell: the broker is to speak the will, which is one for another."""
@@ -207,6 +265,8 @@ class Outcome:
     granted: list[str]  # subscriptions of the bad one
     heard: list[str]
     log: str  # of the broker
+    kept_bytes: int  # by which the broker grew when it was filled
+    sent_bytes: int  # to fill it
 
     def unseen(self, kind: str) -> list[str]:
         """Return the attempts of which the broker's log says nothing."""
@@ -223,6 +283,7 @@ TRACES = {
     },
     "nats": {
         "take over a session": '"clutchdiag-car1" - ',
+        "the port of NATS itself": "authentication error",
         "write to another": f'Publish Violation - User "CN={BAD}"',
         "a huge session": '"huge-',
         "a will for another": f'Publish Violation - User "CN={BAD}", Subject "clutchdiag.v1.car1.status"',
@@ -236,7 +297,9 @@ TRACES = {
 }
 
 
-async def attack(folder: Path, kind: str, names: Sequence[str], shifts: int) -> Outcome:
+async def attack(
+    folder: Path, kind: str, names: Sequence[str], shifts: int, topic_count: int = TOPICS, part_count: int = PARTS
+) -> Outcome:
     """Let vehicles deliver, then once more under attack of one of their own kind."""
     authority, url = authority_of(folder / "certificates", names), f"sqlite:///{folder}/fleet.sqlite"
     engine = open_database(url)
@@ -249,7 +312,7 @@ async def attack(folder: Path, kind: str, names: Sequence[str], shifts: int) -> 
             mosquitto = fleet_broker(place, authority)
             mosquitto.start()
             stack.callback(mosquitto.stop)
-            port, words = mosquitto.port, (*words, "--group", GROUP)
+            port, pid, words = mosquitto.port, mosquitto.pid, (*words, "--group", GROUP)
             address = f"mqtts://127.0.0.1:{port}"
         else:
             text = (DEPLOY / "nats.conf").read_text(encoding="utf-8").partition("authorization {")[0]
@@ -258,16 +321,22 @@ async def attack(folder: Path, kind: str, names: Sequence[str], shifts: int) -> 
             server = NatsServer(place, text.replace("/etc/clutchdiag", str(authority.folder)))
             server.start()
             stack.callback(server.stop)
-            port, address = server.port, server.url.replace("nats://", "nats+tls://")
+            port, pid, address = server.port, server.pid, server.url.replace("nats://", "nats+tls://")
         stack.enter_context(worker(folder, address, url, *words))
         is_version_5 = kind == "mosquitto"
         hostile = Hostile(authority, port, names, is_version_5=is_version_5, flood_count=flood_count)
+        if kind == "nats":
+            await hostile.listen(server.url)
         usual_s = await deliver(authority, port, names, range(1, shifts + 1))
-        granted = [topic for topic in OTHERS if hostile.subscribe(topic)]
+        granted = [topic for topic in (*OTHERS, INNER) if hostile.subscribe(topic)]
         hostile.tell(f"clutchdiag/v1/{names[0]}/ack")
         hostile.vanish()
+        before_bytes = psutil.Process(pid).memory_info().rss
+        await asyncio.to_thread(hostile.fill, topic_count, part_count)
+        kept_bytes = psutil.Process(pid).memory_info().rss - before_bytes
         with hostile.storming():
             took_s = await deliver(authority, port, names, range(shifts + 1, 2 * shifts + 1))
+        await hostile.close()
     (log,) = place.glob("*.log")
     return Outcome(
         usual_s=usual_s,
@@ -276,4 +345,6 @@ async def attack(folder: Path, kind: str, names: Sequence[str], shifts: int) -> 
         granted=granted,
         heard=hostile.heard,
         log=log.read_text(encoding="utf-8", errors="replace"),
+        kept_bytes=kept_bytes,
+        sent_bytes=(topic_count + part_count) * PART_BYTES,
     )

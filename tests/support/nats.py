@@ -14,7 +14,7 @@ from demo.programs import DemoError
 from tests.support.ports import free_port
 
 _START_S: Final = 60.0
-_ALWAYS_SYNCS: Final = (2, 10)  # the first version whose JetStream can sync at every message
+_ALWAYS_SYNCS: Final = (2, 10)  # the first version whose JetStream can sync at every message, and that can refuse QoS 2
 _OWN: Final = """
 server_name: fleet
 listen: 0.0.0.0:4222
@@ -51,7 +51,7 @@ class NatsServer:
         ):
             text = text.replace(theirs, ours)
         if version(self._program) < _ALWAYS_SYNCS:
-            text = re.sub(r"\n *sync_interval: always", "", text)
+            text = re.sub(r"\n *(sync_interval: always|reject_qos2_publish: true)", "", text)
         self._config = folder / "nats.conf"
         self._config.write_text(text, encoding="utf-8")
 
