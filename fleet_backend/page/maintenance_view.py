@@ -29,7 +29,7 @@ from fleet_backend.schema import VEHICLE
 from fleet_contract.orders import Action
 
 MOST: Final = 200
-FORETOLD_HERE: Final = 200  # clutches: each takes a prognosis
+FORETOLD_HERE: Final = 10  # clutches: each takes a prognosis, 0.1 s, and somebody waits; the watch makes the others
 LOOKED_BACK: Final = timedelta(days=90)  # over which it is counted how much a vehicle is driven
 LEAST: Final = timedelta(days=1)
 _HORIZON: Final = timedelta(days=3653)

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -47,9 +47,10 @@ from fleet_backend.page import (
 )
 from fleet_backend.page.access import Access
 from fleet_backend.page.asking import Ask, read_words
+from fleet_backend.page.cache import Cache
 from fleet_backend.page.keeper import LEAST_CLUTCHES, Keeper
 from fleet_backend.page.news import News
-from fleet_backend.page.outlook import NO_PROGNOSIS
+from fleet_backend.page.outlook import NO_PROGNOSIS, Past
 from fleet_backend.page.past import results_of, shift_of
 from fleet_backend.page.peers import fleet_ageing
 from fleet_backend.page.records import Due
@@ -130,6 +131,19 @@ def test_the_quarantine_comes_in_parts(engine: Engine) -> None:
             break
         after = {"after": part.next}
     assert found == [one["digest"] for one in queries.quarantined(sources.engine, 99)]
+
+
+class CountingPasts(Cache[Past]):
+    """Pasts of clutches, and how many of them were worked out: each takes a prognosis."""
+
+    made_count = 0
+
+    def of(self, key: Hashable, state: Hashable, make: Callable[[], Past]) -> Past:
+        def counted() -> Past:
+            self.made_count += 1
+            return make()
+
+        return super().of(key, state, counted)
 
 
 def scored(seq: int, score: float, touch_error_pa: float = 0.0, *names: str) -> ShiftResult:
@@ -508,6 +522,27 @@ def test_numbers_of_no_clutch_leave_it_without_a_prognosis_and_the_others_with_t
     assert len(due) == 4
     found = fleet_ageing(engine)
     assert (found.clutch_count, found.left_out_count) == (4, 1)
+
+
+def test_before_the_watch_has_judged_a_large_fleet_the_page_foretells_its_worst_alone(engine: Engine) -> None:
+    """Each prognosis takes a tenth of a second: whoever opens the page first waits for no hundreds of them."""
+    names = [f"car{number:02}" for number in range(40)]
+    worst = {"car33", "car34"}
+    rows = [
+        row_of(fleet_result(1, vehicle=name, condition=Condition.WATCH if name in worst else Condition.GOOD))
+        for name in names
+    ]
+    Writer(engine).store(Batch(shifts=rows))
+    sources = replace(sources_of(engine), pasts=(pasts := CountingPasts(100_000, lambda _past: 1)))
+    due = maintenance_view.find(sources, ask(maintenance_view.VIEW)).clutches
+    assert pasts.made_count <= 20
+    assert len(due) == len(names)
+    untold = {one.vehicle for one in due if maintenance_view.NOT_YET in one.text}
+    assert len(untold) >= len(names) - 20
+    assert not untold & worst
+    WatchOfOffice(engine, Orders(), lambda: NOW).round(judging_s=float("inf"))
+    told = maintenance_view.find(sources, ask(maintenance_view.VIEW)).clutches
+    assert not [one for one in told if maintenance_view.NOT_YET in one.text]
 
 
 def test_a_forgotten_vehicle_is_due_no_more(engine: Engine) -> None:
