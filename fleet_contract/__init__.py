@@ -1,5 +1,6 @@
 """What vehicle and fleet backend agree on: topics, envelope, schemas, receipts. Neither application is known here."""
 
+from fleet_contract.bounds import MOST_MU
 from fleet_contract.errors import (
     BrokerUrlError,
     ContractError,
@@ -42,6 +43,7 @@ from fleet_contract.topics import CLUTCHES, TOPIC_ROOT, Address, Channel, filter
 __all__ = [
     "CLUTCHES",
     "MAX_BUNDLED",
+    "MOST_MU",
     "NEVER",
     "TOPIC_ROOT",
     "Address",

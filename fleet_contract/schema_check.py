@@ -2,7 +2,7 @@
 
 The schemas stay the only description; jsonschema-rs holds records against them. Stricter in two points, both because of
 what reads the record next: an integer is written without a fraction, ``1.0`` is none; and a moment is one that Python
-knows, without leap seconds.
+knows, without leap seconds, of these centuries.
 """
 
 import json
@@ -15,6 +15,7 @@ from typing import Final
 
 from jsonschema_rs import Draft202012Validator, ValidationError
 
+from fleet_contract.bounds import bounded
 from fleet_contract.errors import SchemaError
 from fleet_contract.strict_json import JsonObject, shown
 from fleet_contract.topics import Channel
@@ -24,6 +25,7 @@ Check = Callable[[object], None]
 _WHOLE: Final = "x-written-without-fraction"  # beside what must be an integer, in the schemas as they are compiled
 _VALUE: Final = "the value"  # stands in messages for what may be long and is a stranger's
 _LONGEST_MESSAGE: Final = 1_000  # characters; that of our longest enumeration has 400
+_FIRST_YEAR, _LAST_YEAR = 1900, 2199  # of moments: months are counted on from each, and back
 _MOST_SAID: Final = 3  # mistakes of one record
 
 
@@ -85,10 +87,9 @@ def _takes_integers_only(part: Mapping[str, object]) -> bool:
 
 def _is_moment(text: str) -> bool:
     try:
-        datetime.fromisoformat(text)
+        return _FIRST_YEAR <= datetime.fromisoformat(text).year <= _LAST_YEAR
     except ValueError:
         return False
-    return True
 
 
 def _in_words(errors: Iterable[ValidationError]) -> str:
@@ -110,9 +111,9 @@ ENVELOPE: Final = "event"
 
 
 def schema(name: str) -> JsonObject:
-    """Return the JSON Schema of a channel's data by its label, or of the envelope."""
+    """Return the JSON Schema of a channel's data by its label, or of the envelope, with the bounds of its numbers."""
     table: JsonObject = json.loads((SCHEMA_FOLDER / f"{name}-v1.json").read_text(encoding="utf-8"))
-    return table
+    return {key: bounded(value, key) for key, value in table.items()}
 
 
 def check_data(channel: Channel, data: JsonObject) -> None:

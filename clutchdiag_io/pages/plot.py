@@ -16,6 +16,7 @@ from canlog.arrays import FloatArray, Int64Array
 WIDTH, HEIGHT = 720, 310
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 24, 14, 50  # with room for larger letters on a small screen
 _TICK_COUNT: Final = 6
+_FARTHEST: Final = 1e150  # of what an axis shows: a span of more is no number
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 _DECIMALS: Final = 1  # of a pixel
 _PER_PIXEL: Final = 10**_DECIMALS
@@ -33,7 +34,7 @@ class Axis:
     def around(cls, label: str, *values: FloatArray | Sequence[float], margin_ratio: float = 0.06) -> "Axis":
         """Return an axis that shows all values, with a margin of its span; something to see even if all are one."""
         finite = np.concatenate([np.asarray(one, np.float64).ravel() for one in values] or [np.empty(0)])
-        finite = finite[np.isfinite(finite)]
+        finite = finite[np.abs(finite) < _FARTHEST]  # nor NaN
         low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
         margin = margin_ratio * (high - low) or max(abs(high) * margin_ratio, 1e-3)
         return cls(low=low - margin, high=high + margin, label=label)

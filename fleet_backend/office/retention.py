@@ -49,19 +49,22 @@ from fleet_backend.months import (
 from fleet_backend.office_tables import ALARM_MESSAGE, AUDIT, CLUTCH_MONTH, COMMAND_LINE, METADATA, note_change
 from fleet_backend.queries import check_vehicle
 from fleet_backend.schema import QUARANTINE, REVISION, SHIFT_RESULT, UtcDateTime
+from fleet_contract import MOST_MU
 
 MOST_KEPT: Final = 1200
 _MONTH: Final = {
     "postgresql": "CAST(date_trunc('month', s.produced_at AT TIME ZONE 'UTC') AS date)",
     "sqlite": "date(s.produced_at, 'start of month')",
 }
-# What was rolled up of a whole month is not overwritten by what little is left of it.
+# What was rolled up of a whole month is not overwritten by what little is left of it. Rows from before the contract had
+# bounds may hold numbers that no mean takes.
 _ROLL_UP: Final = """
 INSERT INTO clutch_month (vehicle, clutch, month, result_count, valid_count, change_fluid_count,
   mean_mu_c, mean_mu_s, least_level_ratio, last_odometer_m)
 SELECT s.vehicle, s.clutch, {month}, count(*), sum(CASE WHEN s.status = 'valid' THEN 1 ELSE 0 END),
   sum(CASE WHEN s.condition = 'change_fluid' THEN 1 ELSE 0 END),
-  avg(CASE WHEN s.status = 'valid' THEN s.mu_c END), avg(CASE WHEN s.status = 'valid' THEN s.mu_s END),
+  avg(CASE WHEN s.status = 'valid' AND abs(s.mu_c) <= {most} THEN s.mu_c END),
+  avg(CASE WHEN s.status = 'valid' AND abs(s.mu_s) <= {most} THEN s.mu_s END),
   min(s.level_ratio), max(s.odometer_m)
 FROM current_shift AS s
 WHERE s.produced_at < :until
@@ -121,7 +124,7 @@ def retain(engine: Engine, kept_months: int, *, now: datetime, by: str) -> Retai
 
 
 def _roll_up(connection: Connection, until: datetime) -> None:
-    statement = text(_ROLL_UP.format(month=_MONTH[connection.dialect.name]))
+    statement = text(_ROLL_UP.format(month=_MONTH[connection.dialect.name], most=MOST_MU))
     connection.execute(statement.bindparams(bindparam("until", type_=UtcDateTime)), {"until": until})
 
 

@@ -18,9 +18,12 @@ _ALWAYS_SYNCS: Final = (2, 10)  # the first version whose JetStream can sync at 
 _OWN: Final = """
 server_name: fleet
 listen: 0.0.0.0:4222
+max_payload: 262144
+max_subscriptions: 100
 jetstream {
   store_dir: /var/lib/nats
   sync_interval: always
+  max_memory_store: 64MB
 }
 mqtt { listen: 0.0.0.0:8883 }
 """

@@ -41,10 +41,11 @@ class BrokerDisk(StrEnum):
     DELETED = "deleted"  # as shipped, and its file is lost once
 
 
+_BOUNDS: Final = ("max_qos 1", "message_size_limit 262144", "memory_limit 209715200")  # as docker-compose.yml has them
 _BROKER_LINES: Final = {
-    BrokerDisk.SAVED: (),
-    BrokerDisk.DEFAULT: ("autosave_interval 1800", "autosave_on_changes false"),
-    BrokerDisk.DELETED: ("autosave_interval 1800", "autosave_on_changes false"),
+    BrokerDisk.SAVED: _BOUNDS,
+    BrokerDisk.DEFAULT: (*_BOUNDS, "autosave_interval 1800", "autosave_on_changes false"),
+    BrokerDisk.DELETED: (*_BOUNDS, "autosave_interval 1800", "autosave_on_changes false"),
 }
 
 

@@ -1,0 +1,119 @@
+"""Numbers at the bounds of what can be and far beyond, from a vehicle or in an old database, cost nobody else."""
+
+import math
+from datetime import UTC, datetime
+from typing import Any
+
+import httpx
+import pytest
+from sqlalchemy import Engine, select, update
+
+from fleet_backend import queries
+from fleet_backend.database import transaction
+from fleet_backend.intake import INGESTED, MessageKind, Taken, batch_of, take_all
+from fleet_backend.office.retention import retain, roll_up
+from fleet_backend.office.watching import Orders, Watch
+from fleet_backend.office_tables import CLUTCH_MONTH
+from fleet_backend.page.access import Access
+from fleet_backend.page.site import site
+from fleet_backend.schema import SHIFT_RESULT
+from fleet_backend.writer import Batch, Writer
+from fleet_contract import Channel, Outcome
+from tests.support.extremes import FAR, Schema, message, put, values
+from tests.support.fleet import delivered, fleet_result, message_of, row_of
+from tests.support.fleet_page import sources_of
+
+NOW = datetime(2026, 6, 15, 12, tzinfo=UTC)
+SCHEMAS = [Schema(channel) for channel in INGESTED if channel is not Channel.BUNDLE]
+PAGES = ("/", "/clutches", "/maintenance", "/maintenance.ics", "/alarms", "/changes?since=2025-01-01", "/quarantine")
+OFFICE = ("/api/v1/vehicles", "/api/v1/maintenance", "/api/v1/alarms")
+
+
+def extremes(described: Schema) -> list[tuple[Taken, bool]]:
+    """Return what becomes of messages, one number of each at its bounds or beyond, and whether it may be."""
+    found = []
+    for place, part in described.numbers.items():
+        least, most = part.get("minimum", 0), part.get("maximum", 1)
+        for value in values(part):
+            more: dict[str, Any] = {"vehicle": f"car-{place[0]}"}
+            if described.channel is Channel.SHIFT:
+                more["stream"] = f"{'.'.join(map(str, place))}={value!r}"
+            told = message(described.channel, put(described.record | more, place, value))
+            (taken,) = take_all(delivered(told), NOW)
+            is_possible = least <= value <= most and value > part.get("exclusiveMinimum", -math.inf)
+            found.append((taken, is_possible))
+    return found
+
+
+async def all_goes_on(engine: Engine) -> None:
+    """Sum up, watch, show everything and forget what is old."""
+    roll_up(engine, NOW)
+    with transaction(engine) as connection:
+        means = connection.execute(select(CLUTCH_MONTH.c.mean_mu_c, CLUTCH_MONTH.c.mean_mu_s)).all()
+    assert all(mean is None or abs(mean) <= 1e4 for pair in means for mean in pair)
+    Watch(engine, Orders(), lambda: NOW).round(judging_s=float("inf"))
+    sources = sources_of(engine)
+    transport = httpx.ASGITransport(site(sources, Access(), now=lambda: NOW))
+    async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
+        vehicles = [
+            f"{root}/{name}" for name in sources.keeper.snapshot.vehicles for root in ("/vehicles", "/api/v1/vehicles")
+        ]
+        answers = {path: (await client.get(path)).status_code for path in (*PAGES, *OFFICE, *vehicles)}
+    assert {path: code for path, code in answers.items() if code != 200} == {}
+    retain(engine, 1, now=NOW, by="ann")
+
+
+@pytest.mark.parametrize("described", SCHEMAS, ids=lambda one: one.channel.label)
+def test_every_number_has_bounds_that_a_sum_of_them_keeps(described: Schema) -> None:
+    for place, part in described.numbers.items():
+        bounds = part.get("exclusiveMinimum", part.get("minimum")), part.get("maximum")
+        assert None not in bounds, place
+        assert max(map(abs, bounds)) <= 1e19, place
+        if isinstance(place[-1], str) and place[-1] != "a_1" and place[-1] != "seq":  # that is one of many
+            assert max(map(abs, bounds)) < 1e19, place
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+async def test_a_number_at_its_bounds_is_stored_and_one_beyond_is_put_aside(engine: Engine) -> None:
+    for described in SCHEMAS:
+        judged = extremes(described)
+        for taken, is_possible in judged:
+            assert (taken.kind is not MessageKind.POISON) is is_possible, taken.message.payload
+            if taken.kind is MessageKind.POISON:
+                assert taken.row["reason"] in {"schema", "malformed"}
+                assert taken.receipt is None or taken.receipt.outcome is Outcome.QUARANTINED
+        Writer(engine).store(batch_of([one for one, _ in judged]))
+    await all_goes_on(engine)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+async def test_two_results_of_an_old_database_that_no_sum_takes_stop_nobody(engine: Engine) -> None:
+    rows = [row_of(fleet_result(seq, vehicle="old")) for seq in range(1, 2 * len(FAR) + 1)]
+    Writer(engine).store(Batch(shifts=[*rows, row_of(fleet_result(1, vehicle="good"))]))
+    names = (
+        "mu_c",
+        "mu_s",
+        "std_mu_c",
+        "running_mu_c",
+        "level_ratio",
+        "slip_energy_j",
+        "odometer_m",
+        "sump_temperature_k",
+    )
+    with transaction(engine) as connection:
+        for row in rows:
+            far = float(FAR[int(str(row["seq"])) // 2 % len(FAR)])
+            own = (SHIFT_RESULT.c.vehicle == "old") & (SHIFT_RESULT.c.seq == row["seq"])
+            connection.execute(update(SHIFT_RESULT).where(own).values(dict.fromkeys(names, far)))
+    await all_goes_on(engine)
+    assert {record["vehicle"] for record in queries.worst_first(engine)} == {"old", "good"}
+
+
+@pytest.mark.parametrize(("year", "is_stored"), [(1, False), (1899, False), (1900, True), (2199, True), (9999, False)])
+async def test_a_moment_of_no_vehicle_is_put_aside(engine: Engine, year: int, is_stored: bool) -> None:
+    """Where it was stored, the month after it had to exist too."""
+    result = fleet_result(produced_at=f"{year:04}-12-31T23:59:59.999999Z")
+    (taken,) = take_all(message_of(result), NOW)
+    assert (taken.kind is MessageKind.SHIFT) is is_stored
+    Writer(engine).store(batch_of([taken]))
+    await all_goes_on(engine)
