@@ -66,7 +66,7 @@ async def all_goes_on(engine: Engine) -> None:
 @pytest.mark.parametrize("described", SCHEMAS, ids=lambda one: one.channel.label)
 def test_every_number_has_bounds_that_a_sum_of_them_keeps(described: Schema) -> None:
     for place, part in described.numbers.items():
-        bounds = part.get("exclusiveMinimum", part.get("minimum")), part.get("maximum")
+        bounds: Any = part.get("exclusiveMinimum", part.get("minimum")), part.get("maximum")
         assert None not in bounds, place
         assert max(map(abs, bounds)) <= 1e19, place
         if isinstance(place[-1], str) and place[-1] != "a_1" and place[-1] != "seq":  # that is one of many

@@ -45,7 +45,7 @@ class Schema:
 
     def _resolved(self, part: dict[str, Any]) -> dict[str, Any]:
         name = part.get("$ref")
-        return part if name is None else self._whole["$defs"][name.rpartition("/")[2]]  # type: ignore[no-any-return]
+        return part if name is None else self._whole["$defs"][name.rpartition("/")[2]]
 
     def _numbers(self, part: dict[str, Any], place: Place) -> Iterator[tuple[Place, dict[str, Any]]]:
         part = self._resolved(part)

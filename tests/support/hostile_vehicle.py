@@ -11,12 +11,12 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-import nats
-import nats.errors
 import paho.mqtt.client as mqtt
 import psutil
+from nats.aio.client import Client as NatsClient
 from nats.aio.msg import Msg
-from paho.mqtt.enums import CallbackAPIVersion, MQTTProtocolVersion
+from nats.errors import Error as NatsError
+from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
 
 from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Outbox
 from diag_service.store import ResultStore
@@ -59,8 +59,8 @@ TOPICS, PARTS, PART_BYTES = 200, 100, 100_000  # retained, and of quality 2 with
 class _Unreleased(mqtt.Client):
     """A client that never releases what it sent with quality 2: the broker is to keep it."""
 
-    def _handle_pubrec(self) -> mqtt.MQTTErrorCode:
-        return mqtt.MQTT_ERR_SUCCESS
+    def _handle_pubrec(self) -> MQTTErrorCode:
+        return MQTTErrorCode.MQTT_ERR_SUCCESS
 
 
 class Hostile:
@@ -71,7 +71,7 @@ class Hostile:
     ) -> None:
         self.codes: list[int] = []  # what the broker said to its subscriptions
         self.heard: list[str] = []  # topics on which it was told something
-        self._native: nats.NATS | None = None
+        self._native: NatsClient | None = None
         self._folder = authority.folder
         self._port = port
         self._victims = victims
@@ -140,14 +140,14 @@ class Hostile:
         async def hear(message: Msg) -> None:
             self.heard.append(message.subject)
 
-        client = nats.NATS()
+        client = NatsClient()
         try:
             await client.connect(url.replace("nats://", "tls://"), tls=context, allow_reconnect=False)
             for subject in NATIVE:
                 await client.subscribe(subject, cb=hear)
             await client.flush()
             self._native = client
-        except (nats.errors.Error, OSError):  # refused
+        except (NatsError, OSError):  # refused
             await client.close()
 
     async def close(self) -> None:
