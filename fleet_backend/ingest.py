@@ -10,6 +10,7 @@ import random
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager
+from dataclasses import replace
 from datetime import datetime
 from typing import Final, Protocol, TypeVar
 
@@ -25,7 +26,7 @@ from fleet_backend.intake import (
     receipts_of,
     refuse,
     take_all,
-    vehicles_online,
+    vehicles_there,
 )
 from fleet_backend.writer import Batch
 from fleet_contract import JsonObject, Outgoing, ack_messages, filter_of, fluid_message
@@ -114,6 +115,7 @@ class Worker:
         self.committed_at: datetime | None = None
         self.begun_at: datetime | None = None  # the batch at hand
         self.inbox: Inbox | None = None
+        self._told: dict[str, list[JsonObject]] = {}  # the fills that a vehicle was told last
 
     async def run(self) -> None:
         """Connect, take, commit, acknowledge; come back after every loss. Ends only when it is cancelled."""
@@ -161,17 +163,25 @@ class Worker:
         for vehicle, receipts in receipts_of(taken).items():
             acks = ack_messages(vehicle, receipts, sent_at=sent_at, worker=self._name, takes_bundles=takes_bundles)
             inbox.send(list(acks))
-        await self._publish_fills(inbox, vehicles_online(taken), sent_at)
+        await self._publish_fills(inbox, *vehicles_there(taken), sent_at)
         inbox.settle(messages)
         self.counts.update(item.kind for item in taken)
         _warn_of_strangers(taken)
 
-    async def _publish_fills(self, inbox: Inbox, vehicles: Sequence[str], sent_at: str) -> None:
-        """Tell vehicles that are there now which fluid fills the fleet knows; whoever has none hears nothing."""
-        if not vehicles:
+    async def _publish_fills(self, inbox: Inbox, came: set[str], stayed: set[str], sent_at: str) -> None:
+        """Tell vehicles which fluid fills the fleet knows: those that came, and those that do not know all of them.
+
+        Whoever comes hears that there are none, too: an analysis waits for that. No broker needs to keep it.
+        """
+        if not came | stayed:
             return
-        found = await until_it_answers(self._store.fills, vehicles)
-        inbox.send([fluid_message(vehicle, sent_at, fills, is_to_vehicle=True) for vehicle, fills in found.items()])
+        found = await until_it_answers(self._store.fills, sorted(came | stayed))
+        for vehicle in sorted(came | {one for one in stayed if found.get(one, []) != self._told.get(one, [])}):
+            fills = found.get(vehicle, [])
+            message = fluid_message(vehicle, sent_at, fills, is_to_vehicle=True)
+            inbox.send([message if fills else replace(message, is_retained=False)])
+            if fills:  # as of few vehicles
+                self._told[vehicle] = fills
 
     async def _commit(self, taken: list[Taken]) -> list[Taken]:
         """Store messages, together if the database takes them all; return what became of each."""

@@ -153,7 +153,7 @@ def batch_of(taken: Sequence[Taken]) -> Batch:
         rows[item.kind].append(item.row)
     return Batch(
         shifts=rows[MessageKind.SHIFT],
-        statuses=[row for row in rows[MessageKind.STATUS] if row["connected_at"] != moment(NEVER)],
+        statuses=[item.row for item in taken if item.kind is MessageKind.STATUS and not _is_of_logs(item)],
         calibrations=[row for item in taken for row in item.calibrations],
         revisions=[row for item in taken for row in item.revisions],
         metrics=rows[MessageKind.METRICS],
@@ -172,10 +172,16 @@ def receipts_of(taken: Sequence[Taken]) -> dict[str, list[Receipt]]:
     return receipts
 
 
-def vehicles_online(taken: Iterable[Taken]) -> list[str]:
-    """Return the vehicles that say that they are there now, sorted."""
-    online = (item.row["vehicle"] for item in taken if item.kind is MessageKind.STATUS and item.row["is_online"])
-    return sorted(set(map(str, online)))
+def vehicles_there(taken: Iterable[Taken]) -> tuple[set[str], set[str]]:
+    """Return the vehicles that have just come, also those whose logs are analysed, and those that have been there."""
+    came = (item for item in taken if item.kind is MessageKind.STATUS and (item.row["is_online"] or _is_of_logs(item)))
+    stayed = (item for item in taken if item.kind is MessageKind.METRICS)
+    return {str(item.row["vehicle"]) for item in came}, {str(item.row["vehicle"]) for item in stayed}
+
+
+def _is_of_logs(item: Taken) -> bool:
+    """Return whether the status is that of an analysis, which no service keeps up to date."""
+    return item.row["connected_at"] == moment(NEVER)
 
 
 def _reason_of(exc: ContractError) -> str:

@@ -12,6 +12,7 @@ class Message:
     topic: str
     payload: bytes
     packet_id: int  # for its acknowledgement to the broker; 0 needs none
+    is_retained: bool = False  # kept by the broker from before we asked for it
 
 
 class Arrivals:

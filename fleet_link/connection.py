@@ -474,7 +474,9 @@ class Connection:
         limit = self._terms.max_unsettled
         if not packet_id and limit is not None and len(self._inbox) >= limit:
             return  # QoS 0 knows no limit, and promises nothing
-        self._inbox.append(Message(topic=message.topic, payload=bytes(message.payload), packet_id=packet_id))
+        payload, is_retained = bytes(message.payload), bool(message.retain)
+        told = Message(topic=message.topic, payload=payload, packet_id=packet_id, is_retained=is_retained)
+        self._inbox.append(told)
         self._arrived.set()
         if packet_id:
             self.unsettled_count += 1

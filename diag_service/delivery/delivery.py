@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import threading
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -212,22 +213,23 @@ class SendPriority:
 class FluidExchange:
     """What both sides know, as long as one link lasts; each fill is noted once, so nothing goes in circles."""
 
-    def __init__(self, store: ResultStore, vehicle: str, link: Link, wake: asyncio.Event) -> None:
-        self._store = store
-        self._vehicle = vehicle
+    def __init__(self, state: "OutboxState", link: Link, wake: asyncio.Event) -> None:
+        self._store = state.store
+        self._vehicle = state.vehicle
         self._link = link
         self._wake = wake  # set when there is something to note
+        self._is_noted = state.fleet_is_heard
+        self._is_answered = False
         self._heard: list[FluidFill] = []
         self._told: list[FluidFill] = []
 
     async def note(self) -> None:
         """Note what the fleet told; the next shift finds it in the store."""
-        if not self._heard:
-            return
         fills, self._heard = self._heard, []
-        count = await asyncio.to_thread(self._store.add_fills, fills)
-        if count:
+        if fills and (count := await asyncio.to_thread(self._store.add_fills, fills)):
             _LOG.log(NOTICE, "the fleet told of %d change(s) of fluid fills", count)
+        if self._is_answered:
+            self._is_noted.set()
 
     async def tell(self) -> None:
         """Tell the fleet what the vehicle knows, unless this link has carried the same before."""
@@ -241,9 +243,10 @@ class FluidExchange:
         except PublishError as exc:  # of a connection that is lost the next message tells
             _LOG.warning("the fleet was not told of fluid fills: %s", exc)
 
-    def hear(self, fills: list[FluidFill]) -> None:
-        """Take what the fleet tells."""
+    def hear(self, fills: list[FluidFill], *, is_answer: bool = True) -> None:
+        """Take what the fleet tells, now or through the broker from before."""
         self._heard += fills
+        self._is_answered |= is_answer
         self._wake.set()
 
 
@@ -275,7 +278,7 @@ class OutboxState:
     limits: DeliveryLimits
     bundling: Bundling
     holds_states: bool  # whether the states of clutches must not be sent yet
-    shares_fluid: bool = False  # whether fluid fills go to the fleet and come from it
+    fleet_is_heard: threading.Event = field(default_factory=threading.Event)  # its fills are in the store
     counts: Counts = field(default_factory=Counts)
     repeat: dict[int, None] = field(default_factory=dict)  # positions that a connection may have lost, in order
     published: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=_MAX_PUBLISHED))  # when, position
@@ -314,32 +317,31 @@ class Delivery:
         self._newest: dict[int, tuple[tuple[int, int], ShiftResult]] = {}  # of each clutch, by end and position
         self._told: dict[str, bytes] = {}  # topic of the state of a clutch -> what was sent there
         self.wake = asyncio.Event()  # set when there is something new to do
-        self._fluid = FluidExchange(state.store, state.vehicle, link, self.wake) if state.shares_fluid else None
+        self._fluid = FluidExchange(state, link, self.wake)
 
     async def begin(self, greetings: Sequence[Outgoing]) -> None:
         """Tell the lasting states, which a restarted broker may not know, and begin to hear the backend."""
         if self._state.acknowledge is Acknowledge.BACKEND:
             await self._link.listen(self._state.vehicle, self._add_receipts)
-        if self._fluid is not None:
-            await self._link.hear_fills(self._state.vehicle, self._fluid.hear)
+        await self._link.hear_fills(self._state.vehicle, self._fluid.hear)
         await asyncio.to_thread(self._state.bundling.begin)
         latest = await asyncio.to_thread(self._state.store.latest, self._state.vehicle)
         messages = [*greetings, *await asyncio.to_thread(self._states, latest)]
         if messages:
             await self._link.send(messages)
+        await self._fluid.note()
+        await self._fluid.tell()
 
     async def step(self) -> bool:
         """Do what there is to do; False if nothing is left but to wait."""
         self.wake.clear()
         await self._note_receipts()
         await self._send_held_states()
-        if self._fluid is not None:
-            await self._fluid.note()
+        await self._fluid.note()
         batch, messages = await asyncio.to_thread(self._next_messages, self._now_s())
         told, states = self._told.copy(), await asyncio.to_thread(self._states, batch)
         if not batch:
-            if self._fluid is not None:
-                await self._fluid.tell()
+            await self._fluid.tell()
             if states:
                 await self._link.send(states)
             return False

@@ -57,7 +57,7 @@ class MqttLink:
         # Heard before anyone listened: a persistent session brings them at once.
         self._early: list[tuple[list[Receipt], bool]] = []
         self._on_fills: OnFills | None = None
-        self._early_fills: list[FluidFill] = []
+        self._early_fills: list[tuple[list[FluidFill], bool]] = []
         self._reader = asyncio.create_task(self._read(), name="mqtt-reader")
 
     async def send(self, messages: Sequence[Outgoing]) -> None:
@@ -79,8 +79,8 @@ class MqttLink:
     async def hear_fills(self, vehicle: str, on_fills: OnFills) -> None:
         """Subscribe to the fluid fills that the fleet knows; a broker that refuses costs these and nothing else."""
         self._on_fills = on_fills
-        if self._early_fills:
-            on_fills(self._early_fills)
+        for fills, is_answer in self._early_fills:
+            on_fills(fills, is_answer=is_answer)
         try:
             await self._connection.subscribe([topic_of(vehicle, Channel.FILLS)])
         except LinkDownError as exc:  # of a connection that is lost the next message tells
@@ -116,7 +116,11 @@ class MqttLink:
                 else:
                     self._on_receipts(receipts, takes_bundles=is_taken)
             elif incoming.address.channel is Channel.FILLS:
-                (self._on_fills or self._early_fills.extend)(fills_from(incoming.data))
+                fills, is_answer = fills_from(incoming.data), not message.is_retained
+                if self._on_fills is None:
+                    self._early_fills.append((fills, is_answer))
+                else:
+                    self._on_fills(fills, is_answer=is_answer)
         except ContractError as exc:
             _LOG.warning("a message to this service is ignored: %s", exc)
 

@@ -42,7 +42,6 @@ class Outbox:
         greetings: Sequence[Outgoing] = (),  # open every connection
         metrics: MetricsMessage | None = None,  # makes a message of the outbox's numbers, now and then
         holds_states: bool = False,  # until ``release_states``: the states that a part of a drive leaves are none
-        shares_fluid: bool = False,  # with the fleet, both ways
         limits: DeliveryLimits | None = None,
     ) -> None:
         self._state = OutboxState(
@@ -52,7 +51,6 @@ class Outbox:
             limits=limits or DeliveryLimits(),
             bundling=Bundling(store, is_allowed=acknowledge is Acknowledge.BACKEND),
             holds_states=holds_states,
-            shares_fluid=shares_fluid,
         )
         self.counts, self.limits = self._state.counts, self._state.limits
         self._connect = connect
@@ -80,6 +78,13 @@ class Outbox:
         """Let the states of clutches go out that were kept back."""
         self._state.holds_states = False
         self.wake()
+
+    def await_fleet(self) -> None:
+        """Wait, in a thread, until the fluid fills that the fleet knows are in the store; once, and not for long."""
+        heard, wait_s = self._state.fleet_is_heard, self.limits.answer_s
+        if not heard.wait(wait_s) and self._state.acknowledge is Acknowledge.BACKEND:
+            _LOG.warning("the fleet did not tell its fluid fills in %g s; those in the store count", wait_s)
+        heard.set()
 
     async def run(self) -> None:
         """Connect, send, reconnect; return after ``close`` once all is sent or a fresh attempt has sent nothing.
@@ -188,6 +193,7 @@ class Outbox:
 
     async def _note_failure(self, exc: PublishError | StoreFullError) -> None:
         self.counts.failed += 1
+        self._state.fleet_is_heard.set()  # a log does not wait for a broker that is away
         if self._is_down:
             return
         self._is_down = True

@@ -38,7 +38,6 @@ class ControllerNews(ABC):
 
 # Where frames are read from; then each shift, and what a controller says that is new; at the end the numbers.
 News = str | ShiftResult | ControllerNews | Summary
-OnFills = Callable[[list[FluidFill]], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +53,7 @@ class DeliveryLimits:
     astray_after_s: float = 2.0  # what was sent so long before an acknowledged one was lost on its way, not delayed
     backlog_lag_s: float = 2.0  # so far behind a backend may be before it gets more of the backlog
     window_count: int = 2000  # results in flight: sent, without a receipt
+    answer_s: float = 5.0  # a fleet has to tell its fluid fills before the results of a log are made without them
     probe_count: int = 20  # results that ask a silent backend whether it is there; the others wait for its word
 
 
@@ -62,6 +62,13 @@ class OnReceipts(Protocol):
 
     def __call__(self, receipts: list[Receipt], *, takes_bundles: bool = False) -> None:
         """Take receipts, and whether who gave them takes several results in one message."""
+
+
+class OnFills(Protocol):
+    """Hears the fleet."""
+
+    def __call__(self, fills: list[FluidFill], *, is_answer: bool = True) -> None:
+        """Take what the fleet knows, and whether it knows that now: a broker keeps what it once knew."""
 
 
 class Link(Protocol):

@@ -97,7 +97,6 @@ def outbox_of(
         acknowledge=config.acknowledge,
         greetings=[_greeting(config, status) if is_live else replace(told, is_retained=False)],
         holds_states=not is_live,
-        shares_fluid=is_live,
         metrics=_metrics_of(store, session) if is_live else None,
     )
 

@@ -56,6 +56,7 @@ async def run_logs_and_send(logs: Sequence[OpenLog], session: Session, *, stop: 
     unpublished_count: int | None = None
 
     def process(event: Event) -> None:
+        outbox.await_fleet()
         session.process(event)
         loop.call_soon_threadsafe(outbox.wake)
 
@@ -63,6 +64,7 @@ async def run_logs_and_send(logs: Sequence[OpenLog], session: Session, *, stop: 
         async with asyncio.TaskGroup() as tasks:
             sender = tasks.create_task(outbox.run(), name="outbox")
             account = await asyncio.to_thread(replay, logs, session.stages, stop, process)
+            await asyncio.to_thread(outbox.await_fleet)
             if not account.gaps:
                 outbox.release_states()
             unpublished_count = await outbox.close(sender)

@@ -231,6 +231,7 @@ class Session:
         Raises StoreFullError if there are results for which the disk still has no room.
         """
         self._store_pending()
+        self.fluid = self._store.fluid_at(self.vehicle, self._utc_now())
         if not frames.is_balanced:
             _LOG.error("frame counts do not add up: %s", frames_line(frames))
         summary = self.summary(frames, unpublished_count, gaps, contributions)

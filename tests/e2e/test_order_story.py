@@ -94,7 +94,7 @@ class World:
             store = stack.enter_context(closing(ResultStore.open(self.store)))
             connector = MqttConnector(address, "clutchdiag-car1", STATUS)
             at = "2026-01-02T00:00:00.000000Z"
-            outbox = Outbox(store, "car1", lambda: connector.connect(at), str(address), shares_fluid=True)
+            outbox = Outbox(store, "car1", lambda: connector.connect(at), str(address))
             ingest = asyncio.create_task(worker.run())
             await until(lambda: worker.is_listening, HANG_S)
             async with sending(outbox):

@@ -62,7 +62,6 @@ async def world(broker: Mosquitto, engine: Engine, path: Path) -> AsyncIterator[
             lambda: connector.connect(utc_now().strftime("%Y-%m-%dT%H:%M:%S.%fZ")),
             str(address),
             limits=QUICK,
-            shares_fluid=True,
         )
         ingest = asyncio.create_task(worker.run())
         await until(lambda: worker.is_listening)

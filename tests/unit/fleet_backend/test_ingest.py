@@ -4,27 +4,31 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
+from dataclasses import replace
 
 import pytest
 
-from diag_service.diagnosis.records import shift_record
+from diag_service.diagnosis.records import shift_record, status_record
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
 from fleet_backend.ingest import FILTERS, Worker
 from fleet_backend.intake import MessageKind
 from fleet_backend.writer import Batch
 from fleet_contract import (
+    NEVER,
     JsonObject,
     Outgoing,
     bundle_messages,
     fluid_message,
     read_message,
     shift_message,
+    status_message,
     takes_bundles,
 )
 from fleet_link import Message
 from tests.golden import messages_v1
 from tests.support.fleet import NOW, delivered, fleet_result, message_of
+from tests.support.outboxes import STATUS
 from tests.support.patience import HANG_S
 
 
@@ -210,12 +214,34 @@ async def test_a_vehicle_that_comes_hears_which_fills_the_fleet_knows() -> None:
     assert read_message(told.topic, told.payload).data["fills"] == [FILL]
 
 
-async def test_a_vehicle_that_goes_or_has_no_fills_hears_nothing() -> None:
+async def test_a_vehicle_that_goes_hears_nothing_and_one_that_comes_that_there_is_no_fill() -> None:
     records = Records()
     await worker_of(records).settle(records, [delivered(messages_v1()["status-offline"])])
     assert records.steps == ["store", "settle"]
     await worker_of(records).settle(records, [delivered(messages_v1()["status-online"])])
+    (told,) = records.sent
+    assert (told.is_retained, read_message(told.topic, told.payload).data["fills"]) == (False, [])
+
+
+async def test_an_analysis_hears_which_fills_the_fleet_knows() -> None:
+    records = Records()
+    records.known_fills = {"car1": [FILL]}
+    status = replace(STATUS, is_online=False, connected_at=NEVER)
+    await worker_of(records).settle(records, [delivered(status_message(status_record(status)))])
+    (told,) = records.sent
+    assert read_message(told.topic, told.payload).data["fills"] == [FILL]
+
+
+async def test_a_vehicle_that_stays_hears_of_a_fill_once_when_the_fleet_has_noted_it() -> None:
+    records, metrics = Records(), delivered(messages_v1()["metrics"])
+    worker = worker_of(records)
+    await worker.settle(records, [metrics])
     assert records.sent == []
+    records.known_fills = {"car1": [FILL]}
+    for _ in range(2):
+        await worker.settle(records, [metrics])
+    (told,) = records.sent
+    assert read_message(told.topic, told.payload).data["fills"] == [FILL]
 
 
 async def test_the_fills_that_a_vehicle_knows_are_stored() -> None:

@@ -398,7 +398,7 @@ async def test_fluid_fills_are_told_once_per_connection_and_those_of_the_fleet_a
     store.add_fills([FILL])
     link = MemoryLink()
     link.fleet_fills = [FLEET_FILL, FILL]
-    outbox = Outbox(store, "car1", Broker(link).connect, "memory", limits=QUICK, shares_fluid=True)
+    outbox = Outbox(store, "car1", Broker(link).connect, "memory", limits=QUICK)
     sender = asyncio.create_task(outbox.run())
     await until(lambda: len(told_fills(link)) >= 1)
     put(store, 1)
@@ -407,16 +407,3 @@ async def test_fluid_fills_are_told_once_per_connection_and_those_of_the_fleet_a
     assert await outbox.close(sender) == 0
     assert store.fills("car1") == [FILL, FLEET_FILL]
     assert told_fills(link) == [[FILL.filled_at, FLEET_FILL.filled_at]]
-
-
-async def test_a_run_that_only_delivers_shares_no_fluid_fills(store: ResultStore) -> None:
-    store.add_fills([FILL])
-    put(store, 1)
-    link = MemoryLink()
-    link.fleet_fills = [FLEET_FILL]
-    outbox = Outbox(store, "car1", Broker(link).connect, "memory", limits=QUICK)
-    sender = asyncio.create_task(outbox.run())
-    await until(lambda: seqs(link) == [1])
-    assert await outbox.close(sender) == 0
-    assert told_fills(link) == []
-    assert store.fills("car1") == [FILL]
