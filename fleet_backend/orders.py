@@ -2,11 +2,11 @@
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from datetime import datetime
+from datetime import datetime, timedelta
 from operator import itemgetter
 from typing import Any, Final
 
-from sqlalchemy import Connection, RowMapping, select
+from sqlalchemy import Connection, RowMapping, func, select
 
 from fleet_backend.schema import CLUTCH, FLUID_FILL, SHIFT_RESULT
 from fleet_contract import orders
@@ -52,18 +52,27 @@ def with_orders(
         news = {"action": order.action.value, "order": order.text, "fluid_since": filled_at, "fluid": product}
         for row in own:
             told, element = dict(row), names.get((vehicle, row["clutch"]))
-            if orders.is_of_earlier_fluid(told["end_at"], filled_at):
+            if orders.is_of_earlier_fluid(told["end_at"], filled_at, since_of(told)):
                 told.update(dict.fromkeys(told.keys() - _KEPT), condition=orders.NO_VERDICT, shift_count=0)
                 unseen = orders.unseen_since_new(told["clutch"], element)
                 told.update(condition_reason=orders.UNKNOWN_FLUID, advice=unseen)
+            del told["running_since_bus_ns"]
             yield told | news | {"element": element}
+
+
+def since_of(row: Row) -> datetime | None:
+    """Return how far back what a row tells of the running condition goes, if that is beyond its own drive."""
+    since_ns = row["running_since_bus_ns"]
+    return None if since_ns is None else orders.EARLIEST + timedelta(microseconds=since_ns // 1000)
 
 
 def is_alarming_since(connection: Connection, vehicle: str, clutch: int, filled_at: datetime) -> bool:
     """Return whether any result since a fluid fill says that the fluid is to be changed."""
     table = SHIFT_RESULT.c
     own = (table.vehicle == vehicle, table.clutch == clutch, table.condition == "change_fluid")
-    return connection.execute(select(table.seq).where(*own, table.end_at > filled_at).limit(1)).first() is not None
+    filled_ns = (filled_at - orders.EARLIEST) // timedelta(microseconds=1) * 1000
+    is_since = (table.end_at > filled_at, func.coalesce(table.running_since_bus_ns, table.end_bus_ns) > filled_ns)
+    return connection.execute(select(table.seq).where(*own, *is_since).limit(1)).first() is not None
 
 
 def without_old_fluid(connection: Connection, alarms: Iterable[Row]) -> list[dict[str, Any]]:
@@ -85,6 +94,7 @@ def _finding(row: Row, names: Mapping[tuple[str, int], str]) -> orders.Finding:
         text=row["advice"],
         reason=row["condition_reason"],
         end_at=row["end_at"],
+        since_at=since_of(row),
         element=names.get((row["vehicle"], row["clutch"])),
         suspects=_suspects(row["causes"]),
     )

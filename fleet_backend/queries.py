@@ -103,7 +103,8 @@ def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
     names = ("vehicle", "stream", "seq", "algorithm_version", "calibration_version")
     made_at = literal_column("fleet_worst_first.produced_at", UtcDateTime())  # leads to one month in PostgreSQL
     same = and_(*(own[name] == last[name] for name in names), own.produced_at == made_at)
-    statement = select(FLEET_WORST_FIRST, own.causes).join_from(FLEET_WORST_FIRST, SHIFT_RESULT, same)
+    statement = select(FLEET_WORST_FIRST, own.causes, own.running_since_bus_ns)
+    statement = statement.join_from(FLEET_WORST_FIRST, SHIFT_RESULT, same)
     with transaction(engine) as connection:
         rows = connection.execute(statement.order_by(last.place)).mappings()
         told = sorted(

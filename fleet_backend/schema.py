@@ -137,6 +137,7 @@ SHIFT_RESULT: Final = Table(
     Column("shift_quality", Text),  # JSON object: how well the event went, as its message tells
     Column("element", Text),  # name of the clutch
     Column("causes", Text),  # JSON object: why the vehicle is as it is, the likeliest causes alone
+    Column("running_since_bus_ns", BigInteger),  # start of the first event in the running estimate, of another drive
     ForeignKeyConstraint(["vehicle", "clutch"], ["clutch.vehicle", "clutch.clutch"]),  # PostgreSQL: of clutch_stream
     Index("shift_by_time", "vehicle", "clutch", "produced_at", "stream"),
     Index("shift_by_arrival", "stored_at"),
@@ -207,6 +208,6 @@ KEY_COLUMNS: Final = tuple(column.name for column in SHIFT_RESULT.primary_key)
 # What two contents of one result may differ in: it is not in the digest, which must stay what it was.
 UNHASHED_COLUMNS: Final = frozenset({
     *("stored_at", "content_digest", "version_rank", "kind", "end_reason", "advice", "trust", "trust_parts"),
-    *("shift_quality", "element", "causes"),
+    *("shift_quality", "element", "causes", "running_since_bus_ns"),
     *(SCALE_FREE + name for name in SCALE_FREE_COLUMNS),
 })  # fmt: skip

@@ -62,7 +62,7 @@ NO_VERDICT: Final = "no_verdict"
 NEARLY_SURE: Final = 80  # percent; what is less sure is not called sound without more drives
 _SURE: Final = re.compile(r"\((?:over )?(\d+) % sure")
 UNKNOWN_FLUID: Final = "new fluid, of which no shift is known yet"
-_UNSEEN_SINCE: Final = "no event engaged it since the fluid was changed"
+_UNSEEN_SINCE: Final = "nothing is known of it with this fluid"
 # What earlier results say besides the finding: an order for one clutch alone.
 _EARLIER: Final = re.compile(
     r"change the fluid now: |have the fluid changed at the next service: |nothing to do [^:]*: |no verdict: |"
@@ -130,6 +130,7 @@ class Finding:
     text: str | None  # the advice of the verdict; None in results of older programs
     reason: str  # of the verdict
     end_at: datetime  # of the event
+    since_at: datetime | None = None  # what was known goes back to an event of then; None: to none of another drive
     suspects: tuple[Suspect, ...] = ()  # of the vehicle, the likeliest first
 
 
@@ -146,9 +147,9 @@ class Order:
         return " ".join((self.sentence, *self.reasons))
 
 
-def is_of_earlier_fluid(end_at: datetime, filled_at: datetime | None) -> bool:
-    """Return whether a result says nothing of the fluid that is in: its event ended before that was filled."""
-    return filled_at is not None and end_at <= filled_at
+def is_of_earlier_fluid(end_at: datetime, filled_at: datetime | None, since_at: datetime | None = None) -> bool:
+    """Return whether a result says nothing of the fluid that is in: its event, or what it rests on, was before that."""
+    return filled_at is not None and (since_at or end_at) <= filled_at
 
 
 def name_of(clutch: int, element: str | None) -> str:
@@ -163,14 +164,14 @@ def title_of(clutch: int, element: str | None) -> str:
 
 
 def unseen_since_new(clutch: int, element: str | None = None) -> str:
-    """Return what is said of a clutch that no event has engaged since the fluid was changed."""
+    """Return what is said of a clutch of which no verdict is of the fluid that is in."""
     return f"{title_of(clutch, element)}: {_UNSEEN_SINCE}."
 
 
 def order_of(findings: Iterable[Finding], filled_at: datetime | None, elements: Iterable[str] = ()) -> Order:
     """Return the order by the last result of each clutch, when the fluid was filled, and names that are no numbers."""
     found = list(findings)
-    known = {one.clutch: one for one in found if not is_of_earlier_fluid(one.end_at, filled_at)}
+    known = {one.clutch: one for one in found if not is_of_earlier_fluid(one.end_at, filled_at, one.since_at)}
     names = dict(enumerate(elements, 1)) | {one.clutch: one.element for one in found if one.element}
     clutches = tuple(names) or CLUTCHES  # elements with names are all that there are
     conditions = [known[clutch].condition if clutch in known else NO_VERDICT for clutch in clutches]

@@ -1,7 +1,7 @@
 """A picture with two axes as inline SVG; what it looks like is up to the page's style sheet, light, dark or printed."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import ceil, floor, log10
@@ -175,6 +175,16 @@ def thinned(values: FloatArray, most: int) -> Int64Array:
         if np.isfinite(part).any():
             kept |= {int(first + np.nanargmin(part)), int(first + np.nanargmax(part))}
     return np.array(sorted(kept))
+
+
+def broken(starts: Iterable[int], most: int, values: FloatArray, *others: FloatArray) -> list[FloatArray]:
+    """Return columns thinned as ``values``, shape (n,) each; before each of some rows an item that is not known.
+
+    No line joins what is on both sides of such a row.
+    """
+    bounds = sorted({0, len(values), *starts})
+    rows = [first + thinned(values[first:last], most) for first, last in itertools.pairwise(bounds)]
+    return [np.concatenate([np.append(one[row], np.nan) for row in rows] or [one]) for one in (values, *others)]
 
 
 def _text(pixels: float) -> str:

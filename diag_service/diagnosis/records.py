@@ -384,6 +384,7 @@ class ClutchVerdict:
     micro_slip: MicroSlip | None = None  # of a lock-up clutch, all events combined
     element: str | None = None  # as in an estimate
     causes: Causes | None = None  # of what is wrong with the vehicle; the same for both clutches
+    running_since_bus_ns: int | None = None  # start of the first event in the running estimate, of an earlier drive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -417,7 +418,9 @@ _EPOCH: Final = datetime(1970, 1, 1)  # noqa: DTZ001 - UTC, which the text says
 _RESULT_KEYS: Final = ("vehicle", "stream", "seq", "produced_at", "algorithm_version", "calibration_version")
 _TO_JSON: Final = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
 REVISIONS: Final = "revisions"
-_ONLY_WHERE_THERE: Final = frozenset({"slope", REVISIONS, "shift_quality", "micro_slip", "element", "causes"})
+_ONLY_WHERE_THERE: Final = frozenset(
+    {"slope", REVISIONS, "shift_quality", "micro_slip", "element", "causes", "running_since_bus_ns"}
+)
 _NOTHING: Final[tuple[object, ...]] = (None, [])  # of these: a number that is 0 is told
 _PUBLIC_NAMES: Final = {"start_ns": "start_bus_ns", "end_ns": "end_bus_ns", "data_quality": "trust"}
 RECENT_COUNT: Final = 8  # results of a run that are kept to be shown

@@ -1,6 +1,6 @@
 """What a run did, in numbers: frames in, frames refused and why, shifts out. For people and for machines."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from enum import StrEnum
@@ -195,10 +195,19 @@ def cause_lines(causes: Causes | None) -> list[str]:
 def of_present_fluid(results: Iterable[ShiftResult], fluid: FluidFill | None) -> tuple[ShiftResult, ...]:
     """Return the last results of clutches; those of an earlier fluid without what they say of that."""
     filled_at = None if fluid is None else datetime.fromisoformat(fluid.filled_at)
-    return tuple(
-        replace(one, verdict=_unknown(one.verdict)) if orders.is_of_earlier_fluid(_end_at(one), filled_at) else one
-        for one in results
-    )
+    return tuple(_of_fluid(one, filled_at) for one in results)
+
+
+def of_own_fluid(results: Iterable[ShiftResult], fills: Sequence[FluidFill]) -> list[ShiftResult]:
+    """Return results without what they say of a fluid before their own: a fill that is noted late finds such ones."""
+    moments = [datetime.fromisoformat(fill.filled_at) for fill in fills]
+    return [_of_fluid(one, max((at for at in moments if at < _end_at(one)), default=None)) for one in results]
+
+
+def _of_fluid(result: ShiftResult, filled_at: datetime | None) -> ShiftResult:
+    if not orders.is_of_earlier_fluid(_end_at(result), filled_at, _since_at(result)):
+        return result
+    return replace(result, verdict=_unknown(result.verdict))
 
 
 def _unknown(verdict: ClutchVerdict) -> ClutchVerdict:
@@ -211,11 +220,17 @@ def _unknown(verdict: ClutchVerdict) -> ClutchVerdict:
         shift_count=0,
         advice=orders.unseen_since_new(verdict.clutch, verdict.element),
         element=verdict.element,
+        running_since_bus_ns=verdict.running_since_bus_ns,
     )
 
 
 def _end_at(result: ShiftResult) -> datetime:
     return datetime.fromisoformat(utc_from_bus_ns(result.estimate.end_ns))
+
+
+def _since_at(result: ShiftResult) -> datetime | None:
+    since_ns = result.verdict.running_since_bus_ns
+    return None if since_ns is None else datetime.fromisoformat(utc_from_bus_ns(since_ns))
 
 
 def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None, elements: Iterable[str] = ()) -> orders.Order:
@@ -228,6 +243,7 @@ def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None, elements: 
             text=one.verdict.advice,
             reason=one.verdict.reason,
             end_at=_end_at(one),
+            since_at=_since_at(one),
             suspects=tuple(
                 orders.Suspect(likely.cause, likely.clutch, likely.probability)
                 for likely in (() if one.verdict.causes is None else one.verdict.causes.likely)

@@ -11,7 +11,15 @@ from clutch_model.units import NS_PER_S
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.events import DATED_NS, GEAR_CHANGES, Event
 from diag_service.diagnosis.records import FluidFill, ShiftResult, Status, utc_from_bus_ns
-from diag_service.diagnosis.summary import Gap, Summary, latest_of, of_present_fluid, order_by, with_revisions
+from diag_service.diagnosis.summary import (
+    Gap,
+    Summary,
+    latest_of,
+    of_own_fluid,
+    of_present_fluid,
+    order_by,
+    with_revisions,
+)
 from diag_service.errors import StoppedError
 from diag_service.service.drive import open_drive, stream_of_drive
 from diag_service.service.drive_survey import DriveSurvey
@@ -136,7 +144,7 @@ def findings_of_store(path: Path, named: str | None, calibration: Calibration) -
     same = [row for row in rows if _versions(row.result) == versions]
     # the profile says where the torque comes from; no store keeps it
     possible = (calibration, *map(calibration.with_torque, TorqueSource))
-    revised = with_revisions(row.result for row in same)
+    revised = of_own_fluid(with_revisions(row.result for row in same), fills)
     return Findings(
         vehicle=vehicle,
         sources=(path.name,),

@@ -109,7 +109,7 @@ def history_lines(
             yield Text(f"{found.title(clutch)}: no event engaged it.")
             continue
         yield _fluid_table(found.title(clutch), periods)
-        yield _event_table(found.title(clutch), rows, most_rows, "end (UTC)" if found.is_dated else "end in the log")
+        yield _event_table(found.title(clutch), periods, most_rows, "end (UTC)" if found.is_dated else "end in the log")
     yield from _course(found)
 
 
@@ -217,23 +217,36 @@ def _fluid_table(title: str, periods: Sequence[FluidPeriod]) -> Table:
     return table
 
 
-def _event_table(title: str, rows: Sequence[Row], most_rows: int, end: str) -> Table:
+def _event_table(title: str, periods: Sequence[FluidPeriod], most_rows: int, end: str) -> Table:
+    rows = [row for period in periods for row in period.rows]
     places = spread(range(len(rows)), most_rows)
+    firsts = [sum(len(before.rows) for before in periods[:number]) for number in range(len(periods))]
+    fills = [(first, period.fill) for first, period in zip(firsts, periods, strict=True) if period.fill is not None]
     told = f"{title}: {len(places)} of {events_text(len(rows))}; shift is the number that 'show' takes; {PLUS_MINUS}"
     head = ("shift", end, "km", "data", "mu_C", "running mu_C", "verdict")
     table = plain_table(head, {"data", "verdict"}, told)
-    for place in places:
+    for place in [*places, len(rows)]:
+        while fills and fills[0][0] <= place:
+            fill = fills.pop(0)[1]
+            moment = fill.filled_at[:_MINUTE].replace("T", " ")
+            table.add_row(_NONE, moment, _km(fill.odometer_m), "new fluid", fill.product or _NONE, _NONE, _NONE)
+        if place == len(rows):
+            return table
         estimate, verdict = rows[place].result.estimate, rows[place].result.verdict
         table.add_row(
             str(rows[place].position),
             moment_words(estimate.end_ns)[:_MINUTE],
-            _NONE if estimate.odometer_m is None else f"{estimate.odometer_m / 1000.0:.0f}",
+            _km(estimate.odometer_m),
             estimate.status.value,
             _friction(estimate.friction),
             _friction(verdict.friction),
             condition_words(verdict.condition),
         )
     return table
+
+
+def _km(odometer_m: float | None) -> str:
+    return _NONE if odometer_m is None else f"{odometer_m / 1000.0:.0f}"
 
 
 def _friction(friction: records.FrictionEstimate | None) -> str:

@@ -11,7 +11,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
 from clutch_model.units import NS_PER_S, bar_from_pa, degc_from_k, rad_s_from_rpm, rpm_from_rad_s
 from clutchdiag_io.pages.content import Cell, Figure, Key, Section, Table, number
-from clutchdiag_io.pages.plot import Axis, Plot, thinned
+from clutchdiag_io.pages.plot import Axis, Plot, broken, thinned
 from clutchdiag_io.people import PLUS_MINUS, STDS
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.shift_course import COURSE_COUNT, Course, change_words, part_words
@@ -123,11 +123,12 @@ def trend_picture(trend: Trend) -> Markup:
     plot = Plot(f"{trend.title}: trend of mu_C, single events and running estimate with band", x, y)
     if trend.new_mu_c is not None:
         _draw_thresholds(plot, trend.new_mu_c)
-    single, running = thinned(trend.single_mu_c, MOST_POINTS), thinned(trend.mu_c, MOST_POINTS)
-    low, high = (trend.mu_c - std)[running], (trend.mu_c + std)[running]
-    plot.band(number[running], low, high, f"band clutch{trend.clutch}")
+    single = thinned(trend.single_mu_c, MOST_POINTS)
+    fills = [place - 1 for place, style, _ in trend.moments if style == "fill"]
+    mu_c, along, spread = broken(fills, MOST_POINTS, trend.mu_c, number, std)
+    plot.band(along, mu_c - spread, mu_c + spread, f"band clutch{trend.clutch}")
     plot.dots(number[single], trend.single_mu_c[single], f"clutch{trend.clutch}")
-    plot.line(number[running], trend.mu_c[running], f"line strong clutch{trend.clutch}")
+    plot.line(along, mu_c, f"line strong clutch{trend.clutch}")
     for place, style, text in trend.moments[-MOST_MOMENTS:]:
         plot.moment(float(place), style, text)
     return plot.markup()
@@ -222,9 +223,8 @@ def _moments(results: Sequence[ShiftResult], fills: Sequence[str]) -> list[tuple
     moments: list[tuple[int, str, str]] = []
     starts = [utc_from_bus_ns(result.estimate.start_ns) for result in results]
     for filled_at in fills:
-        place = next((number for number, start in enumerate(starts, 1) if start >= filled_at), None)
-        if place is not None:
-            moments.append((place, "fill", "new fluid"))
+        place = next((number for number, start in enumerate(starts, 1) if start >= filled_at), len(starts) + 1)
+        moments.append((place, "fill", "new fluid"))
     known: ClutchVerdict | None = None
     for place, result in enumerate(results, 1):
         verdict = result.verdict

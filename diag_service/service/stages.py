@@ -1,6 +1,7 @@
 """Frames in, diagnoses out: the order of the stages, and the only file that knows it."""
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration, TorqueSource
@@ -15,7 +16,7 @@ from diag_service.diagnosis.condition.condition import (
 from diag_service.diagnosis.condition.shift_kernels import compile_indices
 from diag_service.diagnosis.condition.shift_quality import ShiftScorer, measure
 from diag_service.diagnosis.condition.verdict import Silence
-from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.events import DATED_NS, Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
@@ -28,6 +29,8 @@ from diag_service.diagnosis.summary import Capability
 from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.tiers import PRESSURES, missing_for_next, tier_of, why_no_friction
+
+DRIVE_NS: Final = 3_600_000_000_000  # within an hour of another event nobody has changed the fluid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,14 +159,25 @@ class Stages:
             launches = self._memory.launches[estimate.clutch - 1]
             silence = Silence.LEVEL_UNKNOWN if self.is_relative else Silence.SIGNALS_MISSING
             verdict = replace(no_verdict(estimate.clutch, self._missing, silence), stick_slip=launches.reported)
+        verdict = self._dated(verdict, event, any(self._state.shift_counts), any(state.shift_counts))
         self._state = state
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory)
+
+    def _dated(self, verdict: ClutchVerdict, event: Event, had_any: bool, has_any: bool) -> ClutchVerdict:  # noqa: FBT001
+        """Return a verdict with since when what it rests on is known, if that is longer than a drive."""
+        if has_any and not had_any:
+            self._memory = replace(self._memory, running_since_ns=event.start_ns)
+        began_ns = self._memory.running_since_ns
+        if began_ns is None or not has_any or not DATED_NS <= began_ns < event.start_ns - DRIVE_NS:
+            return verdict
+        return replace(verdict, running_since_bus_ns=began_ns)
 
     def _conclude_slip(self, event: Event, state: LockupState) -> Diagnosis:
         """Judge the data of a stretch of slip, estimate, judge the lock-up clutch."""
         data = gate(event, self._basis, tells_friction=False)
         if self._lockup is None or self.tier is not Tier.FRICTION:
             raise ConfigError(f"a lock-up clutch cannot be estimated: {self._missing}")
+        had_any = bool(state.shift_count)
         self._slip, estimate, swings = self._lockup.estimate(event, state, data.against)
         estimate = replace(estimate, data_quality=data.quality, tier=self.tier)
         is_believed = self._slip.contradiction_count < state.contradiction_count
@@ -171,6 +185,7 @@ class Stages:
             self._memory = self._memory.with_changed_friction(1)
         memory = self._memory.with_fit(estimate).with_shudder(swings)
         self._memory, verdict = judge_lockup(memory, self._slip, self._calibration, swings)
+        verdict = self._dated(verdict, event, had_any, bool(self._slip.shift_count))
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory, slip=self._slip)
 
     def conclude_past(self, event: Event) -> Diagnosis:

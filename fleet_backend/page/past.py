@@ -12,10 +12,12 @@ from diag_service.diagnosis.records import Causes, ShiftQuality, from_plain
 from fleet_backend import schema
 from fleet_backend.database import transaction
 from fleet_backend.months import CLUTCH_BLOCK, has_partitions, months_with
-from fleet_backend.orders import without_old_fluid
+from fleet_backend.orders import since_of, without_old_fluid
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchAlarm, ShiftAnswer
+from fleet_backend.page.vehicle_state import fills_in
 from fleet_backend.queries import CLUTCH_ALARM
+from fleet_contract.orders import NO_VERDICT, is_of_earlier_fluid
 
 SAME_RATIO: Final = 0.5
 MOST_RESULTS: Final = 4000  # of one clutch, the newest; two years of a taxi
@@ -30,8 +32,13 @@ _TREND_COLUMNS: Final = (
     *("condition", "algorithm_version", "calibration_version", *schema.FRICTION_COLUMNS),
     *(schema.RUNNING + name for name in ("mu_c", "std_mu_c", "mu_s", "std_mu_s", "correlation")),
     *(schema.SCALE_FREE + name for name in schema.SCALE_FREE_COLUMNS),
-    "shift_quality",
+    *("shift_quality", "running_since_bus_ns"),
 )
+_UNKNOWN: Final = {  # of a clutch of whose fluid nothing is known
+    "condition": NO_VERDICT,
+    "level_ratio": None,
+    **{name: None for name in _TREND_COLUMNS if name.startswith(schema.RUNNING)},
+}
 _SHIFT_NAMES: Final = tuple(field.name for field in fields(ShiftAnswer))
 RecordT = TypeVar("RecordT")
 Row = Mapping[str, Any]  # of any table: what a column holds is the schema's matter
@@ -75,6 +82,7 @@ def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
         statement = current_results(vehicle, clutch, is_by_month=has_partitions(engine))
         found = connection.execute(statement)
         rows = _revised(connection, [dict(zip(_TREND_COLUMNS, row, strict=True)) for row in found])
+        rows = _of_own_fluid(rows, [fill.filled_at for fill in fills_in(connection, vehicle)])
         remember(connection, {(row["vehicle"], row["calibration_version"]) for row in rows})
     last: dict[str, datetime] = {}
     for row in rows:
@@ -92,6 +100,15 @@ def _revised(connection: Connection, rows: list[Row]) -> list[Row]:
     now = {(one.clutch, one.end_bus_ns): one.content for one in told}
     known = ((row, now.get((row["clutch"], row["end_bus_ns"]))) for row in rows)
     return [row if content is None else {**row, **json.loads(content)} for row, content in known]
+
+
+def _of_own_fluid(rows: list[Row], fills: list[datetime]) -> list[Row]:
+    """Return results without a running condition that rests on a fluid before their own, whose fill came late."""
+    filled = ((row, max((at for at in fills if at < row["end_at"]), default=None)) for row in rows)
+    return [
+        {**row, **_UNKNOWN} if is_of_earlier_fluid(row["end_at"], filled_at, since_of(row)) else row
+        for row, filled_at in filled
+    ]
 
 
 def _once(rows: list[Row]) -> list[Row]:

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
 from clutchdiag_io.pages.content import Key
-from clutchdiag_io.pages.plot import Axis, Plot, thinned
+from clutchdiag_io.pages.plot import Axis, Plot, broken, thinned
 from clutchdiag_io.people import PLUS_MINUS, STDS
 from diag_service.diagnosis.condition.shift_course import COURSE_COUNT
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
@@ -19,7 +19,7 @@ from diag_service.report.pictures import MOST_MOMENTS, MOST_POINTS, THRESHOLD_KE
 from fleet_backend.page.calibrations import reference_of
 from fleet_backend.page.records import ClutchNow, TrendPoint, Usual, VehicleAnswer
 from fleet_backend.page.wording import M_PER_KM
-from fleet_contract.orders import name_of, title_of
+from fleet_contract.orders import is_of_earlier_fluid, name_of, title_of
 
 Level = tuple[float, str, str]  # where a line lies, its style, its name
 
@@ -52,6 +52,7 @@ class Course:
     std_running: FloatArray  # (n,)
     levels: tuple[Level, ...]  # of new fluid, and thresholds of the verdict
     moments: tuple[tuple[float, str, str], ...]  # place on the axis, style, text
+    fills: tuple[int, ...] = ()  # rows of the first events with another fluid
     usual: Usual | None = None  # in the fleet now
 
     @classmethod
@@ -68,6 +69,7 @@ class Course:
         has_odometer = 2 * np.count_nonzero(np.isfinite(odometer_km)) > len(points)
         along = _carried_on(odometer_km) if has_odometer else np.arange(1.0, len(points) + 1.0)
         single, running, std_running = _values(quantity, points)
+        ends = [one.end_at for one in points]
         return cls(
             clutch=now.clutch,
             title=title_of(now.clutch, now.element),
@@ -78,7 +80,8 @@ class Course:
             running=running,
             std_running=std_running,
             levels=_levels(quantity, points, reference_of(now.vehicle, now.calibration_version, now.clutch)),
-            moments=tuple(_moments(now.clutch, along, [one.end_at for one in points], answer))[-MOST_MOMENTS:],
+            moments=tuple(_moments(now.clutch, along, ends, answer))[-MOST_MOMENTS:],
+            fills=tuple(_row_after(ends, fill.filled_at) for fill in answer.fills),
             usual=usual if quantity is Quantity.MU_C else None,
         )
 
@@ -140,11 +143,11 @@ def course_picture(course: Course) -> Markup:
         plot.band(np.array([x.low, x.high]), np.full(2, usual[0]), np.full(2, usual[1]), "shade")
     for level in course.levels:
         plot.level(*level)
-    single, running = thinned(course.single, MOST_POINTS), thinned(course.running, MOST_POINTS)
-    low, high = (course.running - wide)[running], (course.running + wide)[running]
-    plot.band(course.along[running], low, high, f"band clutch{course.clutch}")
+    single = thinned(course.single, MOST_POINTS)
+    running, along, width = broken(course.fills, MOST_POINTS, course.running, course.along, wide)
+    plot.band(along, running - width, running + width, f"band clutch{course.clutch}")
     plot.dots(course.along[single], course.single[single], f"clutch{course.clutch}")
-    plot.line(course.along[running], course.running[running], f"line strong clutch{course.clutch}")
+    plot.line(along, running, f"line strong clutch{course.clutch}")
     for place, style, text in course.moments:
         plot.moment(place, style, text)
     return plot.markup()
@@ -185,11 +188,20 @@ def _carried_on(odometer_km: FloatArray) -> FloatArray:
     return np.asarray(odometer_km[known[place]])
 
 
+def _row_after(ends: Sequence[datetime], filled_at: datetime) -> int:
+    """Return the row of the first event with a fluid; behind the last row where there is none yet."""
+    return next((row for row, end in enumerate(ends) if not is_of_earlier_fluid(end, filled_at)), len(ends))
+
+
 def _moments(
     clutch: int, along: FloatArray, ends: Sequence[datetime], answer: VehicleAnswer
 ) -> Iterator[tuple[float, str, str]]:
     """Yield where fluid was filled, and where alarms of the clutch were raised and cleared, in their order."""
-    happened = [(fill.filled_at, "fill", f"new fluid: {fill.product}") for fill in answer.fills]
+    happened = [
+        (ends[min(_row_after(ends, fill.filled_at), len(ends) - 1)], "fill", f"new fluid: {fill.product}")
+        for fill in answer.fills
+        if ends
+    ]
     for alarm in answer.alarms:
         if alarm.clutch == clutch:
             happened.append((alarm.raised_at, "change_fluid", "alarm"))

@@ -25,7 +25,7 @@ SELECT s.vehicle, s.clutch, s.condition, s.condition_reason, s.advice, s.level_r
   s.running_slope_s_rad AS slope_s_rad, s.running_std_slope_s_rad AS std_slope_s_rad,
   s.running_probability_negative_slope AS probability_negative_slope,
   s.odometer_m, s.end_at, s.stored_at, s.stream, s.seq, s.algorithm_version, s.calibration_version, NULL AS fluid,
-  s.causes, {score} AS score
+  s.causes, s.running_since_bus_ns, {score} AS score
 FROM {source}
 """
 _IN_ONE_TABLE: Final = """(

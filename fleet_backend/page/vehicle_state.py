@@ -93,7 +93,7 @@ def state_of(engine: Engine, vehicle: str) -> VehicleState | None:
         if row is None:
             return None
         stored = connection.execute(_STORED_BY_MONTH if has_partitions(engine) else _STORED, own).all()
-        fills = _fills(connection, vehicle)
+        fills = fills_in(connection, vehicle)
     is_online = None if row["is_online"] is None else bool(row["is_online"])
     names = ("clutch", "result_count", "stored_at", "produced_at")
     return VehicleState(
@@ -106,9 +106,10 @@ def state_of(engine: Engine, vehicle: str) -> VehicleState | None:
 def fills_of(engine: Engine, vehicle: str) -> tuple[Fill, ...]:
     """Return the fluid fills of a vehicle, the earliest first."""
     with transaction(engine) as connection:
-        return _fills(connection, vehicle)
+        return fills_in(connection, vehicle)
 
 
-def _fills(connection: Connection, vehicle: str) -> tuple[Fill, ...]:
+def fills_in(connection: Connection, vehicle: str) -> tuple[Fill, ...]:
+    """Return the same of an open connection."""
     rows = connection.execute(_FILLS, {"vehicle": vehicle}).mappings()
     return tuple(distinct((Fill(**row) for row in rows), lambda one: one.filled_at))

@@ -26,7 +26,7 @@ from fleet_backend.page.pictures import (
 from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, TrendPoint, Usual, VehicleAnswer
 from fleet_backend.page.vehicle_state import VehicleState, state_of
 from fleet_backend.page.view import Shown, Sources, View, list_section
-from fleet_contract.orders import Action, is_of_earlier_fluid, name_of, title_of
+from fleet_contract.orders import UNKNOWN_FLUID, Action, name_of, title_of
 
 SERVICE_KM: Final = 15_000
 _MOST_SERVICE_KM: Final = 300_000
@@ -122,7 +122,7 @@ def past_of(sources: Sources, now: ClutchNow, state: VehicleState, service_dista
 def _causes(sources: Sources, clutches: Sequence[ClutchNow]) -> Causes | None:
     """Return why a vehicle is as it is, as its last result says; of an earlier fluid nothing."""
     last = max(clutches, key=lambda one: one.end_at, default=None)
-    if last is None or is_of_earlier_fluid(last.end_at, last.fluid_since):
+    if last is None or last.condition_reason == UNKNOWN_FLUID:
         return None
     found = past.shift_of(sources.engine, last.vehicle, last.stream, last.seq)
     return None if found is None else found.causes

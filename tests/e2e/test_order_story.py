@@ -46,8 +46,8 @@ FILLED = "2026-01-01T12:00:00.000000Z"
 NOW = datetime(2026, 1, 2, 12, tzinfo=UTC)
 AGED = "Change the fluid now. Clutch 1: it can shudder (over 99 % sure). Clutch 2: it can shudder (over 99 % sure)."
 CLOSED = (
-    "New fluid since 2026-01-01 12:00 UTC: nothing is known of it yet. Clutch 1: no event engaged it since the fluid "
-    "was changed. Clutch 2: no event engaged it since the fluid was changed."
+    "New fluid since 2026-01-01 12:00 UTC: nothing is known of it yet. Clutch 1: nothing is known of it with "
+    "this fluid. Clutch 2: nothing is known of it with this fluid."
 )
 SOUND = (
     "Nothing to do now: the fluid is sound. Clutch 1: its friction is sound (over 99 % sure). Clutch 2: its friction "

@@ -109,3 +109,26 @@ def test_a_fill_that_the_broker_kept_from_before_does_not_stand_for_the_answer_o
     world.note_at_the_fleet()
     found = world.analyze("ideal", "new.log", later_s=LATER_S)
     assert NEW_BASELINE in found.err
+
+
+def test_a_fill_that_is_noted_late_leaves_no_verdict_that_rests_on_the_old_fluid(world: World) -> None:
+    world.analyze("ideal", "old.log")
+    world.analyze("ideal", "new.log", later_s=LATER_S)
+    sound = "Nothing to do now"
+    assert sound in ended("history", world.store).out
+    world.note_at_the_fleet()
+    world.analyze("ideal", "old.log")  # has no news of its own, and brings the fill
+    told = ended("history", world.store)
+    assert "New fluid since 2026-01-01 12:00 UTC: nothing is known of it yet." in told.out
+    assert sound not in told.out
+    later = [*(row for row in told.out.splitlines() if row.startswith(" DCTF-II since 2026-01-01 12:00"))]
+    assert [row.split()[-7:] for row in later] == 2 * [["12:00", "0", "-", "-", "-", "no", "verdict"]]
+    world.assert_same_everywhere()
+    engine = open_database(world.database)
+    rows = [row for row in past.results_of(engine, "car1", 1) if row["end_at"] > FILLED]
+    engine.dispose()
+    assert {(row["condition"], row["running_mu_c"], row["level_ratio"]) for row in rows} == {("no_verdict", None, None)}
+    events = [one for one in ended("history", world.store, "--json").records if one["record"] == "event"]
+    assert {one["running_mu_c"] for one in events if one["fluid_since"]} == {None}
+    world.analyze("ideal", "newer.log", later_s=2.0 * LATER_S)
+    assert sound in ended("history", world.store).out

@@ -148,4 +148,4 @@ def test_a_database_that_does_not_answer_is_said_to_be_away() -> None:
     with pytest.raises(DatabaseAwayError) as caught:
         check_schema(engine)
     assert "secret" not in str(caught.value)
-    assert newest_revision() == "r0020"
+    assert newest_revision() == "r0021"

@@ -242,6 +242,7 @@ class ConditionMemory:
     linings: tuple[LiningBaseline | None, LiningBaseline | None] = (None, None)  # of the first fluid, over all others
     launches: tuple[Launches, Launches] = (Launches(), Launches())  # with this fluid
     course: Course = field(default_factory=Course)  # of all that causes are told by
+    running_since_ns: int | None = None  # start of the first event in the running estimate; None: not known
     refused: tuple[int, int] = (0, 0)  # of each clutch, since one could be used: sensors contradicted each other
 
     @classmethod
@@ -343,7 +344,12 @@ class ConditionMemory:
             del plain["fluid_since"], plain["linings"]
         if not self.course.event_count:
             del plain["course"]
-        for name, blank in {"launches": (Launches(), Launches()), "grounds": (None, None), "refused": (0, 0)}.items():
+        for name, blank in {
+            "launches": (Launches(), Launches()),
+            "grounds": (None, None),
+            "refused": (0, 0),
+            "running_since_ns": None,
+        }.items():
             if getattr(self, name) == blank:
                 del plain[name]
         return {"format": MEMORY_FORMAT} | plain | names

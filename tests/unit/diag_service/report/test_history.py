@@ -97,6 +97,16 @@ def test_people_see_the_sentences_first_and_no_more_rows_than_asked_for() -> Non
     assert [table.row_count for table in tables if isinstance(table, Table)] == [1, 5, 1, 5]
 
 
+def test_a_fill_has_a_row_of_its_own_between_the_events() -> None:
+    later = FluidFill(vehicle="car1", filled_at="2027-01-01T12:00:00.000000Z", odometer_m=2.0e6)
+    found = replace(findings(40), fills=(fill_at(21), later))
+    *_, table = (one for one in history_lines(found, (1,), most_rows=50) if isinstance(one, Table))
+    rows = list(zip(*(column.cells for column in table.columns), strict=True))
+    assert [place for place, row in enumerate(rows) if row[3] == "new fluid"] == [10, 21]
+    assert rows[10][1:5] == (fill_at(21).filled_at[:16].replace("T", " "), "-", "new fluid", "DCTF-II")
+    assert rows[21][1:5] == ("2027-01-01 12:00", "2000", "new fluid", "-")
+
+
 def test_a_log_without_a_date_tells_its_own_seconds() -> None:
     found = findings(4)
     first_ns = found.rows[0].result.estimate.start_ns

@@ -27,7 +27,7 @@ from diag_service.errors import StoreError
 from diag_service.report.findings import Album, Findings
 from diag_service.report.history import history_lines
 from diag_service.report.page import course_sections, html_of, page_of, record_of, write_page
-from diag_service.report.pictures import Trend
+from diag_service.report.pictures import Trend, trend_picture
 from diag_service.store import Row
 from fleet_contract.orders import Action
 from tests.support.builders import shift_result
@@ -213,6 +213,21 @@ def test_moments_stand_where_they_happened() -> None:
     assert kinds["fill"] == 10
     assert results[kinds["watch"] - 2].verdict.condition is not results[kinds["watch"] - 1].verdict.condition
     assert trend.new_mu_c == pytest.approx(0.14)
+
+
+def test_the_trend_of_a_clutch_breaks_where_its_fluid_was_changed() -> None:
+    results = [result for result in history(60) if result.estimate.clutch == 1]
+    fill = utc_from_bus_ns(results[9].estimate.start_ns)
+    for fills, stretches in (([], 1), ([fill], 2)):
+        (line,) = re.findall(
+            r'<path d="([^"]*)" class="line strong clutch1"', trend_picture(Trend.of(1, results, fills))
+        )
+        assert line.count("M") == stretches
+
+
+def test_new_fluid_without_an_event_yet_is_marked_behind_the_last() -> None:
+    trend = Trend.of(1, history(9), ["2027-01-01T00:00:00.000000Z"])
+    assert (10, "fill", "new fluid") in trend.moments
 
 
 def event_of(number: int) -> Event:

@@ -1,0 +1,50 @@
+"""The trend of a clutch on the fleet's page: where fluid was changed it is marked, and the curve breaks."""
+
+import re
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+
+from clutchdiag_io.pages.plot import broken
+from fleet_backend.page.pictures import Course, Quantity, course_picture
+from fleet_backend.page.records import Fill, TrendPoint, VehicleAnswer
+from tests.support.fleet_page import clutch_now
+
+START = datetime(2026, 1, 1, tzinfo=UTC)
+ENDS = [START + timedelta(days=day) for day in range(10)]
+
+
+def point(number: int) -> TrendPoint:
+    told = {name: None for name in TrendPoint.__dataclass_fields__}
+    known = {"end_at": ENDS[number], "mu_c": 0.13, "mu_s": 0.12, "running_mu_c": 0.13 + 0.001 * number}
+    rest = {"running_std_mu_c": 0.003, "running_mu_s": 0.12, "running_std_mu_s": 0.003, "running_correlation": 0.5}
+    return TrendPoint(**{**told, **known, **rest, "reasons": ()})  # type: ignore[arg-type]
+
+
+def course(fills: list[datetime], quantity: Quantity = Quantity.MU_C) -> Course:
+    told = {name: None for name in VehicleAnswer.__dataclass_fields__} | {"alarms": ()}
+    noted = tuple(Fill(filled_at=at, odometer_m=None, product="DCTF-II", note=None) for at in fills)
+    answer = VehicleAnswer(**{**told, "fills": noted})  # type: ignore[arg-type]
+    return Course.of(clutch_now(), quantity, [point(number) for number in range(10)], answer, None)
+
+
+@pytest.mark.parametrize("quantity", [Quantity.MU_C, Quantity.MU_S, Quantity.MARGIN])
+def test_the_curve_and_its_bands_break_at_a_fill(quantity: Quantity) -> None:
+    for fills, stretches in (([], 1), ([ENDS[4] + timedelta(hours=1)], 2), ([ENDS[2], ENDS[6]], 3)):
+        picture = course_picture(course(fills, quantity))
+        (line,) = re.findall(r'<path d="([^"]*)" class="line strong clutch1"', picture)
+        bands = re.findall(r'<path d="([^"]*)" class="band clutch1"', picture)
+        assert [one.count("M") for one in (line, *bands)] == [stretches] * 3
+        assert picture.count("new fluid: DCTF-II") == len(fills)
+
+
+def test_a_fill_at_the_end_of_an_event_belongs_behind_it_and_one_after_all_at_the_end() -> None:
+    moments = course([ENDS[3], ENDS[9] + timedelta(days=3)]).moments
+    assert [place for place, *_ in moments] == [5.0, 10.0]
+
+
+def test_of_each_stretch_the_ends_are_drawn() -> None:
+    (values,) = broken([50], 10, np.arange(100.0))
+    first, second = np.split(values, np.flatnonzero(np.isnan(values)) + 1)[:2]
+    assert [first[0], first[-2], second[0], second[-2]] == [0.0, 49.0, 50.0, 99.0]
