@@ -9,6 +9,7 @@ import logging
 import random
 from collections import Counter
 from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import AbstractAsyncContextManager
 from dataclasses import replace
 from datetime import datetime
@@ -28,7 +29,7 @@ from fleet_backend.intake import (
     take_all,
     vehicles_there,
 )
-from fleet_backend.writer import Batch
+from fleet_backend.writer import Batch, Identity, identity_of
 from fleet_contract import JsonObject, Outgoing, ack_messages, filter_of, fluid_message
 from fleet_link import Message
 
@@ -74,8 +75,11 @@ class Inbox(Protocol):
 class Store(Protocol):
     """Where batches go."""
 
-    def store(self, batch: Batch) -> None:
-        """Store all of a batch, or raise DatabaseAwayError (ask again) or RowRefusedError (one row never fits)."""
+    def store(self, batch: Batch) -> AbstractSet[Identity]:
+        """Store all of a batch but results whose key is taken, which are returned.
+
+        Raises DatabaseAwayError (ask again) or RowRefusedError (one row never fits).
+        """
 
     def fills(self, vehicles: Sequence[str]) -> dict[str, list[JsonObject]]:
         """Return the fluid fills of those vehicles that have any, or raise DatabaseAwayError (ask again)."""
@@ -186,7 +190,7 @@ class Worker:
     async def _commit(self, taken: list[Taken]) -> list[Taken]:
         """Store messages, together if the database takes them all; return what became of each."""
         try:
-            await until_it_answers(self._store.store, batch_of(taken))
+            aside = await until_it_answers(self._store.store, batch_of(taken))
         except RowRefusedError as exc:
             if len(taken) > 1:
                 middle = len(taken) // 2
@@ -195,7 +199,17 @@ class Worker:
             refused = refuse(taken[0].message, "database", str(exc), self._now())
             await until_it_answers(self._store.store, batch_of([refused]))
             return [refused]
-        return taken
+        if not aside:
+            return taken
+        settled = [self._other(item, aside) for item in taken]
+        await until_it_answers(self._store.store, batch_of([one for one in settled if one.kind is MessageKind.POISON]))
+        return settled
+
+    def _other(self, item: Taken, aside: AbstractSet[Identity]) -> Taken:
+        """Return a result as one that is put aside, if it is one of those whose key another has."""
+        if item.kind is not MessageKind.SHIFT or identity_of(item.row) not in aside:
+            return item
+        return refuse(item.message, "conflict", "another result of this key is stored already; it stays", self._now())
 
 
 def _warn_of_strangers(taken: Sequence[Taken]) -> None:

@@ -126,7 +126,7 @@ SHIFT_RESULT: Final = Table(
     Column("level_ratio", Double),
     *(Column(RUNNING + name, Double) for name in FRICTION_COLUMNS),
     Column("running_shift_count", BigInteger, nullable=False),
-    Column("content_digest", BigInteger, nullable=False),  # decides between two contents under one key
+    Column("content_digest", BigInteger, nullable=False),  # tells two contents under one key apart
     Column("stored_at", UtcDateTime, nullable=False, server_default=text("CURRENT_TIMESTAMP")),
     Column("kind", Text),  # of the event, and how it ended; null in results of older programs
     Column("end_reason", Text),

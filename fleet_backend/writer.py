@@ -1,9 +1,10 @@
 """One transaction per batch: results, states and poison, each as often as it comes and in any order, with one outcome.
 
-Every statement is an upsert whose winner depends on what the contenders say, never on who came first. Rows are sorted
-by key, so that workers which write the same rows wait for each other instead of deadlocking.
+A result that is stored stays as it is. Of states the winner depends on what they say, not on who came first. Rows are
+sorted by key, so that workers which write the same rows wait for each other instead of deadlocking.
 """
 
+import json
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from sqlalchemy import (
     false,
     or_,
     select,
+    text,
     true,
 )
 from sqlalchemy.dialects import postgresql, sqlite
@@ -74,23 +76,32 @@ _RIVALS: Final = (
     " AND r.produced_at < (m.month + interval '1 month') AT TIME ZONE 'UTC' OFFSET 0) AS r"
 )
 _HAS_RIVALS: Final = f"SELECT EXISTS (SELECT FROM {_RIVALS})"  # noqa: S608
-_DROP: Final = (
-    f"DELETE FROM {SHIFT_RESULT.name} AS t USING {_RIVALS} WHERE s.content_digest < r.content_digest"  # noqa: S608
-    f" AND (t.{', t.'.join(_KEY)}) = (r.{', r.'.join(_KEY)})"
-)
-_YIELD: Final = f"DELETE FROM {_STAGE} AS t USING {_RIVALS} WHERE t.ctid = s.ctid"  # noqa: S608
+_IDENTITY: Final = (*KEY_COLUMNS, "content_digest")  # of a result and its content
+_IDENTITIES: Final = ", ".join(f"s.{name}" for name in _IDENTITY)
+_YIELD: Final = f"DELETE FROM {_STAGE} AS t USING {_RIVALS} WHERE t.ctid = s.ctid RETURNING {_IDENTITIES}"  # noqa: S608
 _TAKE: Final = (
     f"INSERT INTO {SHIFT_RESULT.name} ({_COLUMNS})"  # noqa: S608 - our own names
     f" SELECT DISTINCT ON ({', '.join(KEY_COLUMNS)}) {_COLUMNS} FROM {_STAGE}"
-    f" ORDER BY {', '.join(KEY_COLUMNS)}, content_digest"
-    f" ON CONFLICT ({_ORDER}) DO UPDATE SET "
-    + ", ".join(f"{name} = excluded.{name}" for name in _NAMES if name not in _KEY)
-    + f" WHERE excluded.content_digest < {SHIFT_RESULT.name}.content_digest"
+    f" ORDER BY {', '.join(KEY_COLUMNS)}, ctid ON CONFLICT ({_ORDER}) DO NOTHING"
 )
+_LEFT: Final = (
+    f"SELECT {_IDENTITIES} FROM {_STAGE} AS s WHERE NOT EXISTS (SELECT FROM {SHIFT_RESULT.name} AS r"  # noqa: S608
+    f" WHERE r.produced_at = s.produced_at AND {' AND '.join(f'r.{name} = s.{name}' for name in _IDENTITY)})"
+)
+_STORED: Final = text(  # an index look-up for each; of a list of rows SQLite makes a scan of the table
+    f"SELECT {_IDENTITIES} FROM json_each(:told) AS j CROSS JOIN {SHIFT_RESULT.name} AS s WHERE "  # noqa: S608
+    + " AND ".join(f"s.{name} = json_extract(j.value, '$[{place}]')" for place, name in enumerate(KEY_COLUMNS))
+)
+Identity = tuple[object, ...]
 
 
-def copy_results(connection: Connection, rows: Sequence[Row]) -> None:
-    """Store results, each as often as it comes: of two contents under one key the one with the smaller digest stays.
+def identity_of(row: Row) -> Identity:
+    """Return what tells a result and its content from all others."""
+    return tuple(row[name] for name in _IDENTITY)
+
+
+def copy_results(connection: Connection, rows: Sequence[Row]) -> set[Identity]:
+    """Store results, each as often as it comes; return those under whose key another content came first.
 
     Raises
     ------
@@ -112,8 +123,10 @@ def copy_results(connection: Connection, rows: Sequence[Row]) -> None:
                 for row in rows:
                     copy.write_row(_VALUES_OF(row))
             has_rivals = cursor.execute(_HAS_RIVALS).fetchone()[0]
-            for statement in (_DROP, _YIELD, _TAKE) if has_rivals else (_TAKE,):
-                cursor.execute(statement)
+            aside = set(cursor.execute(_YIELD).fetchall()) if has_rivals else set()
+            if cursor.execute(_TAKE).rowcount + len(aside) < len(rows):  # some came before
+                aside |= set(cursor.execute(_LEFT).fetchall())
+            return aside
     except base as error:
         is_gone = dialect.is_disconnect(error, driver, None)
         if is_gone:
@@ -125,6 +138,7 @@ def copy_results(connection: Connection, rows: Sequence[Row]) -> None:
         raise RowRefusedError(f"database {place_of(connection.engine)}: {error}") from error
 
 
+_KEPT: Final = (VEHICLE, CALIBRATION, REVISION, CLUTCH, FLUID_FILL, WITHDRAWN_FILL, QUARANTINE)
 _MAX_KNOWN: Final = 100_000  # clutches that a worker remembers to have stored
 
 
@@ -149,17 +163,13 @@ class Writer:
         self._engine = engine
         self._known: set[tuple[object, object]] = set()
         make = postgresql.insert if engine.dialect.name == "postgresql" else sqlite.insert
-        self._shift = _newer_content_wins(sqlite.insert(SHIFT_RESULT))
         self._status = _later_status_wins(make(VEHICLE))
         self._metrics = _later_wins(make(VEHICLE), "metrics")
         self._controller = _later_wins(make(VEHICLE), "controller")
-        self._first_comes = {
-            table.name: make(table).on_conflict_do_nothing()
-            for table in (VEHICLE, CALIBRATION, REVISION, CLUTCH, FLUID_FILL, WITHDRAWN_FILL, QUARANTINE)
-        }
+        self._first_comes = {table.name: make(table).on_conflict_do_nothing() for table in (SHIFT_RESULT, *_KEPT)}
 
-    def store(self, batch: Batch) -> None:
-        """Store a batch, all of it or nothing.
+    def store(self, batch: Batch) -> set[Identity]:
+        """Store a batch, all of it or nothing; return the results that another of the same key keeps out.
 
         Raises
         ------
@@ -169,12 +179,12 @@ class Writer:
             If the database does not take one of the rows; nothing was stored.
         """
         try:
-            self._store(batch)
+            return self._store(batch)
         except RowRefusedError:
             if not self._known:
                 raise
             self._known.clear()  # another database under the old address may not know our clutches
-            self._store(batch)
+            return self._store(batch)
 
     def fills(self, vehicles: Sequence[str]) -> dict[str, list[JsonObject]]:
         """Return the fluid fills of those vehicles that have any, the earliest first, as messages carry them.
@@ -189,7 +199,7 @@ class Writer:
                     found.setdefault(str(row["vehicle"]), []).append(told_fill(dict(row)))
         return found
 
-    def _store(self, batch: Batch) -> None:
+    def _store(self, batch: Batch) -> set[Identity]:
         names = {(row["vehicle"], row["clutch"]): row["element"] for row in batch.shifts}
         clutches = names.keys() - self._known
         vehicles = {vehicle for vehicle, _ in clutches} | {row["vehicle"] for row in batch.fills}
@@ -204,21 +214,31 @@ class Writer:
             self._put(connection, CALIBRATION, _sorted(batch.calibrations, "vehicle", "calibration_version"))
             _execute(connection, self._metrics, _sorted(batch.metrics, "vehicle"))
             _execute(connection, self._controller, _sorted(batch.controllers, "vehicle"))
-            self._put_results(connection, batch.shifts)
-            self._put(connection, REVISION, _sorted(batch.revisions, *REVISION.primary_key.columns.keys()))
+            aside = self._put_results(connection, batch.shifts)
+            revisions = batch.revisions
+            if aside:
+                stored = set(map(identity_of, batch.shifts)) - aside
+                gone = {one[:3] for one in aside} - {one[:3] for one in stored}
+                revisions = [row for row in revisions if (row["vehicle"], row["stream"], row["seq"]) not in gone]
+            self._put(connection, REVISION, _sorted(revisions, *REVISION.primary_key.columns.keys()))
             self._put_fills(connection, _sorted(batch.fills, "vehicle", "filled_at"))
             self._put(connection, QUARANTINE, _sorted(batch.quarantined, "digest"))
         if len(self._known) > _MAX_KNOWN:
             self._known.clear()
         self._known |= clutches
+        return aside
 
-    def _put_results(self, connection: Connection, rows: Sequence[Row]) -> None:
+    def _put_results(self, connection: Connection, rows: Sequence[Row]) -> set[Identity]:
+        """Store results; return those under whose key another content came first."""
         if not rows:
-            return
+            return set()
         if connection.dialect.name == "postgresql":
-            copy_results(connection, rows)
-        else:
-            connection.execute(self._shift, _sorted(rows, *KEY_COLUMNS))
+            return copy_results(connection, rows)
+        counted = connection.execution_options(preserve_rowcount=True)
+        if counted.execute(self._first_comes[SHIFT_RESULT.name], _sorted(rows, *KEY_COLUMNS)).rowcount == len(rows):
+            return set()
+        told = set(map(identity_of, rows))
+        return told.difference(map(tuple, connection.execute(_STORED, {"told": json.dumps(list(told))})))
 
     def _put_fills(self, connection: Connection, rows: Sequence[Row]) -> None:
         """Store fills; those that anybody has taken back go, whoever still knows them."""
@@ -240,16 +260,6 @@ def _execute(connection: Connection, statement: Insert, rows: list[Row]) -> None
 
 def _sorted(rows: Sequence[Row], *names: str) -> list[Row]:
     return sorted(rows, key=lambda row: tuple(str(row[name]) for name in names))
-
-
-def _newer_content_wins(insert: sqlite.Insert) -> Insert:
-    """Keep, of two contents under one key, which nobody should send, the one with the smaller digest."""
-    names = [column.name for column in SHIFT_RESULT.columns if column.name not in (*KEY_COLUMNS, "stored_at")]
-    return insert.on_conflict_do_update(
-        index_elements=list(KEY_COLUMNS),
-        set_={name: insert.excluded[name] for name in names},
-        where=insert.excluded.content_digest < SHIFT_RESULT.c.content_digest,
-    )
 
 
 def _later_status_wins(insert: "postgresql.Insert | sqlite.Insert") -> Insert:

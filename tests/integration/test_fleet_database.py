@@ -11,14 +11,17 @@ from diag_service.diagnosis.records import Condition
 from diag_service.tester.polling import ControllerReport
 from diag_service.tester.trouble import TroubleCode
 from fleet_backend import queries
-from fleet_backend.choices import Axis
+from fleet_backend.choices import Axis, Pace
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import ConfigError, RowRefusedError, UnknownVehicleError
+from fleet_backend.ingest import Worker
+from fleet_backend.intake import MessageKind
 from fleet_backend.migrate import migrate
 from fleet_backend.rows import Poison, Row, controller_row, quarantine_row, status_row
-from fleet_backend.schema import CLUTCH, SHIFT_RESULT, VEHICLE
-from fleet_backend.writer import Batch, Writer
-from tests.support.fleet import NOW, START, fleet_result, row_of
+from fleet_backend.schema import CLUTCH, REVISION, SHIFT_RESULT, VEHICLE
+from fleet_backend.writer import Batch, Writer, identity_of
+from tests.support.fleet import NOW, START, fleet_result, message_of, row_of
+from tests.unit.fleet_backend.test_ingest import Records, outcomes
 
 WORN = Condition.CHANGE_FLUID
 
@@ -60,13 +63,23 @@ def test_the_hash_tells_a_changed_number(engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("is_reversed", [False, True])
-def test_two_contents_under_one_key_have_one_winner_in_any_order(engine: Engine, is_reversed: bool) -> None:
-    good, worn = row_of(fleet_result(1)), row_of(fleet_result(1, condition=WORN))
-    winner = min(good, worn, key=lambda row: int(str(row["content_digest"])))
-    for row in (worn, good) if is_reversed else (good, worn):
-        Writer(engine).store(Batch(shifts=[row]))
+@pytest.mark.parametrize("is_together", [False, True])
+def test_of_two_contents_under_one_key_the_first_stays(engine: Engine, is_reversed: bool, is_together: bool) -> None:
+    rows = [row_of(fleet_result(1)), row_of(fleet_result(1, condition=WORN))][:: -1 if is_reversed else 1]
+    told = [rows, rows] if is_together else [[one] for one in (*rows, *rows)]
+    aside = [Writer(engine).store(Batch(shifts=some)) for some in told]
     (record,) = queries.worst_first(engine)
-    assert record["condition"] == winner["condition"]
+    assert record["condition"] == rows[0]["condition"]
+    other = {identity_of(rows[1])}
+    assert aside == ([other, other] if is_together else [set(), other, set(), other])
+
+
+def test_what_is_put_aside_revises_nothing(engine: Engine) -> None:
+    revision = {"vehicle": "car1", "stream": "stream-1", "seq": 1, "clutch": 2, "end_bus_ns": 5, "content": "{}"}
+    Writer(engine).store(Batch(shifts=[row_of(fleet_result(1))]))
+    Writer(engine).store(Batch(shifts=[row_of(fleet_result(1, condition=WORN))], revisions=[revision]))
+    with transaction(engine) as connection:
+        assert connection.execute(select(REVISION)).all() == []
 
 
 @pytest.mark.parametrize("is_reversed", [False, True])
@@ -74,14 +87,13 @@ def test_two_contents_under_one_key_have_one_winner_in_any_order(engine: Engine,
 def test_one_key_with_two_times_of_making_is_one_row(engine: Engine, is_reversed: bool, is_together: bool) -> None:
     """A store that was put back to an earlier state uses its positions again, in another month."""
     rows = [row_of(fleet_result(1, produced_at=f"2026-0{month}-01T00:00:00.000000Z")) for month in (2, 3)]
-    winner = min(rows, key=lambda row: int(str(row["content_digest"])))
     Writer(engine).store(Batch(shifts=[row_of(fleet_result(2)), row_of(fleet_result(2, stream="stream-0"))]))
     told = rows[::-1] if is_reversed else rows
-    for some in (told,) if is_together else ([one] for one in told):
-        Writer(engine).store(Batch(shifts=some))
+    aside = [Writer(engine).store(Batch(shifts=some)) for some in ((told,) if is_together else ([one] for one in told))]
+    assert aside[-1] == {identity_of(told[1])}
     with transaction(engine) as connection:
         found = connection.execute(select(SHIFT_RESULT.c.produced_at).where(SHIFT_RESULT.c.seq == 1)).scalars().all()
-    assert found == [winner["produced_at"]]
+    assert found == [told[0]["produced_at"]]
     assert queries.result_count(engine) == 3
 
 
@@ -285,3 +297,17 @@ def test_a_writer_survives_that_its_database_is_replaced(engine: Engine) -> None
     writer.store(Batch(shifts=[row_of(fleet_result(2))]))
     with transaction(engine) as connection:
         assert len(connection.execute(CLUTCH.select()).all()) == 1
+
+
+async def test_another_result_of_a_key_is_put_aside_with_a_reason(engine: Engine) -> None:
+    records = Records()
+    worker = Worker(records.connect, Writer(engine), name="worker-1", now=lambda: NOW, pace=Pace())
+    first, second = (message_of(fleet_result(1, condition=one)) for one in (Condition.GOOD, Condition.CHANGE_FLUID))
+    for _ in range(2):
+        await worker.settle(records, [first, second])
+    assert outcomes(records) == 2 * [("car1", 1, "accepted"), ("car1", 1, "quarantined")]
+    assert worker.counts == {MessageKind.SHIFT: 2, MessageKind.POISON: 2}
+    (aside,) = queries.quarantined(engine, 9)
+    (kept,) = queries.worst_first(engine)
+    assert (aside["reason"], kept["condition"]) == ("conflict", "good")
+    assert "another result of this key" in str(aside["detail"])

@@ -24,7 +24,7 @@ from fleet_backend.choices import Pace
 from fleet_backend.config import parse_broker
 from fleet_backend.database import open_database
 from fleet_backend.ingest import FILTERS, Inbox, Worker
-from fleet_backend.writer import Batch, Writer
+from fleet_backend.writer import Batch, Identity, Writer
 from fleet_contract import JsonObject, Outgoing
 from fleet_link import Message
 from tests.support.patience import HANG_S
@@ -63,11 +63,12 @@ class DoomedStore:
         self._doom = doom
         event.listen(engine, "commit", self._before_commit)
 
-    def store(self, batch: Batch) -> None:
+    def store(self, batch: Batch) -> set[Identity]:
         """Store a batch."""
         self._doom.at(Step.BEFORE_INSERT)
-        self._writer.store(batch)
+        aside = self._writer.store(batch)
         self._doom.at(Step.AFTER_COMMIT)
+        return aside
 
     def fills(self, vehicles: Sequence[str]) -> dict[str, list[JsonObject]]:
         """Return fluid fills."""

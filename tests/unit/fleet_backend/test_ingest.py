@@ -13,7 +13,7 @@ from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
 from fleet_backend.ingest import FILTERS, Worker
 from fleet_backend.intake import MessageKind
-from fleet_backend.writer import Batch
+from fleet_backend.writer import Batch, Identity
 from fleet_contract import (
     NEVER,
     JsonObject,
@@ -65,10 +65,11 @@ class Records:
         self.steps.append("fills")
         return {vehicle: self.known_fills[vehicle] for vehicle in vehicles if vehicle in self.known_fills}
 
-    def store(self, batch: Batch) -> None:
+    def store(self, batch: Batch) -> frozenset[Identity]:
         self.steps.append("store")
         self.refuse(batch)
         self.stored.append(batch)
+        return frozenset()
 
     @asynccontextmanager
     async def connect(self) -> AsyncIterator["Records"]:

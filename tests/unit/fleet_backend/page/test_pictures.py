@@ -16,14 +16,14 @@ ENDS = [START + timedelta(days=day) for day in range(10)]
 
 
 def point(number: int) -> TrendPoint:
-    told = {name: None for name in TrendPoint.__dataclass_fields__}
+    told = dict.fromkeys(TrendPoint.__dataclass_fields__)
     known = {"end_at": ENDS[number], "mu_c": 0.13, "mu_s": 0.12, "running_mu_c": 0.13 + 0.001 * number}
     rest = {"running_std_mu_c": 0.003, "running_mu_s": 0.12, "running_std_mu_s": 0.003, "running_correlation": 0.5}
     return TrendPoint(**{**told, **known, **rest, "reasons": ()})  # type: ignore[arg-type]
 
 
 def course(fills: list[datetime], quantity: Quantity = Quantity.MU_C) -> Course:
-    told = {name: None for name in VehicleAnswer.__dataclass_fields__} | {"alarms": ()}
+    told = dict.fromkeys(VehicleAnswer.__dataclass_fields__) | {"alarms": ()}
     noted = tuple(Fill(filled_at=at, odometer_m=None, product="DCTF-II", note=None) for at in fills)
     answer = VehicleAnswer(**{**told, "fills": noted})  # type: ignore[arg-type]
     return Course.of(clutch_now(), quantity, [point(number) for number in range(10)], answer, None)
