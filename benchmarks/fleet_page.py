@@ -27,7 +27,7 @@ from demo.fleet.servers import PostgresServer
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
-from fleet_backend.office.watching import Orders, Watch, run_watch
+from fleet_backend.office.watching import Orders, Watch
 from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.running import DatabaseSource
 from fleet_backend.schema import SHIFT_RESULT, UtcDateTime
@@ -293,7 +293,6 @@ def crowd(database: str, vehicle_count: int) -> bool:
         took(f"round of the pages, results of {NEWS} vehicles are new", keeper.refresh),
         took("round of the watch, the first: it reads the fleet and raises all alarms", watch.round),
         took("round of the watch, the next", watch.round),
-        took("watch --once", lambda: run_watch(engine, Orders(), is_once=True)),
         took("question, table", lambda: queries.worst_first(engine, 50)),
         took("question, last seen", lambda: queries.last_seen(engine)),
         took("question, runs of verdicts", lambda: queries.clutch_alarms(engine, is_open_only=True)),

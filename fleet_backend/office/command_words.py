@@ -87,7 +87,7 @@ _WATCH: Final = Command(
     Option("--listen ADDRESS", "show the pages of serve there, too: both share one view of the fleet"),
     _ACCESS,
     METRICS,
-    Option("--once", "check once, with 15 s of prognoses at most, deliver, and end"),
+    Option("--once", "judge each vehicle once, however long that takes, deliver, and end"),
     examples=(
         f"{PROGRAM} watch --webhook https://hooks.example/fleet --secret webhook.secret",
         f"{PROGRAM} watch --mqtt --broker mqtts://fleet@broker.example",

@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-import random
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Container, Iterator, Sequence
@@ -39,7 +38,7 @@ from fleet_backend.schema import QUARANTINE
 
 ROUND_S: Final = 10.0
 JUDGING_S: Final = 5.0  # of a round, for prognoses; what is left over is judged in the next
-ONCE_S: Final = 15.0  # of the only round
+ONCE_S: Final = 60.0  # the same where nothing waits for the round; what was found is delivered after each
 DELIVERY_S: Final = 2.0
 _LOG: Final = logging.getLogger(__name__)
 
@@ -69,7 +68,12 @@ class Watch:
         self._told: tuple[Metric, ...] = ()  # of the last round
         self._judged: dict[str, tuple[ClutchNow, ...]] = {}  # as they were then, those of the longest ago first
 
-    def round(self, judging_s: float = JUDGING_S, *, is_drawn: bool = False) -> list[rules.Transition]:
+    @property
+    def has_judged_all(self) -> bool:
+        """Whether the past of each vehicle was judged at least once."""
+        return self._judged.keys() >= self._keeper.snapshot.vehicles.keys()
+
+    def round(self, judging_s: float = JUDGING_S) -> list[rules.Transition]:
         """Look at everything once; return what was raised and cleared.
 
         Raises DatabaseError if the database does not answer; what is written stays, the rest follows in the next round.
@@ -78,8 +82,6 @@ class Watch:
         ----------
         judging_s :
             How long pasts are judged; then one vehicle is done with, and the others wait.
-        is_drawn :
-            Whether chance decides who is judged first; else the worst that never was.
         """
         began_s = time.monotonic()
         if not self._is_sharing:
@@ -88,7 +90,7 @@ class Watch:
         names = [carrier.name for carrier in self._orders.carriers]
         is_open = book.open_alarms(self._engine)
         quotas = rules.quota_findings(self._withheld(now), is_open)
-        findings = chain(quotas, self._findings(now, is_open), self._pasts(judging_s, is_drawn=is_drawn))
+        findings = chain(quotas, self._findings(now, is_open), self._pasts(judging_s))
         steps = list(rules.transitions(findings, is_open, now))
         written = book.write(self._engine, steps, names)
         for step in written:
@@ -161,15 +163,13 @@ class Watch:
             if heard_at is not None:
                 yield rules.silence_finding(vehicle, heard_at, now, self._orders.limits)
 
-    def _pasts(self, judging_s: float, *, is_drawn: bool) -> Iterator[rules.Finding]:
+    def _pasts(self, judging_s: float) -> Iterator[rules.Finding]:
         """Judge vehicles with news: those that never were, the worst first, then those of the longest ago.
 
         Thus the worst, which may have news in each round, keep none of the others waiting for ever.
         """
         snapshot, kept, end_s = self._keeper.snapshot, latest(self._engine), time.monotonic() + judging_s
-        never = list(dict.fromkeys(one.vehicle for one in snapshot.clutches if one.vehicle not in self._judged))
-        if is_drawn:
-            random.shuffle(never)
+        never = dict.fromkeys(one.vehicle for one in snapshot.clutches if one.vehicle not in self._judged)
         again = (name for name, own in self._judged.items() if snapshot.vehicles.get(name, own) != own)
         names = deque((*never, *again))
         while names:
@@ -216,15 +216,25 @@ def _whose(one: ClutchNow) -> rules.Whose:
     return rules.Whose(one.vehicle, one.clutch, one.element)
 
 
-def run_watch(engine: Engine, orders: Orders, metrics: Place | None = None, *, is_once: bool = False) -> None:
-    """Watch until SIGINT or SIGTERM, or for one round."""
+def run_watch(
+    engine: Engine,
+    orders: Orders,
+    metrics: Place | None = None,
+    *,
+    is_once: bool = False,
+    judging_s: float = ONCE_S,  # of a round of those that judge each vehicle once
+) -> None:
+    """Watch until SIGINT or SIGTERM, or until each vehicle was judged once."""
     if is_once:
         watch = Watch(engine, orders, partial(datetime.now, UTC))
-        watch.round(ONCE_S, is_drawn=True)
-        if watch.waiting_count:
-            _LOG.warning("%d vehicles were not judged in %g s; a watch that goes on does", watch.waiting_count, ONCE_S)
-        while watch.deliver():  # of what a turn left over, until none arrives any more
-            pass
+        is_over = False
+        while not is_over:
+            watch.round(judging_s)
+            is_over = watch.has_judged_all
+            while watch.deliver():  # of what a turn left over, until none arrives any more
+                pass
+            if watch.waiting_count:
+                _LOG.info("%d vehicles are yet to be judged", watch.waiting_count)
         return
     asyncio.run(until_stopped(watch_for_ever(engine, orders, metrics)))
 

@@ -31,8 +31,8 @@ from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import CarrierError
-from fleet_backend.office.watching import Orders, Watch, watch_for_ever
-from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, AUDIT
+from fleet_backend.office.watching import Orders, Watch, run_watch, watch_for_ever
+from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, AUDIT, FLUID_DUE
 from fleet_backend.page import alarms_view
 from fleet_backend.page.asking import read_words
 from fleet_backend.page.keeper import Keeper
@@ -216,6 +216,17 @@ def test_the_worst_keeps_no_other_waiting(engine: Engine) -> None:
         waiting.append(watch.waiting_count)
         store(engine, seq, BAD, "worst")
     assert waiting == [2, 2, 1, 0]
+
+
+def test_a_watch_that_looks_once_judges_every_vehicle(engine: Engine) -> None:
+    names = [f"v{number}" for number in range(7)]
+    for name in names:
+        store(engine, 1, BAD, name)
+    memory = Memory()
+    run_watch(engine, Orders(carriers=[memory]), is_once=True, judging_s=0.0)  # of each round: one vehicle, then rest
+    with transaction(engine) as connection:
+        assert sorted(connection.execute(select(FLUID_DUE.c.vehicle)).scalars()) == names
+    assert sorted(str(letter.payload["vehicle"]) for letter in memory.letters) == names
 
 
 async def test_a_watch_beside_the_pages_reads_no_fleet_of_its_own(engine: Engine) -> None:
