@@ -44,7 +44,8 @@ def fleet_table(records: Sequence[Record]) -> Sheet:
 
 
 def trend_table(title: str, records: Sequence[Record]) -> Sheet:
-    """Return the estimates of a clutch, one shift per line."""
+    """Return the estimates of a clutch, one shift per line; where fluid was changed it always tells which one was in."""
+    has_fill = any(record["fluid"] for record in records)
     return _sheet(
         f"{title}; {PLUS_MINUS}",
         records,
@@ -60,7 +61,7 @@ def trend_table(title: str, records: Sequence[Record]) -> Sheet:
             "fluid": _plain("fluid"),
             "algorithm": _plain("algorithm_version"),
         },
-        dispensable=("algorithm", "fluid", "km", "running mu_S", "running mu_C", "condition"),
+        dispensable=("algorithm", "km", "running mu_S", "running mu_C", "condition", *(() if has_fill else ("fluid",))),
     )
 
 

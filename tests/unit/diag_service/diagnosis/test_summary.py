@@ -4,16 +4,20 @@ from dataclasses import replace
 
 import pytest
 
-from diag_service.diagnosis.records import ShiftStatistics, Tier
+from diag_service.diagnosis.records import FluidFill, ShiftStatistics, Tier, utc_from_bus_ns
 from diag_service.diagnosis.summary import (
     Capability,
     FrameCounts,
     Summary,
     capability_line,
+    of_own_fluid,
+    order_by,
     summary_record,
     values_line,
 )
+from fleet_contract.orders import Action
 from tests.support.builders import shift_result
+from tests.support.histories import history
 
 MISSING = "friction needs clutch1_pressure_pa"
 
@@ -82,3 +86,15 @@ def test_which_signals_lost_values_and_why() -> None:
     assert isinstance(record["frames"], dict)
     assert record["frames"]["invalid_signals"] == invalid
     assert "invalid_at_first" not in record["frames"]
+
+
+def test_what_rests_on_events_before_a_fill_says_nothing_of_the_fluid_after_it() -> None:
+    one = history(60)[-1]
+    assert one.verdict.friction is not None
+    start_ns = one.estimate.start_ns
+    fill = FluidFill(vehicle="car1", filled_at=utc_from_bus_ns(start_ns - 10**12))
+    for since_ns, is_told in ((None, True), (start_ns - 10**13, False), (start_ns - 10**11, True)):
+        verdict = replace(one.verdict, trend=None, running_since_bus_ns=since_ns)
+        (found,) = of_own_fluid([replace(one, verdict=verdict)], [fill])
+        assert (found.verdict.friction is not None) is is_told
+        assert order_by([found], fill).action is not Action.NEW_FLUID or not is_told
