@@ -44,7 +44,7 @@ def fleet_table(records: Sequence[Record]) -> Sheet:
 
 
 def trend_table(title: str, records: Sequence[Record]) -> Sheet:
-    """Return the estimates of a clutch, one shift per line; where fluid was changed it always tells which one was in."""
+    """Return the estimates of a clutch, one shift per line; where fluid was changed each tells which one was in."""
     has_fill = any(record["fluid"] for record in records)
     return _sheet(
         f"{title}; {PLUS_MINUS}",

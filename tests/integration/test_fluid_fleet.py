@@ -10,7 +10,7 @@ import pytest
 from sqlalchemy import Engine, select
 
 from diag_service.delivery import DeliveryLimits, MqttConnector, Outbox
-from diag_service.diagnosis.records import FluidFill
+from diag_service.diagnosis.records import FluidFill, iso_utc
 from diag_service.store import ResultStore, withdraw_fill
 from fleet_backend import queries
 from fleet_backend.broker import connected
@@ -19,6 +19,7 @@ from fleet_backend.database import open_database, transaction
 from fleet_backend.ingest import FILTERS, Worker
 from fleet_backend.schema import FLUID_FILL
 from fleet_backend.writer import Writer
+from fleet_contract import metrics_message
 from fleet_link import BrokerAddress
 from tests.plugins.broker import Mosquitto
 from tests.support.outboxes import STATUS, put, sending, until
@@ -44,6 +45,13 @@ def utc_now() -> datetime:
 @asynccontextmanager
 async def world(broker: Mosquitto, engine: Engine, path: Path) -> AsyncIterator[ResultStore]:
     """Run a backend and a vehicle until the block ends; yield the vehicle's store."""
+    async with at_work(broker, engine, path) as (store, _):
+        yield store
+
+
+@asynccontextmanager
+async def at_work(broker: Mosquitto, engine: Engine, path: Path) -> AsyncIterator[tuple[ResultStore, Outbox]]:
+    """Do the same; yield the store, and what the vehicle sends by."""
     address = BrokerAddress(host="127.0.0.1", port=broker.port)
     pace = Pace()
     worker = Worker(
@@ -66,7 +74,7 @@ async def world(broker: Mosquitto, engine: Engine, path: Path) -> AsyncIterator[
         ingest = asyncio.create_task(worker.run())
         await until(lambda: worker.is_listening)
         async with sending(outbox):
-            yield store
+            yield store, outbox
         ingest.cancel()
         await asyncio.gather(ingest, return_exceptions=True)
 
@@ -121,3 +129,15 @@ async def test_a_fill_that_is_taken_back_at_either_end_is_so_at_both(
         put(store, [4])
         await until(lambda: store.unpublished_count("car1") == 0)
         assert (store.fills("car1"), known_to_the_fleet(engine)) == ([], [])
+
+
+async def test_a_vehicle_that_stays_connected_hears_what_the_fleet_notes_meanwhile(
+    broker: Mosquitto, engine: Engine, tmp_path: Path
+) -> None:
+    async with at_work(broker, engine, tmp_path / "car1.sqlite") as (store, outbox):
+        put(store, range(1, 4))
+        outbox.wake()
+        await until(lambda: store.unpublished_count("car1") == 0 and queries.result_count(engine) == 3)
+        queries.note_fill(engine, "car1", "DCTF 75W", at=OF_THE_FLEET, odometer_m=None, note=None)
+        outbox.publish_state(metrics_message("car1", iso_utc(utc_now()), {"outbox_sent_count": 3}))  # each minute
+        await until(lambda: [fill.product for fill in store.fills("car1")] == ["DCTF 75W"])
