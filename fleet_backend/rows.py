@@ -112,8 +112,7 @@ def shift_row(data: Mapping[str, object]) -> Row:
     quality = data.get("shift_quality")
     row["shift_quality"] = None if quality is None else _JSON.encode(quality).decode()
     row["element"] = data.get("element")
-    since_ns, trend = verdict.get("running_since_bus_ns"), verdict.get("trend")  # of older programs the latter alone
-    row["running_since_bus_ns"] = _table(trend)["baseline_end_bus_ns"] if trend and since_ns is None else since_ns
+    row["running_since_bus_ns"] = verdict.get("running_since_bus_ns")
     causes = verdict.get("causes")
     row["causes"] = None if causes is None else _JSON.encode(_foremost(_table(causes))).decode()
     row["content_digest"] = content_digest(row)

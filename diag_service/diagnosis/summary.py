@@ -220,7 +220,7 @@ def _unknown(verdict: ClutchVerdict) -> ClutchVerdict:
         shift_count=0,
         advice=orders.unseen_since_new(verdict.clutch, verdict.element),
         element=verdict.element,
-        running_since_bus_ns=_since_ns(verdict),
+        running_since_bus_ns=verdict.running_since_bus_ns,
     )
 
 
@@ -228,15 +228,8 @@ def _end_at(result: ShiftResult) -> datetime:
     return datetime.fromisoformat(utc_from_bus_ns(result.estimate.end_ns))
 
 
-def _since_ns(verdict: ClutchVerdict) -> int | None:
-    """Return how far back a verdict goes; older programs tell that of its baseline alone."""
-    if verdict.running_since_bus_ns is not None or verdict.trend is None:
-        return verdict.running_since_bus_ns
-    return verdict.trend.baseline_end_bus_ns
-
-
 def _since_at(result: ShiftResult) -> datetime | None:
-    since_ns = _since_ns(result.verdict)
+    since_ns = result.verdict.running_since_bus_ns
     return None if since_ns is None else datetime.fromisoformat(utc_from_bus_ns(since_ns))
 
 
