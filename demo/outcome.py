@@ -10,13 +10,14 @@ from rich.table import Table
 from rich.text import Text
 
 from diag_service.delivery.console import condition_words
-from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult
+from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult, reason_text
 from ecu_emulator.truth import ShiftTruth, TruthLog
 from fleet_contract import CLUTCHES
 
 MAX_ERROR_STD: Final = 4.0  # beyond it an estimate is wrong, not unlucky: 6e-5 by chance
 UNUSUAL_STD: Final = 2.0
 BAND_STD: Final = 2.0  # what is printed after ±
+BUSY_S: Final = 0.1  # of lateness: ten cycles of the fastest messages
 SHIFTS_PER_CYCLE: Final = 10  # 1-2-3-4-5-6-5-4-3-2-1
 CONDITION_STYLE: Final = {"no verdict": "dim", "good": "green", "watch": "yellow", "change fluid": "bold red"}
 SLOPE_NOTE: Final = (
@@ -39,6 +40,7 @@ class FrameAccount:
     rejected: Mapping[str, int]
     dropped: int  # by kernel or service, counted by them
     missing: int  # noticed by alive counters
+    late: int  # decoded, but held back on the way
 
     @property
     def arrived(self) -> int:
@@ -47,8 +49,9 @@ class FrameAccount:
 
     @property
     def unexplained(self) -> int:
-        """Frames sent of which the service knows nothing: neither judged nor noticed as lost."""
-        return self.sent - self.arrived - max(self.missing, self.dropped)
+        """Frames sent of which the service knows nothing: neither judged nor noticed as lost; negative: of others."""
+        lost = self.sent - self.arrived
+        return min(lost, 0) or max(lost - max(self.missing, self.dropped), 0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,6 +93,7 @@ def frame_account(transmitted: Mapping[str, Any], received: Mapping[str, Any]) -
         rejected=received["rejected"],
         dropped=received["kernel_dropped"] + received["queue_dropped"],
         missing=received["missing"],
+        late=received["late"],
     )
 
 
@@ -102,7 +106,13 @@ def compared(friction: FrictionEstimate, mu_c: float, mu_s: float) -> Iterator[t
 
 def complaints(outcome: Outcome) -> list[str]:
     """Return everything that is not as it must be; nothing if the demonstration succeeded."""
-    return [*_shift_complaints(outcome), *_clutch_complaints(outcome), *_frame_complaints(outcome.frames)]
+    found = [*_shift_complaints(outcome), *_clutch_complaints(outcome), *_frame_complaints(outcome.frames)]
+    late_s = outcome.frames.lateness_max_s
+    if found and late_s > BUSY_S:
+        found.append(
+            f"this machine was too busy to send in time (at most {late_s:.1f} s late): try again when it is not"
+        )
+    return found
 
 
 def _shift_complaints(outcome: Outcome) -> Iterator[str]:
@@ -154,7 +164,7 @@ def _errors(where: str, friction: FrictionEstimate, mu_c: float, mu_s: float) ->
 
 
 def _reasons(result: ShiftResult) -> str:
-    return ", ".join(reason.value.replace("_", " ") for reason in result.estimate.reasons)
+    return ", ".join(reason_text(reason) for reason in result.estimate.reasons)
 
 
 def live_line(result: ShiftResult) -> Text:
@@ -237,7 +247,7 @@ def frame_lines(frames: FrameAccount) -> Iterator[str]:
     yield (
         f"service:  {frames.decoded} decoded, {frames.ignored} ignored, "
         f"{sum(frames.rejected.values())} rejected{f' ({rejected})' if rejected else ''}, {frames.dropped} dropped, "
-        f"{frames.missing} missing by alive counters; unexplained: {frames.unexplained}"
+        f"{frames.missing} missing by alive counters, {frames.late} late in bursts; unexplained: {frames.unexplained}"
     )
 
 

@@ -11,11 +11,13 @@ data widens the permitted jump by one. Where profile 1 leaves room, this receive
   of lost frames, on time to a cycle, is not stuck; but once stuck, time is no excuse.
 - Losses longer than the counter's period are counted by time, those longer than ``SILENT_CYCLES`` not at all: the
   sender was off, or the car parked, and any counter is accepted. If the frames turn out to have been late instead (the
-  next ones come in a burst), the count of missing frames is taken back; sequence numbers only ever grow. A late
-  sender may catch up. Only a loss of a whole period while its sender was late cannot be counted: it leaves no trace.
+  next ones come sooner than the schedule has them, which no sender's do), the count of missing frames is taken back;
+  sequence numbers only ever grow, and `sent_on_schedule` puts them right. A late sender may catch up. Only a loss of a
+  whole period while its sender was late cannot be counted: it leaves no trace.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -27,6 +29,9 @@ from canlog.jit import array_kernel
 MAX_DELTA_COUNTER: Final = 3  # permitted jump between frames one cycle apart: two frames may be lost in silence
 LATE_CYCLES: Final = 1.0  # jitter within which a gap still counts as whole counter periods
 BURST_CYCLES: Final = 0.5  # frames closer than this were held back, not sent one cycle apart
+AHEAD_CYCLES: Final = 2.0  # frames that come so much sooner than frames counted by time permit: those were late
+LATE_PERIODS: Final = 3  # a sample this much later than its sender's schedule says little about time
+ENDS: Final = 30  # samples, of which one is nearly on time
 SILENT_CYCLES: Final = 8.0 * COUNTER_PERIOD  # of which nothing came: by chance one counter in five would fit any pause
 
 IN_SEQUENCE, REPEATED, WRONG_SEQUENCE = range(3)  # what is said of one frame
@@ -56,12 +61,16 @@ class LinkState(NamedTuple):
     rejected: Int64Array  # frames rejected since the last accepted one that stood in for a transmission
     rejected_after_stray: Int64Array
     late: Int64Array  # cycles by which the sender may still catch up; fades while it does not
-    assumed: Int64Array  # frames counted as missing at the last accepted frame on the evidence of time alone
+    assumed: Int64Array  # frames counted as missing lately on the evidence of time alone
+    assumed_ns: Int64Array  # when that began
+    assumed_sequence: Int64Array
+    held_back: Int64Array  # frames that came right behind the one before: that one was late
 
 
 def fresh_links(count: int) -> LinkState:
     """Return the state of some messages of which nothing was seen."""
     links = LinkState(*(np.full(count, _NONE, np.int64) for _ in LinkState._fields))
+    links.held_back[:] = 0
     forget(links)
     return links
 
@@ -69,7 +78,7 @@ def fresh_links(count: int) -> LinkState:
 def forget(links: LinkState) -> None:
     """Forget counters and times, after a jump of bus time; sequence numbers go on."""
     for name, column in zip(LinkState._fields, links, strict=True):
-        if name != "sequence":
+        if name not in {"sequence", "held_back"}:
             column[:] = _NONE if name.endswith("counter") else 0
 
 
@@ -103,6 +112,22 @@ def permitted_advance(counter: int, since: int, cycles: float, late: int) -> int
 
 
 @array_kernel
+def retracted(state: LinkState, slot: int, t_ns: int, cycles: float) -> int:
+    """Return how many frames were not missing after all: those that follow come too soon for that."""
+    assumed, since = int(state.assumed[slot]), state.sequence[slot] - state.assumed_sequence[slot]
+    if assumed == 0 or cycles < 0.0:
+        return 0
+    cycle_ns = (t_ns - state.valid_ns[slot]) / cycles if cycles > 0.0 else 0.0
+    ahead_ns = since * cycle_ns - (t_ns - state.assumed_ns[slot])
+    if cycles < BURST_CYCLES or ahead_ns > AHEAD_CYCLES * cycle_ns:
+        state.assumed[slot] = 0
+        return assumed
+    if since > SILENT_CYCLES:
+        state.assumed[slot] = 0
+    return 0
+
+
+@array_kernel
 def accept(state: LinkState, slot: int, counter: int, t_ns: int, advance: int, proven: int, cycles: float) -> int:
     """Move the state on to an accepted frame; return how many frames are missing before it.
 
@@ -114,10 +139,14 @@ def accept(state: LinkState, slot: int, counter: int, t_ns: int, advance: int, p
         late = max(int(state.late[slot]) - 1, int(np.rint(cycles)) - advance)
     else:
         late = int(state.late[slot]) - advance
-        missing -= int(state.assumed[slot])
+        state.held_back[slot] += cycles >= 0.0
     state.late[slot] = max(0, late)
-    state.assumed[slot] = assumed
     state.sequence[slot] += advance
+    missing -= retracted(state, slot, t_ns, cycles)
+    if assumed > 0 and state.assumed[slot] == 0:
+        state.assumed_ns[slot] = t_ns
+        state.assumed_sequence[slot] = state.sequence[slot]
+    state.assumed[slot] += assumed
     state.valid_counter[slot] = counter
     state.valid_ns[slot] = t_ns
     state.stray_counter[slot] = _NONE
@@ -210,6 +239,47 @@ def own_period_ns(series: Series) -> int:
     return own_ns if series.period_ns < own_ns <= SLOWEST * series.period_ns else series.period_ns
 
 
+def sent_on_schedule(series: Series) -> Series:
+    """Return samples at the times at which their sender sent them, if some were received late; else as they are.
+
+    A bus only ever delays. A sender that is behind its schedule at the end may have changed it: its times stand.
+    """
+    if series.period_ns <= 0 or len(series.t_ns) < 2 or series.sequence[0] < 0:
+        return series
+    (t_ns, after_ns), sequence = np.empty((2, len(series.t_ns)), np.int64), series.sequence.copy()
+    if not reschedule(series.t_ns, series.period_ns, sequence, t_ns, after_ns):
+        return series
+    return replace(series, t_ns=t_ns, sequence=sequence)
+
+
+@array_kernel
+def reschedule(
+    received_ns: Int64Array, period_ns: int, sequence: Int64Array, sent_ns: Int64Array, after_ns: Int64Array
+) -> bool:
+    """Fill in when samples were sent and renumber those behind frames that were late, not lost; False if none was."""
+    count, first = len(received_ns), sequence[0]
+    for row in range(count):  # at first the delay of each against the schedule of the first
+        sent_ns[row] = after_ns[row] = received_ns[row] - (sequence[row] - first) * period_ns
+    for row in range(count - 2, -1, -1):  # the least delay from each on
+        after_ns[row] = min(after_ns[row], after_ns[row + 1])
+    before_ns, latest_ns, excess = sent_ns[0], sent_ns[0], 0
+    for row in range(count):
+        step = sequence[row] - excess - sequence[row - 1] if row else 1
+        ahead_ns = before_ns - after_ns[row] - excess * period_ns
+        if step > COUNTER_PERIOD and 2 * ahead_ns > COUNTER_PERIOD * period_ns:
+            periods = min((step - 1) // COUNTER_PERIOD, int(np.rint(ahead_ns / (COUNTER_PERIOD * period_ns))))
+            excess += periods * COUNTER_PERIOD
+        sequence[row] -= excess
+        sent_ns[row] += excess * period_ns
+        before_ns, latest_ns = min(before_ns, sent_ns[row]), max(latest_ns, sent_ns[row])
+    at_end_ns = after_ns[max(count - ENDS, 0)] + excess * period_ns
+    if at_end_ns - before_ns > period_ns or latest_ns - before_ns <= LATE_PERIODS * period_ns:
+        return False
+    for row in range(count):
+        sent_ns[row] = before_ns + (sequence[row] - first) * period_ns
+    return True
+
+
 def row_period_ns(columns: Sequence[Series]) -> int:
     """Return the time from row to row [ns] of a table whose columns these are; 0 if they are none of one."""
     times_ns = columns[0].t_ns
@@ -238,3 +308,5 @@ def most_are_shorter(t_ns: Int64Array, sequence: Int64Array, limit_ns: float) ->
 def compile_now() -> None:
     """Have it compiled before the first frames come: they must not wait for it."""
     most_are_shorter(_NO_SAMPLES, _NO_SAMPLES, 0.0)
+    two = np.zeros(2, np.int64)
+    reschedule(two, 1, two, two, two)

@@ -3,6 +3,7 @@
 The profile's check says what a single frame is worth; this machine (E2E_SM of the AUTOSAR E2E protocol specification)
 looks at a window of the last checks. Where AUTOSAR calls the check once per cycle, time does so here: every frame that
 is known to be missing counts as one cycle without new data, and silence longer than the timeout as a window of them.
+Frames that come after all, none of them missing, were late: the silence before them is taken back.
 The timeout follows the cycle that the message itself keeps, from the one that the database names up to ``SLOWEST``
 times as long: a bus that is slower than its database is held against itself, and a gap in it is still one.
 
@@ -19,6 +20,7 @@ import numpy as np
 
 from canlog.arrays import Int64Array
 from canlog.e2e.alive_counter import SLOWER_RATIO, SLOWEST
+from canlog.e2e.profile1 import COUNTER_PERIOD
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 from canlog.frames import BEFORE_ALL_NS
 from canlog.jit import array_kernel
@@ -69,6 +71,10 @@ class E2eMemory(NamedTuple):
     invalidations: Int64Array  # times that the message became invalid
     cycle_ns: Int64Array  # cycle that the database names; 0 where that is unknown
     own_ns: Int64Array  # cycle that the message keeps, no less than the database's
+    sequence: Int64Array  # transmission number of the last frame
+    lapse_state: Int64Array  # of E2eState before the silence that lasts, NO_DATA if there is none
+    lapse_ok_bits: Int64Array
+    lapse_ns: Int64Array
 
 
 @array_kernel
@@ -125,12 +131,27 @@ def add_silence(memory: E2eMemory, slot: int, now_ns: int, changes: Int64Array) 
     overdue_ns = memory.heard_ns[slot] + max(TIMEOUT_CYCLES * memory.own_ns[slot], MIN_TIMEOUT_NS)
     if overdue_ns >= now_ns:
         return 0
-    memory.ok_bits[slot] = 0
+    ok_bits, memory.ok_bits[slot] = memory.ok_bits[slot], 0
     memory.error_bits[slot] = 0
     if memory.state[slot] != _VALID and memory.state[slot] != _INIT:
         return 0
+    memory.lapse_state[slot], memory.lapse_ok_bits[slot] = memory.state[slot], ok_bits
+    memory.lapse_ns[slot] = overdue_ns
     memory.invalidations[slot] += 1
     return enter_state(memory, slot, overdue_ns, _INVALID, changes)
+
+
+@array_kernel
+def take_back_silence(memory: E2eMemory, slot: int, sequence: int, changes: Int64Array) -> int:
+    """If the frame after a silence is the very next one, it was late: write that there was no lapse, at its time."""
+    before, state = memory.sequence[slot], memory.lapse_state[slot]
+    memory.lapse_state[slot], memory.sequence[slot] = _NO_DATA, sequence
+    # Whole periods of the counter are told missing by time alone, and time is what is late.
+    if state == _NO_DATA or sequence < 0 or before < 0 or (sequence - before) % COUNTER_PERIOD != 1:
+        return 0
+    memory.ok_bits[slot] = memory.lapse_ok_bits[slot]
+    memory.invalidations[slot] -= 1
+    return enter_state(memory, slot, memory.lapse_ns[slot], state, changes)
 
 
 @array_kernel
@@ -156,7 +177,8 @@ def judge_messages(memory: E2eMemory, verdicts: FrameVerdicts, t_ns: Int64Array,
         if slot < 0 or reason >= _OTHER_CHANNEL:
             continue
         count += add_silence(memory, slot, t_ns[row], changes[count:])
-        for _ in range(min(missing, WINDOW)):
+        count += take_back_silence(memory, slot, verdicts.sequence[row], changes[count:])
+        for _ in range(min(missing % COUNTER_PERIOD, WINDOW) if missing > 0 else 0):
             count += add_check(memory, slot, t_ns[row], 0, 0, changes[count:])
         is_error = 1 if _SHORT <= reason <= _BAD_CRC else 0
         count += add_check(memory, slot, t_ns[row], 1 if reason == _OK else 0, is_error, changes[count:])
@@ -205,11 +227,15 @@ class E2eStates:
         self._memory.state[:] = _NO_DATA
         self._memory.ok_bits[:] = 0
         self._memory.error_bits[:] = 0
+        self._memory.lapse_state[:] = _NO_DATA
+        self._memory.sequence[:] = -1
         self._memory.heard_ns[:] = BEFORE_ALL_NS
 
     def judge(self, t_ns: Int64Array, verdicts: FrameVerdicts) -> tuple[E2eChange, ...]:
         """Return the changes of state that frames bring about, those by silence until the last of them included."""
-        room = np.empty((3 * len(t_ns) + len(self._names), 3), np.int64)  # by silence, by a loss, by the frame itself
+        room = np.empty(
+            (4 * len(t_ns) + len(self._names), 3), np.int64
+        )  # by silence, taken back, by a loss, by the frame
         count = judge_messages(self._memory, verdicts, t_ns, room)
         return tuple(
             E2eChange(t_ns=when, message=self._names[slot], state=E2eState(state))

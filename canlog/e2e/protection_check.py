@@ -234,6 +234,11 @@ class LinkMonitor:
         """Frames that the counter shows were sent but never came, by message, shape (m,)."""
         return self._totals.missing.copy()
 
+    @property
+    def held_back(self) -> Int64Array:
+        """Accepted frames that came in bursts, right behind a frame that was late, by message, shape (m,)."""
+        return self._links.held_back.copy()
+
     def senders(self, slot: int) -> Mapping[int, int]:
         """Return how many frames of a J1939 message each source address sent, on the channel that counts."""
         return _nonzero(self._origins.sender_frames[slot])

@@ -16,6 +16,7 @@ from diag_service.diagnosis.records import (
     ShiftEstimate,
     ShiftResult,
     Status,
+    reason_text,
 )
 from diag_service.diagnosis.summary import (
     Summary,
@@ -50,7 +51,7 @@ def gear_words(estimate: ShiftEstimate) -> str:
 def reason_words(estimate: ShiftEstimate) -> str:
     """Return why an event was not used; empty if there is no reason."""
     few = f"not enough samples in the slip ({estimate.sample_count} of at least {LEAST_SLIP_ROWS})"
-    return ", ".join(few if one is Reason.FEW_SAMPLES else one.value.replace("_", " ") for one in estimate.reasons)
+    return ", ".join(few if one is Reason.FEW_SAMPLES else reason_text(one) for one in estimate.reasons)
 
 
 _CONDITION_STYLE = {

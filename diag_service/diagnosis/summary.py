@@ -22,6 +22,7 @@ from diag_service.diagnosis.records import (
     Tier,
     clutch_record,
     order_record,
+    reason_text,
     shift_record,
     to_plain,
     utc_from_bus_ns,
@@ -75,6 +76,7 @@ class FrameCounts:
     queue_dropped: int = 0
     rejected: Mapping[str, int] = field(default_factory=dict)  # reason -> frames
     missing: int = 0  # never on this side of the bus, as alive counters tell
+    late: int = 0  # decoded, but held back on the way: they came in bursts
     invalid_values: int = 0  # not available or out of range, in decoded frames
     invalid: Mapping[str, Mapping[str, int]] = field(default_factory=dict)  # the same: signal -> reason -> values
     invalid_at_first: Mapping[str, int] = field(default_factory=dict)  # of these before a signal's first real value
@@ -300,6 +302,8 @@ def frames_line(frames: FrameCounts) -> str:
         parts.append(f"{frames.unsupported} neither CAN nor CAN FD")
     parts.append(f"{frames.kernel_dropped + frames.queue_dropped} dropped")
     parts.append(f"{frames.missing} missing")
+    if frames.late:
+        parts.append(f"{frames.late} late, in bursts")
     parts.append(f"{frames.invalid_values} values not available")
     if any(frames.unreadable.values()):
         parts.append(_with_reasons("unreadable in the log", frames.unreadable))
@@ -330,7 +334,7 @@ def shifts_line(summary: Summary) -> str:
     total = sum(summary.shifts.by_status.values())
     parts = [_with_reasons(f"{total} shifts", summary.shifts.by_status)]
     if any(summary.shifts.by_reason.values()):
-        parts.append(_with_reasons("reasons", summary.shifts.by_reason))
+        parts.append(_with_reasons("reasons", {reason_text(one): n for one, n in summary.shifts.by_reason.items()}))
     if summary.shifts.known_count:
         parts.append(f"{summary.shifts.known_count} were stored before")
     if summary.unpublished_count:

@@ -284,6 +284,7 @@ class Decoder:
             ignored=int(counts[FrameReason.UNKNOWN_ID]),
             rejected={reason.name.lower(): count for reason, count in _rejected(counts).items()},
             missing=int(self._monitor.missing.sum()),
+            late=int(self._monitor.held_back.sum()),
             invalid_values=sum(sum(reasons.values()) for reasons in invalid.values()),
             invalid=invalid,
             invalid_at_first={signal.value: count for signal, count in self._invalid_at_first.items() if count},

@@ -276,7 +276,7 @@ def quality_section(found: Findings) -> Section:
     by_status = {status.value: counts[status] for status in records.Status}
     tables = [_share_table("Quality of the data of the events", by_status, total)]
     if reasons:
-        named = {reason.value.replace("_", " "): count for reason, count in reasons.most_common()}
+        named = {records.reason_text(reason): count for reason, count in reasons.most_common()}
         tables.append(_share_table("Why events were not used", named, total))
     parts = _quality_rows(found.results)
     if parts:

@@ -5,7 +5,7 @@ part that cannot be judged, because the bus lacks its signals, is left out. Belo
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime
 from typing import Final
@@ -15,6 +15,7 @@ import numpy as np
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.alive_counter import row_period_ns
 from canlog.e2e.e2e_state import E2eState
+from canlog.e2e.profile1 import COUNTER_PERIOD
 from canlog.jit import array_kernel, inlined_kernel, kernel
 from clutch_model.calibration import Calibration, TorqueSource
 from diag_service.diagnosis.alignment import (
@@ -286,13 +287,24 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
         period_s = row_s if row_s and is_of_rows(series) else own_s
         silence_s = longest_silence_s(times_s, -2.0 * period_s, duration_s)
         if silence_s > limits.lost_periods * period_s:
-            return Reason.FRAMES_MISSING if is_whole else Reason.INTERRUPTED
+            return _why_silent(event, sampled, limits) if is_whole else Reason.INTERRUPTED
     oil_k = float(oil.value.mean())
     if not limits.oil_range_k[0] <= oil_k <= limits.oil_range_k[1]:
         return Reason.OUT_OF_RANGE
     of_torque, of_pressure = (event.columns[one].t_ns for one in (Signal.ENGINE_TORQUE, Signal.CLUTCH1_PRESSURE))
     skew_s = row_s if np.array_equal(of_torque, of_pressure) else min(row_s, ANSWER_S)  # asked values have own times
     return Samples(event=event, times=sampled, oil_k=oil_k, row_s=row_s, skew_s=skew_s)
+
+
+def _why_silent(event: Event, sampled: Iterable[Signal], limits: QualityLimits) -> Reason:
+    """Return whether frames were late in a silence: then all signals stood still, and no counter proves a loss."""
+    for series in (event.columns[one] for one in sampled):
+        proven = (np.diff(series.sequence) - 1) % COUNTER_PERIOD + 1
+        is_numbered = len(proven) > 0 and series.period_ns > 0 and series.sequence[0] >= 0
+        stood_ns = np.diff(series.t_ns).max(initial=0)
+        if not is_numbered or proven.max() > limits.lost_periods or stood_ns <= limits.lost_periods * series.period_ns:
+            return Reason.FRAMES_MISSING
+    return Reason.TIME_UNSURE
 
 
 def _row_s(event: Event, limits: QualityLimits) -> float:

@@ -229,7 +229,10 @@ class History:
         if len(batch.bad_frame_ns):
             self._bad_ns.append(batch.bad_frame_ns)
         for change in batch.e2e_changes:
-            self._e2e.setdefault(change.message, []).append(change)
+            changes = self._e2e.setdefault(change.message, [])
+            if changes and changes[-1].t_ns == change.t_ns:  # taken back
+                changes.pop()
+            changes.append(change)
         self.watermark_ns = max(self.watermark_ns, batch.watermark_ns)
 
     def samples(self, signal: Signal, start_ns: int, stop_ns: int) -> Series:

@@ -44,6 +44,7 @@ def good_frames() -> FrameAccount:
         rejected={},
         dropped=0,
         missing=0,
+        late=0,
     )
 
 

@@ -113,11 +113,18 @@ def test_a_loss_that_was_noticed_is_explained(frames: FrameAccount) -> None:
     assert complaints(with_frames(frames)) == []
 
 
+def test_a_frame_that_came_late_is_nobody_elses() -> None:
+    late = replace(good_frames(), missing=135, late=400, lateness_max_s=4.6)
+    assert complaints(with_frames(late)) == []
+    found = complaints(replace(with_shift(good_outcome(), 2, None), frames=late))
+    assert "too busy to send in time (at most 4.6 s late)" in found[-1]
+
+
 def test_the_account_takes_the_reports_of_both_programs() -> None:
     transmitted = {"frames_sent": 12, "frames_given_up": 1, "lateness_max_s": 0.002, "drift_ppm": 0.0}
     received = {
         "on_bus": 12, "decoded": 8, "ignored": 1, "rejected": {"bad_crc": 1}, "kernel_dropped": 1, "queue_dropped": 1,
-        "missing": 2, "invalid_values": 0,
+        "missing": 2, "late": 0, "invalid_values": 0,
     }  # fmt: skip
     account = frame_account(transmitted, received)
     assert (account.sent, account.arrived, account.dropped, account.unexplained) == (12, 10, 2, 0)

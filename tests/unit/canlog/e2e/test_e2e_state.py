@@ -157,6 +157,21 @@ def test_silence_is_found_at_the_same_moment_by_the_next_frame_and_by_frames_of_
     assert alone.states == watched.states == (INVALID,)
 
 
+def test_a_silence_is_taken_back_if_the_frame_after_it_is_the_very_next_one() -> None:
+    stage, lost = machine(), machine()
+    before = verdicts([OK] * WINDOW)._replace(sequence=np.arange(WINDOW))
+    for one in (stage, lost):
+        one.judge(on_time(WINDOW), before)
+    overdue_ns = (WINDOW - 1 + TIMEOUT_CYCLES) * CYCLE_NS
+    assert stage.judge(on_time(1, 40), verdicts([FrameReason.UNKNOWN_ID], slot=-1)) == (change(overdue_ns, INVALID),)
+    late = verdicts([OK])._replace(sequence=np.array([WINDOW]))
+    assert stage.judge(on_time(1, 41), late) == (change(overdue_ns, VALID),)
+    assert (stage.states, stage.invalidations) == ((VALID,), (0,))
+    later = verdicts([OK], [2])._replace(sequence=np.array([WINDOW + 2]))
+    assert lost.judge(on_time(1, 41), later) == (change(overdue_ns, INVALID),)
+    assert (lost.states, lost.invalidations) == ((INVALID,), (1,))
+
+
 def test_the_timeout_leaves_room_for_a_busy_machine_and_unknown_cycles_have_none() -> None:
     quick = E2eStates([NAME, "other"], [1_000_000, 0])
     quick.judge(on_time(1), verdicts([OK], slot=0))

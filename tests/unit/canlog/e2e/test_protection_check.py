@@ -185,6 +185,16 @@ def test_late_frames_in_a_burst_are_not_missing() -> None:
     assert (np.diff(verdicts.sequence) > 0).all()
 
 
+@pytest.mark.parametrize("step_ms", [0.1, 4.0, 6.0, 8.0])
+def test_late_frames_are_not_missing_however_slowly_they_catch_up(step_ms: float) -> None:
+    held = [210.0 + step_ms * k for k in range(100)]
+    times = [*range(0, 60, 10), *(max(at, 60.0 + 10.0 * k) for k, at in enumerate(held))]
+    link, verdicts = check(frames([k % 15 for k in range(len(times))], times))
+    assert reasons(verdicts) == [OK] * len(times)
+    assert link.missing.tolist() == [0]
+    assert link.held_back.tolist() == [sum(np.diff(times) < 5.0)]
+
+
 def test_loss_inside_a_burst_is_counted() -> None:
     numbers = [0, 1, 2, 3, 8, 9, 10, 11, 12]
     times = [0, 10, 110, 110.1, 110.2, 110.3, 110.4, 110.5, 120]
