@@ -13,7 +13,7 @@ from canlog.decode.codec import SignalRules, decode_signal, signal_rules
 from canlog.decode.signals import NO_INVALID, InvalidCounts, PayloadWords, pick_words
 from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
-from canlog.frames import ERROR_FLAG, MAX_GAP_NS, BusTrouble, FrameBatch, empty_batch, reports
+from canlog.frames import ERROR_FLAG, MAX_GAP_NS, BusTrouble, FrameBatch, empty_batch, is_error, reports
 from canlog.jit import array_kernel, inlined_kernel
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import BlockLayout, ColumnBatch, Columns, GearRatios, SampleBlock, Samples, Signal
@@ -353,9 +353,13 @@ class Decoder:
             return
         before_ns = batch.t_ns[0] if self.last_ns is None else self.last_ns
         steps_ns = np.diff(batch.t_ns, prepend=before_ns)
-        breaks = (steps_ns < 0) | (steps_ns > MAX_GAP_NS) | reports(batch, BusTrouble.BUS_OFF)
-        breaks[0] |= self._is_interrupted
-        jumps = np.flatnonzero(breaks).tolist()
+        is_jump = (steps_ns < 0) | (steps_ns > MAX_GAP_NS)
+        is_jump[0] |= self._is_interrupted
+        is_break = is_jump | reports(batch, BusTrouble.BUS_OFF)
+        # A controller that is off says so again and again: one stretch, until there is something else to hear.
+        heard = np.cumsum(~is_error(batch))
+        is_break[is_break] = is_jump[is_break] | (np.diff(heard[is_break], prepend=-1) > 0)
+        jumps = np.flatnonzero(is_break).tolist()
         self.last_ns = int(batch.t_ns[-1])
         self._is_interrupted = False
         starts = jumps if jumps[:1] == [0] else [0, *jumps]
