@@ -46,6 +46,13 @@ async def collect(source: FrameSource) -> list[FrameBatch]:
     return [part async for part in source if not isinstance(part, Silence)]
 
 
+async def received(source: FrameSource, count: int) -> None:
+    """Wait until so many frames have come, which python-can's transports may still carry."""
+    async with asyncio.timeout(HANG_S):
+        while source.counts.received < count:
+            await asyncio.sleep(0.01)
+
+
 def send(transport: Transport, frames: EncodedFrames) -> TransmitReport:
     chunks = [frames[first : first + 100] for first in range(0, len(frames), 100)]
     with open_bus(transport.interface, transport.channel) as bus:
@@ -56,7 +63,7 @@ async def transfer(transport: Transport, frames: EncodedFrames) -> tuple[FrameBa
     source = await BusOpener(transport.interface, transport.channel).open()
     collector = asyncio.create_task(collect(source))
     report = await asyncio.to_thread(send, transport, frames)
-    await asyncio.sleep(0.1)  # what python-can's transports still carry
+    await received(source, len(frames))
     await source.aclose()
     return join(await collector), source, report
 
@@ -84,7 +91,7 @@ async def test_a_source_reads_from_the_moment_it_is_open(transport: Transport) -
     frames = random_frames(50, mean_gap_s=20e-6)
     source = await BusOpener(transport.interface, transport.channel).open()
     await asyncio.to_thread(send, transport, frames)
-    await asyncio.sleep(0.1)
+    await received(source, len(frames))
     await source.aclose()
     assert_same_contents(join(await collect(source)), as_received(frames))
 
@@ -125,7 +132,7 @@ async def test_remote_and_error_frames_carry_their_flags(transport: Transport) -
     with open_bus(transport.interface, transport.channel) as bus:
         bus.send(can.Message(arbitration_id=0x123, is_extended_id=False, is_remote_frame=True, dlc=4))
         bus.send(can.Message(arbitration_id=0x40, is_extended_id=False, is_error_frame=True, dlc=8, data=bytes(8)))
-        await asyncio.sleep(0.2)
+        await received(source, 2)
     await source.aclose()
     batch = join(await collect(source))
     assert batch.can_id.tolist() == [0x4000_0123, 0x2000_0040]
@@ -141,7 +148,7 @@ async def test_can_fd_frames_keep_their_payload_and_flags(transport: Transport) 
         bus.send(can.Message(arbitration_id=0x124, is_extended_id=False, data=b"\x01"))
         bus.send(can.Message(arbitration_id=0x125, is_fd=True, bitrate_switch=True, data=long[:12]))
         bus.send(can.Message(arbitration_id=0x126, is_fd=True, error_state_indicator=True))
-        await asyncio.sleep(0.2)
+        await received(source, 4)
     await source.aclose()
     batch = join(await collect(source))
     assert batch.can_id.tolist() == [0x123, 0x124, 0x8000_0125, 0x8000_0126]

@@ -21,6 +21,7 @@ from ecu_emulator.cli import main
 from ecu_emulator.truth import read_truth, truth_path
 from tests.support.patience import HANG_S
 
+SOME_FRAMES = 600  # about a second of driving
 RECORD = ("--scenario", "noise_only", "--cycles", "1")
 
 
@@ -171,7 +172,7 @@ def test_a_live_drive_stops_cleanly_and_accounts_for_every_frame(
     handlers = [signal.getsignal(known) for known in (signal.SIGINT, signal.SIGTERM)]
     received: list[can.Message] = []
     with can.Bus(f"stop{number}", "virtual") as listener:
-        reader = threading.Thread(target=receive_then_kill, args=(listener, received, number))
+        reader = threading.Thread(target=receive_then_kill, args=(listener, received, number, truth_file))
         reader.start()
         assert main([*arguments, "--truth", str(truth_file), "--summary", str(summary_file)]) == 0
         reader.join()
@@ -181,22 +182,28 @@ def test_a_live_drive_stops_cleanly_and_accounts_for_every_frame(
     result = json.loads(captured.out)
     assert result == json.loads(summary_file.read_text(encoding="utf-8"))
     assert result["frames_sent"] == len(received)
-    assert (result["is_complete"], result["frames_given_up"], result["shifts"]) == (False, 0, 1)
+    assert (result["is_complete"], result["frames_given_up"]) == (False, 0)
     assert result["foreign_frames"] == 0
     assert "stopped early" in captured.err
     truth = read_truth(truth_file)
-    assert [shift.number for shift in truth.shifts] == [1]
+    assert [shift.number for shift in truth.shifts] == [*range(1, result["shifts"] + 1)]
+    assert 1 <= result["shifts"] < 10
     assert truth.totals is not None
     assert truth.totals.frames == len(received)
-    assert truth.shifts[0].t_end_s <= truth.totals.duration_s
+    assert truth.shifts[-1].t_end_s <= truth.totals.duration_s
     assert [signal.getsignal(known) for known in (signal.SIGINT, signal.SIGTERM)] == handlers
 
 
-def receive_then_kill(listener: can.BusABC, received: list[can.Message], number: signal.Signals) -> None:
-    """Receive three seconds of driving, which hold one shift, then ask the program to stop."""
+def receive_then_kill(
+    listener: can.BusABC, received: list[can.Message], number: signal.Signals, truth: Path | None = None
+) -> None:
+    """Receive a drive until it has sent a second's frames and, where there is its truth, told of a shift; then stop it.
+
+    However late a busy machine sends and receives, that has happened by then.
+    """
     while (message := listener.recv(timeout=HANG_S)) is not None:
         received.append(message)
-        if message.timestamp - received[0].timestamp > 3.0:
+        if len(received) >= SOME_FRAMES and (truth is None or '"shift"' in truth.read_text(encoding="utf-8")):
             os.kill(os.getpid(), number)
             return
 
