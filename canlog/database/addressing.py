@@ -32,6 +32,7 @@ _STANDARD_TABLE, _EXTENDED_TABLE, _GROUP_TABLE = range(3)  # in which messages a
 _SENDER_BITS: Final = 9
 _ANY_SENDER: Final = 0x100  # beside the 256 source addresses
 _EVERYBODY: Final = 0xFF  # the address of all; in a key of PDU 1 any destination
+LEAST_FIT: Final = 0.2  # a share: a right database knows most of a bus, or most of what it knows is there
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,6 +123,19 @@ def overwritten(addresses: Sequence[MessageAddress]) -> dict[int, int]:
     places = _places(addresses)
     last = {place: slot for slot, place in enumerate(places)}
     return {slot: last[place] for slot, place in enumerate(places) if last[place] != slot}
+
+
+def why_wrong(known: int, ids: int, came: int, messages: int) -> str:
+    """Return why a database is probably not that of a bus, empty if it may be: by chance, a few identifiers fit.
+
+    ``known`` of the ``ids`` of a log are in the database, and ``came`` of its ``messages`` are in the log.
+    """
+    if not ids or not messages or known >= LEAST_FIT * ids or came >= LEAST_FIT * messages:
+        return ""
+    return (
+        f"probably the wrong database: {known} of {ids} identifiers of the log are in it, and {came} of its {messages} "
+        "messages are in the log"
+    )
 
 
 def kernel_filters(addresses: Sequence[MessageAddress]) -> tuple[tuple[int, int], ...]:

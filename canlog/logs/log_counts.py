@@ -14,6 +14,7 @@ from canlog.jit import array_kernel
 from canlog.logs.frame_buffer import FrameRows, rows_of
 
 MOST_NOTES = 8
+NS_PER_S = 1_000_000_000
 FREE_BYTES = 256 * 2**20  # may be read before anything is found
 BYTES_PER_PIECE = 64 * 2**10  # a frame and all that comes with it take 20 to 200
 FREE_REJECTS = 200_000  # pieces that are no frames; some formats take 10 us for each
@@ -214,6 +215,10 @@ def _load_ratio(batch: FrameBatch) -> float:
     return busy_us / span_us if span_us else float("inf")
 
 
+WATCHED_FRAMES = 1_000  # from the first on
+LEAST_PER_S = 10  # of a bus, which a log of whole seconds does not tell apart
+WHOLE_SECONDS = "times are whole seconds, with many frames in each: too coarse for friction, which needs milliseconds"
+
 # What the steps from frame to frame come to.
 BACK, AHEAD, FIRST_JUMP, REPEATED, STEP_FIELDS = range(5)
 
@@ -224,14 +229,27 @@ class TimeWatch:
     def __init__(self, counts: LogCounts) -> None:
         self._counts = counts
         self._last: FrameBatch | None = None
+        self._first_ns: int | None = None  # None: not known, or times are finer than seconds
         self._seen = 0
 
     def look(self, batch: FrameBatch) -> None:
         if self._last is not None and not 0 < int(batch.t_ns[0]) - int(self._last.t_ns[0]) <= MAX_GAP_NS:
             self._look_inside(join([self._last, batch[:1]]), self._seen)
         self._look_inside(batch, self._seen + 1)
+        self._look_for_seconds(batch[: max(WATCHED_FRAMES - self._seen, 0)])
         self._last = batch[-1:]
         self._seen += len(batch)
+
+    def _look_for_seconds(self, batch: FrameBatch) -> None:
+        if len(batch) and self._seen == 0:
+            self._first_ns = int(batch.t_ns[0])
+        if not len(batch) or self._first_ns is None:
+            return
+        if (batch.t_ns % NS_PER_S).any():
+            self._first_ns = None
+        elif self._seen + len(batch) == WATCHED_FRAMES:
+            if (int(batch.t_ns[-1]) - self._first_ns) * LEAST_PER_S < WATCHED_FRAMES * NS_PER_S:
+                self._counts.note(WHOLE_SECONDS)
 
     def _look_inside(self, batch: FrameBatch, number: int) -> None:
         counts, steps = self._counts, np.zeros(STEP_FIELDS, np.int64)

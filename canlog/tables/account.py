@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import Int64Array
-from canlog.database.addressing import parameter_group
+from canlog.database.addressing import parameter_group, why_wrong
 from canlog.decode.codec import HAS_VALUES, Codec, FrameFate, MessageTable, MessageValues
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import LogCounts
@@ -155,6 +155,12 @@ class DecodeAccount:
         return sum(self.codec.knows(can_id) for can_id in self.frames_of_id)
 
     @property
+    def why_wrong(self) -> str:
+        """Why the database is probably that of another bus; empty if it may be the right one."""
+        messages = {self.names.messages[slot] for slot in self.seen_slots}
+        return why_wrong(self.known_count, len(self.frames_of_id), len(messages), len(self.codec.tables))
+
+    @property
     def knows_nothing(self) -> bool:
         """Whether there are data frames, and none is of the database, not even as a piece of a longer message."""
         return bool(self.frames_of_id) and not self.known_count and not self.long_counts
@@ -239,6 +245,8 @@ def remarks(account: DecodeAccount) -> Iterator[str]:
     short_count, unknown = account.fates[FrameFate.SHORT], account.unknown_ids
     if short_count and not any(counts.cut_off for counts in account.signals.values()):
         yield f"{short_count} frames are shorter than their message, but hold all its signals"
+    if account.why_wrong and not account.knows_nothing:
+        yield account.why_wrong
     if unknown and not account.knows_nothing:
         frames = {identifier_text(can_id): count for can_id, count in unknown}
         yield f"{len(unknown)} of {len(account.frames_of_id)} identifiers are not in the database: {listing(frames)}"

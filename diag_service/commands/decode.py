@@ -32,6 +32,8 @@ from fleet_contract import JsonObject
 _LOG = logging.getLogger(__name__)
 NOTHING_KNOWN: Final = "is it the right database? Try diag-service signals LOG --dbc FILE, which lists what it finds"
 
+BUILT_IN_FITS_NOT: Final = "the log is not of the emulated vehicle, whose database is used without --dbc: name that of this bus with --dbc FILE"
+
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Decode logs; a file appears when it is complete. Raises StoppedError if that was stopped."""
@@ -62,6 +64,9 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     else:
         _show(options, decoded, PeopleConsole(stderr=is_piped))
     lost = list(losses(decoded.account))
+    is_built_in = options.dbc is None and not any(reader.columns for reader in decoded.readers)
+    if is_built_in and (decoded.account.knows_nothing or decoded.account.why_wrong):
+        raise ConfigError(BUILT_IN_FITS_NOT)
     if options.strict and lost:
         more = f"; and {len(lost) - 1} more" if len(lost) > 1 else ""
         names = ", ".join(map(shown_name, options.logs))

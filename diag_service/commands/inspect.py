@@ -12,7 +12,7 @@ import numpy as np
 from cantools.database.can import Message
 
 from canlog.arrays import FloatArray
-from canlog.database.addressing import NOBODY, address_book, find_slot, message_address, overwritten
+from canlog.database.addressing import NOBODY, address_book, find_slot, message_address, overwritten, why_wrong
 from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.e2e.message_contract import message_contract
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
@@ -166,6 +166,8 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
             sys.stdout.write(inspection.to_json() + "\n")
         else:
             _show(inspection, options.bitrate, console)
+            if options.dbc is not None and (why := _why_wrong(inspection, messages)):
+                console.print(why)
         if not inspection.is_whole:
             raise StoppedError("stopped early: the last table covers only a part of the log")
 
@@ -273,6 +275,11 @@ def _names(messages: Sequence[Message], can_ids: AbstractSet[int]) -> dict[int, 
     book = address_book([addresses[slot] for slot in kept])
     slots = {can_id: find_slot(book, can_id) for can_id in can_ids if not can_id & (REMOTE_FLAG | ERROR_FLAG)}
     return {can_id: messages[kept[slot]].name for can_id, slot in slots.items() if slot != NOBODY}
+
+
+def _why_wrong(inspection: Inspection, messages: Sequence[Message]) -> str:
+    names, ids = inspection.names, {one.can_id for one in inspection.traffic.ids}
+    return why_wrong(len(ids & names.keys()), len(ids), len(set(names.values())), len(messages))
 
 
 def _show(inspection: Inspection, bitrate: int, console: PeopleConsole) -> None:

@@ -346,6 +346,8 @@ def capability_line(summary: Summary) -> str:
     """Return one line for people: what the signals suffice for and what is missing; empty where all is there."""
     capability = summary.capability
     has_shifts = any(summary.shifts.by_status.values())
+    if not has_shifts and not summary.frames.on_bus:
+        return "no frame came: check the channel, the bit rate, and whether the ignition is on"
     parts = [] if has_shifts else ["no shift was found"]
     if capability.tier is Tier.FRICTION and capability.torque.is_modelled:
         parts.append(TORQUE_TEXT[capability.torque])

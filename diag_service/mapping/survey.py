@@ -5,8 +5,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 from cantools.database.can import Database
 
+from canlog.database.addressing import why_wrong
 from canlog.database.signal_columns import columns_database
 from canlog.decode.codec import Codec
 from canlog.logs import STANDARD_INPUT, read_log, shown_name, table_columns
@@ -35,6 +37,7 @@ class Survey:
         self._counts: Counter[int] = Counter()  # by slot, as all here
         self._signals: dict[int, dict[str, proposal.SignalStatistics]] = {}
         self._ends_ns: list[int] = []  # first and last
+        self._ids: set[int] = set()
         self.frames = 0
         self.is_cut = False
 
@@ -51,6 +54,7 @@ class Survey:
                 ends_ns = [*self._ends_ns, int(batch.t_ns.min()), int(batch.t_ns.max())]
                 self._ends_ns = [min(ends_ns), max(ends_ns)]
                 self.frames += len(batch)
+                self._ids.update(np.unique(batch.can_id).tolist())
                 for found in self._codec.decode(batch):
                     self._counts[found.slot] += len(found.rows)
                     table, seen = self._codec.tables[found.slot], self._signals.setdefault(found.slot, {})
@@ -61,6 +65,12 @@ class Survey:
                         )
                         seen.setdefault(name, fresh).add(decoded)
         self.is_cut = reader.counts.truncated
+
+    @property
+    def why_wrong(self) -> str:
+        """Why the database is probably that of another bus; empty if it may be the right one."""
+        known = sum(map(self._codec.knows, self._ids))
+        return why_wrong(known, len(self._ids), len(self._counts), len(self._codec.tables))
 
     def statistics(self) -> list[proposal.SignalStatistics]:
         return [one for _, seen in sorted(self._signals.items()) for _, one in sorted(seen.items())]
@@ -113,6 +123,7 @@ def proposed_profile(
         "",
         *(["The log is cut off."] if survey.is_cut else []),
         f"{survey.frames} frames, {survey.unknown} of them not in the database.",
+        *([f"It is {why}."] if (why := survey.why_wrong) else []),
         *proposal.unfit_units(survey.statistics(), best),
         *survey.listing(),
         "",

@@ -91,6 +91,10 @@ ENOUGH_FRAMES: Final = 500  # judged by their counters; about a second of a bus
 SUSPICIOUS_SHARE: Final = 0.2  # two senders in turn come to about a half, one on a bad bus to a few percent
 _LOG = logging.getLogger(__name__)
 MAX_PENDING_COUNT = 1000
+FOREIGN_SHARE: Final = 0.99  # a message that is worth a profile is a percent of its bus at least
+FOREIGN = (
+    "only %d of %d frames are of messages of the profile: the database or profile is probably wrong for this vehicle"
+)
 NOTHING_KNOWN = (
     "no message of the profile was received; try 'diag-service signals LOG', with --dbc FILE for frames: it lists what "
     "a log holds and proposes a profile"
@@ -240,6 +244,8 @@ class Session:
         self.reporter.report(summary)
         if frames.on_bus and not frames.decoded and not frames.rejected_count:
             _LOG.log(NOTICE, "%s", NOTHING_KNOWN)
+        elif frames.on_bus >= ENOUGH_FRAMES and frames.ignored > FOREIGN_SHARE * frames.on_bus:
+            _LOG.warning(FOREIGN, frames.on_bus - frames.ignored, frames.on_bus)
         return summary
 
     def _note_fluid(self, event: Event) -> bool:
