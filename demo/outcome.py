@@ -10,7 +10,8 @@ from rich.table import Table
 from rich.text import Text
 
 from diag_service.delivery.console import condition_words
-from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult, reason_text
+from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult
+from diag_service.diagnosis.summary import reason_text
 from ecu_emulator.truth import ShiftTruth, TruthLog
 from fleet_contract import CLUTCHES
 

@@ -245,11 +245,11 @@ class TimeWatch:
             self._first_ns = int(batch.t_ns[0])
         if not len(batch) or self._first_ns is None:
             return
+        is_crowded = (int(batch.t_ns[-1]) - self._first_ns) * LEAST_PER_S < WATCHED_FRAMES * NS_PER_S
         if (batch.t_ns % NS_PER_S).any():
             self._first_ns = None
-        elif self._seen + len(batch) == WATCHED_FRAMES:
-            if (int(batch.t_ns[-1]) - self._first_ns) * LEAST_PER_S < WATCHED_FRAMES * NS_PER_S:
-                self._counts.note(WHOLE_SECONDS)
+        elif self._seen + len(batch) == WATCHED_FRAMES and is_crowded:
+            self._counts.note(WHOLE_SECONDS)
 
     def _look_inside(self, batch: FrameBatch, number: int) -> None:
         counts, steps = self._counts, np.zeros(STEP_FIELDS, np.int64)

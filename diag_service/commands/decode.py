@@ -32,7 +32,10 @@ from fleet_contract import JsonObject
 _LOG = logging.getLogger(__name__)
 NOTHING_KNOWN: Final = "is it the right database? Try diag-service signals LOG --dbc FILE, which lists what it finds"
 
-BUILT_IN_FITS_NOT: Final = "the log is not of the emulated vehicle, whose database is used without --dbc: name that of this bus with --dbc FILE"
+BUILT_IN_FITS_NOT: Final = (
+    "the log is not of the emulated vehicle, whose database is used without --dbc: "
+    "name that of this bus with --dbc FILE"
+)
 
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:

@@ -16,7 +16,6 @@ from diag_service.diagnosis.records import (
     ShiftEstimate,
     ShiftResult,
     Status,
-    reason_text,
 )
 from diag_service.diagnosis.summary import (
     Summary,
@@ -26,6 +25,7 @@ from diag_service.diagnosis.summary import (
     gaps_line,
     newest_causes,
     ratio_line,
+    reason_text,
     scale_free_lines,
     shifts_line,
     slope_line,

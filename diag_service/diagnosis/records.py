@@ -96,11 +96,6 @@ class Reason(StrEnum):
     LOW_DATA_QUALITY = "low_trust"  # each flaw alone would pass, together they do not
 
 
-def reason_text(reason: str) -> str:
-    """Return the value of a reason for people."""
-    return "frames late" if reason == Reason.TIME_UNSURE else reason.replace("_", " ")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrictionEstimate:
     """Friction coefficients of one clutch with their uncertainty.

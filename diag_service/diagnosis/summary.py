@@ -17,12 +17,12 @@ from diag_service.diagnosis.records import (
     ClutchVerdict,
     Condition,
     FluidFill,
+    Reason,
     ShiftResult,
     ShiftStatistics,
     Tier,
     clutch_record,
     order_record,
-    reason_text,
     shift_record,
     to_plain,
     utc_from_bus_ns,
@@ -327,6 +327,11 @@ def values_line(frames: FrameCounts) -> str:
     if count == 1:
         values = "1 value of 1 signal was no measurement"
     return f"{values} after the first real one: {named}{more}"
+
+
+def reason_text(reason: str) -> str:
+    """Return the value of a reason for people."""
+    return "frames late" if reason == Reason.TIME_UNSURE else reason.replace("_", " ")
 
 
 def shifts_line(summary: Summary) -> str:

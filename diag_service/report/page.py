@@ -24,6 +24,7 @@ from diag_service.diagnosis.summary import (
     frames_line,
     gaps_line,
     newest_causes,
+    reason_text,
     summary_record,
     values_line,
 )
@@ -276,7 +277,7 @@ def quality_section(found: Findings) -> Section:
     by_status = {status.value: counts[status] for status in records.Status}
     tables = [_share_table("Quality of the data of the events", by_status, total)]
     if reasons:
-        named = {records.reason_text(reason): count for reason, count in reasons.most_common()}
+        named = {reason_text(reason): count for reason, count in reasons.most_common()}
         tables.append(_share_table("Why events were not used", named, total))
     parts = _quality_rows(found.results)
     if parts:

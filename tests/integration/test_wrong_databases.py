@@ -1,4 +1,4 @@
-"""A database of another bus is called what it is, a silent bus is told as silent, and times that are too coarse as such."""
+"""A database of another bus, a silent bus and times that are too coarse are called what they are."""
 
 from pathlib import Path
 from types import SimpleNamespace

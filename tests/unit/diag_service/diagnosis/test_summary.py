@@ -23,7 +23,7 @@ MISSING = "friction needs clutch1_pressure_pa"
 
 
 def summary_of(
-    frames: FrameCounts = FrameCounts(),  # noqa: B008 - it cannot be changed
+    frames: FrameCounts = FrameCounts(on_bus=1, ignored=1),  # noqa: B008 - it cannot be changed
     capability: Capability = Capability(),  # noqa: B008 - likewise
     shifts: ShiftStatistics = ShiftStatistics(),  # noqa: B008 - likewise
 ) -> Summary:
