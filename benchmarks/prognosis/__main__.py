@@ -2,6 +2,7 @@
 
     python -m benchmarks.prognosis --lives 200 --jobs 2
     python -m benchmarks.prognosis --simulators --lives 400     # lives by other laws, beside a line and a constant life
+    python -m benchmarks.prognosis --kinds --lives 400          # even, in bursts, after a fill, with a late knee
     python -m benchmarks.prognosis --decompose                  # what limits the median, trouble by trouble
     python -m benchmarks.prognosis --population                 # what a fleet teaches
     python -m benchmarks.prognosis --lots --lives 480           # whether a bad lot of vehicles is found in time
@@ -29,6 +30,7 @@ from benchmarks.prognosis.error_model import errors_table, rows_of
 from benchmarks.prognosis.evaluation import LATE_MARKS, MARKS, METHODS, Account, Forecast, account_of
 from benchmarks.prognosis.fills import fill_account_of, fills_table
 from benchmarks.prognosis.fleets import TYPES, population_tables
+from benchmarks.prognosis.kinds import kind_looks, kinds_table
 from benchmarks.prognosis.lives import life_km_of, life_of
 from benchmarks.prognosis.lots import lots_table, stock_of
 from benchmarks.prognosis.scores import crps, is_covered, is_near
@@ -191,6 +193,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     other = parser.add_mutually_exclusive_group()
     other.add_argument("--simulators", action="store_true", help="lives by three sets of laws")
+    other.add_argument("--kinds", action="store_true", help="four kinds of lives by plain laws, beside two rivals")
     other.add_argument("--decompose", action="store_true", help="what limits the median, trouble by trouble")
     other.add_argument(
         "--error-model", action="store_true", help="errors of the lives beside those of whole simulated drives"
@@ -210,6 +213,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.simulators:
         for table in simulators_tables(seeds, partial(each, jobs=arguments.jobs)):
             console.print(table)
+    elif arguments.kinds:
+        console.print(kinds_table([look for looks in each(kind_looks, seeds, arguments.jobs) for look in looks]))
     elif arguments.decompose:
         console.print(decomposition_table(seeds, partial(each, jobs=arguments.jobs)))
     elif arguments.error_model:

@@ -17,15 +17,22 @@ NEW_WITHIN_M: Final = 5.0e6  # a fluid first seen within 5,000 km of its fill co
 SERVICE_DISTANCE_M: Final = 1.5e7  # to the next service, where nobody says another
 
 # How the work of a fluid may count; each with its probability before any result.
-HEATS_PER_K: Final = {0.0: 0.35, 0.017: 0.25, 0.04: 0.2, 0.07: 0.2}  # exp(this * kelvins of oil): twice in 40, 17, 10 K
-SHAPES: Final = {0.5: 0.07, 0.7: 0.10, 1.0: 0.55, 1.3: 0.14, 1.7: 0.14}  # wear is a power of the work: below 1 it slows
+HEATS_PER_K: Final = {0.0: 0.4, 0.017: 0.25, 0.04: 0.2, 0.07: 0.15}  # exp(this * kelvins of oil): twice in 40, 17, 10 K
+SHAPES: Final = {0.5: 0.02, 0.7: 0.04, 1.0: 0.86, 1.3: 0.04, 1.7: 0.04}  # wear is a power of the work: below 1 it slows
 ENERGY_PROBABILITY: Final = 0.4  # that the work counts by the energy of slip, not by distance alone
-RANDOMNESS: Final = {0.0: 0.35, 0.05: 0.4, 0.12: 0.25}  # random wear after a usual life, as a share of the usual wear
+RANDOMNESS: Final = {
+    0.0: 0.72,
+    0.05: 0.12,
+    0.12: 0.09,
+    0.25: 0.07,
+}  # random wear after a usual life, as a share of the usual wear
 USUAL_LIFE_M: Final = 9.5e7  # at which all shapes have the same wear
 
-KNEE_PROBABILITY: Final = 0.35  # that the rate has changed once while this fluid was in
-# Factor of the rate: chance that it comes before the end.
-FUTURE_BENDS: Final = {0.6: 0.03, 1.5: 0.16, 2.5: 0.08, 4.5: 0.16}
+KNEE_PROBABILITY: Final = 0.2  # that the rate has changed once while this fluid was in
+BENT_LOG_STD: Final = 0.9  # of the factor by which it changed, natural logarithm
+# Factor of the mean rate of what is left, by a knee at hand or far: its chance.
+FUTURE_BENDS: Final = {2.5: 0.03, 4.5: 0.08}
+LIFE_LOG_STD: Final = 0.4  # of whole lives, bends and all, natural logarithm
 LOAD_LOG_STD: Final = 0.05  # future against recent load, natural logarithm
 NEXT_FLUID_LOG_STD: Final = 0.35  # ageing rate of one vehicle from fluid to fluid
 

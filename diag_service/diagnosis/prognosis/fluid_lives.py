@@ -12,6 +12,7 @@ from diag_service.diagnosis.prognosis import trend
 from diag_service.diagnosis.prognosis.assumptions import (
     LEAST_ROWS,
     LEVEL_OF_NEW,
+    LIFE_LOG_STD,
     MARGIN_OF_NEW,
     NEW_WITHIN_M,
     NEXT_FLUID_LOG_STD,
@@ -67,6 +68,7 @@ class FluidLife:
     first: int  # row
     stop: int  # row after the last
     distance_m: float
+    usual: trend.UsualLife | None  # of its kind; None: how old it is is not known
     channels: dict[ChannelName, AgedChannel]
 
 
@@ -82,17 +84,27 @@ def fluid_lives(
         is_new = _is_new(history, start)
         clocks = clocks_of(history, start.row, stop, is_new=is_new)
         before = next((life for life in reversed(lives) if life.is_new), None)
+        priors = {name: _prior(name, before, peers, is_new=is_new) for name in ChannelName}
         channels = {
-            one.name: _aged_channel(one, clocks, _prior(one.name, before, peers, is_new=is_new))
+            one.name: _aged_channel(one, clocks, priors[one.name])
             for one in channels_of(history, start.row, stop, reference, clocks)
         }
+        margin = priors[ChannelName.MARGIN]
+        distance_m = float(history.odometer_m[stop - 1] - history.odometer_m[start.row])
         lives.append(
             FluidLife(
                 is_new=is_new,
                 is_noted=start.is_noted,
                 first=start.row,
                 stop=stop,
-                distance_m=float(history.odometer_m[stop - 1] - history.odometer_m[start.row]),
+                distance_m=distance_m,
+                usual=trend.UsualLife(
+                    age_m=distance_m,
+                    median_m=margin.start / margin.typical_rate_per_m,
+                    log_std=min(margin.typical_log_std, LIFE_LOG_STD),
+                )
+                if is_new
+                else None,
                 channels=channels,
             )
         )
@@ -131,6 +143,8 @@ def _aged_channel(channel: Channel, clocks: tuple[Clock, ...], prior: ChannelPri
     random_per_m = (prior.usual_wear * np.array(list(RANDOMNESS))) ** 2 / USUAL_LIFE_M
     log_prior = np.add.outer([one.log_prior for one in clocks], np.log(list(RANDOMNESS.values())))
     likely = log_prior + trend.log_evidence(channel, prior, random_per_m)
+    plainest, least = int(np.argmax(likely[0])), likely.max() + LEAST_LOG_EVIDENCE
+    likely[0, 0] = np.inf  # even wear by distance is always tried: without its bends a knee looks like random wear
 
     def fitted(clock: int, amount: int) -> trend.Fit:
         return trend.fit(channel, clock, float(clocks[clock].age_m[-1]), prior, float(random_per_m[amount]))
@@ -138,7 +152,7 @@ def _aged_channel(channel: Channel, clocks: tuple[Clock, ...], prior: ChannelPri
     mixtures, evidence = [], []
     for place in np.argsort(-likely, axis=None)[:MOST_CLOCKS]:
         clock, amount = divmod(int(place), len(random_per_m))
-        if likely[clock, amount] < likely.max() + LEAST_LOG_EVIDENCE:
+        if likely[clock, amount] < least:
             break
         mixture, of_ageing = trend.aged(fitted(clock, amount), prior, clocks[clock], float(random_per_m[amount]))
         mixtures.append(mixture)
@@ -146,7 +160,7 @@ def _aged_channel(channel: Channel, clocks: tuple[Clock, ...], prior: ChannelPri
     share = np.exp(np.array(evidence) - max(evidence))
     share /= share.sum()
     return AgedChannel(
-        by_distance=fitted(0, int(np.argmax(likely[0]))),
+        by_distance=fitted(0, plainest),
         mixtures=tuple(
             replace(one, weight=one.weight * part) for one, part in zip(mixtures, share.tolist(), strict=True)
         ),

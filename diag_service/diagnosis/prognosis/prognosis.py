@@ -166,7 +166,7 @@ def prognose(
     energy_per_m = None if energy_j is None else float(np.mean(energy_j[-120:])) * events_per_m
     bends = FUTURE_BENDS if peers is None else peers.bends
     watch = either(today, WATCH_MARGIN_RATIO, WATCH_LEVEL_RATIO).bent(bends)
-    change = either(today, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO).bent(bends)
+    change = either(today, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO).bent(bends, today.usual)
     return replace(
         blank,
         outlook=Outlook.AGEING if sure >= SURE_OF_AGEING else Outlook.NO_TREND,

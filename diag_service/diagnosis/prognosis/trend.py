@@ -12,7 +12,13 @@ from typing import Final, Self
 import numpy as np
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.prognosis.assumptions import HORIZON_M, KNEE_PROBABILITY, LOAD_LOG_STD, ChannelPrior
+from diag_service.diagnosis.prognosis.assumptions import (
+    BENT_LOG_STD,
+    HORIZON_M,
+    KNEE_PROBABILITY,
+    LOAD_LOG_STD,
+    ChannelPrior,
+)
 from diag_service.diagnosis.prognosis.channels import DISTANCE_M, Bins, Channel, Clock
 
 KNEE_SHARES: Final = (0.1, 0.3, 0.5, 0.65, 0.75, 0.85, 0.9, 0.95)  # of the age, where a bend is looked for
@@ -96,7 +102,8 @@ def _log_knee_prior(count: int) -> FloatArray:
         return np.zeros(1)
     shares = np.array(KNEE_SHARES)
     edges = np.concatenate(([0.0], 0.5 * (shares[1:] + shares[:-1]), [1.0]))  # a bend may come at any distance
-    return np.asarray(np.log([1.0 - KNEE_PROBABILITY, *KNEE_PROBABILITY * np.diff(edges)]), np.float64)
+    late = np.diff(edges**3)  # by wear so far, knees become likelier
+    return np.asarray(np.log([1.0 - KNEE_PROBABILITY, *KNEE_PROBABILITY * late]), np.float64)
 
 
 def _warmth(bins: Bins, prior: ChannelPrior) -> tuple[float, float]:
@@ -207,7 +214,9 @@ def aged(one: Fit, prior: ChannelPrior, clock: Clock, random_per_m: float) -> tu
     log_weight = one.log_evidence[:, None] - 0.5 * RATE_STEPS**2
     variance = one.prior_rate_variance[:, None]
     without_sign = -0.5 * (rate**2 / variance + np.log(variance))
-    log_weight = log_weight + _log_ageing(rate, prior) - without_sign
+    # What is usual says little of the rate after a bend: a knee makes it several times as large.
+    log_std = np.array([prior.typical_log_std, *np.full(len(mean) - 1, np.hypot(prior.typical_log_std, BENT_LOG_STD))])
+    log_weight = log_weight + _log_ageing(rate, prior, log_std[:, None]) - without_sign
     top = float(log_weight.max())
     if not np.isfinite(top):
         # Results say that friction rises: as slow an ageing as is known.
@@ -249,17 +258,33 @@ def _mixture(
     )
 
 
-def _log_ageing(rate: FloatArray, prior: ChannelPrior) -> FloatArray:
+def _log_ageing(rate: FloatArray, prior: ChannelPrior, log_std: FloatArray) -> FloatArray:
     """Return the logarithm of the density of rates of fluids, up to a constant: losses are log-normal."""
     loss = np.where(rate < 0.0, -rate, 1.0)
-    distance = (np.log(loss) - np.log(prior.typical_rate_per_m)) / prior.typical_log_std
-    density = -0.5 * distance**2 - np.log(loss) - np.log(prior.typical_log_std)
+    distance = (np.log(loss) - np.log(prior.typical_rate_per_m)) / log_std
+    density = -0.5 * distance**2 - np.log(loss) - np.log(log_std)
     return np.asarray(np.where(rate < 0.0, density, -np.inf))
 
 
-_BEND_EDGES: Final = np.array([0.0, 0.08, 0.2, 0.4, 0.65, 1.0])  # parts of what is left
-_LOADS: Final = (-1.5, -0.5, 0.5, 1.5)  # standard deviations of the load
-_LOAD_WEIGHTS: Final = (0.159, 0.341, 0.341, 0.159)  # of the normal distribution beyond one, and below
+_LOADS: Final = np.array([-1.5, -0.5, 0.5, 1.5])  # standard deviations of the load
+_LOAD_WEIGHTS: Final = np.array([0.159, 0.341, 0.341, 0.159])  # of the normal distribution beyond one, and below
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UsualLife:
+    """How long a fluid lasts as a rule, and how old this one is: what a bend would make of its life.
+
+    The logarithm of a life has Student's distribution with three degrees of freedom: some fluids last far longer.
+    """
+
+    age_m: float
+    median_m: float
+    log_std: float
+
+    def log_density(self, left_m: FloatArray) -> FloatArray:
+        """Return how likely it is that so much is left, up to a constant."""
+        z = np.log(np.maximum(self.age_m + left_m, 1.0) / self.median_m) / self.log_std
+        return np.asarray(-2.0 * np.log1p(z**2 / 3.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -292,24 +317,26 @@ class Passage:
         neither = (1.0 - self.probability) * (1.0 - other.probability)
         return Passage(distance_m=self.distance_m, probability=1.0 - neither)
 
-    def bent(self, bends: Mapping[float, float]) -> "Passage":
+    def bent(self, bends: Mapping[float, float], usual: UsualLife | None = None) -> "Passage":
         """Return the same, widened by what is still to come: factors by which the rate may change, their chances."""
-        return Passage(distance_m=self.distance_m, probability=self.bent_within(self.distance_m, bends))
+        return Passage(distance_m=self.distance_m, probability=self.bent_within(self.distance_m, bends, usual))
 
-    def bent_within(self, distance_m: FloatArray, bends: Mapping[float, float]) -> FloatArray:
+    def bent_within(
+        self, distance_m: FloatArray, bends: Mapping[float, float], usual: UsualLife | None = None
+    ) -> FloatArray:
         """Return the probability to pass the limit within each distance, if the load or the rate may still change.
 
-        Either makes the clock of ageing run faster or slower: as if more or less were driven. Where a bend comes is
-        counted in what is left, so that a fluid near its end is as likely to bend before it as a newer one.
+        Either makes the clock of ageing run faster or slower, as if more or less were driven: a factor is that of the
+        mean rate of what is left. A bend is the likelier, the more usual it makes the whole life.
         """
-        left_m = float(self.quantiles_m(np.array([0.5]))[0])
-        total = np.zeros_like(distance_m)
-        for load, load_weight in zip(_LOADS, _LOAD_WEIGHTS, strict=True):
-            driven_m = distance_m * np.exp(load * LOAD_LOG_STD)
-            for share, factor, weight in _scenarios(bends):
-                aged_m = driven_m + (factor - 1.0) * np.maximum(driven_m - share * left_m, 0.0)
-                total += load_weight * weight * np.interp(aged_m, self.distance_m, self.probability)
-        return np.minimum(total, 1.0)
+        factor = np.array([1.0, *bends])
+        log_weight = np.log(np.maximum([1.0 - sum(bends.values()), *bends.values()], 1e-300))
+        if usual is not None:
+            log_weight += usual.log_density(self.quantiles_m(np.array([0.5])) / factor)
+        weight = np.exp(log_weight - log_weight.max())
+        driven_m = np.multiply.outer(distance_m, np.multiply.outer(factor, np.exp(_LOADS * LOAD_LOG_STD)))
+        passed = np.interp(driven_m, self.distance_m, self.probability)
+        return np.minimum(passed @ _LOAD_WEIGHTS @ (weight / weight.sum()), 1.0)
 
 
 def passage(mixtures: Sequence[Mixture], limits: Sequence[tuple[float, float]]) -> Passage:
@@ -338,17 +365,6 @@ def _steady(mixture: Mixture, limit: float, start_share: float) -> FloatArray:
     mean = now[:, None] + mixture.rate_per_m[:, None] * ahead_m
     spread = np.maximum(variance, 1e-12)[:, None] + mixture.wander * ahead_m**3 / 3.0 + mixture.random_per_m * ahead_m
     return np.asarray(mixture.weight @ normal_cdf((limit - mean) / np.sqrt(spread)))
-
-
-def _scenarios(bends: Mapping[float, float]) -> tuple[tuple[float, float, float], ...]:
-    """Return at which part of what is left the rate may change, by which factor, and how likely that is."""
-    middles, widths = 0.5 * (_BEND_EDGES[1:] + _BEND_EDGES[:-1]), np.diff(_BEND_EDGES)
-    later = [
-        (float(share), factor, chance * float(width))
-        for share, width in zip(middles, widths, strict=True)
-        for factor, chance in bends.items()
-    ]
-    return (0.0, 1.0, 1.0 - sum(bends.values())), *later
 
 
 def normal_cdf(value: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.prognosis.__main__ import main
 from benchmarks.prognosis.baselines import fixed_interval, fleet, logistic_index, whole_line
+from benchmarks.prognosis.kinds import KINDS, Kind, kind_life_of, straight_line, usual_life
 from benchmarks.prognosis.lives import DRIVEN_KM, Life, life_of
 from benchmarks.prognosis.scores import PROBABILITIES, crps, is_covered, is_near
 from benchmarks.prognosis.truth import Stratum
@@ -100,4 +101,29 @@ def test_the_command_prints_its_three_tables(capsys: pytest.CaptureFixture[str])
     assert main(["--lives", "1", "--seed", "907"]) == 0
     text = capsys.readouterr().out
     for expected in ("1 lives, seeds from 907", "All lives", "By kind of life", "forgotten fills found within 15"):
+        assert expected in text
+
+
+def test_four_kinds_of_lives_wear_from_new_to_nothing_and_repeat() -> None:
+    for kind, life in zip(KINDS, map(kind_life_of, range(900, 904)), strict=True):
+        assert life.kind is kind
+        assert len(life.until(0.25)) < len(life.until(0.9)) < len(life.history)
+        assert (life.begin_km > 0.0) is (kind is Kind.FILL)
+        assert (life.knee_share < 1.0) is (kind is Kind.LATE_KNEE)
+    np.testing.assert_array_equal(kind_life_of(900).history.mu_c, kind_life_of(900).history.mu_c)
+
+
+def test_the_rivals_know_even_lives_and_what_is_usual() -> None:
+    life = kind_life_of(900)
+    quantiles, number_km = straight_line(life.until(0.9))
+    assert quantiles[0] < number_km < quantiles[-1]
+    assert number_km == pytest.approx(0.1 * life.life_km, rel=0.5)
+    assert np.median(usual_life(1.0)) == pytest.approx(85_000.0, rel=0.01)
+    assert 0.0 <= usual_life(150_000.0)[0] < np.median(usual_life(150_000.0)) < 60_000.0
+
+
+def test_the_command_compares_four_kinds_with_both_rivals(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--kinds", "--lives", "4", "--seed", "900"]) == 0
+    text = capsys.readouterr().out
+    for expected in ("linear", "bursts", "noted fill", "late knee", "knee + 5 %"):
         assert expected in text

@@ -154,3 +154,54 @@ def test_a_scale_that_both_coefficients_share_does_not_move_the_end_of_the_margi
     margin = prognose(1, shared, REFERENCE).margin
     assert margin is not None
     assert margin.now.std < 0.025  # what they do not share is 0.015 of new fluid's margin, all of it 0.05
+
+
+def with_late_knee(share: float, *, factor: float = 3.5, knee: float = 0.77, count: int = 800) -> tuple[History, float]:
+    """Return the past at a share of a life whose wear becomes some times as fast, and what is left of it [m]."""
+    at = np.arange(count) / count
+    worn = at + (factor - 1.0) * np.maximum(at - knee, 0.0)
+    margin = 1.0 - worn / (1.0 + (factor - 1.0) * (1.0 - knee))
+    return past(margin, step_m=STEP_M).first(int(share * count)), (1.0 - share) * count * STEP_M
+
+
+@pytest.mark.parametrize("share", [0.5, 0.65, 0.75])
+def test_a_late_knee_to_come_is_inside_the_interval(share: float) -> None:
+    history, left_m = with_late_knee(share)
+    early_m, late_m = reach(prognose(1, history, REFERENCE)).passage.quantiles_m(np.array([0.05, 0.95]))
+    assert early_m < left_m < late_m
+
+
+def test_a_late_knee_is_followed_within_a_tenth_of_the_life() -> None:
+    history, left_m = with_late_knee(0.85, knee=0.75)
+    assert distance_m(reach(prognose(1, history, REFERENCE)).p50_m) < 2.0 * left_m
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_even_wear_is_foretold_hardly_shorter_for_the_knees_that_may_come(seed: int) -> None:
+    change = reach(prognose(1, past(ageing(COUNT, until=0.4), step_m=STEP_M, seed=seed), REFERENCE))
+    truth_m = 0.4 / 0.6 * STEP_M * COUNT
+    assert distance_m(change.p50_m) == pytest.approx(truth_m, rel=0.15)
+    assert distance_m(change.p10_m) > 0.5 * truth_m
+
+
+@pytest.mark.parametrize("step_m", [5.0e4, 2.0e5])
+def test_more_wear_over_the_same_distance_makes_a_life_shorter(step_m: float) -> None:
+    medians_m = [
+        distance_m(reach(prognose(1, past(ageing(COUNT, until=until), step_m=step_m), REFERENCE)).p50_m)
+        for until in (0.7, 0.5, 0.3, 0.1)
+    ]
+    assert medians_m == sorted(medians_m, reverse=True)
+
+
+def test_where_the_odometer_began_does_not_matter() -> None:
+    own = past(ageing(COUNT), step_m=STEP_M)
+    moved = replace(own, odometer_m=own.odometer_m + 2.0e8)
+    one, other = (reach(prognose(1, history, REFERENCE)).passage.probability for history in (own, moved))
+    np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+def test_a_bend_that_makes_a_life_usual_is_likelier() -> None:
+    history = past(ageing(COUNT, until=0.8), step_m=STEP_M)  # 160,000 km are left
+    change = reach(prognose(1, history, REFERENCE))
+    unknown = reach(prognose(1, replace(history, new_fluids=()), REFERENCE))
+    assert change.passage.within(8.0e7) > 1.2 * unknown.passage.within(8.0e7)
