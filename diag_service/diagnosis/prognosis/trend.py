@@ -272,19 +272,11 @@ _LOAD_WEIGHTS: Final = np.array([0.159, 0.341, 0.341, 0.159])  # of the normal d
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UsualLife:
-    """How long a fluid lasts as a rule, and how old this one is: what a bend would make of its life.
-
-    The logarithm of a life has Student's distribution with three degrees of freedom: some fluids last far longer.
-    """
+    """How old a fluid is and how long one lasts as a rule: the logarithm has Student's distribution, 3 degrees."""
 
     age_m: float
     median_m: float
     log_std: float
-
-    def log_density(self, left_m: FloatArray) -> FloatArray:
-        """Return how likely it is that so much is left, up to a constant."""
-        z = np.log(np.maximum(self.age_m + left_m, 1.0) / self.median_m) / self.log_std
-        return np.asarray(-2.0 * np.log1p(z**2 / 3.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -332,7 +324,8 @@ class Passage:
         factor = np.array([1.0, *bends])
         log_weight = np.log(np.maximum([1.0 - sum(bends.values()), *bends.values()], 1e-300))
         if usual is not None:
-            log_weight += usual.log_density(self.quantiles_m(np.array([0.5])) / factor)
+            life_m = usual.age_m + self.quantiles_m(np.array([0.5])) / factor
+            log_weight -= 2.0 * np.log1p((np.log(np.maximum(life_m, 1.0) / usual.median_m) / usual.log_std) ** 2 / 3.0)
         weight = np.exp(log_weight - log_weight.max())
         driven_m = np.multiply.outer(distance_m, np.multiply.outer(factor, np.exp(_LOADS * LOAD_LOG_STD)))
         passed = np.interp(driven_m, self.distance_m, self.probability)
