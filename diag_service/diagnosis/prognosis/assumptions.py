@@ -31,7 +31,7 @@ USUAL_LIFE_M: Final = 9.5e7  # at which all shapes have the same wear
 KNEE_PROBABILITY: Final = 0.2  # that the rate has changed once while this fluid was in
 BENT_LOG_STD: Final = 0.9  # of the factor by which it changed, natural logarithm
 # Factor of the mean rate of what is left, by a knee at hand or far: its chance.
-FUTURE_BENDS: Final = {2.5: 0.03, 4.5: 0.08}
+FUTURE_BENDS: Final = {2.5: 0.02, 4.5: 0.065}
 LIFE_LOG_STD: Final = 0.4  # of whole lives, bends and all, natural logarithm
 LOAD_LOG_STD: Final = 0.05  # future against recent load, natural logarithm
 NEXT_FLUID_LOG_STD: Final = 0.35  # ageing rate of one vehicle from fluid to fluid

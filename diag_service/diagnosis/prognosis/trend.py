@@ -319,17 +319,18 @@ class Passage:
         """Return the probability to pass the limit within each distance, if the load or the rate may still change.
 
         Either makes the clock of ageing run faster or slower, as if more or less were driven: a factor is that of the
-        mean rate of what is left. A bend is the likelier, the more usual it makes the whole life.
+        mean rate of what is left. A bend is likelier where it makes the whole life more usual.
         """
         factor = np.array([1.0, *bends])
         log_weight = np.log(np.maximum([1.0 - sum(bends.values()), *bends.values()], 1e-300))
         if usual is not None:
-            life_m = usual.age_m + self.quantiles_m(np.array([0.5])) / factor
-            log_weight -= 2.0 * np.log1p((np.log(np.maximum(life_m, 1.0) / usual.median_m) / usual.log_std) ** 2 / 3.0)
+            life_m = np.maximum(usual.age_m + self.quantiles_m(np.array([0.5])) / factor, 1.0)
+            log_density = -2.0 * np.log1p((np.log(life_m / usual.median_m) / usual.log_std) ** 2 / 3.0)
+            log_weight += np.maximum(log_density - log_density[0], 0.0)
         weight = np.exp(log_weight - log_weight.max())
         driven_m = np.multiply.outer(distance_m, np.multiply.outer(factor, np.exp(_LOADS * LOAD_LOG_STD)))
         passed = np.interp(driven_m, self.distance_m, self.probability)
-        return np.minimum(passed @ _LOAD_WEIGHTS @ (weight / weight.sum()), 1.0)
+        return np.asarray(np.minimum(passed @ _LOAD_WEIGHTS @ (weight / weight.sum()), 1.0))
 
 
 def passage(mixtures: Sequence[Mixture], limits: Sequence[tuple[float, float]]) -> Passage:
