@@ -1,7 +1,8 @@
 """Captures of SocketCAN by tcpdump, Wireshark and others: pcap and pcapng, in either byte order.
 
 Read are packets of CAN, and what the ``any`` device of Linux caught of it (cooked captures, version 1 and 2); packets
-of other links are skipped. An identifier stands in network byte order, in cooked captures in that of the file.
+of other links are skipped. An identifier stands in network byte order, in cooked captures in that of the file; where
+most identifiers can only stand in the other one, as some writers leave them, all are swapped, and that is said.
 """
 
 import os
@@ -33,7 +34,8 @@ from canlog.logs.text_kernels import lower, reversed_bytes
 
 # What has been done, and how it goes on.
 POSITION, ROWS, PACKETS, SKIPPED, MALFORMED, FIRST_MALFORMED, DAMAGED, FIRST_DAMAGED = range(8)
-IS_LOST, TOO_WIDE, BLOCK, IS_BIG, IS_BLOCKS, INTERFACES, LAST_S, REPORT_FIELDS = range(8, 16)
+IS_LOST, TOO_WIDE, BLOCK, IS_BIG, IS_BLOCKS, INTERFACES, LAST_S = range(8, 15)
+IS_SWAPPED, ODD, ODD_SWAPPED, REPORT_FIELDS = range(15, 19)  # identifiers that cannot be, in the one order and the other
 # What is known of an interface: its kind of link, ticks a second, what is to be added to its times, its number.
 LINK, TICKS, OFFSET_S, CHANNEL, INTERFACE_FIELDS = range(5)
 
@@ -50,7 +52,7 @@ MOST_STEP_S = 86_400  # from packet to packet, where the place of a packet has t
 LAST_TIME_S = 9_200_000_000
 NS_PER_US, NS_PER_S = 1_000, 1_000_000_000
 FD_BIT, BRS_BIT, ESI_BIT, XL_BIT = 0x04, 0x01, 0x02, 0x80  # of a frame's flags; the last one of its length
-STANDARD_ID, EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
+STANDARD_ID, EXTENDED_ID, LAST_CLASS = 0x7FF, 0x1FFF_FFFF, 0xFFF  # the last one of errors
 
 
 @array_kernel
@@ -160,7 +162,7 @@ def _packet(  # noqa: PLR0911 - one for each reason
     rows.t_ns[row] = (time_ns + NS_PER_US // 2) // NS_PER_US * NS_PER_US
     rows.channel[row], rows.flags[row] = interfaces[number, CHANNEL], 0
     if interfaces[number, LINK] == SOCKETCAN:
-        return _frame(raw, at, length, rows, row, 0, 1)
+        return _frame(raw, at, length, rows, row, 0, 1, report)
     if interfaces[number, LINK] == COOKED_2 and length >= HEADER_BYTES:
         rows.channel[row] = min(_long(raw, at + COOKED_2_INTERFACE, 1), 255)
     elif interfaces[number, LINK] != COOKED:
@@ -171,15 +173,28 @@ def _packet(  # noqa: PLR0911 - one for each reason
     if _short(raw, at + hardware) != CAN_HARDWARE:
         return outcomes.SKIPPED
     rows.flags[row] = TX_FLAG * (raw[at + sent] == OUTGOING)
-    return _frame(raw, at + header, length - header, rows, row, _short(raw, at + protocol), is_big)
+    return _frame(raw, at + header, length - header, rows, row, _short(raw, at + protocol), is_big, report)
+
+
+@inlined_kernel
+def _is_odd(said: int, count: int) -> bool:
+    """Return whether no program numbers a frame so: too large, an error of no class, or 29 bits that end with 16 zeros."""
+    if said & ERROR_FLAG:
+        return bool(said & ~ERROR_FLAG > LAST_CLASS or count != PAYLOAD_BYTES)
+    return bool(said & 0xFFFF == 0 if said & EXTENDED_FLAG else said & ~REMOTE_FLAG > STANDARD_ID)
 
 
 @array_kernel
-def _frame(raw: UInt8Array, at: int, size: int, rows: FrameRows, row: int, protocol: int, is_big: int) -> int:
+def _frame(
+    raw: UInt8Array, at: int, size: int, rows: FrameRows, row: int, protocol: int, is_big: int, report: Int64Array
+) -> int:
     """Write a frame as SocketCAN has them into a row; return as ``_packet``."""
     if size < FRAME_HEADER_BYTES or protocol == XL_PROTOCOL or raw[at + 4] & XL_BIT:
         return outcomes.MALFORMED
-    said, count, bits = _long(raw, at, is_big), int(raw[at + 4]), int(raw[at + 5])
+    said, other = _long(raw, at, is_big != report[IS_SWAPPED]), _long(raw, at, is_big == report[IS_SWAPPED])
+    count, bits = int(raw[at + 4]), int(raw[at + 5])
+    report[ODD] += _is_odd(said, count)
+    report[ODD_SWAPPED] += _is_odd(other, count)
     is_remote = said & (REMOTE_FLAG | ERROR_FLAG) == REMOTE_FLAG
     is_fd = protocol == FD_PROTOCOL or bits & FD_BIT != 0 or size == FD_FRAME_BYTES or count > PAYLOAD_BYTES
     can_id = said & ~REMOTE_FLAG
@@ -216,6 +231,8 @@ PIECE_BYTES: Final = 1024 * 1024
 MOST_INTERFACES, MOST_CHANNEL = 256, 255
 MOST_TICKS: Final = 9_000_000_000  # a second's, from which nanoseconds can be told
 NAME_OPTION, RESOLUTION_OPTION, OFFSET_OPTION = 2, 9, 14
+MOST_ODD: Final = 0.1  # of packets whose identifiers stand in the right byte order
+SWAPPED: Final = "the identifiers stand in the other byte order than this kind of capture has: they are read swapped"
 DIGITS_AT_END: Final = re.compile(rb"(\d{1,3})\0*$")
 
 
@@ -239,14 +256,13 @@ def read_capture(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
         raw = np.frombuffer(tail + piece, np.uint8)
         frames.reserve(len(raw) // LEAST_RECORD_BYTES + 1, 0)
         report[[POSITION, ROWS, SKIPPED, MALFORMED, DAMAGED]] = 0
-        while True:
-            parse_records(raw, interfaces, frames.rows, report, bool(piece))
-            if report[TOO_WIDE]:
-                frames.widen(int(report[ROWS]))
-            elif report[BLOCK]:
-                _read_block(raw[report[POSITION] :].tobytes(), interfaces, report)
-            else:
-                break
+        before = report.copy()
+        _parse(raw, interfaces, frames, report, goes_on=bool(piece))
+        if not before[PACKETS] and _is_swapped(report):
+            report[:] = before
+            report[IS_SWAPPED] = 1
+            _parse(raw, interfaces, frames, report, goes_on=bool(piece))
+            counts.note(SWAPPED)
         tail, count = raw[report[POSITION] :].tobytes(), int(report[ROWS])
         read_bytes = stream.seek(0, os.SEEK_CUR)
         counts.skipped += int(report[SKIPPED])
@@ -259,6 +275,24 @@ def read_capture(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
             break
     if tail or read_bytes < size_bytes:
         counts.cut_off(f"byte {read_bytes - len(tail)}")
+
+
+def _parse(raw: UInt8Array, interfaces: Int64Array, frames: FrameBuffer, report: Int64Array, *, goes_on: bool) -> None:
+    """Go through the records of a buffer, taking up what they tell of the others."""
+    while True:
+        parse_records(raw, interfaces, frames.rows, report, goes_on)
+        if report[TOO_WIDE]:
+            frames.widen(int(report[ROWS]))
+        elif report[BLOCK]:
+            _read_block(raw[report[POSITION] :].tobytes(), interfaces, report)
+        else:
+            return
+
+
+def _is_swapped(report: Int64Array) -> bool:
+    """Return whether most identifiers cannot be in their byte order, and all but a few can in the other one."""
+    packets = int(report[ROWS] + report[MALFORMED])
+    return bool(report[ODD] > packets / 2 and report[ODD_SWAPPED] <= MOST_ODD * packets)
 
 
 def _beginning(stream: BinaryIO) -> tuple[Int64Array, Int64Array]:

@@ -70,10 +70,17 @@ def option(order: str, code: int, value: bytes) -> bytes:
 
 
 def pcapng(
-    link: int, order: str = "<", resolution: int = 6, offset_s: int = 0, *, has_others: bool = False
+    link: int,
+    order: str = "<",
+    resolution: int = 6,
+    offset_s: int = 0,
+    *,
+    has_others: bool = False,
+    packet: Packet | None = None,
 ) -> Callable[[Path, Sequence[Frame]], None]:
     """Return the writer of a capture with ten interfaces, can0 to can9; with others there are blocks of other kinds."""
     ticks = 2 ** (resolution & 0x7F) if resolution & 0x80 else 10**resolution
+    made = packet or PACKETS[link]
 
     def write(path: Path, frames: Sequence[Frame]) -> None:
         section = struct.pack(f"{order}LHHq", 0x1A2B3C4D, 1, 0, -1)
@@ -88,7 +95,7 @@ def pcapng(
             if has_others:
                 pieces.append(block(order, 4, bytes(4)) + block(order, 5, bytes(12)))
                 pieces.append(block(order, 6, struct.pack(f"{order}LLLLL", 10, 0, 5, 60, 60) + bytes(60)))
-            data = PACKETS[link](frame, order)
+            data = made(frame, order)
             since_us = (START_S - offset_s) * 1_000_000 + frame.t_us
             at = -(-since_us * ticks // 1_000_000)
             head = struct.pack(f"{order}LLLLL", frame.channel, at >> 32, at & 0xFFFFFFFF, len(data), len(data))

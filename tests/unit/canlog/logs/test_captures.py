@@ -2,6 +2,7 @@
 
 import io
 import struct
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,10 +11,21 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
-from canlog.logs.captures import capture_of, read_capture
+from canlog.logs.captures import SWAPPED, capture_of, read_capture
 from canlog.logs.log_counts import LogCounts, LogReject
 from tests.support.batches import read_whole
-from tests.support.capture_grammars import COOKED, ETHERNET, SOCKETCAN, block, option, pcap, pcapng, socketcan
+from tests.support.capture_grammars import (
+    COOKED,
+    COOKED_2,
+    ETHERNET,
+    PACKETS,
+    SOCKETCAN,
+    block,
+    option,
+    pcap,
+    pcapng,
+    socketcan,
+)
 from tests.support.log_grammars import Frame
 
 FRAME = Frame(t_us=1_000, can_id=0x123, is_extended=False, length=3, data=b"\1\2\3")
@@ -130,3 +142,35 @@ def test_packets_longer_than_a_piece_are_read(tmp_path: Path) -> None:
     batch, counts = read(sound[: -56 * 5] + secret + sound[-56 * 5 :])
     assert len(batch) == 10
     assert counts == LogCounts(frames=10, skipped=1)
+
+
+@pytest.mark.parametrize("can_ids", [(0x12A, 0x0E1, 0x241), (0x181, 0x281, 0x381), (0x0CF00400, 0x18FEF121)])
+@pytest.mark.parametrize("link", [SOCKETCAN, COOKED, COOKED_2])
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("writer", [pcap, pcapng])
+def test_identifiers_in_the_wrong_byte_order_are_swapped(
+    writer: Callable[..., Callable[[Path, Sequence[Frame]], None]],
+    order: str,
+    link: int,
+    can_ids: tuple[int, ...],
+    tmp_path: Path,
+) -> None:
+    """Some programs write them as their machine holds them."""
+
+    def swapped(frame: Frame, order: str) -> bytes:
+        sound = PACKETS[link](frame, order)
+        at = len(sound) - len(socketcan(frame))
+        return sound[:at] + sound[at : at + 4][::-1] + sound[at + 4 :]
+
+    frames = [
+        replace(FRAME, t_us=1_000 * number, can_id=can_id, is_extended=can_id > 0x7FF)
+        for number, can_id in enumerate(can_ids * 20)
+    ]
+    writer(link, order)(tmp_path / "sound", frames)
+    writer(link, order, packet=swapped)(tmp_path / "swapped", frames)
+    sound, counts = read((tmp_path / "sound").read_bytes())
+    assert counts == LogCounts(frames=len(frames))
+    found, counts = read((tmp_path / "swapped").read_bytes())
+    assert counts == LogCounts(frames=len(frames), notes=(SWAPPED,))
+    assert found.can_id.tolist() == sound.can_id.tolist()
+    assert found.data.tolist() == sound.data.tolist()
