@@ -35,7 +35,7 @@ from canlog.logs.text_kernels import lower, reversed_bytes
 # What has been done, and how it goes on.
 POSITION, ROWS, PACKETS, SKIPPED, MALFORMED, FIRST_MALFORMED, DAMAGED, FIRST_DAMAGED = range(8)
 IS_LOST, TOO_WIDE, BLOCK, IS_BIG, IS_BLOCKS, INTERFACES, LAST_S = range(8, 15)
-IS_SWAPPED, ODD, ODD_SWAPPED, REPORT_FIELDS = range(15, 19)  # identifiers that cannot be, in the one order and the other
+IS_SWAPPED, ODD, ODD_SWAPPED, REPORT_FIELDS = range(15, 19)  # identifiers that cannot be, in either order
 # What is known of an interface: its kind of link, ticks a second, what is to be added to its times, its number.
 LINK, TICKS, OFFSET_S, CHANNEL, INTERFACE_FIELDS = range(5)
 
@@ -178,7 +178,7 @@ def _packet(  # noqa: PLR0911 - one for each reason
 
 @inlined_kernel
 def _is_odd(said: int, count: int) -> bool:
-    """Return whether no program numbers a frame so: too large, an error of no class, or 29 bits that end with 16 zeros."""
+    """Return whether nobody numbers a frame so: too large, an error of no class, 29 bits that end with 16 zeros."""
     if said & ERROR_FLAG:
         return bool(said & ~ERROR_FLAG > LAST_CLASS or count != PAYLOAD_BYTES)
     return bool(said & 0xFFFF == 0 if said & EXTENDED_FLAG else said & ~REMOTE_FLAG > STANDARD_ID)

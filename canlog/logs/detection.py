@@ -15,7 +15,7 @@ from canlog.logs.asc import FIRST_LINE, AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog
 from canlog.logs.captures import CAPTURE_MAGICS, capture_of
-from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, is_traffic, programs, proposed
+from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, is_list, is_traffic, programs, proposed
 from canlog.logs.columns.headed import CLX000_HEADER, Busmaster, Clx000, Trc
 from canlog.logs.columns.log import TableLog
 from canlog.logs.console import ConsoleLog
@@ -118,6 +118,7 @@ TYPICAL: Mapping[LogFormat, re.Pattern[bytes]] = {
     LogFormat.MICROCHIP: re.compile(rb"\d+;[RT]X;0x[0-9A-Fa-f]+;\d+;"),
     LogFormat.CRTD: re.compile(rb"\d+(?:\.\d+)?\s+\d?(?:[RT](?:11|29)|C[A-Z]{2})\s"),
 }
+ONLY_LISTED = "a list of identifiers, not a log: no times rise, and no identifier comes again with bytes"
 MOST_NAMED = 20  # columns in a complaint
 OTHER_FORMATS: Mapping[bytes, str] = {
     b"7z\xbc\xaf": "a 7z archive",
@@ -207,22 +208,17 @@ def detect_text(probe: bytes) -> Detected:
             return Detected(format=log_format, evidence=f"{shown} are frames in its grammar")
         if frames > most:
             hint, most = f"{shown} fit {log_format}", frames
-    if named := _by_named_columns(text):
-        return named
+    log = proposed(text)
+    if log is not None and _has_frames(log, text):
+        if is_list(frames_of(log, text), log.layout.columns):
+            raise SourceError(f"{ONLY_LISTED}; if it is one, say --columns {shlex.quote(log.taken_for)}")
+        number = log.layout.header_lines
+        what = f"line {number} names its columns" if number else "its lines are those of HCRL's car hacking data set"
+        return Detected(format=LogFormat.COLUMNS, evidence=f"{what}: {log.taken_for}")
     if header := table_header(probe):
         what = f"line {header.lines} is followed by rows of {len(header.columns)} signals"
         return Detected(format=LogFormat.SIGNALS, evidence=what, columns=header.columns)
     raise SourceError(_not_known(probe, hint))
-
-
-def _by_named_columns(text: bytes) -> Detected | None:
-    """Return that a text is a table, if a header names its columns and most lines behind it are frames."""
-    log = proposed(text)
-    if log is None or not _has_frames(log, text):
-        return None
-    number = log.layout.header_lines
-    what = f"line {number} names its columns" if number else "its lines are those of HCRL's car hacking data set"
-    return Detected(format=LogFormat.COLUMNS, evidence=f"{what}: {log.taken_for}")
 
 
 def _has_frames(log: ColumnsLog, text: bytes) -> bool:

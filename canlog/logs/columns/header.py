@@ -148,7 +148,7 @@ def named_columns(names: Sequence[str]) -> tuple[Column, ...]:
         if place is not None and columns[place].role is Role.IGNORED:
             columns[place] = Column(role, _parameter(role, names[place]))
     if not any(column.role is Role.TIME for column in columns):
-        for place in [place for place, word in enumerate(plain) if "time" in word][:1]:
+        for place in [place for place, word in enumerate(plain) if "time" in word and "cycle" not in word][:1]:
             if columns[place].role is Role.IGNORED:
                 columns[place] = Column(Role.TIME, _parameter(Role.TIME, names[place]))
     if not any(column.role is Role.DATA for column in columns):
@@ -345,6 +345,19 @@ def is_traffic(batch: FrameBatch) -> bool:
     can_ids = np.unique(batch.can_id & np.uint32(LARGEST_ID))
     are_fitting = (can_ids <= LARGEST_STANDARD_ID) | (can_ids >= LEAST_EXTENDED_ID)
     return len(can_ids) <= max(FEW_IDS, len(batch) // 2) and bool(np.mean(are_fitting) >= LEAST_FITTING)
+
+
+def is_list(batch: FrameBatch, columns: Sequence[Column]) -> bool:
+    """Return whether frames are listed, not recorded: no times rise, no identifier comes again, beside them are notes.
+
+    Where nothing stands beside them, it is a list if all have but one byte, which then is a count.
+    """
+    steps_ns, roles = np.diff(batch.t_ns), {column.role for column in columns}
+    has_times = not len(steps_ns) or bool(steps_ns.any() and np.mean(steps_ns >= 0) >= LEAST_RISING)
+    if Role.TIME in roles and has_times:
+        return False
+    is_bare = Role.IGNORED in roles or batch.length.max(initial=0) <= 1
+    return is_bare and (len(np.unique(batch.can_id)) > len(batch) // 2 or not batch.length.any())
 
 
 def _roles(names: Sequence[str], rows: Sequence[tuple[str, ...]], width: int) -> dict[str, list[int]]:

@@ -17,7 +17,7 @@ from canlog.logs.frame_buffer import MOST_CHANNELS, FrameRows
 from canlog.logs.log_counts import MICROSECONDS, SECONDS, UNIT_NAMES, likely_unit
 from canlog.logs.text_log import TextLog, frames_of
 
-HEADER_LINES_LOOKED_AT = 20
+HEADER_LINES_LOOKED_AT = 200  # Vehicle Spy lists up to a hundred networks before
 SAMPLE_LINES = 2_000
 ENOUGH_BYTES = 8  # of a table without lengths: a frame with so many is whole
 HALF_BYTE_AT_END = {
@@ -196,16 +196,24 @@ def _header_of(lines: Sequence[bytes], choice: str) -> tuple[int, int, header.Pr
             continue
         if not choice:
             if found := header.proposal(names):
-                return number, separator, found
+                return _behind_headers(lines, number, separator, names), separator, found
             continue
         try:
-            return number, separator, header.chosen(choice, names)
+            found = header.chosen(choice, names)
+            return _behind_headers(lines, number, separator, names), separator, found
         except SourceError as exc:
             complaint = complaint or exc
     sample = [line for line in lines if line.strip()][:HEADER_LINES_LOOKED_AT]
     if not choice and sum(LABELLED.fullmatch(line) is not None for line in sample) * 2 > len(sample):
         return _numbered(lines, LABELLED_COLUMNS)
     raise complaint or SourceError(NO_HEADER)
+
+
+def _behind_headers(lines: Sequence[bytes], number: int, separator: int, names: Sequence[str]) -> int:
+    """Return how many lines there are up to the last header: one for another network begins with the same columns."""
+    while number < len(lines) and header.names_in(lines[number], separator)[:LEAST_COLUMNS] == names[:LEAST_COLUMNS]:
+        number += 1
+    return number
 
 
 def _numbered(lines: Sequence[bytes], choice: str) -> tuple[int, int, header.Proposal]:

@@ -162,6 +162,35 @@ def test_tables_of_other_things_are_none() -> None:
     assert columns_seen(b"Day;Tyre;Bar\n1;left;2.2\n") == ("Day", "Tyre", "Bar")
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "ID,Bytes,Note\n0x123,8,Engine speed\n0x124,8,Torque\n0x200,4,Gear\n",
+        "ID;Name;Cycle time [ms];Data;Notes\n123;Engine;10;00 11;rpm\n124;Torque;10;00;Nm\n200;Gear;20;01;gear\n",
+        "CAN ID,Message,Note\n0x7E0,AB,tester request\n0x7E8,EA,answer\n0x7E1,10 03,session\n0x7E9,50 03,session\n",
+        "ID,Data,Notes\n0x7E0,,request\n0x7E8,,answer\n0x7E8,,answer again\n",
+        "ID,Bytes\n0x123,8\n0x124,8\n0x200,4\n",
+    ],
+)
+def test_a_list_of_identifiers_is_no_log(text: str) -> None:
+    with pytest.raises(SourceError, match=r"^a list of identifiers, not a log: .*; if it is one, say --columns '?id="):
+        detect(text.encode())
+
+
+def test_a_list_of_networks_may_stand_before_the_headers_of_several_kinds() -> None:
+    head = "Line,Abs Time(Sec),Status,Er,Tx,Description,Network,Node,"
+    networks = "".join(f"NET {number},Default,NET {number},CAN,500000,\n" for number in range(95))
+    kinds = [f"{head}ID,Cycle,Ch,B1-256,Dyn\n", f"{head}Arb ID,Remote,Xtd,B1,B2\n", f"{head}PT,Trgt,Src,B1,B2\n"]
+    lines = [f"{n},{n / 10},67,F,F,,NET {n % 3},,CF00400,F,T,0{n},7D,,,\n" for n in range(9)]
+    text = f"Vehicle Spy 3 Bus Traffic File\nNetwork Description,Hardware,Network,Protocol,Baud Rate\n{networks}\n"
+    text += "".join(kinds + lines)
+    assert detect(text.encode()).format is LogFormat.COLUMNS
+    batch, counts = read(ColumnsLog(), text)
+    assert rows(batch) == [(n * 100_000, 0xCF00400 | EXTENDED_FLAG, f"0{n}7d") for n in range(9)]
+    assert batch.channel.tolist() == [0, 1, 2] * 3
+    assert counts.rejected == {}
+
+
 def test_the_minutes_of_carbus_and_canhacker_go_on() -> None:
     carbus = "@ TEXT @ 2 @ 64 @ 0 @ 55 @ 10078 @ 00:00:10.078 @\n" + "".join(
         f"{second},{ms:03d}\t1\t0004\t45A\t1\t5A\t00000000\tZ\t\n"
