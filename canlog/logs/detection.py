@@ -208,17 +208,27 @@ def detect_text(probe: bytes) -> Detected:
             return Detected(format=log_format, evidence=f"{shown} are frames in its grammar")
         if frames > most:
             hint, most = f"{shown} fit {log_format}", frames
-    log = proposed(text)
-    if log is not None and _has_frames(log, text):
-        if is_list(frames_of(log, text), log.layout.columns):
-            raise SourceError(f"{ONLY_LISTED}; if it is one, say --columns {shlex.quote(log.taken_for)}")
-        number = log.layout.header_lines
-        what = f"line {number} names its columns" if number else "its lines are those of HCRL's car hacking data set"
-        return Detected(format=LogFormat.COLUMNS, evidence=f"{what}: {log.taken_for}")
+    if named := _by_named_columns(text):
+        return named
     if header := table_header(probe):
         what = f"line {header.lines} is followed by rows of {len(header.columns)} signals"
         return Detected(format=LogFormat.SIGNALS, evidence=what, columns=header.columns)
     raise SourceError(_not_known(probe, hint))
+
+
+def _by_named_columns(text: bytes) -> Detected | None:
+    """Return that a text is a table, if a header names its columns and most lines behind it are frames.
+
+    Raises SourceError if it lists identifiers and notes on them.
+    """
+    log = proposed(text)
+    if log is None or not _has_frames(log, text):
+        return None
+    if is_list(frames_of(log, text), log.layout.columns):
+        raise SourceError(f"{ONLY_LISTED}; if it is one, say --columns {shlex.quote(log.taken_for)}")
+    number = log.layout.header_lines
+    what = f"line {number} names its columns" if number else "its lines are those of HCRL's car hacking data set"
+    return Detected(format=LogFormat.COLUMNS, evidence=f"{what}: {log.taken_for}")
 
 
 def _has_frames(log: ColumnsLog, text: bytes) -> bool:

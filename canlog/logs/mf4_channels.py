@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, BinaryIO, Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from canlog.arrays import FloatArray, UInt32Array
 from canlog.database.signal_columns import SignalColumn, column_id
@@ -92,7 +93,8 @@ def _group(
             counts.cut_off(f"record {done + 1} of group {number}", stated - done)
             return
         done += len(time_us)
-        yield checked_rows(time_us, np.column_stack([_numbers(one) for one in found]), ids, counts)
+        numbers = [_numbers(one, f"group {number}, channel {one.name!r}") for one in found]
+        yield checked_rows(time_us, np.column_stack(numbers), ids, counts)
 
 
 def _has_codes(conversion: Untyped) -> bool:
@@ -104,10 +106,23 @@ def _has_codes(conversion: Untyped) -> bool:
     return bool(scale(np.array([1.0, 2.0])).tolist() != [1.0, 2.0])  # else a state, whose codes are its numbers
 
 
-def _numbers(signal: Untyped) -> FloatArray:
+def _numbers(signal: Untyped, place: str) -> FloatArray:
     """Return the values of a channel, NaN for those that are marked as invalid, and for words."""
     is_word = signal.samples.dtype.kind == "S"
-    values: FloatArray = np.full(len(signal.samples), np.nan) if is_word else np.array(signal.samples, np.float64)
+    values: FloatArray = np.full(len(signal.samples), np.nan)
+    if not is_word:
+        values = np.array(one_each(signal.samples, "biuf", place), np.float64)
     if signal.invalidation_bits is not None:
         values[np.asarray(signal.invalidation_bits, np.bool_)] = np.nan
     return values
+
+
+def one_each(values: Untyped, kinds: str, place: str) -> npt.NDArray[Any]:
+    """Return values of one of these kinds, one for each record; arrays of one are that, too.
+
+    Raises SourceError, which names the place, if they are anything else.
+    """
+    found = np.asarray(values)
+    if found.dtype.kind not in kinds or found.size != len(found):
+        raise SourceError(f"{place}: not one number for each record, but {found.dtype} of shape {found.shape[1:]}")
+    return found.reshape(-1)

@@ -34,7 +34,7 @@ from canlog.frames import (
 )
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.merging import merged_by_time
-from canlog.logs.mf4_channels import Untyped, channel_batches, measured_channels
+from canlog.logs.mf4_channels import Untyped, channel_batches, measured_channels, one_each
 from canlog.logs.mf4_mending import Mended, mended
 from canlog.logs.text_kernels import IS_LENGTH
 
@@ -144,7 +144,10 @@ def read_group(
         if not len(signal.samples):
             counts.cut_off(f"record {done + 1} of group {number}", stated - done)
             return
-        batch, is_frame = frames_of(signal.samples, np.asarray(signal.timestamps, np.float64), kind, start_ns)
+        try:
+            batch, is_frame = frames_of(signal.samples, np.asarray(signal.timestamps, np.float64), kind, start_ns)
+        except (SourceError, *DAMAGE) as exc:
+            raise SourceError(f"group {number}, {kind}: {exc}") from exc
         bad = np.flatnonzero(~is_frame)
         if len(bad):
             counts.reject(LogReject.MALFORMED, f"record {done + int(bad[0]) + 1} of group {number}", len(bad))
@@ -155,6 +158,8 @@ def read_group(
 def frames_of(
     samples: Records, elapsed_s: npt.NDArray[np.float64], kind: str, start_ns: int
 ) -> tuple[FrameBatch, npt.NDArray[np.bool_]]:
+    if kind != ERROR and f"{kind}.ID" not in (samples.dtype.names or ()):
+        raise SourceError("no channel holds the identifiers")
     number = column(samples, kind, "ID").astype(np.uint32) & np.uint32(MAX_ID)
     is_extended = column(samples, kind, "IDE") != 0
     is_fd = column(samples, kind, "EDL") != 0
@@ -186,7 +191,7 @@ def is_sent(samples: Records, kind: str) -> npt.NDArray[np.bool_]:
     name = f"{kind}.Dir"
     if name not in (samples.dtype.names or ()):
         return np.zeros(len(samples), np.bool_)
-    values = np.asarray(samples[name])
+    values = one_each(samples[name], "bSiuf", name)
     sent: npt.NDArray[np.bool_] = (np.char.lower(values) == b"tx") if values.dtype.kind == "S" else values == 1
     return sent
 
@@ -196,7 +201,7 @@ def column(samples: Records, kind: str, field: str) -> IntegerArray:
     name = f"{kind}.{field}"
     if name not in (samples.dtype.names or ()):
         return np.zeros(len(samples), np.uint8)
-    values = np.asarray(samples[name])
+    values = one_each(samples[name], "biuf", name)
     return values if values.dtype.kind == "u" else values.astype(np.int64)
 
 
@@ -205,6 +210,8 @@ def payloads(samples: Records, kind: str, length: UInt8Array, width: int) -> UIn
     data = np.zeros((len(samples), width), np.uint8)
     name = f"{kind}.DataBytes"
     if kind == DATA and name in (samples.dtype.names or ()):
-        stored = np.asarray(samples[name], np.uint8).reshape(len(samples), -1)[:, :width]
+        if samples[name].dtype != np.uint8:
+            raise SourceError(f"{name}: not bytes, but {samples[name].dtype}")
+        stored = samples[name].reshape(len(samples), -1)[:, :width]
         data[:, : stored.shape[1]] = stored
     return data if (length == width).all() else clear_padding(data, length)
