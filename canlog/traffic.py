@@ -112,13 +112,14 @@ class TrafficMeter:
         self._second_bits: FloatArray = np.zeros(CHANNELS)
         self._peak_bits = 0.0
 
-    def add(self, batch: FrameBatch) -> None:
+    def add(self, batch: FrameBatch, longest_step_ns: int = JUMP_NS) -> None:
+        """Count frames; a longer silence is a jump of time."""
         if not len(batch):
             return
         first_ns, last_ns = int(batch.t_ns.min()), int(batch.t_ns.max())
         before = self._ends_ns or (first_ns, last_ns)
         self._ends_ns = (min(before[0], first_ns), max(before[1], last_ns))
-        for segment, is_new in self._segments(batch):
+        for segment, is_new in self._segments(batch, longest_step_ns):
             if is_new:
                 self._last_ns[:] = BEFORE_ALL_NS
             self._add_intervals(segment)
@@ -149,11 +150,11 @@ class TrafficMeter:
             peak_load_ratio=max(self._peak_bits / self._bitrate, load_ratio),  # of a log that has no whole second
         )
 
-    def _segments(self, batch: FrameBatch) -> Iterator[tuple[FrameBatch, bool]]:
+    def _segments(self, batch: FrameBatch, longest_step_ns: int) -> Iterator[tuple[FrameBatch, bool]]:
         """Cut a batch where bus time jumps."""
         before_ns = int(batch.t_ns[0]) if self._last_bus_ns is None else self._last_bus_ns
         steps_ns = np.diff(batch.t_ns, prepend=before_ns)
-        cuts = np.flatnonzero((steps_ns < 0) | (steps_ns > JUMP_NS))
+        cuts = np.flatnonzero((steps_ns < 0) | (steps_ns > longest_step_ns))
         self._bus_ns += int(np.clip(steps_ns, 0, JUMP_NS).sum())
         self._last_bus_ns = int(batch.t_ns[-1])
         self._jump_count += len(cuts)

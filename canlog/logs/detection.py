@@ -20,7 +20,7 @@ from canlog.logs.columns.headed import CLX000_HEADER, Busmaster, Clx000, Trc
 from canlog.logs.columns.log import TableLog
 from canlog.logs.console import ConsoleLog
 from canlog.logs.log_counts import LogCounts
-from canlog.logs.signal_tables import table_header
+from canlog.logs.signal_tables import LEAST_ROWS, table_header
 from canlog.logs.text_log import BYTE_ORDER_MARK, TextLog, frames_of
 
 PROBE_BYTES = 64 * 1024
@@ -279,7 +279,8 @@ def _as_table(probe: bytes) -> str:
     if log is None or not _has_frames(log, text) or not is_traffic(frames_of(log, text)):
         return (
             f"a table with the columns {names}; --columns time=...,id=...,data=... says which are which; a table of "
-            "signals has a column of times that rise (numbers, hh:mm:ss, ISO dates) and one of numbers"
+            "signals has a column of times that rise (numbers, hh:mm:ss, ISO dates) and one of numbers, "
+            f"in {LEAST_ROWS} rows and more"
             if names
             else ""
         )

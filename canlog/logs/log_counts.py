@@ -223,17 +223,28 @@ WHOLE_SECONDS = "times are whole seconds, with many frames in each: too coarse f
 BACK, AHEAD, FIRST_JUMP, REPEATED, STEP_FIELDS = range(5)
 
 
+USUAL_STEPS = 3  # that a silence in a table of signals lasts at least: two rows are missing
+
+
+def longest_step_ns(rows: FrameBatch) -> int:
+    """Return after how long a silence a table of signals begins anew: it may be slower than any bus."""
+    steps_ns = np.diff(rows.t_ns)
+    usual_ns = np.median(steps_ns[steps_ns > 0]) if np.any(steps_ns > 0) else 0
+    return max(MAX_GAP_NS, USUAL_STEPS * int(usual_ns))
+
+
 class TimeWatch:
     """Counts jumps of time and repeated frames; what it finds does not depend on how the log was cut."""
 
     def __init__(self, counts: LogCounts) -> None:
         self._counts = counts
+        self.longest_step_ns = MAX_GAP_NS
         self._last: FrameBatch | None = None
         self._first_ns: int | None = None  # None: not known, or times are finer than seconds
         self._seen = 0
 
     def look(self, batch: FrameBatch) -> None:
-        if self._last is not None and not 0 < int(batch.t_ns[0]) - int(self._last.t_ns[0]) <= MAX_GAP_NS:
+        if self._last is not None and not 0 < int(batch.t_ns[0]) - int(self._last.t_ns[0]) <= self.longest_step_ns:
             self._look_inside(join([self._last, batch[:1]]), self._seen)
         self._look_inside(batch, self._seen + 1)
         self._look_for_seconds(batch[: max(WATCHED_FRAMES - self._seen, 0)])
@@ -253,7 +264,7 @@ class TimeWatch:
 
     def _look_inside(self, batch: FrameBatch, number: int) -> None:
         counts, steps = self._counts, np.zeros(STEP_FIELDS, np.int64)
-        look_at_steps(rows_of(batch), steps)
+        look_at_steps(rows_of(batch), steps, self.longest_step_ns)
         row = int(steps[FIRST_JUMP])
         if row and not counts.first_jump:
             step_s = int(batch.t_ns[row] - batch.t_ns[row - 1]) / 1e9
@@ -264,13 +275,13 @@ class TimeWatch:
 
 
 @array_kernel
-def look_at_steps(rows: FrameRows, steps: Int64Array) -> None:
+def look_at_steps(rows: FrameRows, steps: Int64Array, longest_ns: int) -> None:
     """Count the frames before the one before them, far behind it, and equal to it; note the row of the first jump."""
     for row in range(1, rows.t_ns.size):
         step_ns = rows.t_ns[row] - rows.t_ns[row - 1]
         if step_ns == 0:
             steps[REPEATED] += _is_repeated(rows, row)
-        elif step_ns < 0 or step_ns > MAX_GAP_NS:
+        elif step_ns < 0 or step_ns > longest_ns:
             if steps[FIRST_JUMP] == 0:
                 steps[FIRST_JUMP] = row
             steps[BACK if step_ns < 0 else AHEAD] += 1

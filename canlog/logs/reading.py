@@ -18,7 +18,15 @@ from canlog.logs.blf import read_blf
 from canlog.logs.captures import read_capture
 from canlog.logs.columns import ColumnsLog
 from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, detect_as_columns
-from canlog.logs.log_counts import BoundedStream, LogCounts, LogReject, TimeWatch, bus_load_ratio, is_plausible
+from canlog.logs.log_counts import (
+    BoundedStream,
+    LogCounts,
+    LogReject,
+    TimeWatch,
+    bus_load_ratio,
+    is_plausible,
+    longest_step_ns,
+)
 from canlog.logs.mf4 import read_mf4
 from canlog.logs.mf4_channels import measured_channels
 from canlog.logs.signal_tables import read_signal_table
@@ -96,6 +104,11 @@ class LogReader(Iterator[FrameBatch]):
         return self._counts.snapshot()
 
     @property
+    def longest_step_ns(self) -> int:
+        """After how long a silence a jump of time is told; of a table of signals once its first batch is there."""
+        return self._watch.longest_step_ns
+
+    @property
     def read_bytes(self) -> int:
         """How much of the contents has been read until now."""
         return self._bounded.read_bytes
@@ -131,7 +144,9 @@ class LogReader(Iterator[FrameBatch]):
             self._look_at_size()
             self.close()
             raise named_error(self.name, exc) from exc
-        if self._is_first and not self.columns:  # values of a row all have its time
+        if self._is_first and self.columns:
+            self._watch.longest_step_ns = longest_step_ns(batch)
+        elif self._is_first:  # values of a row all have its time
             self._look_at_load(batch[:LOAD_FRAMES])
         self._is_first = False
         self._watch.look(batch)

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import pairwise
+from itertools import chain, islice, pairwise
 from typing import BinaryIO, Final
 
 import numpy as np
@@ -73,11 +73,15 @@ def table_header(text: bytes) -> TableHeader | None:
     """Return what the beginning of a text says of the table that it is; None if it is none.
 
     A header names two columns or more, one of them holds times that rise, and most cells of others are numbers. Whole
-    lines of a probe tell it, so that whoever detects a table and whoever reads it find the same columns.
+    lines of a probe tell it, or all of a shorter text, so that whoever detects a table and whoever reads it find the
+    same columns.
     """
-    lines = _lines(text[: text.rfind(b"\n", 0, PROBE_BYTES) + 1])
+    is_all = len(text) < PROBE_BYTES
+    lines = _lines(text if is_all else text[: text.rfind(b"\n", 0, PROBE_BYTES) + 1])
     separator = max(SEPARATORS, key=lambda one: sum(one in line for line in lines[:PROBE_ROWS]))
     rows = [_cells(line, separator) for line in lines]
+    if is_all and rows[-1] and not text.endswith(b"\n"):
+        rows[-1][-1] = ""  # may be cut off
     for place in range(min(PREAMBLE_ROWS, len(rows))):
         if len(rows[place]) > 1 and (found := _header_at(rows, place, separator)) is not None:
             return found
@@ -89,13 +93,13 @@ def read_signal_table(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatc
 
     Raises SourceError if its beginning is no table of signals.
     """
-    table: _Table | None = None
-    for text, is_terminated in _blocks(stream, counts):
-        if table is None:
-            header = table_header(text)
-            if header is None:
-                raise SourceError("no table of signals")
-            table = _Table(header, counts)
+    blocks = _blocks(stream, counts)
+    first = list(islice(blocks, 2))  # a short text and what follows its last newline
+    header = table_header(b"".join(text for text, _ in first))
+    if header is None:
+        raise SourceError("no table of signals")
+    table = _Table(header, counts)
+    for text, is_terminated in chain(first, blocks):
         batch = table.read(text, is_terminated=is_terminated)
         if len(batch):
             counts.frames += len(batch)

@@ -199,7 +199,7 @@ def inspect_log(
             if stop.is_set:
                 is_whole = False
                 break
-            meter.add(batch)
+            meter.add(batch, reader.longest_step_ns)
             if values is not None:
                 values.add(batch)
             if conversations is not None:

@@ -11,6 +11,7 @@ import pytest
 
 import diag_service
 from benchmarks.scan_tool import OF_FRICTION, OUTPUT, with_fuel, written
+from canlog.logs import read_log
 from dbc.contract import load_contract
 from diag_service.mapping.profile import PROFILE_PATH
 from ecu_emulator.cli import main as emulator
@@ -132,6 +133,26 @@ def test_inspect_tells_rates_steps_and_ranges(tmp_path: Path) -> None:
     shown = ended("inspect", table).out
     assert "6000 values of 4 columns" in shown
     assert "Clutch 1 Pressure" in shown
+
+
+def slow_table(path: Path, *, gap_s: float = 0.0) -> None:
+    """Write 60 rows some 2.2 s apart, every sixth one sooner, as apps that ask one value after the other do."""
+    steps_s = np.where(np.arange(60) % 6, 2.2, 0.7)
+    times_s = np.cumsum(steps_s) + gap_s * (np.arange(60) >= 30)
+    rows = [f"{time_s:.1f},{800 + row},{row}" for row, time_s in enumerate(times_s)]
+    path.write_text("\n".join(["Time [s],Engine RPM [rpm],Vehicle Speed [km/h]", *rows, ""]), encoding="utf-8")
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 60.0])
+def test_rows_slower_than_one_a_second_are_no_jumps_of_time(tmp_path: Path, gap_s: float) -> None:
+    table = tmp_path / "app.csv"
+    slow_table(table, gap_s=gap_s)
+    record = json.loads(ended("inspect", table, "--json").out)
+    assert record["jump_count"] == (gap_s > 0.0)
+    assert [one["rate_hz"] for one in record["ids"]] == pytest.approx([60.0 / 117.0] * 2, rel=0.03)
+    with read_log(table, is_strict=not gap_s) as reader:
+        assert sum(map(len, reader)) == 120
+        assert reader.counts.jumps_ahead == (gap_s > 0.0)
 
 
 def test_shifts_of_a_table_are_predicted_from_each_other(tmp_path: Path) -> None:

@@ -222,6 +222,24 @@ def test_a_table_cut_anywhere_tells_no_value_that_was_not_written(end: int) -> N
     assert counts.truncated is (end < 22)
 
 
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+@pytest.mark.parametrize("is_ended", [True, False])
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_a_short_table_is_read_whole_or_refused(count: int, is_ended: bool, newline: str) -> None:
+    """Only the last cell may be missing where no newline ends it."""
+    rows = [f"{time_s},{speed},{speed}" for time_s, speed in zip(TIMES_S, SPEEDS, strict=True)][:count]
+    text = (newline.join(["Time [s],Speed,Torque", *rows]) + newline * is_ended).encode()
+    if count < 3:
+        with pytest.raises(SourceError, match="in 3 rows and more"):
+            detect(text)
+        return
+    assert detect(text).format is LogFormat.SIGNALS
+    batch, counts = read(text)
+    assert values(batch, "Speed") == SPEEDS[:count]
+    assert values(batch, "Torque") == SPEEDS[: count - (not is_ended)]
+    assert counts.rejected == ({} if is_ended else {LogReject.CUT_OFF: 1})
+
+
 def test_long_tables_are_read_in_blocks() -> None:
     rows = 60_000
     lines = "\n".join(f"{0.01 * row:.2f},{row},{row / 8}" for row in range(rows))
