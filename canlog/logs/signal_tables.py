@@ -67,6 +67,8 @@ class TableHeader:
     places: tuple[int, ...]  # of the columns in a row
     worded: frozenset[int]  # those where words are no values
     notes: tuple[str, ...]
+    repeated: frozenset[tuple[str, ...]]  # its cells, and units, which may stand again between rows
+    clock_words: frozenset[str]  # those of them in the place of times
 
 
 def table_header(text: bytes) -> TableHeader | None:
@@ -115,6 +117,7 @@ class _Table:
         self._line = 0
         self._day_us = 0.0  # that have passed since the first time of day
         self._last_us = -1.0
+        self._has_other_columns = False
         self._ids = np.array([column_id(one.name) | EXTENDED_FLAG for one in header.columns], np.uint32)
         for note in header.notes:
             counts.note(note)
@@ -135,6 +138,11 @@ class _Table:
                 cells = [*cells[:-1], *[""] * (header.width - len(cells) + 1)]
             while len(cells) > header.width and not cells[-1]:
                 cells.pop()
+            if self._is_header(cells):
+                continue
+            if self._has_other_columns:
+                self._counts.reject(LogReject.MALFORMED, f"line {number}, behind a header of other columns")
+                continue
             if len(cells) != header.width:
                 self._counts.reject(LogReject.MALFORMED, f"line {number} ({len(cells)} cells, not {header.width})")
                 continue
@@ -147,6 +155,14 @@ class _Table:
         for slot, place in enumerate(header.places):
             values[:, slot] = self._values(columns[place], numbers, slot)
         return frames_of_rows(time_us, values, self._ids)
+
+    def _is_header(self, cells: Sequence[str]) -> bool:
+        """Return whether a row is the header again, or another one: what follows that belongs to other columns."""
+        is_header = "".join(cells[self._header.time_place :][:1]).strip() in self._header.clock_words
+        if is_header:
+            self._has_other_columns = _stripped(cells) not in self._header.repeated
+            self._counts.skipped += 1
+        return is_header
 
     def _values(self, cells: Sequence[str], numbers: Sequence[int], slot: int) -> FloatArray:
         """Return a column as numbers, NaN for blank cells and for those that are none; the latter are counted."""
@@ -271,8 +287,10 @@ def _header_at(rows: Sequence[Sequence[str]], place: int, separator: str) -> Tab
         units, first = rows[first], first + 1
         if any(len(units[one]) > 1 for one in time_places(units, ())) and not time_places(names, ()):
             return None  # that is the header, and this a line before it
-    body = [row[:width] for row in rows[first:] if len(row) >= width and not any(row[width:])]
-    if len(body) < LEAST_ROWS or len(body) < len([row for row in rows[first:] if any(row)]) / 2:
+    repeated = frozenset(map(_stripped, rows[place:first]))
+    behind = [row for row in rows[first:] if any(row) and _stripped(row) not in repeated]
+    body = [row[:width] for row in behind if len(row) >= width and not any(row[width:])]
+    if len(body) < LEAST_ROWS or len(body) < len(behind) / 2:
         return None
     cells = [[row[one].strip() for row in body] for one in range(width)]
     commas = [cell for column in cells for cell in column if "," in cell and NUMBER.fullmatch(cell)]
@@ -303,6 +321,7 @@ def _header_at(rows: Sequence[Sequence[str]], place: int, separator: str) -> Tab
         separator=separator, lines=first, width=width, time_place=clock, us_per_unit=unit, notes=(*said, *notes),
         has_decimal_comma=has_comma, columns=tuple(columns[one] for one in blanks), places=tuple(blanks),
         worded=frozenset(one for one, words in blanks.items() if words),
+        repeated=repeated, clock_words=frozenset(row[clock].strip() for row in rows[place:first]) - {""},
     )  # fmt: skip
 
 
@@ -416,6 +435,14 @@ def _cells(line: str, separator: str) -> list[str]:
         return next(csv.reader([line], delimiter=separator), [])
     except csv.Error:
         return []
+
+
+def _stripped(row: Sequence[str]) -> tuple[str, ...]:
+    """Return the cells of a row without blanks around them and without empty ones at its end."""
+    cells = [cell.strip() for cell in row]
+    while cells and not cells[-1]:
+        cells.pop()
+    return tuple(cells)
 
 
 def _ungrouped(cells: Iterable[str]) -> list[str]:

@@ -222,6 +222,34 @@ def test_a_table_cut_anywhere_tells_no_value_that_was_not_written(end: int) -> N
     assert counts.truncated is (end < 22)
 
 
+@pytest.mark.parametrize("units", ["", "s,rpm,kPa\n"])
+@pytest.mark.parametrize("count", [1, 4, 40])
+def test_a_header_that_stands_again_between_rows_loses_nothing(count: int, units: str) -> None:
+    """An app begins its file again with every drive."""
+    head = f"Time, Engine Speed,Pressure\n{units}"
+    drives = [f"{n},{n + 1000},{n / 8}\n{n + 0.5},{n + 1000.5},{n / 8}\n" for n in range(0, 100 * count, 100)]
+    text = "".join(head + drive for drive in drives) + "9999,1,1\n"
+    assert detect(text.encode()).columns == (
+        SignalColumn("Engine Speed", "rpm" * bool(units)),
+        SignalColumn("Pressure", "kPa" * bool(units)),
+    )
+    batch, counts = read(text.encode())
+    assert values(batch, "Engine Speed") == [
+        *(n + half for n in range(1000, 1000 + 100 * count, 100) for half in (0, 0.5)),
+        1,
+    ]
+    assert counts.rejected == {}
+
+
+def test_rows_behind_a_header_of_other_columns_are_counted_not_mixed() -> None:
+    rows = "".join(f"{n},{n + 1000},{n / 8}\n" for n in range(10))
+    other = "Time,Pressure,Speed\n" + "".join(f"{n},1,2\n" for n in range(10, 15))
+    batch, counts = read(f"Time,Speed,Pressure\n{rows}{other}Time,Speed,Pressure\n20,7,8\n".encode())
+    assert values(batch, "Speed") == [*range(1000, 1010), 7]
+    assert counts.rejected == {LogReject.MALFORMED: 5}
+    assert counts.first_rejected == "line 13, behind a header of other columns: malformed"
+
+
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 @pytest.mark.parametrize("is_ended", [True, False])
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
