@@ -49,6 +49,7 @@ _MESSAGE: Final = re.compile(r"\bBO_\s++\d++\s++\w++\s*+:\s*+(\d++)")
 _SIGNAL_PLACE: Final = re.compile(r"(?<!\d)(\d++)\s*+\|\s*+(\d++)\s*+@")
 _MULTIPLEX_VALUES: Final = re.compile(r"\bSG_MUL_VAL_\s[^;]*+(?:;|\Z)")
 _RANGE: Final = re.compile(r"(?<!\d)(\d++)\s*+-\s*+(\d++)")
+_SYM: Final = re.compile(r"(?:\s|//[^\n]*\n)*FormatVersion\s*=")  # comments may stand before it
 _ROOT: Final = re.compile(r"<(?:[\w.-]+:)?([A-Za-z_][\w.-]*)[\s/>]")
 _BUS_MARK: Final = "#"
 _MORE: Final = " (--parser-time gives more)"
@@ -161,7 +162,7 @@ def _decoded(content: bytes) -> str:
 def _format_of(text: str, path: Path) -> DatabaseFormat:
     """Return the format of a text; whatever is nothing else is taken for a DBC file."""
     head = text[:HEAD_CHARACTERS].lstrip()
-    if head.startswith("FormatVersion"):
+    if _SYM.match(head):
         return DatabaseFormat.SYM
     if not head.startswith("<"):
         return DatabaseFormat.DBC

@@ -213,6 +213,14 @@ def sym(lines: str) -> str:
     return f'FormatVersion=6.0 // x\nTitle="x"\n\n{{SENDRECEIVE}}\n\n[m]\nID=100h\n{lines}\n'
 
 
+@pytest.mark.parametrize(
+    "before", ["// written by hand\n", "\n\t// one\r\n  // FormatVersion=5.0\r\n\r\n", "\ufeff//\n"]
+)
+def test_comments_may_stand_before_what_a_symbol_file_says_of_itself(tmp_path: Path, before: str) -> None:
+    (message,) = load_database(write(tmp_path, before + sym("Len=8\nVar=s unsigned 0,8"))).messages
+    assert (message.name, message.frame_id) == ("m", 0x100)
+
+
 ENTITIES: Final = '<!DOCTYPE a [<!ENTITY b "bbbbbbbb"><!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;">]>'
 PAGES: Final = range(2000)
 WIDE_PAGES: Final = (
