@@ -49,7 +49,7 @@ _MESSAGE: Final = re.compile(r"\bBO_\s++\d++\s++\w++\s*+:\s*+(\d++)")
 _SIGNAL_PLACE: Final = re.compile(r"(?<!\d)(\d++)\s*+\|\s*+(\d++)\s*+@")
 _MULTIPLEX_VALUES: Final = re.compile(r"\bSG_MUL_VAL_\s[^;]*+(?:;|\Z)")
 _RANGE: Final = re.compile(r"(?<!\d)(\d++)\s*+-\s*+(\d++)")
-_SYM: Final = re.compile(r"(?:\s|//[^\n]*\n)*FormatVersion\s*=")  # comments may stand before it
+_SYM: Final = re.compile(r"((?:\s|//[^\n]*\n)*)FormatVersion\s*=")  # comments may stand before it
 _ROOT: Final = re.compile(r"<(?:[\w.-]+:)?([A-Za-z_][\w.-]*)[\s/>]")
 _BUS_MARK: Final = "#"
 _MORE: Final = " (--parser-time gives more)"
@@ -106,6 +106,8 @@ def load_database(
     database_format = _format_of(text, file)
     if database_format == DatabaseFormat.DBC:
         _refuse_absurd_sizes(text, file)
+    elif begin := _SYM.match(text):
+        text = "\n" * begin[1].count("\n") + text[begin.end(1) :]  # cantools takes no such comments
     parsed = _parse(text, database_format, file, is_lenient=is_lenient, parser_time_s=parser_time_s)
     if parsed.database is None:
         more = f"; {parsed.offence_count - 1} more like this" if parsed.offence_count > 1 else ""
@@ -162,7 +164,7 @@ def _decoded(content: bytes) -> str:
 def _format_of(text: str, path: Path) -> DatabaseFormat:
     """Return the format of a text; whatever is nothing else is taken for a DBC file."""
     head = text[:HEAD_CHARACTERS].lstrip()
-    if _SYM.match(head):
+    if _SYM.match(text):
         return DatabaseFormat.SYM
     if not head.startswith("<"):
         return DatabaseFormat.DBC
