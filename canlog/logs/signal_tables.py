@@ -288,9 +288,9 @@ def _header_at(rows: Sequence[Sequence[str]], place: int, separator: str) -> Tab
         if any(len(units[one]) > 1 for one in time_places(units, ())) and not time_places(names, ()):
             return None  # that is the header, and this a line before it
     repeated = frozenset(map(_stripped, rows[place:first]))
-    behind = [row for row in rows[first:] if any(row) and _stripped(row) not in repeated]
-    body = [row[:width] for row in behind if len(row) >= width and not any(row[width:])]
-    if len(body) < LEAST_ROWS or len(body) < len(behind) / 2:
+    filled = [row for row in rows[first:] if any(row) and _stripped(row) not in repeated]
+    body = [row[:width] for row in filled if len(row) >= width and not any(row[width:])]
+    if len(body) < LEAST_ROWS or len(body) < len(filled) / 2:
         return None
     cells = [[row[one].strip() for row in body] for one in range(width)]
     commas = [cell for column in cells for cell in column if "," in cell and NUMBER.fullmatch(cell)]
