@@ -47,14 +47,7 @@ class LogFormat(StrEnum):
     GVRET = "gvret"
     BUSMASTER = "busmaster"
     CRTD = "crtd"
-    CARBUS = "carbus"
-    CANHACKER = "canhacker"
-    MICROCHIP = "microchip"
     CLX000 = "clx000"
-    CANKING = "canking"
-    CANBOAT = "canboat"
-    YACHT_DEVICES = "yacht-devices"
-    ACTISENSE = "actisense"
     PCAP = "pcap"
     PCAPNG = "pcapng"
     COLUMNS = "columns"
@@ -70,14 +63,7 @@ TEXT_LOGS: Mapping[LogFormat, Callable[[], TextLog]] = {
     LogFormat.GVRET: programs.GvretCsv,
     LogFormat.BUSMASTER: Busmaster,
     LogFormat.CRTD: partial(TableLog, programs.CRTD),
-    LogFormat.CARBUS: partial(TableLog, programs.CARBUS),
-    LogFormat.CANHACKER: programs.CanHacker,
-    LogFormat.MICROCHIP: programs.Microchip,
     LogFormat.CLX000: Clx000,
-    LogFormat.CANKING: partial(TableLog, programs.CANKING),
-    LogFormat.CANBOAT: programs.Canboat,
-    LogFormat.YACHT_DEVICES: programs.YachtDevices,
-    LogFormat.ACTISENSE: programs.Actisense,
     LogFormat.ASC: AscLog,
     LogFormat.COLUMNS: ColumnsLog,  # by the names in its header, never by its lines
 }
@@ -89,11 +75,7 @@ HEADERS: Mapping[LogFormat, re.Pattern[bytes]] = {
     LogFormat.CSV: programs.PYTHON_CAN_HEADER,
     LogFormat.GVRET: programs.GVRET_HEADER,
     LogFormat.BUSMASTER: re.compile(rb"\*\*\*BUSMASTER"),
-    LogFormat.CARBUS: programs.CARBUS_HEADER,
-    LogFormat.CANHACKER: programs.CANHACKER_HEADER,
-    LogFormat.MICROCHIP: programs.MICROCHIP_HEADER,
     LogFormat.CLX000: CLX000_HEADER,
-    LogFormat.CANKING: programs.CANKING_HEADER,
 }
 
 
@@ -107,15 +89,6 @@ TYPICAL: Mapping[LogFormat, re.Pattern[bytes]] = {
     LogFormat.CSV: re.compile(rb"[\d.eE+-]+,\s*0x[0-9a-fA-F]+,[01],"),
     LogFormat.GVRET: re.compile(rb"[\d.eE+-]+,[0-9a-fA-F]+,(?:true|false),", re.IGNORECASE),
     LogFormat.BUSMASTER: re.compile(rb"\s*(?:\d+:\d+:\d+:\d+\s+[RT]x\s|\*\*\*)"),
-    LogFormat.CARBUS: re.compile(rb"\d\d,\d{3,6}\t\d+\t[0-9A-F]{4,8}\t[0-9A-F]+\t\d+\t"),
-    LogFormat.CANHACKER: re.compile(rb"\d\d[.,]\d{3}\s+[0-9A-F]{3,8}\s+\d\s"),
-    LogFormat.CANKING: re.compile(
-        rb"\s*\d+\s+[0-9A-Fa-f]{3,8}\s+(?:[A-Za-z]+\s+)?(?:\d\s+)?(?:[0-9A-Fa-f]{2}\s+)*\d+[.,]\d+\s+[RT]\s*$"
-    ),
-    LogFormat.CANBOAT: re.compile(rb"\d{4}-\d\d-\d\d[-TZ ]\d\d:\d\d:\d\d\S*?,[0-7],\d{1,6},\d+,\d+,\d+(?:,|\s*$)"),
-    LogFormat.YACHT_DEVICES: re.compile(rb"\d\d:\d\d:\d\d\.\d{3}\s+[RT]\s+[0-9A-Fa-f]{3,8}\s"),
-    LogFormat.ACTISENSE: re.compile(rb"A\d{6}\.\d{3}\s+[0-9A-Fa-f]{5}\s+[0-9A-Fa-f]{4,5}\s|[$!]"),
-    LogFormat.MICROCHIP: re.compile(rb"\d+;[RT]X;0x[0-9A-Fa-f]+;\d+;"),
     LogFormat.CRTD: re.compile(rb"\d+(?:\.\d+)?\s+\d?(?:[RT](?:11|29)|C[A-Z]{2})\s"),
 }
 ONLY_LISTED = "a list of identifiers, not a log: no times rise, and no identifier comes again with bytes"

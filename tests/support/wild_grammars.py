@@ -63,24 +63,6 @@ def console_gaps(path: Path, frames: Sequence[Frame]) -> None:
     path.write_text("".join(lines), encoding="ascii")
 
 
-def _carbus(_: int, frame: Frame) -> str:
-    flags = frame.is_extended | frame.is_remote << 1 | 4 | (0x10 | frame.is_fast << 5 if frame.is_fd else 0)
-    time = f"{frame.t_us // 1_000_000 % 60:02d},{frame.t_us % 1_000_000:06d}"
-    data = hex_text(frame).ljust(23)
-    cells = [time, frame.channel + 1, f"{flags:08X}", id_text(frame, 3), frame.length, data, "00000000"]
-    return "\t".join([*map(str, cells), _shown(frame.data, ""), ""])
-
-
-def _canhacker(_: int, frame: Frame) -> str:
-    time = f"{frame.t_us // 1_000_000 % 60:02d}.{frame.t_us % 1_000_000 // 1_000:03d}"
-    return f"{time} {frame.can_id:08X} {frame.length} {hex_text(frame)} {'a comment' if frame.is_sent else ''}"
-
-
-def _microchip(_: int, frame: Frame) -> str:
-    data = ";".join(f"0x{byte:02X}" for byte in frame.data)
-    return f"{frame.t_us // 1_000};{'TX' if frame.is_sent else 'RX'};0x{frame.can_id:08X};{frame.length};{data};"
-
-
 def _clx000(stamp: str, separator: str = ";") -> Callable[[int, Frame], str]:
     """Return the lines of a CLX000, after the examples in its manual, with times of any form."""
 
@@ -99,17 +81,6 @@ def _clx000_header(start: str, separator: str = ";") -> tuple[str, ...]:
         f"# Time: {LOCAL_START.strftime(start)}", f'# Value separator: "{separator}"', "# Time format: 4",
         '# Time and date separator: "T"', separator.join(("Timestamp", "Type", "ID", "Data")),
     )  # fmt: skip
-
-
-MICROCHIP_DATE = "{0.day}/{0.month}/{0.year} {0.hour}:{0.minute}:{0.second}"
-MICROCHIP_HEADER = (
-    "//---------------------------------",
-    "Microchip Technology Inc.",
-    "CAN BUS Analyzer",
-    "SavvyCAN Exporter",
-    f"Logging Started: {MICROCHIP_DATE.format(LOCAL_START)}",
-    "//---------------------------------",
-)
 
 
 def _busmaster_j1939(*, is_decimal: bool) -> Callable[[int, Frame], str]:
@@ -161,48 +132,6 @@ def _bytes_table(_: int, frame: Frame) -> str:
     return ";".join([*cells, str(frame.length), "true" if frame.is_extended else "false", "note"])
 
 
-def _clock(t_us: int) -> str:
-    return f"{EPOCH + timedelta(microseconds=t_us):%H:%M:%S.%f}"[:-3]
-
-
-def _canking(_: int, frame: Frame) -> str:
-    """Return a line after the examples of Kvaser: an error frame has neither length nor bytes."""
-    tail = f"{frame.t_us / 1e6:14.6f} {'T' if frame.is_sent else 'R'}"
-    if frame.is_error:
-        return f" {frame.channel}    00000000            ErrorFrame           {tail}"
-    marks = ("X" if frame.is_extended else "") + ("R" if frame.is_remote else "")
-    data = hex_text(frame).replace(" ", "  ")
-    return f" {frame.channel}    {frame.can_id:08X} {marks:5} {frame.length:3}  {data:30} {tail}"
-
-
-def _parts(can_id: int) -> tuple[int, int, int, int]:
-    """Return priority, group, source and destination, as J1939-21 has them in an identifier."""
-    group, destination = can_id >> 8 & 0x3FFFF, 255
-    if group >> 8 & 0xFF < 240:
-        group, destination = group & ~0xFF, group & 0xFF
-    return can_id >> 26, group, can_id & 0xFF, destination
-
-
-def _canboat(mark: str, end: str) -> Callable[[int, Frame], str]:
-    def line(_: int, frame: Frame) -> str:
-        moment = f"{EPOCH + timedelta(seconds=START_S, microseconds=frame.t_us):%Y-%m-%d{mark}%H:%M:%S.%f}"[:-3]
-        cells = [moment + end, *_parts(frame.can_id), frame.length, *(f"{byte:02x}" for byte in frame.data)]
-        return ",".join(map(str, cells))
-
-    return line
-
-
-def _yacht_devices(_: int, frame: Frame) -> str:
-    identifier = f"{frame.can_id:08X}" if frame.is_extended else f"{frame.can_id:03X}"
-    return f"{_clock(frame.t_us)} {'T' if frame.is_sent else 'R'} {identifier} {frame.data.hex(' ').upper()}"
-
-
-def _actisense(_: int, frame: Frame) -> str:
-    priority, group, source, destination = _parts(frame.can_id)
-    time = _clock(frame.t_us).replace(":", "")
-    return f"A{time} {source:02X}{destination:02X}{priority:X} {group:05X} {frame.data.hex().upper()}"
-
-
 TABLE_NAMES = ("Bus", "ID", "Extended", "RTR", "Error", "Dir", "DLC", "Data")
 
 
@@ -222,19 +151,6 @@ WILD_GRAMMARS: Mapping[str, Grammar] = MappingProxyType({
         leaves_open=True,
         start_us=0, has_fd=True, channels=10, has_direction_of_errors=True,
     ),
-    "carbus": Grammar(
-        write=by_hand(_carbus, ("@ TEXT @ 3 @ 64 @ 0 @ 1858 @ 7283 @ 00:00:07.283 @",), "\r"), start_us=0,
-        has_fd=True, has_error=False, has_direction=False, channels=9, first_channel=1, has_passive=False,
-    ),
-    "canhacker": Grammar(
-        write=by_hand(_canhacker, ("Time   ID     DLC Data                    Comment",)), start_us=0, unit_us=100,
-        step_us=1_000,
-        has_remote=False, has_error=False, has_direction=False, tells_extended=False,
-    ),
-    "microchip": Grammar(
-        write=by_hand(_microchip, MICROCHIP_HEADER), unit_us=100, step_us=1_000, has_remote=False, has_error=False,
-        tells_extended=False,
-    ),
     "clx000 with days": Grammar(
         write=by_hand(_clx000("%dT%H%M%S"), _clx000_header("%Y%m%dT%H%M%S")), unit_us=100, step_us=1_000,
         has_remote=False, has_error=False,
@@ -250,31 +166,6 @@ WILD_GRAMMARS: Mapping[str, Grammar] = MappingProxyType({
     "busmaster of J1939 in decimal": Grammar(
         write=by_hand(_busmaster_j1939(is_decimal=True), busmaster_header("DEC", "J1939")), unit_us=100,
         has_remote=False, has_error=False, channels=9, first_channel=1, is_always_extended=True,
-    ),
-    "canking": Grammar(
-        write=by_hand(
-            _canking, ("Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir",), "\r\n",
-        ),
-        start_us=0, channels=10, has_direction_of_errors=True,
-    ),
-    "canking without a header": Grammar(
-        write=by_hand(_canking), start_us=0, channels=10, has_direction_of_errors=True,
-    ),
-    "canboat": Grammar(
-        write=by_hand(_canboat("-", "")), step_us=1_000, has_remote=False, has_error=False, has_direction=False,
-        is_always_extended=True,
-    ),
-    "canboat of today": Grammar(
-        write=by_hand(_canboat("T", "Z"), ("# format=PLAIN",)), step_us=1_000, has_remote=False, has_error=False,
-        has_direction=False, is_always_extended=True,
-    ),
-    "yacht-devices": Grammar(
-        write=by_hand(_yacht_devices, end="\r\n"), start_us=0, step_us=1_000, has_remote=False, has_error=False,
-        leaves_open=True,
-    ),
-    "actisense": Grammar(
-        write=by_hand(_actisense, end="\r\n"), start_us=0, step_us=1_000, has_remote=False, has_error=False,
-        has_direction=False, is_always_extended=True, leaves_open=True,
     ),
     "columns with commas": Grammar(
         write=by_hand(

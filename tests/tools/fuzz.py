@@ -122,19 +122,6 @@ CONSOLE = (
     b"  can0  20000004   [8]  00 08 00 00 00 00 00 00   ERRORFRAME\n\tcontroller-problem{}\n"
     b"  \x1b[1m\x1b[34mcan0  123   [2]  00000001 10000000\x1b[0m\nDROPCOUNT: dropped 3 CAN frames on 'can0' socket\n"
 )
-CARBUS = (
-    b"@ TEXT @ 3 @ 64 @ 0 @ 4 @ 62000 @ 00:01:02.000 @\n# $LocalTime=16:39:55.817\n"
-    b"59,473394\t1\t00000005\t18FEF100\t8\t00 00 40 00 00 00 00 01\t00000000\t  @     \t\n"
-    b"00,001000\t2\t00000030\t319\t12\t00 00 40 00 00 00 00 00 01 02 03 04\t00000000\t  @         \t\n"
-)
-CANHACKER = (
-    b"Time   ID     DLC Data                    Comment\n59.990 00004000 8 36 47 19 43 01 00 00 80 a comment\n"
-    b"00.010 00000280 2 01 FF\n"
-)
-MICROCHIP = (
-    b"//---\nMicrochip Technology Inc.\nCAN BUS Analyzer\nLogging Started: 31/1/2026 1:2:3\n//---\n"
-    b"1247;RX;0xC2;8;0x5C;0x87;0x00;0x00;0x01;0x00;0x00;0x1C\n1250;TX;0x18FEF100;1;0xFF;\n"
-)
 CLX000 = tuple(
     b'# Logger type: CL2000\n# Time: 20170101T022232\n# Value separator: "%s"\nTimestamp%sType%sID%sData\n'
     % ((mark,) * 4)
@@ -143,24 +130,6 @@ CLX000 = tuple(
         for time, kind in ((b"01T022231683", b"8"), (b"22231.688", b"0"), (b"2017/12/31T23:59:59.999", b"9"))
     )
     for mark in (b";", b"\t")
-)
-CANKING = (
-    b"Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir\n"
-    b" 0    00002102 X       8  60  00  00  5F  60  60  E2  F2   46055.090598 R\n 3  123 R  4   2.5 T\n"
-    b" 0    00000000            ErrorFrame                          29.095270 R\nLogging stopped.\n"
-)
-CANBOAT = (
-    b"# format=FAST\n2011-11-24-22:42:04.388,2,127251,36,255,8,7d,0b,7d,02,00,ff,ff,ff\n"
-    b"2011-11-24T22:42:05.390Z,6,126996,36,255,10,00,5a,7c,00,00,00,00,fd,01,02\n"
-    b"2011-11-24T22:42:05.390Z,6,126996,36,255,4,00,5a,7c,00\n2011-11-24T22:42:05Z,6,59904,36,17,3,00,5a,7c\n"
-    b"2011-11-24T22:42:05.390Z,6,129540,36,255,223" + b",ff" * 223 + b"\n2011-11-24T22:42:05Z,6,262161,36,17,1,00\n"
-)
-YACHT_DEVICES = (
-    b"17:33:21.107 R 19F51323 01 2F 30 70 00 2F 30 70\n23:59:59.999 T 19F51323 02 00\n00:00:00.001 R 123 A0\n"
-)
-ACTISENSE = (
-    b"A173321.107 23FF7 1F513 012F3070002F30709F   \nA235959.999 23FF7 1F513 012F30\n$GPRMC,1,A\n"
-    b"A000000.001 23156 0EF00 012F30\n"
 )
 COLUMNS = (
     b"Line,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Network,Node,Arb ID,Remote,Xtd,"
@@ -268,14 +237,7 @@ READERS: dict[str, tuple[Reader, bytes | tuple[bytes, ...]]] = {
     "busmaster": (reader_of(TEXT_LOGS[LogFormat.BUSMASTER]), (BUSMASTER, *BUSMASTER_J1939)),
     "crtd": (reader_of(TEXT_LOGS[LogFormat.CRTD]), CRTD),
     "console": (reader_of(TEXT_LOGS[LogFormat.CONSOLE]), (CONSOLE, CONSOLE_GAPS)),
-    "carbus": (reader_of(TEXT_LOGS[LogFormat.CARBUS]), CARBUS),
-    "canhacker": (reader_of(TEXT_LOGS[LogFormat.CANHACKER]), CANHACKER),
-    "microchip": (reader_of(TEXT_LOGS[LogFormat.MICROCHIP]), MICROCHIP),
     "clx000": (reader_of(TEXT_LOGS[LogFormat.CLX000]), CLX000),
-    "canking": (reader_of(TEXT_LOGS[LogFormat.CANKING]), CANKING),
-    "canboat": (reader_of(TEXT_LOGS[LogFormat.CANBOAT]), CANBOAT),
-    "yacht-devices": (reader_of(TEXT_LOGS[LogFormat.YACHT_DEVICES]), YACHT_DEVICES),
-    "actisense": (reader_of(TEXT_LOGS[LogFormat.ACTISENSE]), ACTISENSE),
     "columns": (reader_of(TEXT_LOGS[LogFormat.COLUMNS]), COLUMNS),
     "signals": (read_signal_table, SIGNALS),
     "arrow": (read_arrow_table, ARROW_TABLES),

@@ -25,7 +25,6 @@ NO_TIME = -(1 << 62)  # a time may be negative
 QUOTE, COMMA, POINT, COLON, MINUS, PLUS, ZERO = ord('"'), ord(","), ord("."), ord(":"), ord("-"), ord("+"), ord("0")
 LETTER_E, LETTER_H, LETTER_X, LETTER_Z = ord("e"), ord("h"), ord("x"), ord("z")
 SQUARE, SQUARE_END, SLASH = ord("["), ord("]"), ord("/")
-REST = -1  # in place of a parameter: what stands behind the last column is passed over
 MOST_ID_DIGITS = 10
 LARGEST_ID = 0x1FFF_FFFF
 MOST_CHANNEL, MOST_LENGTH = 255, 255
@@ -162,7 +161,7 @@ def data_bytes(
     begin: int,
     stop: int,
     base: int,
-    data: UInt8Array | Int64Array,
+    data: UInt8Array,
     row: int,
     count: int,
     is_one: bool,  # noqa: FBT001 - of a kernel
@@ -188,7 +187,7 @@ def data_bytes(
         if count < data.shape[1]:
             data[row, count] = value
         count += 1
-        if count > max(FD_PAYLOAD_BYTES, data.shape[1]):
+        if count > FD_PAYLOAD_BYTES:
             return -1
     return -1 if is_one and count - before > 1 else count
 
@@ -280,8 +279,7 @@ def stamp_us(text: UInt8Array, begin: int, stop: int, year: int) -> int:  # noqa
     """Return ``20260131T235959.999`` in microseconds, whatever stands between its digits, as if it were UTC.
 
     Larger parts may be missing: the year, which is then ``year``; the month, then it is the time since the month
-    began; the day, the hour, and so on. A negative ``year`` is how many digits there must be. NO_TIME if a field is
-    none of these.
+    began; the day, the hour, and so on. NO_TIME if a field is none of these.
     """
     count, value = 0, 0
     for at in range(begin, stop):
@@ -289,7 +287,7 @@ def stamp_us(text: UInt8Array, begin: int, stop: int, year: int) -> int:  # noqa
             count, value = count + 1, value * 10 + text[at] - 48
             if count > MOST_STAMP_DIGITS:
                 return NO_TIME
-    if count % 2 == 0 or count < 3 or count == MOST_STAMP_DIGITS - 2 or (year < 0 and count != -year):
+    if count % 2 == 0 or count < 3 or count == MOST_STAMP_DIGITS - 2:
         return NO_TIME
     value_us, rest = value % 1_000 * 1_000, value // 1_000
     second, minute, hour, rest = rest % 100, rest // 100 % 100, rest // 10_000 % 100, rest // 1_000_000

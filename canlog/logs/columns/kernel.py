@@ -1,7 +1,4 @@
-"""The compiled reader of tables: one line is split at its separators, and each field is read by its role.
-
-Of NMEA 2000 identifiers come in parts, and a line may hold more bytes than a frame has.
-"""
+"""The compiled reader of tables: one line is split at its separators, and each field is read by its role."""
 
 import numpy as np
 
@@ -21,7 +18,7 @@ from canlog.jit import array_kernel, inlined_kernel
 from canlog.logs.asc import is_word
 from canlog.logs.columns import fields
 from canlog.logs.columns.fields import NO_TIME
-from canlog.logs.columns.roles import BLANKS, DECIMAL, EVENT, HEXADECIMAL, Program, Role
+from canlog.logs.columns.roles import BLANKS, EVENT, HEXADECIMAL, Program, Role
 from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_kernels import (
     BLANK,
@@ -46,31 +43,23 @@ from canlog.logs.text_kernels import (
     skip_word,
 )
 
-# What has been read of a line; a message longer than a frame; and of which groups there are such messages.
-TIME_US, ID, MEANING, LENGTH, CHANNEL, COUNT, DESTINATION, MESSAGE = range(8)
-MOST_MESSAGE_BYTES = 223
-FIRST_GROUP, MOST_GROUP = 0x1E000, 0x1FFFF  # all that may be longer than a frame
-SEEN = MESSAGE + MOST_MESSAGE_BYTES
-FIELDS = SEEN + MOST_GROUP - FIRST_GROUP + 1
+TIME_US, ID, MEANING, LENGTH, CHANNEL, COUNT, FIELDS = range(7)  # what has been read of a line
 UNKNOWN = -1
-NO_FRAME_ID = -2  # a group beyond those of any bus: what gateways say of themselves
 
-# The clock of a file, how many of its first lines hold no frames, and how many messages were cut into frames.
-BASE_US, NOW_US, WRAP_US, LAPS_US, IS_RELATIVE, HEADER_LINES, CUT_MESSAGES, CLOCK_FIELDS = range(8)
+# The clock of a file, and how many of its first lines hold no frames.
+BASE_US, NOW_US, WRAP_US, LAPS_US, IS_RELATIVE, HEADER_LINES, CLOCK_FIELDS = range(7)
 
-FIRST_BYTES, NEXT_BYTES, PADDING = 6, 7, 0xFF  # of fast packets
-ADDRESS_DIGITS, MOST_PRIORITY, MOST_ADDRESS, BROADCAST_FORMAT = 5, 7, 0xFF, 0xF0
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
 NS_PER_US = 1_000
 HOUR_US = 3_600_000_000
 LAST_US = 9_200_000_000_000_000
 CODES = len(LENGTH_OF_CODE)
 REMOTE_WORD = np.frombuffer(b"remote", np.uint8)
-LETTER_B, LETTER_E, LETTER_F, LETTER_R, LETTER_T, LETTER_X = ord("b"), ord("e"), ord("f"), ord("r"), ord("t"), ord("x")
+LETTER_R, LETTER_T, LETTER_X = ord("r"), ord("t"), ord("x")
 DASH = ord("-")  # in an exact layout, what is not known
 BUS_CHANGE_ID = 0xFFFF_FFFF  # how PCAN writes one
 EVENT_LETTERS = 3
-CARBUS_EXTENDED, CARBUS_REMOTE, CARBUS_FD, CARBUS_FAST = 0x1, 0x2, 0x10, 0x20
+EXTENDED_BIT = 0x1  # of the type of a frame, as CLX000 loggers write it
 
 
 @array_kernel
@@ -93,8 +82,6 @@ def parse_lines(
             break
         if outcome == FRAME:
             outcome = _store(rows, row, program, clock, line)
-            if outcome == FRAME and program.has_messages:
-                row += _store_message(rows, row, clock, line)
             row += outcome == FRAME
         elif outcome == SKIPPED and clock[IS_RELATIVE]:
             clock[NOW_US] += line[TIME_US]  # of an event
@@ -109,7 +96,7 @@ def _parse_line(
     text: UInt8Array, at: int, data: UInt8Array, row: int, program: Program, line: Int64Array
 ) -> tuple[int, int]:
     """Read the fields of one line; return the outcome and the position behind the line."""
-    line[:MESSAGE] = UNKNOWN
+    line[:] = UNKNOWN
     line[MEANING] = line[COUNT] = line[TIME_US] = 0
     separator = program.separator
     at = fields.skip_margin(text, at, separator)
@@ -118,7 +105,7 @@ def _parse_line(
         return (OTHER if is_read else SKIPPED), skip_line(text, at)
     column, last = 0, len(program.columns) - 1
     while True:
-        if program.is_spread or line[MEANING] & ERROR_FLAG:
+        if program.is_exact and line[MEANING] & ERROR_FLAG:
             column = _column_of(text, at, column, program, line)
         is_data = program.is_exact and column == last and program.columns[last, 0] == Role.DATA
         if is_data:
@@ -130,7 +117,7 @@ def _parse_line(
                 is_read = _read_exact_field(text, begin, stop, role, parameter, data, row, program, line)
             else:
                 is_read = _read_field(text, begin, stop, role, parameter, data, row, program, line)
-            column += role != Role.COUNTED or line[COUNT] >= line[LENGTH]
+            column += 1
         if not is_read:
             is_too_long = data.shape[1] < line[COUNT] <= FD_PAYLOAD_BYTES
             return (TOO_LONG if is_too_long else MALFORMED), skip_line(text, at)
@@ -154,33 +141,22 @@ def _role_of(
     """Return what a field is, and the parameter of that; -1 if there may be none in its place."""
     last = len(program.columns) - 1
     role, parameter = program.columns[min(column, last), 0], program.columns[min(column, last), 1]
-    is_full = 0 <= line[LENGTH] <= line[COUNT] and (program.separator == BLANKS or line[LENGTH] <= PAYLOAD_BYTES)
+    is_full = 0 <= line[LENGTH] <= min(line[COUNT], PAYLOAD_BYTES)
     if column <= last:
         return (Role.IGNORED if role == Role.BYTE and is_full else role), parameter  # a label where bytes would be
     if not has_text:
         return Role.IGNORED, 0
     if program.is_exact:
         return -1, 0
-    if role == Role.MESSAGE:
-        return (Role.IGNORED if is_full and program.separator == BLANKS else Role.MESSAGE), parameter
     if role != Role.DATA:
-        return (Role.IGNORED if role == Role.BYTE or parameter == fields.REST else -1), 0
+        return (Role.IGNORED if role == Role.BYTE else -1), 0
     return (Role.IGNORED if is_full else Role.BYTE), parameter  # a comment, or bytes of one column, spread over others
 
 
 @array_kernel
 def _column_of(text: UInt8Array, begin: int, column: int, program: Program, line: Int64Array) -> int:
-    """Return which column a field is that begins here: one that may be missing is passed over."""
-    while column < len(program.columns):
-        role = program.columns[column, 0]
-        is_bare = line[MEANING] & (ERROR_FLAG | REMOTE_FLAG) != 0 or line[LENGTH] == 0
-        is_missing = role == Role.MARKS and 48 <= text[begin] <= 57
-        if program.is_exact:
-            is_missing = _is_left_out(text, begin, role, line)
-        elif program.is_spread:
-            is_missing = is_missing or (role == Role.LENGTH and line[MEANING] & ERROR_FLAG != 0)
-        if not is_missing and not (role == Role.COUNTED and is_bare):
-            break
+    """Return which column a field is that begins here: one that error frames lack is passed over."""
+    while column < len(program.columns) and _is_left_out(text, begin, program.columns[column, 0], line):
         column += 1
     return column
 
@@ -308,7 +284,7 @@ def _read_exact_data(
 
 
 @inlined_kernel
-def _read_field(  # noqa: C901, PLR0911 - one for each role
+def _read_field(  # noqa: PLR0911 - one for each role
     text: UInt8Array,
     begin: int,
     stop: int,
@@ -328,7 +304,7 @@ def _read_field(  # noqa: C901, PLR0911 - one for each role
     if role == Role.ID:
         line[ID] = fields.identifier(text, begin, stop, parameter, line, MEANING, program.extended_digits)
         return bool(line[ID] >= 0 or stop == begin)  # of an error frame
-    if role == Role.DATA or role == Role.BYTE or role == Role.COUNTED or role == Role.MESSAGE:  # noqa: PLR1714 - no tuple
+    if role == Role.DATA or role == Role.BYTE:  # noqa: PLR1714 - no tuple in a kernel
         return _read_bytes(text, begin, stop, role, parameter, data, row, program, line)
     if role == Role.LENGTH:
         line[LENGTH] = fields.small_number(text, begin, stop)
@@ -341,10 +317,6 @@ def _read_field(  # noqa: C901, PLR0911 - one for each role
     if role == Role.STAMP:
         line[TIME_US] = fields.stamp_us(text, begin, stop, parameter)
         return bool(line[TIME_US] != NO_TIME)
-    if Role.PRIORITY <= role <= Role.ADDRESSES:
-        return _read_part(text, begin, stop, role, parameter, line)
-    if role == Role.MARKS:
-        return _read_marks(text, begin, stop, line)
     if Role.EXTENDED <= role <= Role.DIRECTION:
         line[MEANING] |= fields.MEANING_OF_ROLE[role] if fields.is_on(text, begin, stop, role) else 0
         return True
@@ -368,43 +340,18 @@ def _read_bytes(
         line[MEANING] |= REMOTE_FLAG
         line[LENGTH] = max(line[LENGTH], fields.channel(text, begin, stop, program.channel_names[:0]))
         return True
-    if role == Role.MESSAGE:
-        message = line[MESSAGE:SEEN].reshape(1, -1)
-        is_one = program.separator != BLANKS
-        line[COUNT] = fields.data_bytes(text, begin, stop, base, message, 0, line[COUNT], is_one)
-        return bool(0 <= line[COUNT] <= MOST_MESSAGE_BYTES)
     line[COUNT] = fields.data_bytes(text, begin, stop, base, data, row, line[COUNT], role != Role.DATA)
     return bool(0 <= line[COUNT] <= data.shape[1])
 
 
 @array_kernel
-def _read_marks(text: UInt8Array, begin: int, stop: int, line: Int64Array) -> bool:
-    """Read what CanKing says of a frame: letters, or that it is an error frame."""
-    if (text[begin] | 32) == LETTER_E:
-        line[MEANING] |= ERROR_FLAG
-        return True
-    for at in range(begin, stop):
-        letter = text[at] | 32
-        line[MEANING] |= EXTENDED_FLAG if letter == LETTER_X else 0
-        line[MEANING] |= REMOTE_FLAG if letter == LETTER_R else 0
-        line[MEANING] |= FD_FLAG if letter == LETTER_F else 0
-        line[MEANING] |= BRS_FLAG if letter == LETTER_B else 0
-        if not 97 <= letter <= 122:
-            return False
-    return True
-
-
-@array_kernel
 def _read_flags(text: UInt8Array, begin: int, stop: int, sent_bit: int, line: Int64Array) -> bool:
-    """Read the bits that CARBUS Analyzer writes of a frame, and one that says that it was sent."""
+    """Read the type of a frame: whether its identifier is an extended one, and whether it was sent."""
     bits = fields.hexadecimal_field(text, begin, stop)
     if bits < 0:
         return False
-    line[MEANING] |= EXTENDED_FLAG if bits & CARBUS_EXTENDED else 0
-    line[MEANING] |= REMOTE_FLAG if bits & CARBUS_REMOTE else 0
+    line[MEANING] |= EXTENDED_FLAG if bits & EXTENDED_BIT else 0
     line[MEANING] |= TX_FLAG if bits & sent_bit else 0
-    line[MEANING] |= FD_FLAG if bits & CARBUS_FD else 0
-    line[MEANING] |= BRS_FLAG if bits & CARBUS_FD and bits & CARBUS_FAST else 0
     return True
 
 
@@ -416,81 +363,7 @@ def _check(column: int, program: Program, line: Int64Array) -> int:
         last = program.columns[width - 1, 0]
         width -= last == Role.DATA or last == Role.BASE64  # noqa: PLR1714 - no tuple in a kernel
         return _check_exact_length(line, program.is_padded) if column >= width else MALFORMED
-    if program.is_spread and column < width:
-        return MALFORMED
-    return _check_message(line) if program.has_messages else _check_length(line)
-
-
-@array_kernel
-def _read_part(text: UInt8Array, begin: int, stop: int, role: int, base: int, line: Int64Array) -> bool:
-    """Read a part of an identifier of 29 bits."""
-    if role == Role.ADDRESSES:
-        value = fields.hexadecimal_field(text, begin, stop)
-        part = (value & 0x7) << 26 | value >> 12
-        line[DESTINATION] = value >> 4 & 0xFF
-        is_sound = stop - begin == ADDRESS_DIGITS and value & 0xF <= MOST_PRIORITY
-    else:
-        value = fields.identifier(text, begin, stop, max(base, DECIMAL), line, MEANING, 0)
-        most = MOST_GROUP * 4 if role == Role.GROUP else MOST_PRIORITY if role == Role.PRIORITY else MOST_ADDRESS
-        part = value << (26 if role == Role.PRIORITY else 8 if role == Role.GROUP else 0)
-        is_sound = 0 <= value <= most
-    if role == Role.DESTINATION:
-        line[DESTINATION], part = value, 0
-    line[MEANING] |= EXTENDED_FLAG
-    is_group = role == Role.GROUP and value > MOST_GROUP * 2 + 1
-    line[ID] = NO_FRAME_ID if is_group or line[ID] == NO_FRAME_ID else max(line[ID], 0) | part
-    return bool(is_sound)
-
-
-@array_kernel
-def _check_message(line: Int64Array) -> int:
-    """Return whether a message has all of its bytes; what is longer than a frame is stored by ``_store_message``."""
-    count = line[COUNT]
-    if line[ID] == NO_FRAME_ID:
-        return SKIPPED
-    if count < line[LENGTH] or count > MOST_MESSAGE_BYTES:
-        return MALFORMED
-    line[COUNT] = count = line[LENGTH] if line[LENGTH] >= 0 else count
-    line[LENGTH] = min(count, PAYLOAD_BYTES)
-    if line[DESTINATION] >= 0 and (line[ID] >> 16 & 0xFF) < BROADCAST_FORMAT:
-        line[ID] = line[ID] & ~0xFF00 | line[DESTINATION] << 8
-    return FRAME
-
-
-@array_kernel
-def _store_message(rows: FrameRows, row: int, clock: Int64Array, line: Int64Array) -> int:
-    """Write the bytes of a message whose first frame is in this row; return how many frames there are behind it.
-
-    One that is longer than a frame, or of a group that has such, becomes the fast packet that carried it.
-    """
-    count, group = line[COUNT], (line[ID] >> 8 & 0x3FFFF) - FIRST_GROUP
-    group -= 0 if (line[ID] >> 16 & 0xFF) >= BROADCAST_FORMAT else group & 0xFF
-    is_cut = count > PAYLOAD_BYTES
-    if 0 <= group < FIELDS - SEEN:
-        is_cut = is_cut or line[SEEN + group] > 0
-        line[SEEN + group] = is_cut
-    if not is_cut:
-        for place in range(PAYLOAD_BYTES):
-            rows.data[row, place] = line[MESSAGE + place] if place < count else 0
-        return 0
-    clock[CUT_MESSAGES] += 1
-    place, frames = 0, 1 + max(0, count - FIRST_BYTES + NEXT_BYTES - 1) // NEXT_BYTES
-    for number in range(frames):
-        for column in range(rows.data.shape[1]):
-            is_filled = column > (number == 0) and column < PAYLOAD_BYTES
-            is_padding = column < PAYLOAD_BYTES and place >= count
-            rows.data[row, column] = (
-                line[MESSAGE + place] if is_filled and not is_padding else PADDING if is_padding else 0
-            )
-            place += is_filled
-        rows.data[row, 0] = clock[CUT_MESSAGES] % 8 << 5 | number
-        if number == 0:
-            rows.data[row, 1] = count
-        rows.t_ns[row], rows.can_id[row] = rows.t_ns[row - number], rows.can_id[row - number]
-        rows.flags[row], rows.channel[row] = rows.flags[row - number], rows.channel[row - number]
-        rows.length[row] = PAYLOAD_BYTES
-        row += 1
-    return int(frames) - 1
+    return _check_length(line)
 
 
 @array_kernel

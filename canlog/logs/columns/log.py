@@ -31,35 +31,23 @@ CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d")
 DATE = re.compile(r"\d{4}[-/]\d\d[-/]\d\d[ T]\d{1,2}:\d\d:\d\d(?:[.,]\d+)?(?P<offset>\S*)$")
 NO_HEADER = "no line names its columns"
 NO_TIMES = "the log has no times: every frame gets the time 1970-01-01 00:00:00"
-
-
-WHOLE_MESSAGES = (
-    "messages of more than 8 bytes are whole in this log: they are read as fast packets whose frames all have the "
-    "time of the message"
-)
 NO_LAYOUT = Layout(columns=(Column(),), separator=ord(","))
 
 
 class TableLog(TextLog):
     """A table of a known layout; ``set_layout`` says another, before the first line or by what one says."""
 
-    def __init__(self, layout: Layout = NO_LAYOUT, note: str = "") -> None:
+    def __init__(self, layout: Layout = NO_LAYOUT) -> None:
         super().__init__()
         self._clock = np.zeros(kernel.CLOCK_FIELDS, np.int64)
         self._line = np.zeros(kernel.FIELDS, np.int64)
         self.set_layout(layout)
-        self.notes += [note] * bool(note)
 
     def set_layout(self, layout: Layout) -> None:
         """Read the lines that follow by a layout."""
         self.layout, self._program = layout, layout.program()
         self.shortest_line_bytes = 7 if layout.is_exact else 3  # "0 DT 1" and "1,2", each with its newline
         self._clock[kernel.WRAP_US], self._clock[kernel.HEADER_LINES] = layout.wrap_us, layout.header_lines
-
-    def restart(self) -> None:
-        """Begin with the first line again, knowing what was learned."""
-        self._clock[:] = 0
-        self.set_layout(self.layout)
 
     def set_base(self, base_us: int, now_us: int = 0, *, is_relative: bool = False) -> None:
         """Count times from here, of which so much has passed; each from the one before if ``is_relative``."""
@@ -69,8 +57,6 @@ class TableLog(TextLog):
     def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
         """Read lines, of an exact layout up to a comment."""
         kernel.parse_lines(text, rows, self._program, self._clock, self._line, progress)
-        if self._clock[kernel.CUT_MESSAGES] and WHOLE_MESSAGES not in self.notes:
-            self.notes.append(WHOLE_MESSAGES)
 
     def is_whole(self, line: bytes, frame: FrameBatch) -> bool:
         """Return whether no byte can be missing, and no digit of the last one."""

@@ -29,20 +29,12 @@ class Role(IntEnum):
     BIT_RATE_SWITCH = 11
     ERROR_STATE = 12
     DIRECTION = 13  # Tx or anything else
-    FLAGS = 14  # hexadecimal bits, as CARBUS Analyzer has them [the one that says that the recorder sent the frame]
-    STAMP = 15  # digits of a time to the millisecond, without its larger parts [year of those without; < 0: digits]
-    PRIORITY = 16  # the parts of an identifier of NMEA 2000 and J1939
-    GROUP = 17  # a parameter group [base]
-    SOURCE = 18
-    DESTINATION = 19
-    ADDRESSES = 20  # source, destination and priority, in two, two and one hexadecimal digits
-    MESSAGE = 21  # all bytes of a message, which may be longer than a frame [base]
-    MARKS = 22  # letters that say what kind a frame is; a field that begins with a digit is that of the next column
-    COUNTED = 23  # as DATA, in as many columns as the length says, with others behind them
-    WORD = 24  # a word of the layout, behind it a channel's digit [first of three letters of words for events]
-    BASE64 = 25  # all bytes
-    CLOCK = 26  # hours:minutes:seconds:count [microseconds of one]
-    LENGTH_CODE = 27  # the code that CAN FD has for lengths
+    FLAGS = 14  # hexadecimal bits, as CLX000 loggers have them [the one that says that the recorder sent the frame]
+    STAMP = 15  # digits of a time to the millisecond, without its larger parts [year of those without]
+    WORD = 16  # a word of the layout, behind it a channel's digit [first of three letters of words for events]
+    BASE64 = 17  # all bytes
+    CLOCK = 18  # hours:minutes:seconds:count [microseconds of one]
+    LENGTH_CODE = 19  # the code that CAN FD has for lengths
 
 
 class Meaning(IntFlag):
@@ -80,8 +72,6 @@ class Program(NamedTuple):
     separator: int
     extended_digits: int
     has_decimal_comma: bool
-    has_messages: bool  # bytes are those of a message, which may be longer than a frame
-    is_spread: bool  # columns may be missing, or stand behind bytes
     channel_names: Int64Array  # hashes
     words: Int64Array  # (n, 2): packed, meaning
     is_exact: bool
@@ -126,8 +116,6 @@ class Layout:
             separator=self.separator,
             extended_digits=self.extended_digits,
             has_decimal_comma=self.has_decimal_comma,
-            has_messages=self.has(Role.MESSAGE),
-            is_spread=self.has(Role.COUNTED),
             channel_names=np.array([name_hash(np.frombuffer(one, np.uint8), 0, len(one)) for one in names], np.int64),
             words=np.array([(packed_word(word), int(one)) for word, one in self.words.items()], np.int64).reshape(
                 -1, 2

@@ -118,9 +118,8 @@ def garble_sqlite(sound: Path, damaged: Path, rng: Generator, count: int) -> int
 GARBLERS: Mapping[str, Garbler] = MappingProxyType(
     {
         **dict.fromkeys(
-            ("candump", "asc", "trc", "csv", "gvret", "busmaster", "crtd", "console", "columns"), garble_lines
+            ("candump", "asc", "trc", "csv", "gvret", "busmaster", "crtd", "console", "columns", "clx000"), garble_lines
         ),
-        **dict.fromkeys(("carbus", "canhacker", "microchip", "clx000", "canking", "yacht-devices"), garble_lines),
         "gzip": garble_gzip,
         "blf": garble_blf,
         "mf4": garble_mf4,

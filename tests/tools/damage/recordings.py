@@ -131,14 +131,9 @@ OTHERS: Mapping[str, tuple[str, Grammar]] = MappingProxyType(
         "crtd": (".crtd", GRAMMARS["crtd"]),
         "console": (".txt", WILD_GRAMMARS["candump-console -ta"]),
         "columns": (".table", WILD_GRAMMARS["columns with commas"]),
-        "carbus": (".carbus.trc", WILD_GRAMMARS["carbus"]),
-        "canhacker": (".hacker.trc", WILD_GRAMMARS["canhacker"]),
-        "microchip": (".can", WILD_GRAMMARS["microchip"]),
         "clx000": (".clx.txt", WILD_GRAMMARS["clx000 with days"]),
-        "canking": (".king.txt", WILD_GRAMMARS["canking"]),
         "pcap": (".pcap", CAPTURE_GRAMMARS["pcap"]),
         "pcapng": (".pcapng", CAPTURE_GRAMMARS["pcapng"]),
-        "yacht-devices": (".yd.txt", WILD_GRAMMARS["yacht-devices"]),
     }
 )
 """Formats that others write, by name, with their suffixes and grammars."""
@@ -157,14 +152,8 @@ SUFFIXES: Mapping[str, str] = MappingProxyType(
     {**RECORDED, **{name: suffix for name, (suffix, _) in OTHERS.items()}, "sqlite": ".db", "gzip": ".log.gz"}
 )
 CLOCK_US: Mapping[str, int] = MappingProxyType(
-    {"busmaster": 100, "canhacker": 1_000, "microchip": 1_000, "clx000": 1_000, "yacht-devices": 1_000}
+    {"busmaster": 100, "clx000": 1_000}
 )  # the step of a format's times; else 1
-START_NS: Mapping[str, int] = MappingProxyType(
-    {"carbus": 0, "canhacker": 0, "canking": 0, "yacht-devices": 0}
-)  # where a format has no date
-MOST_JUMP_MS: Mapping[str, float] = MappingProxyType(
-    {"carbus": 25_000.0, "canhacker": 25_000.0}
-)  # that a clock of one minute can tell
 
 
 def frame_decoder() -> Decoder:

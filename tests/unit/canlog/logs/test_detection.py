@@ -16,13 +16,6 @@ LINES = {
     LogFormat.BUSMASTER: b"16:49:37:3329 Rx 1 0x144 s 1 5E",
     LogFormat.CRTD: b"12.6 1R11 402 00",
     LogFormat.CONSOLE: b"  can0  0A0   [8]  11 22 33 44 55 66 77 88",
-    LogFormat.CARBUS: b"46,016\t1\t0004\t45A\t8\t5A 04 00 00 00 00 00 00\t00000000\tZ       \t",
-    LogFormat.CANHACKER: b"00.000 00004000 8 36 47 19 43 01 00 00 80",
-    LogFormat.CANKING: b" 0    0CFBFFDB X       8  1B  31  20  EB  B3  FF  D9  FF     100.000139 R",
-    LogFormat.CANBOAT: b"2011-11-24-22:42:04.388,2,127251,36,255,8,7d,0b,7d,02,00,ff,ff,ff",
-    LogFormat.YACHT_DEVICES: b"17:33:21.107 R 19F51323 01 2F 30 70 00 2F 30 70",
-    LogFormat.ACTISENSE: b"A173321.107 23FF7 1F513 012F3070002F30709F",
-    LogFormat.MICROCHIP: b"1247;RX;0xC2;2;0x5C;0x87",
 }
 HEADERS = {
     LogFormat.ASC: b"base hex  timestamps absolute",
@@ -31,10 +24,6 @@ HEADERS = {
     LogFormat.GVRET: b"Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2",
     LogFormat.BUSMASTER: b"***BUSMASTER Ver 3.2.2***",
     LogFormat.CLX000: b"# Logger type: CL2000",
-    LogFormat.CARBUS: b"@ TEXT @ 3 @ 64 @ 0 @ 13958 @ 16478 @ 00:00:16.478 @",
-    LogFormat.CANHACKER: b"Time   ID     DLC Data                    Comment",
-    LogFormat.CANKING: b"Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir",
-    LogFormat.MICROCHIP: b"Microchip Technology Inc.",
 }
 PROSE = b"What was measured on the second day, with the same car:"
 
@@ -44,6 +33,23 @@ def test_most_of_the_first_lines_decide(log_format: LogFormat, line: bytes) -> N
     found = detect(b"\n".join([PROSE, line, line, b"", b"# comment", line]))
     assert found.format is log_format
     assert found.evidence == "3 of the first 4 lines are frames in its grammar"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"46,016\t1\t0004\t45A\t8\t5A 04 00 00 00 00 00 00\t00000000\tZ       \t",
+        b"00.000 00004000 8 36 47 19 43 01 00 00 80",
+        b"1247;RX;0xC2;2;0x5C;0x87",
+        b" 0    0CFBFFDB X       8  1B  31  20  EB  B3  FF  D9  FF     100.000139 R",
+        b"2011-11-24-22:42:04.388,2,127251,36,255,8,7d,0b,7d,02,00,ff,ff,ff",
+        b"17:33:21.107 R 19F51323 01 2F 30 70 00 2F 30 70",
+        b"A173321.107 23FF7 1F513 012F3070002F30709F",
+    ],
+)
+def test_lines_of_programs_that_are_not_read_are_taken_for_nothing_else(line: bytes) -> None:
+    with pytest.raises(SourceError, match=r"^not a log of a known format"):
+        detect(b"\n".join([line] * 30))
 
 
 @pytest.mark.parametrize(("log_format", "header"), HEADERS.items())

@@ -7,11 +7,9 @@ from itertools import permutations
 import pytest
 
 from canlog.errors import SourceError
-from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.frames import EXTENDED_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.logs.columns import ColumnsLog, columns_seen
 from canlog.logs.columns.headed import Clx000
-from canlog.logs.columns.log import TableLog
-from canlog.logs.columns.programs import CANKING, CARBUS, CanHacker, Microchip
 from canlog.logs.detection import LogFormat, detect
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.text_log import TextLog, frames_of
@@ -191,23 +189,6 @@ def test_a_list_of_networks_may_stand_before_the_headers_of_several_kinds() -> N
     assert counts.rejected == {}
 
 
-def test_the_minutes_of_carbus_and_canhacker_go_on() -> None:
-    carbus = "@ TEXT @ 2 @ 64 @ 0 @ 55 @ 10078 @ 00:00:10.078 @\n" + "".join(
-        f"{second},{ms:03d}\t1\t0004\t45A\t1\t5A\t00000000\tZ\t\n"
-        for second, ms in (("59", 990), ("00", 10), ("59", 999), ("30", 0))
-    )
-    assert [t_us for t_us, _, _ in rows(read(TableLog(CARBUS), carbus)[0])] == [
-        59_990_000,
-        60_010_000,
-        59_999_000,
-        90_000_000,
-    ]
-    hacker = "Time   ID     DLC Data    Comment\n59.990 00000280 1 01 so it was\n00.010 00004000 2 01 FF\n"
-    assert rows(read(CanHacker(), hacker)[0]) == [
-        (59_990_000, 0x280, "01"), (60_010_000, 0x4000 | EXTENDED_FLAG, "01ff"),
-    ]  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("start", "stamps", "elapsed_us"),
     [
@@ -237,25 +218,6 @@ def test_the_times_of_clx000_have_any_of_their_parts(
         assert (len(more), sum(counts.rejected.values())) == (0, 1), wrong
 
 
-def test_the_day_of_a_log_of_microchip_may_be_unclear() -> None:
-    head = "//---\nMicrochip Technology Inc.\nLogging Started: {}/2/2026 1:2:3\n//---\n1247;TX;0xC2;2;0x5C;0x87;0x00\n"
-    clear, unclear = Microchip(), Microchip()
-    batch, counts = read(clear, head.format(13))
-    assert rows(batch)[0][1:] == (0xC2, "5c87")
-    assert (batch.flags.tolist(), counts.skipped, counts.rejected, clear.notes) == ([TX_FLAG], 4, {}, [])
-    assert rows(read(unclear, head.format(3))[0]) == [(1_247_000, 0xC2, "5c87")]
-    assert "may be two days" in unclear.notes[0]
-
-
-def test_a_trace_of_canhacker_may_have_decimal_commas() -> None:
-    lines = "00,250 00000280 2 01 FF\n59,990 00000280 1 02\n00,010 00000280 1 03\n"
-    for text in (lines, "Time   ID     DLC Data                    Comment\n" + lines):
-        assert detect(text.encode()).format is LogFormat.CANHACKER
-        batch, counts = read(CanHacker(), text)
-        assert [t_us for t_us, _, _ in rows(batch)] == [250_000, 59_990_000, 60_010_000]
-        assert counts.rejected == {}
-
-
 def test_remote_frames_of_ixxat_say_so_where_others_have_bytes() -> None:
     header = 'ASCII Trace IXXAT MiniMon V3\n"Time","Identifier (hex)","Format","Flags","Data (hex)"\n'
     lines = (
@@ -267,35 +229,6 @@ def test_remote_frames_of_ixxat_say_so_where_others_have_bytes() -> None:
     assert batch.length.tolist() == [2, 4, 8]
     assert not batch.data[1:].any()
     assert counts.first_rejected == "line 6: malformed"
-
-
-def test_what_stands_behind_the_bytes_of_canking_is_read() -> None:
-    header = "Chn Identifier Flg   DLC  D0...1...2...3...4...5...6..D7       Time     Dir\n"
-    lines = (
-        " 0    0000014B         1  00                                1675.570498 T\n"
-        " 1    00002102 X       2  60  5F                                1.5 R\n"
-        " 2    00000000            ErrorFrame                            2.25 R\n"
-        " 3    00000123 R       4                                        3 R\n"
-        " 3    00000123         0                                        4 R\n"
-        "Logging stopped.\n"
-    )
-    batch, counts = read(TableLog(CANKING), header + lines)
-    kinds = [0x14B, 0x2102 | EXTENDED_FLAG, ERROR_FLAG, 0x123 | REMOTE_FLAG, 0x123]
-    assert rows(batch) == list(zip(
-        (1_675_570_498, 1_500_000, 2_250_000, 3_000_000, 4_000_000), kinds, ("00", "605f", "", "00000000", ""),
-        strict=True,
-    ))  # fmt: skip
-    assert batch.channel.tolist() == [0, 1, 2, 3, 3]
-    assert batch.flags.tolist() == [TX_FLAG, 0, 0, 0, 0]
-    assert counts == LogCounts(skipped=2)
-
-
-@pytest.mark.parametrize(
-    "line", ["0 123 2 11 1.5 R", "0 123 2 11 22 33 1.5 R", "0 123 2 11 22 1.5", "0 123 2 11 22", "0 123 ? 1 11 1.5 R"]
-)
-def test_a_line_of_canking_that_lacks_something_is_counted(line: str) -> None:
-    batch, counts = read(TableLog(CANKING), "0 123 1 11 1.5 R\n" + line)
-    assert (len(batch), counts.first_rejected) == (1, "line 2: malformed")
 
 
 def table(head: str, *cells: tuple[str, str]) -> str:
