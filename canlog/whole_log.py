@@ -157,7 +157,7 @@ class Log:
     def long_messages(self) -> list[LongMessage]:
         """Return the messages that are longer than a frame: put together, and decoded if the database has them.
 
-        ISO-TP, J1939 transport and fast packets of NMEA 2000; what is not whole is not among them.
+        ISO-TP and J1939 transport; what is not whole is not among them.
         """
         together = LongMessages([table.message for table in self._plan.codec.tables])
         return [*together.feed(self.frames), *together.close()]

@@ -20,7 +20,9 @@ from canlog.jit import array_kernel, inlined_kernel
 
 J1939: Final = "j1939"
 PDU2_FORMATS: Final = 240
-FIRST_FAST_GROUP: Final = 0x1_0000  # NMEA 2000 has fast packets in data page 1 alone; in page 0 a frame is all of it
+FIRST_FAST_GROUP: Final = (
+    0x1_0000  # from here on, in data page 1, a frame may be a piece of a longer message of NMEA 2000
+)
 NULL_ADDRESS: Final = 0xFE  # what databases write where any sender is meant
 STANDARD_IDS: Final = 0x800
 ANY: Final = -1  # sender or channel: the first one that is heard

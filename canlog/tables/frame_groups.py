@@ -19,7 +19,6 @@ from canlog.logs.merging import MOST_SOURCES, SourceMarks
 from canlog.logs.reading import Watch, named_error
 from canlog.logs.streams import kept, never, open_standard_input
 from canlog.transport import Reassembler, Transfer, TransferCounts
-from canlog.transport.reassembly import fast_groups
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,7 +193,7 @@ class LongRows:
     def __init__(self, codec: Codec, pairs: Collection[tuple[int, int]] = ()) -> None:
         self._codec = codec
         self._lengths = [table.needed_bytes if table.signals else 0 for table in codec.tables]
-        self._reassembler: Final = Reassembler(fast_groups(codec.tables), pairs) if any(self._lengths) else None
+        self._reassembler: Final = Reassembler(pairs) if any(self._lengths) else None
         self.counts_of: dict[int, int] = {}  # messages that are whole, by slot
 
     @property

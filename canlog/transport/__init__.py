@@ -1,4 +1,4 @@
-"""Messages longer than a frame, put together from recorded or live frames: ISO-TP, J1939 transport, fast packet."""
+"""Messages longer than a frame, put together from recorded or live frames: ISO-TP and J1939 transport."""
 
 from canlog.transport.reassembly import Exchange, Exchanges, LongMessage, LongMessages, Reassembler
 from canlog.transport.transfers import Fault, Protocol, Transfer, TransferCounts

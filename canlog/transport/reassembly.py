@@ -9,11 +9,9 @@ from cantools.database import DecodeError
 from cantools.database.can import Message
 
 from canlog.arrays import BoolArray, UInt32Array
-from canlog.database.addressing import FIRST_FAST_GROUP, J1939, NOBODY, parameter_group
-from canlog.decode.codec import Codec, MessageTable
-from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
-from canlog.transport.fast_packet import LONGEST as LONGEST_FAST
-from canlog.transport.fast_packet import FastPackets
+from canlog.database.addressing import NOBODY
+from canlog.decode.codec import Codec
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.transport.isotp import IsoTp
 from canlog.transport.j1939_tp import DATA, MANAGEMENT, J1939Transport
 from canlog.transport.transfers import Protocol, Transfer, TransferCounts
@@ -30,19 +28,15 @@ class Reassembler:
 
     Parameters
     ----------
-    fast_groups
-        Parameter groups of NMEA 2000 that come as fast packets: nothing in a frame says so.
     pairs
         Identifiers, with flags, of requests and of their answers, besides those of ISO 15765-4.
     """
 
-    def __init__(self, fast_groups: Collection[int] = (), pairs: Collection[tuple[int, int]] = ()) -> None:
+    def __init__(self, pairs: Collection[tuple[int, int]] = ()) -> None:
         self.counts = TransferCounts()
-        self._fast_groups = frozenset(fast_groups)
         self._peers = {one: other for pair in pairs for one, other in (pair, pair[::-1])}
         self._isotp = IsoTp(self.counts)
         self._j1939 = J1939Transport(self.counts)
-        self._fast = FastPackets(self.counts)
         self._kinds: dict[int, str] = {}
 
     def feed(self, batch: FrameBatch) -> list[Transfer]:
@@ -60,15 +54,12 @@ class Reassembler:
     def close(self) -> list[Transfer]:
         """End; return what is whole now, and count what is not."""
         self._isotp.close()
-        self._fast.close()
         return self._j1939.close()
 
     def _feed(self, t_ns: int, channel: int, can_id: int, data: bytes) -> Transfer | None:
         kind = self._kinds[can_id]
         if kind == "j1939":
             return self._j1939.feed(t_ns, channel, can_id & ~_EXTENDED, data)
-        if kind == "fast":
-            return self._fast.feed(t_ns, (channel, can_id), data)
         peer = self.peer_of(can_id)
         return self._isotp.feed(t_ns, (channel, can_id), None if peer is None else (channel, peer), data)
 
@@ -93,8 +84,6 @@ class Reassembler:
         form, page = can_id >> 16 & 0xFF, can_id >> 24 & 3
         if page == 0 and form in {DATA, MANAGEMENT}:
             return "j1939"
-        if parameter_group(can_id) in self._fast_groups:
-            return "fast"
         return "isotp" if page == 0 and form in {PHYSICAL_FORMAT, FUNCTIONAL_FORMAT} else ""
 
     def peer_of(self, can_id: int) -> int | None:
@@ -125,13 +114,12 @@ class LongMessage:
 class LongMessages:
     """The messages of a stream that are longer than a frame.
 
-    A group of J1939 of more than eight bytes whose own identifier comes is taken for a fast packet of NMEA 2000.
     ``pairs`` are further identifiers of requests and answers, as of `Reassembler`.
     """
 
     def __init__(self, messages: Sequence[Message], pairs: Collection[tuple[int, int]] = ()) -> None:
         self._codec = Codec(messages, has_long=True)
-        self._reassembler = Reassembler(fast_groups=fast_groups(self._codec.tables), pairs=pairs)
+        self._reassembler = Reassembler(pairs)
 
     @property
     def counts(self) -> TransferCounts:
@@ -160,13 +148,6 @@ class LongMessages:
         if not values and len(transfer.data) < message.length:
             return LongMessage(transfer=transfer, name=message.name, fault="shorter than the database says")
         return LongMessage(transfer=transfer, name=message.name, values=values)
-
-
-def fast_groups(tables: Sequence[MessageTable]) -> frozenset[int]:
-    """Return the groups whose own frames can be no more than pieces: fast packets of NMEA 2000, all of data page 1."""
-    messages = [table.message for table in tables if PAYLOAD_BYTES < table.needed_bytes <= LONGEST_FAST]
-    groups = {parameter_group(one.frame_id) for one in messages if one.is_extended_frame and one.protocol == J1939}
-    return frozenset(group for group in groups if group >= FIRST_FAST_GROUP)
 
 
 POSITIVE, NEGATIVE, PENDING = 0x40, 0x7F, 0x78

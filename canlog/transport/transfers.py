@@ -13,7 +13,6 @@ class Protocol(StrEnum):
 
     ISO_TP = "iso_tp"  # ISO 15765-2
     J1939_TP = "j1939_tp"  # SAE J1939-21, BAM and RTS/CTS
-    FAST_PACKET = "fast_packet"  # NMEA 2000
 
 
 class Fault(StrEnum):

@@ -167,7 +167,7 @@ _PAIRS: Final = Option(
     "identifiers of further requests and answers, hexadecimal: 79B:7BB,740:760 (default: those of ISO 15765)",
 )
 _CONVERSATIONS_TEXT: Final = (
-    "put messages longer than a frame together (ISO-TP, J1939 transport, NMEA 2000 fast packet) and show what testers "
+    "put messages longer than a frame together (ISO-TP, J1939 transport) and show what testers "
     "asked and controllers answered"
 )
 _MONITOR: Final = Command(

@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canlog.transport import Reassembler, Transfer
-from tests.support.transport_traffic import FAST_GROUPS, MAKERS, Sent, batch_of, generator
+from tests.support.transport_traffic import MAKERS, Sent, batch_of, generator
 from tests.tools.assembled import run
 from tests.tools.lost_frames import LOST_RATIO, Tally
 
 
 def found_in(frames: list[Sent], cuts: list[int]) -> tuple[list[Transfer], Reassembler]:
     """Return the messages in some frames that come in batches cut anywhere."""
-    reassembler, found = Reassembler(fast_groups=FAST_GROUPS), list[Transfer]()
+    reassembler, found = Reassembler(), list[Transfer]()
     edges = sorted({0, len(frames), *(cut % (len(frames) + 1) for cut in cuts)})
     for first, last in pairwise(edges):
         found += reassembler.feed(batch_of(frames[first:last]))

@@ -16,8 +16,6 @@ import isotp
 from canlog.frames import EXTENDED_FLAG
 from tests.support.transport_traffic import MS, Sent, Traffic
 
-FAST_IDS = tuple(EXTENDED_FLAG | one for one in (0x09F80501, 0x09F80502, 0x0DF01A07, 0x1DEFFF10, 0x1DEF2010))
-FAST_GROUPS = frozenset({0x1F805, 0x1F01A, 0x1EF00})
 FD_SIZES = (8, 12, 16, 20, 24, 32, 48, 64)
 LOST_RATIO = CUT_RATIO = 0.04
 Message = tuple[int, bytes]  # identifier as a transfer has it, and contents
@@ -33,16 +31,6 @@ def _body(rng: random.Random, number: int, shortest: int, longest: int) -> bytes
 def _padded(rng: random.Random, piece: bytes, size: int, paddings: tuple[bytes, ...]) -> bytes:
     padding = rng.choice((*paddings, b""))
     return piece.ljust(size, padding) if padding else piece
-
-
-def fast(rng: random.Random, number: int, state: dict[int, int]) -> tuple[Message, list[Piece]]:
-    """Return a fast packet of NMEA 2000, the last frame padded or not."""
-    can_id, data = rng.choice(FAST_IDS), _body(rng, number, 1, 223)
-    sequence = state[can_id] = (state.get(can_id, rng.randrange(8)) + 1) % 8
-    pieces = [bytes([len(data)]) + data[:6], *(data[start : start + 7] for start in range(6, len(data), 7))]
-    framed = [bytes([sequence << 5 | index]) + piece for index, piece in enumerate(pieces)]
-    framed[-1] = _padded(rng, framed[-1], 8, (b"\xff", b"\xff", b"\0"))
-    return (can_id, data), [(rng.randint(1, 15), can_id, one, False) for one in framed]
 
 
 def _j1939(rng: random.Random, number: int, destination: int) -> tuple[Message, bytes, list[bytes], Callable[..., int]]:
@@ -120,30 +108,6 @@ def iso_tp(
     return (own, data), pieces
 
 
-def plain_fast(frames: list[Sent]) -> Iterator[Message]:
-    """Yield fast packets: a first frame begins, the next numbers of its sequence go on, enough bytes end."""
-    found: dict[int, tuple[int, int, int, bytes]] = {}
-    for one in frames:
-        if len(one.data) < 2:
-            found.pop(one.can_id, None)
-            continue
-        sequence, number = divmod(one.data[0], 32)
-        if number == 0:
-            found[one.can_id] = (sequence, 1, one.data[1], one.data[2:])
-        elif found.get(one.can_id, (-1, -1))[:2] == (sequence, number):
-            _, _, length, data = found[one.can_id]
-            found[one.can_id] = (sequence, number + 1, length, data + one.data[1:])
-        else:
-            found.pop(one.can_id, None)
-            continue
-        _, _, length, data = found[one.can_id]
-        if len(data) >= length:
-            del found[one.can_id]
-            yield one.can_id, data[:length]
-        elif len(one.data) < 8:
-            del found[one.can_id]
-
-
 def plain_j1939(frames: list[Sent]) -> Iterator[Message]:
     """Yield messages of J1939 transport: announced, numbered packets, all of them there."""
     found: dict[tuple[int, int], tuple[int, int, dict[int, bytes]]] = {}
@@ -209,7 +173,6 @@ def by_can_isotp(frames: list[Sent]) -> Iterator[Message]:
 Maker = Callable[[random.Random, int, dict[int, int]], tuple[Message, list[Piece]]]
 logging.getLogger("isotp").setLevel(logging.CRITICAL)  # it tells of every frame that is lost
 KINDS: dict[str, tuple[Maker, Callable[[list[Sent]], Iterator[Message]]]] = {
-    "fast packets": (fast, plain_fast),
     "J1939 for all": (bam, plain_j1939),
     "J1939 between two": (rts, plain_j1939),
     "ISO-TP": (iso_tp, by_can_isotp),
@@ -229,7 +192,7 @@ def conversation(rng: random.Random, maker: Maker, messages: int) -> Traffic:
             at_ns += wait_ms * MS
             frames.append(Sent(t_ns=at_ns, can_id=can_id, data=data, message=number, is_answer=is_answer))
         busy_ns[sender] = at_ns
-        t_ns = first_ns if maker in {fast, bam, rts} else at_ns
+        t_ns = first_ns if maker in {bam, rts} else at_ns
         sent.append(message)
     order = sorted(zip(frames, count(), strict=False), key=lambda one: (one[0].t_ns, one[1]))
     return Traffic(frames=tuple(one for one, _ in order), messages=tuple(sent))

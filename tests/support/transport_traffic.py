@@ -163,37 +163,9 @@ def _between_two(rng: random.Random, group: int, data: bytes) -> Iterator[tuple[
     yield 3, "answer", bytes([19]) + len(data).to_bytes(2, "little") + bytes([len(packets), 0xFF]) + suffix
 
 
-def fast_packets(rng: random.Random, count: int) -> Traffic:
-    """Return fast packets of two groups and senders, interleaved."""
-    ids = [EXTENDED_FLAG | 0x09F80500 | source for source in (1, 2)] + [EXTENDED_FLAG | 0x0DF01A00 | 7]
-    sequences, queues, messages = dict.fromkeys(ids, 0), list[list[Sent]](), list[tuple[int, bytes]]()
-    for number in range(count):
-        can_id = ids[number % 3]
-        data = contents(rng, number, 7, 120)
-        messages.append((can_id, data))
-        head, rest = bytes([len(data)]) + data[:6], data[6:]
-        pieces = [head, *(rest[start : start + 7] for start in range(0, len(rest), 7))]
-        start_ns = (number // 3) * 500 * MS
-        frames = [
-            Sent(
-                t_ns=start_ns + (index * 10 + number % 3) * MS,
-                can_id=can_id,
-                data=bytes([sequences[can_id] << 5 | index]) + piece.ljust(7, b"\xff"),
-                message=number,
-            )
-            for index, piece in enumerate(pieces)
-        ]
-        sequences[can_id] = (sequences[can_id] + 1) % 8
-        queues.append(frames)
-    together = sorted((one for frames in queues for one in frames), key=lambda one: one.t_ns)
-    return Traffic(frames=tuple(together), messages=tuple(messages))
-
-
 MAKERS: dict[str, Callable[[random.Random, int], Traffic]] = {
     "iso-tp": iso_tp,
     "iso-tp in blocks": lambda rng, count: iso_tp(rng, count, block=3),
     "iso-tp over CAN FD": lambda rng, count: iso_tp(rng, count, is_fd=True),
     "j1939": j1939,
-    "fast packets": fast_packets,
 }
-FAST_GROUPS = frozenset({0x1F805, 0x1F01A})

@@ -1,7 +1,7 @@
 """Random messages of several frames, put together by canlog and by others: none lost without a count, none invented.
 
 Each case is a conversation of one kind of transport, whole, with frames lost, or with frames cut. ISO-TP is held
-against can-isotp, J1939 transport and fast packets against plain assemblers written from the standards.
+against can-isotp, J1939 transport against a plain assembler written from the standards.
 
     python -m tests.tools.assembled 20000
 """
@@ -12,7 +12,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from canlog.transport import Reassembler, Transfer
-from tests.support.transport_cases import FAST_GROUPS, KINDS, conversation, damaged
+from tests.support.transport_cases import KINDS, conversation, damaged
 from tests.support.transport_traffic import Sent, batch_of, generator
 
 MESSAGES = 12
@@ -37,7 +37,7 @@ class Outcome:
 
 def put_together(frames: list[Sent], cut: int) -> tuple[list[Transfer], int]:
     """Return what canlog finds in frames that come in two batches, and how many messages it calls incomplete."""
-    reassembler, cut = Reassembler(fast_groups=FAST_GROUPS), cut % (len(frames) + 1)
+    reassembler, cut = Reassembler(), cut % (len(frames) + 1)
     found = [one for part in (frames[:cut], frames[cut:]) for one in reassembler.feed(batch_of(part))]
     return found + reassembler.close(), reassembler.counts.incomplete_count
 

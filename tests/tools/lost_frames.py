@@ -13,7 +13,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from canlog.transport import Reassembler, Transfer
-from tests.support.transport_traffic import FAST_GROUPS, MAKERS, Sent, Traffic, batch_of, generator
+from tests.support.transport_traffic import MAKERS, Sent, Traffic, batch_of, generator
 
 MESSAGES = 40
 LOST_RATIO = 0.05
@@ -58,7 +58,7 @@ def run(name: str, logs: int, first_seed: int) -> Tally:
         rng = generator((first_seed + number * LARGEST_PRIME_BELOW_2_31) % (1 << 62))
         traffic = MAKERS[name](rng, MESSAGES)
         kept = [one for one in traffic.frames if rng.random() >= LOST_RATIO]
-        reassembler = Reassembler(fast_groups=FAST_GROUPS)
+        reassembler = Reassembler()
         found = reassembler.feed(batch_of(kept)) + reassembler.close()
         tally.add(traffic, kept, found, reassembler.counts.incomplete_count)
     return tally

@@ -46,14 +46,14 @@ def rows_of(*frames: tuple[int, str]) -> tuple[dict[str, int], dict[str, int], d
     return values, cut_off, fates, together.counts.incomplete_count
 
 
-def test_a_fast_packet_of_eight_bytes_or_fewer_is_a_row_of_what_it_has() -> None:
+def test_frames_of_a_longer_group_in_data_page_1_are_pieces_that_nothing_puts_together() -> None:
     for frames in ([(FAST, "0006070003040506")], [(FAST, "0008070003040506"), (FAST, "010708FFFFFFFFFF")]):
-        assert rows_of(*frames) == ({"Number": 7}, {"Far": 1}, {FrameFate.TRANSPORTED: len(frames)}, 0)
+        assert rows_of(*frames) == ({}, {}, {FrameFate.TRANSPORTED: len(frames)}, 0)
 
 
 def test_an_answer_in_a_single_frame_is_a_row_of_what_it_has() -> None:
     assert rows_of((ANSWER, "037F221100000000")) == ({"Service": 0x7F}, {"End": 1}, {FrameFate.TRANSPORTED: 1}, 0)
 
 
-def test_a_frame_of_a_group_that_is_no_fast_packet_is_a_short_message() -> None:
+def test_a_frame_of_a_group_in_data_page_0_is_a_short_message() -> None:
     assert rows_of((SINGLE, "0004010203040506")) == ({"Lamps": 0x400}, {"Last": 1}, {FrameFate.SHORT: 1}, 0)

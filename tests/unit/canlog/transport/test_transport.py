@@ -18,13 +18,9 @@ BO_ 2566834942 Trouble: 14 A
  SG_ Lamps : 0|16@1+ (1,0) [0|0] "" A
  SG_ Last : 96|16@1+ (0.5,-10) [0|0] "km" A
 
-BO_ 2314733054 Position: 43 A
- SG_ Latitude : 56|64@1- (1,0) [0|0] "" A
-
 BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
 BA_DEF_DEF_ "VFrameFormat" "StandardCAN";
 BA_ "VFrameFormat" BO_ 2566834942 3;
-BA_ "VFrameFormat" BO_ 2314733054 3;
 """
 
 
@@ -39,16 +35,14 @@ def frames(*lines: tuple[int, int, str]) -> list[Sent]:
 
 
 def put_together(*lines: tuple[int, int, str]) -> tuple[list[Transfer], dict[tuple[Protocol, Fault], int]]:
-    reassembler = Reassembler(fast_groups={0x1F805})
+    reassembler = Reassembler()
     found = reassembler.feed(batch_of(frames(*lines))) + reassembler.close()
     return found, reassembler.counts.incomplete
 
 
 TP_CM, TP_DT = 0x9CECFF00, 0x9CEBFF00
 TO_CM, TO_DT, BACK_CM = 0x9CECF900, 0x9CEBF900, 0x9CEC00F9
-FAST = 0x89F80501
 WRONG_J1939 = Protocol.J1939_TP, Fault.WRONG_LENGTH
-WRONG_FAST = Protocol.FAST_PACKET, Fault.WRONG_LENGTH
 WRONG_ISO_TP = Protocol.ISO_TP, Fault.WRONG_LENGTH
 
 
@@ -72,9 +66,6 @@ WRONG_ISO_TP = Protocol.ISO_TP, Fault.WRONG_LENGTH
         ([(0, BACK_CM, "130A0002FFCAFE00")], Protocol.J1939_TP, Fault.NO_BEGINNING),
         ([(0, TO_DT, "0201020304050607"), (4, BACK_CM, "130A0002FFCAFE00")], Protocol.J1939_TP, Fault.NO_BEGINNING),
         ([(0, TO_CM, "100A0002FFCAFE00"), (5, BACK_CM, "FF01FFFFFFCAFE00")], Protocol.J1939_TP, Fault.ABORTED),
-        ([(0, FAST, "0014010203040506"), (9, FAST, "0207080910111213")], Protocol.FAST_PACKET, Fault.FRAME_MISSING),
-        ([(0, FAST, "0014010203040506"), (9, FAST, "2108091011121314")], Protocol.FAST_PACKET, Fault.INTERRUPTED),
-        ([(0, FAST, "00FF010203040506")], Protocol.FAST_PACKET, Fault.WRONG_LENGTH),
     ],
 )
 def test_what_is_not_whole_is_counted_with_its_reason(
@@ -139,11 +130,6 @@ def test_a_last_packet_needs_no_padding() -> None:
         assert ([one.data.hex() for one in found], incomplete) == ([] if tail else ["01020304050607080910"], {
             (Protocol.J1939_TP, Fault.FRAME_MISSING): 1,
         } if tail else {})  # fmt: skip
-    found, incomplete = put_together(
-        (0, FAST, "000401020304"), (9, FAST, "200701020304050607"[:16]), (12, FAST, "2107")
-    )
-    assert [one.data.hex() for one in found] == ["01020304", "01020304050607"]
-    assert incomplete == {}
 
 
 @pytest.mark.parametrize(
@@ -159,12 +145,6 @@ def test_a_last_packet_needs_no_padding() -> None:
         ([(0, TP_CM, "200A0002"), (60, TP_DT, "01" * 8), (120, TP_DT, "02" * 8)], WRONG_J1939),
         ([(0, TP_CM, "200A0009FFCAFE00"), (60, TP_DT, "01" * 8), (120, TP_DT, "02" * 8)], WRONG_J1939),
         ([(0, BACK_CM, "1302"), (60, TO_DT, "0201020304050607")], WRONG_J1939),
-        ([(0, FAST, "0014010203"), (9, FAST, "01" * 8), (18, FAST, "02" * 8)], WRONG_FAST),
-        ([(0, FAST, "00FF010203040506"), (9, FAST, "01" * 8), (18, FAST, "02" * 8)], WRONG_FAST),
-        (
-            [(0, FAST, "0014010203040506"), (9, FAST, "010101"), (18, FAST, "02" * 8), (27, FAST, "03" * 8)],
-            (Protocol.FAST_PACKET, Fault.FRAME_MISSING),
-        ),
         ([(0, 0x7E8, "1014010203"), (5, 0x7E8, "21" * 8), (9, 0x7E8, "22" * 8)], WRONG_ISO_TP),
         ([(0, 0x7E8, "1014010203"), (2, 0x7E0, "3000"), (5, 0x7E8, "21" * 8), (9, 0x7E8, "22" * 8)], WRONG_ISO_TP),
         (
@@ -187,9 +167,8 @@ def test_a_packet_that_was_cut_may_come_again() -> None:
 def test_zeros_behind_a_message_are_padding() -> None:
     found, incomplete = put_together(
         (0, TP_CM, "200A0002FFCAFE00"), (60, TP_DT, "0101020304050607"), (120, TP_DT, "0208091000000000"),
-        (200, FAST, "0004010203040000"),
     )  # fmt: skip
-    assert [one.data.hex() for one in found] == ["01020304", "01020304050607080910"]
+    assert [one.data.hex() for one in found] == ["01020304050607080910"]
     assert incomplete == {}
 
 
@@ -204,30 +183,14 @@ def test_a_frame_of_another_sender_or_channel_does_not_interrupt() -> None:
 
 def test_long_messages_are_decoded_by_the_database() -> None:
     trouble = [(0, TP_CM, "200E0002FFCAFE00"), (60, TP_DT, "0103000000000000"), (120, TP_DT, "0200000000006400")]
-    position = [(500, FAST, "402B0000000000FF"), (501, FAST, "4100102700000000"), (509, FAST, "460000FFFFFFFFFF")]
-    position[2:2] = [(501 + number, FAST, f"{0x41 + number:02X}{'00' * 7}") for number in (1, 2, 3, 4)]
-    lines = [*trouble, *position]
     together = LongMessages(database().messages)
-    found = [*together.feed(batch_of(frames(*lines))), *together.close()]
+    found = [*together.feed(batch_of(frames(*trouble))), *together.close()]
     assert {one.name: one.values for one in found} == {
-        "Trouble": {"Lamps": 3, "Last": 40.0}, "Position": {"Latitude": 10_000},
+        "Trouble": {"Lamps": 3, "Last": 40.0},
     }  # fmt: skip
     assert together.counts.in_words() == [
-        "j1939 tp: 1 whole messages, 0 incomplete", "fast packet: 1 whole messages, 0 incomplete",
+        "j1939 tp: 1 whole messages, 0 incomplete",
     ]  # fmt: skip
-
-
-def test_a_fast_packet_shorter_than_the_database_says_is_decoded_as_far_as_it_goes() -> None:
-    text = DBC.replace(" SG_ Latitude", ' SG_ First : 32|16@1+ (1,0) [0|0] "" A\n SG_ Latitude')
-    loaded = load_string(text, "dbc")
-    assert isinstance(loaded, Database)
-    lines = [(0, FAST, "4006010203040506"), (9, FAST, "6004010203040506"), (12, FAST, "80020102")]
-    together = LongMessages(loaded.messages)
-    assert [(one.values, one.fault) for one in together.feed(batch_of(frames(lines[0], lines[2])))] == [
-        ({"First": 0x0605}, ""), (None, "shorter than the database says"),
-    ]  # fmt: skip
-    assert list(together.feed(batch_of(frames(lines[1])))) == []  # bytes beyond the end are not padding
-    assert together.counts.incomplete == {(Protocol.FAST_PACKET, Fault.FRAME_MISSING): 1}
 
 
 def test_many_senders_at_a_time_are_bounded() -> None:
