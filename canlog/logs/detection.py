@@ -93,9 +93,14 @@ TYPICAL: Mapping[LogFormat, re.Pattern[bytes]] = {
 }
 ONLY_LISTED = "a list of identifiers, not a log: no times rise, and no identifier comes again with bytes"
 MOST_NAMED = 20  # columns in a complaint
+TAR_MAGIC, TAR_MAGIC_AT = b"ustar", 257
+ARCHIVES: Mapping[bytes, str] = {
+    b"PK\x03\x04": "zip",
+    b"PK\x05\x06": "zip",
+    b"7z\xbc\xaf": "7z",
+    b"Rar!\x1a\x07": "RAR",
+}
 OTHER_FORMATS: Mapping[bytes, str] = {
-    b"7z\xbc\xaf": "a 7z archive",
-    b"Rar!\x1a\x07": "a RAR archive",
     b"\x04\x22\x4d\x18": "a file compressed by lz4",
     b"\x1f\x9d": "a file compressed by compress",
     b"\x89PNG": "a picture (PNG)",
@@ -124,6 +129,7 @@ def detect(probe: bytes) -> Detected:
     """Return the format of a file that begins so; raises SourceError if the file is empty or of no known format."""
     if not probe.strip():
         raise SourceError("the file is empty")
+    _refuse_archive(probe)
     if probe.startswith(BLF_MAGIC):
         return Detected(format=LogFormat.BLF, evidence="it begins with LOGG")
     if probe.startswith(sqlite.MAGIC):
@@ -140,12 +146,19 @@ def detect(probe: bytes) -> Detected:
     return detect_text(probe)
 
 
+def _refuse_archive(probe: bytes) -> None:
+    kind = "tar" if probe[TAR_MAGIC_AT:].startswith(TAR_MAGIC) else ""
+    if kind := kind or next((kind for magic, kind in ARCHIVES.items() if probe.startswith(magic)), ""):
+        raise SourceError(f"a {kind} archive: unpack it first")
+
+
 def detect_as_columns(probe: bytes, choice: str) -> Detected:
     """Return the format of a file of which somebody says what its columns are.
 
     A table if that fits; else whatever it is taken for without. Raises SourceError if it is neither; then the complaint
     is about the columns.
     """
+    _refuse_archive(probe)
     text, complaint = probe.removeprefix(BYTE_ORDER_MARK), SourceError("--columns: no line of it is a frame by that")
     try:
         log = ColumnsLog(choice)

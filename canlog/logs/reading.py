@@ -12,11 +12,11 @@ from canlog.database.signal_columns import SignalColumn
 from canlog.errors import SourceError
 from canlog.files import open_plain_file
 from canlog.frames import FrameBatch
-from canlog.logs.archives import Contents, contents_of, has_members, is_archive, looks_inside, split_member
 from canlog.logs.arrow_tables import arrow_columns, read_arrow_table
 from canlog.logs.blf import read_blf
 from canlog.logs.captures import read_capture
 from canlog.logs.columns import ColumnsLog
+from canlog.logs.contents import Contents, contents_of
 from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, detect_as_columns
 from canlog.logs.log_counts import (
     BoundedStream,
@@ -79,8 +79,7 @@ class LogReader(Iterator[FrameBatch]):
         self._counts = contents.counts
         self._stream = contents.stream
         self._is_packed = contents.is_packed
-        self._file = split_member(path)[0]
-        self._opened = None if path == STANDARD_INPUT else self._file.stat()
+        self._opened = None if path == STANDARD_INPUT else path.stat()
         self._bounded = BoundedStream(self._stream, self._counts)
         if self.format is LogFormat.SQLITE:
             check_messages(self._stream)
@@ -183,7 +182,7 @@ class LogReader(Iterator[FrameBatch]):
         if self._opened is None:
             return
         with suppress(OSError):
-            now, opened = self._file.stat(), self._opened
+            now, opened = self.path.stat(), self._opened
             if now.st_ino == opened.st_ino and now.st_size < opened.st_size:
                 self._counts.cut_off(f"byte {now.st_size}, where the file shrank while it was read")
 
@@ -217,7 +216,7 @@ def read_log(
     Parameters
     ----------
     path
-        The file; ``drives.zip/monday.log`` for one in a zip archive that holds several.
+        The file.
     is_strict
         Whether the first fault is an error.
     is_stopped
@@ -242,9 +241,8 @@ def read_log(
             if path == STANDARD_INPUT:
                 reader = _piped_reader(is_stopped, columns, is_strict=is_strict)
             else:
-                file, member = split_member(path)
-                stream = opened.enter_context(BufferedReader(open_plain_file(file)))
-                reader = LogReader(path, contents_of(stream, member, columns), is_strict=is_strict)
+                stream = opened.enter_context(BufferedReader(open_plain_file(path)))
+                reader = LogReader(path, contents_of(stream, columns), is_strict=is_strict)
             reader.name = name or reader.name
             reader.watch = watch or reader.watch
             opened.pop_all()  # from here on it is the reader that closes it
@@ -273,7 +271,7 @@ def table_columns(
         wait_for_reader(PipeStream(file.fileno(), is_stopped, file=file))
         with (
             BufferedReader(open_plain_file(Path(str(file.name)))) as again,
-            LogReader(STANDARD_INPUT, contents_of(again, columns=columns)) as reader,
+            LogReader(STANDARD_INPUT, contents_of(again, columns)) as reader,
         ):
             return reader.columns
     except (OSError, SourceError) as exc:
@@ -296,11 +294,13 @@ def _looked_into(stream: PipeStream, columns: str) -> Detected | None:
     probe = b""
     while len(probe) < PROBE_BYTES and (piece := stream.read(PROBE_BYTES - len(probe))):
         probe += piece
-        if _is_packed(probe) or _detected(probe) is not None:
+        if compression_of(probe) is not None or _detected(probe) is not None:
             break
     stream.check_not_left()
     stream.give_back(probe)
-    return None if _is_packed(probe) else detect_as_columns(probe, columns) if columns else detect(probe)
+    if compression_of(probe) is not None:
+        return None
+    return detect_as_columns(probe, columns) if columns else detect(probe)
 
 
 def _piped_reader(is_stopped: Callable[[], bool], columns: str, *, is_strict: bool) -> LogReader:
@@ -313,13 +313,9 @@ def _piped_reader(is_stopped: Callable[[], bool], columns: str, *, is_strict: bo
         return LogReader(STANDARD_INPUT, live, is_strict=is_strict)
     with ExitStack() as opened:
         file = opened.enter_context(kept(stream.pieces(is_stopped)))
-        reader = LogReader(STANDARD_INPUT, contents_of(file, columns=columns), is_strict=is_strict)
+        reader = LogReader(STANDARD_INPUT, contents_of(file, columns), is_strict=is_strict)
         opened.pop_all()
         return reader
-
-
-def _is_packed(probe: bytes) -> bool:
-    return compression_of(probe) is not None or is_archive(probe)
 
 
 def _detected(probe: bytes) -> Detected | None:
@@ -335,24 +331,14 @@ def is_log(path: Path) -> bool:
     return not why_no_log(path)
 
 
-def is_folder(path: Path) -> bool:
-    """Return whether a path stands for several logs: a folder, or an archive that holds more than one."""
-    try:
-        with BufferedReader(open_plain_file(path)) as stream:
-            is_archive = has_members(stream)
-    except OSError:
-        return path.is_dir()
-    return is_archive and sum(not one.reason for one in looked_at(path)) > 1
-
-
 def why_no_log(path: Path, columns: str = "") -> str:
     """Return why a file is no log of a known format, by its first bytes; empty if it is one."""
-    return next((one.reason for one in looked_at(path, columns)), "")
+    return looked_at(path, columns).reason
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Looked:
-    """What a file, or one inside an archive, was taken for, or why for nothing."""
+    """What a file was taken for, or why for nothing."""
 
     path: Path
     format: LogFormat | None = None
@@ -360,27 +346,8 @@ class Looked:
     reason: str = ""  # why it is no log; empty if it is one
 
 
-def looked_at(path: Path, columns: str = "") -> list[Looked]:
-    """Return what a file is taken for by its first bytes; of an archive, what each file inside it is taken for."""
-    try:
-        with BufferedReader(open_plain_file(path)) as stream:
-            inside = list(looks_inside(stream, columns)) if has_members(stream) else []
-    except (OSError, SourceError):
-        inside = []
-    return [_looked_inside(path / member.name, found, columns) for member, found in inside] or [
-        _looked_at(path, columns)
-    ]
-
-
-def _looked_inside(path: Path, found: Detected | SourceError, columns: str) -> Looked:
-    if isinstance(found, SourceError):
-        return Looked(path=path, reason=str(found))
-    if found.format is LogFormat.SQLITE:  # may be a database of anything
-        return _looked_at(path, columns)
-    return Looked(path=path, format=found.format, evidence=found.evidence)
-
-
-def _looked_at(path: Path, columns: str) -> Looked:
+def looked_at(path: Path, columns: str = "") -> Looked:
+    """Return what a file is taken for by its first bytes."""
     try:
         with closing(read_log(path, columns=columns)) as reader:
             return Looked(path=path, format=reader.format, evidence=reader.evidence)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from canlog.errors import SourceError
-from canlog.logs import is_folder, looked_at, split_member
+from canlog.logs import looked_at
 from diag_service.errors import ConfigError
 from diag_service.settings.config import check_vehicle
 from fleet_contract import JsonObject
@@ -74,15 +74,13 @@ class Found:
 def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False, columns: str = "") -> Found:
     """Return the drives that files and folders stand for: the files together one, every log in a folder one.
 
-    A zip archive in a folder is a folder, too, and so is one of several logs that is named.
-
     With ``has_vehicles`` a log is of the vehicle by which the folder below the named one is called; a log that lies in
     the named one itself is of the vehicle of that name.
 
     Raises ConfigError if a folder holds no log or bears no name of a vehicle, or a log is named twice.
     Raises SourceError if a path is not there or cannot be read.
     """
-    folders = [path for path in paths if is_folder(path)]
+    folders = [path for path in paths if path.is_dir()]
     named = [path for path in paths if path not in folders]
     drives, left_out = [drive_of(named)] if named else [], list[LeftOut]()
     for folder in folders:
@@ -102,7 +100,7 @@ def drive_of(paths: Iterable[Path], vehicle: str | None = None) -> Drive:
     """Return the drive that some files are; raises SourceError if one is not there."""
     files = tuple(paths)
     try:
-        stats = [split_member(path)[0].stat() for path in files]
+        stats = [path.stat() for path in files]
     except OSError as exc:
         raise SourceError(f"{exc.filename}: {exc.strerror}") from exc
     return Drive(
@@ -125,7 +123,7 @@ def _vehicle_of(log: Path, folder: Path) -> str:
 def sorted_out(folder: Path, columns: str = "") -> tuple[list[TakenFor], list[LeftOut]]:
     """Return the logs in a folder and below, by name, and what else is there, each with why it is that."""
     logs, others, read = list[TakenFor](), list[LeftOut](), dict[Path, Path]()
-    inside = list(folder.rglob("*")) if folder.is_dir() else [folder]
+    inside = list(folder.rglob("*"))
     for path in sorted(filter(Path.exists, inside), key=lambda path: (path.is_symlink(), path)):
         read.setdefault(path.resolve(), path)  # files come before links to them
     for path in sorted(inside):
@@ -139,9 +137,9 @@ def sorted_out(folder: Path, columns: str = "") -> tuple[list[TakenFor], list[Le
         if (first := read[path.resolve()]) != path:
             others.append(LeftOut(path=path, reason=f"a link to {first}, which is read already"))
             continue
-        for one in looked_at(path, columns):
-            if one.format is None:
-                others.append(LeftOut(path=one.path, reason=one.reason))
-            else:
-                logs.append(TakenFor(path=one.path, format=one.format.value, evidence=one.evidence))
+        one = looked_at(path, columns)
+        if one.format is None:
+            others.append(LeftOut(path=path, reason=one.reason))
+        else:
+            logs.append(TakenFor(path=path, format=one.format.value, evidence=one.evidence))
     return logs, others

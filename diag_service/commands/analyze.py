@@ -5,7 +5,7 @@ import sys
 from types import SimpleNamespace
 
 from canlog.errors import NOTICE
-from canlog.logs import STANDARD_INPUT, is_folder
+from canlog.logs import STANDARD_INPUT
 from clutchdiag_io.program import replacement_refusal
 from diag_service.console import ReadingLine, collected_notices
 from diag_service.delivery import AllReporters, MemoryReporter
@@ -30,7 +30,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         fill(options, controls)
         return
     _check_words_without_lake(options)
-    if any(is_folder(path) for path in options.logs if path != STANDARD_INPUT):
+    if any(path.is_dir() for path in options.logs if path != STANDARD_INPUT):
         _analyse_folders(options, controls)
         return
     diagnosis = diagnosis_config(options)

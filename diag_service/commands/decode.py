@@ -15,7 +15,7 @@ from cantools.database.can import Message
 from canlog.column_files import FORMAT_OF_SUFFIX, STREAMED, SUFFIX_OF_FORMAT, TableFormat, check_libraries
 from canlog.database.signal_columns import SignalColumn, columns_database
 from canlog.errors import NOTICE, OutputError, SourceError
-from canlog.logs import STANDARD_INPUT, is_folder, shown_name, table_columns
+from canlog.logs import STANDARD_INPUT, shown_name, table_columns
 from canlog.tables.account import account_record, frame_texts, losses, remarks, values_text
 from canlog.tables.decoding import Decoded, Plan, TableChoice, TableShape, decode_logs, default_shape
 from canlog.tables.table_folder import message_files, tables_there
@@ -40,7 +40,7 @@ BUILT_IN_FITS_NOT: Final = (
 
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Decode logs; a file appears when it is complete. Raises StoppedError if that was stopped."""
-    has_folders = any(is_folder(path) for path in options.logs if path != STANDARD_INPUT)
+    has_folders = any(path.is_dir() for path in options.logs if path != STANDARD_INPUT)
     layout = options.layout or default_shape(options.output, options.format, is_folder=has_folders)
     options = SimpleNamespace(**{**vars(options), "layout": layout})
     is_of_messages = layout == TableShape.MESSAGES
@@ -325,7 +325,7 @@ def _tasks(options: SimpleNamespace, suffix: str) -> list[TableTask]:
             _LOG.log(NOTICE, "left out: %s: %s", left.path, left.reason)
             if options.json:
                 sys.stdout.write(dump(left_out_record(left)) + "\n")
-        home = path if is_folder(path) else path.parent
+        home = path if path.is_dir() else path.parent
         for log in (log for drive in found.drives for log in drive.paths):
             own = log.relative_to(home)
             columns = () if options.dbc is not None else table_columns(log, columns=options.columns or "")

@@ -18,7 +18,7 @@ from canlog.e2e.message_contract import message_contract
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import InputLeftError, SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
-from canlog.logs import STANDARD_INPUT, LogReader, is_folder, read_log
+from canlog.logs import STANDARD_INPUT, LogReader, read_log
 from canlog.logs.log_counts import assumed_texts, lost_texts
 from canlog.logs.reading import Watch
 from canlog.traffic import MAX_IDS, NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
@@ -241,7 +241,7 @@ def inspect_log(
 def _files(options: SimpleNamespace, columns: str, console: PeopleConsole) -> Iterator[tuple[Path, bool]]:
     """Yield the logs that are named, and those found in folders; before them is told what a folder holds."""
     for path in options.logs:
-        if path == STANDARD_INPUT or not is_folder(path):
+        if path == STANDARD_INPUT or not path.is_dir():
             yield path, False
             continue
         found, others = sorted_out(path, columns)

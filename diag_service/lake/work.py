@@ -167,12 +167,11 @@ class Maker:
             made = folder / f"shifts-{date}.parquet"
             write_shifts(made, content, [(shift, complete[shift["stream"]]) for shift in shifts])
             files[part_name(SHIFTS, date, log.vehicle, content, self.job.settings)] = made
-        for path, entry in entries.items() if self.job.signals is not None and not log.kept else ():
+        for path in entries if self.job.signals is not None and not log.kept else ():
             made, log_columns = folder / f"signals-{len(files)}.parquet", self.job.config.columns
             decode_logs([path], self._plan, made, TableFormat.PARQUET, columns=log_columns)
-            own = content if len(entries) == 1 else str(entry.drive["stream"])  # of several in an archive
             date = first_date(path, log_columns)
-            files[part_name(SIGNALS, date, log.vehicle, own, self.job.signal_settings)] = made
+            files[part_name(SIGNALS, date, log.vehicle, content, self.job.signal_settings)] = made
         for name, made in files.items():
             self._lake.put(name, made)
         return [*files, *log.kept]
@@ -232,19 +231,14 @@ def _fetched(log: LakeLog, folder: Path) -> Path:
 
 
 def _analysed(analyst: Analyst, log: LakeLog, path: Path, stop: Trigger) -> tuple[dict[Path, Entry], str]:
-    """Return what the log said, or each log in an archive, by its path, and what could not be read."""
-    entries, reasons = dict[Path, Entry](), list[str]()
-    for one in looked_at(path, analyst.config.columns):
-        shown = str(one.path).replace(str(path), log.source)
-        if one.format is None:
-            reasons.append(f"{shown}: {one.reason}")
-            continue
-        entry = analyst.analyse(drive_of([one.path], log.vehicle), stop)
-        if error := entry.drive["error"]:
-            reasons.append(str(error).replace(str(path), log.source))
-        else:
-            entries[one.path] = Entry(key=entry.key, drive={**entry.drive, "paths": [shown]}, shifts=entry.shifts)
-    return entries, "; ".join(reasons)
+    """Return what the log said, by its path, or why it could not be read."""
+    one = looked_at(path, analyst.config.columns)
+    if one.format is None:
+        return {}, f"{log.source}: {one.reason}"
+    entry = analyst.analyse(drive_of([path], log.vehicle), stop)
+    if error := entry.drive["error"]:
+        return {}, str(error).replace(str(path), log.source)
+    return {path: Entry(key=entry.key, drive={**entry.drive, "paths": [log.source]}, shifts=entry.shifts)}, ""
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from cantools.database.can import Database
 from canlog.database.loading import PARSER_TIME_S, bus_of, load_database
 from canlog.database.signal_columns import columns_database
 from canlog.errors import NOTICE
-from canlog.logs import STANDARD_INPUT, is_folder, table_columns
+from canlog.logs import STANDARD_INPUT, table_columns
 from canlog.logs.streams import never
 from dbc.contract import DBC_PATH, load_contract
 from diag_service.diagnosis.columns import GearRatios, Signal
@@ -47,7 +47,7 @@ def open_database(
 
     Raises DefinitionError, and SourceError if one of the logs cannot be read.
     """
-    tables = () if path is not None else [one for one in logs if one == STANDARD_INPUT or not is_folder(one)]
+    tables = () if path is not None else [one for one in logs if one == STANDARD_INPUT or not one.is_dir()]
     if named := [one for log in tables for one in table_columns(log, is_stopped=is_stopped, columns=columns)]:
         return columns_database(named)
     if path is None or path == DBC_PATH:

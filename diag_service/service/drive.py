@@ -14,7 +14,7 @@ from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import SourceError
 from canlog.files import open_plain_file
 from canlog.frames import FrameBatch
-from canlog.logs import STANDARD_INPUT, LogReader, merged_by_time, read_log, split_member
+from canlog.logs import STANDARD_INPUT, LogReader, merged_by_time, read_log
 from canlog.logs.log_counts import assumed_texts, lost_texts, odd_texts
 from canlog.logs.merging import SourceMarks
 from canlog.logs.reading import Watch
@@ -75,18 +75,13 @@ def check_distinct(paths: Sequence[Path]) -> None:
 
 
 def stream_of(paths: Iterable[Path]) -> str:
-    """Return the name of a recorded stream: the sha256 of its files, one after the other.
-
-    Of a log in an archive it is that of the archive and its name in there.
-    """
+    """Return the name of a recorded stream: the sha256 of its files, one after the other."""
     digest = hashlib.sha256()
     for path in paths:
         try:
-            file_path, member = split_member(path)
-            with open_plain_file(file_path) as file:
+            with open_plain_file(path) as file:
                 while block := file.read(_BLOCK_BYTES):
                     digest.update(block)
-            digest.update(member.encode(errors="surrogateescape"))
         except OSError as exc:
             raise SourceError(f"cannot read {path}: {exc.strerror or exc}") from exc
     return digest.hexdigest()

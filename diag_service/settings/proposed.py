@@ -9,7 +9,7 @@ from types import SimpleNamespace
 from typing import Final
 
 from canlog.errors import NOTICE
-from canlog.logs import STANDARD_INPUT, is_folder, table_columns
+from canlog.logs import STANDARD_INPUT, table_columns
 from canlog.logs.streams import never
 from clutchdiag_io.program import legible
 from diag_service.mapping.interpretation import Interpretation, interpret
@@ -45,7 +45,7 @@ def _proposed(
     if dbc is not None or profile is not None:
         return None
     log = next(iter(logs), STANDARD_INPUT)
-    if log == STANDARD_INPUT or is_folder(log) or not table_columns(log, is_stopped=is_stopped, columns=columns):
+    if log == STANDARD_INPUT or log.is_dir() or not table_columns(log, is_stopped=is_stopped, columns=columns):
         return None
     text = proposed_profile(log, is_stopped=is_stopped, columns=columns)
     proposed = replace(profile_of(tomllib.loads(text), log), name=PROPOSED)

@@ -6,7 +6,6 @@ import math
 import re
 import shutil
 import struct
-import zipfile
 from datetime import datetime
 from importlib.machinery import PathFinder
 from pathlib import Path
@@ -338,22 +337,6 @@ def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: p
     assert "--jobs is for folders" in ended("decode", "drive.log", "-o", "b.csv", "--jobs", "2").err
     assert "standard input does not go with them" in ended("decode", "logs", "-", "-o", "tables").err
     assert "neither shape nor values applies" in ended(*words, "--format", "mf4", "--layout", "long").err
-
-
-def test_every_log_of_an_archive_becomes_a_table(folder: Path) -> None:
-    with zipfile.ZipFile(folder / "drives.zip", "w") as archive:
-        for day in ("monday", "tuesday"):
-            archive.write(folder / "drive.log", f"week 1/{day}.log")
-        archive.writestr("read me.txt", b"Two days.")
-    told = ended("decode", "drives.zip", "--dbc", "car.dbc", "-o", "tables", "--layout", "wide", "--jobs", "1")
-    assert told.status == 0, told.err
-    assert "left out: drives.zip/read me.txt" in told.err
-    refused = ended("decode", "drives.zip", "--dbc", "car.dbc", "-o", "drive.log/tables", "--jobs", "1")
-    assert (refused.status, "error: cannot write drive.log/tables/week 1/" in refused.err) == (4, True), refused.err
-    written = sorted(str(path.relative_to(folder / "tables")) for path in (folder / "tables").rglob("*.parquet"))
-    assert written == ["week 1/monday.log.parquet", "week 1/tuesday.log.parquet"]
-    alone = str(decoded("drive.log"))  # as a text: nan is not equal to itself
-    assert [str(pq.read_table(folder / "tables" / one).to_pylist()) for one in written] == [alone, alone]
 
 
 @pytest.mark.parametrize(

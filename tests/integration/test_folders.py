@@ -64,7 +64,7 @@ def test_what_cannot_be_read_and_what_is_left_out_is_told_and_stops_nothing(driv
     assert f"{folder / 'bad.blf'}: not read: " in ended.out
     assert f"2 drives, {SHIFT_COUNT} shifts, 1 could not be read, 2 files left out" in ended.out
     assert f"left out: {notes}: not a log of a known format" in ended.err
-    assert f"left out: {folder / 'trip.zip'}: the zip archive is cut off" in ended.err
+    assert f"left out: {folder / 'trip.zip'}: a zip archive: unpack it first" in ended.err
     ended = run("analyze", folder, "--jobs", "1", "--json")
     records = [json.loads(line) for line in ended.out.splitlines()]
     left_out = [record for record in records if record["schema"] == "clutchdiag/left-out/v1"]

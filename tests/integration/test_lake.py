@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 import tracemalloc
-import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -255,20 +254,6 @@ def test_a_log_that_was_moved_is_in_the_lake_once_whatever_the_version(logs: Pat
     (address / "shifts" / "date=2026-01-01" / "vehicle=car1" / "0.parquet").write_bytes(b"PAR1")
     assert len(disagreement(place).twice) == 1
     lake.execute(COMMAND_LINE.parse(["lake", "check", str(address), "--repair"]), Controls())
-
-
-def test_signals_of_several_logs_in_an_archive_are_parts_of_their_own(logs: Path, tmp_path: Path) -> None:
-    (folder := tmp_path / "logs").mkdir()
-    with zipfile.ZipFile(folder / "drives.zip", "w") as archive:
-        for name in ("drive000.log", "drive001.log"):
-            archive.write(logs / "car1" / name, name)
-    job = Job.of(CONFIG, str(tmp_path / "lake"), "EngineSpeed", 60.0)
-    (log,) = find_logs([str(folder)], Place(job.lake), "car", has_vehicles=False)
-    row = Maker(job).make(log, 1)
-    assert (row.outcome, row.shifts, row.reason) == (DONE, 2 * SHIFT_COUNT, "")
-    assert sorted(files_in(tmp_path / "lake")) == sorted(row.parts)
-    kinds = [part.partition("/")[0] for part in sorted(row.parts)]
-    assert kinds == ["shifts", "signals", "signals"]
 
 
 def test_a_log_whose_signals_cannot_be_had_leaves_no_part(logs: Path, tmp_path: Path) -> None:

@@ -1,28 +1,19 @@
 """The same drive in every format that is written: the same shifts, estimates and verdicts, to the bit."""
 
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from canlog.frames import FrameBatch
 from canlog.logs import read_log
 from diag_service.diagnosis.records import Status
-from ecu_emulator.log_formats.record import DEFAULT_START_NS
 from tests.support.chain import Outcome, diagnosed
-from tests.tools.damage.recordings import START_NS, SUFFIXES, WRITERS, short_drive
+from tests.tools.damage.recordings import SUFFIXES, WRITERS, short_drive
 
 
 def outcome(log_format: str, folder: Path) -> Outcome:
     path = folder / f"drive{SUFFIXES[log_format]}"
     WRITERS[log_format](path, short_drive())
-    return diagnosed(dated(read_log(path), DEFAULT_START_NS - START_NS.get(log_format, DEFAULT_START_NS)))
-
-
-def dated(batches: Iterable[FrameBatch], since_ns: int) -> Iterator[FrameBatch]:
-    for batch in batches:
-        yield replace(batch, t_ns=batch.t_ns + since_ns)
+    return diagnosed(read_log(path))
 
 
 @pytest.fixture(scope="module")

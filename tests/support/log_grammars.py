@@ -3,9 +3,7 @@
 import base64
 import bz2
 import gzip
-import io
 import lzma
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -289,14 +287,6 @@ GRAMMARS: Mapping[str, Grammar] = MappingProxyType({
 })  # fmt: skip
 
 
-def _zipped(contents: bytes) -> bytes:
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("read me.txt", "What was recorded on the second day.")
-        archive.writestr("day 2/drive", contents)
-    return stream.getvalue()
-
-
 PACKERS: Mapping[str, Callable[[bytes], bytes]] = MappingProxyType(
     {
         "plain": bytes,
@@ -304,6 +294,5 @@ PACKERS: Mapping[str, Callable[[bytes], bytes]] = MappingProxyType(
         "xz": lzma.compress,
         "bzip2": bz2.compress,
         "zstd": zstandard.compress,
-        "zip": _zipped,
     }
 )

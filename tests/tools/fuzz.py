@@ -16,7 +16,6 @@ import lzma
 import sys
 import tempfile
 import time
-import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
@@ -142,15 +141,6 @@ SOUND_BLF = written(BlfWriter)
 SOUND_OBJECTS = b"".join(inflated_containers(SOUND_BLF))
 
 
-def zipped(method: int) -> bytes:
-    """Return an archive of a log and a text, of 1980."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", method) as archive:
-        archive.writestr(zipfile.ZipInfo("drive.log"), SOUND_CANDUMP, method)
-        archive.writestr(zipfile.ZipInfo("notes/read.me"), b"no log", method)
-    return stream.getvalue()
-
-
 def capture(write: Callable[[Path, list[Frame]], None]) -> bytes:
     """Return a capture of a few frames of all lengths."""
     frames = [
@@ -171,8 +161,6 @@ PACKED = {
     "bzip2": bz2.compress(SOUND_CANDUMP),
     "xz": lzma.compress(SOUND_CANDUMP),
     "zstd": zstandard.compress(SOUND_CANDUMP),
-    "stored-zip": zipped(zipfile.ZIP_STORED),
-    "zip": zipped(zipfile.ZIP_DEFLATED),
 }
 
 

@@ -17,7 +17,7 @@ _MOST_BLOCKS = 40
 _PAUSE_S = 0.05
 
 
-def look(path: Path, columns: str = "") -> list[Looked]:
+def look(path: Path, columns: str = "") -> Looked:
     """Look at a log as ever, or take memory."""
     if GREEDY in path.name:
         held = list[bytearray]()

@@ -1,7 +1,6 @@
 """Which drives files and folders stand for."""
 
 import os
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -56,7 +55,7 @@ def test_every_file_that_is_no_drive_is_listed_with_its_reason(folder: Path) -> 
     assert reasons["gone.log"] == "a broken link"
     assert "before 4" in reasons["sub/old.mf4"]
     assert reasons["sub/notes.txt"].endswith("only 1 of the first 40 lines fit trc")
-    assert reasons["zipped.zip"] == "the zip archive is cut off: its directory is missing"
+    assert reasons["zipped.zip"] == "a zip archive: unpack it first"
     assert reasons["truth.jsonl"].startswith("not a log of a known format")
 
 
@@ -103,18 +102,3 @@ def test_a_link_to_a_log_elsewhere_is_a_log_once(folder: Path) -> None:
     assert [(one.path.name, one.reason) for one in found.left_out] == [
         ("m.log", f"a link to {inside / 'l.log'}, which is read already")
     ]
-
-
-def test_an_archive_of_several_logs_is_a_folder_where_it_is_named(folder: Path) -> None:
-    for name, count in (("many.zip", 2), ("one.zip", 1)):
-        with zipfile.ZipFile(folder / name, "w") as archive:
-            archive.writestr("read.me", b"no log")
-            for number in range(count):
-                archive.writestr(f"day {number}/drive.log", LINE)
-    found = find_drives([folder / "many.zip"])
-    assert [drive.paths for drive in found.drives] == [
-        (folder / "many.zip" / "day 0" / "drive.log",),
-        (folder / "many.zip" / "day 1" / "drive.log",),
-    ]
-    assert [one.path.name for one in found.left_out] == ["read.me"]
-    assert [drive.paths for drive in find_drives([folder / "one.zip"]).drives] == [(folder / "one.zip",)]
