@@ -17,9 +17,9 @@ from canlog.errors import SourceError
 from canlog.extras import extra_missing
 from canlog.frames import FrameBatch
 from canlog.logs.log_counts import LogCounts
+from canlog.logs.mf4_blocks import UNFINISHED_MAGIC
 from canlog.logs.mf4_channels import measured_channels
 from canlog.logs.mf4_frames import NEEDS_ASAMMDF, mf4_batches
-from canlog.logs.mf4_mending import UNFINISHED_MAGIC
 from canlog.mf4_server import IS_LIMITED, SERVER
 
 MEMORY_BYTES = 128 * 1024 * 1024  # beyond what the library itself takes, for a small file

@@ -16,9 +16,9 @@ from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, NS_PER_US, FrameBatch
 from canlog.logs.log_counts import LogCounts
-from canlog.logs.mf4_blocks import MeasuredGroup, Mf4File, UnknownStructureError
-from canlog.logs.mf4_mending import FREE_BYTES, MOST_RATIO, UNFINISHED_MAGIC
+from canlog.logs.mf4_blocks import UNFINISHED_MAGIC, MeasuredGroup, Mf4File, UnknownStructureError
 from canlog.logs.signal_tables import checked_rows, signal_columns
+from canlog.logs.streams import FREE_BYTES, MOST_RATIO
 
 CELLS: Final = 250_000  # that are read at once
 Untyped = Any  # asammdf's own objects

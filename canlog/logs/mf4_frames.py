@@ -4,9 +4,10 @@ Times are floating-point seconds from the start in the file, rounded to whole mi
 """
 
 import logging
+import shutil
 import struct
 import zlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -34,8 +35,8 @@ from canlog.frames import (
 )
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.merging import merged_by_time
+from canlog.logs.mf4_blocks import UNFINISHED_MAGIC
 from canlog.logs.mf4_channels import Untyped, channel_batches, measured_channels, one_each
-from canlog.logs.mf4_mending import Mended, mended
 from canlog.logs.text_kernels import IS_LENGTH
 
 Records = npt.NDArray[np.void]  # one row per frame, fields named "CAN_DataFrame.ID" and so on
@@ -63,20 +64,19 @@ def mf4_batches(path: Path, folder: Path, counts: LogCounts) -> Iterator[FrameBa
     asammdf, errors = quiet_asammdf()
     mdf: Untyped = None
     try:
-        # A file that is cut off, or that its writer left unfinished, is completed in a copy.
-        whole = mended(path, folder)
-        with path.open("rb") as original, whole.path.open("rb") as opened:
-            measured = measured_channels(original)
+        with path.open("rb") as original:
+            measured, is_unfinished = measured_channels(original), original.read(8) == UNFINISHED_MAGIC
+        if measured.groups and is_unfinished:  # asammdf completes a stream where it is
+            path = Path(shutil.copy(path, folder / "unfinished.mf4"))
+        with path.open("r+b" if measured.groups and is_unfinished else "rb") as opened:
             # Of a stream rows are read in pieces, of a path all that a channel has.
-            source = opened if measured.groups else whole.path
+            source = opened if measured.groups else path
             mdf = asammdf.MDF(source, process_bus_logging=False, temporary_folder=folder)
             start_ns = int(mdf.header.abs_time)
             if mdf.header.start_time.tzinfo is None:  # a local time without a zone counts as this machine's
                 start_ns = int(mdf.header.start_time.timestamp()) * int(NS_PER_S) + start_ns % int(NS_PER_S)
             kinds = {number: kind for number, group in enumerate(mdf.groups) if (kind := frame_kind(group))}
-            addresses = {one.at for one in measured.groups} or {mdf.groups[one].channel_group.address for one in kinds}
-            count_missing(mdf.groups, addresses, whole, counts)
-            streams = [read_group(mdf, number, kind, start_ns, whole, counts) for number, kind in kinds.items()]
+            streams = [read_group(mdf, number, kind, start_ns, counts) for number, kind in kinds.items()]
             if measured.groups:
                 streams = channel_batches(mdf, measured, path.stat().st_size, start_ns, counts)
             for batch in merged_by_time(streams):
@@ -110,19 +110,6 @@ def end_quietly(mdf: Untyped) -> None:
         mdf.close()
 
 
-def count_missing(groups: Sequence[Untyped], addresses: Collection[int], whole: Mended, counts: LogCounts) -> None:
-    counts.truncated |= whole.is_cut
-    for number, group in enumerate(groups):
-        address = group.channel_group.address
-        missing = whole.missing.get(address, 0)
-        if missing and address in addresses:
-            found = whole.found[address]
-            counts.reject(LogReject.CUT_OFF, f"record {found + 1} of group {number}", missing)
-    if whole.lost_at:
-        counts.truncated = True
-        counts.reject(LogReject.DAMAGED, whole.lost_at)
-
-
 def frame_kind(group: Untyped) -> str | None:
     """Return which kind of CAN frames a group holds, None if it holds something else or nothing."""
     names = {channel.name for channel in group.channels}
@@ -131,12 +118,9 @@ def frame_kind(group: Untyped) -> str | None:
     return next((kind for kind in FLAG_OF_KIND if kind in names), None)
 
 
-def read_group(
-    mdf: Untyped, number: int, kind: str, start_ns: int, whole: Mended, counts: LogCounts
-) -> Iterator[FrameBatch]:
+def read_group(mdf: Untyped, number: int, kind: str, start_ns: int, counts: LogCounts) -> Iterator[FrameBatch]:
     """Yield the frames of one group; what is missing at its end is counted."""
-    group, done = mdf.groups[number].channel_group, 0
-    stated = whole.found.get(group.address, int(group.cycles_nr))
+    stated, done = int(mdf.groups[number].channel_group.cycles_nr), 0
     while done < stated:
         signal = mdf.get(
             kind, group=number, raw=False, record_offset=done, record_count=min(FRAMES_PER_READ, stated - done)

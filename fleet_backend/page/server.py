@@ -53,8 +53,6 @@ def run_server(
     DatabaseError
         If the database cannot be read.
     """
-    if danger := access.exposure:
-        _LOG.warning("%s", danger)
     os.nice(_NICE)
     keeper = Keeper(DatabaseSource(engine))
     keeper.refresh()
