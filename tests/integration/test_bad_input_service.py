@@ -90,7 +90,7 @@ def test_a_log_that_may_not_be_read(drive_log: Path, tmp_path: Path) -> None:
     [
         ("table.csv", b"name,colour\nengine,red\n", "not a log of a known format (candump, candump-console, blf, "),
         ("picture.log", b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00\x01\x00", "not a log of a known format ("),
-        ("archive.blf", b"PK\x03\x04\x14\x00\x00\x00\x08\x00", "the zip archive is cut off"),
+        ("archive.blf", b"PK\x03\x04\x14\x00\x00\x00\x08\x00", "a zip archive: unpack it first"),
     ],
 )
 def test_a_file_of_another_format(tmp_path: Path, name: str, contents: bytes, complaint: str) -> None:
