@@ -43,6 +43,7 @@ STATUS: Final = re.compile(r"0x(?:[0-9A-Fa-f]{2}){1,2}|[0-9A-Fa-f]{2}")  # bits 
 LETTERS: Final = re.compile(r"[A-Fa-f]")
 TIME_OF_DAY: Final = re.compile(r"(?:(\d+)\s+)?(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?")
 DAY_FIRST: Final = re.compile(r"(\d{1,2})(?:\.(\d{1,2})\.|-([A-Za-z]{3})-)(\d{4})[ T]+(.*)")
+SECTION: Final = re.compile(r"\[[\w ]+\]")  # a title between header and rows
 MONTHS: Final = "janfebmaraprmayjunjulaugsepoctnovdec"
 US_PER_S: Final = 1_000_000.0
 TIME_UNITS_US: Final = {**{word: 10.0**power for word, power in UNITS.items()}, "min": 6e7, "h": 3.6e9, "hours": 3.6e9}
@@ -127,7 +128,7 @@ class _Table:
         header, lines = self._header, _lines(text)
         rows, numbers = list[list[str]](), list[int]()
         for number, line in enumerate(lines, self._line + 1):
-            if number <= header.lines or not line.strip():
+            if number <= header.lines or not line.strip() or SECTION.fullmatch(line.strip()):
                 continue
             cells = _cells(line, header.separator)
             if header.separator == "," and not header.has_decimal_comma and '"' in line:
@@ -275,9 +276,7 @@ def time_unit_us(unit: str, times: FloatArray, name: str) -> tuple[float, list[s
 
 def _header_at(rows: Sequence[Sequence[str]], place: int, separator: str) -> TableHeader | None:
     """Return the header that a row is, with the row of units that may follow it; None if it is none."""
-    names = list(rows[place])
-    while names and not names[-1].strip():
-        names.pop()
+    names = _names_of(rows, place, separator)
     width = len(names)
     if not 1 < width <= MOST_COLUMNS or sum(bool(NUMBER.fullmatch(name.strip())) for name in names) > 0:
         return None
@@ -435,6 +434,25 @@ def _cells(line: str, separator: str) -> list[str]:
         return next(csv.reader([line], delimiter=separator), [])
     except csv.Error:
         return []
+
+
+def _names_of(rows: Sequence[Sequence[str]], place: int, separator: str) -> list[str]:
+    """Return the names in a row, without empty ones at its end.
+
+    Where no other row has as many cells, those are one between whose brackets a separator stands: some quote none.
+    """
+    names = list(rows[place])
+    while names and not names[-1].strip():
+        names.pop()
+    if any(len(row) == len(names) for row in rows[place + 1 :]):
+        return names
+    found = list[str]()
+    for name in names:
+        if found and found[-1].count("(") > found[-1].count(")"):
+            found[-1] += separator + name
+        else:
+            found.append(name)
+    return found
 
 
 def _stripped(row: Sequence[str]) -> tuple[str, ...]:

@@ -222,6 +222,19 @@ def test_a_table_cut_anywhere_tells_no_value_that_was_not_written(end: int) -> N
     assert counts.truncated is (end < 22)
 
 
+def test_a_separator_between_the_brackets_of_a_name_separates_nothing() -> None:
+    rows = "".join(f"{n / 10},{n + 1000},{n},{n * 2}\n" for n in range(10))
+    text = f"Offset,RPM,Probe -> AEM (03x0,2340,5130),Pressure (kPa)\ns,rpm,,\n\n[Channel Data]\n{rows}".encode()
+    names = ["RPM", "Probe -> AEM (03x0,2340,5130)", "Pressure"]
+    for whole in (text, text.replace(b"\ns,rpm,,", b"")):
+        found = detect(whole)
+        assert [one.name for one in found.columns][0::2] == names[0::2]
+        batch, counts = read(whole)
+        assert values(batch, "Pressure") == [2.0 * n for n in range(10)]
+        assert values(batch, found.columns[1].name) == [float(n) for n in range(10)]
+        assert counts.rejected == {}
+
+
 @pytest.mark.parametrize("units", ["", "s,rpm,kPa\n"])
 @pytest.mark.parametrize("count", [1, 4, 40])
 def test_a_header_that_stands_again_between_rows_loses_nothing(count: int, units: str) -> None:
