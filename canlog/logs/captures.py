@@ -177,10 +177,10 @@ def _packet(  # noqa: PLR0911 - one for each reason
 
 
 @inlined_kernel
-def _is_odd(said: int, count: int) -> bool:
+def _is_odd(said: int) -> bool:
     """Return whether nobody numbers a frame so: too large, an error of no class, 29 bits that end with 16 zeros."""
     if said & ERROR_FLAG:
-        return bool(said & ~ERROR_FLAG > LAST_CLASS or count != PAYLOAD_BYTES)
+        return bool(said & ~ERROR_FLAG > LAST_CLASS)
     return bool(said & 0xFFFF == 0 if said & EXTENDED_FLAG else said & ~REMOTE_FLAG > STANDARD_ID)
 
 
@@ -193,8 +193,8 @@ def _frame(
         return outcomes.MALFORMED
     said, other = _long(raw, at, is_big != report[IS_SWAPPED]), _long(raw, at, is_big == report[IS_SWAPPED])
     count, bits = int(raw[at + 4]), int(raw[at + 5])
-    report[ODD] += _is_odd(said, count)
-    report[ODD_SWAPPED] += _is_odd(other, count)
+    report[ODD] += _is_odd(said)
+    report[ODD_SWAPPED] += _is_odd(other)
     is_remote = said & (REMOTE_FLAG | ERROR_FLAG) == REMOTE_FLAG
     is_fd = protocol == FD_PROTOCOL or bits & FD_BIT != 0 or size == FD_FRAME_BYTES or count > PAYLOAD_BYTES
     can_id = said & ~REMOTE_FLAG
@@ -231,6 +231,7 @@ PIECE_BYTES: Final = 1024 * 1024
 MOST_INTERFACES, MOST_CHANNEL = 256, 255
 MOST_TICKS: Final = 9_000_000_000  # a second's, from which nanoseconds can be told
 NAME_OPTION, RESOLUTION_OPTION, OFFSET_OPTION = 2, 9, 14
+LEAST_PACKETS: Final = 10  # that tell a byte order
 MOST_ODD: Final = 0.1  # of packets whose identifiers stand in the right byte order
 SWAPPED: Final = "the identifiers stand in the other byte order than this kind of capture has: they are read swapped"
 DIGITS_AT_END: Final = re.compile(rb"(\d{1,3})\0*$")
@@ -292,7 +293,8 @@ def _parse(raw: UInt8Array, interfaces: Int64Array, frames: FrameBuffer, report:
 def _is_swapped(report: Int64Array) -> bool:
     """Return whether most identifiers cannot be in their byte order, and all but a few can in the other one."""
     packets = int(report[ROWS] + report[MALFORMED])
-    return bool(report[ODD] > packets / 2 and report[ODD_SWAPPED] <= MOST_ODD * packets)
+    is_odd = packets >= LEAST_PACKETS and report[ODD] > packets / 2
+    return bool(is_odd and report[ODD_SWAPPED] <= MOST_ODD * packets)
 
 
 def _beginning(stream: BinaryIO) -> tuple[Int64Array, Int64Array]:

@@ -174,3 +174,13 @@ def test_identifiers_in_the_wrong_byte_order_are_swapped(
     assert counts == LogCounts(frames=len(frames), notes=(SWAPPED,))
     assert found.can_id.tolist() == sound.can_id.tolist()
     assert found.data.tolist() == sound.data.tolist()
+
+
+@pytest.mark.parametrize("frame", [replace(FRAME, is_error=True, length=0, data=b""), replace(FRAME, can_id=0x123)])
+@pytest.mark.parametrize("count", [1, 100])
+def test_sound_identifiers_are_not_swapped(frame: Frame, count: int, tmp_path: Path) -> None:
+    """An error frame may have no bytes, and a class of none."""
+    pcap(SOCKETCAN)(tmp_path / "a", [replace(frame, t_us=1_000 * number) for number in range(count)])
+    batch, counts = read((tmp_path / "a").read_bytes())
+    assert counts == LogCounts(frames=count)
+    assert set(batch.can_id.tolist()) == {ERROR_FLAG if frame.is_error else 0x123}
