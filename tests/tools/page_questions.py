@@ -2,7 +2,8 @@
 
 A fleet with something of everything is served on loopback, and somebody of a workshop asks, so that every operation is
 open. What the description does not allow is a remark: a server error, an answer of another shape, a sound question that
-is refused, a wrong one that is answered. Ends with status 1 if there is any. Schemathesis is no requirement of the project:
+is refused, a wrong one that is answered. Ends with status 1 if there is any. Schemathesis is no
+requirement of the project:
 
     python -m venv schemathesis && schemathesis/bin/pip install schemathesis
     python -m tests.tools.page_questions --schemathesis schemathesis/bin/schemathesis --minutes 10
