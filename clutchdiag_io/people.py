@@ -1,11 +1,14 @@
-"""How people read numbers: with few digits, and with how far they may be off."""
+"""How people read numbers, with few digits and how far they may be off, and moments, if a clock told them."""
 
+from datetime import UTC, datetime
 from math import floor, isfinite, log10
 from typing import Final
 
 STDS: Final = 2.0  # on either side: about 95 of 100 truths lie within
 PLUS_MINUS: Final = "± two standard deviations"
 SHORT_PLUS_MINUS: Final = "± 2 std"  # heads of narrow columns
+DATED_NS: Final = 10**18  # since 1970: in 2001; earlier times have no date, the clock was not set
+NOT_SET: Final = "clock not set"
 _DIGITS: Final = 4
 _MOST_DECIMALS: Final = 6
 
@@ -18,6 +21,16 @@ def plus_minus(value: float, std: float, form: str = "{:.4f}", *, scale: float =
 def half_width(std: float, form: str = "{:.4f}", *, scale: float = 1.0) -> str:
     """Return two standard deviations, times ``scale``; what a form says of signs does not hold for them."""
     return form.replace("+", "").format(STDS * scale * std)
+
+
+def is_dated(at: datetime) -> bool:
+    """Return whether the clock that told an aware moment was set."""
+    return at.timestamp() >= DATED_NS / 1e9
+
+
+def moment_words(at: datetime, form: str) -> str:
+    """Return an aware moment in UTC; that of a clock that was not set is named so."""
+    return at.astimezone(UTC).strftime(form) if is_dated(at) else NOT_SET
 
 
 def digits(value: float) -> str:

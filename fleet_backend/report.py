@@ -8,7 +8,7 @@ from typing import Final, TextIO
 
 from rich.console import Console
 
-from clutchdiag_io.people import PLUS_MINUS, STDS
+from clutchdiag_io.people import PLUS_MINUS, STDS, moment_words
 from fleet_backend.layout import NONE, Sheet, lines_of
 
 Record = Mapping[str, object]
@@ -268,7 +268,7 @@ def _spread(name: str, std: str) -> Cell:
 def _moment(name: str, form: str = "%Y-%m-%d %H:%M:%S") -> Cell:
     def cell(record: Record) -> str:
         value = record.get(name)
-        return value.strftime(form) if isinstance(value, datetime) else NONE
+        return moment_words(value, form) if isinstance(value, datetime) else NONE
 
     return cell
 

@@ -25,6 +25,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.types import TypeDecorator
 
+from clutchdiag_io import people
+
 FRICTION_COLUMNS: Final = (
     "mu_c",
     "mu_s",
@@ -41,9 +43,15 @@ RUNNING: Final = "running_"  # prefix of what is said of the running estimate af
 SCALE_FREE_COLUMNS: Final = ("mu_c", "mu_s", "std_mu_c", "std_mu_s", "correlation")
 SCALE_FREE: Final = "scale_free_"  # prefix of what driving alone tells, gain and area left out
 
-DATED_NS: Final = 10**18  # since 1970: in 2001; earlier bus times have no date
+DATED_NS: Final = people.DATED_NS
+_DATED: Final = "{0}produced_at >= '2001-09-09 01:46:40+00'"  # the same moment
 # When a result happened as far as the bus tells, in both databases: a log is no newer for a late analysis.
 HAPPENED_AT: Final = f"CASE WHEN {{0}}end_bus_ns >= {DATED_NS} THEN {{0}}end_at ELSE {{0}}produced_at END"
+# An undated result is as old as its row: the clock of its vehicle was not set. Months go by this.
+AGED_AT: Final = f"CASE WHEN {_DATED} THEN {{0}}produced_at ELSE {{0}}stored_at END"
+IS_OLD: Final = (
+    f"({{0}}produced_at < :until AND ({_DATED} OR {{0}}stored_at < :until))"  # its first part finds the months
+)
 BLOCK: Final = 1024  # positions of a stream that clutch_block tells of together
 SORTED_BY_BYTES: Final = Text().with_variant(Text(collation="C"), "postgresql")  # as SQLite sorts everywhere
 

@@ -11,6 +11,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from canlog.arrays import FloatArray
+from clutchdiag_io.people import moment_words
 
 NONE: Final = "–"
 
@@ -111,8 +112,7 @@ def moment(value: datetime | None, form: str = "%Y-%m-%d %H:%M") -> Cell:
     """Return an aware moment for people and programs, in UTC; a dash where there is none."""
     if value is None:
         return NONE
-    utc = value.astimezone(UTC)
-    return TimeCell(iso=utc.isoformat(), text=utc.strftime(form))
+    return TimeCell(iso=value.astimezone(UTC).isoformat(), text=moment_words(value, form))
 
 
 def spread(values: FloatArray | Sequence[object], most: int) -> list[int]:

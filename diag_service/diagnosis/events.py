@@ -9,9 +9,10 @@ from enum import StrEnum
 from typing import Final
 
 from canlog.e2e.e2e_state import E2eState
+from clutchdiag_io import people
 from diag_service.diagnosis.columns import Columns
 
-DATED_NS: Final = 10**18  # since 1970: in 2001; earlier bus times have no date
+DATED_NS: Final = people.DATED_NS
 
 
 def events_text(count: int) -> str:

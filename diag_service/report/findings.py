@@ -8,6 +8,7 @@ from typing import Final
 from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration, TorqueSource
 from clutch_model.units import NS_PER_S
+from clutchdiag_io.people import NOT_SET
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.events import DATED_NS, GEAR_CHANGES, Event
 from diag_service.diagnosis.records import FluidFill, ShiftResult, Status, utc_from_bus_ns
@@ -57,7 +58,7 @@ class Findings:
 
     @property
     def is_dated(self) -> bool:
-        return bool(self.rows) and self.rows[0].result.estimate.start_ns >= DATED_NS
+        return any(row.result.estimate.start_ns >= DATED_NS for row in self.rows)
 
     @property
     def order(self) -> Order:
@@ -157,9 +158,11 @@ def findings_of_store(path: Path, named: str | None, calibration: Calibration) -
     )
 
 
-def moment_words(t_ns: int) -> str:
-    """Return a bus time for people: UTC, or the log's own seconds where it has no date."""
-    return utc_from_bus_ns(t_ns)[:19].replace("T", " ") if t_ns >= DATED_NS else f"{t_ns / NS_PER_S:.1f} s"
+def moment_words(t_ns: int, *, is_dated: bool = False) -> str:
+    """Return a bus time for people: UTC, or the log's own seconds where no result ``is_dated``."""
+    if t_ns >= DATED_NS:
+        return utc_from_bus_ns(t_ns)[:19].replace("T", " ")
+    return NOT_SET if is_dated else f"{t_ns / NS_PER_S:.1f} s"
 
 
 def _versions(result: ShiftResult) -> Versions:

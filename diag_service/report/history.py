@@ -109,7 +109,7 @@ def history_lines(
             yield Text(f"{found.title(clutch)}: no event engaged it.")
             continue
         yield _fluid_table(found.title(clutch), periods)
-        yield _event_table(found.title(clutch), periods, most_rows, "end (UTC)" if found.is_dated else "end in the log")
+        yield _event_table(found.title(clutch), periods, most_rows, is_dated=found.is_dated)
     yield from _course(found)
 
 
@@ -217,13 +217,13 @@ def _fluid_table(title: str, periods: Sequence[FluidPeriod]) -> Table:
     return table
 
 
-def _event_table(title: str, periods: Sequence[FluidPeriod], most_rows: int, end: str) -> Table:
+def _event_table(title: str, periods: Sequence[FluidPeriod], most_rows: int, *, is_dated: bool) -> Table:
     rows = [row for period in periods for row in period.rows]
     places = spread(range(len(rows)), most_rows)
     firsts = [sum(len(before.rows) for before in periods[:number]) for number in range(len(periods))]
     fills = [(first, period.fill) for first, period in zip(firsts, periods, strict=True) if period.fill is not None]
     told = f"{title}: {len(places)} of {events_text(len(rows))}; shift is the number that 'show' takes; {PLUS_MINUS}"
-    head = ("shift", end, "km", "data", "mu_C", "running mu_C", "verdict")
+    head = ("shift", "end (UTC)" if is_dated else "end in the log", "km", "data", "mu_C", "running mu_C", "verdict")
     table = plain_table(head, {"data", "verdict"}, told)
     for place in [*places, len(rows)]:
         while fills and fills[0][0] <= place:
@@ -235,7 +235,7 @@ def _event_table(title: str, periods: Sequence[FluidPeriod], most_rows: int, end
         estimate, verdict = rows[place].result.estimate, rows[place].result.verdict
         table.add_row(
             str(rows[place].position),
-            moment_words(estimate.end_ns)[:_MINUTE],
+            moment_words(estimate.end_ns, is_dated=is_dated)[:_MINUTE],
             _km(estimate.odometer_m),
             estimate.status.value,
             _friction(estimate.friction),

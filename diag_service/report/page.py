@@ -133,7 +133,8 @@ def _subtitle(found: Findings) -> str:
     if not found.rows:
         return f"no event in {names}"
     # Logs may have been analysed in any order.
-    begin_ns = min(result.estimate.start_ns for result in found.results)
+    starts_ns = (result.estimate.start_ns for result in found.results)
+    begin_ns = min(t_ns for t_ns in starts_ns if t_ns >= DATED_NS * found.is_dated)
     end_ns = max(result.estimate.end_ns for result in found.results)
     days = dict.fromkeys(records.utc_from_bus_ns(t_ns)[:10] for t_ns in (begin_ns, end_ns))  # one twice is one
     when = " to ".join(days) if found.is_dated else "without a date"
@@ -265,7 +266,7 @@ def events_section(found: Findings) -> Section:
     texts = [f"The newest {len(rows)} of {len(found.rows)} events."] if len(rows) < len(found.rows) else []
     start = "start (UTC)" if found.is_dated else "start in the log"
     head = ("event", start, "kind", "gears", "clutch", "data", "mu_C", PLUS_MINUS, "verdict after it", "reasons")
-    table = Table(caption="Events", head=head, rows=tuple(map(_event_cells, rows)))
+    table = Table(caption="Events", head=head, rows=tuple(_event_cells(row, is_dated=found.is_dated) for row in rows))
     return Section(name="events", title="Events", texts=tuple(texts), tables=(table,))
 
 
@@ -347,9 +348,9 @@ def _number_rows(verdict: records.ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
 
 
 def _trend_figure(trend: Trend, results: list[records.ShiftResult]) -> Figure:
-    rows = tuple(_trend_cells(place, results[place]) for place in spread(trend.mu_c, TREND_ROWS))
+    is_dated = any(result.estimate.end_ns >= DATED_NS for result in results)
+    rows = tuple(_trend_cells(place, results[place], is_dated=is_dated) for place in spread(trend.mu_c, TREND_ROWS))
     clutch = trend.clutch
-    end = "end (UTC)" if results[0].estimate.end_ns >= DATED_NS else "end in the log"
     return Figure(
         picture=trend_picture(trend),
         caption=f"{trend.title}: trend of mu_C",
@@ -361,17 +362,17 @@ def _trend_figure(trend: Trend, results: list[records.ShiftResult]) -> Figure:
         ),
         table=Table(
             caption=f"{trend.title}: {len(rows)} of {events_text(len(results))}, evenly spread",
-            head=("event", end, "km", "mu_C", PLUS_MINUS, "verdict"),
+            head=("event", "end (UTC)" if is_dated else "end in the log", "km", "mu_C", PLUS_MINUS, "verdict"),
             rows=rows,
         ),
     )
 
 
-def _trend_cells(place: int, result: records.ShiftResult) -> tuple[Cell, ...]:
+def _trend_cells(place: int, result: records.ShiftResult, *, is_dated: bool) -> tuple[Cell, ...]:
     friction, odometer_m = result.verdict.friction, result.estimate.odometer_m
     return (
         str(place + 1),
-        moment_words(result.estimate.end_ns),
+        moment_words(result.estimate.end_ns, is_dated=is_dated),
         _km(odometer_m),
         number(None if friction is None else friction.mu_c),
         number(None if friction is None else STDS * friction.std_mu_c),
@@ -412,12 +413,12 @@ def _samples_table(panel: Panel, example: Example, name: str) -> Table:
     return Table(caption=f"{name}: {panel.title.lower()} [{panel.unit}]", head=head, rows=rows)
 
 
-def _event_cells(row: Row) -> tuple[Cell, ...]:
+def _event_cells(row: Row, *, is_dated: bool) -> tuple[Cell, ...]:
     result = row.result
     estimate, friction = result.estimate, result.estimate.friction
     return (
         str(row.position),
-        moment_words(estimate.start_ns),
+        moment_words(estimate.start_ns, is_dated=is_dated),
         kind_words(estimate),
         gear_words(estimate),
         estimate.element or str(estimate.clutch),

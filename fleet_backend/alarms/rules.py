@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import SplitResult, urlsplit
 
+from clutchdiag_io.people import is_dated
 from fleet_backend.errors import ConfigError
 from fleet_backend.intake import CLOCK_ERROR
 from fleet_contract.orders import Action, name_of
@@ -158,9 +159,9 @@ def odometer_finding(whose: Whose, readings_m: Sequence[float], limits: Limits) 
 
 
 def heard_last(told: Iterable[object], now: datetime) -> datetime | None:
-    """Return the last moment at which a vehicle was heard, by its clock or ours; one that is to come tells nothing."""
+    """Return the last moment at which a vehicle was heard, by its clock or ours; one to come or undated tells nothing."""
     moments = (one for one in told if isinstance(one, datetime))
-    return max((one for one in moments if one <= now + CLOCK_ERROR), default=None)
+    return max((one for one in moments if is_dated(one) and one <= now + CLOCK_ERROR), default=None)
 
 
 def silence_finding(vehicle: str, last_heard_at: datetime, now: datetime, limits: Limits) -> Finding:

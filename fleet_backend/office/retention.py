@@ -15,6 +15,7 @@ from sqlalchemy import (
     Engine,
     Table,
     TableClause,
+    TextClause,
     bindparam,
     delete,
     exists,
@@ -48,13 +49,13 @@ from fleet_backend.months import (
 )
 from fleet_backend.office_tables import ALARM_MESSAGE, AUDIT, CLUTCH_MONTH, COMMAND_LINE, METADATA, note_change
 from fleet_backend.queries import check_vehicle
-from fleet_backend.schema import QUARANTINE, REVISION, SHIFT_RESULT, UtcDateTime
+from fleet_backend.schema import AGED_AT, IS_OLD, QUARANTINE, REVISION, SHIFT_RESULT, UtcDateTime
 from fleet_contract import MOST_MU
 
 MOST_KEPT: Final = 1200
 _MONTH: Final = {
-    "postgresql": "CAST(date_trunc('month', s.produced_at AT TIME ZONE 'UTC') AS date)",
-    "sqlite": "date(s.produced_at, 'start of month')",
+    "postgresql": f"CAST(date_trunc('month', {AGED_AT.format('s.')} AT TIME ZONE 'UTC') AS date)",
+    "sqlite": f"date({AGED_AT.format('s.')}, 'start of month')",
 }
 # What was rolled up of a whole month is not overwritten by what little is left of it. Rows from before the contract had
 # bounds may hold numbers that no mean takes.
@@ -67,7 +68,7 @@ SELECT s.vehicle, s.clutch, {month}, count(*), sum(CASE WHEN s.status = 'valid' 
   avg(CASE WHEN s.status = 'valid' AND abs(s.mu_s) <= {most} THEN s.mu_s END),
   min(s.level_ratio), max(s.odometer_m)
 FROM current_shift AS s
-WHERE s.produced_at < :until
+WHERE {is_old}
 GROUP BY s.vehicle, s.clutch, {month}
 ON CONFLICT (vehicle, clutch, month) DO UPDATE SET
   result_count = excluded.result_count, valid_count = excluded.valid_count,
@@ -124,15 +125,20 @@ def retain(engine: Engine, kept_months: int, *, now: datetime, by: str) -> Retai
 
 
 def _roll_up(connection: Connection, until: datetime) -> None:
-    statement = text(_ROLL_UP.format(month=_MONTH[connection.dialect.name], most=MOST_MU))
-    connection.execute(statement.bindparams(bindparam("until", type_=UtcDateTime)), {"until": until})
+    month = _MONTH[connection.dialect.name]
+    connection.execute(_until(_ROLL_UP.format(month=month, most=MOST_MU, is_old=IS_OLD.format("s."))), {"until": until})
+
+
+def _until(statement: str) -> TextClause:
+    return text(statement).bindparams(bindparam("until", type_=UtcDateTime))
 
 
 def _delete(connection: Connection, _first: date, until: datetime) -> int:
     """Delete row by row, as SQLite has to; return how many results are gone."""
     key = tuple_(*(SHIFT_RESULT.c[name] for name in _KEY))
     last = text(_LAST).columns(*(SHIFT_RESULT.c[name] for name in _KEY))
-    return connection.execute(delete(SHIFT_RESULT).where(SHIFT_RESULT.c.produced_at < until, key.not_in(last))).rowcount
+    statement = delete(SHIFT_RESULT).where(_until(IS_OLD.format("")), key.not_in(last))
+    return connection.execute(statement, {"until": until}).rowcount
 
 
 def _drop_months(connection: Connection, first: date, until: datetime) -> int:
@@ -145,7 +151,7 @@ def _drop_months(connection: Connection, first: date, until: datetime) -> int:
     connection.execute(
         text(
             f"CREATE TEMPORARY TABLE kept ON COMMIT DROP AS SELECT s.* FROM {TABLE} AS s"  # noqa: S608 - our own names
-            f" WHERE s.produced_at < :edge AND (s.produced_at >= :until OR (s.vehicle, s.stream, s.seq) IN ({_LAST}))"
+            f" WHERE s.produced_at < :edge AND (NOT {IS_OLD.format('s.')} OR (s.vehicle, s.stream, s.seq) IN ({_LAST}))"
         ),
         {"edge": edge_at, "until": until},
     )
@@ -169,8 +175,8 @@ def _drop_revisions(connection: Connection) -> None:
 
 
 def _old_count(connection: Connection, until: datetime) -> int:
-    statement = select(func.count()).select_from(SHIFT_RESULT).where(SHIFT_RESULT.c.produced_at < until)
-    return int(connection.execute(statement).scalar_one())
+    statement = select(func.count()).select_from(SHIFT_RESULT).where(_until(IS_OLD.format("")))
+    return int(connection.execute(statement, {"until": until}).scalar_one())
 
 
 FORGOTTEN: Final = "a forgotten vehicle"  # in the audit, which stays

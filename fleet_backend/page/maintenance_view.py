@@ -12,6 +12,7 @@ from typing import Final
 from sqlalchemy import Engine, delete, func, insert, select
 
 from clutchdiag_io.pages.content import NONE, Badge, Cell, Section, Table, TimeCell
+from clutchdiag_io.people import is_dated
 from diag_service.diagnosis.prognosis import Prognosis
 from diag_service.diagnosis.prognosis.sentence import soonest
 from fleet_backend.database import transaction
@@ -77,7 +78,7 @@ def _place(one: Due) -> tuple[bool, str, int, str, int]:
 
 def driven_a_day_m(readings: Iterable[tuple[datetime, float | None]]) -> float | None:
     """Return the distance that a vehicle is driven a day, None if it is not known; readings come in their order."""
-    known = [(at, odometer_m) for at, odometer_m in readings if odometer_m is not None]
+    known = [(at, odometer_m) for at, odometer_m in readings if odometer_m is not None and is_dated(at)]
     if not known:
         return None
     last_at, last_m = known[-1]
@@ -162,7 +163,7 @@ def _told(
 
 
 def _day(now: ClutchNow, distance_m: float | None, a_day_m: float | None) -> date | None:
-    if distance_m is None or a_day_m is None or distance_m > a_day_m * _HORIZON.days:
+    if distance_m is None or a_day_m is None or not is_dated(now.end_at) or distance_m > a_day_m * _HORIZON.days:
         return None
     return (now.end_at + timedelta(days=distance_m / a_day_m)).date()
 

@@ -6,7 +6,7 @@ from typing import Final
 
 from clutch_model.units import degc_from_k, for_people
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Link, Number, Section, Table, moment, number
-from clutchdiag_io.people import PLUS_MINUS, STDS, digits
+from clutchdiag_io.people import PLUS_MINUS, STDS, digits, moment_words
 from diag_service.report.pictures import curve_figure
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
@@ -54,7 +54,7 @@ def show(answer: ShiftAnswer, _ask: Ask, _sources: Sources) -> Shown:
     )
     return Shown(
         title=f"{kind.capitalize()} {gears} of {answer.vehicle}",
-        subtitle=f"{clutch}, {answer.end_at:%Y-%m-%d %H:%M:%S} UTC, data {answer.status}",
+        subtitle=f"{clutch}, {moment_words(answer.end_at, '%Y-%m-%d %H:%M:%S UTC')}, data {answer.status}",
         sections=(
             _friction_section(answer),
             *_shift_sections(answer),

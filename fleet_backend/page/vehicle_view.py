@@ -5,7 +5,7 @@ from math import isfinite
 from typing import Any, Final
 
 from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, moment, number, spread
-from clutchdiag_io.people import PLUS_MINUS, STDS
+from clutchdiag_io.people import PLUS_MINUS, STDS, moment_words
 from diag_service.diagnosis.condition.shift_course import adapting_lines
 from diag_service.diagnosis.condition.shift_quality import Load
 from diag_service.diagnosis.records import Causes
@@ -131,7 +131,11 @@ def _causes(sources: Sources, clutches: Sequence[ClutchNow]) -> Causes | None:
 def _subtitle(answer: VehicleAnswer, _sources: Sources) -> str:
     state = {None: "state of its service unknown", True: "online", False: "offline"}[answer.is_online]
     since = f" since {answer.connected_at:%Y-%m-%d %H:%M} UTC" if answer.connected_at and answer.is_online else ""
-    last = f", last result {answer.last_result_at:%Y-%m-%d %H:%M} UTC" if answer.last_result_at else ", no result yet"
+    last = (
+        f", last result {moment_words(at, '%Y-%m-%d %H:%M UTC')}"
+        if (at := answer.last_result_at)
+        else ", no result yet"
+    )
     return f"{state}{since}{last}"
 
 
@@ -257,7 +261,9 @@ def _trend_cells(point: TrendPoint, course: Course, row: int) -> tuple[Cell, ...
     value, std = course.running[row], course.std_running[row]
     numbers = (value, STDS * std)
     return (
-        wording.shift_link(f"{point.end_at:%Y-%m-%d %H:%M}", point.vehicle, point.stream, point.seq, at=point.end_at),
+        wording.shift_link(
+            moment_words(point.end_at, "%Y-%m-%d %H:%M"), point.vehicle, point.stream, point.seq, at=point.end_at
+        ),
         wording.km(point.odometer_m),
         *(number(float(one) if isfinite(one) else None, course.quantity.form) for one in numbers),
         wording.badge(point.condition),
@@ -267,7 +273,7 @@ def _trend_cells(point: TrendPoint, course: Course, row: int) -> tuple[Cell, ...
 def _event_cells(point: TrendPoint) -> tuple[Cell, ...]:
     return (
         wording.shift_link(
-            f"{point.end_at:%Y-%m-%d %H:%M:%S}", point.vehicle, point.stream, point.seq, at=point.end_at
+            moment_words(point.end_at, "%Y-%m-%d %H:%M:%S"), point.vehicle, point.stream, point.seq, at=point.end_at
         ),
         wording.km(point.odometer_m),
         wording.plain(point.kind and point.kind.replace("_", " ")),

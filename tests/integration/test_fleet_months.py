@@ -5,21 +5,23 @@ from dataclasses import replace
 from datetime import UTC, date, datetime
 
 import pytest
-from sqlalchemy import Engine, select, text
+from sqlalchemy import Engine, select, text, update
 
-from fleet_backend import queries
+from fleet_backend import queries, report
 from fleet_backend.choices import Axis, Quotas
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import ConfigError
-from fleet_backend.intake import MessageKind, Taken
+from fleet_backend.intake import MessageKind, Taken, batch_of, take_all
+from fleet_backend.layout import lines_of
 from fleet_backend.migrate import migrate
 from fleet_backend.months import keep_months, partitions
 from fleet_backend.office.retention import retain, roll_up
 from fleet_backend.office_tables import AUDIT, CLUTCH_MONTH
+from fleet_backend.page.past import results_of
 from fleet_backend.quotas import Gate
 from fleet_backend.rows import Row
-from fleet_backend.schema import REVISION
+from fleet_backend.schema import REVISION, SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, message_of, row_of
 
@@ -98,6 +100,37 @@ def test_old_months_go_but_their_sums_and_the_last_result_of_each_clutch(engine:
     assert retain(engine, 2, now=NOW, by="ann").gone_count == 0
     Writer(engine).store(Batch(shifts=rows))  # an outbox that never heard of the commit
     assert retain(engine, 2, now=NOW, by="ann").gone_count == 5
+
+
+def test_results_of_a_clock_that_was_not_set_age_by_when_they_were_stored(engine: Engine) -> None:
+    """Half a life is of 1970: nothing of it goes before its time, and nobody reads that year."""
+    results = [fleet_result(seq, produced_at=f"1970-01-0{seq}T00:00:00.000000Z") for seq in (1, 2, 3)]
+    undated = [
+        replace(one, estimate=replace(one.estimate, start_ns=seq * 86_400 * 10**9, end_ns=(seq * 86_400 + 1) * 10**9))
+        for seq, one in enumerate(results, 1)
+    ]
+    later = [fleet_result(seq, produced_at="2026-05-01T00:00:00.000000Z") for seq in (4, 5)]
+    taken = [one for result in (*undated, *later) for one in take_all(message_of(result), NOW)]
+    Writer(engine).store(batch_of(taken))
+    moments = {1: "2025-11-02", 2: "2026-05-03", 3: "2026-05-04"}
+    with transaction(engine) as connection:
+        for seq, day in moments.items():
+            stored = update(SHIFT_RESULT).where(SHIFT_RESULT.c.seq == seq)
+            connection.execute(stored.values(stored_at=datetime.fromisoformat(f"{day}T00:00:00+00:00")))
+    assert [one["seq"] for one in queries.worst_first(engine)] == [5]
+    assert [row["seq"] for row in results_of(engine, "car1", 2)] == [1, 2, 3, 4, 5]
+    page = report.trend_table("car1", queries.trend(engine, "car1", 2, Axis.SHIFT))
+    text_of_it = "\n".join(line.plain for line in lines_of(page, 200))
+    assert text_of_it.count("clock not set") == 3
+    assert "1970" not in text_of_it
+    done = retain(engine, 2, now=NOW, by="ann")
+    assert (done.gone_count, done.kept_count) == (1, 0)
+    assert [row["seq"] for row in results_of(engine, "car1", 2)] == [2, 3, 4, 5]
+    roll_up(engine, NOW)
+    with transaction(engine) as connection:
+        months = connection.execute(select(CLUTCH_MONTH.c.month, CLUTCH_MONTH.c.result_count).order_by("month")).all()
+    assert [tuple(one) for one in months] == [(date(2025, 11, 1), 1), (date(2026, 5, 1), 4)]
+    assert retain(engine, 2, now=NOW, by="ann").gone_count == 0
 
 
 def test_revisions_come_and_go_with_their_results(engine: Engine) -> None:

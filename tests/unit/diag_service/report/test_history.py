@@ -1,5 +1,6 @@
 """What a store tells of the past: fluid by fluid, event by event, and what it leaves out."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from diag_service.diagnosis.records import Condition, FluidFill, ShiftQuality, s
 from diag_service.errors import StoreError
 from diag_service.report.findings import findings_of_store
 from diag_service.report.history import history_lines, history_records, periods_of, shift_lines
+from diag_service.report.page import html_of, page_of
 from diag_service.service.session import versions_for
 from diag_service.store import Row, Versions
 from tests.support.histories import VERSIONS, fill_store, findings, history, of_version
@@ -48,6 +50,23 @@ def test_what_is_last_said_of_a_fluid_is_what_the_order_goes_by() -> None:
     early, late = found.rows[:20], found.rows[20:]
     (fluid,) = periods_of(replace(found, rows=(*late, *early)), 1)
     assert fluid.last_verdict == found.latest[0].verdict != fluid.rows[-1].result.verdict
+
+
+def test_a_clock_that_was_not_set_for_half_a_life_is_named(tmp_path: Path) -> None:
+    results = [
+        replace(one, estimate=replace(one.estimate, start_ns=number * 10**9, end_ns=(number + 1) * 10**9))
+        if number < 20
+        else one
+        for number, one in enumerate(history(40))
+    ]
+    fill_store(tmp_path / "car1.sqlite", results)
+    found = findings_of_store(tmp_path / "car1.sqlite", None, CALIBRATION)
+    table = [one for one in history_lines(found, [1], most_rows=10) if isinstance(one, Table)][1]
+    cells = list(table.columns[1].cells)
+    assert table.columns[1].header == "end (UTC)"
+    assert cells == ["clock not set"] * 5 + [cell for cell in cells if str(cell).startswith("2026-01-01")]
+    assert len(cells) == 10
+    assert not re.search("1970-01|in the log", html_of(page_of(found, "2026-02-01T00:00:00.000000Z", is_full=True)))
 
 
 def test_a_fluid_without_a_shift_yet_is_in_the_list() -> None:

@@ -97,6 +97,7 @@ def test_a_clock_that_is_wrong_neither_hides_nor_makes_silence() -> None:
     assert heard_last((year_9999, long_ago), NOW) == long_ago
     assert heard_last((of_a_log, NOW), NOW) == NOW
     assert heard_last((year_9999, None), NOW) is None
+    assert heard_last((datetime(1970, 1, 2, tzinfo=UTC),), NOW) is None
 
 
 @pytest.mark.parametrize(("days", "is_wrong"), [(15.0, True), (14.0, True), (13.0, None), (1.0, False), (-1.0, False)])

@@ -36,6 +36,8 @@ def test_how_much_a_vehicle_is_driven_is_counted_over_the_last_months() -> None:
         (((0.0, 0.0), (0.5, 5.0e5)), None),
         (((0.0, 5.0e5), (9.0, 5.0e5)), None),
         (((0.0, None),), None),
+        (((-20450.0, 0.0), (-20440.0, 5.0e5)), None),  # of 1970: the clock was not set
+        (((0.0, 0.0), (10.0, 5.0e5), (-20440.0, 6.0e5)), 5.0e4),
         ((), None),
     )
     for seen, wanted in cases:
