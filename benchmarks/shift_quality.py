@@ -178,7 +178,6 @@ def shown(case: Case) -> list[Shown]:
         car.perform(ADAPT)
         car.go_on()
         by_routine = [score for *_, score in scored(driven(scenario, car.drive.touch_pressures_pa))]
-        car.close()
     return [
         Shown(
             case=case, scores=tuple(score for *_, score in found), touch_errors=tuple(touch), fill_errors=tuple(fill),

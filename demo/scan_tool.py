@@ -26,7 +26,7 @@ class ScanTool:
     @property
     def emulator_arguments(self) -> tuple[str, ...]:
         """The options with which the emulator answers it."""
-        return "--diagnostics", "--on-board", "--doip", f"{self._place.host}:{self._place.port}"
+        return "--diagnostics", "--doip", f"{self._place.host}:{self._place.port}"
 
     @property
     def line(self) -> str:

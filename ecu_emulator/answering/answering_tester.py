@@ -17,10 +17,8 @@ import can
 
 from canlog.e2e.message_contract import message_contracts
 from clutch_model.calibration import CONVERTERS
-from clutch_model.units import NS_PER_S
 from dbc.contract import load_contract
 from ecu_emulator.answering.monitoring import MONITOR_PERIOD_S, Monitoring
-from ecu_emulator.answering.on_board import EstimateSource, FixedEstimate
 from ecu_emulator.answering.requested_tasks import (
     AdaptedCar,
     Driven,
@@ -30,7 +28,6 @@ from ecu_emulator.answering.requested_tasks import (
 )
 from ecu_emulator.bus.sender import FrameSender
 from ecu_emulator.bus.sent_values import OWN_NODE, SentValues, recounted
-from ecu_emulator.diagnostics.clutches import values_of
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
@@ -67,8 +64,6 @@ class Answering:
         ``[HOST:]PORT`` of an ELM327 adapter for OBD apps; without one there is none.
     bitrate
         Of the bus [bit/s], if it is known; the adapter names its protocol by it.
-    on_board
-        Whose estimate of the clutches the controller has; None: it has none.
     performer
         The car that performs the routines of the workshop when a tester starts them; None: it cannot.
     ignition
@@ -94,7 +89,6 @@ class Answering:
         is_fd: bool,
         elm327: str | None = None,
         bitrate: int | None = None,
-        on_board: EstimateSource | None = None,
         performer: AdaptedCar | None = None,
         ignition: deque[float] | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -122,7 +116,6 @@ class Answering:
         self._pressure_id = database.get_message_by_name("TCU_LockUp" if is_converter else "TCU_Pressures").frame_id
         contracts = message_contracts(database).values()
         self._own_ids = {one.can_id: one.data_id or 0 for one in contracts if one.sender == OWN_NODE}
-        self._on_board: EstimateSource = on_board or FixedEstimate(None)
         self._driven = Driven()
         self._driven_s = -math.inf  # when the newest frame was due: the drive's time, also where sending lags behind
         self._looked_s = -math.inf  # at which moment of that the monitors looked last
@@ -151,7 +144,11 @@ class Answering:
             )
             self._routine = None if performer is None else RequestedRoutine(performer, self.controller)
             self._adaptation = None if performer is None else RequestedAdaptation(performer, self.controller)
-            self._clearing = RequestedClearing(self._on_board, self.controller, self._monitoring, self._adaptation)
+            self._clearing = (
+                None
+                if self._adaptation is None
+                else RequestedClearing(self.controller, self._monitoring, self._adaptation)
+            )
             self.link = DiagnosticLink(self.controller, bus.send, is_fd=is_fd)
             self.doip = None if doip is None else self._stack.enter_context(closing(DoipServer(self.controller, doip)))
             adapter = None if elm327 is None else ElmServer(self.controller, parse_place(elm327), bitrate)
@@ -161,8 +158,7 @@ class Answering:
             raise
 
     def __enter__(self) -> Self:
-        parts: tuple[AbstractContextManager[object] | None, ...] = (self.elm327, self.link, self.doip, self._on_board)
-        self._stack.callback(self._clearing.close)
+        parts: tuple[AbstractContextManager[object] | None, ...] = (self.elm327, self.link, self.doip)
         try:
             for part in parts:
                 if part is not None:
@@ -194,7 +190,7 @@ class Answering:
         if can_id == self._pressure_id and self._adaptation is not None and self._adaptation.is_listening:
             self._adaptation.hear(message.timestamp, self._sent.now({}))
         if can_id == self._shift_id:
-            self._count_shift(message.timestamp)
+            self._count_shift()
         if can_id in self._own_ids:
             if not self.controller.state.communication.sends_normal or self.controller.is_asleep:
                 return
@@ -242,8 +238,6 @@ class Answering:
             asked += f"; ELM327: {self.elm327.counts.lines} lines of {self.elm327.counts.clients} clients"
         if self._sent.disbelieved_count:
             problem += f"\n{self._sent.disbelieved_count} frames of others were not believed: wrong checksum or length"
-        if self._on_board.problem is not None:
-            problem += f"\nwarning: {self._on_board.problem}"
         return f"diagnostics: {asked}; confirmed trouble codes: {codes}{problem}"
 
     def watch(self) -> None:
@@ -254,7 +248,7 @@ class Answering:
             self._monitoring.restart(is_new_cycle=is_new_cycle)
         if self._sent.has_all(self._sensed) and not self.controller.is_asleep:
             self._look()
-            self._monitoring.judge_clutches(self._on_board.estimates)
+            self._monitoring.judge_adaptation()
 
     def _look(self) -> None:
         """Judge the newest frames: a sender that the machine keeps waiting makes neither shift nor failure longer."""
@@ -272,11 +266,11 @@ class Answering:
             while not self._is_over.wait(MONITOR_PERIOD_S):
                 self.watch()
                 if self._routine is not None:
-                    is_live = self._on_board.is_live
-                    self._routine.step(self._driven, self._on_board.estimates, self._clock(), is_live=is_live)
+                    self._routine.step(self._driven)
                 if self._adaptation is not None:
                     self._adaptation.step(self._values())
-                self._clearing.step()
+                if self._clearing is not None:
+                    self._clearing.step()
         except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
             self._error = exc
 
@@ -305,30 +299,25 @@ class Answering:
         self._counted_from = counted_from
         self._is_restarted = True
 
-    def _count_shift(self, due_s: float) -> None:
+    def _count_shift(self) -> None:
         driven = self._driven
         gear = self._sent.now({}).get("current_gear", driven.gear)
         if gear and driven.gear and gear != driven.gear:
-            driven = replace(driven, shift_count=driven.shift_count + 1, last_shift_ns=round(due_s * NS_PER_S))
+            driven = replace(driven, shift_count=driven.shift_count + 1)
         self._driven = replace(driven, gear=gear or driven.gear)  # neutral between two gears is a part of their shift
 
     def _values(self) -> Mapping[str, float]:
-        is_followed = self._on_board.is_live and self._on_board.problem is None
-        before = (
-            self.controller.state.estimates if is_followed else {}
-        )  # until it speaks: what was known before the start
         more = {
             "time_s": self._clock() - self._began_s,
             "shift_count": float(self._driven.shift_count),
             "engine_run_time_s": self._engine_ran_s,
             STARTING: float(not self._sent.has_begun),
             "revs_possible": float(self._routine is not None and self._routine.is_possible),
-            "clearing_possible": float(self._clearing.is_possible),
+            "clearing_possible": float(self._clearing is not None),
             "adaptation_possible": float(self._adaptation is not None and self._adaptation.is_possible),
             **(self._adaptation.values if self._adaptation is not None else {}),
             **self._monitoring.temperatures,
             **(self._sent.silences if self.controller.state.communication.receives_normal else {}),
-            **values_of({**before, **self._on_board.estimates}),
         }
         return self._sent.now(more)
 

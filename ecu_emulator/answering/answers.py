@@ -4,23 +4,18 @@ import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Final
 
 import can
 
 from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.answering.command_words import DOIP_TLS_PORT
-from ecu_emulator.answering.on_board import EstimateSource, FixedEstimate, OnBoardService
-from ecu_emulator.diagnostics.clutches import scenario_friction
 from ecu_emulator.diagnostics.doip.listening import Place, parse_place, tls_node
 from ecu_emulator.diagnostics.table_file import table_like
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live.live_drive import BusChoice
-from ecu_emulator.scenario.scenario import EstimateFrom, Scenario
 
 AnyPath = str | os.PathLike[str]
-PRIVATE_INTERFACE: Final = "virtual"  # of python-can, within one process
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,8 +36,6 @@ class Answers:
         With a certificate it answers over IP by TLS as well; the key may be in the same file.
     doip_tls_port : int
         Where it does.
-    on_board : bool
-        Whether a diag-service that is started beside it tells it of its clutches; not on a virtual bus.
 
     Raises
     ------
@@ -58,7 +51,6 @@ class Answers:
     doip_certificate: AnyPath | None = None
     doip_key: AnyPath | None = None
     doip_tls_port: int = DOIP_TLS_PORT
-    on_board: bool = False
 
     def __post_init__(self) -> None:
         if self.table is not None and self.like is not None:
@@ -67,7 +59,7 @@ class Answers:
             table_like(self.like)
         self._place()
 
-    def opened(self, bus: can.BusABC, choice: BusChoice, scenario: Scenario, drive: Drive) -> Answering:
+    def opened(self, bus: can.BusABC, choice: BusChoice, drive: Drive) -> Answering:
         """Return the controller that answers while it is entered.
 
         Raises
@@ -84,7 +76,6 @@ class Answers:
             is_fd=choice.is_fd,
             elm327=self.elm327,
             bitrate=choice.bitrate,
-            on_board=self._estimate_source(choice, scenario),
             performer=drive,
             ignition=drive.ignition,
         )
@@ -105,19 +96,6 @@ class Answers:
             raise ConfigError("--doip-certificate needs --doip")
         return None
 
-    def _estimate_source(self, choice: BusChoice, scenario: Scenario) -> EstimateSource | None:
-        """Return whose estimate of its clutches the controller tells, None if it has none."""
-        if scenario.on_board.estimate is EstimateFrom.OWN:
-            return FixedEstimate(scenario_friction(scenario.on_board))
-        if not self.on_board or scenario.on_board.estimate is EstimateFrom.NONE:
-            return None
-        if choice.interface == PRIVATE_INTERFACE:
-            raise ConfigError(f"--on-board needs a bus that another process can hear, not {PRIVATE_INTERFACE}")
-        memory = self._memory
-        return OnBoardService(
-            choice.words, None if memory is None else memory.with_name(memory.name + ".on-board.sqlite")
-        )
-
 
 def chosen(options: SimpleNamespace) -> Answers | None:
     """Return what a command line says of it, None if nobody is to answer.
@@ -126,7 +104,7 @@ def chosen(options: SimpleNamespace) -> Answers | None:
     """
     given = {
         "--diagnostic-memory": options.diagnostic_memory, "--doip": options.doip, "--elm327": options.elm327,
-        "--on-board": options.on_board or None, "--doip-certificate": options.doip_certificate,
+        "--doip-certificate": options.doip_certificate,
         "--doip-key": options.doip_key,
         "--doip-tls-port": None if options.doip_tls_port == DOIP_TLS_PORT else options.doip_tls_port,
     }  # fmt: skip
@@ -144,5 +122,4 @@ def chosen(options: SimpleNamespace) -> Answers | None:
         doip_certificate=options.doip_certificate,
         doip_key=options.doip_key,
         doip_tls_port=options.doip_tls_port,
-        on_board=options.on_board,
     )

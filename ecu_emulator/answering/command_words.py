@@ -33,10 +33,6 @@ RUN_OPTIONS: Final = (
         "serve OBD apps on this TCP port as an ELM327 adapter does (127.0.0.1:35000)",
         flag_value=DEFAULT_ELM_PORT,
     ),
-    Option(
-        "--on-board",
-        "start a diag-service beside the controller: testers are told what it finds (P0897, friction)",
-    ),
 )
 _PDX: Final = Command(
     "pdx",

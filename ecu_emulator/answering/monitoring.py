@@ -1,4 +1,4 @@
-"""What monitors and the estimate on board say of the vehicle becomes results of tests in the controller's memory."""
+"""What monitors say of the vehicle becomes results of tests in the controller's memory."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -34,7 +34,6 @@ class Monitoring:
         self._controller = controller
         self._was_adapted = was_adapted
         self._numbers = {trouble.code: number for number, trouble in controller.table.troubles.items()}
-        self._codes = {number: code for code, number in self._numbers.items()}
         self._watch = Watch()
         self._limits = MonitorLimits(
             most_clutch_k=controller.table.clutches.most_temperature_k,
@@ -42,7 +41,6 @@ class Monitoring:
             packs=clutches.packs_of(transmission),
             has_converter=transmission in CONVERTERS,
         )
-        self._judged: clutches.OnBoardEstimates | None = None
         self._adaptation = controller.state.adaptation
         self.problem: str | None = None  # why something could not be kept, for people
 
@@ -63,33 +61,22 @@ class Monitoring:
         if is_new_cycle:
             self._keep(self._controller.cycle)
 
-    def judge_clutches(self, estimates: clutches.OnBoardEstimates) -> None:
-        """Let each new estimate of the clutches be a test, with the controller's values of that moment.
-
-        What is adapted is tested with it, when it changes, and once in every operation cycle.
-        """
+    def judge_adaptation(self) -> None:
+        """Test what is adapted, when it has changed, and once in every operation cycle."""
         adaptation = self._controller.state.adaptation
-        is_new = estimates is not self._judged
-        is_changed = is_new or adaptation is not self._adaptation
-        self._judged, self._adaptation = estimates, adaptation
-        results: dict[str, TestResult | None] = {}
-        if is_new:
-            failed = clutches.failed_codes(self._controller.state.memory.records, self._codes)
-            results[clutches.FLUID_CODE] = clutches.fluid_test(estimates, failed)
-            if estimates:
-                self._keep(lambda: self._controller.keep_estimates(estimates))
-        if is_changed or self._is_untested(clutches.ADAPTATION_CODE):
-            results[clutches.ADAPTATION_CODE] = clutches.adaptation_test(
-                adaptation, estimates, was_adapted=self._was_adapted
-            )
-        if is_changed or self._is_untested(clutches.LIMIT_CODE):
-            results[clutches.LIMIT_CODE] = clutches.limit_test(adaptation)
-        self._report({code: result for code, result in results.items() if result is not None})
-
-    def note_cleared(self) -> None:
-        """Note that what was learned of the clutches is cleared: that fails a test until they are known again."""
-        self._keep(lambda: self._controller.keep_estimates({}))
-        self._report({clutches.ADAPTATION_CODE: TestResult.FAILED})
+        is_changed = adaptation is not self._adaptation
+        self._adaptation = adaptation
+        results = {
+            clutches.ADAPTATION_CODE: clutches.adaptation_test(adaptation, was_adapted=self._was_adapted),
+            clutches.LIMIT_CODE: clutches.limit_test(adaptation),
+        }
+        self._report(
+            {
+                code: result
+                for code, result in results.items()
+                if result is not None and (is_changed or self._is_untested(code))
+            }
+        )
 
     def _is_untested(self, code: str) -> bool:
         """Return whether a test has not run in this operation cycle."""

@@ -2,13 +2,11 @@
 
 from collections import deque
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Final, Protocol
 
 from ecu_emulator.answering.monitoring import Monitoring
-from ecu_emulator.answering.on_board import EstimateSource
-from ecu_emulator.diagnostics.clutches import CLUTCHES, Adaptation, OnBoardEstimates
+from ecu_emulator.diagnostics.clutches import CLUTCHES, Adaptation
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.descriptions import Task
 from ecu_emulator.diagnostics.state import RoutineRun
@@ -27,9 +25,6 @@ from ecu_emulator.shift_control.touch_points import (
     sample_of,
 )
 
-ESTIMATE_S: Final = 10.0  # how long the estimate of the last shift is waited for
-# The end of a shift on the bus and in the estimate; the shift before ended 1.8 s sooner.
-SAME_END_NS: Final = 500_000_000
 FIRST_GEAR: Final = 1.0
 MOST_MOMENTS: Final = 4096  # that are heard and not looked at yet
 
@@ -51,11 +46,10 @@ class Driven:
 
     shift_count: int = 0
     gear: float = 0.0  # the last one that was engaged
-    last_shift_ns: int = 0  # end of the last shift, time of the bus
 
 
 class RequestedRoutine:
-    """Has the car perform what a tester's routine asks for, and ends the routine once that is judged.
+    """Has the car perform what a tester's routine asks for, and ends the routine once that is driven.
 
     Parameters
     ----------
@@ -69,43 +63,23 @@ class RequestedRoutine:
         self._performer = performer
         self._controller = controller
         self._shifts_before: int | None = None  # None: nothing is performed
-        self._over_s: float | None = None  # since when all of it is driven
 
     @property
     def is_possible(self) -> bool:
         """Whether the car could begin now."""
         return self._performer.is_waiting
 
-    def step(self, driven: Driven, estimates: OnBoardEstimates, t_s: float, *, is_live: bool) -> None:
-        """Do what is due; to be called about ten times a second.
-
-        Parameters
-        ----------
-        driven
-            What the car has done on the bus.
-        estimates
-            What is thought of its clutches.
-        t_s
-            A time that never goes back [s].
-        is_live
-            Whether estimates follow what is driven.
-        """
+    def step(self, driven: Driven) -> None:
+        """Do what is due after what the car has done on the bus; to be called about ten times a second."""
         found = running_routine(self._controller, Task.REVS)
         if found is None:
-            self._shifts_before = self._over_s = None
+            self._shifts_before = None
             return
         number, run = found
         if self._shifts_before is None:
             self._performer.begin_routine(Routine(open_revs=run.options[0], closed_revs=run.options[1]))
             self._shifts_before = driven.shift_count
-        is_through = driven.shift_count > self._shifts_before and driven.gear == FIRST_GEAR  # is back in it
-        if is_through and self._over_s is None:
-            self._over_s = t_s
-        if self._over_s is None:
-            return
-        latest_ns = max((estimate.end_ns for estimate in estimates.values()), default=0)
-        has_judged = latest_ns >= driven.last_shift_ns - SAME_END_NS
-        if not is_live or has_judged or t_s >= self._over_s + ESTIMATE_S:
+        if driven.shift_count > self._shifts_before and driven.gear == FIRST_GEAR:  # is back in it
             self._controller.finish(number)
 
 
@@ -229,12 +203,9 @@ class RequestedAdaptation:
         if are_over(work.samples):
             self._go_on(work, number)
 
-    def forget(self, *, awaits_estimate: bool) -> bool:
-        """Work by the touch points of the type again; return whether that could be kept.
-
-        ``awaits_estimate`` says whether an estimate on board begins anew with it.
-        """
-        return self._keep(Adaptation(awaits_estimate=awaits_estimate))
+    def forget(self) -> bool:
+        """Work by the touch points of the type again; return whether that could be kept."""
+        return self._keep(Adaptation())
 
     def _break_off(self) -> None:
         if self._work is not None:
@@ -310,61 +281,30 @@ class RequestedAdaptation:
 
 
 class RequestedClearing:
-    """Has the estimate begin anew when a routine asks for it, and ends the routine once that is done or has failed.
+    """Clears the touch points when a routine asks for it, as after a change of the fluid.
 
     Parameters
     ----------
-    source
-        Where the controller's estimate of its clutches comes from.
     controller
         Whose routines are looked after.
     monitoring
-        Notes what was cleared.
+        Tests what is left.
     adaptation
-        Forgets the touch points; None: there are none that were adapted.
+        Forgets the touch points.
     """
 
-    def __init__(
-        self,
-        source: EstimateSource,
-        controller: Controller,
-        monitoring: Monitoring,
-        adaptation: RequestedAdaptation | None = None,
-    ) -> None:
-        self._source = source
-        self._adaptation = adaptation
+    def __init__(self, controller: Controller, monitoring: Monitoring, adaptation: RequestedAdaptation) -> None:
         self._controller = controller
         self._monitoring = monitoring
-        self._pool = ThreadPoolExecutor(1, "clearing")
-        self._work: Future[bool] | None = None
-
-    @property
-    def is_possible(self) -> bool:
-        """Whether there is something to clear: an estimate on board that can begin anew, or adapted touch points."""
-        return self._source.problem is None if self._source.is_live else self._adaptation is not None
+        self._adaptation = adaptation
 
     def step(self) -> None:
-        """Do what is due; to be called about ten times a second, never waits."""
+        """Do what is due; to be called about ten times a second."""
         found = running_routine(self._controller, Task.NEW_FLUID)
-        if self._work is None:
-            if found is not None:
-                self._work = self._pool.submit(self._clear)
+        if found is None:
             return
-        if not self._work.done():
-            return
-        is_cleared, self._work = self._work.result(), None
-        if is_cleared:  # also if the tester has gone meanwhile
-            self._monitoring.note_cleared()
-        if found is not None and is_cleared:
+        if self._adaptation.forget():
+            self._monitoring.judge_adaptation()
             self._controller.finish(found[0])
-        elif found is not None:
+        else:
             self._controller.fail(found[0])
-
-    def _clear(self) -> bool:
-        """Clear what there is, the estimate first: it may not be able to."""
-        is_begun = not self._source.is_live or self._source.begin_anew()
-        return is_begun and (self._adaptation is None or self._adaptation.forget(awaits_estimate=self._source.is_live))
-
-    def close(self) -> None:
-        """Wait until nothing is under way any more."""
-        self._pool.shutdown()

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Final
 
 from ecu_emulator.diagnostics import server
-from ecu_emulator.diagnostics.clutches import Adaptation, OnBoardEstimates
+from ecu_emulator.diagnostics.clutches import Adaptation
 from ecu_emulator.diagnostics.iso14229 import NEGATIVE, Nrc
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
@@ -177,10 +177,6 @@ class Controller:
         """Keep what was adapted, or cleared; raises RecordError as ``report``."""
         self._change(lambda state: replace(state, adaptation=adaptation))
 
-    def keep_estimates(self, estimates: OnBoardEstimates) -> None:
-        """Keep what is thought of the clutches; raises RecordError as ``report``."""
-        self._change(lambda state: replace(state, estimates=estimates))
-
     def _change(self, change: Callable[[ServerState], ServerState]) -> None:
         with self._lock:
             state = change(self._state)
@@ -208,5 +204,5 @@ class Controller:
 
 def _are_same(one: ServerState, other: ServerState) -> bool:
     """Return whether two states keep the same, at a glance."""
-    kept = ("memory", "emissions", "written", "wrong_keys", "adaptation", "estimates")
+    kept = ("memory", "emissions", "written", "wrong_keys", "adaptation")
     return all(getattr(one, name) is getattr(other, name) for name in kept)

@@ -44,7 +44,7 @@ class Task(StrEnum):
 
     NOTHING = "nothing"  # but let time pass
     REVS = "revs"  # the workshop routine: as many revs with open, then closed clutches as the two options say; a drive
-    NEW_FLUID = "new_fluid"  # the estimate on board begins anew, and touch points are those of the type
+    NEW_FLUID = "new_fluid"  # touch points are those of the type again
     TOUCH_POINTS = "touch_points"  # both clutches are adapted
 
 

@@ -16,7 +16,7 @@ import msgspec
 
 from canlog.files import read_small_file
 from clutchdiag_io.files import OPEN_FLAGS, PRIVATE_MODE, lock
-from ecu_emulator.diagnostics.clutches import CLUTCHES, Adaptation, OnBoardFriction
+from ecu_emulator.diagnostics.clutches import CLUTCHES, Adaptation
 from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.memory import (
     MOST_COUNT,
@@ -31,11 +31,11 @@ from ecu_emulator.diagnostics.memory import (
 from ecu_emulator.diagnostics.state import ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.errors import RecordError
-from ecu_emulator.scenario.scenario import FluidVerdict
 from ecu_emulator.shift_control.touch_points import TouchPoint
 
 FORMAT: Final = 1
 MOST_PRESSURE_PA: Final = 1e7  # what a file may say of a touch point
+RETIRED: Final = {0x089700}  # P0897 of earlier programs, which nothing tests any more
 _EMISSIONS: Final = ("warm_ups", "cleared_at_m", "lamp_at_m", "is_driven", "driven_cycles")
 _COUNTERS: Final = ("occurrences", "failed_cycles", "passed_cycles", "aged_cycles")
 
@@ -162,7 +162,6 @@ def _document(state: ServerState) -> dict[str, Any]:
             "ran_cycles": {f"{number:06X}": count for number, count in emissions.ran_cycles.items()},
         },
         "adaptation": state.adaptation,
-        "estimates": state.estimates,
     }
 
 
@@ -179,7 +178,9 @@ def _digits(kept: tuple[tuple[int, bytes], ...]) -> list[tuple[int, str]]:
 
 
 def _state(document: Mapping[str, Any], table: DiagnosticTable) -> ServerState:
-    records = {int(code, 16): _record(entry) for code, entry in document["codes"].items()}
+    retired = RETIRED - table.troubles.keys()
+    codes = {int(code, 16): entry for code, entry in document["codes"].items()}
+    records = {number: _record(entry) for number, entry in codes.items() if number not in retired}
     written = {int(number, 16): bytes.fromhex(data) for number, data in document["written"].items()}
     wrong_keys = {int(level): _count(count) for level, count in document["wrong_keys"].items()}
     if unknown := sorted(records.keys() - table.troubles.keys()):
@@ -201,16 +202,7 @@ def _state(document: Mapping[str, Any], table: DiagnosticTable) -> ServerState:
         written=written,
         wrong_keys=wrong_keys,
         adaptation=_adaptation(document.get("adaptation")),
-        estimates={
-            int(clutch): _friction(entry)
-            for clutch, entry in (document.get("estimates") or document.get("opinions", {})).items()
-        },
     )
-
-
-def _friction(entry: Mapping[str, Any]) -> OnBoardFriction:
-    known: dict[str, Any] = {name: math.nan if value is None else value for name, value in entry.items()}
-    return OnBoardFriction(**{**known, "fluid": FluidVerdict(entry["fluid"])})
 
 
 def _adaptation(entry: Mapping[str, Any] | None) -> Adaptation | None:
@@ -227,7 +219,7 @@ def _adaptation(entry: Mapping[str, Any] | None) -> Adaptation | None:
     }
     if not set(points) <= set(CLUTCHES):
         raise ValueError(f"not clutches: {sorted(points)}")
-    return Adaptation(touch_points=points, awaits_estimate=bool(_count(entry["awaits_estimate"])))
+    return Adaptation(touch_points=points)
 
 
 def _pressure_pa(value: object) -> float:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from ecu_emulator.diagnostics.clutches import Adaptation, OnBoardEstimates
+from ecu_emulator.diagnostics.clutches import Adaptation
 from ecu_emulator.diagnostics.iso14229 import DEFAULT_SESSION
 from ecu_emulator.diagnostics.memory import Emissions, TroubleMemory
 from ecu_emulator.diagnostics.values import Values
@@ -78,12 +78,11 @@ class PeriodicRun:
 class ServerState:
     """One controller between two requests."""
 
-    memory: TroubleMemory  # kept over a restart, as the next five
+    memory: TroubleMemory  # kept over a restart, as the next four
     emissions: Emissions = field(default_factory=Emissions)
     written: Mapping[int, bytes] = field(default_factory=dict)
     wrong_keys: Mapping[int, int] = field(default_factory=dict)  # by security level
     adaptation: Adaptation | None = None  # None: nothing was ever adapted or cleared
-    estimates: OnBoardEstimates = field(default_factory=dict)  # the last ones of the estimate on board
     session: int = DEFAULT_SESSION
     holder: int = 0  # the client who entered it, if it is not the default session
     heard_s: float = 0.0  # when S3 began

@@ -205,12 +205,6 @@ class BusChoice:
         """What the user asked for, empty if it is left to the configuration."""
         return " ".join(part for part in (self.interface, self.channel) if part)
 
-    @property
-    def words(self) -> list[str]:
-        """The same as words of a command line."""
-        named = {"-i": self.interface, "-c": self.channel, "-b": None if self.bitrate is None else str(self.bitrate)}
-        return [word for name, value in named.items() if value for word in (name, value)] + ["--fd"] * self.is_fd
-
 
 class Link(Protocol):
     """Where a controller that answers hears the bus."""
@@ -249,7 +243,7 @@ class Answering(AbstractContextManager["Answering"], Protocol):
 class AnswersTesters(Protocol):
     """What opens a controller that answers testers; raises ConfigError, RecordError, BusError if that cannot be."""
 
-    def opened(self, bus: can.BusABC, choice: BusChoice, scenario: Scenario, drive: Drive) -> Answering:
+    def opened(self, bus: can.BusABC, choice: BusChoice, drive: Drive) -> Answering:
         """Return the controller, which answers while it is entered."""
 
 
@@ -366,7 +360,7 @@ def answering_of(
 ) -> AbstractContextManager[Answering | None]:
     """Return the controller that answers testers while it is entered; raises ConfigError, RecordError, BusError."""
     if answers is not None:
-        return answers.opened(bus, choice, scenario, drive)
+        return answers.opened(bus, choice, drive)
     if scenario.routine.on_request:
         raise ConfigError("the workshop routine waits for a tester: --diagnostics is needed, so that one is answered")
     return nullcontext()

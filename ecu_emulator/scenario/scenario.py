@@ -177,45 +177,6 @@ def production_scatter() -> Scatter:
     return Scatter(**{name: _SCATTER_SHARE * getattr(believed, name) for name in scattered}, **_CASTINGS)
 
 
-class EstimateFrom(StrEnum):
-    """Where the controller has its estimate of its clutches from."""
-
-    SERVICE = "service"  # a diag-service beside it, if there is one
-    NONE = "none"
-    OWN = "own"  # what the scenario says
-
-
-class FluidVerdict(StrEnum):
-    """What is thought of the fluid, in the words of the service's results."""
-
-    NO_VERDICT = "no_verdict"
-    GOOD = "good"
-    WATCH = "watch"
-    CHANGE_FLUID = "change_fluid"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OnBoard:
-    """What the controller tells testers of both clutches; an estimate of its own need not be true."""
-
-    estimate: EstimateFrom = EstimateFrom.SERVICE
-    fluid: FluidVerdict = FluidVerdict.NO_VERDICT
-    mu_c: float | None = None
-    std_mu_c: float | None = None
-    mu_s: float | None = None
-    std_mu_s: float | None = None
-
-    def __post_init__(self) -> None:
-        """Check that numbers are coefficients, and that there is an estimate only where it is asked for."""
-        numbers = {name: getattr(self, name) for name in ("mu_c", "std_mu_c", "mu_s", "std_mu_s")}
-        for name, value in numbers.items():
-            if value is not None and not 0.0 < value <= 0.5:
-                raise ConfigError(f"{name} must be above 0 and at most 0.5, got {value}")
-        has_friction = self.fluid is not FluidVerdict.NO_VERDICT or any(value is not None for value in numbers.values())
-        if has_friction is not (self.estimate is EstimateFrom.OWN):
-            raise ConfigError('fluid, mu_c and the others belong to estimate = "own", which needs one of them')
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
     """Dotted keys that make this vehicle differ from the nominal one, e.g. ``clutch1.friction.mu_c``."""
@@ -249,7 +210,6 @@ class Scenario(Ranged):
     sensors: Sensors = field(default_factory=lambda: dict(NOMINAL_SENSORS))
     effects: Effects = field(default_factory=Effects)
     truth: Truth = field(default_factory=Truth)
-    on_board: OnBoard = field(default_factory=OnBoard)
     sensor_faults: tuple[SensorFault, ...] = ()
     bus_faults: tuple[BusFault, ...] = ()
     causes: tuple[Cause, ...] = ()  # of what is wrong with the car

@@ -14,10 +14,8 @@ from udsoncan.configs import default_client_config
 from diag_service.mapping.profile import load_profile
 from diag_service.tester.description_files import load_file
 from ecu_emulator.diagnostics.memory import TestResult as Result
-from ecu_emulator.scenario.scenario import EstimateFrom
-from ecu_emulator.scenario.scenario_file import parse_scenario
 from tests.integration.test_tester import vehicle
-from tests.support.documents import ROOT, page_text
+from tests.support.documents import page_text
 from tests.support.doip.tester import entity
 from tests.support.patience import HANG_S
 from tests.support.uds.wire import parked_controller
@@ -64,12 +62,6 @@ def test_a_tester_over_ip() -> None:
         ports = f"tcp_port={server.place.port}, udp_port={server.place.port}"
         run(block("python", "doipclient"), {"0x1011)": f"0x1011, {ports})"})
         assert server.counts["requests"] == 1
-
-
-def test_an_estimate_of_the_controllers_own() -> None:
-    ideal = (ROOT / "ecu_emulator" / "scenarios" / "ideal.toml").read_text(encoding="utf-8")
-    estimate = parse_scenario(f"{ideal}\n{block('toml', '[on_board]')}", PAGE).on_board
-    assert (estimate.estimate, estimate.mu_c) == (EstimateFrom.OWN, 0.118)
 
 
 def test_a_description_of_ones_own(tmp_path: Path) -> None:

@@ -48,7 +48,6 @@ def lived(scenario: Scenario, memory: MemoryFile, *requests: str, to_gear: int =
         if to_gear:
             car.drive_off(to_gear)
             day.fills_pa = car.fills_pa
-        car.close()
     return day
 
 
@@ -135,7 +134,6 @@ def test_what_must_hold_until_the_end_is_watched(quantity: str, size: float, nrc
         car.go_on()
     assert car.drive.is_waiting  # it has let go
     assert car.controller.state.adaptation is None
-    car.close()
 
 
 def test_a_sensor_that_dies_meanwhile_adapts_nothing() -> None:
@@ -144,7 +142,6 @@ def test_a_sensor_that_dies_meanwhile_adapts_nothing() -> None:
     assert car.perform(ADAPT) == "71 01 03 02 00 03 34 8f ff ff 03 3a 98 ff ff"
     assert car.controller.state.adaptation is None
     assert car.status("P0810") & Status.TEST_FAILED
-    car.close()
 
 
 def test_what_the_disk_does_not_take_is_not_worked_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -158,7 +155,6 @@ def test_what_the_disk_does_not_take_is_not_worked_with(tmp_path: Path, monkeypa
         assert car.perform(ADAPT) == "7f 31 72"
         assert car.adaptation.problem == "no space"
         assert car.drive.touch_pressures_pa == pytest.approx(NOMINAL_PA, abs=1.0)
-        car.close()
 
 
 def test_a_tester_that_goes_leaves_a_car_that_waits() -> None:
@@ -172,7 +168,6 @@ def test_a_tester_that_goes_leaves_a_car_that_waits() -> None:
     for _ in range(8):
         car.go_on()
     assert car.drive.is_waiting
-    car.close()
 
 
 def test_the_program_does_it_too(tmp_path: Path) -> None:

@@ -98,7 +98,6 @@ def started(state: ServerState, table: DiagnosticTable, t_s: float, *, is_new_cy
         written=state.written,
         wrong_keys=state.wrong_keys,
         adaptation=state.adaptation,
-        estimates=state.estimates,
         locked_until_s=until_s,
         heard_s=t_s,
     )

@@ -7,7 +7,6 @@ from pathlib import Path
 from clutch_model.calibration import clutch_of_gear
 from dbc.contract import load_contract
 from ecu_emulator.answering.monitoring import Monitoring
-from ecu_emulator.answering.on_board import FixedEstimate
 from ecu_emulator.answering.requested_tasks import RequestedAdaptation, RequestedClearing
 from ecu_emulator.bus.sent_values import LatestValues, SentValues
 from ecu_emulator.diagnostics.controller import Controller
@@ -19,7 +18,6 @@ from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario.scenario import Routine, Scenario, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario
 from ecu_emulator.shift_control import tcu_data
-from tests.support.patience import HANG_S
 
 ADAPT = "31 01 03 02"
 CLEAR = "31 01 03 03"
@@ -54,7 +52,7 @@ class AdaptingCar:
         )
         self.monitoring = Monitoring(self.controller, was_adapted=scenario.adapted)
         self.adaptation = RequestedAdaptation(self.drive, self.controller)
-        self.clearing = RequestedClearing(FixedEstimate(None), self.controller, self.monitoring, self.adaptation)
+        self.clearing = RequestedClearing(self.controller, self.monitoring, self.adaptation)
         self._stretches = self.drive.stretches(SHORT_STRETCH_S)
         while self.t_s < _READY_S:
             self.go_on()
@@ -69,7 +67,7 @@ class AdaptingCar:
         more = {
             "engine_run_time_s": self.t_s,
             "adaptation_possible": float(self.adaptation.is_possible),
-            "clearing_possible": float(self.clearing.is_possible),
+            "clearing_possible": 1.0,
             **self.adaptation.values,
             **self.monitoring.temperatures,
         }
@@ -85,7 +83,7 @@ class AdaptingCar:
                 self._take(t_s, self._sent.now({}))
         self.t_s = stretch.end_s
         self.monitoring.look(self._values(), self.t_s)
-        self.monitoring.judge_clutches({})
+        self.monitoring.judge_adaptation()
         self.adaptation.step(self._values())
         self.clearing.step()
 
@@ -122,8 +120,6 @@ class AdaptingCar:
         while self.t_s < until_s:
             meanwhile()
             self.go_on()
-            if self.clearing._work is not None:
-                self.clearing._work.result(HANG_S)
             response = self.controller.tick()
             if response is not None and response[-1:] != b"\x78":
                 return response.hex(" ")
@@ -132,9 +128,6 @@ class AdaptingCar:
     def status(self, code: str) -> Status:
         numbers = {trouble.code: number for number, trouble in self.controller.table.troubles.items()}
         return self.controller.state.memory.records[numbers[code]].status
-
-    def close(self) -> None:
-        self.clearing.close()
 
 
 def memory_in(folder: Path) -> MemoryFile:

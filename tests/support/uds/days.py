@@ -10,7 +10,6 @@ import numpy as np
 
 from dbc.contract import load_contract
 from ecu_emulator.answering.answering_tester import Answering
-from ecu_emulator.answering.on_board import EstimateSource
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.sensing import Readings
@@ -47,7 +46,6 @@ class TripCar:
         memory: Path | None = None,
         table: str = "",
         ignition: deque[float] | None = None,
-        on_board: EstimateSource | None = None,
     ) -> None:
         self.t_s = 0.0
         self.bus = Bus()
@@ -56,7 +54,7 @@ class TripCar:
         self._ignition: deque[float] = deque([0.0]) if ignition is None else ignition
         self.answering = Answering(
             self.bus, table=table, memory=memory, doip=None, is_fd=False, ignition=self._ignition,
-            clock=lambda: 1000.0 + self.t_s, on_board=on_board,
+            clock=lambda: 1000.0 + self.t_s,
         )  # fmt: skip
 
     def park(self, duration_s: float = PARKED_S) -> None:

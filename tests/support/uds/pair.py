@@ -25,8 +25,8 @@ SPOILED = {
 MORE = {
     "time_s": 12.34, "odometer_m": 45_678_901.0, "target_gear": 3.0, "engine_torque_nm": -12.3, "shift_count": 77.0,
     "clutch1_slip_rad_s": -3.2, "clutch2_slip_rad_s": 1e9, "clutch1_pressure_pa": 3.1e5, "clutch2_pressure_pa": -9e9,
-    "clutch1_temperature_k": 390.2, "clutch1_mu_c": 0.12345, "clutch1_mu_c_std": 0.0021, "clutch1_mu_s": 0.1301,
-    "clutch1_touch_pressure_pa": 1.2e5, "clutch1_fluid": 3.0,
+    "clutch1_temperature_k": 390.2,
+    "clutch1_touch_pressure_pa": 1.2e5,
 }  # fmt: skip
 
 

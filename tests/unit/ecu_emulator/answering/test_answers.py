@@ -14,7 +14,7 @@ def answers(*words: str) -> Answers | None:
 @pytest.mark.parametrize(
     "words",
     [
-        ("--doip", "13400"), ("--elm327",), ("--on-board",), ("--diagnostic-memory", "tcu.json"),
+        ("--doip", "13400"), ("--elm327",), ("--diagnostic-memory", "tcu.json"),
         ("--doip-certificate", "node.crt"), ("--doip-key", "node.key"),
     ],
 )  # fmt: skip

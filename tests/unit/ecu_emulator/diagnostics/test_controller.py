@@ -171,6 +171,19 @@ def test_a_file_of_another_controller_is_refused(tmp_path: Path) -> None:
         store.load()
 
 
+def test_a_file_of_before_may_hold_the_code_and_the_friction_of_an_estimate_on_board(tmp_path: Path) -> None:
+    def of_before(document: dict[str, Any]) -> None:
+        document["codes"]["089700"] = document["codes"][f"{HOT:06X}"]
+        document["adaptation"]["awaits_estimate"] = 1
+        document["estimates"] = {"1": {"fluid": "watch", "mu_c": 0.12, "end_ns": 3}}
+
+    kept = _adapted(tmp_path / "memory.json", of_before)
+    assert kept is not None
+    assert kept.memory.records.keys() == full_table().troubles.keys()
+    assert kept.adaptation is not None
+    assert kept.adaptation.is_done
+
+
 def test_the_file_can_be_read_by_people_and_its_owner_only(tmp_path: Path) -> None:
     path = tmp_path / "memory.json"
     document = json.loads(_saved(path))

@@ -190,7 +190,7 @@ def test_a_tester_reads_what_was_kept() -> None:
     assert bench.ask("19 06 08 11 07 10") == "59 06 08 11 07 27 10 00 00 30 39 00 00 00 07"
     assert bench.ask("19 06 08 11 07 01") == "59 06 08 11 07 27 01 01"
     snapshot = bench.ask("19 04 08 11 07 01")
-    assert snapshot.startswith("59 04 08 11 07 27 01 0d 01 00 ff ff ff ff 01 01 00 00 30 39")
+    assert snapshot.startswith("59 04 08 11 07 27 01 0b 01 00 ff ff ff ff 01 01 00 00 30 39")
     both = bench.ask("19 04 08 11 07 ff")
     assert len(both) == 2 * len(snapshot) - len("59 04 08 11 07 27")
     assert bench.ask("14 08 11 07") == "54"

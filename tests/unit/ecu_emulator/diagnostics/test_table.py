@@ -17,12 +17,8 @@ def test_the_shipped_table_describes_every_service_that_there_is() -> None:
 
 def test_the_trouble_codes_are_those_of_a_wet_dual_clutch() -> None:
     codes = {trouble.code for trouble in shipped_table().troubles.values()}
-    assert codes >= {"P0811", "P0897", "P2787", "P0218", "P0810", "P2788", "P0711", "P0841", "P0868", "P0776", "P0780"}
+    assert codes >= {"P0811", "P2787", "P0218", "P0810", "P2788", "P0711", "P0841", "P0868", "P0776", "P0780"}
     assert "P0741" not in codes  # the torque converter's
-
-
-def test_a_worn_fluid_does_not_light_the_lamp() -> None:
-    assert not next(trouble for trouble in shipped_table().troubles.values() if trouble.code == "P0897").lights_lamp
 
 
 @pytest.mark.parametrize(
