@@ -3,7 +3,7 @@
 import re
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from html import escape
 from typing import Any, Final, TypeAlias
 
@@ -60,9 +60,12 @@ LONGEST_NUMBER_BYTES: Final = 4  # ODX has no longer whole numbers
 UNDEFINED: Final = "undefined"  # the meaning of a number that has none
 UNSIGNED, SIGNED, REAL = DataType.A_UINT32, DataType.A_INT32, DataType.A_FLOAT64
 TEXT, BYTES = DataType.A_UNICODE2STRING, DataType.A_BYTEFIELD
+HEXADECIMAL: Final = PhysicalType(base_data_type=UNSIGNED, display_radix=Radix.HEX)
 _NOT_IN_NAMES: Final = re.compile(r"[^A-Za-z0-9_]+")
 _NOT_IN_XML: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _LONGEST_NAME: Final = 100  # of 128 that ODX allows; what makes a name unique comes on top
+Part: TypeAlias = tuple[Parameter, int | None]  # without its place yet; its bytes, None: not always as many
+Parts: TypeAlias = tuple[Part, ...]
 
 
 def short_name(text: str) -> str:
@@ -100,64 +103,46 @@ class Document:
 
     def named(self, kind: str, name: str, long_name: str = "", text: str = "") -> dict[str, Any]:
         """Return what every named element of odxtools is made with."""
-        return {
-            "short_name": name,
-            "long_name": xml_text(long_name) if long_name and long_name != name else None,
-            "description": Description(text=f"<p>{escape(xml_text(text))}</p>") if text else None,
-            "odx_id": OdxLinkId(f"{kind}.{name}", (self._fragment,)),
-        }
+        told = Description(text=f"<p>{escape(xml_text(text))}</p>") if text else None
+        long = xml_text(long_name) if long_name and long_name != name else None
+        odx_id = OdxLinkId(f"{kind}.{name}", (self._fragment,))
+        return {"short_name": name, "long_name": long, "description": told, "odx_id": odx_id}
 
     def ref(self, kind: str, name: str) -> OdxLinkRef:
         return OdxLinkRef(f"{kind}.{name}", (self._fragment,))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
-    """A parameter of a request, response or structure that has no place yet."""
-
-    entry: Parameter
-    size_bytes: int | None = None  # of fixed length, or not
-
-
-Parts: TypeAlias = tuple[Part, ...]
-
-
 def constant(name: str, number: int, size_bytes: int = 1, semantic: str = "DATA") -> Part:
     """Return a parameter that is always the same."""
-    coded_type = coded(UNSIGNED, 8 * size_bytes)
-    entry = CodedConstParameter(
-        short_name=name, semantic=semantic, coded_value_raw=str(number), diag_coded_type=coded_type
-    )
-    return Part(entry=entry, size_bytes=size_bytes)
+    coding = coded(UNSIGNED, 8 * size_bytes)
+    raw_value = str(number)
+    made = CodedConstParameter(short_name=name, semantic=semantic, coded_value_raw=raw_value, diag_coded_type=coding)
+    return made, size_bytes
 
 
 def value(name: str, data: OdxLinkRef, size_bytes: int | None = None, bit: int | None = None) -> Part:
     """Return a parameter that a data object or structure describes."""
-    entry = ValueParameter(short_name=name, semantic="DATA", dop_ref=data, bit_position=bit)
-    return Part(entry=entry, size_bytes=size_bytes)
+    return ValueParameter(short_name=name, semantic="DATA", dop_ref=data, bit_position=bit), size_bytes
 
 
 def echo(name: str, place: int, size_bytes: int) -> Part:
     """Return a parameter that repeats bytes of the request."""
-    entry = MatchingRequestParameter(
+    made = MatchingRequestParameter(
         short_name=name, semantic="DATA", request_byte_position=place, byte_length=size_bytes
     )
-    return Part(entry=entry, size_bytes=size_bytes)
+    return made, size_bytes
 
 
 def placed(parts: Parts) -> NamedItemList[Parameter]:
     """Return the parameters of a message or structure: with positions for as long as they are known."""
     names, made, place = Names(), NamedItemList[Parameter](), 0
-    is_known = True
-    for part in parts:
-        entry, name = part.entry, names.new(part.entry.short_name)
+    position: int | None = 0
+    for entry, size_bytes in parts:
+        name = names.new(entry.short_name)
         long_name = xml_text(entry.short_name) if entry.short_name != name else None
-        position = place if is_known else None
         made.append(replace(entry, short_name=name, long_name=long_name, byte_position=position))
-        if part.size_bytes is None:
-            is_known = False
-        elif entry.bit_position is None or entry.bit_position == 7:
-            place += part.size_bytes
+        place += size_bytes or 0 if entry.bit_position in {None, 7} else 0
+        position = None if size_bytes is None or position is None else place
     return made
 
 
@@ -169,12 +154,7 @@ def coded(data_type: DataType, bits: int, encoding: Encoding | None = None) -> S
 def unsigned(size_bytes: int, *, is_hexadecimal: bool = False) -> DataObjectProperty:
     """Return the coding of a plain number."""
     made = _coding(coded(UNSIGNED, 8 * size_bytes), UNSIGNED)
-    return replace(made, physical_type=hexadecimal()) if is_hexadecimal else made
-
-
-def hexadecimal() -> PhysicalType:
-    """Return the type of a number that tools show in base 16."""
-    return PhysicalType(base_data_type=UNSIGNED, display_radix=Radix.HEX)
+    return replace(made, physical_type=HEXADECIMAL) if is_hexadecimal else made
 
 
 def scaled(size_bytes: int, resolution: float) -> DataObjectProperty:
@@ -184,24 +164,18 @@ def scaled(size_bytes: int, resolution: float) -> DataObjectProperty:
 
 def worded(meanings: Mapping[int, str], bits: int = 8, *, has_others: bool = False) -> DataObjectProperty:
     """Return the coding of a number that stands for a text; ``has_others``: some numbers may stand for none."""
+    types: dict[str, Any] = {"domain_type": UNSIGNED, "range_type": TEXT}
     scales = [
-        CompuScale(
-            **_only(number, UNSIGNED),
-            compu_const=CompuConst(vt=xml_text(text), data_type=TEXT),
-            domain_type=UNSIGNED,
-            range_type=TEXT,
-        )
+        CompuScale(**_only(number, UNSIGNED), compu_const=CompuConst(vt=xml_text(text), data_type=TEXT), **types)
         for number, text in sorted(meanings.items())
     ]
     inverse = CompuInverseValue(v=str((1 << bits) - 1), data_type=UNSIGNED)
     other = CompuDefaultValue(vt=UNDEFINED, data_type=TEXT, compu_inverse_value=inverse) if has_others else None
-    method = TexttableCompuMethod(
-        category=CompuCategory.TEXTTABLE,
-        compu_internal_to_phys=CompuInternalToPhys(compu_scales=scales, compu_default_value=other),
-        internal_type=UNSIGNED,
-        physical_type=TEXT,
+    to_text = CompuInternalToPhys(compu_scales=scales, compu_default_value=other)
+    made = TexttableCompuMethod(
+        category=CompuCategory.TEXTTABLE, compu_internal_to_phys=to_text, internal_type=UNSIGNED, physical_type=TEXT
     )
-    return _coding(coded(UNSIGNED, bits), TEXT, method)
+    return _coding(coded(UNSIGNED, bits), TEXT, made)
 
 
 def raw(size_bytes: int) -> DataObjectProperty:
@@ -229,11 +203,8 @@ def described(entry: Field) -> DataObjectProperty:
     is_signed, is_plain = entry.kind is Coding.SIGNED, entry.resolution == 1.0 and entry.offset == 0.0
     number = SIGNED if is_signed else UNSIGNED
     physical = number if is_plain else REAL
-    made = _coding(
-        coded(number, bits, Encoding.TWOC if is_signed else None),
-        physical,
-        None if is_plain else _linear(number, entry.offset, entry.resolution),
-    )
+    method = None if is_plain else _linear(number, entry.offset, entry.resolution)
+    made = _coding(coded(number, bits, Encoding.TWOC if is_signed else None), physical, method)
     missing = _not_available(entry, number) if entry.source else None
     return replace(made, internal_constr=missing, physical_constr=_between(entry, physical))
 
@@ -259,25 +230,20 @@ def _has_unit(entry: Field) -> bool:
 
 def _coding(coded_type: DiagCodedType, physical: DataType, method: CompuMethod | None = None) -> DataObjectProperty:
     """Return a coding to which a dictionary gives its name."""
-    same = CompuCategory.IDENTICAL
+    same, number = CompuCategory.IDENTICAL, coded_type.base_data_type
     return DataObjectProperty(
-        short_name="",
-        odx_id=OdxLinkId("", (OdxDocFragment("", DocType.CONTAINER),)),
-        compu_method=method
-        or IdenticalCompuMethod(category=same, internal_type=coded_type.base_data_type, physical_type=physical),
-        diag_coded_type=coded_type,
+        **Document("", DocType.CONTAINER).named("", ""), diag_coded_type=coded_type,
+        compu_method=method or IdenticalCompuMethod(category=same, internal_type=number, physical_type=physical),
         physical_type=PhysicalType(base_data_type=physical),
-    )
+    )  # fmt: skip
 
 
 def _linear(number: DataType, offset: float, factor: float) -> CompuMethod:
     coefficients = CompuRationalCoeffs(value_type=REAL, numerators=[offset, factor], denominators=[1])
     scale = CompuScale(compu_rational_coeffs=coefficients, domain_type=number, range_type=REAL)
+    line = CompuInternalToPhys(compu_scales=[scale])
     return LinearCompuMethod(
-        category=CompuCategory.LINEAR,
-        compu_internal_to_phys=CompuInternalToPhys(compu_scales=[scale]),
-        internal_type=number,
-        physical_type=REAL,
+        category=CompuCategory.LINEAR, compu_internal_to_phys=line, internal_type=number, physical_type=REAL
     )
 
 
@@ -318,10 +284,8 @@ class Dictionary(Document):
 
     def simple(self, name: str, coding: DataObjectProperty, text: str = "", unit: str = "") -> OdxLinkRef:
         unit_ref = self._unit(unit) if unit else None
-        short = self._names.new(name)
-        return self._add(
-            "data_object_props", replace(coding, **self.named("DOP", short, name, text), unit_ref=unit_ref)
-        )
+        named = self.named("DOP", self._names.new(name), name, text)
+        return self._add("data_object_props", replace(coding, **named, unit_ref=unit_ref))
 
     def structure(self, name: str, parts: Parts, long_name: str = "") -> OdxLinkRef:
         """Describe several values one after the other."""
@@ -347,53 +311,39 @@ class Dictionary(Document):
 
     def repeated(self, name: str, structure: OdxLinkRef, most: int | None = None, least: int = 0) -> OdxLinkRef:
         """Describe a structure that comes again until the message ends."""
-        made = EndOfPduField(
-            **self._new(name), structure_ref=structure, max_number_of_items=most, min_number_of_items=least
-        )
-        return self._add("end_of_pdu_fields", made)
+        count: dict[str, Any] = {"max_number_of_items": most, "min_number_of_items": least}
+        return self._add("end_of_pdu_fields", EndOfPduField(**self._new(name), structure_ref=structure, **count))
 
     def counted(self, name: str, structure: OdxLinkRef, count: OdxLinkRef) -> OdxLinkRef:
         """Describe a structure that comes as often as the byte before it says."""
-        number = DetermineNumberOfItems(byte_position=0, dop_ref=count)
-        made = DynamicLengthField(
-            **self._new(name), structure_ref=structure, offset=1, determine_number_of_items=number
-        )
+        number: dict[str, Any] = {"determine_number_of_items": DetermineNumberOfItems(byte_position=0, dop_ref=count)}
+        made = DynamicLengthField(**self._new(name), structure_ref=structure, offset=1, **number)
         return self._add("dynamic_length_fields", made)
 
     def switched(
-        self,
-        name: str,
-        key: OdxLinkRef,
-        key_bytes: int,
-        cases: Mapping[int, OdxLinkRef],
-        other: OdxLinkRef | None = None,
+        self, name: str, key: Part, cases: Mapping[int, OdxLinkRef], other: OdxLinkRef | None = None
     ) -> OdxLinkRef:
         """Describe a number that says which structure follows; ``other`` follows all numbers that are no case."""
-        made = Multiplexer(
-            **self._new(name),
-            byte_position=key_bytes,
-            switch_key=MultiplexerSwitchKey(byte_position=0, dop_ref=key),
-            default_case=None if other is None else MultiplexerDefaultCase(short_name="other", structure_ref=other),
-            cases=NamedItemList(
-                MultiplexerCase(
-                    short_name=ref.ref_id.removeprefix("DOP."), structure_ref=ref, **_only(number, UNSIGNED)
-                )
-                for number, ref in cases.items()
-            ),
+        made = NamedItemList(
+            MultiplexerCase(short_name=ref.ref_id.removeprefix("DOP."), structure_ref=ref, **_only(number, UNSIGNED))
+            for number, ref in cases.items()
         )
-        return self._add("muxs", made)
+        default = None if other is None else MultiplexerDefaultCase(short_name="other", structure_ref=other)
+        switch = MultiplexerSwitchKey(byte_position=0, dop_ref=vars(key[0])["dop_ref"])
+        kinds: dict[str, Any] = {"byte_position": key[1], "switch_key": switch, "default_case": default, "cases": made}
+        return self._add("muxs", Multiplexer(**self._new(name), **kinds))
 
-    def codes(self, name: str, troubles: tuple[Trouble, ...], size_bytes: int) -> OdxLinkRef:
+    def code_part(self, parameter: str, name: str, troubles: tuple[Trouble, ...], size_bytes: int) -> Part:
         """Describe trouble codes of three bytes, the last of which is the failure type, or of two, as OBD has them."""
-        names, coding = Names(), unsigned(size_bytes)
+        names, coding = Names(), unsigned(size_bytes, is_hexadecimal=True)
+        if not troubles:
+            return value(parameter, self.simple(name, coding), size_bytes)
         made = DtcDop(
-            **self._new(name),
-            diag_coded_type=coding.diag_coded_type,
-            physical_type=hexadecimal(),
+            **self._new(name), diag_coded_type=coding.diag_coded_type, physical_type=coding.physical_type,
             compu_method=coding.compu_method,
             dtcs_raw=[self._code(entry, names, is_short=size_bytes == 2) for entry in troubles],
-        )
-        return self._add("dtc_dops", made)
+        )  # fmt: skip
+        return value(parameter, self._add("dtc_dops", made), size_bytes)
 
     def _code(self, trouble: Trouble, names: Names, *, is_short: bool) -> DiagnosticTroubleCode:
         failure = "" if is_short else f"{trouble.failure_type:02X}"

@@ -5,19 +5,14 @@ import re
 import shutil
 import tempfile
 import zipfile
-from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import odxtools
 from odxtools.addressing import Addressing
-from odxtools.comparam import Comparam
 from odxtools.comparaminstance import ComparamInstance
-from odxtools.comparamspec import ComparamSpec
-from odxtools.comparamsubset import ComparamSubset
-from odxtools.complexcomparam import ComplexComparam
+from odxtools.complexcomparam import ComplexValue
 from odxtools.database import Database
-from odxtools.dataobjectproperty import DataObjectProperty
 from odxtools.diaglayercontainer import DiagLayerContainer
 from odxtools.diaglayers.basevariant import BaseVariant
 from odxtools.diaglayers.basevariantraw import BaseVariantRaw
@@ -28,33 +23,26 @@ from odxtools.diagservice import DiagService
 from odxtools.nameditemlist import NamedItemList
 from odxtools.odxlink import DocType
 from odxtools.parentref import ParentRef
-from odxtools.physicaltype import PhysicalType
 from odxtools.posresponsesuppressible import PosResponseSuppressible
 from odxtools.preconditionstateref import PreConditionStateRef
-from odxtools.protstack import ProtStack
 from odxtools.request import Request
 from odxtools.response import Response, ResponseType
-from odxtools.standardizationlevel import StandardizationLevel
 from odxtools.state import State
 from odxtools.statechart import StateChart
 from odxtools.statetransition import StateTransition
 from odxtools.statetransitionref import StateTransitionRef
-from odxtools.usage import Usage
 from odxtools.writepdxfile import write_pdx_file
 
 from ecu_emulator.diagnostics.descriptions import Access, Profile
 from ecu_emulator.diagnostics.iso14229 import DEFAULT_SESSION, NEGATIVE, POSITIVE, SUPPRESS, Nrc
 from ecu_emulator.diagnostics.pdx.elements import (
-    TEXT,
     Dictionary,
     Document,
     Names,
     Part,
-    coded,
     constant,
     placed,
     short_name,
-    unsigned,
     value,
     worded,
     xml_text,
@@ -62,60 +50,18 @@ from ecu_emulator.diagnostics.pdx.elements import (
 from ecu_emulator.diagnostics.pdx.services import ObdServices, Service, UdsServices
 from ecu_emulator.diagnostics.table import DiagnosticTable
 
-STACK: Final = "ISO_15765_3_on_ISO_15765_2"
-SPECIFICATION: Final = Document(STACK, DocType.COMPARAM_SPEC)
+_STACK: Final = "ISO_15765_3_on_ISO_15765_2"
 _TRANSPORT: Final = "ISO_15765_2"
 _APPLICATION: Final = "ISO_15765_3"
-_IDENTIFIERS: Final = "CP_UniqueRespIdTable"
+_BASE: Final = (f"{_STACK}.odx-c", f"{_TRANSPORT}.odx-cs", f"{_APPLICATION}.odx-cs")  # beside this file
 _LARGEST_STANDARD_ID: Final = 0x7FF
 _US_PER_S: Final = 1e6
 _S3_RATIO: Final = 0.4  # S3 of the tester to that of the controller: 2 s of 5 s, ISO 14229-2
-_DEFAULTS: Final = {  # of each parameter: its class, and its value where a controller says nothing
-    _TRANSPORT: {
-        "CP_CanFuncReqFormat": ("COM", "0"),
-        "CP_CanFuncReqId": ("COM", "2015"),
-        "CP_CanFuncReqExtAddr": ("COM", "0"),
-        "CP_CanFillerByteHandling": ("COM", "0"),
-        "CP_CanFillerByte": ("COM", "0"),
-        "CP_BlockSize": ("COM", "0"),
-        "CP_StMin": ("COM", "0"),
-    },
-    _APPLICATION: {
-        "CP_P2Max": ("TIMING", "50000"),
-        "CP_P2Star": ("TIMING", "5000000"),
-        "CP_TesterPresentTime": ("TESTER_PRESENT", "2000000"),
-    },
-}
-
-
-def specification() -> ComparamSpec:
-    stack = ProtStack(
-        **SPECIFICATION.named("STACK", STACK),
-        pdu_protocol_type=STACK,
-        physical_link_type="ISO_11898_2_DWCAN",
-        comparam_subset_refs=[_subset(name).ref("SUBSET", name) for name in _DEFAULTS],
-    )
-    return ComparamSpec(**SPECIFICATION.named("SPEC", STACK), prot_stacks=NamedItemList([stack]))
-
-
-def subsets(table: DiagnosticTable) -> list[ComparamSubset]:
-    """Return the parameters of each protocol of the stack."""
-    categories = {_TRANSPORT: "TRANSPORT", _APPLICATION: "APPL"}
-    return [
-        ComparamSubset(
-            **_subset(name).named("SUBSET", name),
-            category=categories[name],
-            comparams=NamedItemList(_parameter(name, *entry) for entry in parameters.items()),
-            complex_comparams=NamedItemList([_identifier_table(table)] if name == _TRANSPORT else []),
-            data_object_props=NamedItemList(_properties(_subset(name))),
-        )
-        for name, parameters in _DEFAULTS.items()
-    ]
 
 
 def communication_values(table: DiagnosticTable, protocol: str) -> list[ComparamInstance]:
     transport, timing = table.transport, table.timing
-    values: dict[str, dict[str, str | list[str]]] = {
+    values: dict[str, dict[str, str | ComplexValue]] = {
         _TRANSPORT: {
             "CP_CanFuncReqFormat": _format(table, table.addressing.functional_id),
             "CP_CanFuncReqId": str(table.addressing.functional_id),
@@ -124,73 +70,33 @@ def communication_values(table: DiagnosticTable, protocol: str) -> list[Comparam
             "CP_CanFillerByte": str(transport.padding or 0),
             "CP_BlockSize": str(transport.block_size),
             "CP_StMin": str(_separation_us(transport.separation_time)),
-            _IDENTIFIERS: list(_identifiers(table).values()),
+            "CP_UniqueRespIdTable": _identifiers(table),
         },
         _APPLICATION: {
-            "CP_P2Max": _microseconds(timing.p2_s),
-            "CP_P2Star": _microseconds(timing.p2_star_s),
-            "CP_TesterPresentTime": _microseconds(_S3_RATIO * timing.s3_s),
+            "CP_P2Max": str(round(timing.p2_s * _US_PER_S)),
+            "CP_P2Star": str(round(timing.p2_star_s * _US_PER_S)),
+            "CP_TesterPresentTime": str(round(_S3_RATIO * timing.s3_s * _US_PER_S)),
         },
     }
     return [
-        ComparamInstance(value=list(value) if isinstance(value, list) else value, protocol_snref=protocol, spec_ref=ref)
-        for subset, entries in values.items()
-        for name, value in entries.items()
-        for ref in [_subset(subset).ref("COMPARAM", name)]
+        ComparamInstance(value=entry, protocol_snref=protocol, spec_ref=subset.ref("COMPARAM", name))
+        for subset_name, entries in values.items()
+        for subset in [Document(subset_name, DocType.COMPARAM_SUBSET)]
+        for name, entry in entries.items()
     ]
 
 
-def _subset(name: str) -> Document:
-    return Document(name, DocType.COMPARAM_SUBSET)
-
-
-def _parameter(subset: str, name: str, entry: tuple[str, str]) -> Comparam:
-    is_text = name.endswith(("Format", "ShortName"))
-    document = _subset(subset)
-    return Comparam(
-        **document.named("COMPARAM", name),
-        param_class=entry[0],
-        cptype=StandardizationLevel.STANDARD,
-        cpusage=Usage.APPLICATION if entry[0] == "TESTER_PRESENT" else Usage.ECU_COMM,
-        physical_default_value_raw=entry[1],
-        dop_ref=document.ref("DOP", "text" if is_text else "number"),
-    )
-
-
-def _identifier_table(table: DiagnosticTable) -> ComplexComparam:
-    return ComplexComparam(
-        **_subset(_TRANSPORT).named("COMPARAM", _IDENTIFIERS),
-        param_class="UNIQUE_ID",
-        cptype=StandardizationLevel.STANDARD,
-        cpusage=Usage.ECU_COMM,
-        allow_multiple_values_raw=True,
-        subparams=NamedItemList(_parameter(_TRANSPORT, name, ("UNIQUE_ID", "0")) for name in _identifiers(table)),
-    )
-
-
-def _identifiers(table: DiagnosticTable) -> dict[str, str]:
-    """Return the columns of the table of identifiers, and their values."""
+def _identifiers(table: DiagnosticTable) -> ComplexValue:
+    """Return the values of the table of identifiers: format, identifier and address three times, and a name."""
     ids, transport, periodic = table.addressing, table.transport, table.periodic
-    is_extended, way = transport.own_address is not None, _format(table, table.addressing.request_id)
-    unsegmented = "" if periodic is None else f"normal unsegmented {_id_bits(periodic.response_id)}-bit receive"
-    return {
-        "CP_CanPhysReqFormat": way,
-        "CP_CanPhysReqId": str(ids.request_id),
-        "CP_CanPhysReqExtAddr": str(transport.own_address or 0),
-        "CP_CanRespUSDTFormat": way,
-        "CP_CanRespUSDTId": str(ids.response_id),
-        "CP_CanRespUSDTExtAddr": str(transport.tester_address if is_extended else 0),
-        "CP_CanRespUUDTFormat": unsegmented,
-        "CP_CanRespUUDTId": str(0 if periodic is None else periodic.response_id),
-        "CP_CanRespUUDTExtAddr": str(transport.tester_address if is_extended and periodic is not None else 0),
-        "CP_ECULayerShortName": xml_text(table.name),
-    }
-
-
-def _properties(document: Document) -> list[DataObjectProperty]:
-    text = replace(unsigned(4), diag_coded_type=coded(TEXT, 1024), physical_type=PhysicalType(base_data_type=TEXT))
-    text.compu_method = replace(text.compu_method, internal_type=TEXT, physical_type=TEXT)
-    return [replace(made, **document.named("DOP", name)) for name, made in (("number", unsigned(4)), ("text", text))]
+    tester = str(transport.tester_address if transport.own_address is not None else 0)
+    way = _format(table, ids.request_id)
+    unsegmented = ["", "0", "0"]
+    if periodic is not None:
+        sent = f"normal unsegmented {_id_bits(periodic.response_id)}-bit receive"
+        unsegmented = [sent, str(periodic.response_id), tester]
+    asked, answered = [way, str(ids.request_id), str(transport.own_address or 0)], [way, str(ids.response_id), tester]
+    return [*asked, *answered, *unsegmented, xml_text(table.name)]
 
 
 def _format(table: DiagnosticTable, can_id: int) -> str:
@@ -204,13 +110,8 @@ def _id_bits(can_id: int) -> int:
 
 def _separation_us(coded_time: int) -> int:
     """Return STmin as ISO 15765-2 codes it: 0 to 7F milliseconds, F1 to F9 hundreds of microseconds."""
-    if coded_time <= 0x7F:
-        return coded_time * 1000
-    return (coded_time - 0xF0) * 100 if 0xF1 <= coded_time <= 0xF9 else 0x7F * 1000
-
-
-def _microseconds(time_s: float) -> str:
-    return str(round(time_s * _US_PER_S))
+    is_short = 0xF1 <= coded_time <= 0xF9
+    return (coded_time - 0xF0) * 100 if is_short else min(coded_time, 0x7F) * 1000
 
 
 _LOCKED: Final = 0  # the security level of a controller that is not unlocked
@@ -239,9 +140,8 @@ def pdx_package(table: DiagnosticTable) -> bytes:
     if table.obd is not None and table.has_obd(Profile.CLASSIC):
         name = f"{database.short_name}_OBD"
         database.diag_layer_containers.append(_container(table, name, "OBD_on_CAN"))
-    database.comparam_specs.append(specification())
-    for subset in subsets(table):
-        database.comparam_subsets.append(subset)
+    for name in _BASE:
+        database.add_odx_file(Path(__file__).with_name(name))
     database.refresh()
     with tempfile.TemporaryDirectory() as folder:
         templates, package = Path(folder, "templates"), Path(folder, "package.pdx")
@@ -269,8 +169,8 @@ def _container(table: DiagnosticTable, name: str, protocol: str) -> DiagLayerCon
     spoken = ProtocolRaw(
         **layer.dictionary.named("LAYER", protocol),
         variant_type=DiagLayerType.PROTOCOL,
-        comparam_spec_ref=SPECIFICATION.ref("SPEC", STACK),
-        prot_stack_snref=STACK,
+        comparam_spec_ref=Document(_STACK, DocType.COMPARAM_SPEC).ref("SPEC", _STACK),
+        prot_stack_snref=_STACK,
     )
     return DiagLayerContainer(
         **layer.dictionary.named("CONTAINER", name, table.name),
@@ -300,61 +200,49 @@ class _Layer:
         numbers = sorted({service.number for service in services.values()})
         codes = {int(nrc): nrc.name.lower().replace("_", " ") for nrc in Nrc}
         code = value("response_code", dictionary.simple("negative response code", worded(codes)), 1)
+        named = dictionary.named
+        requests = (
+            Request(**named("REQUEST", name), parameters=placed((_id(entry.number), *entry.request)))
+            for name, entry in services.items()
+        )
+        positive = (
+            _response(named("RESPONSE", given), ResponseType.POSITIVE, _id(entry.number + POSITIVE), *parts)
+            for name, entry in services.items()
+            for given, parts in zip(_response_names(name, entry), entry.responses, strict=True)
+        )
+        negative = (
+            _response(
+                named("RESPONSE", _negative(number)), ResponseType.NEGATIVE, _id(NEGATIVE),
+                constant("request_service", number, semantic="SERVICEIDRQ"), code,
+            )
+            for number in numbers
+        )  # fmt: skip
         return BaseVariantRaw(
-            **dictionary.named("LAYER", self._name, table.name),
-            variant_type=DiagLayerType.BASE_VARIANT,
+            **named("LAYER", self._name, table.name), variant_type=DiagLayerType.BASE_VARIANT,
             diag_comms_raw=[self._comm(name, service, has_states=not is_obd) for name, service in services.items()],
-            requests=NamedItemList(
-                Request(**dictionary.named("REQUEST", name), parameters=placed((_id(entry.number), *entry.request)))
-                for name, entry in services.items()
-            ),
-            positive_responses=NamedItemList(
-                Response(
-                    **dictionary.named("RESPONSE", given),
-                    response_type=ResponseType.POSITIVE,
-                    parameters=placed((_id(entry.number + POSITIVE), *parts)),
-                )
-                for name, entry in services.items()
-                for given, parts in zip(_response_names(name, entry), entry.responses, strict=True)
-            ),
-            negative_responses=NamedItemList(
-                Response(
-                    **dictionary.named("RESPONSE", _negative(number)),
-                    response_type=ResponseType.NEGATIVE,
-                    parameters=placed(
-                        (_id(NEGATIVE), constant("request_service", number, semantic="SERVICEIDRQ"), code)
-                    ),
-                )
-                for number in numbers
-            ),
+            requests=NamedItemList(requests), positive_responses=NamedItemList(positive),
+            negative_responses=NamedItemList(negative),
             diag_data_dictionary_spec=dictionary.spec(),
             state_charts=NamedItemList([] if is_obd else self._charts()),
             comparam_refs=communication_values(table, protocol),
             parent_refs=[ParentRef(layer_ref=dictionary.ref("LAYER", protocol))],
-        )
+        )  # fmt: skip
 
     def _comm(self, name: str, service: Service, *, has_states: bool) -> DiagService:
         ref, access = self.dictionary.ref, service.access
         conditions = (f"{entry} (else {self._table.conditions[entry].nrc:02X})" for entry in access.conditions)
         text = f"Needs of the vehicle: {', '.join(conditions)}." if access.conditions else ""
         suppressible = PosResponseSuppressible(bit_mask=SUPPRESS, coded_const_snref="sub_function")
+        states, changes = (self._needed(access), self._changes(service)) if has_states else ([], [])
         return DiagService(
             **self.dictionary.named("SERVICE", name, service.name, text),  # for conditions ODX has no element
-            semantic=service.semantic,
-            addressing_raw=Addressing.FUNCTIONAL_OR_PHYSICAL,
-            pre_condition_state_refs=[
-                PreConditionStateRef(**vars(ref("STATE", state)))
-                for state in (self._needed(access) if has_states else ())
-            ],
-            state_transition_refs=[
-                StateTransitionRef(**vars(ref("TRANSITION", _step(*change))))
-                for change in (self._changes(service) if has_states else ())
-            ],
-            request_ref=ref("REQUEST", name),
+            semantic=service.semantic, addressing_raw=Addressing.FUNCTIONAL_OR_PHYSICAL,
+            pre_condition_state_refs=[PreConditionStateRef(**vars(ref("STATE", state))) for state in states],
+            state_transition_refs=[StateTransitionRef(**vars(ref("TRANSITION", _step(*step)))) for step in changes],
+            request_ref=ref("REQUEST", name), neg_response_refs=[ref("RESPONSE", _negative(service.number))],
             pos_response_refs=[ref("RESPONSE", given) for given in _response_names(name, service)],
-            neg_response_refs=[ref("RESPONSE", _negative(service.number))],
             pos_response_suppressible=suppressible if service.has_sub_function else None,
-        )
+        )  # fmt: skip
 
     def _needed(self, access: Access) -> list[str]:
         """Return the states of which a service needs one each."""
@@ -388,16 +276,22 @@ class _Layer:
 
     def _chart(self, name: str, states: list[str], changes: list[tuple[str, str]], start: str) -> StateChart:
         named = self.dictionary.named
+        made = [
+            StateTransition(**named("TRANSITION", _step(*change)), source_snref=change[0], target_snref=change[1])
+            for change in changes
+        ]
+        listed = NamedItemList(State(**named("STATE", state)) for state in states)
         return StateChart(
             **named("CHART", name),
             semantic=name.upper(),
-            state_transitions=[
-                StateTransition(**named("TRANSITION", _step(*change)), source_snref=change[0], target_snref=change[1])
-                for change in changes
-            ],
+            state_transitions=made,
             start_state_snref=start,
-            states=NamedItemList(State(**named("STATE", state)) for state in states),
+            states=listed,
         )
+
+
+def _response(named: dict[str, Any], kind: ResponseType, *parts: Part) -> Response:
+    return Response(**named, response_type=kind, parameters=placed(parts))
 
 
 def _id(number: int) -> Part:
