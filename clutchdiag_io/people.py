@@ -28,7 +28,7 @@ def is_dated(at: datetime) -> bool:
     return at.timestamp() >= DATED_NS / 1e9
 
 
-def moment_words(at: datetime, form: str) -> str:
+def moment_words(at: datetime, form: str = "%Y-%m-%d %H:%M") -> str:
     """Return an aware moment in UTC; that of a clock that was not set is named so."""
     return at.astimezone(UTC).strftime(form) if is_dated(at) else NOT_SET
 

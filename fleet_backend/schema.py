@@ -49,9 +49,8 @@ _DATED: Final = "{0}produced_at >= '2001-09-09 01:46:40+00'"  # the same moment
 HAPPENED_AT: Final = f"CASE WHEN {{0}}end_bus_ns >= {DATED_NS} THEN {{0}}end_at ELSE {{0}}produced_at END"
 # An undated result is as old as its row: the clock of its vehicle was not set. Months go by this.
 AGED_AT: Final = f"CASE WHEN {_DATED} THEN {{0}}produced_at ELSE {{0}}stored_at END"
-IS_OLD: Final = (
-    f"({{0}}produced_at < :until AND ({_DATED} OR {{0}}stored_at < :until))"  # its first part finds the months
-)
+# The first part finds the months.
+IS_OLD: Final = f"({{0}}produced_at < :until AND ({_DATED} OR {{0}}stored_at < :until))"
 BLOCK: Final = 1024  # positions of a stream that clutch_block tells of together
 SORTED_BY_BYTES: Final = Text().with_variant(Text(collation="C"), "postgresql")  # as SQLite sorts everywhere
 

@@ -159,7 +159,7 @@ def odometer_finding(whose: Whose, readings_m: Sequence[float], limits: Limits) 
 
 
 def heard_last(told: Iterable[object], now: datetime) -> datetime | None:
-    """Return the last moment at which a vehicle was heard, by its clock or ours; one to come or undated tells nothing."""
+    """Return the last moment at which a vehicle was heard, by its clock or ours; undated or yet to come: no moment."""
     moments = (one for one in told if isinstance(one, datetime))
     return max((one for one in moments if is_dated(one) and one <= now + CLOCK_ERROR), default=None)
 

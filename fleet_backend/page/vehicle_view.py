@@ -131,11 +131,8 @@ def _causes(sources: Sources, clutches: Sequence[ClutchNow]) -> Causes | None:
 def _subtitle(answer: VehicleAnswer, _sources: Sources) -> str:
     state = {None: "state of its service unknown", True: "online", False: "offline"}[answer.is_online]
     since = f" since {answer.connected_at:%Y-%m-%d %H:%M} UTC" if answer.connected_at and answer.is_online else ""
-    last = (
-        f", last result {moment_words(at, '%Y-%m-%d %H:%M UTC')}"
-        if (at := answer.last_result_at)
-        else ", no result yet"
-    )
+    at = answer.last_result_at
+    last = f", last result {moment_words(at, '%Y-%m-%d %H:%M UTC')}" if at else ", no result yet"
     return f"{state}{since}{last}"
 
 
@@ -261,9 +258,7 @@ def _trend_cells(point: TrendPoint, course: Course, row: int) -> tuple[Cell, ...
     value, std = course.running[row], course.std_running[row]
     numbers = (value, STDS * std)
     return (
-        wording.shift_link(
-            moment_words(point.end_at, "%Y-%m-%d %H:%M"), point.vehicle, point.stream, point.seq, at=point.end_at
-        ),
+        wording.shift_link(moment_words(point.end_at), point.vehicle, point.stream, point.seq, at=point.end_at),
         wording.km(point.odometer_m),
         *(number(float(one) if isfinite(one) else None, course.quantity.form) for one in numbers),
         wording.badge(point.condition),

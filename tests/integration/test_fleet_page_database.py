@@ -430,6 +430,24 @@ def test_what_is_remembered_of_a_clutch_is_never_old(engine: Engine) -> None:
     assert [one.outlook for one in again.clutches] != [one.outlook for one in first.clutches]
 
 
+async def test_pages_name_a_clock_that_was_not_set(engine: Engine) -> None:
+    undated = [
+        replace(
+            one,
+            produced_at=f"1970-01-02T00:00:0{seq}.000000Z",
+            estimate=replace(one.estimate, start_ns=seq * 10**9, end_ns=(seq + 1) * 10**9),
+        )
+        for seq, one in enumerate(history(4), 1)
+    ]
+    Writer(engine).store(Batch(shifts=[row_of(one) for one in undated]))
+    transport = httpx.ASGITransport(site(sources_of(engine), Access(), now=lambda: NOW))
+    async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
+        for path in ("/", "/clutches", "/vehicles/car1", "/vehicles/car1/shift?stream=stream-1&seq=2"):
+            answer = await client.get(path)
+            told = re.sub("<[^>]*>", " ", answer.text)
+            assert (answer.status_code, "clock not set" in told, "1970" in told) == (200, True, False), path
+
+
 async def test_a_page_is_drawn_again_when_something_is_new(engine: Engine) -> None:
     """Until then it is what it was, but for the moment at which the fleet was read."""
     Writer(engine).store(Batch(shifts=[row_of(one) for one in history(4)]))
