@@ -44,7 +44,7 @@ SCALE_FREE_COLUMNS: Final = ("mu_c", "mu_s", "std_mu_c", "std_mu_s", "correlatio
 SCALE_FREE: Final = "scale_free_"  # prefix of what driving alone tells, gain and area left out
 
 DATED_NS: Final = people.DATED_NS
-_DATED: Final = "{0}produced_at >= '2001-09-09 01:46:40+00'"  # the same moment
+_DATED: Final = f"{{0}}produced_at >= '{datetime.fromtimestamp(DATED_NS // 10**9, UTC)}'"
 # When a result happened as far as the bus tells, in both databases: a log is no newer for a late analysis.
 HAPPENED_AT: Final = f"CASE WHEN {{0}}end_bus_ns >= {DATED_NS} THEN {{0}}end_at ELSE {{0}}produced_at END"
 # An undated result is as old as its row: the clock of its vehicle was not set. Months go by this.
