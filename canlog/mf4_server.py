@@ -6,16 +6,14 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable
 from contextlib import closing, suppress
-from pathlib import Path
 from typing import Final
 
 from canlog.errors import SourceError
 
 CHILD: Final = "canlog.logs.mf4_child"
 IS_LIMITED: Final = sys.platform == "linux" and hasattr(os, "fork")  # elsewhere files are read in this process
-SUFFIXES: Final = frozenset({".mf4", ".mdf"})
+SUFFIXES: Final = (".mf4", ".mdf")
 
 
 class Mf4Server:
@@ -37,9 +35,9 @@ class Mf4Server:
             except OSError as exc:
                 raise SourceError(f"no process can be started to read it: {exc.strerror or exc}") from exc
 
-    def start_for(self, paths: Iterable[object]) -> None:
-        """Start it where one of these is called as an MF4 log is: it loads what it needs while this process does."""
-        if IS_LIMITED and any(isinstance(path, Path) and path.suffix.lower() in SUFFIXES for path in paths):
+    def start(self) -> None:
+        """Start it before it is asked."""
+        if IS_LIMITED:
             with self._lock, suppress(OSError):  # whoever asks is told
                 self._running()
 

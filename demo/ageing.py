@@ -12,7 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from benchmarks.ageing_picture import Point, draw
-from demo.outcome import BAND_STD, CONDITION_STYLE, plain_table
+from clutchdiag_io.people import SHORT_PLUS_MINUS, plus_minus
+from demo.outcome import CONDITION_STYLE, plain_table
 from demo.programs import EMULATOR, SERVICE, program
 from diag_service.delivery.console import condition_words
 from diag_service.diagnosis.records import SHIFT_SCHEMA, shift_from
@@ -75,9 +76,9 @@ def ageing_table(points: Sequence[Point]) -> Table:
         f"Clutch {CLUTCH} while its fluid ages: the running estimate beside the truth",
         (
             "shift",
-            f"mu_C ± {BAND_STD:.0f} std",
+            f"mu_C {SHORT_PLUS_MINUS}",
             "truth",
-            f"mu_S ± {BAND_STD:.0f} std",
+            f"mu_S {SHORT_PLUS_MINUS}",
             "truth",
             "P(slope<0)",
             "verdict",
@@ -92,8 +93,8 @@ def ageing_table(points: Sequence[Point]) -> Table:
             friction, words = point.running, condition_words(condition)
             table.add_row(
                 str(number),
-                f"{friction.mu_c:.4f} ± {BAND_STD * friction.std_mu_c:.4f}", f"{point.truth.mu_c:.4f}",
-                f"{friction.mu_s:.4f} ± {BAND_STD * friction.std_mu_s:.4f}", f"{point.truth.mu_s:.4f}",
+                plus_minus(friction.mu_c, friction.std_mu_c), f"{point.truth.mu_c:.4f}",
+                plus_minus(friction.mu_s, friction.std_mu_s), f"{point.truth.mu_s:.4f}",
                 f"{friction.probability_negative_slope:.3f}", Text(words, CONDITION_STYLE[words]),
             )  # fmt: skip
     return table

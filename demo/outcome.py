@@ -9,6 +9,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from clutchdiag_io.people import PLUS_MINUS, SHORT_PLUS_MINUS, plus_minus
 from diag_service.delivery.console import condition_words
 from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult
 from diag_service.diagnosis.summary import reason_text
@@ -17,7 +18,6 @@ from fleet_contract import CLUTCHES
 
 MAX_ERROR_STD: Final = 4.0  # beyond it an estimate is wrong, not unlucky: 6e-5 by chance
 UNUSUAL_STD: Final = 2.0
-BAND_STD: Final = 2.0  # what is printed after ±
 BUSY_S: Final = 0.1  # of lateness: ten cycles of the fastest messages
 SHIFTS_PER_CYCLE: Final = 10  # 1-2-3-4-5-6-5-4-3-2-1
 CONDITION_STYLE: Final = {"no verdict": "dim", "good": "green", "watch": "yellow", "change fluid": "bold red"}
@@ -174,10 +174,8 @@ def live_line(result: ShiftResult) -> Text:
     condition = condition_words(result.verdict.condition)
     found = "no estimate"
     if friction is not None:
-        found = (
-            f"mu_C {friction.mu_c:.4f} ± {BAND_STD * friction.std_mu_c:.4f}  "
-            f"mu_S {friction.mu_s:.4f} ± {BAND_STD * friction.std_mu_s:.4f}"
-        )
+        spread_c, spread_s = plus_minus(friction.mu_c, friction.std_mu_c), plus_minus(friction.mu_s, friction.std_mu_s)
+        found = f"mu_C {spread_c}  mu_S {spread_s}"
     line = Text(f"{estimate.number:>5}  {estimate.from_gear}-{estimate.to_gear}  clutch {estimate.clutch}  {found:<44}")
     line.append(f"  {condition:<12}", CONDITION_STYLE[condition])
     if estimate.reasons:
@@ -204,7 +202,7 @@ def tables(outcome: Outcome) -> tuple[Table, Table]:
         friction = verdict.friction
         cells = _cells(friction, outcome.true_friction(clutch))
         clutches.add_row(str(clutch), str(verdict.shift_count), *cells, _probability(friction))
-    clutches.caption, clutches.caption_justify = SLOPE_NOTE, "left"
+    clutches.caption = f"{PLUS_MINUS}; {SLOPE_NOTE}"
     return shifts, clutches
 
 
@@ -213,15 +211,16 @@ def _probability(friction: FrictionEstimate | None) -> str:
 
 
 def _table(title: str, first: tuple[str, ...], last: tuple[str, ...] = ()) -> Table:
-    beside = [f"{symbol} ± {BAND_STD:.0f} std,truth,error/std".split(",") for symbol in _COEFFICIENTS]
+    beside = [f"{symbol} {SHORT_PLUS_MINUS},truth,error/std".split(",") for symbol in _COEFFICIENTS]
     return plain_table(title, (*first, *(name for names in beside for name in names), *last))
 
 
 def plain_table(title: str, columns: Sequence[str]) -> Table:
-    """Return a table without rows."""
+    """Return a table without rows; below it stands what its ± are."""
     table = Table(
-        title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
-    )
+        title=title, title_justify="left", title_style="bold", caption=PLUS_MINUS, caption_justify="left",
+        box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0),
+    )  # fmt: skip
     for name in columns:
         table.add_column(name, justify="right", no_wrap=True)
     return table
@@ -234,7 +233,7 @@ def _cells(friction: FrictionEstimate | None, truth: tuple[float, float] | None)
     for _, estimate, std, true, error_std in compared(friction, *truth):
         size = abs(error_std)
         style = "" if size <= UNUSUAL_STD else "yellow" if size <= MAX_ERROR_STD else "bold red"
-        cells += [f"{estimate:.4f} ± {BAND_STD * std:.4f}", f"{true:.4f}", Text(f"{error_std:+.1f}", style)]
+        cells += [plus_minus(estimate, std), f"{true:.4f}", Text(f"{error_std:+.1f}", style)]
     return tuple(cells)
 
 

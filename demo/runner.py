@@ -20,9 +20,9 @@ from rich.text import Text
 
 import diag_service
 from canlog.live.medium import Medium, open_medium
+from clutchdiag_io.people import PLUS_MINUS
 from demo import ageing
 from demo.outcome import (
-    BAND_STD,
     SHIFTS_PER_CYCLE,
     Outcome,
     complaints,
@@ -147,7 +147,7 @@ async def _drive(options: DemoOptions, medium: Medium, console: Console, scan_to
             if not await heard.within(READY_S, lambda: heard.is_online):
                 raise DemoError(f"the service did not announce itself within {READY_S:.0f} s")
             drive = f"driving on the bus in real time: about {options.cycles * CYCLE_S:.0f} s"
-            console.print(f"{drive}; each line as MQTT delivers it, ± {BAND_STD:.0f} std")
+            console.print(f"{drive}; each line as MQTT delivers it, {PLUS_MINUS}")
             async with driving as driver:
                 with scan_tool:
                     await driver.wait()

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 
-from diag_service.delivery.reporters import OnReceipts
+from diag_service.delivery.reporters import OnFills, OnReceipts
 from diag_service.errors import PublishError
 from fleet_contract import Outgoing
 
@@ -25,6 +25,9 @@ class SpoolLink:
 
     async def listen(self, vehicle: str, on_receipts: OnReceipts) -> None:
         """Nobody answers: a file gives no receipts."""
+
+    async def hear_fills(self, vehicle: str, on_fills: OnFills) -> None:
+        """Nobody tells of fluid fills either."""
 
     async def lost(self) -> None:
         await asyncio.Event().wait()  # never

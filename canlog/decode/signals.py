@@ -245,24 +245,13 @@ def integer_code(signal: Signal, field: BitField, codes: tuple[CodeRange, ...], 
     scale, offset = signal.scale, signal.offset
     if float(scale).is_integer() and float(offset).is_integer():
         scale, offset = int(scale), int(offset)
-    raw_limits = field.raw_limits
-    return IntegerCode(
-        scale=scale,
-        offset=offset,
-        raw_range=_raw_range(signal, raw_limits) if check_range else raw_limits,
-        raw_limits=raw_limits,
-        not_available=codes,
-    )
-
-
-def _raw_range(signal: Signal, raw_limits: tuple[int, int]) -> tuple[int, int]:
-    """Return the raw values inside [min|max], to the nearest step; an empty range is no range."""
-    lowest, highest = raw_limits
-    minimum, maximum = _physical_range(signal)
-    ends = sorted((limit - signal.offset) / signal.scale for limit in (minimum, maximum))
-    low = max(lowest, math.ceil(ends[0] - 0.5)) if math.isfinite(ends[0]) else lowest
-    high = min(highest, math.floor(ends[1] + 0.5)) if math.isfinite(ends[1]) else highest
-    return (low, high) if low <= high else raw_limits
+    raw_range = lowest, highest = raw_limits = field.raw_limits
+    if check_range:  # to the nearest step; an empty range is no range
+        ends = sorted((limit - signal.offset) / signal.scale for limit in _physical_range(signal))
+        low = max(lowest, math.ceil(ends[0] - 0.5)) if math.isfinite(ends[0]) else lowest
+        high = min(highest, math.floor(ends[1] + 0.5)) if math.isfinite(ends[1]) else highest
+        raw_range = (low, high) if low <= high else raw_limits
+    return IntegerCode(scale=scale, offset=offset, raw_range=raw_range, raw_limits=raw_limits, not_available=codes)
 
 
 def _physical_range(signal: Signal) -> tuple[float, float]:

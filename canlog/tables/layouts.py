@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from importlib import import_module
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -177,7 +178,7 @@ class TableLayout:
 
     def _frame_columns(self, group: FrameGroup, rows: Int64Array) -> dict[str, Column]:
         """Return what is known of frames besides their signals."""
-        arrow = load_pyarrow()
+        arrow = import_module("pyarrow")
         can_id: UInt32Array = group.frames.can_id[rows]
         log: dict[str, Column] = {}
         if self._origins is not None and group.log is not None:
@@ -341,7 +342,8 @@ class _Cells:
             if value is None:
                 found[place] = arrow.nulls(self._count, "float64")
                 continue
-            found[place] = column_of(value, self._is_there[place])
+            bits = arrow.py_buffer(np.packbits(self._is_there[place], bitorder="little"))
+            found[place] = arrow.Array.from_buffers(arrow.float64(), len(value), [bits, arrow.py_buffer(value)])
         return found
 
     def texts(self, place: Place, names: Sequence[str]) -> Column:
@@ -372,7 +374,7 @@ def column_of(values: npt.NDArray[Any], is_there: BoolArray | None = None, kind:
 
     pyarrow's own way takes longer, and loads pandas where it is installed.
     """
-    arrow = load_pyarrow()
+    arrow = import_module("pyarrow")  # whoever has columns to write has loaded it
     packed = np.packbits(values, bitorder="little") if values.dtype == np.bool_ else values
     bits = None if is_there is None else arrow.py_buffer(np.packbits(is_there, bitorder="little"))
     return arrow.Array.from_buffers(

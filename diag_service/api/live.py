@@ -4,7 +4,7 @@ import asyncio
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
-from contextlib import closing, suppress
+from contextlib import AsyncExitStack, closing, suppress
 from typing import TYPE_CHECKING, Self, Unpack
 
 from canlog.live import LiveSource, ReadSchedule
@@ -270,7 +270,8 @@ class LiveDiagnosis:
             lambda: Session(self._config, self._config.interpretation().decoder(), store, None, reporter)
         )
         outbox = outbox_of(self._config, store, session, is_live=True)
-        async with polling(self._config.vehicle, self._named, store, session, outbox):
+        async with AsyncExitStack() as asks:
+            await asks.enter_async_context(polling(self._config.vehicle, self._named, store, session, outbox))
             source, schedule = await self._open_bus(session)
             self._source = source
             self._is_listening.set()
@@ -282,6 +283,7 @@ class LiveDiagnosis:
                 outbox=outbox,
                 duration_s=self._named.duration_s,
                 schedule=schedule,
+                end_asking=asks.aclose,
             )
 
     async def _open_bus(self, session: Session) -> tuple[LiveSource, ReadSchedule]:

@@ -21,6 +21,8 @@ from diag_service.store import StoreReader
 def write_report(
     paths: AnyPaths,
     output: AnyPath,
+    *,
+    is_full: bool = False,
     **meaning: Unpack[LogMeaning],
 ) -> int:
     """Write what the logs of a drive, or a store, say as one HTML page: ``diag-service report``.
@@ -31,6 +33,8 @@ def write_report(
         The logs of one drive, or one store.
     output
         The page, ``.html``; one that is there is replaced.
+    is_full
+        Whether paper gets all sections, not only the first two pages.
     vehicle, dbc, profile, calibration, is_lenient, columns
         As of ``analyze``; ``vehicle`` also says which one of a store is meant.
 
@@ -47,7 +51,7 @@ def write_report(
     check_name(Path(output))
     with collected_notices():
         found = findings_of(configuration(**meaning), path_list(paths), meaning.get("vehicle"), Trigger())
-        return write_page(Path(output), page_of(found, utc_now()))
+        return write_page(Path(output), page_of(found, utc_now(), is_full=is_full))
 
 
 def history(store: AnyPath, *, vehicle: str | None = None, clutches: Sequence[int] = (1, 2)) -> list[dict[str, Any]]:

@@ -7,7 +7,7 @@ import socket
 import sys
 import textwrap
 from collections.abc import Callable, Iterable
-from contextlib import AbstractAsyncContextManager, ExitStack, closing, nullcontext
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, ExitStack, closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
@@ -238,7 +238,8 @@ async def _run_bus(
             _LOG.log(NOTICE, "page on %s", stack.enter_context(open_page(bus.page, run)))
         manager.ready()
         outbox = outbox_of(config, store, session, is_live=True)
-        async with polling(config.vehicle, bus, store, session, outbox):
+        async with AsyncExitStack() as asks:
+            await asks.enter_async_context(polling(config.vehicle, bus, store, session, outbox))
             await run_live(
                 source,
                 session,
@@ -248,6 +249,7 @@ async def _run_bus(
                 duration_s=bus.duration_s,
                 show=show,
                 schedule=schedule,
+                end_asking=asks.aclose,
             )
 
 

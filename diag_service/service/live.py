@@ -2,7 +2,7 @@
 
 import asyncio
 import logging
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from contextlib import suppress
 
 from canlog.errors import NOTICE, SourceError
@@ -33,6 +33,7 @@ async def run_live(
     duration_s: float | None,
     show: Callable[[], None] = lambda: None,  # every ``SHOW_PERIOD_S``, and once more when all has ended
     schedule: ReadSchedule | None = None,  # learns what is waited for: the source need not hurry before
+    end_asking: Callable[[], Awaitable[None]] | None = None,  # before the source closes: what is sent is heard
 ) -> Summary:
     """Diagnose a live bus until ``stop``, ``duration_s`` or its failure; return the numbers.
 
@@ -47,7 +48,7 @@ async def run_live(
 
     work, senders = _Work(session, outbox), SenderWatch()
     beside = {
-        "closer": close_in_time(source, stop, duration_s),
+        "closer": close_in_time(source, stop, duration_s, end_asking),
         "counts": _log_counts(session, counts, counts_wanted),
         "onlookers": _repeat(SHOW_PERIOD_S, show),
         "two senders": _repeat(SENDERS_PERIOD_S, lambda: senders.warn(counts())),
@@ -136,13 +137,17 @@ async def _keep_sending(outbox: Outbox) -> None:
         await asyncio.sleep(outbox.limits.restart_pause_s)
 
 
-async def close_in_time(source: LiveSource, stop: Trigger, duration_s: float | None) -> None:
+async def close_in_time(
+    source: LiveSource, stop: Trigger, duration_s: float | None, end_asking: Callable[[], Awaitable[None]] | None = None
+) -> None:
     """Close the source at ``stop`` or after ``duration_s``; its iteration ends with what was received until then."""
     try:
         async with asyncio.timeout(duration_s):
             await _next(stop)
     except TimeoutError:
         _LOG.info("stopping after %g s", duration_s)
+    if end_asking is not None:
+        await end_asking()
     await source.aclose()
 
 

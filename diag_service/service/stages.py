@@ -159,16 +159,18 @@ class Stages:
             launches = self._memory.launches[estimate.clutch - 1]
             silence = Silence.LEVEL_UNKNOWN if self.is_relative else Silence.SIGNALS_MISSING
             verdict = replace(no_verdict(estimate.clutch, self._missing, silence), stick_slip=launches.reported)
-        verdict = self._dated(verdict, event, any(self._state.shift_counts), any(state.shift_counts))
+        since_ns = self._memory.running_since_ns
+        is_dated = (since_ns is None or since_ns < event.start_ns - DRIVE_NS) and any(state.shift_counts)
+        verdict = self._dated(verdict, event, any(self._state.shift_counts)) if is_dated else verdict
         self._state = state
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory)
 
-    def _dated(self, verdict: ClutchVerdict, event: Event, had_any: bool, has_any: bool) -> ClutchVerdict:  # noqa: FBT001
+    def _dated(self, verdict: ClutchVerdict, event: Event, had_any: bool) -> ClutchVerdict:  # noqa: FBT001
         """Return a verdict with since when what it rests on is known, if that is longer than a drive."""
-        if has_any and not had_any:
+        if not had_any:
             self._memory = replace(self._memory, running_since_ns=event.start_ns)
         began_ns = self._memory.running_since_ns
-        if began_ns is None or not has_any or not DATED_NS <= began_ns < event.start_ns - DRIVE_NS:
+        if began_ns is None or not DATED_NS <= began_ns < event.start_ns - DRIVE_NS:
             return verdict
         return replace(verdict, running_since_bus_ns=began_ns)
 
@@ -185,7 +187,8 @@ class Stages:
             self._memory = self._memory.with_changed_friction(1)
         memory = self._memory.with_fit(estimate).with_shudder(swings)
         self._memory, verdict = judge_lockup(memory, self._slip, self._calibration, swings)
-        verdict = self._dated(verdict, event, had_any, bool(self._slip.shift_count))
+        if self._slip.shift_count:
+            verdict = self._dated(verdict, event, had_any)
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory, slip=self._slip)
 
     def conclude_past(self, event: Event) -> Diagnosis:

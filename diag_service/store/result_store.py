@@ -46,6 +46,7 @@ _ROWS: Final = (
     "SELECT position, vehicle, stream, seq, algorithm_version, calibration_version, clutch,"
     " json_extract(json, '$.produced_at'), json FROM result"
 )
+_KEEP: Final = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
 _LATEST: Final = (  # of the last of each stream, which an index finds, those come last that ended last
     " WHERE position IN (SELECT (SELECT position FROM result WHERE vehicle = ?1 AND stream = own.stream"
     " AND clutch = own.clutch AND algorithm_version = ?2 AND calibration_version = ?3 ORDER BY seq DESC LIMIT 1) FROM"
@@ -108,7 +109,7 @@ class ResultStore:
                 _LOG.warning("store %s %s: its next results begin a new stream", where, why)
                 self.stream, self._last_seq = str(uuid.uuid4()), 0
                 with suppress(StoreFullError), self._transaction() as sql:
-                    self._keep_stream(sql, 0)
+                    sql.executemany(_KEEP, (("stream", self.stream), ("last_seq", "0")))
             file.note_mark(lock_descriptor, self.stream, self._last_seq)
 
     @classmethod
@@ -186,7 +187,7 @@ class ResultStore:
                 sql.execute("INSERT OR REPLACE INTO state VALUES (?, ?, ?, ?, ?)", (*running, *made_by))
             last_seq = max(self._last_seq, result.seq) if result.stream == self.stream else self._last_seq
             if last_seq != self._last_seq:
-                self._keep_stream(sql, last_seq)
+                sql.executemany(_KEEP, (("stream", self.stream), ("last_seq", str(last_seq))))
             if self._budget_bytes is not None:
                 _enforce_budget(sql, self._budget_bytes, int(inserted.lastrowid or 0))
         if last_seq != self._last_seq and self._lock_descriptor is not None:
@@ -369,10 +370,6 @@ class ResultStore:
         stream = str(uuid.uuid4())
         self._connection.execute("INSERT INTO meta VALUES ('stream', ?)", (stream,))
         return stream
-
-    def _keep_stream(self, sql: sqlite3.Connection, seq: int) -> None:
-        own = (("stream", self.stream), ("last_seq", str(seq)))
-        sql.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", own)
 
     def _object(self, text: str) -> JsonObject:
         with file.translated(self.where):

@@ -86,7 +86,7 @@ def test_a_recording_killed_leaves_no_half_a_log_and_the_next_one_is_whole(
     with service(tmp_path / "stopped", *arguments, program=EMULATOR) as stopped:
         stopped.wait_for(lambda: truth.exists() and truth.read_bytes().count(b"\n") > 2)
         stopped.send(number)
-        assert stopped.wait().status == 0
+        assert stopped.wait().status == 128 + number
     analysed = run("analyze", log, "--json")
     assert (analysed.status, analysed.err) == (0, "")
     assert analysed.summary["frames"]["on_bus"] == log.read_bytes().count(b"\n")

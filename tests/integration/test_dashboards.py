@@ -16,6 +16,7 @@ from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.rows import shift_row, status_row
 from fleet_backend.writer import Batch, Writer
+from tests.golden.compare import stored_faces
 from tests.support import grafana
 from tests.support.grafana import FOLDER, PROMETHEUS
 from tests.support.histories import history
@@ -33,7 +34,6 @@ from tests.support.prometheus import (
 )
 from tests.unit.diag_service.service.test_metrics import FILL, exposition, snapshot
 
-ANALYSES = Path(__file__).parents[1] / "golden" / "analyses"
 FLEET = {"car1": "ideal", "car2": "case1", "car3": "case2"}  # good, watch, change fluid
 START = datetime(2026, 1, 1, tzinfo=UTC)
 SINCE, UNTIL = START - timedelta(days=1), START + timedelta(days=1)
@@ -67,7 +67,7 @@ def fill(engine: Engine) -> None:
     records = [
         json.loads(line) | {"vehicle": vehicle}
         for vehicle, name in FLEET.items()
-        for line in (ANALYSES / f"{name}.jsonl").read_text(encoding="utf-8").splitlines()
+        for line in stored_faces(name)["results"].splitlines()
     ]
     shifts = [shift_row(record) for record in records if record["schema"] == "clutchdiag/shift/v1"]
     told = {"status": "online", "connected_at": "2026-01-01T00:00:00.000000Z", "service_version": "1"}

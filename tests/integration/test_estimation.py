@@ -165,7 +165,7 @@ def test_a_signal_that_is_not_there_for_a_while_is_missed_wherever_it_is(
     assert estimate.friction is None
 
 
-@pytest.mark.parametrize(("catches_up", "reasons"), [(True, ()), (False, (Reason.FRAMES_MISSING,))])
+@pytest.mark.parametrize(("catches_up", "reasons"), [(True, ()), (False, (Reason.TIME_UNSURE,))])
 def test_frames_that_are_late_together_are_not_missing(catches_up: bool, reasons: tuple[Reason, ...]) -> None:
     """A stalled gateway hands over 100 ms of frames at once; a sender that hung did not measure in that time."""
     event = shifts()[0]

@@ -25,7 +25,7 @@ from tests.support.fleet_page import sources_of
 
 NOW = datetime(2026, 6, 15, 12, tzinfo=UTC)
 SCHEMAS = [Schema(channel) for channel in INGESTED if channel is not Channel.BUNDLE]
-PAGES = ("/", "/clutches", "/maintenance", "/maintenance.ics", "/alarms", "/changes?since=2025-01-01", "/quarantine")
+PAGES = ("/", "/clutches", "/maintenance", "/alarms", "/changes?since=2025-01-01", "/quarantine")
 OFFICE = ("/api/v1/vehicles", "/api/v1/maintenance", "/api/v1/alarms")
 
 

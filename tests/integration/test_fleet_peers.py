@@ -172,7 +172,7 @@ def test_people_read_which_lots_are_bad() -> None:
     show(lot_standings_table([bad, good]), text, None)
     assert "Lots that age faster than the others: 1 of 2" in text.getvalue()
     lines = [line.split() for line in text.getvalue().splitlines()]
-    assert ["fluid", "lot", "B7", "yes", "9", "1.92", "10", "5e+04"] in lines
+    assert ["fluid", "lot", "B7", "yes", "9", "1.92", "20", "5e+04"] in lines
 
 
 def test_either_database_keeps_lots_and_populations(engine: Engine) -> None:

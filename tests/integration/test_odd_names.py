@@ -126,7 +126,7 @@ def test_tables_are_written_under_such_names(odd: Path) -> None:
 @pytest.mark.parametrize("command", ["analyze", "decode"])
 def test_the_longest_names_will_do(command: str, odd: Path) -> None:
     output = odd / ("n" * 251 + ".csv")
-    told = run("diag_service", command, odd / odd_name(".log"), "-o", output, cwd=odd)
+    told = run("diag_service", command, odd / odd_name(".log"), "--dbc", DBC_PATH, "-o", output, cwd=odd)
     assert (told.status, output.is_file()) == (0, True)
 
 

@@ -150,10 +150,10 @@ def test_results_of_a_full_disk_are_kept(folder: Path, monkeypatch: pytest.Monke
 
 def test_what_is_not_known_is_answered_by_what_to_try(folder: Path) -> None:
     tries = {
-        ("analyze", "unknown.log"): "try 'diag-service signals LOG', with --dbc FILE for frames",
-        ("decode", "unknown.log", "-o", "out.csv"): "Try diag-service signals LOG --dbc FILE",
+        ("analyze", "unknown.log"): (0, "try 'diag-service signals LOG', with --dbc FILE for frames"),
+        ("decode", "unknown.log", "-o", "out.csv"): (2, "Try diag-service signals LOG --dbc FILE"),
     }
-    for words, text in tries.items():
+    for words, (status, text) in tries.items():
         told = ended(*words)
-        assert told.status == 0
+        assert told.status == status
         assert text in told.out + told.err

@@ -65,7 +65,7 @@ def follow() -> str:
 
 def fleet() -> str:
     row = {"vehicle": "car1", "condition": "good", "mu_c": FRICTION.mu_c, "element": None, "clutch": 1, "mu_s": None}
-    row |= {"running_mu_c": FRICTION.mu_c, "running_std_mu_c": FRICTION.std_mu_c, "end_at": None}
+    row |= {"running_mu_c": FRICTION.mu_c, "running_std_mu_c": FRICTION.std_mu_c, "end_at": None, "fluid": None}
     row |= {"random_std_mu_c": FRICTION.std_mu_c, "running_mu_s": FRICTION.mu_s, "running_std_mu_s": FRICTION.std_mu_s}
     out = io.StringIO()
     report.show(report.trend_table("car1", [row]), out)

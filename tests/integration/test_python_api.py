@@ -393,7 +393,10 @@ def test_a_store_tells_what_the_programs_tell(drive_log: Path, tmp_path: Path) -
     assert told == ended("history", store, "--json").records
     assert diag_service.stored_shift(store, 1) == results[0]
     assert diag_service.write_report(store, page) == page.stat().st_size
-    assert page.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    short = page.read_text(encoding="utf-8")
+    assert short.startswith("<!DOCTYPE html>")
+    assert diag_service.write_report(store, page, is_full=True) == page.stat().st_size
+    assert ('class="short"' in short, 'class="short"' in page.read_text(encoding="utf-8")) == (True, False)
     fill = diag_service.note_fluid(store, at=datetime(2026, 1, 2, tzinfo=UTC), odometer_km=12_345.5, product="fresh")
     assert (fill.filled_at, fill.odometer_m, fill.product) == ("2026-01-02T00:00:00.000000Z", 12_345_500.0, "fresh")
     with pytest.raises(diag_service.ConfigError, match="still to come"):

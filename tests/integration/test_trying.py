@@ -42,7 +42,7 @@ def test_values_rate_and_how_to_go_on_are_told() -> None:
         run = ended("try", "-i", "virtual", "-c", "try-2", "--listen", "0.05", "--profile", "dct_asked", "--active")
     assert run.status == 0, run.err
     said = " ".join(run.out.split())
-    assert "clutch1_pressure_pa = 4e+05 (38EB at 7E1)" in said
+    assert "clutch1_pressure = 4 bar (38EB at 7E1)" in said
     assert "6 of 6 signals are told; friction beside 7 that are broadcast" in said
     assert "sets a second" in said
     assert "diag-service run -i virtual -c try-2 --profile dct_asked --active" in said
@@ -113,7 +113,7 @@ def test_the_commands_of_the_page_ask_as_it_says() -> None:
             assert ("nothing was sent" in run.out) == ("--active" not in one)
             assert ear.requests() or "--adapter" in one or "--active" not in one
             assert "--active" in one or not ear.requests()
-    assert "clutch1_pressure_pa = 4e+05 (38EB at 7E1)" in run.out
+    assert "clutch1_pressure = 4 bar (38EB at 7E1)" in run.out
 
 
 def test_a_first_drive_is_recorded_learned_from_and_diagnosed(tmp_path: Path, sent_by_us: SentByUs) -> None:
@@ -136,7 +136,8 @@ def test_a_first_drive_is_recorded_learned_from_and_diagnosed(tmp_path: Path, se
     assert sent_by_us.services[0x22] > 100
     said = " ".join(run.out.split())
     learned = log.with_suffix(".vehicle.toml")
-    assert f"$ diag-service learn {log} --profile dct_asked -o {learned} gear" in said
+    teaching = f"$ diag-service learn {log} --profile dct_asked -o {learned}"
+    assert f"{teaching} ± two standard deviations: gear 1: ratio" in said
     assert f"$ diag-service analyze {log} --profile dct_asked --vehicle-file {learned} shift gears" in said
     assert "There is no verdict on the fluid yet" in said
     assert said.endswith(f"--profile dct_asked --vehicle-file {learned} --active")

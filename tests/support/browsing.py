@@ -72,6 +72,12 @@ _CUT = """least => {
   for (const plot of document.querySelectorAll("svg.plot")) {
     const frame = plot.getBoundingClientRect();
     for (const text of plot.querySelectorAll("text")) {
+      if (getComputedStyle(text).display === "none") {
+        const keys = plot.closest("figure").querySelectorAll(".key");
+        if (![...keys].some(key => key.classList.contains([...text.classList].pop())))
+          said.push(`neither in its picture nor among its keys: ${text.textContent}`);
+        continue;
+      }
       const size = parseFloat(getComputedStyle(text).fontSize) * plot.getScreenCTM().a;
       const box = text.getBoundingClientRect();
       if (size < least) said.push(`${size.toFixed(1)} px is too small to read: ${text.textContent}`);

@@ -55,5 +55,5 @@ def test_names_that_ask_for_no_format() -> None:
 
 def test_without_pyarrow_parquet_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(ExtraMissingError, match=r"pip install 'clutchdiag\[parquet\]'"):
+    with pytest.raises(ExtraMissingError, match=r"pip install '\.\[parquet\]' in the checkout"):
         load_pyarrow()

@@ -138,6 +138,27 @@ async def test_a_stop_that_came_first_ends_the_run(store: ResultStore) -> None:
     assert len(reporter.summaries) == 1
 
 
+async def test_what_asks_has_ended_before_the_bus_is_heard_no_more(store: ResultStore) -> None:
+    stop, source, order = Trigger(), ListSource([]), list[str]()
+    close = source.aclose
+
+    async def end_asking() -> None:
+        order.append("asks no more")
+
+    async def aclose() -> None:
+        order.append("hears no more")
+        await close()
+
+    source.aclose = aclose  # type: ignore[method-assign]
+    stop.set()
+    session = session_for(store, MemoryReporter())
+    async with asyncio.timeout(HANG_S):
+        await run_live(
+            source, session, stop=stop, counts_wanted=Trigger(), outbox=None, duration_s=None, end_asking=end_asking
+        )
+    assert order[:2] == ["asks no more", "hears no more"]
+
+
 class LateTrigger(Trigger):
     """Somebody sets it while those who listened leave."""
 
