@@ -29,7 +29,7 @@ def test_a_scan_finds_the_controller_and_isotpdump_reads_the_same(vcan: str) -> 
     (found,) = scanned.records[0]["controllers"]
     assert (found["request_id"], found["response_id"]) == ("7E1", "7E9")
     assert [one["number"] for one in found["services"] if one["there"]] == ["3E", "22", "19"]
-    assert len(codes.records[0]["codes"]) == 26
+    assert len(codes.records[0]["codes"]) == 25
     assert "62 F1 90 57 44 43" in read  # the first frame of the VIN
     kinds = kinds_read(read)
     assert kinds["FF"] >= 2  # VIN and codes

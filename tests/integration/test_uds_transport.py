@@ -436,7 +436,7 @@ def test_another_end_asks_long_and_short(is_fd: bool, transport: Transport, addr
         assert ask(b"\x3e\x00") == b"\x7e\x00"
         assert ask(b"\x22" + b"\xf1\x90" * 16) == b"\x62" + VIN[1:] * 16
         assert ask(b"\x2e\xf1\x98" + bytes(1000)) == b"\x7f\x2e\x7f"
-        assert len(ask(b"\x19\x0a")) == 3 + 4 * 26
+        assert len(ask(b"\x19\x0a")) == 3 + 4 * 25
 
 
 def test_hostile_streams_end_nothing() -> None:

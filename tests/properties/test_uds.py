@@ -14,7 +14,7 @@ from tests.support.uds.pair import Pair
 from tests.support.uds.server_by_the_book import table
 from tests.tools.uds_fuzz import run
 
-CODES = st.sampled_from([0x081107, 0x089700, 0x27874B])
+CODES = st.sampled_from([0x081107, 0x278800, 0x27874B])
 CHANCE = st.binary(min_size=16, max_size=16).filter(lambda data: any(data[:4]))
 
 
