@@ -5,7 +5,7 @@ python -m benchmarks.ageing_picture    # drives the scenario "ageing", writes do
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -17,9 +17,10 @@ from benchmarks.drawing import CONDITION_COLOUR, INK, as_svg, drawing_style
 from benchmarks.study import diagnose
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
-from diag_service.diagnosis.records import Condition, FrictionEstimate
+from diag_service.diagnosis.records import Condition, FrictionEstimate, ShiftResult
+from diag_service.service.stages import Diagnosis
 from ecu_emulator.scenario.scenario_file import load_scenario
-from ecu_emulator.truth import ShiftTruth
+from ecu_emulator.truth import ShiftTruth, TruthLog
 
 SCENARIO = "ageing"
 CLUTCH = 2
@@ -41,7 +42,11 @@ class Point:
 
 def points() -> list[Point]:
     """Drive the scenario and return the shifts onto the clutch, in order."""
-    diagnoses, truth = diagnose(load_scenario(SCENARIO))
+    return points_of(*diagnose(load_scenario(SCENARIO)))
+
+
+def points_of(diagnoses: Iterable[Diagnosis | ShiftResult], truth: TruthLog) -> list[Point]:
+    """Return what was said after each shift onto the clutch, and what was true in it."""
     true_of = {shift.number: shift for shift in truth.shifts}
     return [
         Point(

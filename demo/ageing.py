@@ -11,13 +11,13 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from benchmarks.ageing_picture import Point, draw
+from benchmarks.ageing_picture import Point, draw, points_of
 from clutchdiag_io.people import SHORT_PLUS_MINUS, plus_minus
 from demo.outcome import CONDITION_STYLE, plain_table
 from demo.programs import EMULATOR, SERVICE, program
 from diag_service.delivery.console import condition_words
 from diag_service.diagnosis.records import SHIFT_SCHEMA, shift_from
-from ecu_emulator.truth import TruthLog, read_truth
+from ecu_emulator.truth import read_truth
 
 CLUTCH: Final = 2
 SCENARIO: Final = "ageing"
@@ -48,26 +48,12 @@ async def show_ageing(folder: Path, console: Console) -> list[str]:
             if end >= 0:
                 os.close(end)
     (folder / RESULTS).write_text(results, encoding="utf-8")
-    points = points_of(results, read_truth(folder / TRUTH))
+    records = [json.loads(line) for line in results.splitlines()]
+    shifts = [shift_from(record) for record in records if record["schema"] == SHIFT_SCHEMA]
+    points = points_of(shifts, read_truth(folder / TRUTH))
     console.print(ageing_table(points))
     (folder / PICTURE).write_text(draw(points), encoding="utf-8")
     return course_complaints(points)
-
-
-def points_of(results: str, truth: TruthLog) -> list[Point]:
-    """Return what was said after each shift onto the clutch, and what was true in it."""
-    true_of = {shift.number: shift for shift in truth.shifts}
-    records = [json.loads(line) for line in results.splitlines()]
-    shifts = [shift_from(record) for record in records if record["schema"] == SHIFT_SCHEMA]
-    return [
-        Point(
-            truth=true_of[one.estimate.number],
-            running=one.verdict.friction,
-            condition=one.verdict.condition,
-        )
-        for one in shifts
-        if one.estimate.clutch == CLUTCH and one.verdict.friction is not None
-    ]
 
 
 def ageing_table(points: Sequence[Point]) -> Table:
