@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from benchmarks.drawing import CONDITION_COLOUR, INK, as_svg, drawing_style
 from benchmarks.study import diagnose
 from clutch_model.calibration import nominal_calibration
+from diag_service.api.picture import MU_C_COLOUR, MU_S_COLOUR
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.records import Condition, FrictionEstimate, ShiftResult
 from diag_service.service.stages import Diagnosis
@@ -26,7 +27,6 @@ SCENARIO = "ageing"
 CLUTCH = 2
 PATH = Path(__file__).parents[1] / "docs" / "ageing.svg"
 BAND_STD = 2.0
-MU_C_COLOUR, MU_S_COLOUR = "#0f6cbd", "#c2410c"
 UNKNOWN_COLOUR = "#94a3b0"
 LEAST_NAMED = 12  # shifts: a verdict that lasts shorter has no room for its name
 

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 SIZE_INCH: Final = (9.0, 6.0)
 STRIP: Final = (0.0, 0.04)  # of the height: where the verdicts stand
-MU_C_COLOUR: Final = "#c2410c"
-MU_S_COLOUR: Final = "#0f6cbd"
+MU_C_COLOUR: Final = "#0f6cbd"
+MU_S_COLOUR: Final = "#c2410c"
 CONDITION_COLOUR: Final = {
     Condition.NO_VERDICT: "#9ca3af",
     Condition.GOOD: "#15803d",
