@@ -18,7 +18,7 @@ RUN awk '/^[^ #]/ { keep = /^uv==/ } keep' requirements.lock > /tmp/uv.lock \
  && python -m venv /opt/uv && /opt/uv/bin/pip install --no-cache-dir --require-hashes -r /tmp/uv.lock \
  && python -m venv --without-pip /opt/clutchdiag \
  && /opt/uv/bin/uv pip install --no-cache --python /opt/clutchdiag/bin/python \
-      --constraints requirements.lock --build-constraints requirements.lock ".[diagnostics,fleet,mf4,nats,odx,page,parquet,security,uds,zstd]"
+      --constraints requirements.lock --build-constraints requirements.lock ".[diagnostics,fleet,mf4,nats,odx,page,parquet,uds,zstd]"
 
 FROM python:3.11.14-slim-bookworm
 COPY --from=build /opt/clutchdiag /opt/clutchdiag

@@ -17,10 +17,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT: Final = Path(__file__).parents[1]
-PROGRAMS: Final = (
-    "ecu_emulator.arguments", "diag_service.commands.arguments", "fleet_backend.arguments",
-    "fleet_backend.certificates.cli",
-)  # fmt: skip
+PROGRAMS: Final = ("ecu_emulator.arguments", "diag_service.commands.arguments", "fleet_backend.arguments")
 PACKAGES: Final = ("diag_service", "canlog", "ecu_emulator")
 LINK: Final = re.compile(r"\[([^\]]*)\]\((?!\w+:|#)([^)#]+)(#[^)]*)?\)")
 

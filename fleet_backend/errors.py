@@ -1,10 +1,6 @@
 """Errors of the fleet backend; each subclass says what the caller does next."""
 
 
-class CertificateError(Exception):
-    """A certificate cannot be made; the text says why."""
-
-
 class FleetBackendError(Exception):
     """Root of all errors raised by this package; its text is one clear line for the user."""
 

@@ -104,7 +104,7 @@ class ClusterAddress:
 def check_identity(tls: TlsFiles) -> None:
     """Raise ConfigError unless there are an authority, a certificate and its key, and all of them can be used."""
     if tls.authority is None or tls.certificate is None or tls.key is None:
-        raise ConfigError("a cluster needs --ca, --cert and --key: fleet-certificates makes them")
+        raise ConfigError("a cluster needs --ca, --cert and --key (docs/mqtt.md tells how to make them)")
     try:
         tls.context()
     except AddressError as exc:

@@ -11,7 +11,8 @@ from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import ConfigError
 from diag_service.service.stopping import Controls
 from tests.plugins.drives import SHIFT_COUNT
-from tests.support.cluster import Cluster, make_certificates
+from tests.support.certificates import certify, tls_words
+from tests.support.cluster import Cluster
 from tests.support.patience import HANG_S
 from tests.support.s3 import BUCKET, in_environment, s3_environment, s3_server, store
 from tests.tools.folders import fill_folder
@@ -33,7 +34,7 @@ def test_a_lake_in_a_store_is_made_by_a_cluster(
         cluster.start_scheduler()
         cluster.start_workers("--jobs", "1", "--memory", "700")
         store(port).put(f"{tmp_path}/logs/", f"{BUCKET}/logs", recursive=True)
-        others = make_certificates(tmp_path / "others")
+        others = tls_words(certify(tmp_path / "others", "node1"), "node1")
         for words, text in {
             ("--scheduler", cluster.address, *others): "CERTIFICATE_VERIFY_FAILED",
             ("--scheduler", cluster.address, *others[2:], *cluster.tls[:2]): "not trusted, or does not trust us",

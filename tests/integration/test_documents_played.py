@@ -3,7 +3,9 @@
 import re
 import shlex
 import shutil
+import subprocess
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,6 @@ import pytest
 
 import diag_service.cli
 import ecu_emulator.cli
-import fleet_backend.certificates.cli
 import fleet_backend.cli
 from benchmarks.scan_tool import written
 from diag_service.diagnosis.records import Condition
@@ -20,11 +21,16 @@ from fleet_backend.writer import Batch, Writer
 from tests.support.documents import PAGES, ROOT, Shown, block_lines, page_text
 from tests.support.fleet import fleet_result, row_of
 
+
+def _system(program: str, words: Sequence[str]) -> int:
+    return subprocess.run([program, *words], check=False, capture_output=True).returncode
+
+
 PROGRAMS: Mapping[str, Callable[[Sequence[str]], int]] = {
     "ecu-emulator": ecu_emulator.cli.main,
     "diag-service": diag_service.cli.main,
     "fleet-backend": fleet_backend.cli.main,
-    "fleet-certificates": fleet_backend.certificates.cli.main,
+    **{name: partial(_system, name) for name in ("openssl", "sed")},
 }
 ELSEWHERE = {
     "make demo": "tests/e2e/test_demo.py",
@@ -95,6 +101,8 @@ def _workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert ecu_emulator.cli.main(drive) == 0
     for name, log in (("drive.csv", "monday.log"), ("drive-a.csv", "monday.log"), ("drive-b.csv", "logs/one.log")):
         written(folder / log, folder / name, np.random.default_rng(1), left_out=frozenset())
+    for name in ("dynamic-security.json", "nats.conf"):
+        shutil.copy(ROOT / "docs" / "deploy" / name, folder)
     (folder / "lots.csv").write_text("vehicle,fluid lot\nCAR1,B7\n", encoding="utf-8")
     return folder
 

@@ -4,7 +4,6 @@ import socket
 import ssl
 from collections.abc import Iterator
 from contextlib import suppress
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,7 @@ from ecu_emulator.diagnostics.doip.listening import TlsNode, tls_node
 from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from ecu_emulator.errors import ConfigError
-from fleet_backend.certificates.authority import Authority, Lifetime
+from tests.support.certificates import certify
 from tests.support.doip.desk import activation, framed
 from tests.support.doip.tester import entity
 from tests.support.in_process import ended
@@ -29,11 +28,8 @@ PATIENT = ("--ecu", "1011", "--active", "--listen", "0", "--timeout", "20")
 @pytest.fixture(name="folder", scope="module")
 def _folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with the certificate of a node, one in a single file with its key, and two authorities."""
-    folder, other = tmp_path_factory.mktemp("tls"), tmp_path_factory.mktemp("other")
-    lifetime = Lifetime.of_days(1, datetime.now(UTC))
-    Authority.make(folder, lifetime).issue_server("node", ["127.0.0.1"], lifetime)
-    Authority.make(other, lifetime)
-    (folder / "both.pem").write_bytes((folder / "node.crt").read_bytes() + (folder / "node.key").read_bytes())
+    folder, other = certify(tmp_path_factory.mktemp("tls"), "node1"), certify(tmp_path_factory.mktemp("other"))
+    (folder / "both.pem").write_bytes((folder / "node1.crt").read_bytes() + (folder / "node1.key").read_bytes())
     (folder / "other.crt").write_bytes((other / "ca.crt").read_bytes())
     return folder
 
@@ -126,8 +122,8 @@ def test_ipv6_on_this_machine() -> None:
 def test_what_cannot_be_a_certificate_is_told_in_one_line(folder: Path) -> None:
     for certificate, key, message in (
         ("missing.crt", None, "cannot be read: No such file"),
-        ("node.crt", None, "certificate or key cannot be used"),
-        ("node.crt", "ca.key", "certificate or key cannot be used"),
+        ("node1.crt", None, "certificate or key cannot be used"),
+        ("node1.crt", "ca.key", "certificate or key cannot be used"),
     ):
         node = TlsNode(certificate=folder / certificate, key=None if key is None else folder / key, port=1)
         with pytest.raises(ConfigError, match=message) as refused:

@@ -14,7 +14,6 @@ PROGRAMS = {
     "ecu-emulator": "ecu_emulator.cli",
     "diag-service": "diag_service.cli",
     "fleet-backend": "fleet_backend.cli",
-    "fleet-certificates": "fleet_backend.certificates.cli",
 }
 COMMAND = re.compile(r"^    ([a-z][a-z-]*)(?:  +\S|$)", re.MULTILINE)
 CANDUMP = "(1767225600.000000) vcan0 123#0011223344556677\n" * 4
@@ -47,7 +46,7 @@ def test_what_is_to_be_installed_is_where_pip_finds_it() -> None:
 
 def test_nothing_of_the_extras_can_be_imported(plain: PlainInstall) -> None:
     modules = sorted(extra_modules())
-    assert {"sqlalchemy", "alembic", "psycopg", "cryptography", "pyarrow", "asammdf", "amqtt"} <= set(modules)
+    assert {"sqlalchemy", "alembic", "psycopg", "pyarrow", "asammdf", "amqtt"} <= set(modules)
     found = plain.run("-c", f"import importlib.util as u; print([m for m in {modules} if u.find_spec(m)])")
     assert found.out == "[]\n"
 
@@ -110,16 +109,6 @@ def test_a_pdx_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None
     (told,) = plain.run_all("ecu_emulator.cli", [["pdx", "-o", str(tmp_path / "tcu.pdx")]])
     assert told.status == 2
     one_line("ecu-emulator", "odx", told.err)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_every_command_that_makes_certificates_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
-    folder = ["--folder", str(tmp_path / "certificates")]
-    runs = [["init", *folder], ["server", "broker", "--host", "localhost", *folder], ["client", "car1", *folder]]
-    told = plain.run_all("fleet_backend.certificates.cli", runs)
-    assert [outcome.status for outcome in told] == [2, 2, 2]
-    for outcome in told:
-        one_line("fleet-certificates", "security", outcome.err)
     assert list(tmp_path.iterdir()) == []
 
 

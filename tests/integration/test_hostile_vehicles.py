@@ -1,12 +1,14 @@
 """A legitimate vehicle that means ill, under the brokers' configurations of docs/deploy: it hurts no other."""
 
+import json
+import re
 from pathlib import Path
 
 import pytest
 
-from fleet_backend.certificates.access import mosquitto_access, nats_users, write_access
+from fleet_contract import CLUTCHES, TOPIC_ROOT, Channel
 from tests.support.fleet_broker import DEPLOY
-from tests.support.hostile_vehicle import BAD, attack, authority_of
+from tests.support.hostile_vehicle import attack
 
 pytestmark = pytest.mark.broker
 
@@ -27,12 +29,31 @@ async def test_it_hurts_nobody_and_is_seen(tmp_path: Path, kind: str) -> None:
         assert not any(f"Client {name} already connected" in outcome.log for name in (*GOOD, "fleet-backend"))
 
 
-def test_the_shipped_access_is_what_the_program_writes(tmp_path: Path) -> None:
-    authority = authority_of(tmp_path / "certificates", GOOD)
-    write_access(authority.folder)
-    written = (authority.folder / "dynamic-security.json").read_text(encoding="utf-8")
-    assert f'"vehicle {BAD}"' in written
-    assert '"vehicle fleet-backend"' not in written
-    shipped = (DEPLOY / "dynamic-security.json").read_text(encoding="utf-8")
-    assert shipped == mosquitto_access(["CAR1", "fleet-backend"])
-    assert nats_users(["fleet-backend", "CAR1"]) in (DEPLOY / "nats.conf").read_text(encoding="utf-8")
+def test_the_shipped_access_is_that_of_the_contract() -> None:
+    """A vehicle says on its own topics and hears on those for it, all of them and no other; the office the reverse."""
+    topics = {
+        is_heard: [
+            label
+            for channel in Channel
+            if channel.is_to_vehicle is is_heard
+            for label in ([f"clutch/{one}" for one in CLUTCHES] if channel is Channel.CLUTCH else [channel.label])
+        ]
+        for is_heard in (False, True)
+    }
+    roles = json.loads((DEPLOY / "dynamic-security.json").read_text(encoding="utf-8"))["roles"]
+    granted = {
+        (role["rolename"], rule["acltype"], rule["topic"].removeprefix(f"{TOPIC_ROOT}/"))
+        for role in roles
+        for rule in role["acls"]
+    }
+    vehicle = {("publishClientSend", f"VEHICLE/{one}") for one in topics[False]}
+    vehicle |= {
+        (kind, f"VEHICLE/{one}") for kind in ("subscribeLiteral", "publishClientReceive") for one in topics[True]
+    }
+    told = {f"+/{re.sub('[12]$', '+', one)}" for one in topics[False]}
+    office = {("publishClientSend", f"+/{one}") for one in topics[True]}
+    office |= {(kind, one) for kind in ("publishClientReceive", "subscribePattern") for one in told}
+    office |= {("subscribePattern", f"$share/+/{TOPIC_ROOT}/{one}") for one in told}
+    assert granted == {("vehicle VEHICLE", *one) for one in vehicle} | {("office", *one) for one in office}
+    own = re.findall(r'"(clutchdiag[^"]*VEHICLE[^"]*)"', (DEPLOY / "nats.conf").read_text(encoding="utf-8"))
+    assert own == [f"{TOPIC_ROOT}/VEHICLE/{one}".replace("/", ".") for one in (*topics[False], *topics[True])]

@@ -2,24 +2,23 @@
 
 import asyncio
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from diag_service.diagnosis.records import shift_record
 from fleet_backend.broker import connected
-from fleet_backend.certificates.authority import Authority, Lifetime
 from fleet_backend.errors import BrokerError
 from fleet_backend.ingest import FILTERS
 from fleet_contract import Outgoing, Receipt, ack_messages, key_of, shift_message
-from fleet_link import Connection, LinkDownError, Terms, TlsFiles, parse_broker
+from fleet_link import Connection, LinkDownError, Terms, parse_broker
+from tests.support.certificates import certify, tls_files
 from tests.support.fleet import fleet_result
+from tests.support.fleet_broker import DEPLOY, write_access
 from tests.support.nats import NatsServer
 from tests.support.patience import HANG_S
 
 pytestmark = pytest.mark.broker
-DEPLOY = Path(__file__).parents[2] / "docs" / "deploy"
 RECORD = shift_record(fleet_result())
 KEY = key_of(RECORD)
 
@@ -105,26 +104,20 @@ def test_a_broker_that_goes_away_is_an_error_to_come_back_from(server: NatsServe
 
 
 def test_the_documents_configuration_lets_those_in_who_have_an_entry(tmp_path: Path) -> None:
-    lifetime = Lifetime.of_days(1.0, datetime.now(UTC))
-    authority = Authority.make(tmp_path / "certificates", lifetime)
-    authority.issue_server("broker", ["127.0.0.1"], lifetime)
-    for name in ("fleet-backend", "CAR1", "CAR2"):
-        authority.issue_client(name, lifetime)
-    text = (DEPLOY / "nats.conf").read_text(encoding="utf-8")
-    server = NatsServer(tmp_path, text.replace("/etc/clutchdiag", str(tmp_path / "certificates")))
+    folder = certify(tmp_path / "certificates", "broker", "fleet-backend", "CAR1")
+    write_access(folder)
+    certify(folder, "CAR2")
+    text = (folder / "nats.conf").read_text(encoding="utf-8")
+    server = NatsServer(tmp_path, text.replace("/etc/clutchdiag", str(folder)))
     server.start()
 
-    def files(name: str) -> TlsFiles:
-        folder = tmp_path / "certificates"
-        return TlsFiles(authority=folder / "ca.crt", certificate=folder / f"{name}.crt", key=folder / f"{name}.key")
-
     async def vehicle(name: str) -> Connection:
-        address = parse_broker(f"mqtts://127.0.0.1:{server.port}", files(name))
+        address = parse_broker(f"mqtts://127.0.0.1:{server.port}", tls_files(folder, name))
         return await Connection.open(address, Terms(is_version_5=False, identifier=name))
 
     async def run() -> None:
         url = server.url.replace("nats://", "nats+tls://")
-        address = parse_broker(url, files("fleet-backend"), may_be_nats=True)
+        address = parse_broker(url, tls_files(folder, "fleet-backend"), may_be_nats=True)
         async with connected(address, FILTERS, max_unsettled=20) as inbox, asyncio.timeout(HANG_S):
             car = await vehicle("CAR1")
             await car.subscribe(["clutchdiag/v1/CAR1/ack"])

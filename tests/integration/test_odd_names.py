@@ -210,13 +210,3 @@ def test_the_backend_keeps_its_database_under_such_a_name(odd: Path) -> None:
         assert (told.status in {2, 5}, told.err.count("\n")) == (True, 1), told
     told = run("fleet_backend", "table", "--database", f"{database}.none", cwd=odd)
     assert (told.status, told.err.count("\n")) == (4, 1)
-
-
-def test_certificates_lie_in_a_folder_of_such_a_name(odd: Path) -> None:
-    folder = ["--folder", odd_name("-certificates")]
-    assert run("fleet_backend.certificates", "init", *folder, cwd=odd).status == 0
-    assert run("fleet_backend.certificates", "client", "car1", *folder, cwd=odd).status == 0
-    told = run("fleet_backend.certificates", "client", odd_name(""), *folder, cwd=odd)
-    assert (told.status, told.err.count("\n")) == (2, 1)
-    told = run("fleet_backend.certificates", "init", *folder, cwd=odd)
-    assert (told.status, told.err.count("\n")) == (2, 1)

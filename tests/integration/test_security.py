@@ -3,7 +3,6 @@
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, closing
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,6 @@ from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Ou
 from diag_service.diagnosis.records import shift_record
 from diag_service.store import ResultStore
 from fleet_backend import queries
-from fleet_backend.certificates.authority import Authority, Lifetime
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database
 from fleet_contract import shift_message
@@ -20,6 +18,7 @@ from fleet_link import BrokerAddress, TlsFiles
 from tests.plugins.broker import Mosquitto
 from tests.support.acknowledger import Acknowledger
 from tests.support.builders import shift_result
+from tests.support.certificates import certify, expire, tls_files, tls_words
 from tests.support.fleet_broker import fleet_broker
 from tests.support.fleet_worker import worker
 from tests.support.outboxes import NOW, put, sending, until
@@ -27,24 +26,17 @@ from tests.support.outboxes import NOW, put, sending, until
 pytestmark = pytest.mark.broker
 
 QUICK = DeliveryLimits(first_pause_s=0.05, longest_pause_s=0.2)
-A_DAY = Lifetime.of_days(1, datetime.now(UTC))
 ALARM_S = 60.0  # within which somebody has to know
-YESTERDAY = Lifetime(begin=A_DAY.begin - timedelta(days=2), end=A_DAY.begin - timedelta(days=1))
 
 
-@pytest.fixture(name="authority")
-def _authority(tmp_path: Path) -> Authority:
-    authority = Authority.make(tmp_path / "certificates", A_DAY)
-    authority.issue_server("broker", ["127.0.0.1"], A_DAY)
-    authority.issue_client("car1", A_DAY)
-    authority.issue_client("car2", A_DAY)
-    authority.issue_client("fleet-backend", A_DAY)
-    return authority
+@pytest.fixture(name="certificates")
+def _certificates(tmp_path: Path) -> Path:
+    return certify(tmp_path / "certificates", "broker", "car1", "car2", "fleet-backend")
 
 
 @pytest.fixture(name="broker")
-def _broker(tmp_path: Path, authority: Authority) -> Iterator[Mosquitto]:
-    broker = fleet_broker(tmp_path / "mosquitto", authority)
+def _broker(tmp_path: Path, certificates: Path) -> Iterator[Mosquitto]:
+    broker = fleet_broker(tmp_path / "mosquitto", certificates)
     broker.start()
     yield broker
     broker.stop()
@@ -54,13 +46,6 @@ def _broker(tmp_path: Path, authority: Authority) -> Iterator[Mosquitto]:
 def _store() -> Iterator[ResultStore]:
     with closing(ResultStore.in_memory()) as store:
         yield store
-
-
-def files(authority: Authority, name: str | None) -> TlsFiles:
-    folder = authority.folder
-    if name is None:
-        return TlsFiles(authority=folder / "ca.crt")
-    return TlsFiles(authority=folder / "ca.crt", certificate=folder / f"{name}.crt", key=folder / f"{name}.key")
 
 
 @asynccontextmanager
@@ -76,111 +61,106 @@ async def running(
         yield outbox
 
 
-def backend(authority: Authority, broker: Mosquitto) -> Acknowledger:
-    folder = authority.folder
-    paths = (str(folder / "ca.crt"), str(folder / "fleet-backend.crt"), str(folder / "fleet-backend.key"))
-    return Acknowledger(broker.port, tls=paths)
+def backend(certificates: Path, broker: Mosquitto) -> Acknowledger:
+    _, ca, _, certificate, _, key = tls_words(certificates, "fleet-backend")
+    return Acknowledger(broker.port, tls=(ca, certificate, key))
 
 
-async def test_a_vehicle_and_its_backend_meet(store: ResultStore, broker: Mosquitto, authority: Authority) -> None:
+async def test_a_vehicle_and_its_backend_meet(store: ResultStore, broker: Mosquitto, certificates: Path) -> None:
     put(store, [1, 2, 3])
-    with backend(authority, broker) as hearing:
-        async with running(store, broker, files(authority, "car1")):
+    with backend(certificates, broker) as hearing:
+        async with running(store, broker, tls_files(certificates, "car1")):
             await until(lambda: store.unpublished_count("car1") == 0)
     assert hearing.seqs() == {1, 2, 3}
 
 
 @pytest.mark.parametrize(
-    ("name", "lifetime", "host", "alarm"),
+    ("name", "host", "alarm"),
     [
-        pytest.param(None, A_DAY, "127.0.0.1", "certificate required", id="no certificate"),
-        pytest.param("late", YESTERDAY, "127.0.0.1", "certificate expired", id="expired certificate"),
-        pytest.param("car1", A_DAY, "localhost", "certificate is not valid for 'localhost'", id="wrong host"),
+        pytest.param(None, "127.0.0.1", "certificate required", id="no certificate"),
+        pytest.param("late", "127.0.0.1", "certificate expired", id="expired certificate"),
+        pytest.param("car1", "localhost", "certificate is not valid for 'localhost'", id="wrong host"),
     ],
 )
 async def test_who_has_no_business_is_refused_told_and_loses_nothing(
     store: ResultStore,
     broker: Mosquitto,
-    authority: Authority,
+    certificates: Path,
     caplog: pytest.LogCaptureFixture,
     name: str | None,
-    lifetime: Lifetime,
     host: str,
     alarm: str,
 ) -> None:
     if name == "late":
-        authority.issue_client(name, lifetime)
+        expire(certify(certificates, name), name)
     put(store, [1, 2])
-    with backend(authority, broker) as hearing:
-        async with running(store, broker, files(authority, name), host=host):
+    with backend(certificates, broker) as hearing:
+        async with running(store, broker, tls_files(certificates, name), host=host):
             await until(lambda: "2 results wait in the store" in caplog.text, ALARM_S)
         assert alarm in caplog.text
         assert hearing.seqs() == set()
-        async with running(store, broker, files(authority, "car1")):  # put right
+        async with running(store, broker, tls_files(certificates, "car1")):  # put right
             await until(lambda: store.unpublished_count("car1") == 0)
     assert hearing.seqs() == {1, 2}
 
 
 async def test_another_vehicle_s_topic_is_refused(
-    store: ResultStore, broker: Mosquitto, authority: Authority, caplog: pytest.LogCaptureFixture
+    store: ResultStore, broker: Mosquitto, certificates: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     put(store, [1], vehicle="car2")
-    with backend(authority, broker) as hearing:
-        async with running(store, broker, files(authority, "car1"), vehicle="car2"):
+    with backend(certificates, broker) as hearing:
+        async with running(store, broker, tls_files(certificates, "car1"), vehicle="car2"):
             await until(lambda: "1 results wait in the store" in caplog.text, ALARM_S)
         assert "subscription to clutchdiag/v1/car2/ack was refused" in caplog.text
         assert hearing.seqs() == set()
-        async with running(store, broker, files(authority, "car2"), vehicle="car2"):
+        async with running(store, broker, tls_files(certificates, "car2"), vehicle="car2"):
             await until(lambda: store.unpublished_count("car2") == 0)
 
 
 async def test_an_expired_certificate_is_renewed_without_a_restart(
-    store: ResultStore, broker: Mosquitto, authority: Authority, caplog: pytest.LogCaptureFixture
+    store: ResultStore, broker: Mosquitto, certificates: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    authority.issue_client("car1", YESTERDAY)
+    expire(certificates, "car1")
     put(store, [1])
-    with backend(authority, broker):
-        async with running(store, broker, files(authority, "car1")) as outbox:
+    with backend(certificates, broker):
+        async with running(store, broker, tls_files(certificates, "car1")) as outbox:
             await until(lambda: "1 results wait in the store" in caplog.text)
-            authority.issue_client("car1", A_DAY)
+            certify(certificates, "car1")
             await until(lambda: store.unpublished_count("car1") == 0)
             failed = outbox.counts.failed
-            authority.issue_client("car1", A_DAY)  # and again, in good time: a new connection takes it up
+            certify(certificates, "car1")  # and again, in good time: a new connection takes it up
             put(store, [2])
             await until(lambda: outbox.counts.failed > failed)
             await until(lambda: store.unpublished_count("car1") == 0)
 
 
 async def test_a_key_that_others_may_read_is_not_used(
-    store: ResultStore, broker: Mosquitto, authority: Authority, caplog: pytest.LogCaptureFixture
+    store: ResultStore, broker: Mosquitto, certificates: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    (authority.folder / "car1.key").chmod(0o644)
+    (certificates / "car1.key").chmod(0o644)
     put(store, [1])
-    with backend(authority, broker):
-        async with running(store, broker, files(authority, "car1")):
+    with backend(certificates, broker):
+        async with running(store, broker, tls_files(certificates, "car1")):
             await until(lambda: "may be read by others: chmod 600" in caplog.text)
-            (authority.folder / "car1.key").chmod(0o600)
+            (certificates / "car1.key").chmod(0o600)
             await until(lambda: store.unpublished_count("car1") == 0)
 
 
 async def test_a_certificate_of_another_vehicle_than_the_payload_is_an_alarm_and_costs_the_others_nothing(
-    tmp_path: Path, store: ResultStore, broker: Mosquitto, authority: Authority, sqlite_url: str
+    tmp_path: Path, store: ResultStore, broker: Mosquitto, certificates: Path, sqlite_url: str
 ) -> None:
     """The broker lets car1 write to its own topic; what it says there of car2 is the backend's to refuse."""
-    folder = authority.folder
-    names = (("--ca", "ca.crt"), ("--cert", "fleet-backend.crt"), ("--key", "fleet-backend.key"))
-    tls = [word for option, name in names for word in (option, str(folder / name))]
     engine = open_database(sqlite_url)
     own = shift_message(shift_record(shift_result(7, to_gear=4, vehicle="car1")))
     lie = shift_message(shift_record(shift_result(7, to_gear=4, vehicle="car2")))
-    with worker(tmp_path, f"mqtts://127.0.0.1:{broker.port}", sqlite_url, *tls):
+    with worker(tmp_path, f"mqtts://127.0.0.1:{broker.port}", sqlite_url, *tls_words(certificates, "fleet-backend")):
         async with MqttConnector(
-            BrokerAddress(host="127.0.0.1", port=broker.port, tls=files(authority, "car1")), "liar"
+            BrokerAddress(host="127.0.0.1", port=broker.port, tls=tls_files(certificates, "car1")), "liar"
         ).connect(NOW) as link:
             await link.send([replace(lie, topic=own.topic)])
         await until(lambda: bool(queries.identity_alarms(engine)), ALARM_S)
         put(store, [7])  # put right: the same shift as what it is
-        async with running(store, broker, files(authority, "car1")):
+        async with running(store, broker, tls_files(certificates, "car1")):
             await until(lambda: store.unpublished_count("car1") == 0)
     (alarm,) = queries.identity_alarms(engine)
     assert (alarm["vehicle"], alarm["message_count"]) == ("car1", 1)

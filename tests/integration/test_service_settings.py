@@ -1,29 +1,22 @@
 """The service from one settings file: mutual TLS to a real Mosquitto, a backend that acknowledges, no secret said."""
 
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from diag_service.store import ResultStore
-from fleet_backend.certificates.authority import Authority, Lifetime
 from tests.plugins.broker import Mosquitto
 from tests.support.acknowledger import Acknowledger
+from tests.support.certificates import certify
 from tests.support.in_process import ended as run
 
 pytestmark = pytest.mark.broker
 
-A_DAY = Lifetime.of_days(1, datetime.now(UTC))
-
 
 @pytest.fixture(name="certificates")
 def _certificates(tmp_path: Path) -> Path:
-    authority = Authority.make(tmp_path / "certificates", A_DAY)
-    authority.issue_server("broker", ["127.0.0.1"], A_DAY)
-    for name in ("car1", "fleet-backend"):
-        authority.issue_client(name, A_DAY)
-    return authority.folder
+    return certify(tmp_path / "certificates", "broker", "car1", "fleet-backend")
 
 
 @pytest.fixture(name="broker")

@@ -4,25 +4,17 @@ import socket
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
 import psutil
 
-from fleet_backend.certificates.authority import Authority, Lifetime
+from tests.support.certificates import certify, tls_words
 from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 from tests.support.service import NOTHING, PROGRAM, environment
 
 _POLL_S = 0.02
-
-
-def make_certificates(folder: Path) -> tuple[str, ...]:
-    """Make an authority and a node of this machine; return the options that name them."""
-    lifetime = Lifetime.of_days(1.0, datetime.now(UTC))
-    Authority.make(folder, lifetime).issue_node("node", ["127.0.0.1"], lifetime)
-    return ("--ca", str(folder / "ca.crt"), "--cert", str(folder / "node.crt"), "--key", str(folder / "node.key"))
 
 
 class Cluster:
@@ -39,7 +31,7 @@ class Cluster:
     """
 
     def __init__(self, folder: Path, variables: Mapping[str, str] = NOTHING, program: Sequence[str] = PROGRAM) -> None:
-        self.tls = make_certificates(folder / "certificates")
+        self.tls = tls_words(certify(folder / "certificates", "node1"), "node1")
         self.port = free_port()
         self.address = f"tls://127.0.0.1:{self.port}"
         self.scheduler: subprocess.Popen[bytes] | None = None

@@ -16,7 +16,6 @@ MODULES = {
     "ecu-emulator": "ecu_emulator",
     "diag-service": "diag_service",
     "fleet-backend": "fleet_backend",
-    "fleet-certificates": "fleet_backend.certificates",
 }
 """Programs by the name that users type, and the module that is run for each."""
 

@@ -7,7 +7,6 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AsyncExitStack, ExitStack, closing, contextmanager
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
@@ -21,12 +20,11 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersi
 from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Outbox
 from diag_service.store import ResultStore
 from fleet_backend import queries
-from fleet_backend.certificates.access import nats_users
-from fleet_backend.certificates.authority import Authority, Lifetime
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
-from fleet_link import BrokerAddress, TlsFiles
-from tests.support.fleet_broker import DEPLOY, fleet_broker
+from fleet_link import BrokerAddress
+from tests.support.certificates import certify, tls_files, tls_words
+from tests.support.fleet_broker import fleet_broker, write_access
 from tests.support.fleet_worker import worker
 from tests.support.nats import NatsServer
 from tests.support.outboxes import NOW, put, sending, until
@@ -67,12 +65,12 @@ class Hostile:
     """What a vehicle with its own certificate tries, from connections of its own."""
 
     def __init__(
-        self, authority: Authority, port: int, victims: Sequence[str], *, is_version_5: bool, flood_count: int = 20
+        self, folder: Path, port: int, victims: Sequence[str], *, is_version_5: bool, flood_count: int = 20
     ) -> None:
         self.codes: list[int] = []  # what the broker said to its subscriptions
         self.heard: list[str] = []  # topics on which it was told something
         self._native: NatsClient | None = None
-        self._folder = authority.folder
+        self._folder = folder
         self._port = port
         self._victims = victims
         self._flood_count = flood_count  # messages of each connection to each topic
@@ -201,15 +199,14 @@ class Hostile:
                 thread.join(HANG_S)
 
 
-async def deliver(authority: Authority, port: int, names: Sequence[str], seqs: Iterable[int]) -> float:
+async def deliver(certificates: Path, port: int, names: Sequence[str], seqs: Iterable[int]) -> float:
     """Deliver what vehicles have, results of these positions each, and return how long it took [s]."""
-    folder, begin_s = authority.folder, time.monotonic()
+    begin_s = time.monotonic()
     async with AsyncExitStack() as stack:
         stores, outboxes = {}, {}
         for name in names:
             store = stores[name] = stack.enter_context(closing(ResultStore.in_memory()))
-            tls = TlsFiles(authority=folder / "ca.crt", certificate=folder / f"{name}.crt", key=folder / f"{name}.key")
-            address = BrokerAddress(host="127.0.0.1", port=port, tls=tls)
+            address = BrokerAddress(host="127.0.0.1", port=port, tls=tls_files(certificates, name))
             identifier = f"clutchdiag-{name}-{store.connection_secret()}"
             connect = partial(MqttConnector(address, identifier, is_persistent=True).connect, NOW)
             outbox = outboxes[name] = Outbox(
@@ -230,12 +227,6 @@ async def deliver(authority: Authority, port: int, names: Sequence[str], seqs: I
     return time.monotonic() - begin_s
 
 
-def backend_words(authority: Authority) -> tuple[str, ...]:
-    folder = authority.folder
-    names = (("--ca", "ca.crt"), ("--cert", "fleet-backend.crt"), ("--key", "fleet-backend.key"))
-    return tuple(word for option, name in names for word in (option, str(folder / name)))
-
-
 def stored(url: str) -> int:
     """Return how many results the fleet's database has."""
     engine = open_database(url)
@@ -243,16 +234,6 @@ def stored(url: str) -> int:
         return queries.result_count(engine)
     finally:
         engine.dispose()
-
-
-def authority_of(folder: Path, names: Sequence[str]) -> Authority:
-    """Return an authority that has given certificates to a broker, the backend, some vehicles and the bad one."""
-    day = Lifetime.of_days(1, datetime.now(UTC))
-    authority = Authority.make(folder, day)
-    authority.issue_server("broker", ["127.0.0.1"], day)
-    for name in (*names, BAD, "fleet-backend"):
-        authority.issue_client(name, day)
-    return authority
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -301,33 +282,34 @@ async def attack(
     folder: Path, kind: str, names: Sequence[str], shifts: int, topic_count: int = TOPICS, part_count: int = PARTS
 ) -> Outcome:
     """Let vehicles deliver, then once more under attack of one of their own kind."""
-    authority, url = authority_of(folder / "certificates", names), f"sqlite:///{folder}/fleet.sqlite"
+    certificates = certify(folder / "certificates", "broker", *names, BAD, "fleet-backend")
+    url = f"sqlite:///{folder}/fleet.sqlite"
     engine = open_database(url)
     migrate(engine)
     engine.dispose()
-    words, place = backend_words(authority), folder / kind
+    words, place = tls_words(certificates, "fleet-backend"), folder / kind
     with ExitStack() as stack:
         flood_count = 20 if kind == "mosquitto" else 1
         if kind == "mosquitto":
-            mosquitto = fleet_broker(place, authority)
+            mosquitto = fleet_broker(place, certificates)
             mosquitto.start()
             stack.callback(mosquitto.stop)
             port, pid, words = mosquitto.port, mosquitto.pid, (*words, "--group", GROUP)
             address = f"mqtts://127.0.0.1:{port}"
         else:
-            text = (DEPLOY / "nats.conf").read_text(encoding="utf-8").partition("authorization {")[0]
-            text += f"authorization {{\n{nats_users([*names, BAD, 'fleet-backend'])}}}\n"
             place.mkdir()
-            server = NatsServer(place, text.replace("/etc/clutchdiag", str(authority.folder)))
+            write_access(certificates)
+            text = (certificates / "nats.conf").read_text(encoding="utf-8")
+            server = NatsServer(place, text.replace("/etc/clutchdiag", str(certificates)))
             server.start()
             stack.callback(server.stop)
             port, pid, address = server.port, server.pid, server.url.replace("nats://", "nats+tls://")
         stack.enter_context(worker(folder, address, url, *words))
         is_version_5 = kind == "mosquitto"
-        hostile = Hostile(authority, port, names, is_version_5=is_version_5, flood_count=flood_count)
+        hostile = Hostile(certificates, port, names, is_version_5=is_version_5, flood_count=flood_count)
         if kind == "nats":
             await hostile.listen(server.url)
-        usual_s = await deliver(authority, port, names, range(1, shifts + 1))
+        usual_s = await deliver(certificates, port, names, range(1, shifts + 1))
         granted = [topic for topic in (*OTHERS, INNER) if hostile.subscribe(topic)]
         hostile.tell(f"clutchdiag/v1/{names[0]}/ack")
         hostile.vanish()
@@ -335,7 +317,7 @@ async def attack(
         await asyncio.to_thread(hostile.fill, topic_count, part_count)
         kept_bytes = psutil.Process(pid).memory_info().rss - before_bytes
         with hostile.storming():
-            took_s = await deliver(authority, port, names, range(shifts + 1, 2 * shifts + 1))
+            took_s = await deliver(certificates, port, names, range(shifts + 1, 2 * shifts + 1))
         await hostile.close()
     (log,) = place.glob("*.log")
     return Outcome(

@@ -22,7 +22,7 @@ CORE: Mapping[str, tuple[str, ...]] = {
 }
 ANNEXES = (
     "diag_service.tester", "ecu_emulator.answering", "ecu_emulator.diagnostics", "fleet_backend.office",
-    "fleet_backend.page", "fleet_backend.alarms", "fleet_backend.certificates",
+    "fleet_backend.page", "fleet_backend.alarms",
 )  # fmt: skip
 
 

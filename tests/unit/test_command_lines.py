@@ -11,9 +11,8 @@ from clutchdiag_io.command_line import Command, Program
 from diag_service.commands.arguments import COMMAND_LINE as DIAG_SERVICE
 from ecu_emulator.arguments import COMMAND_LINE as ECU_EMULATOR
 from fleet_backend.arguments import COMMAND_LINE as FLEET_BACKEND
-from fleet_backend.certificates.cli import COMMAND_LINE as FLEET_CERTIFICATES
 
-PROGRAMS = {str(program.name): program for program in (DIAG_SERVICE, ECU_EMULATOR, FLEET_BACKEND, FLEET_CERTIFICATES)}
+PROGRAMS = {str(program.name): program for program in (DIAG_SERVICE, ECU_EMULATOR, FLEET_BACKEND)}
 
 
 def commands_of(group: click.Group) -> Iterator[Command]:

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from fleet_backend.certificates.authority import Authority, Lifetime
 from fleet_backend.config import parse_broker, parse_listen, parse_moment, parse_pace
 from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import ConfigError
 from fleet_link import TlsFiles
+from tests.support.certificates import certify
 
 SYSTEMS = TlsFiles()  # without files the authorities of the system count
 
@@ -49,8 +49,7 @@ def test_certificates_need_tls_and_must_exist() -> None:
 
 
 def test_a_certificate_and_its_key_may_lie_in_one_file_that_a_container_mounts_for_all(tmp_path: Path) -> None:
-    lifetime = Lifetime.of_days(1, datetime.now(UTC))
-    Authority.make(tmp_path, lifetime).issue_client("fleet", lifetime)
+    certify(tmp_path, "fleet")
     both = tmp_path / "both.pem"
     both.write_bytes((tmp_path / "fleet.crt").read_bytes() + (tmp_path / "fleet.key").read_bytes())
     both.chmod(0o444)

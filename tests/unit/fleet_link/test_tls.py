@@ -3,28 +3,17 @@
 import os
 import ssl
 import threading
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
-from fleet_backend.certificates.authority import Authority, Lifetime
 from fleet_link import AddressError, TlsFiles, read_secret
-
-LIFETIME = Lifetime.of_days(1, datetime(2026, 1, 1, tzinfo=UTC))
-
-
-@pytest.fixture(name="authority")
-def _authority(tmp_path: Path) -> Authority:
-    authority = Authority.make(tmp_path, LIFETIME)
-    authority.issue_client("car1", LIFETIME)
-    return authority
+from tests.support.certificates import certify, tls_files
 
 
 @pytest.fixture(name="files")
-def _files(tmp_path: Path, authority: Authority) -> TlsFiles:
-    assert authority.folder == tmp_path
-    return TlsFiles(authority=tmp_path / "ca.crt", certificate=tmp_path / "car1.crt", key=tmp_path / "car1.key")
+def _files(tmp_path: Path) -> TlsFiles:
+    return tls_files(certify(tmp_path, "car1"), "car1")
 
 
 def test_the_name_of_the_broker_is_checked_and_old_versions_are_not_spoken(files: TlsFiles) -> None:
@@ -34,10 +23,10 @@ def test_the_name_of_the_broker_is_checked_and_old_versions_are_not_spoken(files
     assert context.minimum_version is ssl.TLSVersion.TLSv1_2
 
 
-def test_a_renewal_is_noticed(files: TlsFiles, authority: Authority) -> None:
+def test_a_renewal_is_noticed(files: TlsFiles, tmp_path: Path) -> None:
     before = files.fingerprint()
     assert files.fingerprint() == before
-    authority.issue_client("car1", LIFETIME)
+    certify(tmp_path, "car1")
     assert files.fingerprint() != before
 
 
