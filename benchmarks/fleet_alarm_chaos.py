@@ -1,4 +1,4 @@
-"""Alarms while everything is killed by SIGKILL, again and again: watch, page, PostgreSQL, the webhook's receiver.
+"""Alarms while everything is killed by SIGKILL, again and again: watch, page, PostgreSQL, the receiver.
 
 Vehicles get good and bad results in turn. In the end every alarm that the database knows must have arrived, and the
 receiver, which keeps what it took in a file, must know each key; what came twice has the same key and content. What the
@@ -40,8 +40,6 @@ from tests.support.ports import free_port
 VEHICLES = 50
 CALM_S = 120.0  # the most that is waited after the last kill
 PAUSES_S = {"watch": 12.0, "page": 7.0, "database": 17.0, "receiver": 5.0}
-SECRET = "0123456789abcdef0123456789abcdef"  # noqa: S105 - of a test
-
 
 _WAITING = select(ALARM_MESSAGE.c.key).where(ALARM_MESSAGE.c.delivered_at.is_(None))
 Answer = TypeVar("Answer")
@@ -53,9 +51,10 @@ class Receiver(BaseHTTPRequestHandler):
     book = Path()
 
     def do_POST(self) -> None:
-        body = self.rfile.read(int(self.headers["content-length"]))
+        body = self.rfile.read(int(self.headers["content-length"])).decode()
+        key = json.loads(body)["message"].rpartition("\n")[2]
         with self.book.open("ab") as book:
-            book.write(json.dumps({"key": self.headers["webhook-id"], "body": body.decode()}).encode() + b"\n")
+            book.write(json.dumps({"key": key, "body": body}).encode() + b"\n")
             book.flush()
             os.fsync(book.fileno())
         self.send_response(204)
@@ -77,20 +76,20 @@ class Storm:
     def __init__(self, folder: Path, server: PostgresServer, database: str) -> None:
         self.book = folder / "book.jsonl"
         self.book.touch()
-        secret = folder / "secret"
-        secret.write_text(SECRET, encoding="utf-8")
-        secret.chmod(0o600)
         port, page_port = free_port(), free_port()
+        receiver = folder / "receiver.url"
+        receiver.write_text(f"json://127.0.0.1:{port}", encoding="utf-8")
+        receiver.chmod(0o600)
         access = write_access(folder)
         self.address = f"http://127.0.0.1:{page_port}"
         self._server = server
         self._commands = {
-            "watch": ["fleet_backend", "watch", "--database", database, "--secret", str(secret)],
+            "watch": ["fleet_backend", "watch", "--database", database, "--notify", str(receiver)],
             "receiver": ["benchmarks.fleet_alarm_chaos", "--receive", str(port), "--book", str(self.book)],
             "page": ["fleet_backend", "serve", "--database", database, "--access", str(access)],
         }
         self._commands["page"] += ["--listen", f"127.0.0.1:{page_port}"]
-        self._commands["watch"] += ["--webhook", f"http://127.0.0.1:{port}/", "--silence-days", "3650"]
+        self._commands["watch"] += ["--silence-days", "3650"]
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self.kills: Counter[str] = Counter()
         for name in self._commands:

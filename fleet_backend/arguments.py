@@ -11,7 +11,6 @@ from fleet_backend.choices import Axis, Pace
 PROGRAM: Final = "fleet-backend"
 BROKER_VARIABLE: Final = "CLUTCHDIAG_BROKER"  # these keep passwords out of the process list
 GROUP_VARIABLE: Final = "CLUTCHDIAG_GROUP"
-MAIL_VARIABLE: Final = "CLUTCHDIAG_MAIL"
 DATABASE_VARIABLE: Final = "CLUTCHDIAG_DATABASE"
 
 
@@ -39,12 +38,7 @@ QUESTION: Final = (
 )
 VEHICLE: Final = click.Argument(["vehicle"], metavar="VEHICLE", help="vehicle id")
 CLUTCH: Final = Choice([1, 2])
-BROKER: Final = (
-    Option(
-        "--broker URL",
-        f"mqtt[s]://[user[:password]@]host[:port], MQTT 5 (default: the environment's {BROKER_VARIABLE})",
-        envvar=BROKER_VARIABLE,
-    ),
+_TLS: Final = (
     Option("--ca FILE", "certificate authority of an mqtts:// broker", FILE),
     Option("--cert FILE", "our certificate, for mutual TLS", FILE),
     Option("--key FILE", "its private key", FILE),
@@ -71,7 +65,7 @@ _INGEST: Final = Command(
         f" (default: the environment's {BROKER_VARIABLE})",
         envvar=BROKER_VARIABLE,
     ),
-    *BROKER[1:],
+    *_TLS,
     Option("--worker NAME", "unique name of this worker (default: generated)"),
     Option(
         "--group NAME",
@@ -169,7 +163,7 @@ _FOLLOW: Final = Command(
     click.Argument(["broker"], metavar="BROKER", help=f"mqtt[s]://[user[:password]@]host[:port]; -: {BROKER_VARIABLE}"),
     click.Argument(["vehicles"], nargs=-1, metavar="[VEHICLE...]", help="only these"),
     Option("--json", "one JSON object per line"),
-    *BROKER[1:],
+    *_TLS,
     VERBOSE,
     examples=(f"{PROGRAM} follow mqtt://localhost", f"{PROGRAM} follow mqtts://fleet@broker.example car1 car2 --json"),
 )

@@ -46,7 +46,7 @@ def _ingest(options: SimpleNamespace, engine: Engine) -> None:
     pace = config.parse_pace(options.batch, options.patience, takes_bundles=not options.no_bundles)
     run_ingest(
         engine,
-        broker_of(options, may_be_nats=True),
+        _broker_of(options),
         pace,
         options.worker,
         options.alive,
@@ -69,11 +69,11 @@ def user_name() -> str:
         return f"uid {os.getuid()}"
 
 
-def broker_of(options: SimpleNamespace, *, may_be_nats: bool = False) -> BrokerAddress:
+def _broker_of(options: SimpleNamespace) -> BrokerAddress:
     if not options.broker:
         raise ConfigError(f"no broker: give --broker or set {BROKER_VARIABLE}")
     files = {"ca": options.ca, "certificate": options.cert, "key": options.key}
-    return config.parse_broker(options.broker, **files, may_be_nats=may_be_nats)
+    return config.parse_broker(options.broker, **files, may_be_nats=True)
 
 
 def _migrate(_options: SimpleNamespace, engine: Engine) -> None:

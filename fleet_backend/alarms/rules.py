@@ -1,22 +1,16 @@
 """When an alarm is raised and when it is over: pure, each with a gap between both so that none flutters."""
 
-import base64
-import binascii
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from enum import StrEnum
 from itertools import pairwise
-from pathlib import Path
 from typing import Final
-from urllib.parse import SplitResult, urlsplit
 
 from clutchdiag_io.people import is_dated
 from fleet_backend.errors import ConfigError
 from fleet_backend.intake import CLOCK_ERROR
 from fleet_contract.orders import Action, name_of
-from fleet_link import AddressError, read_secret
 
 WHOLE_VEHICLE = 0  # in place of the number of a clutch
 
@@ -31,7 +25,7 @@ class Rule(StrEnum):
     SILENCE = "silence"  # nothing was heard of a vehicle
     CAUSE = "cause"  # something is probably wrong that new fluid does not mend
     SCORE = "score"  # gears are changed worse than before
-    CORRECTION = "correction"  # the control should adapt something for sure
+    CORRECTION = "correction"  # of releases before 0.10: no longer raised
     QUOTA = "quota"  # it sends more than is taken of it in a day
 
 
@@ -54,7 +48,6 @@ class Limits:
     least_events: int = 20
     fall_from: float = 15.0  # points of the score, means of the last twenty against the first of each kind
     fall_until: float = 8.0
-    sure_changes: int = 3  # one after the other that name a correction, or none
     leap_m: float = 1.0e8  # between two results, which no vehicle drives
     silence_from: timedelta = timedelta(days=14)
     silence_until: timedelta = timedelta(days=1)
@@ -139,15 +132,6 @@ def score_finding(whose: Whose, fall: float | None, limits: Limits) -> Finding:
     return Finding(subject=_subject(whose, Rule.SCORE), is_wrong=is_wrong, reason=reason)
 
 
-def correction_finding(whose: Whose, named: Sequence[bool], lines: Sequence[str], limits: Limits) -> Finding:
-    """Return whether the last changes of those that can tell named a correction."""
-    last = named[-limits.sure_changes :]
-    is_wrong = len(last) == limits.sure_changes and all(last)
-    reason = f"adapt {'; '.join(lines)}" if lines else f"nothing to adapt of {whose.clutch_name}"
-    is_open = None if any(last) and not is_wrong else is_wrong
-    return Finding(subject=_subject(whose, Rule.CORRECTION), is_wrong=is_open, reason=reason)
-
-
 def odometer_finding(whose: Whose, readings_m: Sequence[float], limits: Limits) -> Finding:
     """Return whether the last readings of an odometer, in their order, can be those of one."""
     wrong = [(a, b) for a, b in pairwise(readings_m) if not 0.0 <= b - a <= limits.leap_m]
@@ -181,6 +165,13 @@ def quota_findings(withheld: Mapping[str, int], is_open: Iterable[Subject]) -> I
         yield Finding(subject=_subject(Whose(vehicle, WHOLE_VEHICLE), Rule.QUOTA), is_wrong=count > 0, reason=reason)
 
 
+def retired_findings(is_open: Iterable[Subject]) -> Iterator[Finding]:
+    """Yield that alarms of a rule that is no more are over."""
+    for one in is_open:
+        if one.rule is Rule.CORRECTION:
+            yield Finding(subject=one, is_wrong=False, reason="nothing is told of it any more")
+
+
 def transitions(findings: Iterable[Finding], is_open: Mapping[Subject, bool], now: datetime) -> Iterator[Transition]:
     """Yield what becomes of alarms; ``is_open`` knows those that are."""
     for one in findings:
@@ -201,50 +192,7 @@ def _beyond(value: float, begin: float, end: float) -> bool | None:
     return False if value <= end else None
 
 
-_LEAST_SECRET: Final = 24  # bytes, as Standard Webhooks asks for
-_ADDRESS: Final = re.compile(r"[^@\s<>,;]{1,64}@[A-Za-z0-9.-]{1,255}")
 _MOST_KM: Final = 300_000.0  # as far as a prognosis looks
-
-
-def parse_webhook(url: str) -> str:
-    """Return where alarms are posted; raises ConfigError, without the address: it may hold a secret."""
-    parts = _split(url)
-    if parts is None or parts.scheme not in {"http", "https"} or not parts.hostname or not url.isprintable():
-        raise ConfigError("--webhook must be https://host/path")
-    if parts.scheme == "http" and parts.hostname not in {"127.0.0.1", "localhost", "::1"}:
-        raise ConfigError("--webhook: http is for this machine only; use https")
-    return url
-
-
-def parse_secret(path: Path | None) -> bytes:
-    """Return the secret in a file: ``whsec_`` and base64, or any text; raises ConfigError."""
-    if path is None:
-        raise ConfigError("a webhook needs --secret FILE, so that its receiver can verify the sender")
-    try:
-        text = read_secret(path)
-    except AddressError as exc:
-        raise ConfigError(str(exc)) from exc
-    try:
-        is_coded = text.startswith("whsec_")
-        secret = base64.b64decode(text.removeprefix("whsec_"), validate=True) if is_coded else text.encode()
-    except (binascii.Error, ValueError) as exc:
-        raise ConfigError(f"{path}: whsec_ must be followed by base64") from exc
-    if len(secret) < _LEAST_SECRET:
-        raise ConfigError(f"{path}: a secret must have {_LEAST_SECRET} bytes or more")
-    return secret
-
-
-def parse_mail(url: str, sender: str | None, recipients: Sequence[str]) -> tuple[SplitResult, str, tuple[str, ...]]:
-    """Return the server for e-mail, who sends and who receives; raises ConfigError, without the address."""
-    parts = _split(url)
-    if parts is None or parts.scheme not in {"smtp", "smtps"} or not parts.hostname:
-        raise ConfigError("--mail must be smtp[s]://[user[:password]@]host[:port]")
-    if sender is None or not recipients:
-        raise ConfigError("e-mail needs --from and --to")
-    for address in (sender, *recipients):
-        if not _ADDRESS.fullmatch(address):
-            raise ConfigError(f"{address!r} is not an e-mail address")
-    return parts, sender, tuple(recipients)
 
 
 def parse_silence(days: float) -> timedelta:
@@ -259,12 +207,3 @@ def parse_service_km(distance_km: float) -> float:
     if not 1.0 <= distance_km <= _MOST_KM:
         raise ConfigError(f"--service-km must be 1 to {_MOST_KM:g}, got {distance_km:g}")
     return 1000.0 * distance_km
-
-
-def _split(url: str) -> SplitResult | None:
-    try:
-        parts = urlsplit(url)
-        _ = parts.port
-    except ValueError:
-        return None
-    return parts

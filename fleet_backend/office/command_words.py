@@ -3,7 +3,7 @@
 from typing import Final
 
 from clutchdiag_io.command_line import FILE, FLOAT, Command, Option
-from fleet_backend.arguments import BROKER, CLUTCH, COMMON, MAIL_VARIABLE, METRICS, PROGRAM, QUESTION, VEHICLE, count
+from fleet_backend.arguments import CLUTCH, COMMON, METRICS, PROGRAM, QUESTION, VEHICLE, count
 
 DEFAULT_SERVICE_KM: Final = 15_000
 DEFAULT_SILENCE_DAYS: Final = 14
@@ -61,17 +61,12 @@ _WATCH: Final = Command(
     "watch",
     "raise alarms by rules and deliver them, until stopped",
     *COMMON,
-    Option("--webhook URL", "post each alarm there, signed with the secret"),
-    Option("--secret FILE", "secret that the receiver of the webhook knows, as Standard Webhooks has it", FILE),
     Option(
-        "--mail URL",
-        f"smtp[s]://[user[:password]@]host[:port] that sends e-mail (default: the environment's {MAIL_VARIABLE})",
-        envvar=MAIL_VARIABLE,
+        "--notify FILE",
+        "tell each alarm at the address in this file, as apprise has it: mail, chat, webhook, MQTT; may be repeated",
+        FILE,
+        multiple=True,
     ),
-    Option("--from ADDRESS", "sender of e-mail"),
-    Option("--to ADDRESS", "who gets e-mail; may be given several times", multiple=True),
-    Option("--mqtt", "publish each alarm on clutchdiag/alarms/v1/VEHICLE of the broker"),
-    *BROKER,
     Option(
         "--service-km KM",
         f"distance to the next service (default: {DEFAULT_SERVICE_KM})",
@@ -89,9 +84,8 @@ _WATCH: Final = Command(
     METRICS,
     Option("--once", "judge each vehicle once, however long that takes, deliver, and end"),
     examples=(
-        f"{PROGRAM} watch --webhook https://hooks.example/fleet --secret webhook.secret",
-        f"{PROGRAM} watch --mqtt --broker mqtts://fleet@broker.example",
-        f"{PROGRAM} watch --mail smtp://mail.example --from fleet@example.org --to workshop@example.org --once",
+        f"{PROGRAM} watch --notify workshop.url",
+        f"{PROGRAM} watch --notify workshop.url --notify hook.url --once",
     ),
 )
 _ROLLUP: Final = Command(

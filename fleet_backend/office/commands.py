@@ -1,6 +1,7 @@
 """What the commands of the fleet office do."""
 
 import sys
+from collections import Counter
 from collections.abc import Callable, Coroutine
 from datetime import UTC, datetime
 from functools import partial
@@ -11,9 +12,8 @@ from typing import Any
 from sqlalchemy import Engine
 
 from fleet_backend import queries, report
-from fleet_backend.alarms.carriers import Carrier, Mail, Mqtt, Webhook
-from fleet_backend.alarms.rules import Limits, parse_mail, parse_secret, parse_service_km, parse_silence, parse_webhook
-from fleet_backend.commands import broker_of, metrics_of, tell, user_name
+from fleet_backend.alarms.rules import Limits, parse_service_km, parse_silence
+from fleet_backend.commands import metrics_of, tell, user_name
 from fleet_backend.config import parse_listen
 from fleet_backend.database import default_database, open_database
 from fleet_backend.errors import ConfigError, ExtraMissingError
@@ -93,14 +93,10 @@ def serve(
 def watch(options: SimpleNamespace, engine: Engine) -> None:
     limits = Limits(silence_from=parse_silence(options.silence_days))
     distance_m = parse_service_km(options.service_km)
-    carriers: list[Carrier] = []
-    if options.webhook is not None:
-        carriers.append(Webhook(url=parse_webhook(options.webhook), secret=parse_secret(options.secret)))
-    if options.mail:
-        server, sender, recipients = parse_mail(options.mail, getattr(options, "from"), options.to)
-        carriers.append(Mail(server=server, sender=sender, recipients=recipients))
-    if options.mqtt:
-        carriers.append(Mqtt(broker=broker_of(options)))
+    carriers = [_page_part("fleet_backend.alarms.carriers").read_carrier(path) for path in options.notify]
+    for name, count in Counter(one.name for one in carriers).items():
+        if count > 1:
+            raise ConfigError(f"--notify: two files are called {name}, by which alarms remember whom they reached")
     watching = _page_part("fleet_backend.office.watching")
     orders = watching.Orders(carriers=carriers, limits=limits, service_distance_m=distance_m)
     if options.listen is not None:

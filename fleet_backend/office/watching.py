@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
 from itertools import chain
-from typing import Final
+from typing import Final, Protocol
 
 from prometheus_client.core import Metric
 from sqlalchemy import Engine, func, select
@@ -18,17 +18,16 @@ from clutchdiag_io.metrics import gauge
 from fleet_backend import queries
 from fleet_backend.alarms import book, rules
 from fleet_backend.alarms.book import Letter
-from fleet_backend.alarms.carriers import LONGEST_WAIT_S, Carrier, deliver_all
 from fleet_backend.config import Place
 from fleet_backend.database import transaction
-from fleet_backend.errors import DatabaseError
+from fleet_backend.errors import CarrierError, DatabaseError
 from fleet_backend.months import month_of, partitions
 from fleet_backend.office_tables import ALARM_MESSAGE, INTAKE
 from fleet_backend.orders import is_alarming_since
 from fleet_backend.page import past
 from fleet_backend.page.keeper import Keeper, fleet_families
 from fleet_backend.page.maintenance_view import due_of, keep_due
-from fleet_backend.page.outlook import chance_of, outlook_of, outlook_text, shifting_of
+from fleet_backend.page.outlook import chance_of, outlook_of, outlook_text, score_fall_of
 from fleet_backend.page.populations import Kept, latest
 from fleet_backend.page.records import ClutchNow, Severity
 from fleet_backend.page.running import DatabaseSource, last_arrivals
@@ -40,7 +39,19 @@ ROUND_S: Final = 10.0
 JUDGING_S: Final = 5.0  # of a round, for prognoses; what is left over is judged in the next
 ONCE_S: Final = 60.0  # the same where nothing waits for the round; what was found is delivered after each
 DELIVERY_S: Final = 2.0
+TURN_S: Final = 15.0  # of a carrier, for what waits for it
 _LOG: Final = logging.getLogger(__name__)
+
+
+class Carrier(Protocol):
+    """Brings one message where it belongs."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in the book."""
+
+    def deliver(self, letter: Letter) -> None:
+        """Deliver a message; raises CarrierError if that did not work now."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,7 +101,8 @@ class Watch:
         names = [carrier.name for carrier in self._orders.carriers]
         is_open = book.open_alarms(self._engine)
         quotas = rules.quota_findings(self._withheld(now), is_open)
-        findings = chain(quotas, self._findings(now, is_open), self._pasts(judging_s))
+        retired = rules.retired_findings(is_open)
+        findings = chain(quotas, retired, self._findings(now, is_open), self._pasts(judging_s))
         steps = list(rules.transitions(findings, is_open, now))
         written = book.write(self._engine, steps, names)
         for step in written:
@@ -130,18 +142,26 @@ class Watch:
         yield gauge("watch_round_seconds", "How long it took.", took_s)
         yield gauge("watch_waiting_vehicles", "Vehicles with news that it did not get to.", self.waiting_count)
 
-    def deliver(self, turn_s: float = LONGEST_WAIT_S) -> int:
-        """Deliver what waits, each carrier for a turn, so that none waits for one that hangs; return how many came."""
+    def deliver(self, turn_s: float = TURN_S) -> int:
+        """Deliver what waits, each carrier for a turn, so that none waits for one that hangs; return how many came.
 
-        def settle(letter: Letter, complaint: str | None) -> None:
-            if complaint is not None:
-                _LOG.warning("%s; trying again (%s)", complaint, letter.key)
-            book.settle(self._engine, letter, self._now(), complaint)
-
-        def take(name: str) -> Letter | None:
-            return None if self.is_over else book.take(self._engine, name, self._now())
-
-        return sum(deliver_all(take, settle, carrier, self._now(), turn_s) for carrier in self._orders.carriers)
+        What was delivered and not settled, because the process died between both, is delivered again under its key.
+        """
+        count = 0
+        for carrier in self._orders.carriers:
+            end_s = time.monotonic() + turn_s
+            while not self.is_over and (letter := book.take(self._engine, carrier.name, self._now())) is not None:
+                complaint = None
+                try:
+                    carrier.deliver(letter)
+                    count += 1
+                except CarrierError as exc:
+                    complaint = str(exc)
+                    _LOG.warning("%s; trying again (%s)", complaint, letter.key)
+                book.settle(self._engine, letter, self._now(), complaint)
+                if time.monotonic() >= end_s:
+                    break
+        return count
 
     def _withheld(self, now: datetime) -> dict[str, int]:
         """Return how many messages of today were not taken of each vehicle."""
@@ -195,9 +215,7 @@ class Watch:
             last = rows[-limits.unused_events :]
             unused = sum(row["status"] == "rejected" for row in last)
             yield rules.quality_finding(_whose(one), unused, len(last), limits)
-            fall, named, lines = shifting_of(rows)
-            yield rules.score_finding(_whose(one), fall, limits)
-            yield rules.correction_finding(_whose(one), named, lines, limits)
+            yield rules.score_finding(_whose(one), score_fall_of(rows), limits)
             readings_m = [row["odometer_m"] for row in last if row["odometer_m"] is not None]
             yield rules.odometer_finding(_whose(one), readings_m, limits)
             readings.append([(row["end_at"], row["odometer_m"]) for row in rows])

@@ -61,12 +61,9 @@ def estimate_of(row: Row) -> ShiftEstimate:
     )
 
 
-def shifting_of(rows: Sequence[Row]) -> tuple[float | None, list[bool], list[str]]:
-    """Return by how much the score fell, of changes that can tell whether they name a correction, and the newest."""
-    estimates = list(map(estimate_of, rows))
-    told = (one.shift_quality for one in estimates)
-    named = [bool(one.corrections) for one in told if one is not None and one.std_touch_error_pa is not None]
-    return fall_of(estimates), named, correction_lines(estimates)
+def score_fall_of(rows: Sequence[Row]) -> float | None:
+    """Return by how much the score of a clutch's changes fell; None: too few tell."""
+    return fall_of(map(estimate_of, rows))
 
 
 def outlook_of(

@@ -1,23 +1,16 @@
-"""Alarms on their way to people: raised once, delivered by key though processes die, signed, and never lost."""
+"""Alarms on their way to people: raised once, delivered by key though processes die, and never lost."""
 
 import asyncio
-import base64
-import hashlib
-import hmac
 import json
-import socketserver
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime, timedelta
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
-from urllib.parse import urlsplit
 
 import httpx
 import pytest
@@ -26,10 +19,10 @@ from sqlalchemy import Engine, event, select
 from diag_service.diagnosis.records import Condition
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter, Note
-from fleet_backend.alarms.carriers import TOPIC_ROOT, Mail, Mqtt, Webhook
+from fleet_backend.alarms.carriers import read_carrier
 from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
 from fleet_backend.cli import main
-from fleet_backend.database import open_database, transaction
+from fleet_backend.database import transaction
 from fleet_backend.errors import CarrierError
 from fleet_backend.office.watching import Orders, Watch, run_watch, watch_for_ever
 from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, AUDIT, FLUID_DUE
@@ -38,13 +31,10 @@ from fleet_backend.page.asking import read_words
 from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.running import DatabaseSource
 from fleet_backend.writer import Batch, Writer
-from fleet_link import Connection, Message, Terms, parse_broker
-from tests.plugins.broker import Mosquitto
 from tests.support.fleet import NOW, fleet_result, row_of
 from tests.support.fleet_page import sources_of
 from tests.support.patience import HANG_S
 
-SECRET = b"0123456789abcdef0123456789abcdef"
 BAD = Condition.CHANGE_FLUID
 
 
@@ -67,8 +57,7 @@ class Memory:
         self.letters: list[Letter] = []
         self.fails = fails
 
-    def deliver(self, letter: Letter, now: datetime) -> None:
-        assert now is not None
+    def deliver(self, letter: Letter) -> None:
         self.letters.append(letter)
         self.fails()
 
@@ -273,16 +262,18 @@ def test_an_alarm_is_acknowledged_once_and_that_is_audited(engine: Engine) -> No
 
 
 class Received(BaseHTTPRequestHandler):
-    """A receiver of webhooks that answers as its server says."""
+    """A receiver of alarms that answers as its server says; whoever follows it elsewhere gets a good answer there."""
+
+    server: "Hooks"
 
     def do_POST(self) -> None:
-        server = self.server
-        assert isinstance(server, Hooks)
-        body = self.rfile.read(int(self.headers["content-length"]))
-        server.received.append((dict(self.headers.items()), body))
-        self.send_response(server.answer)
-        self.send_header("location", "http://127.0.0.1:1/elsewhere")
-        self.send_header("content-length", "0")
+        self.server.received.append(json.loads(self.rfile.read(int(self.headers["content-length"]))))
+        self.send_response(self.server.answer)
+        self.send_header("location", "/elsewhere")
+        self.end_headers()
+
+    def do_GET(self) -> None:
+        self.send_response(200)
         self.end_headers()
 
     def log_message(self, *_: object) -> None:
@@ -290,172 +281,61 @@ class Received(BaseHTTPRequestHandler):
 
 
 class Hooks(ThreadingHTTPServer):
-    """A server for webhooks."""
+    """A server that alarms are sent to, and the file with its address."""
 
-    received: list[tuple[dict[str, str], bytes]]
-    answer = 204
+    def __init__(self, folder: Path) -> None:
+        super().__init__(("127.0.0.1", 0), Received)
+        self.received: list[dict[str, object]] = []
+        self.answer = 204
+        self.address_file = folder / "workshop.url"
+        self.address_file.touch(mode=0o600)
+        self.address_file.write_text(f"json://fleet:hunter2@127.0.0.1:{self.server_port}/alarms\n", encoding="utf-8")
 
 
-@contextmanager
-def running(server: socketserver.BaseServer) -> Iterator[None]:
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    try:
-        yield
-    finally:
-        server.shutdown()
+@pytest.fixture(name="hooks")
+def _hooks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hooks]:
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    with Hooks(tmp_path) as hooks:
+        thread = threading.Thread(target=hooks.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield hooks
+        hooks.shutdown()
         thread.join()
-        server.server_close()
 
 
-LETTER = Letter(
-    key="car1/2/verdict/1/raised",
-    carrier="webhook",
-    payload={
-        "alarm": "car1/2/verdict/1", "event": "raised", "vehicle": "car1", "clutch": 2, "rule": "verdict",
-        "at": "2026-03-01T12:00:00Z", "reason": "change the fluid: ä",
-    },
-    attempt_count=0,
-)  # fmt: skip
-
-
-def test_a_webhook_is_signed_and_goes_nowhere_else() -> None:
-    hooks = Hooks(("127.0.0.1", 0), Received)
-    hooks.received = []
-    webhook = Webhook(url=f"http://127.0.0.1:{hooks.server_port}/fleet", secret=SECRET)
-    with running(hooks):
-        webhook.deliver(LETTER, NOW)
-        for answer in (302, 404, 500):
-            hooks.answer = answer
-            with pytest.raises(CarrierError, match=str(answer)):
-                webhook.deliver(LETTER, NOW)
-    headers, body = hooks.received[0]
-    told = {name.casefold(): value for name, value in headers.items()}
-    signed = f"{told['webhook-id']}.{told['webhook-timestamp']}.".encode() + body
-    wanted = base64.b64encode(hmac.new(SECRET, signed, hashlib.sha256).digest()).decode()
-    assert told["webhook-signature"] == f"v1,{wanted}"
-    assert (told["webhook-id"], told["webhook-timestamp"]) == (LETTER.key, str(int(NOW.timestamp())))
-    assert json.loads(body) == {"type": "clutchdiag.alarm.raised", "data": LETTER.payload}
-    assert SECRET.decode() not in repr(webhook)
-    with pytest.raises(CarrierError):
-        webhook.deliver(LETTER, NOW)  # nobody listens any more
-
-
-class Post(socketserver.StreamRequestHandler):
-    """As much of SMTP as takes one message."""
-
-    def handle(self) -> None:
-        server = self.server
-        assert isinstance(server, PostOffice)
-        self.wfile.write(b"220 here\r\n")
-        while (line := self.rfile.readline()).strip():
-            word = line.split()[0].upper()
-            if word == b"DATA":
-                self.wfile.write(b"354 go on\r\n")
-                lines = iter(self.rfile.readline, b".\r\n")
-                server.messages.append(b"".join(lines).decode())
-            is_refused = word == b"RCPT" and b"nobody" in line
-            if word == b"EHLO":
-                self.wfile.write(b"250-here\r\n250 AUTH PLAIN\r\n")
-                continue
-            self.wfile.write(b"550 no\r\n" if is_refused else b"221 bye\r\n" if word == b"QUIT" else b"250 ok\r\n")
-
-
-class PostOffice(socketserver.ThreadingTCPServer):
-    """A server for outgoing mail."""
-
-    daemon_threads = True
-    messages: list[str]
-
-
-def test_mail_is_the_same_at_every_attempt() -> None:
-    office = PostOffice(("127.0.0.1", 0), Post)
-    office.messages = []
-    server = urlsplit(f"smtp://127.0.0.1:{office.server_address[1]}")
-    mail = Mail(server=server, sender="fleet@example.org", recipients=("ann@example.org",))
-    with running(office):
-        mail.deliver(LETTER, NOW)
-        mail.deliver(LETTER, NOW)
-        with pytest.raises(CarrierError, match="nobody@"):
-            replace(mail, recipients=("ann@example.org", "nobody@example.org")).deliver(LETTER, NOW)
-    first, second, _ = office.messages
-    assert first == second
-    assert "Subject: Alarm: car1, clutch 2: verdict" in first
-    assert "Message-ID: <" in first
-
-
-def test_who_speaks_another_protocol_or_knows_no_umlaut_is_tried_again_later() -> None:
-    office = PostOffice(("127.0.0.1", 0), Post)
-    place = f"127.0.0.1:{office.server_address[1]}"
-    with running(office):
-        with pytest.raises(CarrierError, match="220 here"):
-            Webhook(url=f"http://{place}", secret=SECRET).deliver(LETTER, NOW)
-        mail = Mail(server=urlsplit(f"smtp://fleet:%C3%BC@{place}"), sender="a@example.org", recipients=("b@c.org",))
-        with pytest.raises(CarrierError, match="must be ASCII"):
-            mail.deliver(LETTER, NOW)
-
-
-async def heard(connection: Connection, count: int) -> dict[str, tuple[str, dict[str, Any]]]:
-    """Return so many messages by their ids, with their topics."""
-    messages = list[Message]()
-    async with asyncio.timeout(HANG_S):
-        while len(messages) < count:
-            messages += await connection.collect(count, 0.0)
-    events = [(one.topic, json.loads(one.payload)) for one in messages]
-    return {str(event["id"]): (topic, event) for topic, event in events}
-
-
-async def test_alarms_by_mqtt_outlast_their_broker_and_are_no_state(sqlite_url: str, broker: Mosquitto) -> None:
-    engine, clock, address = open_database(sqlite_url), Clock(), parse_broker(broker.url)
-    watch = Watch(engine, Orders(carriers=[Mqtt(broker=address)]), clock)
-    terms, everyone = Terms(identifier="receiver", session_s=3600), [f"{TOPIC_ROOT}/+"]
-    receiver = await Connection.open(address, terms)
-    await receiver.subscribe(everyone)
+def test_what_a_server_does_not_take_comes_again_until_it_does(
+    engine: Engine, hooks: Hooks, caplog: pytest.LogCaptureFixture
+) -> None:
+    clock = Clock()
     store(engine, 1, BAD)
+    watch = Watch(engine, Orders(carriers=[read_carrier(hooks.address_file)]), clock)
     watch.round()
-    assert await asyncio.to_thread(watch.deliver) == 2
-    raised = await heard(receiver, 2)
-    topic, event = raised["car1/2/verdict/1/raised"]
-    assert topic == "clutchdiag/alarms/v1/car1"
-    assert (event["type"], event["data"]["rule"], event["time"]) == (
-        "clutchdiag.alarm.raised",
-        "verdict",
-        "2026-03-01T12:00:00Z",
-    )
-    await receiver.close()
-    broker.kill()
+    for answer in (500, 404, 302):  # nor where it points elsewhere
+        hooks.answer = answer
+        assert watch.deliver() == 0
+        assert "workshop: not delivered; trying again (car1/2/verdict/1/raised)" in caplog.text
+        clock.at += timedelta(minutes=1)
+    hooks.answer = 204
+    assert watch.deliver() == 2
+    assert watch.deliver() == 0
     store(engine, 2, Condition.GOOD)
     watch.round()
-    assert await asyncio.to_thread(watch.deliver) == 0
-    broker.start()
-    clock.at += timedelta(seconds=2)
-    assert await asyncio.to_thread(watch.deliver) == 1
-    receiver = await Connection.open(address, terms)  # the broker kept what came meanwhile
-    later: set[str] = set()
-    while not later:  # a broker that was killed may not know what was acknowledged, and says that once more
-        later = set(await heard(receiver, 1)) - set(raised)
-    assert later == {"car1/2/verdict/1/cleared"}
-    late = await Connection.open(address, Terms())
-    await late.subscribe(everyone)
-    with pytest.raises(TimeoutError):
-        async with asyncio.timeout(0.1):
-            await late.collect(1, 0.0)
-    for one in (receiver, late):
-        await one.close()
-    engine.dispose()
+    assert watch.deliver() == 1
+    raised, over = (one for one in hooks.received[6:] if "verdict" in str(one["title"]))
+    assert (raised["title"], raised["type"]) == ("Alarm: car1, clutch 2: verdict", "warning")
+    assert (over["title"], over["type"]) == ("Alarm over: car1, clutch 2: verdict", "success")
+    assert str(raised["message"]).endswith("\n\n2026-03-01T12:00:00Z\ncar1/2/verdict/1/raised")
+    assert "hunter2" not in caplog.text
 
 
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["--webhook", "ftp://x"], "--webhook must be https://host/path"),
-        (["--webhook", "http://example.org/x"], "--webhook: http is for this machine only"),
-        (["--webhook", "https://example.org/x"], "a webhook needs --secret FILE"),
-        (["--webhook", "https://example.org/x", "--secret", "short"], "a secret must have 24 bytes or more"),
-        (["--mail", "smtp://x"], "e-mail needs --from and --to"),
-        (["--mail", "smtp://x", "--from", "a\nb@c", "--to", "d@e"], "is not an e-mail address"),
-        (["--mqtt"], "no broker: give --broker"),
-        (["--mqtt", "--broker", "http://x"], "the broker must be"),
+        (["--notify", "none.url"], "cannot read none.url"),
+        (["--notify", "open.url"], "chmod 600 open.url"),
+        (["--notify", "other.url"], "other.url must hold one address that apprise knows"),
+        (["--notify", "two.url"], "two.url must hold one address that apprise knows"),
+        (["--notify", "one.url", "--notify", "one.url"], "two files are called one"),
         (["--silence-days", "1"], "--silence-days must be 2 to 3650"),
         (["--service-km", "nan"], "--service-km must be 1 to 300000"),
     ],
@@ -469,27 +349,31 @@ def test_a_watch_that_cannot_be_is_one_clear_line(
     complaint: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("short").write_text("secret", encoding="utf-8")
-    Path("short").chmod(0o600)
+    addresses = {"open": "json://x", "other": "nosuch://u:hunter2@x", "two": "json://x, json://y", "one": "json://x"}
+    for name, text in addresses.items():
+        Path(f"{name}.url").write_text(text, encoding="utf-8")
+        Path(f"{name}.url").chmod(0o644 if name == "open" else 0o600)
     assert main(["watch", "--database", sqlite_url, "--once", *words]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert complaint in line
+    told = capsys.readouterr().err
+    assert complaint in told.splitlines()[-1]
+    assert "hunter2" not in told
 
 
-def test_one_round_by_the_command(engine: Engine, tmp_path: Path) -> None:
-    hooks = Hooks(("127.0.0.1", 0), Received)
-    hooks.received = []
-    secret = tmp_path / "secret"
-    secret.write_text("whsec_" + base64.b64encode(SECRET).decode(), encoding="utf-8")
-    secret.chmod(0o600)
+def test_one_round_by_the_command(engine: Engine, hooks: Hooks) -> None:
     store(engine, 1, BAD)
     address = engine.url.render_as_string(hide_password=False)
-    with running(hooks):
-        url = f"http://127.0.0.1:{hooks.server_port}/fleet"
-        command = ["watch", "--database", address, "--once", "--webhook", url, "--secret", str(secret)]
-        assert [main(command), main(command)] == [0, 0]
-    assert {json.loads(body)["data"]["rule"] for _, body in hooks.received} == {"verdict"}
-    assert len(hooks.received) == 1  # a result of months ago that was stored now is no silence
+    command = ["watch", "--database", address, "--once", "--notify", str(hooks.address_file)]
+    assert [main(command), main(command)] == [0, 0]
+    assert [one["title"] for one in hooks.received] == ["Alarm: car1, clutch 2: verdict"]  # stored now is no silence
+
+
+def test_an_alarm_of_a_rule_that_is_no_more_is_over(engine: Engine) -> None:
+    store(engine, 1, Condition.GOOD)
+    subject = Subject(vehicle="car1", clutch=2, rule=Rule.CORRECTION)
+    raised = Transition(subject=subject, event=Event.RAISED, reason="adapt clutch 2", at=NOW)
+    assert book.write(engine, [raised], []) == [raised]
+    over = [step for step in Watch(engine, Orders(), Clock()).round() if step.event is Event.CLEARED]
+    assert [step.subject for step in over] == [subject]
 
 
 def test_the_alarms_come_in_parts(engine: Engine) -> None:

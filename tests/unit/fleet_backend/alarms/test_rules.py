@@ -12,7 +12,6 @@ from fleet_backend.alarms.rules import (
     Limits,
     Subject,
     Whose,
-    correction_finding,
     due_finding,
     heard_last,
     odometer_finding,
@@ -72,15 +71,6 @@ def test_a_score_that_falls_is_an_alarm_until_it_is_nearly_back() -> None:
     falls = [None, 3.0, 14.0, 15.5, 12.0, 8.5, None, 7.0, 14.0]
     assert happened([score_finding(Whose("a", 1), one, LIMITS) for one in falls]) == [Event.RAISED, Event.CLEARED]
     assert "clutch 1 score 16 points less" in score_finding(Whose("a", 1), 15.5, LIMITS).reason
-
-
-def test_a_correction_is_sure_once_three_changes_name_it_and_over_once_three_name_none() -> None:
-    told = [False, True, True, False, True, True, True, False, False, True, False, False, False]
-    line = ["clutch 1: fill for 60 ms longer (± 10)"]
-    found = [correction_finding(Whose("a", 1), told[:count], line, LIMITS) for count in range(len(told) + 1)]
-    assert happened(found) == [Event.RAISED, Event.CLEARED]
-    assert [one.is_wrong for one in found[:8]] == [False, False, None, None, None, None, None, True]
-    assert found[7].reason == "adapt clutch 1: fill for 60 ms longer (± 10)"
 
 
 @pytest.mark.parametrize(
