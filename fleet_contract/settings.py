@@ -22,7 +22,7 @@ SERVICE_VARIABLES: Final = frozenset(
         *("ACTIVE", "ADAPTER", "DESCRIPTION", "ECU", "POLL", "REPLY"),
     )
 )
-BACKEND_VARIABLES: Final = frozenset(PREFIX + name for name in ("BROKER", "DATABASE", "GROUP", "MAIL"))
+BACKEND_VARIABLES: Final = frozenset(PREFIX + name for name in ("BROKER", "DATABASE", "GROUP"))
 
 
 def check_variables(environment: Mapping[str, str]) -> None:

@@ -6,8 +6,6 @@ import re
 from collections.abc import Mapping
 from typing import Final, NoReturn
 
-import msgspec
-
 from fleet_contract.errors import MalformedError
 
 JsonObject = dict[str, object]
@@ -16,12 +14,6 @@ MAX_DEPTH: Final = 16
 _INT64: Final = range(-(2**63), 2**63)
 _LONGEST_INT64: Final = len(str(-(2**63)))
 _STRING_OR_BRACKET: Final = re.compile(rb'"(?:[^"\\]|\\.)*+"|[\[\]{}]', re.DOTALL)
-_LONGEST_DIGITS: Final = 19  # of a number of 64 bits; of as many, those that begin with 9 may be too large
-_BEFORE_NUMBERS: Final = b":,[- \t\r\n"  # what stands before one in JSON
-_DIGITS: Final = bytes(
-    ord("0") if chr(code) in "0123456789" else ord(" ") if code in _BEFORE_NUMBERS else ord("x") for code in range(256)
-)
-_LONG_NUMBER: Final = b" " + b"0" * _LONGEST_DIGITS
 _SHOWN_LENGTH: Final = 60
 
 
@@ -53,9 +45,7 @@ def parse_object(payload: bytes, max_bytes: int) -> JsonObject:
     if payload.count(b"{") + payload.count(b"[") > MAX_DEPTH:  # more could be deeper: look closely
         _check_depth(payload)
     try:
-        value = _fast(payload)
-        if value is None:
-            value = _DECODER.decode(payload.decode())
+        value = _DECODER.decode(payload.decode())
         if b"\\" in payload and b"\\u" in payload:  # a single byte is found ten times as fast
             _check_characters(value)
     except (ValueError, RecursionError) as exc:
@@ -69,37 +59,6 @@ def shown(text: str) -> str:
     """Return the start of a text in one printable line."""
     line = text if len(text) <= _SHOWN_LENGTH else f"{text[:_SHOWN_LENGTH]}..."
     return line if line.isprintable() else repr(line)
-
-
-def _fast(payload: bytes) -> object | None:
-    """Return what a library reads in a payload if it holds nothing in which we are stricter; None: read it slowly.
-
-    The library lets a name that occurs twice pass, and forgets the first with its value. Where no text holds a
-    quotation mark, as many of them as in the result when it is written again show that nothing was forgotten.
-    """
-    if b"\\" in payload or _may_exceed_64_bits(payload):
-        return None
-    try:
-        value: object = _LIBRARY.decode(payload)
-        again = _WRITER.encode(value)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        return None  # the words of our own decoder are better
-    return value if again.count(b'"') == payload.count(b'"') else None
-
-
-def _may_exceed_64_bits(payload: bytes) -> bool:
-    """Return whether there are so many digits in a row that they may be a number which is not ours.
-
-    Those behind a point are a fraction, however many they are; what cannot stand before a number is skipped over.
-    """
-    digits = payload.translate(_DIGITS)
-    at = digits.find(_LONG_NUMBER)
-    while at >= 0:
-        end = at + len(_LONG_NUMBER)
-        if payload[at + 1] == ord("9") or digits.startswith(b"0", end):
-            return True
-        at = digits.find(_LONG_NUMBER, end)
-    return False
 
 
 def _check_depth(payload: bytes) -> None:
@@ -147,8 +106,6 @@ def _unique(pairs: list[tuple[str, object]]) -> JsonObject:
 
 
 _STRICT: Final = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
-_LIBRARY: Final = msgspec.json.Decoder()
-_WRITER: Final = msgspec.json.Encoder()
 _DECODER: Final = json.JSONDecoder(
     parse_float=_finite, parse_int=_int64, parse_constant=_refuse, object_pairs_hook=_unique
 )
