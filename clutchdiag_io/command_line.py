@@ -7,11 +7,11 @@ exit statuses and the loading of libraries stay with the program.
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import click
 
@@ -45,33 +45,7 @@ class FileOrStore(click.ParamType["Path | str"]):
 
 
 FILE_OR_STORE: Final = FileOrStore()
-_Word = TypeVar("_Word", int, str)
-
-
-class Number(click.ParamType[float]):
-    """A number; what is none is told as ``invalid int value: 'x'``."""
-
-    def __init__(self, kind: type[int] | type[float]) -> None:
-        self.name = kind.__name__
-        self._kind = kind
-
-    def convert(self, value: str | float, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        try:
-            return self._kind(value)
-        except ValueError:
-            self.fail(f"invalid {self.name} value: {value!r}", param, ctx)
-
-
-class Choice(click.Choice[_Word]):
-    """One of a few words; another one is told as ``invalid choice``."""
-
-    def get_invalid_choice_message(self, value: object, ctx: click.Context | None) -> str:
-        del ctx
-        return _invalid_choice(value, self.choices)
-
-
-INT: Final = Number(int)
-FLOAT: Final = Number(float)
+INT, FLOAT, Choice = click.INT, click.FLOAT, click.Choice
 
 
 class Option(click.Option):
@@ -116,10 +90,6 @@ class _Page(click.Command):
 
     examples: tuple[str, ...] = ()
 
-    def format_usage(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the line that begins with ``usage:``."""
-        formatter.write_usage(ctx.command_path, " ".join(self.collect_usage_pieces(ctx)), prefix="usage: ")
-
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the examples, and what the exit status of the program means."""
         if self.examples:
@@ -158,36 +128,24 @@ class Command(_Page):
             params=list(params),
             help=description or text,
             short_help=text,
-            context_settings={**_CONTEXT, "allow_extra_args": True, "auto_envvar_prefix": variables},
+            context_settings={**_CONTEXT, "auto_envvar_prefix": variables},
         )
         self.examples = tuple(examples)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the words, of which an option may be abbreviated."""
-        try:
-            rest = super().parse_args(ctx, args if ctx.resilient_parsing else self._in_full(ctx, args))
-            if rest and not ctx.resilient_parsing:
-                ctx.fail(f"unrecognized arguments: {' '.join(rest)}")
-        except click.UsageError as exc:
-            exc.ctx = exc.ctx or ctx  # whose help is to be seen
-            raise
-        return rest
+        """Parse the words; complain of an option where a value belongs, which click would take for the value."""
+        options = {name: one for one in self.get_params(ctx) if isinstance(one, click.Option) for name in one.opts}
+        end = args.index("--") if "--" in args else len(args)
+        for word, following in pairwise([] if ctx.resilient_parsing else [*args[:end], "--"]):
+            option = options.get(word)
+            if isinstance(option, Option) and option.needs_value and _LOOKS_LIKE_OPTION.match(following):
+                raise click.BadOptionUsage(word, f"Option {word!r} requires an argument.", ctx)
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> SimpleNamespace:
         command = ctx.command_path.split()[1]
         given = {name for name in ctx.params if ctx.get_parameter_source(name) is click.ParameterSource.COMMANDLINE}
         return SimpleNamespace(**{"command": command, "action": self.name, "given": frozenset(given), **ctx.params})
-
-    def _in_full(self, ctx: click.Context, words: Sequence[str]) -> list[str]:
-        """Return the words with ``--veh`` as ``--vehicle``; complain of an option where a value belongs."""
-        end = words.index("--") if "--" in words else len(words)
-        options = {name: one for one in self.get_params(ctx) if isinstance(one, click.Option) for name in one.opts}
-        full = [_unabbreviated(word, list(options)) for word in words[:end]]
-        for word, following in pairwise([*full, "--"]):
-            option = options.get(word)
-            if isinstance(option, Option) and option.needs_value and _LOOKS_LIKE_OPTION.match(following):
-                ctx.fail(f"argument {'/'.join(option.opts)}: expected one argument")
-        return [*full, *words[end:]]
 
 
 class Group(_Page, click.Group):
@@ -208,34 +166,14 @@ class Group(_Page, click.Group):
             help=text,
             short_help=text,
             subcommand_metavar=f"{metavar} ...",
-            invoke_without_command=True,  # and say ourselves which word is missing
-            callback=self._require_command,
+            no_args_is_help=False,  # but a complaint
             context_settings=_CONTEXT,
         )
-        self.metavar = metavar
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands in the order in which they were declared."""
         del ctx
         return list(self.commands)
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return the command that the first word names."""
-        if args[0] not in self.commands and not ctx.resilient_parsing:
-            ctx.fail(f"argument {self.metavar}: {_invalid_choice(args[0], self.commands)}")
-        return super().resolve_command(ctx, args)
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the commands, each with its whole text."""
-        with formatter.section("Commands"), formatter.indentation():
-            formatter.write_dl([(name, self.commands[name].short_help or "") for name in self.list_commands(ctx)])
-
-    def _require_command(self) -> None:
-        ctx = click.get_current_context()
-        if ctx.invoked_subcommand is None:
-            ctx.fail(f"the following arguments are required: {self.metavar}")
 
 
 class Program(Group):
@@ -259,33 +197,9 @@ class Program(Group):
             outcome = self.main(words, name, standalone_mode=False)
         except click.UsageError as exc:
             path = name if exc.ctx is None else exc.ctx.command_path
-            text = " ".join(_complaint(exc).split()).removesuffix(".")
-            sys.stderr.write(f"{name}: error: {text} (see {path} --help)\n")
+            text = " ".join(exc.format_message().split()).removesuffix(".")
+            sys.stderr.write(f"{name}: error: {text[:1].lower()}{text[1:]} (see {path} --help)\n")
             raise SystemExit(EXIT_USAGE) from None
         if isinstance(outcome, SimpleNamespace):
             return outcome
         raise SystemExit(outcome)
-
-
-def _invalid_choice(word: object, choices: Iterable[object]) -> str:
-    return f"invalid choice: {word!r} (choose from {', '.join(map(repr, choices))})"
-
-
-def _complaint(exc: click.UsageError) -> str:
-    """Return what is wrong, beginning with the option or the argument."""
-    if isinstance(exc, click.BadParameter) and exc.param is not None:
-        is_option = isinstance(exc.param, click.Option)
-        name = "/".join(exc.param.opts) if is_option else exc.param.human_readable_name.rstrip(".")
-        is_missing = isinstance(exc, click.MissingParameter)
-        return f"the following arguments are required: {name}" if is_missing else f"argument {name}: {exc.message}"
-    text = exc.format_message()
-    if isinstance(exc, click.NoSuchOption):
-        text = text.replace(exc.message, f"unrecognized arguments: {exc.option_name}.")
-    return text[:1].lower() + text[1:]
-
-
-def _unabbreviated(word: str, names: Sequence[str]) -> str:
-    """Return a long option in full, if what there is of it is the beginning of one only."""
-    begin, equals, value = word.partition("=")
-    full = [name for name in names if name.startswith(begin)]
-    return f"{full[0]}{equals}{value}" if begin.startswith("--") and begin not in names and len(full) == 1 else word

@@ -27,10 +27,6 @@ class BusyError(PageError, status=503, title="Too many readers"):
     """There are too many readers at once: come back later."""
 
 
-class ProviderAwayError(PageError, status=503, title="Logging in is not possible now"):
-    """Logging in is not possible now: come back later."""
-
-
 class LoginError(PageError, status=401, title="You are not logged in"):
     """Nobody knows who asks: log in."""
 

@@ -15,7 +15,7 @@ PROGRAMS = {
     "diag-service": "diag_service.cli",
     "fleet-backend": "fleet_backend.cli",
 }
-COMMAND = re.compile(r"^    ([a-z][a-z-]*)(?:  +\S|$)", re.MULTILINE)
+COMMAND = re.compile(r"^  ([a-z][a-z-]*)(?:  +\S|$)", re.MULTILINE)
 CANDUMP = "(1767225600.000000) vcan0 123#0011223344556677\n" * 4
 MDF = b"MDF     4.10    asammdf ".ljust(512, b"\0")
 
@@ -62,7 +62,7 @@ def test_help_and_version_need_no_extra(plain: PlainInstall, program: str) -> No
     assert len(commands) >= 3
     for command, told in zip(commands, plain.run_all(module, [[one, "--help"] for one in commands]), strict=True):
         assert told.status == 0, command
-        assert told.out.startswith(f"usage: {program} {command} "), command
+        assert told.out.startswith(f"Usage: {program} {command} "), command
         assert told.err == "", command
 
 

@@ -123,8 +123,8 @@ def test_a_calibration_of_another_version_starts_a_state_of_its_own(drive_log: P
 @pytest.mark.parametrize(
     ("arguments", "status", "text"),
     [
-        (("analyze",), 2, "required: LOG"),
-        (("analyse", "{log}"), 2, "invalid choice"),
+        (("analyze",), 2, "missing argument 'LOG"),
+        (("analyse", "{log}"), 2, "no such command"),
         (("analyze", "{log}", "{log}"), 2, "given twice"),
         (("analyze", "{log}", "--vehicle", "a/b"), 2, "vehicle id"),
         (("analyze", "{log}", "--broker", "http://x"), 2, "mqtt[s]://"),

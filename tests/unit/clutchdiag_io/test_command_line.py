@@ -45,10 +45,7 @@ def test_words_become_values_and_what_was_given_is_known() -> None:
 @pytest.mark.parametrize(
     ("words", "name", "value"),
     [
-        (("--cou", "2"), "count", 2),
-        (("--cou=2",), "count", 2),
         (("-n2",), "count", 2),
-        (("--lo",), "loud", True),
         (("--column", "-.5"), "column", -0.5),
         (("--pause",), "pause", 5),
         (("--pause", "--loud"), "pause", 5),
@@ -71,32 +68,18 @@ def test_an_option_is_written_as_users_write_it(words: tuple[str, ...], name: st
 @pytest.mark.parametrize(
     ("words", "text", "helper"),
     [
-        ((), "the following arguments are required: COMMAND", "oracle"),
-        (("ask",), "argument COMMAND: invalid choice: 'ask' (choose from 'answer', 'well')", "oracle"),
-        (("--loud",), "unrecognized arguments: --loud", "oracle"),
-        (("well",), "the following arguments are required: ACTION", "oracle well"),
-        (("well", "dig"), "argument ACTION: invalid choice: 'dig' (choose from 'clean')", "oracle well"),
-        (("well", "clean", "now", "then"), "unrecognized arguments: now then", "oracle well clean"),
-        (("answer", "-o", "a", "why", "--column", "x"), "argument --column: invalid float value: 'x'", "oracle answer"),
-        (("well", "clean", "now"), "unrecognized arguments: now", "oracle well clean"),
-        (("answer",), "the following arguments are required: WORD", "oracle answer"),
-        (("answer", "why"), "the following arguments are required: -o/--output", "oracle answer"),
-        (("answer", "why", "-o"), "argument -o/--output: expected one argument", "oracle answer"),
-        (("answer", "why", "-o", "--loud"), "argument -o/--output: expected one argument", "oracle answer"),
-        (("answer", "why", "--out", "-v"), "argument -o/--output: expected one argument", "oracle answer"),
-        (("answer", "-o", "a", "why", "-n", "x"), "argument -n/--count: invalid int value: 'x'", "oracle answer"),
+        ((), "missing command", "oracle"),
+        (("well", "dig"), "no such command 'dig'", "oracle well"),
+        (("well", "clean", "now", "then"), "got unexpected extra arguments (now then)", "oracle well clean"),
+        (("answer",), "missing argument 'WORD...'", "oracle answer"),
+        (("answer", "why", "-o", "--loud"), "option '-o' requires an argument", "oracle answer"),
+        (("answer", "why", "--output", "-v"), "option '--output' requires an argument", "oracle answer"),
         (
-            ("answer", "-o", "a", "why", "--colour", "green"),
-            "argument --colour: invalid choice: 'green' (choose from 'red', 'blue')",
+            ("answer", "-o", "a", "why", "--column", "x"),
+            "invalid value for '--column': 'x' is not a valid float",
             "oracle answer",
         ),
-        (("answer", "--loud=yes"), "option '--loud' does not take a value", "oracle answer"),
-        (("answer", "--verbsoe"), "unrecognized arguments: --verbsoe. Did you mean '--verbose'?", "oracle answer"),
-        (
-            ("answer", "--co", "1"),
-            "unrecognized arguments: --co. (Did you mean one of: '--colour', '--column', '--count'?)",
-            "oracle answer",
-        ),
+        (("answer", "--verbsoe"), "no such option '--verbsoe'. Did you mean '--verbose'?", "oracle answer"),
     ],
 )
 def test_a_complaint_is_one_line_that_names_the_help(
@@ -115,7 +98,7 @@ def test_help_shows_every_option_an_example_and_the_exit_status(capsys: pytest.C
         assert ended.value.code == 0
         out, err = capsys.readouterr()
         assert err == ""
-        assert out.startswith("usage: oracle answer [OPTIONS] WORD...\n\n  answer a question\n")
+        assert out.startswith("Usage: oracle answer [OPTIONS] WORD...\n\n  answer a question\n")
         for text in ("WORD...  what is asked", "-o, --output FILE", "-n, --count COUNT", "--colour [red|blue]"):
             assert f"  {text}" in out
         assert "\nExamples:\n  oracle answer why -o answer.txt\n" in out
@@ -126,8 +109,8 @@ def test_the_program_s_help_shows_its_commands(capsys: pytest.CaptureFixture[str
     with pytest.raises(SystemExit):
         ORACLE.parse(["--help"])
     out = capsys.readouterr().out
-    assert out.startswith("usage: oracle [OPTIONS] COMMAND ...\n\n  Answers questions.\n")
-    assert "Commands:\n    answer  answer a question\n    well    look after the well\n\nexit status" in out
+    assert out.startswith("Usage: oracle [OPTIONS] COMMAND ...\n\n  Answers questions.\n")
+    assert "Commands:\n  answer  answer a question\n  well    look after the well\n\nexit status" in out
 
 
 @pytest.mark.parametrize(
