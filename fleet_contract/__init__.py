@@ -2,7 +2,6 @@
 
 from fleet_contract.bounds import MOST_MU
 from fleet_contract.errors import (
-    BrokerUrlError,
     ContractError,
     IdentityError,
     MalformedError,
@@ -36,7 +35,7 @@ from fleet_contract.messages import (
     takes_bundles,
 )
 from fleet_contract.schema_check import schema
-from fleet_contract.settings import BrokerUrl, check_variables, exposure, parse_broker_url
+from fleet_contract.settings import check_variables
 from fleet_contract.strict_json import JsonObject, dump, parse_object
 from fleet_contract.topics import CLUTCHES, TOPIC_ROOT, Address, Channel, filter_of, is_vehicle, parse_topic, topic_of
 
@@ -47,8 +46,6 @@ __all__ = [
     "NEVER",
     "TOPIC_ROOT",
     "Address",
-    "BrokerUrl",
-    "BrokerUrlError",
     "Channel",
     "ContractError",
     "IdentityError",
@@ -70,13 +67,11 @@ __all__ = [
     "config_message",
     "controller_message",
     "dump",
-    "exposure",
     "filter_of",
     "fluid_message",
     "is_vehicle",
     "key_of",
     "metrics_message",
-    "parse_broker_url",
     "parse_object",
     "parse_topic",
     "raw_shift_message",

@@ -21,9 +21,5 @@ class IdentityError(ContractError):
     """A message that says it is of another vehicle, stream or key than its topic or its envelope."""
 
 
-class BrokerUrlError(ContractError):
-    """A text that names no broker: correct it."""
-
-
 class VariableError(ContractError):
     """An environment variable of our prefix that nothing reads: correct its name."""

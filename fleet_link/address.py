@@ -6,16 +6,21 @@ import select
 import ssl
 from dataclasses import dataclass, field
 from io import FileIO
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
+from urllib.parse import unquote, urlsplit
 
 from canlog.files import check_plain_file, read_small_file
-from fleet_contract import BrokerUrlError, exposure, parse_broker_url
 from fleet_link.errors import AddressError
 
 MAX_SECRET_BYTES: Final = 64 * 1024
 PIPE_WAIT_S: Final = 5.0  # for whoever writes a secret into a pipe
 _OTHERS: Final = 0o077  # permission bits of group and world
+_PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
+_NATS_PORTS: Final = {"nats": 4222, "nats+tls": 4222}
+_ENCRYPTED: Final = frozenset({"mqtts", "nats+tls"})
+_FORM: Final = "the broker must be mqtt[s]://[user[:password]@]host[:port]"
 
 
 def check_secret_mode(path: Path) -> None:
@@ -149,7 +154,21 @@ class BrokerAddress:
     @property
     def exposure(self) -> str | None:
         """What to warn of before anything is sent there; None if nobody on the way can read it."""
-        return exposure(self.host, is_encrypted=self.tls is not None, has_password=self.password is not None)
+        if self.tls is not None or _is_this_machine(self.host):
+            return None
+        what = "results" if self.password is None else "results and the broker's password"
+        return f"{what} go to {self.host} unencrypted: anyone on the way can read them; mqtts:// encrypts"
+
+
+def _is_this_machine(host: str) -> bool:
+    """Return whether a host is this machine's loopback interface, by its name or address alone."""
+    try:
+        address = ip_address(host.partition("%")[0])
+    except ValueError:
+        name = host.casefold().rstrip(".")
+        return name == "localhost" or name.endswith(".localhost")
+    mapped = getattr(address, "ipv4_mapped", None)
+    return address.is_loopback or (mapped is not None and mapped.is_loopback)
 
 
 def parse_broker(
@@ -172,16 +191,31 @@ def parse_broker(
         If the text is no such address; the message does not repeat it, since it may hold a password.
     """
     try:
-        parts = parse_broker_url(url, may_be_nats=may_be_nats)
-    except BrokerUrlError as exc:
-        raise AddressError(str(exc)) from exc
-    if tls not in {None, TlsFiles()} and not parts.is_encrypted:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError:  # its text quotes what it takes for the port, which may be half a password
+        raise AddressError(f"{_FORM}, with %-escapes in the password and a port up to 65535") from None
+    ports = _PORTS | _NATS_PORTS if may_be_nats else _PORTS
+    if parts.scheme not in ports or not parts.hostname or parts.path.strip("/") or parts.query or parts.fragment:
+        raise AddressError(_FORM)
+    if port == 0:
+        raise AddressError(f"{_FORM}: 0 is not a port")
+    try:
+        parts.hostname.encode("idna")
+    except UnicodeError:
+        raise AddressError(f"{_FORM}: a part of the host's name is empty or too long") from None
+    is_encrypted, password = parts.scheme in _ENCRYPTED, parts.password
+    if tls not in {None, TlsFiles()} and not is_encrypted:
         raise AddressError("certificates need a broker at mqtts://" + (" or nats+tls://" if may_be_nats else ""))
+    if password_file is not None:
+        password = read_secret(password_file)
+    elif password is not None:
+        password = unquote(password)
     return BrokerAddress(
-        host=parts.host,
-        port=parts.port,
-        username=parts.username,
-        password=parts.password if password_file is None else read_secret(password_file),
-        tls=(tls or TlsFiles()) if parts.is_encrypted else None,
-        is_nats=parts.is_nats,
+        host=parts.hostname,
+        port=port or ports[parts.scheme],
+        username=None if parts.username is None else unquote(parts.username),
+        password=password,
+        tls=(tls or TlsFiles()) if is_encrypted else None,
+        is_nats=parts.scheme in _NATS_PORTS,
     )

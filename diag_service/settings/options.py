@@ -22,7 +22,7 @@ JSON: Final = Option("--json", "one JSON object on standard output")
 _KINDS: Final = {
     "boolean": "true or false",
     "float": "a number",
-    "int": "a whole number",
+    "integer": "a whole number",
     "path": "a file name",
     "text": "a text",
 }
@@ -203,7 +203,7 @@ def _converted(option: Setting | None, value: object) -> object:
     """
     if option is None:
         raise ValueError("Extra inputs are not permitted")
-    takes_numbers = option.type.name in {"boolean", "float", "int"}
+    takes_numbers = option.type.name in {"boolean", "float", "integer"}
     if isinstance(value, str) or (takes_numbers and isinstance(value, bool | int | float)):
         text = str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
         with suppress(click.BadParameter, ValueError):

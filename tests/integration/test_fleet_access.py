@@ -174,13 +174,6 @@ def test_the_highest_role_of_somebody_counts(tmp_path: Path) -> None:
     assert SECRET not in repr(access)
 
 
-def test_the_file_that_the_page_names_is_one(tmp_path: Path) -> None:
-    access = read_access(write(tmp_path, page_text("docs/deploy/access-proxy.toml")))
-    headers = {"X-Fleet-Proxy": SECRET}
-    for name, role in (("ann@example.org", Role.WORKSHOP), ("workshop@example.org", Role.WORKSHOP), ("x", Role.VIEWER)):
-        assert access.viewer_of({**headers, "X-Forwarded-User": name}).role is role
-
-
 @pytest.mark.parametrize(
     ("before", "after", "complaint"),
     [

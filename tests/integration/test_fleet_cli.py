@@ -189,13 +189,6 @@ def test_a_database_that_is_away_has_its_own_status(capsys: pytest.CaptureFixtur
     assert "secret" not in capsys.readouterr().err
 
 
-def test_an_unknown_word_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["tables"])
-    assert caught.value.code == 2
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 def test_a_variable_that_nothing_reads_is_told(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

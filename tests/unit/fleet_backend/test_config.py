@@ -8,32 +8,7 @@ import pytest
 from fleet_backend.config import parse_broker, parse_listen, parse_moment, parse_pace
 from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import ConfigError
-from fleet_link import TlsFiles
 from tests.support.certificates import certify
-
-SYSTEMS = TlsFiles()  # without files the authorities of the system count
-
-
-def test_a_broker_has_a_host_and_the_usual_port() -> None:
-    address = parse_broker("mqtt://example.org")
-    assert (address.host, address.port, address.tls) == ("example.org", 1883, None)
-    secure = parse_broker("mqtts://example.org")
-    assert (secure.port, secure.tls) == (8883, SYSTEMS)
-    assert str(parse_broker("mqtt://[::1]:1")) == "[::1]:1"
-
-
-def test_a_password_is_read_and_never_shown() -> None:
-    address = parse_broker("mqtt://fleet:p%40ss@example.org")
-    assert (address.username, address.password) == ("fleet", "p@ss")
-    assert "p@ss" not in f"{address} {address!r}"
-
-
-@pytest.mark.parametrize(
-    "url", ["", "example.org", "http://x", "mqtt://", "mqtt://x/y", "mqtt://x:0", "mqtt://x:99999"]
-)
-def test_what_is_no_broker_is_refused_without_repeating_it(url: str) -> None:
-    with pytest.raises(ConfigError, match="the broker must be mqtt"):
-        parse_broker(url)
 
 
 def test_certificates_need_tls_and_must_exist() -> None:
