@@ -15,7 +15,6 @@ from fleet_backend.office_tables import ALARM, AUDIT
 from fleet_backend.page.access import Role, read_access
 from fleet_backend.page.routes import EVENTS_PATH
 from fleet_backend.page.site import ACTIONS, OPENAPI_PATH, VIEWS
-from tests.support.documents import page_text
 from tests.support.fleet_page import ACCESS, MARKUP, SECRET, fill_database, headers_of, raise_alarms, served
 from tests.support.patience import HANG_S
 

@@ -130,7 +130,11 @@ def test_an_unknown_vehicle_is_an_error(
     assert captured.out == ""
 
 
-ALL = [["table"], ["fill", "taxi-1", "oil"], ["ingest", "--broker", "mqtt://127.0.0.1"]]  # reads, writes, prepares itself
+ALL = [
+    ["table"],
+    ["fill", "taxi-1", "oil"],
+    ["ingest", "--broker", "mqtt://127.0.0.1"],
+]  # reads, writes, prepares itself
 
 
 @pytest.mark.parametrize("words", ALL, ids=" ".join)
