@@ -90,7 +90,6 @@ def shifted(lost: float, clutch: int, rng: np.random.Generator) -> ShiftQuality:
     return ShiftQuality(
         score=88.0 - 110.0 * lost + 1.9 * rng.standard_normal(),
         reasons=("jerk_m_s3", "torque_hole_m_s2"),
-        corrections=("touch_error_pa",) if clutch == 1 and lost > 0.1 else (),
         touch_error_pa=4_000.0, std_touch_error_pa=1_200.0, fill_error_s=0.01, std_fill_error_s=0.02,
         jerk_m_s3=14.0 + 60.0 * lost, torque_hole_m_s2=0.9 + 4.0 * lost, flare_rad_s=1.0, tie_up_nm=3.0,
         overtime_s=0.0, temperature_rise_k=energy_j / 1_500.0, lock_rate_rad_s2=80.0, acceleration_m_s2=1.4,

@@ -1,8 +1,8 @@
 """How the score of gear changes falls with what is wrong of the control, and whether what it names is right.
 
 Vehicles are drawn with production scatter and driven through all gears. Of each one thing of the control is made wrong
-step by step: the touch points it believes in, how full it fills a clutch, how far both clutches overlap. Then what was
-named of the touch points is adapted, once as named and once by routine 0302 of the emulated controller.
+step by step: the touch points it believes in, how full it fills a clutch, how far both clutches overlap. Then its touch
+points are mended, once by the error that was found and once by routine 0302 of the emulated controller.
 
     python -m benchmarks.shift_quality --vehicles 12
     python -m benchmarks.shift_quality drive-a.csv drive-b.csv     # every change of recorded tables, with its parts
@@ -69,7 +69,7 @@ class Case:
     kind: str
     step: float
     seed: int
-    is_mended: bool = False  # what is named of the touch points is adapted, and all is driven again
+    is_mended: bool = False  # the error of the touch points is mended, and all is driven again
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,9 +80,7 @@ class Shown:
     scores: tuple[float, ...]
     touch_errors: tuple[float, ...] = ()  # in stated deviations, of every change
     fill_errors: tuple[float, ...] = ()
-    named_fills: tuple[float, ...] = ()  # those of them that are named
-    named_count: int = 0
-    mended: tuple[float, ...] = ()  # scores after the named correction
+    mended: tuple[float, ...] = ()  # scores after the error that was found is mended
     by_routine: tuple[float, ...] = ()  # after routine 0302
 
 
@@ -147,7 +145,7 @@ def true_fills_s(scenario: Scenario, believed_pa: tuple[float, float]) -> list[f
 
 
 def shown(case: Case) -> list[Shown]:
-    """Drive a case, and again with what it names."""
+    """Drive a case, and again without the error that was found."""
     scenario = scenario_of(case)
     vehicle = build_vehicle(scenario).calibration
     true_pa = tuple(clutch.touch_pressure_pa for clutch in vehicle.clutches)
@@ -159,15 +157,12 @@ def shown(case: Case) -> list[Shown]:
         for _, one, _ in found
         if one.touch_error_pa is not None and one.std_touch_error_pa
     ]
-    named = sum("touch_error_pa" in one.corrections for _, one, _ in found)
     fill: list[float] = []
-    named_fills: list[float] = []
     if case.kind == "filled too little, share":
         truths = true_fills_s(scenario, believed_pa)
         for (_, one, _), truth in zip(found, truths, strict=False):
             if one.fill_error_s is not None and one.std_fill_error_s and np.isfinite(truth):
                 fill.append((one.fill_error_s - truth) / one.std_fill_error_s)
-                named_fills += fill[-1:] if "fill_error_s" in one.corrections else []
     mended: list[float] = []
     by_routine: list[float] = []
     if case.is_mended:
@@ -180,10 +175,14 @@ def shown(case: Case) -> list[Shown]:
         by_routine = [score for *_, score in scored(driven(scenario, car.drive.touch_pressures_pa))]
     return [
         Shown(
-            case=case, scores=tuple(score for *_, score in found), touch_errors=tuple(touch), fill_errors=tuple(fill),
-            named_fills=tuple(named_fills), named_count=named, mended=tuple(mended), by_routine=tuple(by_routine),
+            case=case,
+            scores=tuple(score for *_, score in found),
+            touch_errors=tuple(touch),
+            fill_errors=tuple(fill),
+            mended=tuple(mended),
+            by_routine=tuple(by_routine),
         )
-    ]  # fmt: skip
+    ]
 
 
 def falls(kind: str, found: Sequence[Shown]) -> tuple[float, float, float, list[float]]:
@@ -284,21 +283,17 @@ def studied(vehicles: int, seed: int, jobs: int, only: str) -> Iterator[str]:
                 float(np.mean([np.mean(getattr(one, name)) for one in wrong]))
                 for name in ("scores", "mended", "by_routine")
             )
-            yield f"  named correction adapted: {before:.1f} -> {after:.1f}; routine 0302: {routine:.1f}"
+            yield f"  error mended: {before:.1f} -> {after:.1f}; routine 0302: {routine:.1f}"
             holds &= min(after, routine) > means[0] - MOST_LEFT
     for name, errors in (
         ("touch point", [error for one in everything for error in one.touch_errors]),
         ("fill time", [error for one in everything for error in one.fill_errors]),
-        ("fill time where it is named", [error for one in everything for error in one.named_fills]),
     ):
         if not errors:
             continue
         share, rms = float(np.mean(np.abs(errors) < 2.0)), root_mean_square(np.array(errors))
         holds &= share >= LEAST_RIGHT
         yield f"{name}: {share:.1%} of {len(errors)} within 2 deviations, rms {rms:.2f}"
-    sound = [one for one in everything if one.case.step == 0.0 and one.case.kind.startswith("touch")]
-    named, count = sum(one.named_count for one in sound), sum(len(one.scores) for one in sound)
-    yield f"touch points named without an error: {named} of {count}"
     points = scatter([scenario_of(Case(kind="none", step=0.0, seed=one)) for one in seeds[:SCATTER_VEHICLES]])
     yield f"scatter between equal changes: {points:.1f} points"
     differences = np.array(tables_agree(seeds[:SCATTER_VEHICLES]))

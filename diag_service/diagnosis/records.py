@@ -259,7 +259,6 @@ class ShiftQuality:
 
     score: float | None  # 0 to 100, of a gear change
     reasons: tuple[str, ...] = ()  # the parts that cost a point or more, the dearest first
-    corrections: tuple[str, ...] = ()  # of the first two parts: those that are sure and large enough to be adapted
     fill_error_s: float | None = None  # by which the on-coming clutch was filled for too short a time
     touch_error_pa: float | None = None  # by which its touch point is later than the control believes
     flare_rad_s: float | None = None  # engine speed outside of what lies between both shafts

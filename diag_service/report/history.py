@@ -114,7 +114,7 @@ def history_lines(
 
 
 def _course(found: Findings) -> Iterator[Text | Table]:
-    """Yield how well the gear changes went, if that is known, and what a control should adapt."""
+    """Yield how well the gear changes went, if that is known."""
     estimates = [result.estimate for result in found.results]
     known = shift_course.courses(estimates)
     if not known:
@@ -128,7 +128,7 @@ def _course(found: Findings) -> Iterator[Text | Table]:
         kind, gears = one.kind.value.replace("_", " "), f"{one.from_gear}-{one.to_gear}"
         table.add_row(kind, gears, str(one.count), *scores, shift_course.part_words(one.reason) or _NONE)
     yield table
-    yield from map(Text, shift_course.adapting_lines(known, shift_course.correction_lines(estimates)))
+    yield from map(Text, shift_course.course_lines(known))
     yield from (Text(shift_course.load_line(load)) for load in shift_course.loads(estimates))
 
 

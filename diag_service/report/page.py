@@ -16,7 +16,7 @@ from clutchdiag_io.people import PLUS_MINUS, STDS
 from clutchdiag_io.program import legible, legible_record
 from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis import records
-from diag_service.diagnosis.condition.shift_course import adapting_lines, correction_lines, courses, loads
+from diag_service.diagnosis.condition.shift_course import course_lines, courses, loads
 from diag_service.diagnosis.events import DATED_NS, events_text
 from diag_service.diagnosis.prediction import SLIP_RAD_S, RelativeFriction
 from diag_service.diagnosis.summary import (
@@ -255,9 +255,8 @@ def course_sections(found: Findings) -> Iterator[Section]:
     """Yield how well the gear changes went and what the clutches had to bear, if that is known."""
     estimates = [result.estimate for result in found.results]
     if known := courses(estimates):
-        texts = adapting_lines(known, correction_lines(estimates))
         tables = course_tables(known, loads(estimates))
-        yield Section(name="course", title="How well it shifts", texts=texts, tables=tables)
+        yield Section(name="course", title="How well it shifts", texts=tuple(course_lines(known)), tables=tables)
 
 
 def events_section(found: Findings) -> Section:

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from sqlalchemy import Engine
 
-from diag_service.diagnosis.condition.shift_course import Course, correction_lines, courses, fall_of, loads
+from diag_service.diagnosis.condition.shift_course import Course, courses, fall_of, loads
 from diag_service.diagnosis.condition.shift_quality import Load
 from diag_service.diagnosis.events import EventKind
 from diag_service.diagnosis.prognosis import Prognosis, history_of_estimates, prognose, without
@@ -62,7 +62,7 @@ def estimate_of(row: Row) -> ShiftEstimate:
 
 
 def score_fall_of(rows: Sequence[Row]) -> float | None:
-    """Return by how much the score of a clutch's changes fell; None: too few tell."""
+    """Return by how much the score of gear changes fell; None: too few."""
     return fall_of(map(estimate_of, rows))
 
 
@@ -174,7 +174,6 @@ class Past:
     outlook: OutlookAnswer | None  # the same, as it is told
     why_no_outlook: str | None
     changes: tuple[Course, ...] = ()  # of gears
-    corrections: tuple[str, ...] = ()
     loads: tuple[Load, ...] = ()
 
 
@@ -190,7 +189,6 @@ def read_past(engine: Engine, vehicle: str, clutch: int, state: VehicleState, se
         outlook=None if found is None else answer_of(found, rows),
         why_no_outlook=NO_PROGNOSIS if found is None else None,
         changes=tuple(courses(estimates)),
-        corrections=tuple(correction_lines(estimates)),
         loads=tuple(loads(estimates)),
     )
 

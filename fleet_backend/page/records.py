@@ -188,7 +188,6 @@ class VehicleAnswer:
     alarms: tuple[ClutchAlarm, ...]
     clutches: tuple[ClutchHistory, ...]
     changes: tuple[Course, ...]  # of gears
-    corrections: tuple[str, ...]  # what a control should adapt
     loads: tuple[Load, ...]
     causes: Causes | None  # why it is as it is
 

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, moment, number, spread
 from clutchdiag_io.people import PLUS_MINUS, STDS, moment_words
-from diag_service.diagnosis.condition.shift_course import adapting_lines
+from diag_service.diagnosis.condition.shift_course import course_lines
 from diag_service.diagnosis.condition.shift_quality import Load
 from diag_service.diagnosis.records import Causes
 from diag_service.report.pictures import causes_section, course_tables
@@ -85,7 +85,6 @@ def find(sources: Sources, ask: Ask) -> VehicleAnswer:
                     key=lambda one: (one.kind, one.from_gear, one.to_gear),
                 )
             ),
-            corrections=tuple(line for found in pasts for line in found.corrections),
             loads=_joined([load for found in pasts for load in found.loads]),
             causes=_causes(sources, clutches),
         )
@@ -182,10 +181,9 @@ def _joined(loads: Sequence[Load]) -> tuple[Load, ...]:
 
 
 def _quality_section(answer: VehicleAnswer) -> Section:
-    """Return how well gears were changed, what to adapt, and what the clutches had to bear."""
-    texts = adapting_lines(answer.changes, answer.corrections)
-    tables = course_tables(answer.changes, answer.loads)
-    return Section(name="shifting", title="How well it shifts", texts=texts, tables=tables)
+    """Return how well gears were changed, and what the clutches had to bear."""
+    texts, tables = course_lines(answer.changes), course_tables(answer.changes, answer.loads)
+    return Section(name="shifting", title="How well it shifts", texts=tuple(texts), tables=tables)
 
 
 def _assumptions_section(answer: VehicleAnswer) -> Section:

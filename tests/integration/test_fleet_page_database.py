@@ -146,11 +146,11 @@ class CountingPasts(Cache[Past]):
         return super().of(key, state, counted)
 
 
-def scored(seq: int, score: float, touch_error_pa: float = 0.0, *names: str) -> ShiftResult:
+def scored(seq: int, score: float, touch_error_pa: float = 0.0) -> ShiftResult:
     """Return a result of a change that went so well."""
     given = fleet_result(seq, vehicle="rough")
     quality = ShiftQuality(
-        score=score, reasons=("jerk_m_s3",), corrections=names, touch_error_pa=touch_error_pa, std_touch_error_pa=1e3,
+        score=score, reasons=("jerk_m_s3",), touch_error_pa=touch_error_pa, std_touch_error_pa=1e3,
         slip_energy2_j=5e3, peak2_k=390.0, life2_ratio=6e-7,
     )  # fmt: skip
     return replace(given, estimate=replace(given.estimate, kind=EventKind.POWER_ON_UPSHIFT, shift_quality=quality))
@@ -161,7 +161,7 @@ def test_how_well_a_vehicle_shifts_is_on_its_page_and_a_fall_raises_an_alarm(eng
     Writer(engine).store(Batch(shifts=[*map(row_of, good), row_of(fleet_result(1, vehicle="old"))]))
     watch = WatchOfOffice(engine, Orders(), lambda: NOW)
     assert Rule.SCORE not in {step.subject.rule for step in watch.round()}
-    Writer(engine).store(Batch(shifts=[row_of(scored(seq, 60.0, 9e3, "touch_error_pa")) for seq in range(31, 51)]))
+    Writer(engine).store(Batch(shifts=[row_of(scored(seq, 60.0, 9e3)) for seq in range(31, 51)]))
     raised = {step.subject.rule: step for step in watch.round()}
     assert "clutch 2 score 30 points less than the first" in raised[Rule.SCORE].reason
     sources = sources_of(engine)
@@ -176,13 +176,12 @@ def test_how_well_a_vehicle_shifts_is_on_its_page_and_a_fall_raises_an_alarm(eng
     assert section.texts == (
         "Power on upshift 1-2 scores 60: jerk.",
         f"Scores are without what the signals do not tell: {untold}.",
-        "Adapt clutch 2: touch point 0.09 bar later than believed (± 0.02).",
     )
     assert [table.rows[0][0] for table in section.tables] == ["power on upshift 1-2", "2"]
     captions = [figure.caption for one in shown.sections for figure in one.figures]
     assert captions.count("Clutch 2: trend of score") == 1
     old = vehicle_view.find(sources, ask(vehicle_view.VIEW, "old"))  # of an older program
-    assert (old.changes, old.corrections, old.loads) == ((), (), ())
+    assert (old.changes, old.loads) == ((), ())
     assert {one.vehicle: one.score for one in DatabaseSource(engine).all_clutches()} == {"rough": 60.0, "old": None}
     one = shift_of(engine, "rough", "stream-1", 50)
     assert one is not None

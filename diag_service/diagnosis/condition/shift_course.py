@@ -1,24 +1,21 @@
-"""What the quality of many gear changes comes to: by kind, gears and oil; what to adapt; what the clutches bore."""
+"""What the quality of many gear changes comes to: by kind, gears and oil; what the clutches bore."""
 
 import re
 from bisect import bisect
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from statistics import fmean
 from typing import Final
 
-from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import degc_from_k
-from clutchdiag_io.people import half_width
 from diag_service.diagnosis.condition.shift_quality import PARTS, Load, borne
 from diag_service.diagnosis.events import EventKind, events_text
 from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality
 
 COURSE_COUNT: Final = 20  # changes of a kind at either end of a course
 COLD_DEGC, HOT_DEGC = 40.0, 90.0  # of the oil
-PASCAL_PER_BAR: Final = 1e5
 POOR: Final = 70.0  # a score that is worth a look
 MOST_POOR: Final = 3
 LEAST_FIRST: Final = 5  # scores of a kind, against which later ones are held
@@ -83,15 +80,14 @@ def change_words(one: Course) -> str:
     return f"{one.kind.value.replace('_', ' ')} {one.from_gear}-{one.to_gear}"
 
 
-def adapting_lines(found: Iterable[Course], corrections: Iterable[str]) -> tuple[str, ...]:
-    """Return which changes go worst now, and why, what a control should adapt, and what the signals do not tell."""
-    known = list(found)
+def course_lines(known: Sequence[Course]) -> list[str]:
+    """Return which changes go worst now, and why, and what the signals do not tell."""
     poor = sorted((one for one in known if one.last < POOR), key=lambda one: one.last)[:MOST_POOR]
     lines = [f"{change_words(one).capitalize()} scores {one.last:.0f}: {part_words(one.reason)}." for one in poor]
     untold = [part_words(part.name) for part in PARTS if known and all(part.name in one.untold for one in known)]
     if untold:
         lines.append(f"Scores are without what the signals do not tell: {', '.join(untold)}.")
-    return *lines, *(f"Adapt {one}." for one in corrections)
+    return lines
 
 
 def fall_of(estimates: Iterable[ShiftEstimate]) -> float | None:
@@ -106,29 +102,6 @@ def fall_of(estimates: Iterable[ShiftEstimate]) -> float | None:
             if len(own) < COURSE_COUNT:
                 own.append(score)
     return fmean(falls[-COURSE_COUNT:]) if len(falls) >= COURSE_COUNT else None
-
-
-def correction_lines(estimates: Iterable[ShiftEstimate]) -> list[str]:
-    """Return what a control should adapt of each clutch, by the newest change that names it for sure."""
-    newest: dict[tuple[int, str], ShiftQuality] = {}
-    for one in estimates:
-        if one.shift_quality is not None and one.shift_quality.std_touch_error_pa is not None:
-            for name in ("touch_error_pa", "fill_error_s"):
-                newest[clutch_of_gear(one.to_gear), name] = one.shift_quality
-    lines = []
-    for (clutch, name), quality in sorted(newest.items(), key=lambda item: item[0]):
-        if name in quality.corrections:
-            lines.append(f"clutch {clutch}: {_correction(quality, name)}")
-    return lines
-
-
-def _correction(quality: ShiftQuality, name: str) -> str:
-    error, std = (getattr(quality, key) or 0.0 for key in (name, f"std_{name}"))
-    if name == "touch_error_pa":
-        bar, off = error / PASCAL_PER_BAR, half_width(std / PASCAL_PER_BAR, "{:.2f}")
-        return f"touch point {abs(bar):.2f} bar {'later' if bar > 0.0 else 'earlier'} than believed (± {off})"
-    off = half_width(std, "{:.0f}", scale=1e3)
-    return f"fill for {1e3 * abs(error):.0f} ms {'longer' if error > 0.0 else 'less'} (± {off})"
 
 
 def loads(estimates: Iterable[ShiftEstimate]) -> list[Load]:

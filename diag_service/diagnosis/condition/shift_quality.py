@@ -1,4 +1,4 @@
-"""What a gear change was like: indices by speeds and torques alone; parts of its quality, one score, what to adapt.
+"""What a gear change was like: indices by speeds and torques alone; parts of its quality, one score.
 
 Definitions and limits of the indices: docs/model.md. Parts, weights and their sources: docs/shift-quality.md. Signals
 that are missing leave parts out; the score is that of the others.
@@ -32,7 +32,6 @@ FLOW_STD_S = 0.015  # likewise: a valve opens and closes late
 WEAR_M3_J: Final = 1.4e-15  # of a wet paper lining, by Archard's law [C]: 1.4 mm3 per MJ
 WORN_M: Final = 0.2e-3  # that each lining may lose [C]
 ENERGY_BOUNDS_J: Final = (300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0)
-LEAST_CHANGE: Final = {"touch_error_pa": 2.0e3, "fill_error_s": 0.04}  # a smaller one mends nothing that is felt
 USUAL_M_S2: Final = 1.5  # acceleration of the car at which `free` and `felt` hold: a faster one hides more [C]
 USUAL_S = 1.2  # from the request to the end of slip [C]
 INTENDED_S: Final = {EventKind.COAST_SKIP: 1.8, EventKind.POWER_ON_SKIP: 1.8, EventKind.KICKDOWN: 1.5}  # other kinds
@@ -65,7 +64,7 @@ PARTS: Final = (
     Part("temperature_rise_k", 5.0, 6.0, 30.0),
 )
 
-_PUBLIC: Final = tuple(one.name for one in fields(ShiftQuality) if one.name not in {"score", "reasons", "corrections"})
+_PUBLIC: Final = tuple(one.name for one in fields(ShiftQuality) if one.name not in {"score", "reasons"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,14 +128,6 @@ class _Found(NamedTuple):
     pressure_short_pa: float = math.nan  # by which it stays below the highest command
 
 
-class _Adaptable(NamedTuple):
-    """What could be adapted of the control."""
-
-    value: float
-    std: float
-    is_sure: bool  # that it is not zero, by two deviations of what it is told from
-
-
 class ShiftScorer:
     """Says how well the events of one vehicle go.
 
@@ -198,8 +189,8 @@ class ShiftScorer:
         stroke_pa = packs[0].stroke_pa
         parts = loops.quality_told(rows, first, stop, on != off, skew_s, touch_pa, (on_pack, off_pack), stroke_pa, heat)
         found = _Found._make((*parts, *loops.response_told(rows, first, stop, touch_pa[0])))
-        adaptable = {} if known is None else self._adaptable(on, found, touch_pa[0], known)
-        return _judged(event, found, adaptable, packs, is_second=on == 1)
+        errors = {} if known is None else self._control_errors(on, found, touch_pa[0], known)
+        return _judged(event, found, errors, packs, is_second=on == 1)
 
     def _fill_speeds(
         self, event: Event, clutches: tuple[int, int], values: Mapping[Signal, FloatArray], rows: FloatArray
@@ -226,13 +217,13 @@ class ShiftScorer:
                 rows[loops.CAR] = values[Signal.VEHICLE_SPEED]
         return skew_s
 
-    def _adaptable(self, on: int, found: _Found, touch_pa: float, known: Knowledge) -> dict[str, _Adaptable]:
-        """Return what could be adapted of the on-coming clutch, by part."""
-        adaptable = {}
+    def _control_errors(self, on: int, found: _Found, touch_pa: float, known: Knowledge) -> dict[str, float]:
+        """Return what the control has wrong of the on-coming clutch, and the standard deviations, by part."""
+        errors = {}
         std_pa = math.sqrt(known.covariance[State.TOUCH1 + on, State.TOUCH1 + on])
         if math.isfinite(found.believed_touch_pa):
-            error_pa, std_error_pa = touch_pa - found.believed_touch_pa, math.hypot(std_pa, found.believed_std_pa)
-            adaptable["touch_error_pa"] = _Adaptable(error_pa, std_error_pa, abs(error_pa) > 2.0 * std_error_pa)
+            errors["touch_error_pa"] = touch_pa - found.believed_touch_pa
+            errors["std_touch_error_pa"] = math.hypot(std_pa, found.believed_std_pa)
         if math.isfinite(found.share):
             filled, missing = found.pulse_s / found.fill_time_s, max(1.0 - found.share, 0.0)
             longer_s = missing * found.fill_time_s or -found.early_s
@@ -240,26 +231,24 @@ class ShiftScorer:
             # a later touch point leaves more to fill and makes the flow smaller: both lengthen, out of proportion
             later_s = (missing + std_share) * found.pulse_s / max(filled - std_share, loops.LEAST_FILLED)
             flow_std_s = math.hypot(FLOW_STD_RATIO, FLOW_STD_S / found.pulse_s) * longer_s
-            std_s = math.hypot(later_s - missing * found.fill_time_s, flow_std_s, loops.GRID_S)
-            is_sure = missing > 2.0 * std_share if missing else found.early_s > 2.0 * std_s
-            adaptable["fill_error_s"] = _Adaptable(longer_s, std_s, is_sure)
-        return adaptable
+            errors["fill_error_s"] = longer_s
+            errors["std_fill_error_s"] = math.hypot(later_s - missing * found.fill_time_s, flow_std_s, loops.GRID_S)
+        return errors
 
 
 def _judged(
     event: Event,
     found: _Found,
-    adaptable: dict[str, _Adaptable],
+    errors: Mapping[str, float],
     packs: tuple[_Pack, _Pack],
     *,
     is_second: bool,
 ) -> ShiftQuality:
-    """Return the parts of an event, what they cost, and what of the control is wrong for sure."""
+    """Return the parts of an event and what they cost."""
     energies_j, peaks_k = (found.energy_on_j, found.energy_off_j), (found.peak_on_k, found.peak_off_k)
     told: dict[str, float] = {
         **found._asdict(),
-        **{name: one.value for name, one in adaptable.items()},
-        **{f"std_{name}": one.std for name, one in adaptable.items()},
+        **errors,
         "overtime_s": max(found.locked_s - INTENDED_S.get(event.kind, USUAL_S), 0.0 * found.locked_s),
         "temperature_rise_k": max(energies_j[0] / packs[0].heat_j_k, energies_j[1] / packs[1].heat_j_k),
         "slip_energy1_j": energies_j[is_second],
@@ -271,9 +260,7 @@ def _judged(
     }
     parts = {name: float(told[name]) for name in _PUBLIC if abs(told.get(name, math.nan)) < MOST}
     score, reasons = weighed(parts) if event.kind in GEAR_CHANGES else (None, [])
-    sure = [name for name, one in adaptable.items() if one.is_sure and abs(one.value) > LEAST_CHANGE[name]]
-    corrections = tuple(sure) if event.kind in GEAR_CHANGES else ()
-    return ShiftQuality(score=score, reasons=tuple(reasons), corrections=corrections, **parts)
+    return ShiftQuality(score=score, reasons=tuple(reasons), **parts)
 
 
 def weighed(parts: Mapping[str, float]) -> tuple[float | None, list[str]]:

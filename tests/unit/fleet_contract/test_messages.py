@@ -64,6 +64,13 @@ def test_unknown_keys_are_ignored() -> None:
     assert read_message(SHIFT.topic, payload).data["colour"] == "amber"
 
 
+def test_a_shift_quality_may_hold_the_corrections_that_earlier_programs_named() -> None:
+    for quality in ({"score": 80.0, "reasons": []}, {"score": 80.0, "reasons": [], "corrections": ["fill_error_s"]}):
+        assert (
+            read_message(SHIFT.topic, changed(SHIFT.payload, "data", "shift_quality", value=quality)).data["seq"] == 1
+        )
+
+
 @pytest.mark.parametrize(
     ("path", "value", "kind"),
     [

@@ -49,9 +49,7 @@ SCORED = replace(
     shift_result(),
     estimate=replace(
         shift_result().estimate,
-        shift_quality=ShiftQuality(
-            score=87.5, reasons=("flare_rad_s",), corrections=("fill_error_s",), flare_rad_s=9.0
-        ),
+        shift_quality=ShiftQuality(score=87.5, reasons=("flare_rad_s",), flare_rad_s=9.0),
     ),
 )
 RECORDS = [

@@ -203,9 +203,9 @@ def test_the_future_of_the_fluid_is_one_sentence() -> None:
     ) in few
 
 
-def test_how_well_it_shifts_is_a_table_with_what_to_adapt_and_the_load() -> None:
+def test_how_well_it_shifts_is_a_table_with_the_load() -> None:
     quality = ShiftQuality(
-        score=70.0, reasons=("touch_error_pa",), corrections=("touch_error_pa",), touch_error_pa=4_000.0,
+        score=70.0, reasons=("touch_error_pa",), touch_error_pa=4_000.0,
         std_touch_error_pa=1_000.0, slip_energy1_j=20e3, slip_energy2_j=0.0,
     )  # fmt: skip
     rows = tuple(
@@ -216,5 +216,4 @@ def test_how_well_it_shifts_is_a_table_with_what_to_adapt_and_the_load() -> None
     (table,) = (line for line in lines if isinstance(line, Table) and str(line.title).startswith("How well it shifts"))
     assert [next(iter(column.cells)) for column in table.columns][3:] == ["70", "70", "-", "70", "-", "touch error"]
     told = [str(line) for line in lines if isinstance(line, Text)]
-    assert "Adapt clutch 1: touch point 0.04 bar later than believed (± 0.02)." in told
     assert told[-1].startswith("Clutch 1 turned 0.12 MJ into heat in 6 events, launches: 0")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from diag_service.diagnosis.condition.shift_course import Course, correction_lines, courses, load_line, loads
+from diag_service.diagnosis.condition.shift_course import Course, courses, load_line, loads
 from diag_service.diagnosis.condition.shift_quality import PARTS, Load
 from diag_service.diagnosis.events import EventKind
 from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality
@@ -34,20 +34,6 @@ def test_a_course_has_both_ends_and_the_oil() -> None:
     assert courses([result(1, None)]) == []
     some += [result(50 + seq, replace(UPSHIFT, score=40.0, reasons=("flare_rad_s",))) for seq in range(20)]
     assert courses(some)[0].reason == "flare_rad_s"  # why they go badly now, however many did for another reason
-
-
-def test_the_newest_word_on_a_clutch_counts() -> None:
-    late = replace(UPSHIFT, corrections=("touch_error_pa",), touch_error_pa=4_000.0)
-    early = replace(late, touch_error_pa=-6_000.0, corrections=("touch_error_pa", "fill_error_s"),
-                    fill_error_s=0.06, std_fill_error_s=0.01)  # fmt: skip
-    assert correction_lines([result(1, early), result(2, late)]) == [
-        "clutch 2: touch point 0.04 bar later than believed (± 0.02)"
-    ]
-    assert correction_lines([result(1, late), result(2, early)]) == [
-        "clutch 2: fill for 60 ms longer (± 20)",
-        "clutch 2: touch point 0.06 bar earlier than believed (± 0.02)",
-    ]
-    assert correction_lines([result(1, late), result(2, UPSHIFT)]) == []
 
 
 def test_the_load_of_a_clutch_is_what_it_slipped() -> None:
