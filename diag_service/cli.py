@@ -32,7 +32,6 @@ _FUNCTIONS: Final = {  # of commands that share a module; the others are ``execu
     **{word: f"live.{word}" for word in ("config", "monitor", "run")},
     **{word: f"store.{word}" for word in ("fluid_changed", "history", "report", "show")},
     "calibrate": "learn.calibrate",
-    "cluster": "lake.cluster",
     "signals": "inspect.propose",
 }
 ENDED_BY_SIGNALS: Final = ("run", "monitor")  # as a rule

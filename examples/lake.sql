@@ -4,14 +4,14 @@
 CREATE VIEW shifts AS
 SELECT * FROM read_parquet('lake/shifts/*/*/*.parquet', hive_partitioning = true, hive_types = {'date': DATE, 'vehicle': VARCHAR});
 CREATE VIEW logs AS
-SELECT * FROM read_parquet('lake/manifest/**/*.parquet', filename = true)
+SELECT * FROM read_parquet('lake/manifest/**/*.parquet', filename = true, union_by_name = true)
 QUALIFY row_number() OVER (PARTITION BY source ORDER BY parse_filename(filename) DESC) = 1;
 
 -- What is in it?
 SELECT vehicle, min(date) AS first, max(date) AS last, count(DISTINCT stream) AS logs, count(*) AS shifts FROM shifts GROUP BY vehicle ORDER BY vehicle;
 
 -- Which logs could not be analysed, and why?
-SELECT vehicle, source, reason, attempts FROM logs WHERE outcome = 'failed' ORDER BY vehicle, source;
+SELECT vehicle, source, reason FROM logs WHERE outcome = 'failed' ORDER BY vehicle, source;
 
 -- Which clutches need attention, going by the last shift of each?
 SELECT vehicle, clutch, end_utc, "verdict.condition", "verdict.advice" FROM shifts

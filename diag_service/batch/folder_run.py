@@ -15,9 +15,9 @@ from canlog.errors import NOTICE, SourceError
 from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.batch.drives import Drive, LeftOut, find_drives, left_out_record
 from diag_service.batch.journal import Entry, Journal
-from diag_service.batch.processes import job_count, progress_bar, shared_out
+from diag_service.batch.processes import DEADLY, job_count, progress_bar, shared_out
 from diag_service.batch.tables import check_output, write_results
-from diag_service.batch.worker import analyse_drive, start_worker
+from diag_service.batch.worker import analyse_drive, failed_entry, start_worker
 from diag_service.delivery import Acknowledge
 from diag_service.diagnosis.records import dump
 from diag_service.diagnosis.summary import GAP_TEXT, Gap
@@ -125,10 +125,9 @@ def _analysed(
         for done_count, (drive, future) in enumerate(found, 1):
             progress.update(task, advance=drive.size_bytes, done=done_count)
             try:
-                entry = future.result()
-            except BrokenProcessPool as exc:
-                raise SourceError(f"a process died while it analysed {drive.name} or a drive beside it") from exc
-            yield drive, entry
+                yield drive, future.result()
+            except BrokenProcessPool:
+                yield drive, failed_entry(drive, DEADLY)
 
 
 def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, listener: FolderListener) -> Counter[str]:

@@ -3,8 +3,9 @@
 import os
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context, parent_process
 from typing import Final, TypeVar
@@ -17,6 +18,7 @@ from diag_service.service.stopping import Trigger, ignore
 
 POLL_S: Final = 0.2  # how soon a request to stop is heard
 WAITING_PER_JOB: Final = 2  # tasks handed out ahead: a worker never waits, a stop never takes long
+DEADLY: Final = "its process died, also with nothing beside it: out of memory?"
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -59,25 +61,40 @@ def shared_out(
 ) -> Iterator[tuple[Task, Future[Result]]]:
     """Yield tasks as they are done, in no order; when told to stop, those that were begun.
 
-    Each process calls ``begin`` with ``arguments`` before its first task.
+    Each process calls ``begin`` with ``arguments`` before its first task. What died with a process is done again alone;
+    a future has BrokenProcessPool only if its task ended that process, too.
     """
-    if not tasks:
-        return
-    waiting, running = list(reversed(tasks)), dict[Future[Result], Task]()
+    waiting, suspects = deque(tasks), deque[Task]()
     context = get_context("spawn")  # threads and compiled code do not survive a fork
-    with ProcessPoolExecutor(min(jobs, len(tasks)), context, begin, arguments) as pool:
-        while running or (waiting and not stop.is_set):
-            while waiting and not stop.is_set and len(running) < WAITING_PER_JOB * jobs:
-                task = waiting.pop()
-                running[pool.submit(work, task)] = task
-            if stop.is_set:
-                running = {future: task for future, task in running.items() if not future.cancel()}
-            finished, _ = wait(running, POLL_S, FIRST_COMPLETED)
-            for future in finished:
-                task = running.pop(future)
-                if stop.is_set and isinstance(future.exception(), BrokenProcessPool):
-                    continue  # the signal went to the whole group: the task is not done, nothing else is wrong
-                yield task, future
+    while (waiting or suspects) and not stop.is_set:
+        is_alone = not waiting
+        source, width = (suspects, 1) if is_alone else (waiting, min(jobs, len(waiting)))
+        most = 1 if is_alone else WAITING_PER_JOB * width
+        with ProcessPoolExecutor(width, context, begin, arguments) as pool:
+            for task, future in handed_out(pool, work, source, most, stop):
+                if not isinstance(future.exception(), BrokenProcessPool) or (is_alone and not stop.is_set):
+                    yield task, future
+                elif not stop.is_set:  # else the signal went to the whole group: the task is not done
+                    suspects.append(task)
+
+
+def handed_out(
+    pool: Executor, work: Callable[[Task], Result], waiting: deque[Task], most: int, stop: Trigger
+) -> Iterator[tuple[Task, Future[Result]]]:
+    """Yield tasks that a pool has done, with at most so many at it, until it breaks or is told to stop."""
+    running, is_broken = dict[Future[Result], Task](), False
+    while running or (waiting and not is_broken and not stop.is_set):
+        while waiting and not is_broken and not stop.is_set and len(running) < most:
+            try:
+                running[pool.submit(work, waiting[0])] = waiting[0]
+                waiting.popleft()
+            except BrokenProcessPool:
+                is_broken = True
+        if stop.is_set:
+            running = {future: task for future, task in running.items() if not future.cancel()}
+        for future in wait(running, POLL_S, FIRST_COMPLETED).done:
+            is_broken |= not future.cancelled() and isinstance(future.exception(), BrokenProcessPool)
+            yield running.pop(future), future
 
 
 def _end_with_parent() -> None:

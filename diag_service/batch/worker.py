@@ -49,7 +49,7 @@ class Analyst:
                 meaning = self._meaning if config.profile is self.config.profile else config.interpretation()
                 run = run_recorded(config, drive.paths, None, reporter, stop, meaning=meaning)
         except SourceError as exc:
-            return Entry(key=drive.key, drive={**_account(drive.paths), "error": str(exc)}, shifts=())
+            return failed_entry(drive, str(exc))
         return drive_entry(drive.key, drive.paths, run, reporter.results, notices)
 
 
@@ -60,6 +60,11 @@ def drive_entry(
     account = {"stream": run.stream, "summary": summary_record(run.summary), "notices": list(notices)}
     judged = (unjudged(one, run.summary.gaps) for one in results)  # the last one is taken for the drive's
     return Entry(key=key, drive={**_account(paths), **account}, shifts=tuple(map(shift_record, with_revisions(judged))))
+
+
+def failed_entry(drive: Drive, error: str) -> Entry:
+    """Return the account of a drive that could not be analysed."""
+    return Entry(key=drive.key, drive={**_account(drive.paths), "error": error}, shifts=())
 
 
 def _account(paths: Iterable[Path]) -> dict[str, object]:

@@ -24,12 +24,6 @@ DEFAULT_LIMIT_S: Final = 600.0  # an hour of a bus takes half a minute
 _LAKE: Final = click.Argument(
     ["lake"], type=FILE_OR_STORE, metavar="LAKE", help="folder, or s3://BUCKET/PREFIX and such"
 )
-_TLS: Final = (
-    Option("--ca FILE", "authority of the cluster", FILE, required=True),
-    Option("--cert FILE", "our certificate", FILE, required=True),
-    Option("--key FILE", "its key, readable for its owner only", FILE, required=True),
-)
-_HOST: Final = Option("--host HOST", "address to listen at (default: 127.0.0.1)", default="127.0.0.1")
 LAKE_OPTIONS: Final = (
     Option(
         "--lake PLACE",
@@ -77,36 +71,6 @@ LAKE: Final = Group(
     ),
     metavar="ACTION",
 )
-CLUSTER: Final = Group(
-    "cluster",
-    "run a part of a cluster that analyses logs into a lake",
-    Command(
-        "scheduler",
-        "distribute the work of runs to workers",
-        *(_HOST, Option("--port PORT", "port to listen at (default: 8786)", INT, default=8786), *_TLS),
-        Option(
-            "--dashboard [HOST:]PORT",
-            "show its state to browsers there, without TLS (default: a free port, to this machine)",
-        ),
-        VERBOSE,
-        examples=(f"{PROGRAM} cluster scheduler --ca ca.crt --cert node1.crt --key node1.key",),
-    ),
-    Command(
-        "worker",
-        "analyse logs that a scheduler hands out",
-        click.Argument(["scheduler"], metavar="ADDRESS", help="tls://HOST:PORT of the scheduler"),
-        *(_HOST, Option("--jobs N", "processes, each with a log at a time (default: one per core)", INT)),
-        Option(
-            "--memory MIB",
-            "memory limit of a process, which is ended above it (default: an equal share of the machine's)",
-            INT,
-        ),
-        *(*_TLS, VERBOSE),
-        examples=(f"{PROGRAM} cluster worker tls://127.0.0.1:8786 --ca ca.crt --cert node1.crt --key node1.key",),
-    ),
-    metavar="ACTION",
-)
-
 
 EXIT_OK, EXIT_UNEXPECTED, EXIT_CONFIG, EXIT_SOURCE, EXIT_STORE, EXIT_INCOMPLETE = range(6)
 EXIT_SIGNALLED = 128  # and the number of the signal, as a shell tells it
@@ -431,5 +395,5 @@ COMMAND_LINE: Final = Program(
     *(_ANALYZE, _REPORT, _HISTORY, _SHOW, _FLUID_CHANGED),
     *(_CALIBRATE, _INSPECT, _SIGNALS, _DECODE, _PREDICT, _LEARN, _TRANSMISSION),
     *(command for words in attached("diag_service.command_words") for command in words),
-    *(LAKE, CLUSTER),
+    LAKE,
 )

@@ -231,12 +231,15 @@ class TableWriter:
             plan, columns = self.plans[task.columns], self.choice.columns
             decoded = decode_logs([task.log], plan, task.output, self.table_format, columns=columns)
         except SourceError as exc:
-            reason = str(exc).removeprefix(f"{task.log}: ")
-            record: JsonObject = {"path": str(task.log), "output": None, "error": reason}
-            return TableDone(record=record, line=f"{task.log}: not read: {reason}", error=reason)
+            return _not_read(task, str(exc).removeprefix(f"{task.log}: "))
         except OSError as exc:
             raise OutputError(f"cannot write {task.output}: {exc.strerror or exc}") from exc
         return _done(task, decoded)
+
+
+def _not_read(task: TableTask, reason: str) -> TableDone:
+    record: JsonObject = {"path": str(task.log), "output": None, "error": reason}
+    return TableDone(record=record, line=f"{task.log}: not read: {reason}", error=reason)
 
 
 def _done(task: TableTask, decoded: Decoded) -> TableDone:
@@ -271,7 +274,7 @@ def write_own_table(task: TableTask) -> TableDone:
 
 def _decode_folders(options: SimpleNamespace, controls: Controls) -> None:
     """Decode logs into tables of their own; raises StoppedError if that was stopped before all were written."""
-    from diag_service.batch.processes import job_count, shared_out  # noqa: PLC0415 - one table needs none of it
+    from diag_service.batch.processes import DEADLY, job_count, shared_out  # noqa: PLC0415 - one table needs none of it
 
     table_format = TableFormat(options.format or TableFormat.PARQUET)
     choice = replace(_choice_of(options), table_format=table_format.value)
@@ -290,8 +293,8 @@ def _decode_folders(options: SimpleNamespace, controls: Controls) -> None:
     for task, future in shared_out(write_own_table, tasks, jobs, controls.stop, begin_tables, arguments):
         try:
             done = future.result()
-        except BrokenProcessPool as exc:
-            raise SourceError(f"a process died while it decoded {task.log} or a log beside it") from exc
+        except BrokenProcessPool:
+            done = _not_read(task, DEADLY)
         totals["failed" if done.error else "done"] += 1
         losing += [f"{task.log}: {(done.losses or (done.error,))[0]}"] if done.losses or done.error else []
         _show_done(done, options, console)

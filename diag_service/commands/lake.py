@@ -1,4 +1,4 @@
-"""``diag-service lake``, ``analyze --lake`` and ``cluster``: lakes are filled, checked; clusters fill them."""
+"""``diag-service lake`` and ``analyze --lake``: lakes are filled and checked."""
 
 import logging
 import sys
@@ -12,13 +12,12 @@ from canlog.logs import STANDARD_INPUT
 from diag_service.batch.processes import job_count
 from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoreError
-from diag_service.lake.parts import disagreement, forget, mend, partitions, parts_of
+from diag_service.lake.parts import Manifest, disagreement, forget, mend, parts_of
 from diag_service.lake.places import UNFINISHED, Place
-from diag_service.lake.pools import ClusterAddress, run_scheduler, run_workers
-from diag_service.lake.run import fill_lake, find_logs
+from diag_service.lake.run import fill_lake, find_logs, trusted_scheduler
 from diag_service.lake.work import Job
 from diag_service.service.stopping import Controls
-from diag_service.settings.config import check_vehicle, diagnosis_config, parse_listen_address
+from diag_service.settings.config import check_vehicle, diagnosis_config
 from fleet_link import AddressError, TlsFiles
 
 FORGOTTEN_SCHEMA: Final = "clutchdiag/forgotten/v1"
@@ -41,7 +40,7 @@ def _forget(options: SimpleNamespace, lake: Place) -> None:
     """Forget a vehicle; raises StoreError if the lake had nothing of it."""
     gone = forget(lake, check_vehicle(options.vehicle))
     if not gone.parts and not gone.rows:
-        known = sorted({row.vehicle for rows in partitions(lake) for row in rows})
+        known = sorted({row.vehicle for row in Manifest(lake).rows})
         shown = get_close_matches(gone.vehicle, known, n=SHOWN) or known[:SHOWN]
         others = f"; it has {', '.join(shown)}{'' if len(shown) == len(known) else ' and others'}" if known else ""
         raise StoreError(f"lake {lake.address} has nothing of {gone.vehicle}{others}")
@@ -81,7 +80,10 @@ def fill(options: SimpleNamespace, controls: Controls) -> None:
     what ``fill_lake`` raises.
     """
     _check_words(options)
-    scheduler = None if options.scheduler == LOCAL else ClusterAddress.parse(options.scheduler, tls_files(options))
+    scheduler = None
+    if options.scheduler != LOCAL:
+        tls = tls_files(options)
+        scheduler = trusted_scheduler(options.scheduler, tls), tls
     options.ca = options.cert = options.key = options.broker = None  # the scheduler's, and nothing is published
     config = replace(diagnosis_config(options), budget_bytes=None)
     lake = Place(str(options.lake))
@@ -100,11 +102,11 @@ def fill(options: SimpleNamespace, controls: Controls) -> None:
         is_retried=options.retry,
     )
     sys.stdout.write(
-        f"{totals.found} logs: {totals.before} in the lake before, {totals.done} analysed with {totals.shifts} shifts, "
-        f"{totals.failed} not\n"
+        f"{len(logs)} logs: {totals['before']} in the lake before, {totals['done']} analysed with {totals['shifts']} "
+        f"shifts, {totals['failed']} not\n"
     )
-    if not totals.holds_any:
-        raise SourceError(f"none of {totals.found} logs could be analysed; --retry tries them again")
+    if not totals["held"]:
+        raise SourceError(f"none of {len(logs)} logs could be analysed; --retry tries them again")
     _LOG.log(NOTICE, "the lake is %s", lake.address)
 
 
@@ -122,18 +124,6 @@ def _check_words(options: SimpleNamespace) -> None:
     job_count(options.jobs)  # complains
     if options.scheduler == LOCAL and (options.ca or options.cert or options.key):
         raise ConfigError("--ca, --cert and --key are for a scheduler: --scheduler tls://HOST:PORT")
-
-
-def cluster(options: SimpleNamespace, controls: Controls) -> None:
-    """Run a part of a cluster until a signal comes."""
-    tls = tls_files(options)
-    if options.action == "scheduler":
-        page = None if options.dashboard is None else parse_listen_address(options.dashboard)
-        run_scheduler(options.host, options.port, tls, None if page is None else (page.host, page.port), controls.stop)
-        return
-    jobs = job_count(options.jobs)
-    address = ClusterAddress.parse(options.scheduler, tls)
-    run_workers(address, options.host, jobs, options.memory, controls.stop)
 
 
 def tls_files(options: SimpleNamespace) -> TlsFiles:

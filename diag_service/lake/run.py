@@ -1,46 +1,37 @@
 """A run that makes a lake of logs: what is not in it yet is handed out, the largest first, and told row by row."""
 
 import logging
-import time
+import socket
+import ssl
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
-from dataclasses import dataclass, replace
-from itertools import groupby
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Final, Self, TextIO
+from typing import Final, TextIO
+from urllib.parse import urlsplit
 
 from canlog.errors import NOTICE
-from diag_service.batch.processes import progress_bar
-from diag_service.errors import ConfigError, StoppedError
-from diag_service.lake.parts import DONE, FAILED, SIGNALS, LogRow, Manifest, copies, partition_of, strayed
+from canlog.extras import load_extra
+from diag_service.batch.processes import DEADLY, handed_out, progress_bar, shared_out
+from diag_service.batch.worker import leave_to_parent
+from diag_service.errors import ConfigError, StoppedError, StoreError
+from diag_service.lake.parts import DONE, FAILED, SIGNALS, Ledger, LogRow, Manifest
 from diag_service.lake.places import Place
-from diag_service.lake.pools import ClusterAddress, ClusterPool, LocalPool, Pool
-from diag_service.lake.work import Job, LakeLog, row_of
+from diag_service.lake.work import Job, LakeLog, make_in_worker, row_of
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import check_vehicle
+from fleet_link import AddressError, TlsFiles
 
-POLL_S: Final = 0.2  # how soon a request to stop is heard
-WAITING_PER_WORKER: Final = 2  # logs handed out ahead: nobody waits, and memory and what a stop throws away are bounded
-MOST_DEATHS: Final = 2  # of a log's process with nothing beside it: then it is the log
-DEADLY: Final = f"its process died each time, {MOST_DEATHS} times with no other log beside it: out of memory or time?"
-MOST_REFUSALS: Final = 3  # of a store, each after its own attempts
-ROWS_PER_FILE: Final = 256
-FILE_EVERY_S: Final = 5.0
-GROUP_LOGS: Final = 50_000  # whose rows of the manifest are held together, and those of their vehicles
+SCHEME: Final = "tls"
+DEFAULT_PORT: Final = 8786
+CONNECT_TIMEOUT_S: Final = 10.0
+PATIENCE_S: Final = 120.0  # how long there may be no worker
+MOST_HANDED_OUT: Final = 1000  # what a scheduler holds, however many logs there are
+RETRIES: Final = 2  # of a log whose store refused
 _LOG = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LakeTotals:
-    """What became of the logs of a run."""
-
-    found: int
-    before: int  # in the lake already, as they are
-    done: int
-    failed: int
-    shifts: int
-    holds_any: bool  # whether any of them, now or before, was analysed
 
 
 def find_logs(places: Sequence[str], lake: Place, vehicle: str, *, has_vehicles: bool) -> list[LakeLog]:
@@ -83,161 +74,121 @@ def to_do(job: Job, logs: Sequence[LakeLog], manifest: Manifest, *, is_retried: 
 def fill_lake(
     job: Job,
     logs: Sequence[LakeLog],
-    scheduler: ClusterAddress | None,
+    scheduler: tuple[str, TlsFiles] | None,
     *,
     jobs: int,
     stream: TextIO,
     stop: Trigger,
     is_shown: bool = False,
     is_retried: bool = False,
-) -> LakeTotals:
-    """Bring a lake up to date with logs; a scheduler of ``None`` stands for processes of this machine.
+) -> Counter[str]:
+    """Bring a lake up to date with logs, by a scheduler's workers or by processes of this machine.
 
-    Started again after whatever ended it, it goes on where it was. Raises what the pools raise, and StoppedError if it
+    Return how many were in it ``before``, ``done``, ``failed``, their ``shifts``, and how many of all are ``held``.
+
+    Started again after whatever ended it, it goes on where it was. Raises what workers raise, and StoppedError if it
     was stopped before everything was done.
     """
-    lake = Place(job.lake)
-    before, holds_any, counts = 0, False, Counter[str]()
-    for group, partitions in _groups(logs, lake):
-        manifest = Manifest(lake, partitions)
-        missing = to_do(job, group, manifest, is_retried=is_retried)
-        before += len(group) - len(missing)
-        if len(missing) < len(group):
-            _LOG.log(NOTICE, "%d of %d logs were done before", len(group) - len(missing), len(group))
-        if missing:
-            pool: Pool = (
-                ClusterPool(job, scheduler) if scheduler else LocalPool(job, min(jobs, len(missing)), is_shown=is_shown)
-            )
-            size_bytes = sum(log.held.size_bytes for log in missing)
-            with closing(pool), Ledger(manifest, lake) as ledger, progress_bar(is_shown=is_shown) as bar:
-                task = bar.add_task("analysing", total=size_bytes, done=0, of=len(missing))
-                for row in Dispatch(job, pool, missing, stop).rows():
-                    ledger.add(row)
-                    counts.update({row.outcome: 1, "shifts": row.shifts})
-                    bar.update(task, advance=row.size_bytes, done=counts[DONE] + counts[FAILED])
-                    stream.write(line_of(row) + "\n")
-                    stream.flush()
-        rows = (manifest.row(log.source) for log in group)
-        holds_any = holds_any or any(row is not None and row.outcome == DONE for row in rows)
-        manifest.put_together()
-        if stop.is_set:
-            break
+    lake, counts = Place(job.lake), Counter[str]()
+    manifest = Manifest(lake)
+    missing = to_do(job, logs, manifest, is_retried=is_retried)
+    before = len(logs) - len(missing)
+    if before:
+        _LOG.log(NOTICE, "%d of %d logs were done before", before, len(logs))
+    rows = (
+        _made_by_cluster(job, missing, *scheduler, stop)
+        if scheduler
+        else _made_here(job, missing, jobs, stop, is_shown)
+    )
+    with closing(rows), closing(Ledger(manifest)) as ledger, progress_bar(is_shown=is_shown) as bar:
+        task = bar.add_task("analysing", total=sum(log.held.size_bytes for log in missing), done=0, of=len(missing))
+        for row in rows if missing else ():
+            ledger.add(row)
+            counts.update({row.outcome: 1, "shifts": row.shifts})
+            bar.update(task, advance=row.size_bytes, done=counts[DONE] + counts[FAILED])
+            stream.write(line_of(row) + "\n")
+            stream.flush()
+    manifest.put_together()
     finished = before + counts[DONE] + counts[FAILED]
     if finished < len(logs):
         raise StoppedError(
             f"stopped early: {finished} of {len(logs)} logs are done; run the same command again to continue"
         )
-    made = {"done": counts[DONE], "failed": counts[FAILED], "shifts": counts["shifts"]}
-    return LakeTotals(found=len(logs), before=before, holds_any=holds_any, **made)
+    found = (manifest.row(log.source) for log in logs)
+    counts.update({"before": before, "held": sum(row is not None and row.outcome == DONE for row in found)})
+    return counts
 
 
-def _groups(logs: Sequence[LakeLog], lake: Place) -> Iterator[tuple[list[LakeLog], set[str]]]:
-    """Yield logs that are worked on together, with the partitions of the manifest that know of them."""
-    others = strayed(lake, {log.source: log.vehicle for log in logs})
-    group, known = list[LakeLog](), set[str]()
-    for partition, own in groupby(sorted(logs, key=_partition), _partition):
-        group += own
-        known.add(partition)
-        known.update(
-            partition_of(one) for now, before in others.items() if partition_of(now) == partition for one in before
-        )
-        if len(group) >= GROUP_LOGS:
-            yield group, known
-            group, known = [], set()
-    if group:
-        yield group, known
+def _made_here(job: Job, logs: Sequence[LakeLog], jobs: int, stop: Trigger, is_shown: bool) -> Iterator[LogRow]:  # noqa: FBT001 - as a worker begins
+    """Yield the rows of logs as processes of this machine make them, in no order."""
+    for log, future in shared_out(partial(make_in_worker, job), logs, jobs, stop, leave_to_parent, (is_shown,)):
+        try:
+            yield future.result()
+        except BrokenProcessPool:
+            yield row_of(job, log, reason=DEADLY)
 
 
-def _partition(log: LakeLog) -> str:
-    return partition_of(log.vehicle)
+def trusted_scheduler(text: str, tls: TlsFiles) -> str:
+    """Return the address of the scheduler at ``tls://HOST:PORT``, its certificate seen: Dask compares no name.
+
+    Whoever reaches a scheduler can have any program run by its workers, so nobody does without a certificate of the
+    authority, not even on the same machine. Raises ConfigError if it is anything else or is not to be trusted,
+    StoreError if nobody is there.
+    """
+    try:
+        parts = urlsplit(text)
+        host, port = parts.hostname, parts.port or DEFAULT_PORT
+    except ValueError as exc:
+        raise ConfigError(f"{text} is not an address of a scheduler: {exc}") from exc
+    if parts.scheme != SCHEME or not host or parts.username or parts.path.strip("/") or parts.query:
+        raise ConfigError(f"{text}: a scheduler is reached by tls://HOST:PORT only: its workers run what they are sent")
+    if tls.authority is None or tls.certificate is None or tls.key is None:
+        raise ConfigError("a cluster needs --ca, --cert and --key (docs/lake.md shows how to make them)")
+    try:
+        with (
+            socket.create_connection((host, port), CONNECT_TIMEOUT_S) as plain,
+            tls.context().wrap_socket(plain, server_hostname=host) as secure,
+        ):
+            secure.recv(1)  # with TLS 1.3 a refused certificate is heard of only here
+    except AddressError as exc:
+        raise ConfigError(str(exc)) from exc
+    except ssl.SSLError as exc:
+        raise ConfigError(f"{text} is not trusted, or does not trust us: {exc.reason or exc}") from exc
+    except OSError as exc:
+        raise StoreError(f"no scheduler at {text}: {exc.strerror or exc}") from exc
+    return f"{SCHEME}://[{host}]:{port}" if ":" in host else f"{SCHEME}://{host}:{port}"
+
+
+def _made_by_cluster(job: Job, logs: Sequence[LakeLog], address: str, tls: TlsFiles, stop: Trigger) -> Iterator[LogRow]:
+    """Yield the rows of logs as workers of Dask make them, in no order; a log that ended several of them is told."""
+    distributed = load_extra("distributed", "a cluster needs Dask", "cluster")
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what a run needs to know of it is told by us
+    files = {"tls_ca_file": str(tls.authority), "tls_client_cert": str(tls.certificate), "tls_client_key": str(tls.key)}
+    security = distributed.Security(require_encryption=True, **files)
+    try:
+        client = distributed.Client(address, security=security, set_as_default=False, timeout=CONNECT_TIMEOUT_S)
+    except OSError as exc:
+        raise StoreError(f"no scheduler at {address}: {exc}") from exc
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=PATIENCE_S)
+        except TimeoutError as exc:
+            raise StoreError(f"{address} has no worker; run the same command again when it has one") from exc
+        pool = client.get_executor(pure=False, retries=RETRIES)
+        for log, future in handed_out(pool, partial(make_in_worker, job), deque(logs), MOST_HANDED_OUT, stop):
+            if future.cancelled():
+                if stop.is_set:
+                    continue
+                raise StoreError(f"{address} is gone; run the same command again to continue")
+            error = future.exception()
+            if isinstance(error, distributed.KilledWorker):
+                yield row_of(job, log, reason=DEADLY)
+            elif error is None or isinstance(error, StoreError | ConfigError):
+                yield future.result()
+            else:
+                raise ConfigError(f"a worker cannot do this work: {type(error).__name__}: {error}") from error
 
 
 def line_of(row: LogRow) -> str:
     said = f"{row.shifts} shifts" if row.outcome == DONE else "not analysed"
     return f"{row.source}: {said}{f'; {row.reason}' if row.reason else ''}"
-
-
-class Dispatch:
-    """Hands logs out, a bounded number at a time.
-
-    One whose process died is tried again alone, so that none is blamed for another.
-    """
-
-    def __init__(self, job: Job, pool: Pool, logs: Sequence[LakeLog], stop: Trigger) -> None:
-        self._job = job
-        self._pool = pool
-        self._waiting = deque(logs)
-        self._suspects: deque[LakeLog] = deque()
-        self._stop = stop
-        self._running_count = 0
-        self._attempts: Counter[str] = Counter()
-        self._deaths_alone: Counter[str] = Counter()
-        self._refusals: Counter[str] = Counter()
-
-    def rows(self) -> Iterator[LogRow]:
-        """Yield rows as logs are done, in no order; when told to stop, those that were begun."""
-        while self._running_count or ((self._waiting or self._suspects) and not self._stop.is_set):
-            if self._stop.is_set:
-                self._running_count -= len(self._pool.withdraw())
-            else:
-                self._hand_out()
-            was_alone = self._running_count == 1 and not self._waiting
-            for outcome in self._pool.finished(POLL_S):
-                self._running_count -= 1
-                if outcome.row is not None:
-                    yield outcome.row
-                elif outcome.error is not None:
-                    self._refusals[outcome.log.source] += 1
-                    if self._refusals[outcome.log.source] >= MOST_REFUSALS:
-                        raise outcome.error
-                    self._waiting.append(outcome.log)
-                elif not outcome.is_blamed:
-                    self._waiting.appendleft(outcome.log)
-                else:
-                    self._deaths_alone[outcome.log.source] += was_alone
-                    if self._deaths_alone[outcome.log.source] < MOST_DEATHS:
-                        self._suspects.append(outcome.log)
-                    else:
-                        yield row_of(self._job, outcome.log, self._attempts[outcome.log.source], reason=DEADLY)
-
-    def _hand_out(self) -> None:
-        most = WAITING_PER_WORKER * self._pool.width
-        while self._waiting and self._running_count < most:
-            self._submit(self._waiting.popleft())
-        if self._suspects and not self._running_count:
-            self._submit(self._suspects.popleft())
-
-    def _submit(self, log: LakeLog) -> None:
-        self._attempts[log.source] += 1
-        self._running_count += 1
-        self._pool.submit(log, self._attempts[log.source])
-
-
-class Ledger:
-    """Brings rows into the manifest, many at once, and then removes what they made superfluous."""
-
-    def __init__(self, manifest: Manifest, lake: Place) -> None:
-        self._manifest = manifest
-        self._lake = lake
-        self._rows: list[LogRow] = []
-        self._due_s = time.monotonic() + FILE_EVERY_S
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.write()
-
-    def add(self, row: LogRow) -> None:
-        """Take a row, whose parts are there."""
-        self._rows.append(row)
-        if len(self._rows) >= ROWS_PER_FILE or time.monotonic() >= self._due_s:
-            self.write()
-
-    def write(self) -> None:
-        """Write the rows, in place of parts of before."""
-        rows = [*self._rows, *copies(self._manifest.rows, self._rows)]
-        self._lake.remove(self._manifest.superseded(rows))  # first: a kill after it leaves a row that is made anew
-        self._manifest.add(rows)
-        self._rows = []
-        self._due_s = time.monotonic() + FILE_EVERY_S

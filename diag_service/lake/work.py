@@ -3,12 +3,13 @@
 import hashlib
 import os
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
@@ -23,12 +24,12 @@ from diag_service.batch.worker import Analyst
 from diag_service.diagnosis.records import dump, iso_utc
 from diag_service.errors import ConfigError, StoreError
 from diag_service.lake.parts import (
+    DATE_CHARACTERS,
     DONE,
     FAILED,
     SHIFTS,
     SIGNALS,
     LogRow,
-    by_date,
     content_digest,
     first_date,
     part_name,
@@ -40,6 +41,7 @@ from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.session import versions_for
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
+from fleet_contract import JsonObject
 
 PARTS_VERSION: Final = "1"  # of how parts are laid out; those of an older one are made anew
 GRACE_FACTOR: Final = 1.5  # a log that does not heed its time limit ends its process after so many times of it
@@ -64,8 +66,9 @@ class LakeLog:
 
     @property
     def key(self) -> str:
-        """What tells this log from an earlier state of it."""
-        return self.held.key(self.place, self.vehicle)
+        """What tells this log from any other, from itself of another vehicle, and from an earlier state of it."""
+        parts = (self.place, self.held.name, str(self.held.size_bytes), self.held.mark, self.vehicle)
+        return hashlib.sha256("\0".join(parts).encode(errors="surrogateescape")).hexdigest()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,7 +138,7 @@ class Maker:
     def _lake(self) -> Place:
         return Place(self.job.lake)
 
-    def make(self, log: LakeLog, attempts: int) -> LogRow:
+    def make(self, log: LakeLog) -> LogRow:
         """Return the row of a log whose parts are written; a log that cannot be analysed gives the reason instead.
 
         Raises StoreError if the lake does not take a part, ConfigError if this process would make other ones.
@@ -145,30 +148,29 @@ class Maker:
         with TemporaryDirectory(prefix="clutchdiag-") as name, _limited(limit_s, self._end) as stop:
             path = folder = Path(name)
             try:
-                path = _fetched(log, folder)
+                path = Place(log.place).brought(log.held.name, folder)
                 content = content_digest(path)
-                entries, reason = _analysed(analyst, log, path, stop)
-                if stop.is_set:
-                    entries, reason = {}, f"took longer than {limit_s:g} s"
-                parts = self._parts(log, content, entries, folder) if entries else []
+                entry = _analysed(analyst, log, path, stop, limit_s)
+                return row_of(self.job, log, content, entry, self._parts(log, content, entry, path, folder))
             except (StoreError, ConfigError):
                 raise
             except SourceError as exc:
-                entries, reason, parts = {}, str(exc).replace(str(path), log.source), []
+                reason = str(exc).replace(str(path), log.source)
             except Exception as exc:  # noqa: BLE001 - one log, whatever is wrong with it, must not stop the others
-                entries, reason, parts = {}, f"{type(exc).__name__}: {exc}", []
-        return row_of(self.job, log, attempts, content=content, reason=reason, parts=parts, entries=entries.values())
+                reason = f"{type(exc).__name__}: {exc}"
+        return row_of(self.job, log, content, reason=reason)
 
-    def _parts(self, log: LakeLog, content: str, entries: Mapping[Path, Entry], folder: Path) -> list[str]:
+    def _parts(self, log: LakeLog, content: str, entry: Entry, path: Path, folder: Path) -> list[str]:
         """Write the parts of a log, all of them or none, and return their names."""
-        files = dict[str, Path]()
-        complete = {entry.drive["stream"]: entry.is_complete for entry in entries.values()}
-        for date, shifts in by_date([shift for entry in entries.values() for shift in entry.shifts]).items():
+        files, days = dict[str, Path](), defaultdict[str, list[JsonObject]](list)
+        for shift in entry.shifts:
+            days[str(shift["start_utc"])[:DATE_CHARACTERS]].append(shift)
+        for date, shifts in days.items():
             made = folder / f"shifts-{date}.parquet"
-            write_shifts(made, content, [(shift, complete[shift["stream"]]) for shift in shifts])
+            write_shifts(made, content, shifts, is_complete=entry.is_complete)
             files[part_name(SHIFTS, date, log.vehicle, content, self.job.settings)] = made
-        for path in entries if self.job.signals is not None and not log.kept else ():
-            made, log_columns = folder / f"signals-{len(files)}.parquet", self.job.config.columns
+        if self.job.signals is not None and not log.kept:
+            made, log_columns = folder / "signals.parquet", self.job.config.columns
             decode_logs([path], self._plan, made, TableFormat.PARQUET, columns=log_columns)
             date = first_date(path, log_columns)
             files[part_name(SIGNALS, date, log.vehicle, content, self.job.signal_settings)] = made
@@ -178,16 +180,9 @@ class Maker:
 
 
 def row_of(
-    job: Job,
-    log: LakeLog,
-    attempts: int,
-    *,
-    content: str = "",
-    reason: str = "",
-    parts: Sequence[str] = (),
-    entries: Collection[Entry] = (),
+    job: Job, log: LakeLog, content: str = "", entry: Entry | None = None, parts: Sequence[str] = (), reason: str = ""
 ) -> LogRow:
-    """Return the row of a log; without entries it failed."""
+    """Return the row of a log; without what it said it failed."""
     return LogRow(
         source=log.source,
         key=log.key,
@@ -197,58 +192,41 @@ def row_of(
         settings=job.settings,
         signals=log.kept_signals or job.signal_settings,
         algorithm_version=versions_for(job.config.calibration).algorithm,
-        outcome=DONE if entries else FAILED,
+        outcome=DONE if entry else FAILED,
         reason=reason,
-        shifts=sum(len(entry.shifts) for entry in entries),
-        attempts=attempts,
+        shifts=len(entry.shifts) if entry else 0,
         parts=tuple(parts),
-        account=dump({"logs": [entry.drive for entry in entries]}),
+        account=dump({"logs": [entry.drive] if entry else []}),
         made_at=iso_utc(datetime.now(UTC)),
     )
 
 
-def make_in_worker(job: Job, log: LakeLog, attempts: int) -> LogRow:
+def make_in_worker(job: Job, log: LakeLog) -> LogRow:
     """Make the parts of a log in a process that gets many of the same job, one after another."""
     with _ONE_AT_A_TIME:
         if not _MAKERS or _MAKERS[0].job.digest != job.digest:
             _MAKERS[:] = [Maker(job)]
-        return _MAKERS[0].make(log, attempts)
+        return _MAKERS[0].make(log)
 
 
-def _fetched(log: LakeLog, folder: Path) -> Path:
-    """Return where a log lies on this machine, in ``folder`` if it came from elsewhere; SourceError: nobody has it."""
-    place = Place(log.place)
-    path = place.path(log.held.name)
-    if path is None:
-        path = folder / PurePosixPath(log.held.name).name
-        try:
-            place.fetch(log.held.name, path)
-        except StoreError as exc:
-            if not place.has_refused(log.held.name, exc):
-                raise
-            raise SourceError(str(exc)) from exc
-    return path
-
-
-def _analysed(analyst: Analyst, log: LakeLog, path: Path, stop: Trigger) -> tuple[dict[Path, Entry], str]:
-    """Return what the log said, by its path, or why it could not be read."""
+def _analysed(analyst: Analyst, log: LakeLog, path: Path, stop: Trigger, limit_s: float) -> Entry:
+    """Return what the log said; raises SourceError, saying why it could not be read."""
     one = looked_at(path, analyst.config.columns)
     if one.format is None:
-        return {}, f"{log.source}: {one.reason}"
+        raise SourceError(f"{log.source}: {one.reason}")
     entry = analyst.analyse(drive_of([path], log.vehicle), stop)
+    if stop.is_set:
+        raise SourceError(f"took longer than {limit_s:g} s")
     if error := entry.drive["error"]:
-        return {}, str(error).replace(str(path), log.source)
-    return {path: Entry(key=entry.key, drive={**entry.drive, "paths": [log.source]}, shifts=entry.shifts)}, ""
+        raise SourceError(str(error))
+    return Entry(key=entry.key, drive={**entry.drive, "paths": [log.source]}, shifts=entry.shifts)
 
 
 @contextmanager
 def _limited(limit_s: float, end: Callable[[int], object]) -> Iterator[Trigger]:
     """Give a trigger that the time limit sets; a process that does not heed it is ended, with all that it holds."""
     stop = Trigger()
-    timers = (
-        threading.Timer(limit_s, stop.set),
-        threading.Timer(GRACE_FACTOR * limit_s, end, (EXIT_OVERDUE,)),
-    )
+    timers = [threading.Timer(limit_s, stop.set), threading.Timer(GRACE_FACTOR * limit_s, end, (EXIT_OVERDUE,))]
     for timer in timers:
         timer.daemon = True
         timer.start()

@@ -32,14 +32,14 @@ def test_a_lake_in_a_store_is_made_by_a_cluster(
     (tmp_path / "logs" / "car1" / "bad.blf").write_bytes(b"LOGG" + bytes(200))
     with s3_server() as port, in_environment(s3_environment(port)), Cluster(tmp_path, s3_environment(port)) as cluster:
         cluster.start_scheduler()
-        cluster.start_workers("--jobs", "1", "--memory", "700")
+        cluster.start_workers("--memory-limit", "700 MiB")
         store(port).put(f"{tmp_path}/logs/", f"{BUCKET}/logs", recursive=True)
         others = tls_words(certify(tmp_path / "others", "node1"), "node1")
         for words, text in {
             ("--scheduler", cluster.address, *others): "CERTIFICATE_VERIFY_FAILED",
             ("--scheduler", cluster.address, *others[2:], *cluster.tls[:2]): "not trusted, or does not trust us",
             ("--scheduler", cluster.address): "needs --ca, --cert and --key",
-            ("--scheduler", f"tcp://127.0.0.1:{cluster.port}", *cluster.tls): "by tls:// only",
+            ("--scheduler", f"tcp://127.0.0.1:{cluster.port}", *cluster.tls): "by tls://HOST:PORT only",
         }.items():
             with pytest.raises(ConfigError, match=text):
                 fill(*words)

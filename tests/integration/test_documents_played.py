@@ -46,7 +46,7 @@ ELSEWHERE = {
         "tests/integration/test_tester.py",
     ),
     "diag-service analyze s3://fleet/logs": "tests/e2e/test_cluster.py",
-    "diag-service cluster": "tests/e2e/test_cluster.py",
+    "dask": "tests/e2e/test_cluster.py",
     "diag-service analyze logs --lake": "tests/integration/test_lake.py",
     "diag-service lake": "tests/integration/test_lake.py",
     "diag-service monitor": "tests/integration/test_service_onlookers.py",

@@ -7,6 +7,7 @@ import re
 import shutil
 import tracemalloc
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,21 +20,9 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.commands import analyze, lake
 from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import ConfigError, IncompleteError, StoreError
-from diag_service.lake.parts import (
-    DONE,
-    FAILED,
-    PARTITIONS,
-    Disagreement,
-    LogRow,
-    Manifest,
-    disagreement,
-    forget,
-    partition_of,
-    partitions,
-    strayed,
-)
+from diag_service.lake.parts import DONE, FAILED, Disagreement, Ledger, LogRow, Manifest, disagreement, forget
 from diag_service.lake.places import Place
-from diag_service.lake.run import Ledger, find_logs, to_do
+from diag_service.lake.run import find_logs, to_do
 from diag_service.lake.work import EXIT_OVERDUE, Job, LakeLog, Maker
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import DiagnosisConfig
@@ -72,8 +61,8 @@ def fill(job: Job, logs: str) -> list[LogRow]:
     place, maker = Place(job.lake), Maker(job)
     manifest = Manifest(place)
     missing = to_do(job, found_in(logs, place), manifest, is_retried=False)
-    with Ledger(manifest, place) as ledger:
-        rows = [maker.make(log, 1) for log in missing]
+    with closing(Ledger(manifest)) as ledger:
+        rows = [maker.make(log) for log in missing]
         for row in rows:
             ledger.add(row)
     manifest.put_together()
@@ -115,7 +104,6 @@ def manifest_row(number: int, account: str, **other: str) -> LogRow:
         algorithm_version="a",
         outcome=DONE,
         shifts=3,
-        attempts=1,
         parts=(texts.pop("part", part),),
         account=account,
         made_at="2026-01-01T00:00:00.000000Z",
@@ -123,60 +111,52 @@ def manifest_row(number: int, account: str, **other: str) -> LogRow:
     )
 
 
-def test_a_manifest_is_read_by_partition_and_holds_little_of_each_log(tmp_path: Path) -> None:
-    """A year of 10,000 vehicles is 3.65 million logs."""
+def test_a_manifest_holds_little_of_each_log_and_full_files_stay(tmp_path: Path) -> None:
     place, count = Place(str(tmp_path / "lake")), 2000
     for first in range(0, count, 500):
-        rows = [manifest_row(number, "x" * 13_000) for number in range(first, first + 500)]
-        Manifest(place).add(rows)
+        Manifest(place).add([manifest_row(number, "x" * 13_000) for number in range(first, first + 500)])
     tracemalloc.start()
-    manifest = Manifest(place, full_rows=count + 1)
+    manifest = Manifest(place, full_rows=count)
     held_bytes = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
     assert held_bytes / count < 2000.0
     manifest.put_together()
-    assert len(files_in(tmp_path / "lake")) == 1
-    Manifest(place, full_rows=count).put_together()
-    shared_out = files_in(tmp_path / "lake")
-    assert {Path(name).parent.name for name in shared_out} == {partition_of(f"car{number}") for number in range(10)}
-    tracemalloc.start()
-    manifest = Manifest(place, [partition_of("car7")])
-    own_bytes = tracemalloc.get_traced_memory()[0]
-    tracemalloc.stop()
-    assert own_bytes < held_bytes / 5
-    assert {row.vehicle for row in manifest.rows} == {"car7"}
-    manifest.add([manifest_row(7, "y", reason="again"), manifest_row(count, "z")])
-    manifest.put_together()
-    assert shared_out.items() < files_in(tmp_path / "lake").items()
-    accounts = pq.read_table(tmp_path / "lake" / "manifest", columns=["source", "account"]).to_pylist()
-    told = [row["account"] for row in accounts if row["source"].endswith("000007.log")]
-    assert sorted(told) == ["x" * 13_000, "y"]
-    assert {row.source: row.reason for row in Manifest(place).rows if row.reason} == {"/logs/car7/000007.log": "again"}
-    assert sorted(len(rows) for rows in partitions(place)) == [0] * (PARTITIONS - 10) + [200] * 9 + [201]
-    assert len(Manifest(place).rows) == count + 1
-    forget(place, "car7")
-    left = pq.read_table(tmp_path / "lake" / "manifest").to_pylist()
-    assert (len(left), {row["vehicle"] for row in left}) == (count + 1 - 200, {f"car{n}" for n in range(10) if n != 7})
-    assert sum(len(row["account"]) for row in left) == 13_000 * (count - 200) + 1
-
-
-def test_a_log_that_is_of_another_vehicle_leaves_its_partition(tmp_path: Path) -> None:
-    place = Place(str(tmp_path / "lake"))
-    Manifest(place).add([manifest_row(number, "x") for number in range(100)])
-    Manifest(place, full_rows=100).put_together()
-    source = manifest_row(7, "x").source
-    others = strayed(place, {source: "other"})
-    assert others == {"other": {"car7"}}
-    manifest = Manifest(place, [partition_of("car7"), partition_of("other")])
+    (full,) = files_in(tmp_path / "lake").items()
+    manifest = Manifest(place, full_rows=count)
     row = manifest_row(7, "y", vehicle="other", part="shifts/date=2026-01-01/vehicle=other/0.parquet")
     assert manifest.superseded([row]) == list(manifest_row(7, "x").parts)
     manifest.add([row])
+    manifest.add([manifest_row(count, "z")])
     manifest.put_together()
-    assert source not in {one.source for one in Manifest(place, [partition_of("car7")]).rows}
-    Manifest(place, full_rows=1).put_together()
-    found = [one for rows in partitions(place) for one in rows if one.source == source]
-    assert [one.vehicle for one in found] == ["other"]
-    assert len(pq.read_table(tmp_path / "lake" / "manifest")) == 100
+    assert full in files_in(tmp_path / "lake").items()
+    assert len(files_in(tmp_path / "lake")) == 2
+    assert {one.vehicle for one in Manifest(place).rows if one.source == row.source} == {"other"}
+    assert len(Manifest(place).rows) == count + 1
+    accounts = pq.read_table(tmp_path / "lake" / "manifest", columns=["source", "account"]).to_pylist()
+    assert sorted(one["account"] for one in accounts if one["source"] == row.source) == ["x" * 13_000, "y"]
+    forget(place, "car7")
+    left = pq.read_table(tmp_path / "lake" / "manifest").to_pylist()
+    assert "car7" not in {one["vehicle"] for one in left}
+    assert len(left) == count + 1 - 200 + 1
+
+
+def test_a_lake_of_an_earlier_program_goes_on(tmp_path: Path) -> None:
+    """Its manifest lay in partitions, with a column more."""
+    place = Place(str(tmp_path / "lake"))
+    Manifest(place).add([manifest_row(number, "x") for number in range(4)])
+    (new,) = (tmp_path / "lake" / "manifest").glob("*.parquet")
+    table = pq.read_table(new)
+    for number in (3, 17):
+        folder = new.parent / f"{number:02}"
+        folder.mkdir()
+        pq.write_table(table.append_column("attempts", [[number] * 4]), folder / f"{number:010}-0.parquet")
+    new.unlink()
+    manifest = Manifest(place)
+    manifest.put_together()
+    assert len(manifest.rows) == 4
+    (now,) = files_in(tmp_path / "lake")
+    assert Path(now).parent.name == "manifest"
+    assert pq.read_table(tmp_path / "lake" / now).num_rows == 4
 
 
 def test_a_part_depends_on_the_content_of_its_log_alone(logs: Path, tmp_path: Path) -> None:
@@ -185,7 +165,7 @@ def test_a_part_depends_on_the_content_of_its_log_alone(logs: Path, tmp_path: Pa
     for name in ("drive000.log", "copy.log"):
         job = Job.of(CONFIG, str(tmp_path / name), None, 60.0)
         (log,) = [one for one in found_in(logs, Place(job.lake)) if one.source.endswith(f"car1/{name}")]
-        row = Maker(job).make(log, 1)
+        row = Maker(job).make(log)
         found[name] = [(tmp_path / name / part).read_bytes() for part in row.parts]
         (shifts,) = (pq.read_table(tmp_path / name / part) for part in row.parts)
         assert set(shifts["path"].to_pylist()) == {f"sha256:{row.content}"}
@@ -210,12 +190,12 @@ def test_a_lake_is_made_once_and_then_kept(logs: Path, filled: Path, tmp_path: P
     lake_place = Place(newer.lake)
     missing = to_do(newer, found_in(logs, lake_place), Manifest(lake_place), is_retried=False)
     assert [log.held.size_bytes for log in missing] == sorted((log.held.size_bytes for log in missing), reverse=True)
-    with Ledger(Manifest(lake_place), lake_place) as ledger:
+    with closing(Ledger(Manifest(lake_place))) as ledger:
         for log in missing:
             if log.source.endswith("drive001.log"):
                 maker = Maker(newer)
                 maker.__dict__["_analyst"] = Maker(job)._analyst
-                ledger.add(maker.make(log, 1))
+                ledger.add(maker.make(log))
     after = files_in(place)
     assert len(before.keys() - after.keys()) == 1  # the part of shifts that the newer one replaces
     assert len(after.keys() - before.keys()) == 2  # it, and rows; signals of the log stay
@@ -235,9 +215,9 @@ def test_a_log_that_was_moved_is_in_the_lake_once_whatever_the_version(logs: Pat
     def fill_by(job: Job, folder: Path) -> None:
         maker.job = job
         _ = maker._analyst if job is first else None
-        with Ledger(Manifest(place), place) as ledger:
+        with closing(Ledger(Manifest(place))) as ledger:
             for log in found_in(folder.parent, place):
-                ledger.add(maker.make(log, 1))
+                ledger.add(maker.make(log))
 
     fill_by(first, before)
     now.parent.mkdir()
@@ -261,7 +241,7 @@ def test_a_log_whose_signals_cannot_be_had_leaves_no_part(logs: Path, tmp_path: 
     log = next(one for one in found_in(logs, Place(job.lake)) if one.held.name.endswith("1.log"))
     maker = Maker(job)
     maker.__dict__["_plan"] = None
-    row = maker.make(log, 1)
+    row = maker.make(log)
     assert (row.outcome, row.parts) == (FAILED, ())
     assert not (tmp_path / "lake").exists()
 
@@ -320,9 +300,6 @@ def test_nothing_names_a_forgotten_vehicle(filled: Path, tmp_path: Path) -> None
     assert unfinished.relative_to(address).as_posix() in gone.parts
     assert list(address.rglob("*car2*")) == []
     assert shifts_of(address) == [("car1", 2 * SHIFT_COUNT)]
-    (address / "shifts" / "date=1970-01-01" / "vehicle=car2" / "of_others").mkdir(parents=True)
-    with pytest.raises(StoreError, match="1 things of car2 are still in"):
-        forget(Place(str(address)), "car2")
 
 
 def test_what_a_killed_run_left_is_told_and_can_be_removed(logs: Path, filled: Path, tmp_path: Path) -> None:
@@ -351,7 +328,7 @@ def test_a_log_that_takes_too_long_or_breaks_the_program_is_a_row(tmp_path: Path
     log = next(
         one for one in find_logs([str(logs)], place, "car", has_vehicles=True) if one.held.name.endswith("1.log")
     )
-    row = Maker(Job.of(CONFIG, place.address, None, 1e-6), end=ends.append).make(log, 1)
+    row = Maker(Job.of(CONFIG, place.address, None, 1e-6), end=ends.append).make(log)
     assert (row.outcome, row.reason, row.parts) == (FAILED, "took longer than 1e-06 s", ())
     assert ends == [EXIT_OVERDUE]
     maker = Maker(Job.of(CONFIG, place.address, None, 60.0))
@@ -363,11 +340,11 @@ def test_a_log_that_takes_too_long_or_breaks_the_program_is_a_row(tmp_path: Path
             raise ValueError("of no kind that anybody thought of")
 
     maker.__dict__["_analyst"] = Broken()
-    assert maker.make(log, 2).reason == "ValueError: of no kind that anybody thought of"
+    assert maker.make(log).reason == "ValueError: of no kind that anybody thought of"
     gone = LakeLog(place=log.place, held=replace(log.held, name="car1/none.log"), vehicle="car1")
-    assert "none.log" in Maker(Job.of(CONFIG, place.address, None, 60.0)).make(gone, 1).reason
+    assert "none.log" in Maker(Job.of(CONFIG, place.address, None, 60.0)).make(gone).reason
     with pytest.raises(ConfigError, match="another database, profile, calibration or version"):
-        Maker(replace(Job.of(CONFIG, place.address, None, 60.0), settings="other")).make(log, 1)
+        Maker(replace(Job.of(CONFIG, place.address, None, 60.0), settings="other")).make(log)
 
 
 @pytest.mark.parametrize(
@@ -378,7 +355,7 @@ def test_a_log_that_takes_too_long_or_breaks_the_program_is_a_row(tmp_path: Path
         (("{logs}", "--retry"), ConfigError, "--retry is for a lake"),
         (("{logs}", "--lake", "{logs}/lake"), ConfigError, "must not contain each other"),
         (("{logs}", "--lake", "{tmp}/lake", "--json"), ConfigError, "--json does not go with --lake"),
-        (("{logs}", "--lake", "{tmp}/lake", "--scheduler", "tcp://127.0.0.1:1"), ConfigError, "tls:// only"),
+        (("{logs}", "--lake", "{tmp}/lake", "--scheduler", "tcp://127.0.0.1:1"), ConfigError, "tls://HOST:PORT only"),
         (("{logs}", "--lake", "{tmp}/lake", "--scheduler", "tls://127.0.0.1:1"), ConfigError, "--ca, --cert and --key"),
         (("{logs}", "--lake", "{tmp}/lake", "--ca", "ca.crt"), ConfigError, "are for a scheduler"),
         (("{logs}", "--lake", "{tmp}/lake", "--signals", "NoSuch"), ConfigError, "NoSuch"),
@@ -420,7 +397,7 @@ def test_a_link_is_what_it_leads_to(logs: Path, tmp_path: Path) -> None:
     found = find_logs([str(folder)], place, "car", has_vehicles=False)
     size_bytes = (logs / "car1" / "drive001.log").stat().st_size
     assert [(log.held.name, log.held.size_bytes) for log in found] == [("linked.log", size_bytes), ("nowhere.log", 0)]
-    row = Maker(Job.of(CONFIG, place.address, None, 60.0)).make(found[1], 1)
+    row = Maker(Job.of(CONFIG, place.address, None, 60.0)).make(found[1])
     assert row.outcome == FAILED
     assert "No such file" in row.reason
 
@@ -434,7 +411,7 @@ def test_an_object_that_has_gone_or_is_archived_is_a_row_and_a_folder_nobody_may
     files.pipe(f"{BUCKET}/old/archived.log", content, StorageClass="GLACIER")
     found = find_logs([f"s3://{BUCKET}/old"], Place(job.lake), "car", has_vehicles=False)
     files.rm(f"{BUCKET}/old/gone.log")
-    rows = [Maker(job).make(log, 1) for log in found]
+    rows = [Maker(job).make(log) for log in found]
     assert [row.outcome for row in rows] == [FAILED, FAILED]
     assert all(row.reason.startswith(f"cannot read {row.source}: ") for row in rows)
     lost = StoreError("the credentials have expired")

@@ -1,9 +1,10 @@
-"""A cluster of programs on this machine, with certificates of their own."""
+"""A cluster of Dask on this machine, with certificates of its own."""
 
 import socket
 import subprocess
+import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Self
 
@@ -12,7 +13,7 @@ import psutil
 from tests.support.certificates import certify, tls_words
 from tests.support.patience import HANG_S
 from tests.support.ports import free_port
-from tests.support.service import NOTHING, PROGRAM, environment
+from tests.support.service import NOTHING, environment
 
 _POLL_S = 0.02
 
@@ -26,11 +27,11 @@ class Cluster:
         For certificates and what the programs say.
     variables : Mapping of str to str
         More of their environment.
-    program : Sequence of str
-        The command in place of ``diag-service``.
+    preload : str
+        A module that workers import first.
     """
 
-    def __init__(self, folder: Path, variables: Mapping[str, str] = NOTHING, program: Sequence[str] = PROGRAM) -> None:
+    def __init__(self, folder: Path, variables: Mapping[str, str] = NOTHING, preload: str = "") -> None:
         self.tls = tls_words(certify(folder / "certificates", "node1"), "node1")
         self.port = free_port()
         self.address = f"tls://127.0.0.1:{self.port}"
@@ -38,7 +39,7 @@ class Cluster:
         self.workers: subprocess.Popen[bytes] | None = None
         self._folder = folder
         self._variables = {**environment(), **variables}
-        self._program = program
+        self._preload = ("--preload", preload) if preload else ()
 
     def __enter__(self) -> Self:
         return self
@@ -63,7 +64,7 @@ class Cluster:
 
     def start_workers(self, *words: str) -> None:
         """Start the guardian of some workers."""
-        self.workers = self._started("worker", self.address, *words)
+        self.workers = self._started("worker", self.address, "--nthreads", "1", *self._preload, *words)
 
     @staticmethod
     def kill(process: subprocess.Popen[bytes] | None) -> None:
@@ -91,5 +92,8 @@ class Cluster:
 
     def _started(self, part: str, *words: str) -> subprocess.Popen[bytes]:
         with (self._folder / f"{part}.txt").open("ab") as said:
-            command = [*self._program, "cluster", part, *words, *self.tls]
+            authority, certificate, key = self.tls[1::2]
+            tls = ("--tls-ca-file", authority, "--tls-cert", certificate, "--tls-key", key)
+            where = ("--host", "127.0.0.1", "--protocol", "tls", "--dashboard-address", "127.0.0.1:0")
+            command = [sys.executable, "-m", "dask", part, *where, *words, *tls]
             return subprocess.Popen(command, stdout=said, stderr=said, env=self._variables)

@@ -1,13 +1,11 @@
-"""The service, with one thing more: a log whose name says so takes memory until its process is ended.
+"""A worker with one thing more: a log whose name says so takes memory until its process is ended.
 
-Usage: ``python -m tests.support.lakes.greedy cluster worker ...``. Processes that it starts import this module as well.
+Usage: ``dask worker --preload tests.support.lakes.greedy ...``.
 """
 
-import sys
 import time
 from pathlib import Path
 
-import diag_service.cli
 import diag_service.lake.work
 from canlog.logs import Looked, looked_at
 
@@ -29,6 +27,3 @@ def look(path: Path, columns: str = "") -> Looked:
 
 
 diag_service.lake.work.looked_at = look  # type: ignore[attr-defined]  # in every process of a worker
-
-if __name__ == "__main__":
-    sys.exit(diag_service.cli.main())

@@ -1,0 +1,29 @@
+"""The service, with one thing more: a log whose name says so ends the process that analyses it.
+
+Usage: ``python -m tests.support.lakes.deadly analyze ...``. Processes that it starts import this module as well.
+"""
+
+import os
+import sys
+
+import diag_service.cli
+from diag_service.batch.drives import Drive
+from diag_service.batch.journal import Entry
+from diag_service.batch.worker import Analyst
+from diag_service.service.stopping import Trigger
+
+DEADLY = "deadly"  # in the name of the log
+_ANALYSE = Analyst.analyse
+
+
+def analyse(analyst: Analyst, drive: Drive, stop: Trigger | None = None) -> Entry:
+    """Analyse a drive as ever, or die."""
+    if DEADLY in drive.name:
+        os._exit(9)
+    return _ANALYSE(analyst, drive, stop)
+
+
+Analyst.analyse = analyse  # type: ignore[method-assign]  # in every process of a worker
+
+if __name__ == "__main__":
+    sys.exit(diag_service.cli.main())
