@@ -74,10 +74,11 @@ class Manifest:
         self._uses: Counter[str] = Counter()  # of parts, by rows that hold
         self._file_of: dict[str, str] = {}  # of the row that holds
         self._counts: dict[str, int] = {}  # of rows, by file
+        self._noted: list[LogRow] = []
+        self._due_s = 0.0
         narrow = [one for one in COLUMNS if one != "account"]
         for name in sorted(place.held(FOLDER), key=_generation_of):
-            table = _table(place, name, narrow)
-            self._take([_row(row) for row in table.to_pylist()], name)
+            self._take([_row(row) for row in _table(place, name, narrow).to_pylist()], name)
 
     @property
     def rows(self) -> tuple[LogRow, ...]:
@@ -111,11 +112,19 @@ class Manifest:
             self._write((self._holding(name) for name in small), self._next_generation())
             self._place.remove(small)
 
-    def replace(self, rows: Sequence[LogRow]) -> None:
-        """Add rows, and those of their copies, and remove the parts that they make superfluous."""
-        every = [*rows, *copies(self.rows, rows)]
-        self._place.remove(self.superseded(every))  # first: a kill after it leaves a row that is made anew
-        self.add(every)
+    def note(self, row: LogRow) -> None:
+        """Take the row of a log whose parts are there; many are written at once."""
+        self._due_s = self._due_s if self._noted else time.monotonic() + FILE_EVERY_S
+        self._noted.append(row)
+        if len(self._noted) >= ROWS_PER_FILE or time.monotonic() >= self._due_s:
+            self.close()
+
+    def close(self) -> None:
+        """Write what was noted, and the rows of its copies, in place of parts of before."""
+        rows = [*self._noted, *copies(self.rows, self._noted)]
+        self._noted = []
+        self._place.remove(self.superseded(rows))  # first: a kill after it leaves a row that is made anew
+        self.add(rows)
 
     def superseded(self, rows: Iterable[LogRow]) -> list[str]:
         """Return the parts that rows make superfluous: those of the rows that hold, unless another one has them."""
@@ -153,26 +162,6 @@ class Manifest:
             if name:
                 self._place.put(name, path)
         return name
-
-
-class Ledger:
-    """Brings rows of logs whose parts are there into a manifest, many at once, in place of parts of before."""
-
-    def __init__(self, manifest: Manifest) -> None:
-        self._manifest = manifest
-        self._rows: list[LogRow] = []
-        self._due_s = 0.0
-
-    def add(self, row: LogRow) -> None:
-        self._due_s = self._due_s if self._rows else time.monotonic() + FILE_EVERY_S
-        self._rows.append(row)
-        if len(self._rows) >= ROWS_PER_FILE or time.monotonic() >= self._due_s:
-            self.close()
-
-    def close(self) -> None:
-        """Write what waits."""
-        self._manifest.replace(self._rows)
-        self._rows = []
 
 
 def copies(rows: Iterable[LogRow], made: Iterable[LogRow]) -> list[LogRow]:

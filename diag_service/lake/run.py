@@ -18,7 +18,7 @@ from canlog.extras import load_extra
 from diag_service.batch.processes import DEADLY, handed_out, progress_bar, shared_out
 from diag_service.batch.worker import leave_to_parent
 from diag_service.errors import ConfigError, StoppedError, StoreError
-from diag_service.lake.parts import DONE, FAILED, SIGNALS, Ledger, LogRow, Manifest
+from diag_service.lake.parts import DONE, FAILED, SIGNALS, LogRow, Manifest
 from diag_service.lake.places import Place
 from diag_service.lake.work import Job, LakeLog, make_in_worker, row_of
 from diag_service.service.stopping import Trigger
@@ -100,10 +100,10 @@ def fill_lake(
         if scheduler
         else _made_here(job, missing, jobs, stop, is_shown)
     )
-    with closing(rows), closing(Ledger(manifest)) as ledger, progress_bar(is_shown=is_shown) as bar:
+    with closing(rows), closing(manifest), progress_bar(is_shown=is_shown) as bar:
         task = bar.add_task("analysing", total=sum(log.held.size_bytes for log in missing), done=0, of=len(missing))
         for row in rows if missing else ():
-            ledger.add(row)
+            manifest.note(row)
             counts.update({row.outcome: 1, "shifts": row.shifts})
             bar.update(task, advance=row.size_bytes, done=counts[DONE] + counts[FAILED])
             stream.write(line_of(row) + "\n")

@@ -20,7 +20,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.commands import analyze, lake
 from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import ConfigError, IncompleteError, StoreError
-from diag_service.lake.parts import DONE, FAILED, Disagreement, Ledger, LogRow, Manifest, disagreement, forget
+from diag_service.lake.parts import DONE, FAILED, Disagreement, LogRow, Manifest, disagreement, forget
 from diag_service.lake.places import Place
 from diag_service.lake.run import find_logs, to_do
 from diag_service.lake.work import EXIT_OVERDUE, Job, LakeLog, Maker
@@ -61,10 +61,10 @@ def fill(job: Job, logs: str) -> list[LogRow]:
     place, maker = Place(job.lake), Maker(job)
     manifest = Manifest(place)
     missing = to_do(job, found_in(logs, place), manifest, is_retried=False)
-    with closing(Ledger(manifest)) as ledger:
+    with closing(manifest):
         rows = [maker.make(log) for log in missing]
         for row in rows:
-            ledger.add(row)
+            manifest.note(row)
     manifest.put_together()
     return rows
 
@@ -190,12 +190,12 @@ def test_a_lake_is_made_once_and_then_kept(logs: Path, filled: Path, tmp_path: P
     lake_place = Place(newer.lake)
     missing = to_do(newer, found_in(logs, lake_place), Manifest(lake_place), is_retried=False)
     assert [log.held.size_bytes for log in missing] == sorted((log.held.size_bytes for log in missing), reverse=True)
-    with closing(Ledger(Manifest(lake_place))) as ledger:
+    with closing(Manifest(lake_place)) as manifest:
         for log in missing:
             if log.source.endswith("drive001.log"):
                 maker = Maker(newer)
                 maker.__dict__["_analyst"] = Maker(job)._analyst
-                ledger.add(maker.make(log))
+                manifest.note(maker.make(log))
     after = files_in(place)
     assert len(before.keys() - after.keys()) == 1  # the part of shifts that the newer one replaces
     assert len(after.keys() - before.keys()) == 2  # it, and rows; signals of the log stay
@@ -215,9 +215,9 @@ def test_a_log_that_was_moved_is_in_the_lake_once_whatever_the_version(logs: Pat
     def fill_by(job: Job, folder: Path) -> None:
         maker.job = job
         _ = maker._analyst if job is first else None
-        with closing(Ledger(Manifest(place))) as ledger:
+        with closing(Manifest(place)) as manifest:
             for log in found_in(folder.parent, place):
-                ledger.add(maker.make(log))
+                manifest.note(maker.make(log))
 
     fill_by(first, before)
     now.parent.mkdir()
