@@ -4,7 +4,7 @@ import logging
 import socket
 import ssl
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from dataclasses import replace
@@ -31,6 +31,7 @@ CONNECT_TIMEOUT_S: Final = 10.0
 PATIENCE_S: Final = 120.0  # how long there may be no worker
 MOST_HANDED_OUT: Final = 1000  # what a scheduler holds, however many logs there are
 RETRIES: Final = 2  # of a log whose store refused
+Rows = Generator[LogRow, None, None]
 _LOG = logging.getLogger(__name__)
 
 
@@ -119,7 +120,7 @@ def fill_lake(
     return counts
 
 
-def _made_here(job: Job, logs: Sequence[LakeLog], jobs: int, stop: Trigger, is_shown: bool) -> Iterator[LogRow]:  # noqa: FBT001 - as a worker begins
+def _made_here(job: Job, logs: Sequence[LakeLog], jobs: int, stop: Trigger, is_shown: bool) -> Rows:  # noqa: FBT001 - as a worker begins
     """Yield the rows of logs as processes of this machine make them, in no order."""
     for log, future in shared_out(partial(make_in_worker, job), logs, jobs, stop, leave_to_parent, (is_shown,)):
         try:
@@ -159,7 +160,7 @@ def trusted_scheduler(text: str, tls: TlsFiles) -> str:
     return f"{SCHEME}://[{host}]:{port}" if ":" in host else f"{SCHEME}://{host}:{port}"
 
 
-def _made_by_cluster(job: Job, logs: Sequence[LakeLog], address: str, tls: TlsFiles, stop: Trigger) -> Iterator[LogRow]:
+def _made_by_cluster(job: Job, logs: Sequence[LakeLog], address: str, tls: TlsFiles, stop: Trigger) -> Rows:
     """Yield the rows of logs as workers of Dask make them, in no order; a log that ended several of them is told."""
     distributed = load_extra("distributed", "a cluster needs Dask", "cluster")
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what a run needs to know of it is told by us

@@ -30,7 +30,12 @@ def test_a_lake_in_a_store_is_made_by_a_cluster(
 ) -> None:
     fill_folder(tmp_path / "logs" / "car1", drive_log, 2)
     (tmp_path / "logs" / "car1" / "bad.blf").write_bytes(b"LOGG" + bytes(200))
-    with s3_server() as port, in_environment(s3_environment(port)), Cluster(tmp_path, s3_environment(port)) as cluster:
+    (tmp_path / "logs" / "car1" / "deadly.log").write_bytes(drive_log.read_bytes())
+    with (
+        s3_server() as port,
+        in_environment(s3_environment(port)),
+        Cluster(tmp_path, s3_environment(port), "tests.support.lakes.deadly") as cluster,
+    ):
         cluster.start_scheduler()
         cluster.start_workers("--memory-limit", "700 MiB")
         store(port).put(f"{tmp_path}/logs/", f"{BUCKET}/logs", recursive=True)
@@ -48,11 +53,12 @@ def test_a_lake_in_a_store_is_made_by_a_cluster(
         assert cluster.listeners() == {"127.0.0.1"}
         said = capsys.readouterr().out
         assert said.count("bad.blf: not analysed; ") == 1
-        assert f"4 logs: 0 in the lake before, 2 analysed with {2 * SHIFT_COUNT} shifts, 2 not" in said
+        assert said.count("deadly.log: not analysed; its process died") == 1
+        assert f"5 logs: 0 in the lake before, 2 analysed with {2 * SHIFT_COUNT} shifts, 3 not" in said
         before = store(port).find(f"{BUCKET}/lake")
         assert len([name for name in before if "/shifts/date=" in name]) == 2
         fill("--scheduler", cluster.address, *cluster.tls)
-        assert "4 logs: 4 in the lake before, 0 analysed" in capsys.readouterr().out
+        assert "5 logs: 5 in the lake before, 0 analysed" in capsys.readouterr().out
         assert store(port).find(f"{BUCKET}/lake") == before
 
 

@@ -1,1 +1,1 @@
-"""What makes life hard for those who make a lake: a store that refuses and stalls, a log that takes all memory."""
+"""What makes life hard for those who analyse many logs: one that ends its process."""

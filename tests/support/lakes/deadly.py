@@ -1,6 +1,7 @@
 """The service, with one thing more: a log whose name says so ends the process that analyses it.
 
-Usage: ``python -m tests.support.lakes.deadly analyze ...``. Processes that it starts import this module as well.
+Usage: ``python -m tests.support.lakes.deadly analyze ...``, whose processes import this module as well, or
+``dask worker --preload tests.support.lakes.deadly ...``.
 """
 
 import os
@@ -23,7 +24,7 @@ def analyse(analyst: Analyst, drive: Drive, stop: Trigger | None = None) -> Entr
     return _ANALYSE(analyst, drive, stop)
 
 
-Analyst.analyse = analyse  # type: ignore[method-assign]  # in every process of a worker
+Analyst.analyse = analyse  # type: ignore[assignment, method-assign]  # in every process of a worker
 
 if __name__ == "__main__":
     sys.exit(diag_service.cli.main())
