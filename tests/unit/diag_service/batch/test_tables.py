@@ -1,6 +1,5 @@
 """Results as tables: the columns are the schema's, and a file appears whole or not at all."""
 
-import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,9 +9,9 @@ import pytest
 from canlog.column_files import load_pyarrow
 from canlog.errors import ExtraMissingError
 from diag_service.batch.journal import Entry
-from diag_service.batch.tables import check_output, columns, flattened, write_results
+from diag_service.batch.tables import columns, flattened, write_results
 from diag_service.diagnosis.records import shift_record
-from diag_service.errors import ConfigError, StoreError
+from diag_service.errors import StoreError
 from tests.support.builders import rejected, shift_result
 
 ENTRIES = tuple(
@@ -40,17 +39,6 @@ def test_a_file_that_cannot_be_completed_does_not_appear(tmp_path: Path, name: s
         write_results(tmp_path / name, broken())
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_bytes() == b"before"
-
-
-def test_json_lines_hold_shifts_and_drives(tmp_path: Path) -> None:
-    write_results(tmp_path / "out.jsonl", ENTRIES)
-    lines = [json.loads(line) for line in (tmp_path / "out.jsonl").read_text(encoding="utf-8").splitlines()]
-    assert [line.get("seq", line.get("paths")) for line in lines] == [1, ["0.log"], 2, ["1.log"]]
-
-
-def test_names_that_ask_for_no_format() -> None:
-    with pytest.raises(ConfigError, match=r"results are written as \.jsonl, \.csv, \.parquet"):
-        check_output(Path("out.xlsx"))
 
 
 def test_without_pyarrow_parquet_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
