@@ -22,7 +22,6 @@ from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from tests.integration.test_tester import MASK, SLIPS, Vehicle, another_tester, failing_car, told, vehicle
 from tests.support.doip.desk import framed
-from tests.support.doip.tester import entity
 from tests.support.in_process import ended, never_a_program
 from tests.support.patience import HANG_S
 from tests.support.starvation import StarvationWatch, undisturbed
@@ -86,15 +85,6 @@ def test_answers_are_those_of_the_commands(bus: can.BusABC, capfd: pytest.Captur
     assert routine_record(started) == told("routine", "0305", "start", "--unlock", f"1={MASK}", *BUS)["routine"]
 
 
-def test_all_brief_and_masked_codes(bus: can.BusABC, controller: Controller) -> None:
-    with asker(bus, description="dct") as tester:
-        every = tester.trouble_codes(is_all=True, has_details=False)
-        assert len(every) == len(controller.table.troubles)
-        assert {code.snapshots for code in every} == {()}
-        assert tester.trouble_codes(0x80) == ()
-        assert len(tester.data()) > 10
-
-
 def test_codes_are_cleared_and_nobody_is_asked_before() -> None:
     with failing_car("python clears"), can.Bus("python clears", "virtual") as bus, asker(bus) as tester:
         with pytest.raises(diag_service.ConfigError, match=r"P2787 is not among .* reports: P0811, P0218"):
@@ -128,15 +118,6 @@ def test_nothing_is_sent_unless_it_may_be(car: Vehicle, bus: can.BusABC) -> None
     with pytest.raises(diag_service.ConfigError, match="use it in a with block"):
         diag_service.UdsTester(bus, is_active=True).trouble_codes()
     assert car.heard == []
-
-
-def test_another_tester_is_left_in_peace(car: Vehicle, bus: can.BusABC) -> None:
-    tester = diag_service.UdsTester(bus, is_active=True, listen_s=0.6)
-    with another_tester(CHANNEL, 0x7E0):
-        car.heard.clear()
-        with pytest.raises(diag_service.ControllerError, match="another tester is asking"), tester:
-            pass
-        assert set(car.heard) == {0x7E0}
 
 
 def test_another_tester_is_heard_on_a_bus_that_was_handed_over_with_filters(car: Vehicle, bus: can.BusABC) -> None:
@@ -184,23 +165,6 @@ def test_a_scan_finds_what_the_command_finds(bus: can.BusABC) -> None:
     assert len(found) == 1
     assert found == told_of
     assert scan.traffic is not None
-
-
-def test_over_ip() -> None:
-    with entity() as (controller, server):
-        for _ in range(20):
-            controller.report(SLIPS, Result.FAILED)
-        place: dict[str, Any] = {
-            "doip": f"127.0.0.1:{server.place.port}",
-            "ecu": 0x1011,
-            "is_active": True,
-            "timeout_s": HANG_S,
-        }
-        with diag_service.UdsTester(**place) as tester:
-            assert [code.code for code in tester.trouble_codes(has_details=False)] == ["P0811"]
-            assert tester.traffic is None
-        (found,) = diag_service.scan_controllers(**place).controllers
-        assert found.address is None
 
 
 @contextmanager
