@@ -17,6 +17,8 @@ from tests.support.patience import HANG_S
 from tests.support.s3 import BUCKET, in_environment, s3_environment, s3_server, store
 from tests.tools.folders import fill_folder
 
+ONE_DEATH = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}  # of a worker is enough to blame its log
+
 
 def fill(*words: str) -> None:
     logs, lake = f"s3://{BUCKET}/logs", f"s3://{BUCKET}/lake"
@@ -34,7 +36,7 @@ def test_a_lake_in_a_store_is_made_by_a_cluster(
     with (
         s3_server() as port,
         in_environment(s3_environment(port)),
-        Cluster(tmp_path, s3_environment(port), "tests.support.lakes.deadly") as cluster,
+        Cluster(tmp_path, s3_environment(port) | ONE_DEATH, "tests.support.lakes.deadly") as cluster,
     ):
         cluster.start_scheduler()
         cluster.start_workers("--memory-limit", "700 MiB")
