@@ -175,19 +175,23 @@ def _made_by_cluster(job: Job, logs: Sequence[LakeLog], address: str, tls: TlsFi
             client.wait_for_workers(1, timeout=PATIENCE_S)
         except TimeoutError as exc:
             raise StoreError(f"{address} has no worker; run the same command again when it has one") from exc
-        pool = client.get_executor(pure=False, retries=RETRIES)
-        for log, future in handed_out(pool, partial(make_in_worker, job), deque(logs), MOST_HANDED_OUT, stop):
-            if future.cancelled():
-                if stop.is_set:
-                    continue
-                raise StoreError(f"{address} is gone; run the same command again to continue")
-            error = future.exception()
-            if isinstance(error, distributed.KilledWorker):
-                yield row_of(job, log, reason=DEADLY)
-            elif error is None or isinstance(error, StoreError | ConfigError):
-                yield future.result()
-            else:
-                raise ConfigError(f"a worker cannot do this work: {type(error).__name__}: {error}") from error
+        pool, suspects = client.get_executor(pure=False, retries=RETRIES), deque[LakeLog]()
+        # A worker that dies has the next log already: those that were at it are done again one at a time.
+        for waiting, most in ((deque(logs), MOST_HANDED_OUT), (suspects, 1)):
+            for log, future in handed_out(pool, partial(make_in_worker, job), waiting, most, stop):
+                if future.cancelled():
+                    if stop.is_set:
+                        continue
+                    raise StoreError(f"{address} is gone; run the same command again to continue")
+                error = future.exception()
+                if not isinstance(error, distributed.KilledWorker | StoreError | ConfigError | None):
+                    raise ConfigError(f"a worker cannot do this work: {type(error).__name__}: {error}") from error
+                if not isinstance(error, distributed.KilledWorker):
+                    yield future.result()
+                elif waiting is suspects:
+                    yield row_of(job, log, reason=DEADLY)
+                else:
+                    suspects.append(log)
 
 
 def line_of(row: LogRow) -> str:
