@@ -99,8 +99,9 @@ lock: setup-all
 
 # --- using ------------------------------------------------------------------------------------------------------------
 
-demo: setup
-	@$(PY) -m demo $(if $(SCENARIO),--scenario "$(SCENARIO)") $(if $(BROKER),--broker "$(BROKER)")
+demo:
+	@began=$$(date +%s); $(MAKE) --no-print-directory setup && \
+	  $(PY) -m demo --since "$$began" $(if $(SCENARIO),--scenario "$(SCENARIO)") $(if $(BROKER),--broker "$(BROKER)")
 
 fleet: setup-all
 	@$(PY) -m demo.fleet

@@ -11,6 +11,7 @@ from demo.programs import USAGE, ExtraMissingError, check_extra, to_its_end
 
 PROGRAM: Final = "demo"
 BROKER_VARIABLE: Final = "CLUTCHDIAG_BROKER"
+SHIFTS: Final = 6  # three onto each clutch: enough for a verdict
 NARROWEST: Final = 110  # columns; a pipe has none of its own
 
 
@@ -36,11 +37,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         demo = DemoOptions(
             scenario=options.scenario,
             seed=options.seed,
-            cycles=options.cycles,
+            shifts=options.shifts,
             broker=parse_broker(options.broker) if options.broker else None,
             broker_url=options.broker,
             vehicle=check_vehicle(options.vehicle),
             folder=options.output,
+            began_s=options.since,
         )
     except (ConfigError, AddressError) as exc:
         sys.stderr.write(f"{PROGRAM}: error: {exc}\n")
@@ -51,13 +53,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=f"python -m {PROGRAM}",
-        description="Drives one shift cycle in real time and diagnoses it, as two programs on one bus.",
+        description="Drives and diagnoses in real time, two programs on one bus; beside it a fluid ages.",
         epilog="exit status: 0 as it must be, 1 not so, 2 usage or an extra that is not installed, 130 interrupted",
     )
     parser.add_argument("--scenario", default="ideal", metavar="NAME|FILE", help="what is driven (default: ideal)")
     parser.add_argument("--seed", type=int, metavar="N", help="another car, another drive")
     parser.add_argument(
-        "--cycles", type=_positive, default=1, metavar="N", help="40 s and ten shifts each (default: 1)"
+        "--shifts", type=_positive, default=SHIFTS, metavar="N", help="on the bus, 4 s each (default: %(default)s)"
     )
     parser.add_argument(
         "--broker",
@@ -69,6 +71,9 @@ def _parser() -> argparse.ArgumentParser:
         "--vehicle", default="demo", metavar="ID", help="must differ between demos on one broker (default: demo)"
     )
     parser.add_argument("--output", type=Path, default=Path("demo-output"), metavar="DIR", help="default: demo-output")
+    parser.add_argument(
+        "--since", type=float, metavar="TIME", help="when a set-up began [s since 1970], to tell its time"
+    )
     return parser
 
 

@@ -16,6 +16,7 @@ DONE, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 HOST: Final = "127.0.0.1"
 LOOK_S: Final = 0.05
 STOP_S: Final = 15.0  # the service gives its broker five seconds at the end
+HURRY_S: Final = 1.0  # for a program that leaves nothing behind: it may be amid a kernel that takes ten to compile
 STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 EXTRA_OF: Final = {
     **dict.fromkeys(("amqtt", "matplotlib", "doipclient", "isotp", "udsoncan"), "demo"),
@@ -62,10 +63,16 @@ def to_its_end(name: str, work: Coroutine[None, None, int]) -> int:
 class Program:
     """A running child; standard output goes to ``NAME.out``, standard error to ``NAME.log``."""
 
-    def __init__(self, module: str, folder: Path, process: asyncio.subprocess.Process) -> None:
+    def __init__(self, module: str, folder: Path, process: asyncio.subprocess.Process, stop_s: float) -> None:
+        self._stop_s = stop_s
         self.name = module.replace("_", "-")
         self._out, self._log = output_files(module, folder)
         self._process = process
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether it runs no more."""
+        return self._process.returncode is not None
 
     @property
     def output(self) -> str:
@@ -99,7 +106,7 @@ class Program:
         with suppress(ProcessLookupError):
             self._process.send_signal(signal.SIGINT)
         try:
-            async with asyncio.timeout(STOP_S):
+            async with asyncio.timeout(self._stop_s):
                 await self._process.wait()
         except (TimeoutError, asyncio.CancelledError) as exc:
             with suppress(ProcessLookupError):
@@ -117,6 +124,7 @@ async def program(
     environment: Mapping[str, str] | None = None,
     stdin: int = asyncio.subprocess.DEVNULL,
     stdout: int | None = None,
+    stop_s: float = STOP_S,
 ) -> AsyncIterator[Program]:
     """Start a module as a program, with ends of pipes where they are given; it does not outlive the block."""
     inherited = {name: value for name, value in os.environ.items() if not name.startswith(_OWN_VARIABLES)}
@@ -127,7 +135,7 @@ async def program(
             stdin=stdin, stdout=out if stdout is None else stdout, stderr=log,
             env={**inherited, **(environment or {})},
         )  # fmt: skip
-    child = Program(module, folder, process)
+    child = Program(module, folder, process, stop_s)
     try:
         yield child
     finally:
@@ -137,7 +145,7 @@ async def program(
 
 async def run(module: str, *arguments: str | Path, folder: Path) -> str:
     """Run a module as a program to its end and return what it printed; raises DemoError if it fails."""
-    async with program(module, *arguments, folder=folder) as child:
+    async with program(module, *arguments, folder=folder, stop_s=HURRY_S) as child:
         await child.wait()
         return child.output
 

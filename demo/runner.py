@@ -4,6 +4,7 @@ import asyncio
 import fcntl
 import json
 import logging
+import math
 import os
 import time
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -19,16 +20,17 @@ from rich.console import Console
 from rich.text import Text
 
 import diag_service
+from benchmarks.ageing_picture import Point, draw
 from canlog.live.medium import Medium, open_medium
 from clutchdiag_io.people import PLUS_MINUS
 from demo import ageing
 from demo.outcome import (
-    SHIFTS_PER_CYCLE,
     Outcome,
     complaints,
     frame_account,
     frame_lines,
     live_line,
+    seconds_line,
     tables,
     verdict_lines,
 )
@@ -41,18 +43,18 @@ from ecu_emulator.truth import read_truth
 from fleet_contract import Channel
 from fleet_link import BrokerAddress
 
-CYCLE_S: Final = 40.6  # what one cycle takes on the road
+SHIFT_S: Final = 3.9  # what one takes on the road, with the drive from one to the next
+CAR_KG: Final = 1300  # light: it is quickly in the next gear
 READY_S: Final = 30.0  # for a program to load and announce itself
 LAST_RESULT_S: Final = 10.0  # from the last frame to the last result
 RECORDING, TRUTH, TRANSMITTED = "drive.log", "truth.jsonl", "transmitted.json"
-STORE, PICTURE = "results.sqlite", "demo.png"
+SHIFTS_PER_CYCLE: Final = 10  # 1-2-3-4-5-6-5-4-3-2-1
+STORE, PICTURE, AGED = "results.sqlite", "demo.png", "ageing"
 LEFT: Final = (
     RECORDING,
     TRUTH,
     TRANSMITTED,
     PICTURE,
-    ageing.RESULTS,
-    ageing.TRUTH,
     ageing.PICTURE,
     *(f"{STORE}{suffix}" for suffix in ("", "-wal", "-shm")),
 )
@@ -64,17 +66,19 @@ class DemoOptions:
 
     scenario: str
     seed: int | None
-    cycles: int
+    shifts: int  # on the bus
     broker: BrokerAddress | None  # None: one of our own
     broker_url: str | None
     vehicle: str
     folder: Path
+    began_s: float | None = None  # of the set-up [s since 1970]; None: there was none
 
     @property
     def drive(self) -> tuple[str, ...]:
         """The options with which the emulator drives it."""
         seed = () if self.seed is None else ("--seed", str(self.seed))
-        return ("--scenario", self.scenario, "--cycles", str(self.cycles), *seed)
+        cycles = math.ceil(self.shifts / SHIFTS_PER_CYCLE)
+        return ("--scenario", self.scenario, "--cycles", str(cycles), "--mass-kg", str(CAR_KG), *seed)
 
 
 async def run_demo(options: DemoOptions, console: Console) -> int:
@@ -87,26 +91,44 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
     """
     folder = options.folder
     with _own_folder(folder), open_medium() as medium:
+        (folder / AGED).mkdir(exist_ok=True)
         for name in LEFT:  # of an earlier demonstration: its running state must not be taken up
             (folder / name).unlink(missing_ok=True)
         console.print(f"bus:    {medium.explanation}", soft_wrap=True)
+        parts = Parts(options.began_s)
         await _warm_up(options, console)
-        ages = f"a fluid that ages within {ageing.MINUTES} minutes of driving, through a pipe, faster than real time"
-        console.print(f"{ages}: about {ageing.TAKES_S} s", soft_wrap=True)
-        found = await ageing.show_ageing(folder, console)
+        parts.end("kernels and a recording")
         scan_tool = ScanTool()
-        outcome = await _drive(options, medium, console, scan_tool)
+        outcome, points = await _drive(options, medium, console, scan_tool, parts)
+        console.print(ageing.ageing_table(points))
         for table in tables(outcome):
             console.print(table)
+        console.print("drawing the pictures: about 3 s")
+        (folder / ageing.PICTURE).write_text(draw(points), encoding="utf-8")
         analysis = await asyncio.to_thread(diag_service.analyze, folder / RECORDING)
         await asyncio.to_thread(analysis.plot, folder / PICTURE)
-    found += complaints(outcome)
+        parts.end("pictures")
+    found = [*ageing.course_complaints(points), *complaints(outcome)]
     lines: list[str | Text] = [*frame_lines(outcome.frames), f"pictures: {folder / PICTURE}, {folder / ageing.PICTURE}"]
+    lines.append(seconds_line(parts.took_s))
     lines += [Text(f"failed: {complaint}", style="bold red") for complaint in found]
     lines += [*verdict_lines(outcome), f"order:   {outcome.order}", scan_tool.line]
     for line in lines:
         console.print(line, soft_wrap=True)
     return 1 if found else 0
+
+
+class Parts:
+    """Measures what each part of a demonstration takes, from the begin of the set-up on, if there was one."""
+
+    def __init__(self, began_s: float | None) -> None:
+        self.took_s = {} if began_s is None else {"set-up": time.time() - began_s}
+        self._since_s = time.monotonic()
+
+    def end(self, name: str) -> None:
+        """Note what took until now."""
+        before_s, self._since_s = self._since_s, time.monotonic()
+        self.took_s[name] = self._since_s - before_s
 
 
 async def _warm_up(options: DemoOptions, console: Console) -> None:
@@ -119,8 +141,10 @@ async def _warm_up(options: DemoOptions, console: Console) -> None:
     console.print(f"{time.monotonic() - began_s:.0f} s")
 
 
-async def _drive(options: DemoOptions, medium: Medium, console: Console, scan_tool: ScanTool) -> Outcome:
-    """Let both programs run on one bus in real time, and gather what is left of it."""
+async def _drive(
+    options: DemoOptions, medium: Medium, console: Console, scan_tool: ScanTool, parts: Parts
+) -> tuple[Outcome, list[Point]]:
+    """Let both programs run on one bus in real time, and beside it a fluid age; gather what is left of both."""
     folder, vehicle = options.folder, options.vehicle
     heard = Heard(lambda result: console.print(live_line(result), soft_wrap=True))
     async with AsyncExitStack() as stack:
@@ -130,6 +154,7 @@ async def _drive(options: DemoOptions, medium: Medium, console: Console, scan_to
         else:
             address, url, whose = options.broker, options.broker_url or "", "yours"
         console.print(f"broker: {address}, {whose}; topics clutchdiag/v1/{vehicle}/#", soft_wrap=True)
+        console.print("starting the service on the bus: about 4 s")
         broker = {"CLUTCHDIAG_BROKER": url}  # not an argument: it may hold a password
         subscriber = program(BACKEND, "follow", "-", vehicle, "--json", folder=folder, environment=broker)
         results = await stack.enter_async_context(subscriber)
@@ -146,24 +171,35 @@ async def _drive(options: DemoOptions, medium: Medium, console: Console, scan_to
         async with _watched(heard.listen(results), service):
             if not await heard.within(READY_S, lambda: heard.is_online):
                 raise DemoError(f"the service did not announce itself within {READY_S:.0f} s")
-            drive = f"driving on the bus in real time: about {options.cycles * CYCLE_S:.0f} s"
-            console.print(f"{drive}; each line as MQTT delivers it, {PLUS_MINUS}")
-            async with driving as driver:
-                with scan_tool:
+            parts.end("service")
+            takes_s = max(options.shifts * SHIFT_S, ageing.TAKES_S)
+            drive = (
+                f"driving {options.shifts} shifts on the bus in real time; each line as MQTT delivers it, {PLUS_MINUS}"
+            )
+            console.print(f"{drive}\nat once, {ageing.EXPLANATION}: about {takes_s:.0f} s in all", soft_wrap=True)
+            async with asyncio.TaskGroup() as tasks:
+                aged = tasks.create_task(ageing.let_age(folder / AGED))
+                async with driving as driver:
+                    with scan_tool:
+                        await heard.within(math.inf, lambda: driver.has_ended or len(heard.shifts) >= options.shifts)
+                        await driver.stop()
                     await driver.wait()
-            # If the last result never comes, the outcome will say so.
-            await heard.within(LAST_RESULT_S, lambda: len(heard.shifts) >= SHIFTS_PER_CYCLE * options.cycles)
+                truth = read_truth(folder / TRUTH)
+                # If the last result never comes, the outcome will say so.
+                await heard.within(LAST_RESULT_S, lambda: len(heard.shifts) >= len(truth.shifts))
+            parts.end("driving")
         await service.stop()
         await service.wait()
     summary = json.loads(service.output.splitlines()[-1])
-    return Outcome(
-        cycles=options.cycles,
+    outcome = Outcome(
+        expected=options.shifts,
         shifts=tuple(heard.shifts[seq] for seq in sorted(heard.shifts)),
         clutches={int(record["clutch"]): verdict_from(record) for record in summary["clutches"]},
         order=summary["order"],
-        truth=read_truth(folder / TRUTH),
+        truth=truth,
         frames=frame_account(json.loads((folder / TRANSMITTED).read_text(encoding="utf-8")), summary["frames"]),
     )
+    return outcome, aged.result()
 
 
 class Heard:

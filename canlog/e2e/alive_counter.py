@@ -16,7 +16,7 @@ data widens the permitted jump by one. Where profile 1 leaves room, this receive
   whole period while its sender was late cannot be counted: it leaves no trace.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -252,6 +252,14 @@ def sent_on_schedule(series: Series) -> Series:
     return replace(series, t_ns=t_ns, sequence=sequence)
 
 
+def came_in_bursts(columns: Iterable[Series]) -> bool:
+    """Return whether samples came closer than their sender sends them: it, or whoever received them, was late."""
+    for one in columns:  # noqa: SIM110 - a generator is many calls
+        if (np.diff(one.t_ns) < BURST_CYCLES * one.period_ns).any():
+            return True
+    return False
+
+
 @array_kernel
 def reschedule(
     received_ns: Int64Array, period_ns: int, sequence: Int64Array, sent_ns: Int64Array, after_ns: Int64Array
@@ -262,18 +270,23 @@ def reschedule(
         sent_ns[row] = after_ns[row] = received_ns[row] - (sequence[row] - first) * period_ns
     for row in range(count - 2, -1, -1):  # the least delay from each on
         after_ns[row] = min(after_ns[row], after_ns[row + 1])
-    before_ns, latest_ns, excess = sent_ns[0], sent_ns[0], 0
+    before_ns, latest_ns, excess, spread_ns, stands = sent_ns[0], sent_ns[0], 0, 0, False
     for row in range(count):
         step = sequence[row] - excess - sequence[row - 1] if row else 1
         ahead_ns = before_ns - after_ns[row] - excess * period_ns
         if step > COUNTER_PERIOD and 2 * ahead_ns > COUNTER_PERIOD * period_ns:
             periods = min((step - 1) // COUNTER_PERIOD, int(np.rint(ahead_ns / (COUNTER_PERIOD * period_ns))))
             excess += periods * COUNTER_PERIOD
+        stands |= row > 0 and received_ns[row] <= received_ns[row - 1]
         sequence[row] -= excess
         sent_ns[row] += excess * period_ns
         before_ns, latest_ns = min(before_ns, sent_ns[row]), max(latest_ns, sent_ns[row])
     at_end_ns = after_ns[max(count - ENDS, 0)] + excess * period_ns
-    if at_end_ns - before_ns > period_ns or latest_ns - before_ns <= LATE_PERIODS * period_ns:
+    for row in range(max(count - ENDS, 0), count):
+        spread_ns = max(spread_ns, sent_ns[row] - at_end_ns)
+    if at_end_ns - before_ns > max(period_ns, spread_ns // 2):
+        return False
+    if not stands and latest_ns - before_ns <= LATE_PERIODS * period_ns:
         return False
     for row in range(count):
         sent_ns[row] = before_ns + (sequence[row] - first) * period_ns

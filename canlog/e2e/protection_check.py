@@ -23,6 +23,7 @@ from canlog.database.addressing import (
     message_address,
 )
 from canlog.e2e.alive_counter import IN_SEQUENCE, REPEATED, LinkState, forget, fresh_links, judge, note_unusable
+from canlog.e2e.late_frames import LateFrames
 from canlog.e2e.message_contract import message_contract
 from canlog.e2e.profile1 import COUNTER_BYTE, COUNTER_MASK, CRC_BYTE, CRC_TABLES, data_id_remainder
 from canlog.errors import DefinitionError
@@ -222,6 +223,8 @@ class LinkMonitor:
             missing=np.zeros(len(messages), np.int64),
             marked=np.zeros((ORIGINS, len(FrameReason)), np.int64),
         )
+        counted_ns = np.where(self._rules.is_protected, self._rules.cycle_ns, 0)
+        self.late = LateFrames(self._book, counted_ns, self._links)
         self.check(empty_batch())  # compiles now: the first real batch must not wait for the compiler
 
     @property
@@ -236,7 +239,7 @@ class LinkMonitor:
 
     @property
     def held_back(self) -> Int64Array:
-        """Accepted frames that came in bursts, right behind a frame that was late, by message, shape (m,)."""
+        """Accepted frames that came in short bursts, right behind a frame that was late, by message, shape (m,)."""
         return self._links.held_back.copy()
 
     def senders(self, slot: int) -> Mapping[int, int]:

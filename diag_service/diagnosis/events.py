@@ -69,6 +69,7 @@ class Event:
     columns: Columns
     bad_frame_count: int  # rejected or missing frames of mapped messages inside the cut
     e2e: Mapping[str, E2eState] = field(default_factory=dict)  # message -> INVALID if it ever was, else its last state
+    came_late: bool = False  # some frames came in bursts: when they were sent is not known exactly
 
     @property
     def are_clutches_closed(self) -> bool:

@@ -1,6 +1,6 @@
 """Frames become canonical columns: protection check, bit fields, SI units, and a count of everything left out."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -59,7 +59,7 @@ class SamplePass:
         self._to_si = np.array([(one.to_si.factor, one.to_si.offset) for one in columns], np.float64).reshape(-1, 2)
         self._word_count = int(np.diff(self._rules.word_begin).max(initial=0))
         self.decode(empty_batch(), FrameVerdicts.room(0))  # compiles now: the first real batch must not wait
-        is_seamless(np.empty(0, np.int64), np.empty(0, np.uint32), 0)
+        is_seamless(np.empty(0, np.int64), np.empty(0, np.uint32), 0, MAX_GAP_NS)
 
     def decode(self, batch: FrameBatch, verdicts: FrameVerdicts) -> DecodedFrames:
         """Return the samples of a batch, and what was left out."""
@@ -87,11 +87,11 @@ def is_able(table: SourceTable) -> bool:
 
 
 @array_kernel
-def is_seamless(t_ns: Int64Array, can_id: UInt32Array, before_ns: int) -> bool:
+def is_seamless(t_ns: Int64Array, can_id: UInt32Array, before_ns: int, silence_ns: int) -> bool:
     """Return whether bus time goes on as it should, from ``before_ns`` on, and the controller reports nothing."""
     for row in range(t_ns.size):
         step_ns = t_ns[row] - before_ns
-        if step_ns < 0 or step_ns > MAX_GAP_NS or can_id[row] & ERROR_FLAG:
+        if step_ns < 0 or step_ns > silence_ns or can_id[row] & ERROR_FLAG:
             return False
         before_ns = t_ns[row]
     return True
@@ -284,7 +284,7 @@ class Decoder:
             ignored=int(counts[FrameReason.UNKNOWN_ID]),
             rejected={reason.name.lower(): count for reason, count in _rejected(counts).items()},
             missing=int(self._monitor.missing.sum()),
-            late=int(self._monitor.held_back.sum()),
+            late=int(self._monitor.held_back.sum()) + self._monitor.late.count,
             invalid_values=sum(sum(reasons.values()) for reasons in invalid.values()),
             invalid=invalid,
             invalid_at_first={signal.value: count for signal, count in self._invalid_at_first.items() if count},
@@ -321,16 +321,29 @@ class Decoder:
         return [columns for part in self.overheard.feed(batch) for columns in self._fed(part)]
 
     def drain(self) -> list[ColumnBatch]:
-        """Return the columns of frames that are held back while an answer is awaited: nothing is to follow soon."""
-        parts = () if self.overheard is None else self.overheard.drain()
-        return [columns for part in parts for columns in self._fed(part)]
+        """Return the columns of frames that are held back until more is known: nothing is to follow soon."""
+        parts = [] if self.overheard is None else list(self.overheard.drain())
+        return [
+            columns
+            for number, part in enumerate((*parts, empty_batch()))
+            for columns in self._fed(part, is_last=number == len(parts))
+        ]
 
-    def _fed(self, batch: FrameBatch) -> list[ColumnBatch]:
+    def _fed(self, batch: FrameBatch, *, is_last: bool = False) -> list[ColumnBatch]:
         batch = batch.plain()
         if self._goes_on(batch):
             self.last_ns = int(batch.t_ns[-1])
             return [self._decode(batch, breaks_before=False)]
-        return [self._decode(segment, breaks_before=breaks) for segment, breaks in self._segments(batch)]
+        parts: Iterable[FrameBatch] = (batch,)
+        late = self._monitor.late
+        if len(batch) or not late.is_idle:
+            before_ns = int(batch.t_ns[0]) if self.last_ns is None else self.last_ns
+            parts = late.parts(batch, before_ns, self._e2e.own_cycles_ns, is_last=is_last)
+        return [
+            self._decode(segment, breaks_before=breaks)
+            for part in parts
+            for segment, breaks in self._segments(part.plain())
+        ]
 
     @property
     def sources(self) -> LinkMonitor:
@@ -345,7 +358,8 @@ class Decoder:
         """Return whether the frames go on where the last ones ended, as they nearly always do."""
         if self.last_ns is None or self._is_interrupted or not len(batch):
             return False
-        return is_seamless(batch.t_ns, batch.can_id, self.last_ns)
+        late = self._monitor.late
+        return late.is_idle and is_seamless(batch.t_ns, batch.can_id, self.last_ns, late.silence_ns)
 
     def _segments(self, batch: FrameBatch) -> Iterator[tuple[FrameBatch, bool]]:
         """Cut a batch where bus time goes back or stands still for too long, and where the controller left the bus."""

@@ -21,7 +21,7 @@ from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
 from diag_service.diagnosis.lockup.state import LockupState
-from diag_service.diagnosis.quality.data_quality import QualityBasis, compile_data_quality, gate
+from diag_service.diagnosis.quality.data_quality import QualityBasis, compile_data_quality, gate, named_late
 from diag_service.diagnosis.quality.plausibility import MeaningCheck
 from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
 from diag_service.diagnosis.shifts.shifts import DriveFinder
@@ -135,6 +135,7 @@ class Stages:
         else:
             estimate = without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
         is_believed = not data.against or estimate.reasons != data.against
+        state, estimate = self._without_late(event, state, estimate)
         has_scale = self.tier is Tier.FRICTION and self._calibration.torque is TorqueSource.MEASURED
         known = state.fusion.knowledge if has_scale else None
         estimate = replace(
@@ -164,6 +165,12 @@ class Stages:
         verdict = self._dated(verdict, event, any(self._state.shift_counts)) if is_dated else verdict
         self._state = state
         return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory)
+
+    def _without_late(self, event: Event, state: Posterior, estimate: ShiftEstimate) -> tuple[Posterior, ShiftEstimate]:
+        """Return what is known after a shift, and its estimate; of one that lateness spoilt nothing else is said."""
+        if estimate.status is not Status.REJECTED or named_late(event, estimate.reasons) == estimate.reasons:
+            return state, estimate
+        return self._state, without_friction(event, Status.REJECTED, Reason.TIME_UNSURE)
 
     def _dated(self, verdict: ClutchVerdict, event: Event, had_any: bool) -> ClutchVerdict:  # noqa: FBT001
         """Return a verdict with since when what it rests on is known, if that is longer than a drive."""

@@ -39,7 +39,7 @@ def profile() -> Profile:
 def decode(batches: Sequence[FrameBatch]) -> tuple[list[ColumnBatch], FrameCounts]:
     decoder = Decoder(DATABASE, profile())
     columns = [part for batch in batches for part in decoder.feed(batch)]
-    return columns, decoder.counts
+    return columns + decoder.drain(), decoder.counts
 
 
 def samples(parts: Sequence[ColumnBatch]) -> dict[Signal, Samples]:

@@ -350,7 +350,7 @@ def aligned(
     times = measured_times(samples.times, samples.event, calibration)
     gaps, rows = gaps_s(times, samples.event, limits, samples.row_s), NO_ROWS
     if gaps is None:
-        return Reason.OUT_OF_RANGE  # time runs backwards inside a segment: the receive clock cannot be believed
+        return Reason.TIME_UNSURE  # frames of one message came at one time
     if samples.row_s:
         noise_std = noise_of_signals(calibration.noise)
         if any(_largest(samples.event.columns[one].value) > MOST_NOISES * noise_std[one] for one in times):
@@ -436,6 +436,13 @@ _REASONS: Final = {
     QualityPart.CALIBRATION: Reason.CALIBRATION_OLD,
 }
 
+_BY_LATENESS: Final = frozenset(
+    {
+        *(Reason.MISFIT, Reason.SPEEDS_DISAGREE, Reason.PRESSURE_OFF_COMMAND),
+        *(Reason.ZERO_JUMPED, Reason.SENSOR_FROZEN, Reason.IMPLAUSIBLE),
+    }
+)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QualityBasis:
@@ -470,6 +477,11 @@ def reasons_against(quality: DataQuality, limits: QualityLimits = LIMITS) -> tup
     return named or (Reason.LOW_DATA_QUALITY,)
 
 
+def named_late(event: Event, reasons: tuple[Reason, ...]) -> tuple[Reason, ...]:
+    """Return reasons, or lateness in place of those that it explains as well: no sensor is accused for it."""
+    return (Reason.TIME_UNSURE,) if event.came_late and not _BY_LATENESS.isdisjoint(reasons) else reasons
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gate:
     """What the data of an event are worth, found before anything is estimated from them."""
@@ -486,6 +498,8 @@ def gate(event: Event, basis: QualityBasis, limits: QualityLimits = LIMITS, *, t
     if basis.torque is TorqueSource.WITHOUT_CUT and event.kind not in SLIPS_IN_GEAR and isinstance(samples, Samples):
         samples = Reason.TORQUE_UNKNOWN
     against = () if isinstance(samples, Reason) else reasons_against(quality, limits)
+    if event.came_late:
+        against = named_late(event, against)
     return Gate(quality=quality, samples=samples, against=against)
 
 

@@ -8,7 +8,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array, Series
-from canlog.e2e.alive_counter import sent_on_schedule
+from canlog.e2e.alive_counter import came_in_bursts, sent_on_schedule
 from canlog.frames import BEFORE_ALL_NS
 from canlog.jit import array_kernel
 from diag_service.diagnosis.columns import ColumnBatch, Columns, Signal
@@ -127,6 +127,7 @@ class EventFinder:
             columns=columns,
             bad_frame_count=self._history.bad_frame_count(first_ns, stop_ns),
             e2e=self._history.e2e_states(first_ns, stop_ns),
+            came_late=came_in_bursts(received.values()),
         )
 
 

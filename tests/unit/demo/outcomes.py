@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from clutch_model.calibration import clutch_of_gear
-from demo.outcome import SHIFTS_PER_CYCLE, FrameAccount, Outcome
+from demo.outcome import FrameAccount, Outcome
 from diag_service.diagnosis.records import ClutchVerdict, Condition, ShiftResult
 from ecu_emulator.truth import DriveTruth, ShiftTruth, Totals, TruthLog
 from tests.support.builders import friction_estimate, shift_result
@@ -49,9 +49,9 @@ def good_frames() -> FrameAccount:
 
 
 def good_outcome() -> Outcome:
-    numbers = range(1, SHIFTS_PER_CYCLE + 1)
+    numbers = range(1, len(GEARS) + 1)
     return Outcome(
-        cycles=1,
+        expected=len(GEARS),
         shifts=tuple(shift(number) for number in numbers),
         clutches={
             clutch: ClutchVerdict(
@@ -80,7 +80,7 @@ def good_outcome() -> Outcome:
                 drawn={},
             ),
             shifts=tuple(true_shift(number) for number in numbers),
-            totals=Totals(shifts=SHIFTS_PER_CYCLE, duration_s=40.6, frames=1000),
+            totals=Totals(shifts=len(GEARS), duration_s=40.6, frames=1000),
         ),
         frames=good_frames(),
     )

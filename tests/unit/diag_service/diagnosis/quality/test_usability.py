@@ -73,7 +73,7 @@ def test_a_signal_that_is_missing(signal: Signal) -> None:
         (lambda event: thinned(event, Signal.CLUTCH2_PRESSURE, slice(80, 88)), Reason.FRAMES_MISSING),
         (lambda event: with_oil(event, 232.0), Reason.OUT_OF_RANGE),
         (lambda event: with_oil(event, 444.0), Reason.OUT_OF_RANGE),
-        (with_times_that_jump_back, Reason.OUT_OF_RANGE),
+        (with_times_that_jump_back, Reason.TIME_UNSURE),
     ],
 )
 def test_what_cannot_be_used_says_why(spoil: Callable[[Event], Event], reason: Reason) -> None:
