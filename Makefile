@@ -23,7 +23,7 @@ PY = "$(VENV)/bin/python"
 INSTALL = $(PY) -m pip --disable-pip-version-check install -qq
 SHUFFLED = $(if $(ORDER),--order-seed "$(ORDER)")
 # The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.
-BENCHMARKS = decode estimator fleet_ingest live_bus live_latency outbox plant readers service service_memory start
+BENCHMARKS = estimator fleet_ingest hour live_latency outbox plant readers service_memory
 
 .PHONY: help setup setup-all setup-system demo fleet docs check static static-and-warm test warm test-both test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom clean
 
