@@ -14,6 +14,7 @@ connected to it.
 import argparse
 import asyncio
 import inspect
+import subprocess
 import sys
 import threading
 from collections import Counter
@@ -26,12 +27,14 @@ from tempfile import TemporaryDirectory
 from types import CodeType, FrameType
 from typing import Any
 
-from benchmarks.service import new_decoder, record
 from clutch_model.calibration import nominal_calibration
+from dbc.contract import load_contract
 from diag_service.cli import main as command_line
 from diag_service.delivery import MemoryReporter, MqttConnector, Outbox
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.records import ClutchVerdict, ShiftEstimate, ShiftResult, StoredResult
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
 from diag_service.service.drive import DriveFrames, open_drive
 from diag_service.service.recorded import events
 from diag_service.service.session import Session
@@ -52,6 +55,12 @@ EVENT_GOALS, BROKER_MODULES, DECODE_GOALS = (500, 20), 30, (2_000, 30)  # of all
 
 
 Call = tuple[str, str]  # module and function
+
+
+def record(path: Path, cycles: int) -> None:
+    """Record a drive with production scatter, as the emulator's users do."""
+    command = [sys.executable, "-m", "ecu_emulator", "record", str(path), "--cycles", str(cycles)]
+    subprocess.run(command, check=True, capture_output=True)
 
 
 @dataclass(slots=True)
@@ -110,7 +119,7 @@ def watched(trip: Trip) -> Iterator[None]:
 def new_session(store: ResultStore) -> Session:
     """Return a session in memory."""
     config = DiagnosisConfig(vehicle=VEHICLE, calibration=nominal_calibration())
-    return Session(config, new_decoder(), store, None, MemoryReporter())
+    return Session(config, Decoder(load_contract(), load_profile()), store, None, MemoryReporter())
 
 
 async def delivered(outbox: Outbox, count: int) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks import bars
 from clutch_model.calibration import nominal_calibration
 from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
 from tests.reference.golden import golden_values
@@ -64,7 +65,10 @@ def speed(console: Console) -> None:
             simulated_s = len(plant.advance(CYCLE_LIMIT_S)) * 1e-3
             times_s.append(time.process_time() - start_s)
         mark = " (default)" if dt_s == DriveSettings().dt_s else ""
-        console.print(f"plant speed at {dt_s:g} s{mark}: {simulated_s / min(times_s):.0f} x real time on one core")
+        ratio = simulated_s / min(times_s)
+        console.print(
+            f"plant speed at {dt_s:g} s{mark}: {ratio:.0f} x real time on one core   {bars.PLANT.judged(ratio)}"
+        )
 
 
 def main() -> None:

@@ -2,12 +2,9 @@
 
 from typing import Final
 
-import numpy as np
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal
 from cantools.database.conversion import BaseConversion
-
-from canlog.frames import FrameBatch
 
 BATCH_FRAMES: Final = 65_536
 FIRST_ID: Final = 0x100
@@ -59,15 +56,3 @@ def message(number: int) -> Message:
 def database() -> Database:
     """Return the ten messages."""
     return Database([message(number) for number in range(10)])
-
-
-def random_batches(count: int, seed: int = 1) -> list[FrameBatch]:
-    """Return frames of the ten messages in turn, random to the last bit."""
-    rng = np.random.default_rng(seed)
-    whole = FrameBatch(
-        t_ns=np.arange(count) * 1_000_000,
-        can_id=(FIRST_ID + np.arange(count) % 10).astype(np.uint32),
-        length=np.full(count, 8, np.uint8),
-        data=rng.integers(0, 256, (count, 8)).astype(np.uint8),
-    )
-    return [whole[first : first + BATCH_FRAMES] for first in range(0, count, BATCH_FRAMES)]

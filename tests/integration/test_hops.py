@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.hops import listing, modules_of, trip_of_a_shift, trip_of_decoding
-from benchmarks.service import record
+from benchmarks.hops import listing, modules_of, record, trip_of_a_shift, trip_of_decoding
 from tests.plugins.broker import Mosquitto
 
 EVENT_CALLS, EVENT_MODULES = 500, 20  # to the stored result
