@@ -1,6 +1,6 @@
 """How much memory ``decode`` needs for a log of ten gigabytes, made as it is read: candump text through a pipe.
 
-The bus of ``benchmarks.decoded_tables`` over and over, its times running on. The largest memory of the program is what
+A bus of a hundred messages with 700 signals over and over, its times running on. The largest memory of the program is what
 the kernel says of it (VmHWM); its children, which parse the database, end before the log is read.
 
 With ``--lazy`` it is Python that reads, by ``canlog.read(...).batches("long")``, and a file on the disk.

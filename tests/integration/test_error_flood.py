@@ -1,6 +1,13 @@
-"""A bus that is out of order floods the service with error frames: they cost it next to nothing."""
+"""A bus out of order floods the service with error frames: they cost it next to nothing, and it ends when told."""
 
 import asyncio
+import re
+import signal
+import struct
+import threading
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Self
 
 import can
 import numpy as np
@@ -12,7 +19,10 @@ from canlog.live.sources import Silence
 from dbc.contract import load_contract
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
+from tests.integration.test_service_onlookers import fetch
 from tests.support.batches import frames_at
+from tests.support.bus_end import raw_socket
+from tests.support.service import service
 from tests.support.wire import START_NS
 
 FLOOD = 3_000
@@ -49,3 +59,51 @@ def test_frames_between_two_losses_of_the_bus_are_a_stretch_of_their_own() -> No
     found = decoder.feed(batch)
     assert [part.breaks_before for part in found] == [False, True, True, True]
     assert [part.watermark_ns for part in found] == [START_NS + row * 1_000_000 for row in (0, 4, 7, 8)]
+
+
+HEARD, MORE = 20_000, 1_000_000  # error frames: before the service is stopped, and within which it has ended
+PACKED = struct.Struct("=IB3x8s")
+
+
+class Flood:
+    """Error frames as fast as a vcan takes them, while entered or until so many are sent."""
+
+    def __init__(self, channel: str, kind: int) -> None:
+        self._thread = threading.Thread(target=self._send, args=(channel, PACKED.pack(ERROR_FLAG | kind, 8, bytes(8))))
+        self._is_over = threading.Event()
+        self.left = 2**62
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        self._thread.join()
+
+    def _send(self, channel: str, frame: bytes) -> None:
+        with raw_socket(channel) as raw:
+            while self.left > 0 and not self._is_over.is_set():
+                raw.send(frame)
+                self.left -= 1
+
+
+@pytest.mark.vcan
+@pytest.mark.parametrize(("kind", "is_ready"), [(NO_ACKNOWLEDGE, True), (BUS_OFF, False)])
+def test_a_service_that_is_flooded_ends_when_it_is_told(vcan: str, tmp_path: Path, kind: int, is_ready: bool) -> None:
+    arguments = ("run", "-i", "socketcan", "-c", vcan, "--metrics", "0", "--store", tmp_path / "car.sqlite", "--json")
+    with ExitStack() as stack:
+        running = stack.enter_context(service(tmp_path / "service", *arguments))
+        running.wait_for(lambda: "metrics on" in running.err)
+        flood = stack.enter_context(Flood(vcan, kind))
+        heard = re.compile(r"^clutchdiag_bus_errors_total\{[^}]*\} (\S+)$", re.MULTILINE)
+        running.wait_for(lambda: sum(map(float, heard.findall(fetch(running, "/metrics")))) > HEARD)
+        assert fetch(running, "/livez") == "OK\n"
+        if is_ready:
+            assert fetch(running, "/readyz") == "OK\n"
+        flood.left = MORE
+        running.send(signal.SIGTERM)
+        ended = running.wait()
+        assert flood.left > 0
+    assert ended.status == 0, ended.err
+    assert is_ready or "bus-off" in ended.err

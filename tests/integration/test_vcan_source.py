@@ -24,7 +24,8 @@ from tests.uml.vcan import ip_link
 
 pytestmark = pytest.mark.vcan
 
-DELIVERY_S = 0.2  # a busy kernel hands frames on in a thread of its own, a moment after it took them
+SO_RCVBUFFORCE = 33  # of asm-generic/socket.h
+EAR_BYTES = 8 * 2**20
 
 
 async def collect(source: FrameSource) -> list[FrameBatch]:
@@ -32,10 +33,19 @@ async def collect(source: FrameSource) -> list[FrameBatch]:
 
 
 def send_numbers(channel: str, count: int, *, gap_s: float = 0.0) -> int:
-    """Send numbered frames and let them arrive; return how many the kernel took."""
-    taken = 0
-    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw:
-        raw.bind((channel,))
+    """Send numbered frames and let them arrive; return how many the kernel took.
+
+    A busy kernel hands frames on in a thread of its own, in their order: who hears the last one knows that all came.
+    """
+    taken, last = 0, b""
+    with (
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw,
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as ear,
+    ):
+        ear.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, EAR_BYTES)
+        for one in (ear, raw):
+            one.bind((channel,))
+        ear.settimeout(HANG_S)
         for number in range(count):
             frame = struct.pack("<IB3x8s", number % 0x800, 4, struct.pack("<I", number) + b"\xee" * 4)
             try:
@@ -43,10 +53,11 @@ def send_numbers(channel: str, count: int, *, gap_s: float = 0.0) -> int:
             except OSError:
                 time.sleep(0.001)
                 continue
-            taken += 1
+            taken, last = taken + 1, frame
             if gap_s:
                 time.sleep(gap_s)
-    time.sleep(DELIVERY_S)
+        while ear.recv(len(last)) != last:
+            pass
     return taken
 
 
@@ -66,7 +77,8 @@ async def test_what_the_kernel_drops_is_counted_to_the_frame(vcan: str) -> None:
     source = SocketCanSource(vcan, receive_buffer_bytes=1)
     collector = asyncio.create_task(collect(source))
     sent = send_numbers(vcan, 500)  # in the loop's own thread: nobody reads meanwhile
-    await asyncio.sleep(0.2)
+    while not source.counts.received:  # noqa: ASYNC110 - the loop itself receives
+        await asyncio.sleep(0)
     sent += await asyncio.to_thread(send_numbers, vcan, 500)
     await source.aclose()
     received = sum(map(len, await collector))

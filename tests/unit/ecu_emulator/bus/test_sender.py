@@ -98,7 +98,7 @@ def test_stopping_ends_at_once_and_is_no_completion(stop: threading.Event) -> No
         report = transmit(bus, chunks(frames), stop)
         timer.join()
     assert not report.is_complete
-    assert report.duration_s < 5.0
+    assert report.duration_s < HANG_S  # the next frame is due in an hour
 
 
 def test_an_error_of_the_plant_reaches_the_caller(stop: threading.Event) -> None:
