@@ -1,7 +1,7 @@
 """How much memory ``decode`` needs for a log of ten gigabytes, made as it is read: candump text through a pipe.
 
-A bus of a hundred messages with 700 signals over and over, its times running on. The largest memory of the program is what
-the kernel says of it (VmHWM); its children, which parse the database, end before the log is read.
+A bus of a hundred messages with 700 signals over and over, its times running on. The largest memory of the program is
+what the kernel says of it (VmHWM); its children, which parse the database, end before the log is read.
 
 With ``--lazy`` it is Python that reads, by ``canlog.read(...).batches("long")``, and a file on the disk.
 

@@ -45,8 +45,8 @@ from fleet_link import BrokerAddress
 
 SHIFT_S: Final = 3.9  # what one takes on the road, with the drive from one to the next
 CAR_KG: Final = 1300  # light: it is quickly in the next gear
-READY_S: Final = 30.0  # for a program to load and announce itself
-LAST_RESULT_S: Final = 10.0  # from the last frame to the last result
+READY_S: Final = 300.0  # for a program to load and announce itself: only a hang takes so long
+LAST_RESULT_S: Final = 60.0  # from the last frame to the last result, likewise
 RECORDING, TRUTH, TRANSMITTED = "drive.log", "truth.jsonl", "transmitted.json"
 SHIFTS_PER_CYCLE: Final = 10  # 1-2-3-4-5-6-5-4-3-2-1
 STORE, PICTURE, AGED = "results.sqlite", "demo.png", "ageing"
