@@ -1,4 +1,4 @@
-"""Brings a database to the schema of this program, from an empty one or any schema since release 0.8, data included."""
+"""Brings a database to the schema of this program, from an empty one or any schema since r0021, data included."""
 
 import time
 from contextlib import suppress
@@ -30,7 +30,7 @@ def migrate(engine: Engine, revision: str = "head") -> None:
     DatabaseAwayError
         If the database does not answer.
     DatabaseError
-        If it was made by a newer program or one before release 0.8, or forbids the change.
+        If it was made by a newer program or has a schema before the first one known, or forbids the change.
     """
     with transaction(engine) as connection:
         is_in_use = engine.dialect.name == "postgresql" and _revision(connection) is not None
@@ -89,8 +89,10 @@ def _refuse_unknown(engine: Engine, connection: Connection) -> None:
     found = _revision(connection)
     if found is not None and found not in (known := revisions()):
         if found < known[0]:
-            reason = f"has the schema {found} of a release before 0.8: migrate it by release 0.8 first"
-            raise DatabaseError(f"database {place_of(engine)} {reason}")
+            reason = (
+                f"has the schema {found}, which is too old to be upgraded: make a new database and take its rows over"
+            )
+            raise DatabaseError(f"database {place_of(engine)} {reason} (docs/fleet.md, Backup and restore)")
         raise DatabaseError(f"database {place_of(engine)} was made by a newer program (schema {found})")
     if found is None and engine.dialect.name == "sqlite" and inspect(connection).get_table_names():
         raise DatabaseError(f"database {place_of(engine)} is another program's, not a fleet's")

@@ -14,7 +14,7 @@ from sqlalchemy import Connection, Engine, and_, column, func, select, table, te
 
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError
-from fleet_backend.schema import BLOCK, HAPPENED_AT, UtcDateTime
+from fleet_backend.schema import BLOCK, KEY_COLUMNS, RANKED_AT, UtcDateTime
 
 AHEAD_MONTHS: Final = 3  # kept ready, so that a forgotten command costs a quarter before results gather in the last
 MOST_MONTHS: Final = 120
@@ -165,6 +165,7 @@ def _month(name: str) -> date | None:
 
 
 TABLE: Final = "shift_result"
+_RANKED_AT: Final = RANKED_AT["postgresql"]
 _NO_VERSION: Final = "''"  # what was replaced may have said something else: two versions are nothing certain
 _STREAM: Final = "vehicle, clutch, stream"
 _LAST: Final = "last_seq, last_version_rank, last_produced_at, last_digest"
@@ -178,6 +179,7 @@ CLUTCH_BLOCK: Final = table(
     "clutch_block", *(column(name) for name in ("vehicle", "stream", "block", "month", "version_rank"))
 )
 MAKE: Final = (
+    f"ALTER TABLE {TABLE} ADD PRIMARY KEY ({', '.join(KEY_COLUMNS)}, produced_at)",
     f"""
 CREATE TABLE clutch_stream (
   vehicle text, clutch smallint, stream text COLLATE "C",
@@ -201,7 +203,7 @@ def _streams(source: str, count: str = "count(*) OVER w") -> str:
     """Return the statement for the rows of ``clutch_stream`` that results make."""
     return (
         f"SELECT DISTINCT ON (n.vehicle, n.clutch, n.stream) n.vehicle, n.clutch, n.stream, {count},"  # noqa: S608
-        f" max(least(n.produced_at, n.stored_at, {HAPPENED_AT.format('n.')})) OVER w,"  # clocks ahead, late analyses
+        f" max({_RANKED_AT.format('n.')}) OVER w,"
         " max(n.stored_at) OVER w, n.seq, n.version_rank, n.produced_at, n.content_digest"
         f" FROM {source} AS n WINDOW w AS (PARTITION BY n.vehicle, n.clutch, n.stream)"
         " ORDER BY n.vehicle, n.clutch, n.stream, n.seq DESC, n.version_rank DESC, n.content_digest"
@@ -229,6 +231,11 @@ _JOIN: Final = (
 )
 _INTO_STREAMS: Final = f"INSERT INTO clutch_stream AS e ({_STREAM}, result_count, last_at, last_stored_at, {_LAST}) "
 _INTO_BLOCKS: Final = "INSERT INTO clutch_block "
+RANK: Final = (
+    f"UPDATE clutch_stream AS e SET last_at = s.at FROM (SELECT {_STREAM}, max({_RANKED_AT.format('')}) AS at"  # noqa: S608
+    f" FROM {TABLE} GROUP BY {_STREAM}) AS s WHERE s.at <> e.last_at"
+    " AND s.vehicle = e.vehicle AND s.clutch = e.clutch AND s.stream = e.stream"
+)
 FILL: Final = (_INTO_STREAMS + _streams(TABLE), _INTO_BLOCKS + _blocks(TABLE))
 _LEFT: Final = f"(SELECT s.* FROM {TABLE} AS s WHERE s.vehicle IN (SELECT vehicle FROM gone))"  # noqa: S608
 _CAME: Final = f"""

@@ -6,15 +6,15 @@ from datetime import datetime, timedelta
 from operator import itemgetter
 from typing import Any, Final
 
-from sqlalchemy import Connection, RowMapping, func, select
+from sqlalchemy import Connection, RowMapping, func, literal_column, select
 
-from fleet_backend.schema import CLUTCH, FLUID_FILL, SHIFT_RESULT
+from fleet_backend.schema import CLUTCH, FLUID_FILL, HAPPENED_AT, SHIFT_RESULT, UtcDateTime
 from fleet_contract import orders
 
 Row = Mapping[str, Any] | RowMapping
 # What a row keeps of a clutch whose fluid was changed since: all else is of the earlier one.
 _KEPT: Final = frozenset({
-    *("place", "vehicle", "clutch", "end_at", "stored_at", "odometer_m", "stream", "seq"),
+    *("place", "vehicle", "clutch", "end_at", "happened_at", "stored_at", "odometer_m", "stream", "seq"),
     *("algorithm_version", "calibration_version"),
 })  # fmt: skip
 PresentFluid = tuple[datetime, str]  # since when which fluid is in
@@ -52,11 +52,11 @@ def with_orders(
         news = {"action": order.action.value, "order": order.text, "fluid_since": filled_at, "fluid": product}
         for row in own:
             told, element = dict(row), names.get((vehicle, row["clutch"]))
-            if orders.is_of_earlier_fluid(told["end_at"], filled_at, since_of(told)):
+            if orders.is_of_earlier_fluid(told["happened_at"], filled_at, since_of(told)):
                 told.update(dict.fromkeys(told.keys() - _KEPT), condition=orders.NO_VERDICT, shift_count=0)
                 unseen = orders.unseen_since_new(told["clutch"], element)
                 told.update(condition_reason=orders.UNKNOWN_FLUID, advice=unseen)
-            del told["running_since_bus_ns"]
+            del told["running_since_bus_ns"], told["happened_at"]
             yield told | news | {"element": element}
 
 
@@ -71,7 +71,8 @@ def is_alarming_since(connection: Connection, vehicle: str, clutch: int, filled_
     table = SHIFT_RESULT.c
     own = (table.vehicle == vehicle, table.clutch == clutch, table.condition == "change_fluid")
     filled_ns = (filled_at - orders.EARLIEST) // timedelta(microseconds=1) * 1000
-    is_since = (table.end_at > filled_at, func.coalesce(table.running_since_bus_ns, table.end_bus_ns) > filled_ns)
+    happened_at = literal_column(HAPPENED_AT.format("shift_result."), UtcDateTime())
+    is_since = (happened_at > filled_at, func.coalesce(table.running_since_bus_ns, filled_ns + 1) > filled_ns)
     return connection.execute(select(table.seq).where(*own, *is_since).limit(1)).first() is not None
 
 
@@ -93,7 +94,7 @@ def _finding(row: Row, names: Mapping[tuple[str, int], str]) -> orders.Finding:
         condition=row["condition"],
         text=row["advice"],
         reason=row["condition_reason"],
-        end_at=row["end_at"],
+        end_at=row["happened_at"],
         since_at=since_of(row),
         element=names.get((row["vehicle"], row["clutch"])),
         suspects=_suspects(row["causes"]),

@@ -52,7 +52,7 @@ _FRICTION: Final = ("mu_c", "mu_s", "std_mu_c", "std_mu_s")
 
 
 def _view(name: str, *columns: str) -> TableClause:
-    return table(name, *(column(text, UtcDateTime if text.endswith("_at") else None) for text in columns))
+    return table(name, *(column(text, UtcDateTime if text.endswith(("_at", "_since")) else None) for text in columns))
 
 
 FLEET_WORST_FIRST: Final = _view(
@@ -61,7 +61,7 @@ FLEET_WORST_FIRST: Final = _view(
     *("level_ratio", "shift_count"),
     *_FRICTION,
     *("mu_c_low", "mu_c_high", "mu_s_low", "mu_s_high", "slope_s_rad", "slope_low_s_rad", "slope_high_s_rad"),
-    *("probability_negative_slope", "odometer_m", "end_at", "fluid", "stream", "seq"),
+    *("probability_negative_slope", "odometer_m", "end_at", "happened_at", "fluid", "fluid_since", "stream", "seq"),
     *("algorithm_version", "calibration_version"),
 )
 
@@ -73,7 +73,8 @@ CLUTCH_TREND: Final = _view(
     *("probability_negative_slope", "quality", "clutch_temperature_k"),
     *("running_mu_c", "running_std_mu_c", "running_mu_s", "running_std_mu_s"),
     *("running_slope_s_rad", "running_std_slope_s_rad", "running_probability_negative_slope"),
-    *("condition", "level_ratio", "fluid", "stream", "seq", "algorithm_version", "calibration_version", "kind"),
+    *("condition", "level_ratio", "fluid", "fluid_since", "stream", "seq"),
+    *("algorithm_version", "calibration_version", "kind"),
 )
 
 CLUTCH_ALARM: Final = _view(

@@ -45,10 +45,15 @@ SCALE_FREE: Final = "scale_free_"  # prefix of what driving alone tells, gain an
 
 DATED_NS: Final = people.DATED_NS
 _DATED: Final = f"{{0}}produced_at >= '{datetime.fromtimestamp(DATED_NS // 10**9, UTC)}'"
-# When a result happened as far as the bus tells, in both databases: a log is no newer for a late analysis.
-HAPPENED_AT: Final = f"CASE WHEN {{0}}end_bus_ns >= {DATED_NS} THEN {{0}}end_at ELSE {{0}}produced_at END"
 # An undated result is as old as its row: the clock of its vehicle was not set. Months go by this.
 AGED_AT: Final = f"CASE WHEN {_DATED} THEN {{0}}produced_at ELSE {{0}}stored_at END"
+# When an event was, as far as the bus tells: a log is no newer for a late analysis.
+HAPPENED_AT: Final = f"CASE WHEN {{0}}end_bus_ns >= {DATED_NS} THEN {{0}}end_at ELSE {AGED_AT} END"
+# What is the latest, by database: nothing can be newer than its arrival, whatever a clock says.
+RANKED_AT: Final = {
+    name: f"{least}({{0}}stored_at, {AGED_AT}, {HAPPENED_AT})"
+    for name, least in (("sqlite", "min"), ("postgresql", "least"))
+}
 # The first part finds the months.
 IS_OLD: Final = f"({{0}}produced_at < :until AND ({_DATED} OR {{0}}stored_at < :until))"
 BLOCK: Final = 1024  # positions of a stream that clutch_block tells of together
@@ -145,7 +150,8 @@ SHIFT_RESULT: Final = Table(
     Column("element", Text),  # name of the clutch
     Column("causes", Text),  # JSON object: why the vehicle is as it is, the likeliest causes alone
     Column("running_since_bus_ns", BigInteger),  # start of the first event in the running estimate, of another drive
-    ForeignKeyConstraint(["vehicle", "clutch"], ["clutch.vehicle", "clutch.clutch"]),  # PostgreSQL: of clutch_stream
+    # In PostgreSQL clutch_stream has it: once for a stream, in place of once for each result.
+    ForeignKeyConstraint(["vehicle", "clutch"], ["clutch.vehicle", "clutch.clutch"]).ddl_if(dialect="sqlite"),
     Index("shift_by_time", "vehicle", "clutch", "produced_at", "stream"),
     Index("shift_by_arrival", "stored_at"),
     Index(
@@ -155,6 +161,7 @@ SHIFT_RESULT: Final = Table(
         postgresql_where=text("condition = 'change_fluid'"),
         sqlite_where=text("condition = 'change_fluid'"),
     ),
+    postgresql_partition_by="RANGE (produced_at)",
 )
 
 QUARANTINE: Final = Table(
@@ -212,6 +219,14 @@ REVISION: Final = Table(  # what a result made of an earlier one, whichever come
 # What makes a result that result. In PostgreSQL the time of its making is in the primary key as well: no unique index
 # of a partitioned table can do without; the views take one result per key all the same.
 KEY_COLUMNS: Final = tuple(column.name for column in SHIFT_RESULT.primary_key)
+SHIFT_RESULT.primary_key.ddl_if(dialect="sqlite")  # PostgreSQL's is made with the months
+RANK_INDEX: Final = Index(
+    "shift_by_rank",
+    *(SHIFT_RESULT.c[name] for name in ("vehicle", "clutch")),
+    text(RANKED_AT["sqlite"].format("")),
+    SHIFT_RESULT.c.stream,
+).ddl_if(dialect="sqlite")
+
 # What two contents of one result may differ in: it is not in the digest, which must stay what it was.
 UNHASHED_COLUMNS: Final = frozenset({
     *("stored_at", "content_digest", "version_rank", "kind", "end_reason", "advice", "trust", "trust_parts"),

@@ -14,6 +14,7 @@ from typing import Final, NamedTuple, TypeVar
 from fleet_contract.topics import CLUTCHES
 
 EARLIEST: Final = datetime(1970, 1, 1, tzinfo=UTC)  # of a fill: an earlier one is a slip of the pen
+_DATED: Final = EARLIEST + timedelta(seconds=1e9)  # an earlier moment is of a clock that was not set
 SAME_WITHIN: Final = timedelta(days=1)  # nobody changes the fluid twice a day, but two people may note it
 FARTHEST_M: Final = 2.0e7  # that a vehicle drives unheard of between its last result and a fill
 READING_M: Final = 1.0e4  # by which two readings of one moment may differ
@@ -148,8 +149,12 @@ class Order:
 
 
 def is_of_earlier_fluid(end_at: datetime, filled_at: datetime | None, since_at: datetime | None = None) -> bool:
-    """Return whether a result says nothing of the fluid that is in: its event, or what it rests on, was before that."""
-    return filled_at is not None and (since_at or end_at) <= filled_at
+    """Return whether a result says nothing of the fluid that is in: its event, or what it rests on, was before that.
+
+    A result without a date is held against a fill without one alone: nobody can tell which of both came first.
+    """
+    at = since_at or end_at
+    return filled_at is not None and at <= filled_at and (at >= _DATED or filled_at < _DATED)
 
 
 def name_of(clutch: int, element: str | None) -> str:

@@ -489,8 +489,9 @@ class Delivery:
             self._newest, rows = {}, self._state.store.latest(self._state.vehicle)  # none but those made like the last
         for row in {(row.key.stream, row.clutch): row for row in sorted(rows, key=lambda one: one.position)}.values():
             result = parse_shift(row.text)
-            rank = max(result.estimate.end_ns, DATED_NS), row.position
-            if row.clutch not in self._newest or self._newest[row.clutch][0] < rank:
+            before, end_ns = self._newest.get(row.clutch, ((0, 0), None))[0], result.estimate.end_ns
+            rank = (end_ns if end_ns >= DATED_NS else max(before[0], end_ns)), row.position
+            if before < rank:
                 self._newest[row.clutch] = rank, result
         fluid = self._state.store.fluid_at(self._state.vehicle, iso_utc(datetime.now(UTC)))
         known = [result for _, result in self._newest.values()]

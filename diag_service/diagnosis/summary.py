@@ -137,9 +137,14 @@ class Summary:
 
 
 def latest_of(results: Iterable[ShiftResult]) -> tuple[ShiftResult, ...]:
-    """Return the last result of each clutch, clutch 1 first: by the end of its event, without dates by its place."""
-    by_end = sorted(results, key=lambda one: max(one.estimate.end_ns, DATED_NS))
-    return tuple(one for _, one in sorted({one.estimate.clutch: one for one in by_end}.items()))
+    """Return the last result of each clutch, clutch 1 first: by the end of its event, without a date by its place."""
+    latest, last_ns = dict[int, ShiftResult](), dict[int, int]()
+    for one in results:
+        clutch, end_ns = one.estimate.clutch, one.estimate.end_ns
+        if end_ns < DATED_NS or end_ns >= last_ns.get(clutch, 0):
+            latest[clutch] = one
+        last_ns[clutch] = max(end_ns, last_ns.get(clutch, 0))
+    return tuple(one for _, one in sorted(latest.items()))
 
 
 def with_revisions(results: Iterable[ShiftResult]) -> list[ShiftResult]:

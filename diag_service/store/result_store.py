@@ -47,12 +47,14 @@ _ROWS: Final = (
     " json_extract(json, '$.produced_at'), json FROM result"
 )
 _KEEP: Final = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
-_LATEST: Final = (  # of the last of each stream, which an index finds, those come last that ended last
+# Of the last of each stream, which an index finds, those come last that ended last, or came last without a date.
+_LATEST: Final = (
     " WHERE position IN (SELECT (SELECT position FROM result WHERE vehicle = ?1 AND stream = own.stream"
     " AND clutch = own.clutch AND algorithm_version = ?2 AND calibration_version = ?3 ORDER BY seq DESC LIMIT 1) FROM"
     " (SELECT stream, clutch FROM (SELECT DISTINCT stream FROM result WHERE vehicle = ?1),"
     " (SELECT DISTINCT clutch FROM result WHERE vehicle = ?1)) AS own)"
-    " ORDER BY clutch, max(json_extract(json, '$.end_bus_ns'), ?4), position"
+    " ORDER BY clutch, CASE WHEN json_extract(json, '$.end_bus_ns') >= ?4 THEN json_extract(json, '$.end_bus_ns')"
+    " ELSE max(json_extract(json, '$.end_bus_ns')) OVER (PARTITION BY clutch ORDER BY position) END, position"
 )
 _OUTCOMES: Final = {Outcome.ACCEPTED: file.DELIVERED, Outcome.QUARANTINED: file.QUARANTINED}
 _END: Final = 2**63 - 1  # beyond the last position and sequence number: SQLite counts no further

@@ -3,12 +3,9 @@
 from alembic import context
 from sqlalchemy import Connection
 
-from fleet_backend.office_tables import METADATA
-
 connection: Connection = context.config.attributes["connection"]
 context.configure(
     connection=connection,
-    target_metadata=METADATA,
     transaction_per_migration=False,
 )
 with context.begin_transaction():

@@ -8,6 +8,7 @@ from typing import Any, Final, TypeVar
 
 from sqlalchemy import Connection, Engine, Interval, Select, and_, func, literal, or_, select, tuple_
 
+from clutchdiag_io.people import is_dated
 from diag_service.diagnosis.records import Causes, ShiftQuality, from_plain
 from fleet_backend import schema
 from fleet_backend.database import transaction
@@ -86,8 +87,9 @@ def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
         remember(connection, {(row["vehicle"], row["calibration_version"]) for row in rows})
     last: dict[str, datetime] = {}
     for row in rows:
-        happened_at = row["end_at"] if row["end_bus_ns"] >= schema.DATED_NS else row["produced_at"]
-        at = min(row["produced_at"], row["stored_at"], happened_at)  # as the databases rank
+        at = min(
+            at for at in (row["stored_at"], row["produced_at"], row["end_at"]) if is_dated(at)
+        )  # as databases rank
         last[row["stream"]] = max(at, last.get(row["stream"], at))
     return sorted(_once(rows), key=lambda row: (last[row["stream"]], row["stream"], row["seq"]))
 

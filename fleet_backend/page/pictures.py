@@ -19,7 +19,7 @@ from diag_service.report.pictures import MOST_MOMENTS, MOST_POINTS, THRESHOLD_KE
 from fleet_backend.page.calibrations import reference_of
 from fleet_backend.page.records import ClutchNow, TrendPoint, Usual, VehicleAnswer
 from fleet_backend.page.wording import M_PER_KM
-from fleet_contract.orders import is_of_earlier_fluid, name_of, title_of
+from fleet_contract.orders import name_of, title_of
 
 Level = tuple[float, str, str]  # where a line lies, its style, its name
 
@@ -190,7 +190,7 @@ def _carried_on(odometer_km: FloatArray) -> FloatArray:
 
 def _row_after(ends: Sequence[datetime], filled_at: datetime) -> int:
     """Return the row of the first event with a fluid; behind the last row where there is none yet."""
-    return next((row for row, end in enumerate(ends) if not is_of_earlier_fluid(end, filled_at)), len(ends))
+    return next((row for row, end in enumerate(ends) if end > filled_at), len(ends))
 
 
 def _moments(

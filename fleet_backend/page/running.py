@@ -14,7 +14,7 @@ from fleet_backend.months import CLUTCH_STREAM, has_partitions
 from fleet_backend.orders import PresentFluid, clutch_names, present_fluids, with_orders
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchNow
-from fleet_backend.schema import FLUID_FILL, HAPPENED_AT, SHIFT_RESULT, WITHDRAWN_FILL, UtcDateTime
+from fleet_backend.schema import FLUID_FILL, HAPPENED_AT, RANKED_AT, SHIFT_RESULT, WITHDRAWN_FILL, UtcDateTime
 
 _MOST_NAMES: Final = 500  # of vehicles in one statement
 # The view running_condition for some vehicles alone: a database does not carry a list of names into a view by itself.
@@ -24,7 +24,8 @@ SELECT s.vehicle, s.clutch, s.condition, s.condition_reason, s.advice, s.level_r
   s.running_std_mu_c AS std_mu_c, s.running_std_mu_s AS std_mu_s, s.running_correlation AS correlation,
   s.running_slope_s_rad AS slope_s_rad, s.running_std_slope_s_rad AS std_slope_s_rad,
   s.running_probability_negative_slope AS probability_negative_slope,
-  s.odometer_m, s.end_at, s.stored_at, s.stream, s.seq, s.algorithm_version, s.calibration_version, NULL AS fluid,
+  s.odometer_m, s.end_at, s.stored_at, {happened_at} AS happened_at, s.stream, s.seq,
+  s.algorithm_version, s.calibration_version, NULL AS fluid,
   s.causes, s.running_since_bus_ns, {score} AS score
 FROM {source}
 """
@@ -38,7 +39,7 @@ _IN_ONE_TABLE: Final = """(
     SELECT k.vehicle, k.clutch, (
       SELECT l.stream FROM shift_result AS l
       WHERE l.vehicle = k.vehicle AND l.clutch = k.clutch
-      ORDER BY l.vehicle DESC, l.clutch DESC, min(l.produced_at, l.stored_at, {happened_at}) DESC, l.stream DESC LIMIT 1
+      ORDER BY l.vehicle DESC, l.clutch DESC, {ranked_at} DESC, l.stream DESC LIMIT 1
     ) AS stream
     FROM clutch AS k {where}
   ) AS q
@@ -76,10 +77,10 @@ def _statements(where: str) -> Mapping[bool, TextualSelect]:
     sources = {True: (_BY_MONTH, _SCORE_OF_JSON), False: (_IN_ONE_TABLE, "json_extract(s.shift_quality, '$.score')")}
     found: dict[bool, TextualSelect] = {}
     for kind, (form, score) in sources.items():
-        source = form.format(where=where, happened_at=HAPPENED_AT.format("l."))
-        made = text(_RUNNING.format(source=source, score=score))
+        source = form.format(where=where, ranked_at=RANKED_AT["sqlite"].format("l."))
+        made = text(_RUNNING.format(source=source, score=score, happened_at=HAPPENED_AT.format("s.")))
         made = made.bindparams(bindparam("vehicles", expanding=True)) if where else made
-        found[kind] = made.columns(end_at=UtcDateTime(), stored_at=UtcDateTime())
+        found[kind] = made.columns(end_at=UtcDateTime(), stored_at=UtcDateTime(), happened_at=UtcDateTime())
     return MappingProxyType(found)
 
 

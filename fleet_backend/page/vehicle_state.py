@@ -10,7 +10,7 @@ from fleet_backend.database import transaction
 from fleet_backend.months import CLUTCH_STREAM, has_partitions
 from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT, POPULATION
 from fleet_backend.page.records import Fill
-from fleet_backend.schema import FLUID_FILL, HAPPENED_AT, SHIFT_RESULT, VEHICLE, UtcDateTime
+from fleet_backend.schema import FLUID_FILL, RANKED_AT, SHIFT_RESULT, VEHICLE, UtcDateTime
 from fleet_contract.orders import distinct
 
 _OWN: Final[Any] = bindparam("vehicle")
@@ -28,7 +28,7 @@ _STORED: Final = (
         SHIFT_RESULT.c.clutch,
         func.count(),
         func.max(SHIFT_RESULT.c.stored_at),
-        func.max(literal_column(f"min(produced_at, stored_at, {HAPPENED_AT.format('')})", UtcDateTime())),
+        func.max(literal_column(RANKED_AT["sqlite"].format(""), UtcDateTime())),
     )
     .where(SHIFT_RESULT.c.vehicle == _OWN)
     .group_by(SHIFT_RESULT.c.clutch)

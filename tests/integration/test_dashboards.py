@@ -63,7 +63,10 @@ def _fleet(postgres_server: PostgresServer, postgres_template: str) -> Iterator[
 
 
 def fill(engine: Engine) -> None:
-    """Store what vehicles sent: results of stored analyses, their status, and the fills of two of them."""
+    """Store what vehicles sent: results of stored analyses, their status, and the fills of two of them.
+
+    Car 3 gets new fluid half-way. Its last running estimate rests on the earlier fluid: the fill was noted late.
+    """
     records = [
         json.loads(line) | {"vehicle": vehicle}
         for vehicle, name in FLEET.items()
@@ -73,9 +76,13 @@ def fill(engine: Engine) -> None:
     told = {"status": "online", "connected_at": "2026-01-01T00:00:00.000000Z", "service_version": "1"}
     versions = {"algorithm_version": "a", "calibration_version": "c"}
     statuses = [status_row({**told, **versions, "vehicle": vehicle}) for vehicle in FLEET]
+    own = [row for row in shifts if row["vehicle"] == "car3"]
+    own[-1]["running_since_bus_ns"] = own[0]["start_bus_ns"]
     Writer(engine).store(Batch(shifts=shifts, statuses=statuses))
-    for vehicle in ("car1", "car3"):
-        queries.note_fill(engine, vehicle, "DCTF 75W", at=START, odometer_m=12_345_000.0, note=None)
+    half_way = own[len(own) // 2]["start_at"]
+    assert isinstance(half_way, datetime)
+    for vehicle, at in {"car1": START, "car3": half_way}.items():
+        queries.note_fill(engine, vehicle, "DCTF 75W", at=at, odometer_m=None, note=None)
 
 
 def ask(connection: Connection, statement: str) -> list[Mapping[str, Any]]:
@@ -114,7 +121,21 @@ def test_the_fleet_is_told_as_it_is(fleet: Connection) -> None:
 def test_a_chosen_vehicle_is_shown_alone(fleet: Connection, vehicle: str) -> None:
     (query,) = (one for one in grafana.of_source("fleet") if one.asker == "mu_C, friction at high slip A")
     shown = {row["metric"] for row in ask(fleet, grafana.sql(query.text, [vehicle], SINCE, UNTIL))}
-    assert shown == ({"car1 clutch 1", "car1 clutch 2"} if vehicle == "car1" else set())
+    names = {f"car1 clutch {clutch}, DCTF 75W since 2026-01-01" for clutch in (1, 2)}
+    assert shown == (names if vehicle == "car1" else set())
+
+
+@pytest.mark.parametrize("asker", ["mu_C, friction at high slip B", "P(slope < 0) A", "mu_C over that of new fluid A"])
+def test_a_curve_ends_at_a_fill_and_another_begins(fleet: Connection, asker: str) -> None:
+    (annotation,) = (one for one in grafana.of_source("fleet") if one.asker == "New fluid")
+    (filled,) = ask(fleet, grafana.sql(annotation.text, ["car3"], SINCE, UNTIL))
+    (query,) = (one for one in grafana.of_source("fleet") if one.asker == asker)
+    rows = ask(fleet, grafana.sql(query.text, ["car3"], SINCE, UNTIL))
+    of_new = [row["time"] for row in rows if "DCTF 75W since 2026-01-01" in row["metric"]]
+    of_old = [row["time"] for row in rows if row["time"] not in of_new]
+    assert max(of_old) <= filled["time"] < min(of_new)
+    (last,) = ask(fleet, "SELECT max(end_at) AS at FROM clutch_trend WHERE vehicle = 'car3'")
+    assert max(of_new) < last["at"]  # whose running estimate is of the earlier fluid
 
 
 @pytest.mark.parametrize("words", ["DELETE FROM quarantine", "CREATE TABLE mine (x int)", "DROP VIEW last_seen"])

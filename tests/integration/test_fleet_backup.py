@@ -1,5 +1,6 @@
 """The backups of docs/fleet.md, played: what is restored is what was there; a gap is told and filled."""
 
+import re
 import shlex
 import shutil
 import subprocess
@@ -29,7 +30,7 @@ def store(engine: Engine, first: int, last: int) -> None:
 
 def played(program: str, places: dict[str, str], folder: Path) -> None:
     """Run a command of the page, with other places."""
-    (line,) = [line for line in BACKUP.splitlines() if line.startswith(f"{program} ")]
+    line = next(line for line in BACKUP.splitlines() if line.startswith(f"{program} "))
     for name, place in places.items():
         assert name in BACKUP
         line = line.replace(name, place)
@@ -76,6 +77,21 @@ def test_a_postgresql_is_backed_up_while_it_runs_and_restored_elsewhere(
     check(engine, restored)
     engine.dispose()
     restored.dispose()
+
+
+def test_the_rows_of_an_old_postgresql_are_taken_over(postgres_server: PostgresServer, postgres_template: str) -> None:
+    old, new = (postgres_server.create(f"rows_{uuid4().hex}", postgres_template) for _ in range(2))
+    engine, taken = map(open_database, (old, new))
+    store(engine, 1, 40)
+    queries.note_fill(engine, "car1", "DCTF", at=START, odometer_m=None, note=None)
+    (command,) = re.findall(r"pg_dump --data-only.*?/empty", BACKUP, re.DOTALL)
+    for name, url in {"fleet@db.example/fleet": old, "fleet@db.example/empty": new}.items():
+        command = command.replace(f"postgresql://{name}", url.replace("+psycopg", ""))
+    subprocess.run(["bash", "-o", "pipefail", "-c", command], check=True, timeout=HANG_S)
+    assert queries.table_hash(taken) == queries.table_hash(engine)
+    assert queries.worst_first(taken) == queries.worst_first(engine)
+    engine.dispose()
+    taken.dispose()
 
 
 def test_an_sqlite_is_backed_up_while_it_runs_and_restored_by_copying(tmp_path: Path, sqlite_template: Path) -> None:

@@ -15,10 +15,11 @@ from fleet_backend.errors import ConfigError
 from fleet_backend.intake import MessageKind, Taken, batch_of, take_all
 from fleet_backend.layout import lines_of
 from fleet_backend.migrate import migrate
-from fleet_backend.months import keep_months, partitions
+from fleet_backend.months import RANK, keep_months, partitions
 from fleet_backend.office.retention import retain, roll_up
 from fleet_backend.office_tables import AUDIT, CLUTCH_MONTH
 from fleet_backend.page.past import results_of
+from fleet_backend.page.running import DatabaseSource
 from fleet_backend.quotas import Gate
 from fleet_backend.rows import Row
 from fleet_backend.schema import REVISION, SHIFT_RESULT
@@ -131,6 +132,33 @@ def test_results_of_a_clock_that_was_not_set_age_by_when_they_were_stored(engine
         months = connection.execute(select(CLUTCH_MONTH.c.month, CLUTCH_MONTH.c.result_count).order_by("month")).all()
     assert [tuple(one) for one in months] == [(date(2025, 11, 1), 1), (date(2026, 5, 1), 4)]
     assert retain(engine, 2, now=NOW, by="ann").gone_count == 0
+
+
+def test_without_a_clock_the_latest_result_is_the_one_that_came_last(engine: Engine) -> None:
+    """A clock is lost after dated results: a stream without dates is as new as its arrival, and so is its fluid."""
+    dated = [made_at(f"2026-03-0{seq}", seq) for seq in (1, 2)]
+    lost: Row = {"produced_at": datetime(1970, 1, 2, tzinfo=UTC), "start_bus_ns": 1, "end_bus_ns": 2}
+    lost |= {name: datetime(1970, 1, 2, tzinfo=UTC) for name in ("start_at", "end_at")}
+    undated = [made_at("1970-01-02", 1, stream=stream) | lost for stream in ("z-first", "a-second")]
+    Writer(engine).store(Batch(shifts=[*dated, *undated]))
+    queries.note_fill(engine, "car1", "DCTF", at=datetime(2026, 5, 1, tzinfo=UTC), odometer_m=None, note=None)
+    days = {"stream-1": "2026-04-01", "z-first": "2026-05-02", "a-second": "2026-05-03"}
+    with transaction(engine) as connection:
+        for stream, day in days.items():
+            stored = update(SHIFT_RESULT).where(SHIFT_RESULT.c.stream == stream)
+            connection.execute(stored.values(stored_at=datetime.fromisoformat(f"{day}T00:00:00+00:00")))
+        if engine.dialect.name == "postgresql":
+            connection.execute(text(RANK))
+    (worst,) = queries.worst_first(engine)
+    assert (worst["stream"], worst["condition"], worst["fluid"]) == ("a-second", "good", "DCTF")
+    order = [("stream-1", 1), ("stream-1", 2), ("z-first", 1), ("a-second", 1)]
+    rows = queries.trend(engine, "car1", 2, Axis.SHIFT)
+    assert [(row["stream"], row["seq"]) for row in rows] == order
+    assert [row["fluid"] for row in rows] == [None, None, "DCTF", "DCTF"]
+    assert [(row["stream"], row["seq"]) for row in results_of(engine, "car1", 2)] == order
+    for source in (DatabaseSource(engine).all_clutches(), DatabaseSource(engine).clutches_of(["car1"])):
+        assert [(one.stream, one.condition) for one in source] == [("a-second", "good")]
+    assert str(queries.last_seen(engine)[0]["last_result_at"]).startswith("2026-05-03")
 
 
 def test_revisions_come_and_go_with_their_results(engine: Engine) -> None:

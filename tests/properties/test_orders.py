@@ -216,7 +216,15 @@ def test_all_who_tell_tell_the_same(known: list[ShiftResult], fluid: FluidFill |
     assert " ".join(line.plain for line in order_lines(order)) == order.text == advice_of(order).text
     assert wording.advice(order.action.value, order.text) == advice_of(order)
     rows = [
-        {**row_of(one), "shift_count": one.verdict.shift_count, "fluid": None, "fluid_since": None} for one in known
+        {
+            **row,
+            "happened_at": row["end_at"],
+            "shift_count": one.verdict.shift_count,
+            "fluid": None,
+            "fluid_since": None,
+        }
+        for one in known
+        for row in [row_of(one)]
     ]
     filled = {} if fluid is None else {"car1": (moment_of(fluid), "DCTF-II")}
     states = of_present_fluid(known, fluid)

@@ -4,7 +4,7 @@
 the ten of ``recordings/noise_only``: baselines of both clutches, five results delivered, one quarantined, the rest
 waiting. Car 2 has the ten of ``recordings/routine``, judged by ``calibration.toml``, which ``calibrate`` made of the
 same recording. ``fleet.sql`` is a fleet database with the first results of both, a status and a message it could not
-use; release 0.8 has brought it to its own schema since.
+use, which later programs have brought to the schema r0021. ``postgres.sql`` is that schema in PostgreSQL, without rows.
 """
 
 import lzma

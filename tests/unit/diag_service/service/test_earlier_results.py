@@ -9,8 +9,9 @@ import pytest
 
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter
+from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.records import Condition, FluidFill, ShiftResult
-from diag_service.diagnosis.summary import FrameCounts
+from diag_service.diagnosis.summary import FrameCounts, latest_of
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import PROFILE_PATH, load_profile
 from diag_service.service.session import Session
@@ -83,6 +84,19 @@ def test_a_log_of_earlier_hides_no_newer_result(store: ResultStore) -> None:
     run.process(replace(next(iter(run.stages.segment(gear_frames(3)))), number=1))  # it is stored: told again
     assert run.summary(FrameCounts(), None).shifts.latest.keys() == {2}
     assert run.summary(FrameCounts(), None).order.action is Action.CHANGE_NOW
+
+
+def test_after_a_clock_is_lost_the_latest_result_is_the_one_stored_last(store: ResultStore) -> None:
+    """Its times have no date: neither a dated result before it nor a fill of earlier hides it."""
+    undated = of_version(shift_result(1, stream="undated"), VERSIONS)
+    store.add(replace(undated, estimate=replace(undated.estimate, start_ns=1, end_ns=2)), STATE)
+    store.add_fills([replace(FILL, filled_at="2025-01-01T00:00:00.000000Z")])
+    assert verdicts(session(store)) == [(1, "GOOD"), (2, "GOOD")]
+    dated = [replace(undated, estimate=replace(undated.estimate, end_ns=DATED_NS + at_ns)) for at_ns in (5, 9, 7)]
+    last = replace(dated[0], estimate=replace(dated[0].estimate, end_ns=2))
+    assert [latest_of(one) for one in (dated, [*dated, last], [last, *dated], [last, dated[0]])] == [
+        (dated[1],), (last,), (dated[1],), (dated[0],)
+    ]  # fmt: skip
 
 
 def test_new_fluid_before_the_start_takes_the_verdicts_away(store: ResultStore) -> None:
