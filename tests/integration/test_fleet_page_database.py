@@ -561,6 +561,16 @@ def test_before_the_watch_has_judged_a_large_fleet_the_page_foretells_its_worst_
     assert not [one for one in told if maintenance_view.NOT_YET in one.text]
 
 
+def test_long_pasts_are_left_to_the_watch(engine: Engine) -> None:
+    """Whoever opens the page first waits for some thousand results, however many the worst of a fleet have."""
+    names = ("car1", "car2", "car3", "car4")
+    Writer(engine).store(Batch(shifts=[row_of(one) for name in names for one in history(1200, vehicle=name)]))
+    sources = replace(sources_of(engine), pasts=(pasts := CountingPasts(100_000, lambda _past: 1)))
+    due = maintenance_view.find(sources, ask(maintenance_view.VIEW)).clutches
+    assert pasts.made_count == 4
+    assert sorted(one.vehicle for one in due if maintenance_view.NOT_YET in one.text) == ["car3"] * 2 + ["car4"] * 2
+
+
 def test_a_forgotten_vehicle_is_due_no_more(engine: Engine) -> None:
     vehicles = [f"car{number:02}" for number in range(51)]
     rows = [row_of(fleet_result(1, vehicle=name, condition=Condition.CHANGE_FLUID)) for name in vehicles]
