@@ -58,22 +58,6 @@ ALARM_MESSAGE: Final = Table(
     Index("alarm_message_waiting", "carrier", "next_try_at", postgresql_where=_WAITING, sqlite_where=_WAITING),
 )
 
-# What is left of a month when its results go: of each event the newest version.
-CLUTCH_MONTH: Final = Table(
-    "clutch_month",
-    METADATA,
-    Column("vehicle", Text, primary_key=True),
-    Column("clutch", SmallInteger, primary_key=True, autoincrement=False),
-    Column("month", Date, primary_key=True),  # its first day, UTC
-    Column("result_count", BigInteger, nullable=False),
-    Column("valid_count", BigInteger, nullable=False),
-    Column("change_fluid_count", BigInteger, nullable=False),
-    Column("mean_mu_c", Double),  # of the valid ones
-    Column("mean_mu_s", Double),
-    Column("least_level_ratio", Double),
-    Column("last_odometer_m", Double),
-)
-
 INTAKE: Final = Table(  # what came of each vehicle on the last day (UTC) on which it spoke; quotas are held by it
     "intake",
     METADATA,
@@ -98,14 +82,6 @@ FLUID_DUE: Final = Table(  # what the watch foretold last; of another action or 
     Column("most_by", Date),
     Column("distance_a_day_m", Double),
     Column("outlook", Text, nullable=False),
-)
-
-VEHICLE_LOT: Final = Table(
-    "vehicle_lot",
-    METADATA,
-    Column("vehicle", Text, primary_key=True),  # may be known before it was heard of
-    Column("name", Text, primary_key=True),  # of the property, as the lot of the fluid or the month of building
-    Column("value", Text, nullable=False),
 )
 
 POPULATION: Final = Table(

@@ -154,35 +154,6 @@ def usual_table(records: Sequence[Record], clutch_count: int, left_out_count: in
     )
 
 
-def lot_standings_table(records: Sequence[Record]) -> Sheet:
-    """Return how the lots stand, the worst first."""
-    named = sum(bool(record["is_faster_than_others"]) for record in records)
-    return _sheet(
-        f"Lots that age faster than the others: {named} of {len(records)}; at most one in ten of those named by "
-        f"chance; {PLUS_MINUS}",
-        records,
-        {
-            "property": _plain("name"),
-            "lot": _plain("value"),
-            "faster than others": lambda record: "yes" if record["is_faster_than_others"] else "no",
-            "vehicles": _plain("vehicle_count"),
-            "times as fast": _number("loss_ratio", "{:.2f}"),
-            "± %": _number("loss_ratio_log_std", "{:.0f}", scale=100.0 * STDS),
-            "e-value": _number("e_value", "{:.3g}"),
-        },
-        dispensable=("e-value", "± %"),
-    )
-
-
-def lots_table(records: Sequence[Record]) -> Sheet:
-    return _sheet(
-        f"Properties of {len({record['vehicle'] for record in records})} vehicles",
-        records,
-        {"vehicle": _plain("vehicle"), "property": _plain("name"), "lot": _plain("value")},
-        dispensable=(),
-    )
-
-
 def codes_table(records: Sequence[Record]) -> Sheet:
     count = sum(record["code"] is not None for record in records)
     return _sheet(

@@ -1,6 +1,5 @@
 """What vehicle and fleet backend agree on: topics, envelope, schemas, receipts. Neither application is known here."""
 
-from fleet_contract.bounds import MOST_MU
 from fleet_contract.errors import (
     ContractError,
     IdentityError,
@@ -42,7 +41,6 @@ from fleet_contract.topics import CLUTCHES, TOPIC_ROOT, Address, Channel, filter
 __all__ = [
     "CLUTCHES",
     "MAX_BUNDLED",
-    "MOST_MU",
     "NEVER",
     "TOPIC_ROOT",
     "Address",

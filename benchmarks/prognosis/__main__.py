@@ -5,7 +5,6 @@
     python -m benchmarks.prognosis --kinds --lives 400          # even, in bursts, after a fill, with a late knee
     python -m benchmarks.prognosis --decompose                  # what limits the median, trouble by trouble
     python -m benchmarks.prognosis --population                 # what a fleet teaches
-    python -m benchmarks.prognosis --lots --lives 480           # whether a bad lot of vehicles is found in time
     python -m benchmarks.prognosis --fills --lives 1000         # how soon forgotten fills are found, beside an oracle
     python -m benchmarks.prognosis --error-model --lives 8      # the errors of the lives beside whole simulated drives
 
@@ -32,7 +31,6 @@ from benchmarks.prognosis.fills import fill_account_of, fills_table
 from benchmarks.prognosis.fleets import TYPES, population_tables
 from benchmarks.prognosis.kinds import kind_looks, kinds_table
 from benchmarks.prognosis.lives import life_km_of, life_of
-from benchmarks.prognosis.lots import lots_table, stock_of
 from benchmarks.prognosis.scores import crps, is_covered, is_near
 from benchmarks.prognosis.simulators import simulators_tables
 from benchmarks.prognosis.truth import Stratum
@@ -200,7 +198,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     other.add_argument("--population", action="store_true", help="what a fleet teaches")
     other.add_argument("--fills", action="store_true", help="how soon forgotten fills are found, beside an oracle")
-    other.add_argument("--lots", action="store_true", help="whether a bad lot of vehicles is found in time")
     return parser
 
 
@@ -225,9 +222,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             console.print(table)
     elif arguments.fills:
         console.print(fills_table(each(fill_account_of, seeds, arguments.jobs)))
-    elif arguments.lots:
-        stock = stock_of(seeds[0], len(seeds), partial(each, jobs=arguments.jobs))
-        console.print(lots_table(stock, seeds[0]))
     else:
         _study(console, seeds, arguments.jobs)
     console.print(f"{processor_s() - began_s:.0f} s of processor time")

@@ -27,18 +27,11 @@ _ALARMS: Final = Command(
 )
 _PEERS: Final = Command(
     "peers",
-    "learn how fluids of each type usually age, and show which lots age faster than others",
+    "learn how fluids of each type usually age",
     *QUESTION,
     Option("--keep", "keep what was learned as the next version: prognoses begin with it"),
     Option("--write FILE", "write what was learned as JSON, for diag-service history --peers", FILE),
     examples=(f"{PROGRAM} peers", f"{PROGRAM} peers --keep --write peers.json"),
-)
-_LOTS: Final = Command(
-    "lots",
-    "show properties that vehicles share, such as the lot of their fluid, or read them from a table",
-    *QUESTION,
-    Option("--read FILE", "CSV with a column vehicle and one for each property; empty cells are forgotten", FILE),
-    examples=(f"{PROGRAM} lots --read lots.csv", f"{PROGRAM} lots --json"),
 )
 _ACCESS: Final = Option(
     "--access FILE", "who may read and change what, behind a proxy that logs people in (docs/page.md)", FILE
@@ -88,15 +81,9 @@ _WATCH: Final = Command(
         f"{PROGRAM} watch --notify workshop.url --notify hook.url --once",
     ),
 )
-_ROLLUP: Final = Command(
-    "rollup",
-    "sum up the results so far by clutch and month",
-    *COMMON,
-    examples=(f"{PROGRAM} rollup",),
-)
 _RETAIN: Final = Command(
     "retain",
-    "sum up and forget old results; the last of each clutch stays",
+    "forget old results; the last of each clutch stays",
     *COMMON,
     Option("--months N", "whole months to keep besides this one", count, required=True),
     examples=(f"{PROGRAM} retain --months 24",),
@@ -108,4 +95,4 @@ _FORGET: Final = Command(
     VEHICLE,
     examples=(f"{PROGRAM} forget car2", f"{PROGRAM} forget car2 --json"),
 )
-COMMANDS: Final = (_ALARMS, _PEERS, _LOTS, _SERVE, _WATCH, _ROLLUP, _RETAIN, _FORGET)
+COMMANDS: Final = (_ALARMS, _PEERS, _SERVE, _WATCH, _RETAIN, _FORGET)

@@ -17,8 +17,7 @@ from fleet_backend.commands import metrics_of, tell, user_name
 from fleet_backend.config import parse_listen
 from fleet_backend.database import default_database, open_database
 from fleet_backend.errors import ConfigError, ExtraMissingError
-from fleet_backend.lots import lots_of, read_lots, store_lots
-from fleet_backend.office.retention import forget_vehicle, roll_up
+from fleet_backend.office.retention import forget_vehicle
 from fleet_backend.office.retention import retain as retain_months
 from fleet_backend.page.access import Access, read_access
 
@@ -56,24 +55,11 @@ def peers(options: SimpleNamespace, engine: Engine) -> None:
         _page_part("fleet_backend.page.populations").write(options.write, found.population, version)
     if options.json:
         kept_as = [] if version is None else [{"record": "population", "version": version}]
-        report.write_json([*found.usual, *found.lots, *kept_as], sys.stdout)
+        report.write_json([*found.usual, *kept_as], sys.stdout)
         return
     report.show(report.usual_table(found.usual, found.clutch_count, found.left_out_count), sys.stdout, options.width)
-    if found.lots:
-        report.show(report.lot_standings_table(found.lots), sys.stdout, options.width)
     if version is not None:
         sys.stdout.write(f"kept as population {version}\n")
-
-
-def lots(options: SimpleNamespace, engine: Engine) -> None:
-    if options.read is not None:
-        done = store_lots(engine, read_lots(options.read), at=datetime.now(UTC), by=user_name())
-        unheard = f"; of {done.unheard_count} of them have not been heard from" if done.unheard_count else ""
-        sys.stdout.write(f"{done.lot_count} properties of {done.vehicle_count} vehicles{unheard}\n")
-        return
-    known = lots_of(engine)
-    records = [{"vehicle": one, "name": name, "value": value} for one, own in known.items() for name, value in own]
-    tell(options, records, lambda: report.lots_table(records))
 
 
 def serve(
@@ -115,11 +101,6 @@ def _page_part(name: str) -> ModuleType:
         if exc.name is None or exc.name.startswith("fleet_backend"):
             raise
         raise ExtraMissingError(exc.name, extra="page") from exc
-
-
-def rollup(_options: SimpleNamespace, engine: Engine) -> None:
-    count = roll_up(engine, datetime.now(UTC))
-    sys.stdout.write(f"{count} months of clutches summed up\n")
 
 
 def retain(options: SimpleNamespace, engine: Engine) -> None:

@@ -1,4 +1,4 @@
-"""What goes: old results month by month, but for a row per clutch and month and the last result; or all of one vehicle.
+"""What goes: old results month by month, but for the last result of each clutch; or all of one vehicle.
 
 A vehicle is forgotten in one transaction, and a second look proves it.
 """
@@ -47,35 +47,11 @@ from fleet_backend.months import (
     name_of,
     note_going,
 )
-from fleet_backend.office_tables import ALARM_MESSAGE, AUDIT, CLUTCH_MONTH, COMMAND_LINE, METADATA, note_change
+from fleet_backend.office_tables import ALARM_MESSAGE, AUDIT, COMMAND_LINE, METADATA, note_change
 from fleet_backend.queries import check_vehicle
-from fleet_backend.schema import AGED_AT, IS_OLD, QUARANTINE, REVISION, SHIFT_RESULT, UtcDateTime
-from fleet_contract import MOST_MU
+from fleet_backend.schema import IS_OLD, QUARANTINE, REVISION, SHIFT_RESULT, UtcDateTime
 
 MOST_KEPT: Final = 1200
-_MONTH: Final = {
-    "postgresql": f"CAST(date_trunc('month', {AGED_AT.format('s.')} AT TIME ZONE 'UTC') AS date)",
-    "sqlite": f"date({AGED_AT.format('s.')}, 'start of month')",
-}
-# What was rolled up of a whole month is not overwritten by what little is left of it. Rows from before the contract had
-# bounds may hold numbers that no mean takes.
-_ROLL_UP: Final = """
-INSERT INTO clutch_month (vehicle, clutch, month, result_count, valid_count, change_fluid_count,
-  mean_mu_c, mean_mu_s, least_level_ratio, last_odometer_m)
-SELECT s.vehicle, s.clutch, {month}, count(*), sum(CASE WHEN s.status = 'valid' THEN 1 ELSE 0 END),
-  sum(CASE WHEN s.condition = 'change_fluid' THEN 1 ELSE 0 END),
-  avg(CASE WHEN s.status = 'valid' AND abs(s.mu_c) <= {most} THEN s.mu_c END),
-  avg(CASE WHEN s.status = 'valid' AND abs(s.mu_s) <= {most} THEN s.mu_s END),
-  min(s.level_ratio), max(s.odometer_m)
-FROM current_shift AS s
-WHERE {is_old}
-GROUP BY s.vehicle, s.clutch, {month}
-ON CONFLICT (vehicle, clutch, month) DO UPDATE SET
-  result_count = excluded.result_count, valid_count = excluded.valid_count,
-  change_fluid_count = excluded.change_fluid_count, mean_mu_c = excluded.mean_mu_c, mean_mu_s = excluded.mean_mu_s,
-  least_level_ratio = excluded.least_level_ratio, last_odometer_m = excluded.last_odometer_m
-WHERE excluded.result_count >= clutch_month.result_count
-"""
 _KEY: Final = ("vehicle", "stream", "seq")
 _LAST: Final = "SELECT r.vehicle, r.stream, r.seq FROM running_condition AS r"
 
@@ -89,18 +65,8 @@ class Retained:
     kept_count: int  # earlier results that stay: the last of their clutches
 
 
-def roll_up(engine: Engine, until: datetime) -> int:
-    """Sum up all results before a moment by clutch and month; return how many clutch-months there are now.
-
-    Raises DatabaseAwayError if the database does not answer.
-    """
-    with transaction(engine) as connection:
-        _roll_up(connection, until)
-        return int(connection.execute(select(func.count()).select_from(CLUTCH_MONTH)).scalar_one())
-
-
 def retain(engine: Engine, kept_months: int, *, now: datetime, by: str) -> Retained:
-    """Sum up and forget the results of all months but the last ``kept_months`` and this one.
+    """Forget the results of all months but the last ``kept_months`` and this one.
 
     The last result of a clutch is never forgotten: a vehicle that has been silent for long keeps its condition. Raises
     ConfigError if the count makes no sense, DatabaseAwayError if somebody reads too long: try again, nothing was
@@ -113,7 +79,6 @@ def retain(engine: Engine, kept_months: int, *, now: datetime, by: str) -> Retai
     if has_partitions(engine):
         keep_months(engine, now)  # a month of its own for what stays
     with transaction(engine) as connection:
-        _roll_up(connection, until)
         forget = _drop_months if has_partitions(engine) else _delete
         gone_count = forget(connection, first, until)
         kept_count = _old_count(connection, until)
@@ -122,11 +87,6 @@ def retain(engine: Engine, kept_months: int, *, now: datetime, by: str) -> Retai
             told = f"{gone_count} results from before {first:%Y-%m}"
             note_change(connection, at=now, who=by, role=COMMAND_LINE, action="forget results", subject=told)
     return Retained(before=first, gone_count=gone_count, kept_count=kept_count)
-
-
-def _roll_up(connection: Connection, until: datetime) -> None:
-    month = _MONTH[connection.dialect.name]
-    connection.execute(_until(_ROLL_UP.format(month=month, most=MOST_MU, is_old=IS_OLD.format("s."))), {"until": until})
 
 
 def _until(statement: str) -> TextClause:

@@ -1,6 +1,6 @@
-"""What the fluids of the fleet have in common, by type and fluid; which lots age faster than others."""
+"""What the fluids of the fleet have in common, by type and fluid."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,8 +15,6 @@ from diag_service.diagnosis.prognosis import (
     Common,
     Hindsight,
     History,
-    Lot,
-    LotStanding,
     Monthly,
     PeerGroup,
     Population,
@@ -25,13 +23,11 @@ from diag_service.diagnosis.prognosis import (
     hindsights,
     history_of_estimates,
     learn,
-    lot_standings,
     monthly,
     with_bends,
     without,
 )
 from fleet_backend.database import transaction
-from fleet_backend.lots import lots_of
 from fleet_backend.page.calibrations import reference_of, type_of
 from fleet_backend.page.outlook import BEYOND_NUMBERS, estimate_of, fluid_fill
 from fleet_backend.page.past import results_of
@@ -45,11 +41,10 @@ Record = Mapping[str, object]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetAgeing:
-    """What was learned of a fleet, and how each lot stands in it; JSON-ready records."""
+    """What was learned of a fleet; JSON-ready records."""
 
     population: Population
     usual: Sequence[Record]
-    lots: Sequence[Record]  # the worst first
     clutch_count: int  # looked at
     left_out_count: int  # of them: of a calibration that is not at hand, or of numbers of no clutch
 
@@ -72,7 +67,7 @@ class _Clutch:
 
 
 def fleet_ageing(engine: Engine) -> FleetAgeing:
-    """Learn from all clutches of a fleet, one after the other, and hold each lot against the others.
+    """Learn from all clutches of a fleet, one after the other.
 
     They do not fit into memory together, so they are read twice: for what all share, then without that.
     """
@@ -83,14 +78,11 @@ def fleet_ageing(engine: Engine) -> FleetAgeing:
     read = partial(_clutch, engine, common)
     told = ((key, one.ageings()) for key in keys if (one := read(key)) is not None)
     lives = {key: own for key, own in told if own is not None}
-    every = list(chain.from_iterable(lives.values()))
-    population = replace(learn(every), common=common)
+    population = replace(learn(list(chain.from_iterable(lives.values()))), common=common)
     population = with_bends(population, _looked_back(read, lives, population))
-    lots = {vehicle: [Lot(name=name, value=value) for name, value in own] for vehicle, own in lots_of(engine).items()}
     return FleetAgeing(
         population=population,
         usual=list(_usual(population)),
-        lots=list(_lots(lot_standings(every, population, lots))),
         clutch_count=len(keys),
         left_out_count=len(keys) - len(lives),
     )
@@ -145,20 +137,6 @@ def _clutch(engine: Engine, common: Mapping[str, Common], key: Key) -> _Clutch |
         reference=reference,
         kinds=[PeerGroup(vehicle_type=vehicle_type, fluid=name) for name in (None, *(one.product for one in fills))],
     )
-
-
-def _lots(found: Iterable[LotStanding]) -> Iterator[Record]:
-    for one in found:
-        yield {
-            "record": "lot",
-            "name": one.lot.name,
-            "value": one.lot.value,
-            "vehicle_count": one.vehicle_count,
-            "loss_ratio": one.loss_ratio,
-            "loss_ratio_log_std": one.loss_ratio_log_std,
-            "e_value": one.e_value,
-            "is_faster_than_others": one.is_named,
-        }
 
 
 def _usual(population: Population) -> Iterator[Record]:

@@ -103,7 +103,6 @@ def _workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
         written(folder / log, folder / name, np.random.default_rng(1), left_out=frozenset())
     for name in ("dynamic-security.json", "nats.conf"):
         shutil.copy(ROOT / "docs" / "deploy" / name, folder)
-    (folder / "lots.csv").write_text("vehicle,fluid lot\nCAR1,B7\n", encoding="utf-8")
     return folder
 
 

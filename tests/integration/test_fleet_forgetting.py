@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterator
-from datetime import UTC, datetime
 
 import pytest
 from sqlalchemy import Engine, inspect, text
@@ -11,7 +10,7 @@ from fleet_backend import queries
 from fleet_backend.cli import main
 from fleet_backend.database import transaction
 from fleet_backend.errors import UnknownVehicleError
-from fleet_backend.office.retention import forget_vehicle, roll_up
+from fleet_backend.office.retention import forget_vehicle
 from fleet_backend.office_tables import AUDIT
 from fleet_backend.rows import Poison, quarantine_row
 from fleet_backend.writer import Batch, Writer
@@ -33,7 +32,6 @@ def cells(engine: Engine) -> Iterator[str]:
 def _filled(engine: Engine) -> Engine:
     fill_database(engine)
     raise_alarms(engine)
-    roll_up(engine, datetime(2030, 1, 1, tzinfo=UTC))
     poison = Poison(
         topic=f"clutchdiag/v1/{VEHICLE}/shift", vehicle=VEHICLE, payload=b"{}", reason="schema", detail="of no kind"
     )
@@ -48,9 +46,7 @@ def test_nothing_is_left_of_a_vehicle_and_all_of_the_others(filled: Engine) -> N
     assert any(VEHICLE in cell for cell in cells(filled))
     done = forget_vehicle(filled, VEHICLE, now=NOW, by="ann")
     assert set(done.left.values()) == {0}
-    assert all(
-        done.gone[name] for name in ("shift_result", "clutch_month", "calibration", "quarantine", "alarm", "audit")
-    )
+    assert all(done.gone[name] for name in ("shift_result", "calibration", "quarantine", "alarm", "audit"))
     assert [cell for cell in cells(filled) if VEHICLE in cell] == []
     assert queries.result_count(filled) == others - done.gone["shift_result"] > 0
     with transaction(filled) as connection:

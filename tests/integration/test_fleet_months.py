@@ -16,8 +16,8 @@ from fleet_backend.intake import MessageKind, Taken, batch_of, take_all
 from fleet_backend.layout import lines_of
 from fleet_backend.migrate import migrate
 from fleet_backend.months import RANK, keep_months, partitions
-from fleet_backend.office.retention import retain, roll_up
-from fleet_backend.office_tables import AUDIT, CLUTCH_MONTH
+from fleet_backend.office.retention import retain
+from fleet_backend.office_tables import AUDIT
 from fleet_backend.page.past import results_of
 from fleet_backend.page.running import DatabaseSource
 from fleet_backend.quotas import Gate
@@ -80,7 +80,7 @@ def test_months_are_made_ahead_and_take_what_waited_for_them(months: Engine) -> 
         keep_months(months, NOW, 121)
 
 
-def test_old_months_go_but_their_sums_and_the_last_result_of_each_clutch(engine: Engine) -> None:
+def test_old_months_go_but_the_last_result_of_each_clutch(engine: Engine) -> None:
     days = ("2025-11-02", "2025-12-01", "2025-12-31", "2026-05-01", "2026-06-02")
     rows = [made_at(day, seq) for seq, day in enumerate(days, 1)]
     rows += [made_at(day, seq, vehicle="silent") for seq, day in enumerate(days[:3], 1)]
@@ -90,14 +90,8 @@ def test_old_months_go_but_their_sums_and_the_last_result_of_each_clutch(engine:
     assert (done.before, done.gone_count, done.kept_count) == (date(2026, 4, 1), 5, 1)
     assert {(record["vehicle"], record["seq"]) for record in queries.worst_first(engine)} == worst
     assert queries.result_count(engine) == 3
-    roll_up(engine, NOW)  # of what is left of an old month nothing is made
     with transaction(engine) as connection:
-        counts = select(CLUTCH_MONTH.c.month, CLUTCH_MONTH.c.result_count, CLUTCH_MONTH.c.valid_count)
-        counts = counts.where(CLUTCH_MONTH.c.vehicle == "car1").order_by(CLUTCH_MONTH.c.month)
-        found = [tuple(row) for row in connection.execute(counts)]
         assert connection.execute(select(AUDIT.c.action)).scalars().all() == ["forget results"]
-    months_of = [date(2025, 11, 1), date(2025, 12, 1), date(2026, 5, 1), date(2026, 6, 1)]
-    assert found == list(zip(months_of, (1, 2, 1, 1), (1, 2, 1, 1), strict=True))
     assert retain(engine, 2, now=NOW, by="ann").gone_count == 0
     Writer(engine).store(Batch(shifts=rows))  # an outbox that never heard of the commit
     assert retain(engine, 2, now=NOW, by="ann").gone_count == 5
@@ -127,10 +121,6 @@ def test_results_of_a_clock_that_was_not_set_age_by_when_they_were_stored(engine
     done = retain(engine, 2, now=NOW, by="ann")
     assert (done.gone_count, done.kept_count) == (1, 0)
     assert [row["seq"] for row in results_of(engine, "car1", 2)] == [2, 3, 4, 5]
-    roll_up(engine, NOW)
-    with transaction(engine) as connection:
-        months = connection.execute(select(CLUTCH_MONTH.c.month, CLUTCH_MONTH.c.result_count).order_by("month")).all()
-    assert [tuple(one) for one in months] == [(date(2025, 11, 1), 1), (date(2026, 5, 1), 4)]
     assert retain(engine, 2, now=NOW, by="ann").gone_count == 0
 
 
@@ -181,8 +171,6 @@ def test_the_commands_say_what_they_did(months: Engine, sqlite_url: str, capsys:
     place = ["--database", months.url.render_as_string(hide_password=False)]
     assert main(["partitions", *place]) == 0
     assert "shift_result_before" in capsys.readouterr().out
-    assert main(["rollup", *place]) == 0
-    assert capsys.readouterr().out == "2 months of clutches summed up\n"
     assert main(["retain", *place, "--months", "12"]) == 0
     assert "1 results from before" in capsys.readouterr().out
     assert main(["partitions", "--database", sqlite_url]) == 2

@@ -3,7 +3,6 @@
 from diag_service.diagnosis.prognosis.channels import ChannelName
 from diag_service.diagnosis.prognosis.fluid_lives import ageings, hindsights
 from diag_service.diagnosis.prognosis.history import History, history_of, history_of_estimates
-from diag_service.diagnosis.prognosis.lots import Lot, LotStanding, lot_standings
 from diag_service.diagnosis.prognosis.population import (
     Ageing,
     Common,
@@ -31,8 +30,6 @@ __all__ = [
     "Common",
     "Hindsight",
     "History",
-    "Lot",
-    "LotStanding",
     "Monthly",
     "Outlook",
     "Passage",
@@ -48,7 +45,6 @@ __all__ = [
     "history_of",
     "history_of_estimates",
     "learn",
-    "lot_standings",
     "monthly",
     "population_from",
     "population_record",

@@ -23,4 +23,6 @@ def upgrade() -> None:
     else:
         RANK_INDEX.drop(connection)
         RANK_INDEX.create(connection)
+    for name in ("vehicle_lot", "clutch_month"):  # which nobody reads any more
+        op.execute(f"DROP TABLE IF EXISTS {name}")
     make_views(connection)
