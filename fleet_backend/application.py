@@ -18,7 +18,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from clutchdiag_io.files import give_sign, make_sign
 from clutchdiag_io.metrics import counter, gauge
 from fleet_backend.broker import BrokerInbox, connected
-from fleet_backend.choices import Pace, Part, Quotas
+from fleet_backend.choices import Pace, Quotas
 from fleet_backend.config import Place
 from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError
@@ -75,7 +75,6 @@ def run_ingest(
     alive: Path | None = None,
     *,
     group: str,
-    part: Part,
     quotas: Quotas,
     metrics: Place | None = None,
 ) -> None:
@@ -96,7 +95,7 @@ def run_ingest(
     own_name = name or f"{socket.gethostname()}-{uuid.uuid4().hex[:8]}"
 
     def connect() -> AbstractAsyncContextManager[BrokerInbox]:
-        return connected(address, filters_of(part.group(group)), max_unsettled=pace.max_unsettled, part=part)
+        return connected(address, filters_of(group), max_unsettled=pace.max_unsettled)
 
     gate = Gate(engine, quotas)
     worker = Worker(connect, Writer(engine), name=own_name, now=partial(datetime.now, UTC), pace=pace, judge=gate.judge)

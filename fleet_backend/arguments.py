@@ -74,12 +74,6 @@ _INGEST: Final = Command(
         default="ingest",
         envvar=GROUP_VARIABLE,
     ),
-    Option(
-        "--part K/N",
-        "take only the K-th of N parts of the fleet, by a hash of vehicles' names; each part has workers of its own,"
-        " and may have its own database (default: 1/1)",
-        default="1/1",
-    ),
     Option("--alive FILE", "touch this file every 5 s while broker and database answer", FILE),
     METRICS,
     Option("--batch N", f"results per transaction (default: {_PACE.batch_size})", INT, default=_PACE.batch_size),

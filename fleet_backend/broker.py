@@ -10,13 +10,11 @@ from collections.abc import AsyncIterator, Iterable, Sequence
 from contextlib import asynccontextmanager
 from typing import Final
 
-from fleet_backend.choices import Part
 from fleet_backend.errors import BrokerError
 from fleet_contract import Channel, Outgoing, filter_of
 from fleet_link import BrokerAddress, Connection, JetStream, LinkDownError, LinkError, Message, Terms
 from fleet_link.jetstream import STREAM, subject_of
 
-WHOLE: Final = Part()
 GROUP: Final = "ingest"  # of workers that share what comes, unless another name is told
 KEEPALIVE_S: Final = 15  # a dead broker is known after 1.5 times this
 MOST_IN_FLIGHT: Final = 100  # receipts without the broker's answer; the others go without one
@@ -28,8 +26,7 @@ _LOG: Final = logging.getLogger(__name__)
 class BrokerInbox:
     """An open, subscribed connection, whose end is an error of ours."""
 
-    def __init__(self, connection: Connection | JetStream, *, takes_bundles: bool = True, part: Part = WHOLE) -> None:
-        self._part = part
+    def __init__(self, connection: Connection | JetStream, *, takes_bundles: bool = True) -> None:
         self.takes_bundles = takes_bundles  # whether they reach us
         self._connection = connection
 
@@ -38,16 +35,14 @@ class BrokerInbox:
         return self._connection.unsettled_count
 
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
-        """Return the next messages: those of our part; until ``patience_s`` after the first, ``limit`` at most.
+        """Return the next messages, until ``patience_s`` after the first, ``limit`` at most.
 
         Raises BrokerError if the connection is lost; messages that were not taken come again.
         """
         try:
-            found = await self._connection.collect(limit, patience_s)
+            return await self._connection.collect(limit, patience_s)
         except LinkDownError as exc:
             raise BrokerError(str(exc)) from exc
-        self.settle([message for message in found if not self._part.takes(message.topic)])
-        return [message for message in found if self._part.takes(message.topic)]
 
     def send(self, messages: Iterable[Outgoing]) -> None:
         """Send messages at least once; who does not get them asks again, so nobody waits for the broker's word."""
@@ -60,7 +55,7 @@ class BrokerInbox:
 
 @asynccontextmanager
 async def connected(
-    address: BrokerAddress, filters: Sequence[str], *, max_unsettled: int, part: Part = WHOLE
+    address: BrokerAddress, filters: Sequence[str], *, max_unsettled: int
 ) -> AsyncIterator[BrokerInbox]:
     """Connect and subscribe for as long as the block lasts.
 
@@ -79,9 +74,7 @@ async def connected(
     connection: Connection | JetStream
     try:
         if address.is_nats:
-            connection = await JetStream.open(
-                address, filters, part.group(GROUP), max_unsettled * USUAL_BYTES // 2, is_for_groups=part != WHOLE
-            )
+            connection = await JetStream.open(address, filters, GROUP, max_unsettled * USUAL_BYTES // 2)
         else:
             connection = await Connection.open(address, terms)
     except LinkError as exc:
@@ -91,7 +84,7 @@ async def connected(
             takes_bundles = await _subscribed(connection, filters)
         except LinkDownError as exc:
             raise BrokerError(f"broker {address}: {exc}") from exc
-        yield BrokerInbox(connection, takes_bundles=takes_bundles, part=part)
+        yield BrokerInbox(connection, takes_bundles=takes_bundles)
     finally:
         await connection.close()
 

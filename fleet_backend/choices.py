@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
-from zlib import crc32
 
 
 class Axis(StrEnum):
@@ -25,20 +24,6 @@ class Quotas:
     results: int = 100_000
     quarantined: int = 1_000
     size_bytes: int = 500_000_000  # of all its messages
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
-    """One of so many parts of the fleet, by a hash of names: its workers settle unread what is of another part."""
-
-    number: int = 1
-    count: int = 1
-
-    def takes(self, topic: str) -> bool:
-        return self.count == 1 or crc32(topic.split("/")[2].encode()) % self.count == self.number - 1
-
-    def group(self, name: str) -> str:
-        return name if self.count == 1 else f"{name}-{self.number}-of-{self.count}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -52,7 +52,6 @@ def _ingest(options: SimpleNamespace, engine: Engine) -> None:
         options.alive,
         group=config.parse_group(options.group),
         quotas=config.parse_quotas(options.quotas),
-        part=config.parse_part(options.part),
         metrics=metrics_of(options),
     )
 

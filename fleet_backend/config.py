@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 import fleet_link
-from fleet_backend.choices import Pace, Part, Quotas
+from fleet_backend.choices import Pace, Quotas
 from fleet_backend.errors import ConfigError, ExtraMissingError
 from fleet_contract.orders import EARLIEST
 from fleet_link import AddressError, BrokerAddress, TlsFiles
@@ -76,14 +76,6 @@ def parse_group(text: str) -> str:
     if re.fullmatch(r"[A-Za-z0-9_.-]{1,64}", text) is None:
         raise ConfigError("a group must be 1 to 64 of A-Z, a-z, 0-9, _ . -")
     return text
-
-
-def parse_part(text: str) -> Part:
-    """Return which part of the fleet ``K/N`` is; raises ConfigError if it is none."""
-    found = re.fullmatch(r"([1-9][0-9]{0,2})/([1-9][0-9]{0,2})", text)
-    if found is None or int(found[1]) > int(found[2]):
-        raise ConfigError(f"--part must be K/N, such as 2/4, got {text!r}")
-    return Part(number=int(found[1]), count=int(found[2]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

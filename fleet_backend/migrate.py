@@ -13,6 +13,7 @@ from sqlalchemy import Connection, Engine, inspect, text
 
 from fleet_backend.database import close_to_others, place_of, transaction
 from fleet_backend.errors import DatabaseAwayError, DatabaseError
+from fleet_backend.months import LOCK_S
 
 _FOLDER: Final = Path(__file__).with_name("migrations")
 _MOST_ATTEMPTS: Final = 100
@@ -48,6 +49,7 @@ def _upgrade(engine: Engine, revision: str) -> None:
     with transaction(engine) as connection:
         if engine.dialect.name == "postgresql":
             connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
+            connection.exec_driver_sql(f"SET LOCAL lock_timeout = '{LOCK_S}s'")  # others wait behind us
         _refuse_unknown(engine, connection)
         config = _config()
         config.attributes["connection"] = connection

@@ -69,13 +69,11 @@ class JetStream:
         self._is_trying = True  # to connect
 
     @classmethod
-    async def open(
-        cls, address: BrokerAddress, filters: Sequence[str], group: str, batch_bytes: int, *, is_for_groups: bool
-    ) -> Self:
+    async def open(cls, address: BrokerAddress, filters: Sequence[str], group: str, batch_bytes: int) -> Self:
         """Connect; make the stream of these topics and its group unless they are there.
 
         A batch has no more than so many bytes, or as many as the longest message that the server takes, which would
-        else never come. ``is_for_groups``: of each message a copy.
+        else never come.
 
         Raises
         ------
@@ -104,7 +102,7 @@ class JetStream:
                     error_cb=made._complain,
                 )
                 made._is_trying = False
-                await made._prepare(filters, group, is_for_groups=is_for_groups)
+                await made._prepare(filters, group)
                 await client.subscribe(f"{made._inbox_name}.*", cb=made._take, pending_msgs_limit=-1)
         except (Error, OSError, TimeoutError) as exc:
             await made.close()
@@ -163,7 +161,7 @@ class JetStream:
             async with asyncio.timeout(_TIMEOUT_S):
                 await self._client.close()
 
-    async def _prepare(self, filters: Sequence[str], group: str, *, is_for_groups: bool) -> None:
+    async def _prepare(self, filters: Sequence[str], group: str) -> None:
         """Make stream and group where they are missing; how an operator made them is not changed."""
         from nats.js.api import (  # noqa: PLC0415 - an extra
             AckPolicy,
@@ -185,7 +183,7 @@ class JetStream:
             config = StreamConfig(
                 name=STREAM,
                 subjects=[subject_of(name) for name in filters],
-                retention=RetentionPolicy.INTEREST if is_for_groups else RetentionPolicy.WORK_QUEUE,
+                retention=RetentionPolicy.WORK_QUEUE,
                 storage=StorageType.FILE,
             )
             await manager.add_stream(config)

@@ -21,7 +21,7 @@ from demo.fleet.servers import PostgresServer
 from diag_service.diagnosis.records import shift_record
 from fleet_backend import application, queries
 from fleet_backend.application import run_ingest
-from fleet_backend.choices import Pace, Part, Quotas
+from fleet_backend.choices import Pace, Quotas
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 from fleet_backend.schema import CALIBRATION
@@ -241,7 +241,7 @@ def test_an_error_that_nobody_expected_is_told_by_itself(engine: Engine, monkeyp
     monkeypatch.setattr(application, "connected", connected)
     address = parse_broker("mqtt://127.0.0.1:1", TlsFiles())
     with pytest.raises(LookupError, match="of all things"):
-        run_ingest(engine, address, Pace(), "worker", group="group", part=Part(), quotas=Quotas())
+        run_ingest(engine, address, Pace(), "worker", group="group", quotas=Quotas())
 
 
 def test_results_of_logs_tell_their_calibration_and_nothing_of_a_connection(
