@@ -58,10 +58,10 @@ SELECT
   s.running_probability_negative_slope AS probability_negative_slope,
   s.odometer_m, s.end_at, s.produced_at, s.stream, s.seq, s.algorithm_version, s.calibration_version,
   {happened_at} AS happened_at, {fluid_since} AS fluid_since
-{last_results}
+FROM {last_results}
 """
 # One index look-up per clutch; CROSS JOIN keeps SQLite from reading all shifts first.
-_LAST_RESULTS: Final = """FROM (
+LAST_RESULTS: Final = """(
   SELECT q.vehicle, q.clutch, q.stream, (
     SELECT n.seq FROM shift_result AS n
     WHERE n.vehicle = q.vehicle AND n.stream = q.stream AND n.clutch = q.clutch
@@ -73,13 +73,13 @@ _LAST_RESULTS: Final = """FROM (
       WHERE l.vehicle = k.vehicle AND l.clutch = k.clutch
       ORDER BY l.vehicle DESC, l.clutch DESC, {l_at} DESC, l.stream DESC LIMIT 1
     ) AS stream
-    FROM clutch AS k
+    FROM clutch AS k {where}
   ) AS q
 ) AS p
 CROSS JOIN current_shift AS s
 WHERE s.vehicle = p.vehicle AND s.stream = p.stream AND s.seq = p.seq"""
 # LIMIT keeps PostgreSQL from joining all months at once: one look into one part per clutch, however many there are.
-_LAST_BY_MONTH: Final = """FROM clutch AS k
+_LAST_BY_MONTH: Final = """clutch AS k
 CROSS JOIN LATERAL (
   SELECT * FROM clutch_stream AS e WHERE e.vehicle = k.vehicle AND e.clutch = k.clutch
   ORDER BY e.last_at DESC, e.stream DESC LIMIT 1
@@ -246,7 +246,7 @@ _FLUID_SINCE: Final = (
 _ALIASES: Final = ("c", "l", "s")
 _ONE_TABLE: Final = {
     "is_newer": "newer.version_rank > s.version_rank",
-    "last_results": _LAST_RESULTS,
+    "last_results": LAST_RESULTS,
     "seen_last": _SEEN_LAST,
     "history": _ALARM_HISTORY,
     "running_since": "datetime(h.running_since_bus_ns / 1000000000, 'unixepoch')",
@@ -272,7 +272,7 @@ def make_views(connection: Connection) -> None:
     rank = RANKED_AT[connection.dialect.name]
     times = {f"{alias}_at": rank.format(f"{alias}.") for alias in _ALIASES}
     parts = _BY_MONTH if connection.dialect.name == "postgresql" else _ONE_TABLE
-    words = {name: part.format(**times) for name, part in parts.items()} | times
+    words = {name: part.format(where="", **times) for name, part in parts.items()} | times
     words |= {"happened_at": _HAPPENED_AT, "fluid_since": _FLUID_SINCE}
     for view in _VIEWS:
         connection.exec_driver_sql(view.format(**words))

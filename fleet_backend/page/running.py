@@ -15,6 +15,7 @@ from fleet_backend.orders import PresentFluid, clutch_names, present_fluids, wit
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchNow
 from fleet_backend.schema import FLUID_FILL, HAPPENED_AT, RANKED_AT, SHIFT_RESULT, WITHDRAWN_FILL, UtcDateTime
+from fleet_backend.views import LAST_RESULTS
 
 _MOST_NAMES: Final = 500  # of vehicles in one statement
 # The view running_condition for some vehicles alone: a database does not carry a list of names into a view by itself.
@@ -28,24 +29,6 @@ SELECT s.vehicle, s.clutch, s.condition, s.condition_reason, s.advice, s.level_r
   s.algorithm_version, s.calibration_version, NULL AS fluid,
   s.causes, s.running_since_bus_ns, {score} AS score
 FROM {source}
-"""
-_IN_ONE_TABLE: Final = """(
-  SELECT q.vehicle, q.clutch, q.stream, (
-    SELECT n.seq FROM shift_result AS n
-    WHERE n.vehicle = q.vehicle AND n.stream = q.stream AND n.clutch = q.clutch
-    ORDER BY n.vehicle DESC, n.stream DESC, n.seq DESC LIMIT 1
-  ) AS seq
-  FROM (
-    SELECT k.vehicle, k.clutch, (
-      SELECT l.stream FROM shift_result AS l
-      WHERE l.vehicle = k.vehicle AND l.clutch = k.clutch
-      ORDER BY l.vehicle DESC, l.clutch DESC, {ranked_at} DESC, l.stream DESC LIMIT 1
-    ) AS stream
-    FROM clutch AS k {where}
-  ) AS q
-) AS p
-CROSS JOIN current_shift AS s
-WHERE s.vehicle = p.vehicle AND s.stream = p.stream AND s.seq = p.seq
 """
 # LIMIT keeps PostgreSQL from joining all months at once: one look into one part per clutch, however many there are.
 _BY_MONTH: Final = """(
@@ -74,10 +57,10 @@ class FillsSeen:
 
 def _statements(where: str) -> Mapping[bool, TextualSelect]:
     """Return the statement for databases that keep results by months, and for others."""
-    sources = {True: (_BY_MONTH, _SCORE_OF_JSON), False: (_IN_ONE_TABLE, "json_extract(s.shift_quality, '$.score')")}
+    sources = {True: (_BY_MONTH, _SCORE_OF_JSON), False: (LAST_RESULTS, "json_extract(s.shift_quality, '$.score')")}
     found: dict[bool, TextualSelect] = {}
     for kind, (form, score) in sources.items():
-        source = form.format(where=where, ranked_at=RANKED_AT["sqlite"].format("l."))
+        source = form.format(where=where, l_at=RANKED_AT["sqlite"].format("l."))
         made = text(_RUNNING.format(source=source, score=score, happened_at=HAPPENED_AT.format("s.")))
         made = made.bindparams(bindparam("vehicles", expanding=True)) if where else made
         found[kind] = made.columns(end_at=UtcDateTime(), stored_at=UtcDateTime(), happened_at=UtcDateTime())
