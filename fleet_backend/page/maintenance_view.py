@@ -30,9 +30,7 @@ from fleet_backend.schema import VEHICLE
 from fleet_contract.orders import Action
 
 MOST: Final = 200
-FORETOLD_HERE: Final = (
-    5  # vehicles: each clutch takes a prognosis, 0.1 s, and somebody waits; the watch makes the others
-)
+FORETOLD_HERE: Final = 10  # clutches: each takes a prognosis, 0.1 s, and somebody waits; the watch makes the others
 READ_HERE: Final = 2_000  # results, after which no other vehicle is foretold: each takes 0.1 ms
 LOOKED_BACK: Final = timedelta(days=90)  # over which it is counted how much a vehicle is driven
 LEAST: Final = timedelta(days=1)
@@ -104,13 +102,14 @@ def _all_due(sources: Sources, today: date) -> Iterator[Due]:
     with transaction(sources.engine) as connection:
         kept = {(row.vehicle, row.clutch): row for row in connection.execute(statement)}
     pasts: dict[str, dict[int, Past]] = {}  # of vehicles that are foretold now
-    read_count = 0
+    foretold_count = read_count = 0
     for now in sources.keeper.snapshot.clutches:
         row = kept.get((now.vehicle, now.clutch))
         if row is not None and (row.action, row.fluid_since) == (now.action, now.fluid_since):
             days = (row.due_from, row.half_by, row.most_by)
             yield _told(now, days, row.distance_a_day_m, row.outlook, today)
-        elif now.vehicle in pasts or (len(pasts) < FORETOLD_HERE and read_count < READ_HERE):
+        elif foretold_count < FORETOLD_HERE and (now.vehicle in pasts or read_count < READ_HERE):
+            foretold_count += 1
             if now.vehicle not in pasts:
                 clutches = sources.keeper.snapshot.vehicles.get(now.vehicle, (now,))
                 pasts[now.vehicle] = {one.clutch: _past(sources, one) for one in clutches}
