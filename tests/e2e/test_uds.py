@@ -104,14 +104,6 @@ def test_a_sensor_that_fails_in_two_drives_is_a_confirmed_code(tmp_path: Path) -
     assert "confirmed trouble codes: P0711\n" in err
 
 
-def test_a_memory_without_anybody_who_uses_it_is_refused(tmp_path: Path) -> None:
-    told = subprocess.run(
-        [sys.executable, "-m", "ecu_emulator", "run", "--diagnostic-memory", str(tmp_path / "x")],
-        check=False, capture_output=True, text=True, timeout=HANG_S,
-    )  # fmt: skip
-    assert (told.returncode, told.stderr) == (2, "ecu-emulator: error: --diagnostic-memory needs --diagnostics\n")
-
-
 @pytest.mark.parametrize(
     ("content", "option", "status", "message"),
     [

@@ -55,7 +55,7 @@ def piecewise(log: Path, profile: Path) -> list[float]:
     return [one.estimate.friction.mu_c for one in found if one.estimate.friction is not None]
 
 
-@pytest.mark.parametrize(("is_mixed", "is_defined"), [(False, False), (True, False), (False, True)])
+@pytest.mark.parametrize(("is_mixed", "is_defined"), [(True, False), (False, True)])
 def test_friction_is_found_from_answers_alone_and_beside_broadcast_frames(
     log: Path, *, is_mixed: bool, is_defined: bool
 ) -> None:
@@ -93,7 +93,6 @@ def test_a_controller_that_says_other_things_than_the_profile_gives_no_estimate(
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
-        (("scale = 0.05", "scale = 0.1"), "of what this type has new"),
         (("scale = 0.05", "scale = 0.025"), "of what this type has new"),
         (("0x38EB", "0x38EA"), "none of 3 events fits"),
     ],
@@ -119,8 +118,8 @@ def numbered(key: str) -> str:
 
 @pytest.mark.parametrize(
     ("text", "together", "is_defined"),
-    [(DSG, 8, False), (DSG, 8, True), (numbered("pid"), 3, False), (numbered("local"), 1, False)],
-    ids=["did", "define", "pid", "local"],
+    [(DSG, 8, True), (numbered("pid"), 3, False), (numbered("local"), 1, False)],
+    ids=["define", "pid", "local"],
 )
 async def test_a_bus_on_which_somebody_asks_says_what_its_recording_says(
     log: Path, text: str, together: int, *, is_defined: bool

@@ -1,19 +1,16 @@
 """Asking controllers that are not ours, and our personalities asked by testers that are not ours."""
 
 import json
-import os
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from itertools import count
-from pathlib import Path
 from typing import Any
 
 import can
 import isotp
-import numpy as np
 import pytest
 from doipclient.client import DoIPClient
 from doipclient.connectors import DoIPClientUDSConnector
@@ -23,24 +20,18 @@ from udsoncan.Request import Request
 from udsoncan.Response import Response
 from udsoncan.services.ReadDataByIdentifier import ReadDataByIdentifier
 
-from canlog.database.signal_columns import column_id
-from canlog.frames import EXTENDED_FLAG, join
-from canlog.live.opening import MulticastBus
 from diag_service.diagnosis.columns import Signal
-from diag_service.mapping.asked_signals import AskedField, Overheard
-from diag_service.mapping.profile import AskingRules, load_profile, load_shipped
+from diag_service.mapping.asked_signals import AskedField
+from diag_service.mapping.profile import AskingRules, load_shipped
 from diag_service.tester.signal_asking import SignalAsker, address_of, line_on
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.elm327.server import ElmServer
-from ecu_emulator.diagnostics.link import DiagnosticLink
 from tests.integration.test_other_senders import two_ends
 from tests.integration.test_signal_asking import controller, wait_for
 from tests.integration.test_tester import vehicle
-from tests.support.asked import batch_of
 from tests.support.patience import HANG_S
 from tests.support.ports import free_port
-from tests.support.replay import free_bus
 from tests.support.uds.udsoncan_client import CONFIG, ISO_TP, Number
 
 pytestmark = pytest.mark.asks
@@ -98,15 +89,6 @@ def asked(fields: Mapping[Signal, AskedField], bus: can.BusABC, *, define: bool 
         yield asker
 
 
-def values_heard(frames: list[can.Message], fields: Mapping[Signal, AskedField]) -> dict[Signal, float]:
-    """Return the raw values that a dialogue tells last."""
-    reader = Overheard(list(fields.values()))
-    out = join([*reader.feed(batch_of(frames)), *reader.drain()])
-    values = np.ascontiguousarray(out.data).view("<f8")[:, 0]
-    columns = {signal: column_id(field.name) | EXTENDED_FLAG for signal, field in fields.items()}
-    return {signal: float(values[out.can_id == column][-1]) for signal, column in columns.items()}
-
-
 @pytest.mark.asks(may_define=True)
 @pytest.mark.parametrize("kind", ["virtual", "this machine", pytest.param("socketcan", marks=pytest.mark.vcan)])
 @pytest.mark.parametrize("define", [False, True])
@@ -115,41 +97,6 @@ def test_a_car_of_can_isotp_and_udsoncan_is_asked(request: pytest.FixtureRequest
     with two_ends(kind, channel) as (car, tester), car_of_udsoncan(car), asked(ASKED, tester, define=define) as asker:
         wait_for(lambda: asker.set_count >= 3)
         assert set(asker.sent) == ({0x22, 0x2C} if define else {0x22})
-
-
-@pytest.mark.vcan
-@pytest.mark.asks(may_define=True)
-@pytest.mark.parametrize("define", [False, True])
-def test_our_car_is_asked_and_overheard_on_a_real_bus(vcan: str, *, define: bool) -> None:
-    heard: list[can.Message] = []
-    with (
-        can.Bus(vcan, "socketcan") as near,
-        can.Bus(vcan, "socketcan") as tester,
-        can.Bus(vcan, "socketcan") as ear,
-        can.Notifier(ear, [heard.append], timeout=0.05),
-        DiagnosticLink(controller(), near.send) as link,
-        can.Notifier(near, [link.feed], timeout=0.05),
-        asked(ASKED, tester, define=define) as asker,
-    ):
-        wait_for(lambda: asker.set_count >= 5)
-    assert values_heard(heard, ASKED)[Signal.CLUTCH1_PRESSURE] == 400.0
-    assert values_heard(heard, ASKED)[Signal.SUMP_TEMPERATURE] == 800.0
-
-
-def test_a_car_of_scapy_is_asked(tmp_path: Path) -> None:
-    path = tmp_path / "scapy.toml"
-    entry = '{ did = 0x38EB, at = "742", reply = "75A", unit = "bar" }'
-    path.write_text(f"[signals]\nclutch1_pressure_pa = {entry}\n", encoding="utf-8")
-    place, fields = free_bus(), load_profile(path).asked
-    words = [sys.executable, "-m", "tests.support.uds.scapy_ecu", "-i", "udp_multicast", "-c", place.group]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env={**os.environ, **place.variables}) as program:
-        assert program.stdout is not None
-        try:
-            assert program.stdout.readline() == "answering\n"
-            with MulticastBus(place.group, place.port) as tester, asked(fields, tester) as asker:
-                wait_for(lambda: asker.set_count >= 3)
-        finally:
-            program.kill()
 
 
 @pytest.mark.parametrize("way", ["can", "doip"])

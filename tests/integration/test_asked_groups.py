@@ -96,14 +96,6 @@ def test_a_group_is_asked_for_twice_a_second_and_its_answers_are_signals(channel
     assert {float(one[Signal.SUMP_TEMPERATURE].value[0]) for one in told} == {353.15}
 
 
-def test_a_group_that_nobody_has_is_told_and_asked_for_again(channel: str, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(NOTICE)
-    with asked(channel) as asker:
-        wait_for(lambda: "asking is interrupted: PGN 65272 does not answer" in caplog.text)
-        with transmission(channel):
-            wait_for(lambda: asker.set_count >= 1)
-
-
 @pytest.mark.parametrize(("can_id", "is_tester"), [(0x18EA03FA, True), (0x18DA10F1, True), (0x18EAFF00, False)])
 def test_tools_of_others_come_first_while_controllers_may_ask_each_other(
     channel: str, caplog: pytest.LogCaptureFixture, can_id: int, *, is_tester: bool

@@ -8,13 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.cli import main
 from tests.support.in_process import ended as run
 from tests.support.patience import HANG_S
 from tests.support.service import service
 
 EMULATOR = (sys.executable, "-m", "ecu_emulator")
-SCENARIO = Path(__file__).parents[2] / "ecu_emulator" / "scenarios" / "noise_only.toml"
 
 
 def emulate(*arguments: str | Path, wrapper: tuple[str, ...] = ()) -> subprocess.CompletedProcess[str]:
@@ -29,32 +27,6 @@ def assert_one_line(done: subprocess.CompletedProcess[str], status: int, *texts:
         assert text in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("change", "texts"),
-    [
-        (("seed = 1", 'seed = 1\ncolour = "red"'), ("colour",)),
-        (("pedal_ratio = 0.45", "pedal_ratio = 45.0"), ("pedal_ratio",)),
-        (('condition = "ideal"', 'condition = "water"'), ("water",)),
-        (("cycles = 1", 'cycles = "many"'), ("cycles",)),
-        (("seed = 1", "seed ="), ("TOML",)),
-    ],
-    ids=["unknown key", "out of range", "unknown fluid", "wrong type", "not TOML"],
-)
-def test_a_scenario_file_that_cannot_be_used(
-    tmp_path: Path, change: tuple[str, str], texts: tuple[str, ...], capsys: pytest.CaptureFixture[str]
-) -> None:
-    text = SCENARIO.read_text(encoding="utf-8")
-    assert change[0] in text
-    scenario, log = tmp_path / "mine.toml", tmp_path / "drive.log"
-    scenario.write_text(text.replace(*change), encoding="utf-8")
-    assert main(["record", str(log), "--scenario", str(scenario)]) == 2
-    said = capsys.readouterr()
-    assert (said.out, said.err.count("\n")) == ("", 1)
-    assert said.err.startswith("ecu-emulator: error: ")
-    assert all(text in said.err for text in (str(scenario), *texts))
-    assert not log.exists()
-
-
 def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
     folder = tmp_path / "sealed"
     folder.mkdir()
@@ -62,12 +34,6 @@ def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
     # Root passes every permission bit unless it gives that up.
     wrapper = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search") if os.getuid() == 0 else ()
     assert_one_line(emulate("record", folder / "drive.log", wrapper=wrapper), 4, "cannot write", "Permission denied")
-
-
-def test_a_bus_of_another_kind(tmp_path: Path) -> None:
-    truth = tmp_path / "truth.jsonl"
-    assert_one_line(emulate("run", "-i", "carrier_pigeon", "-c", "0", "--truth", truth), 3, "carrier_pigeon")
-    assert not truth.exists()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

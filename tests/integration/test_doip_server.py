@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.diagnostics.doip.listening import Place, listen
+from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.doip.streams import MORE_CONNECTIONS
 from ecu_emulator.diagnostics.memory_file import MemoryFile
@@ -52,17 +52,6 @@ def test_everybody_is_asked_who_is_there(port: int) -> None:
             assert sender == ("127.0.0.1", port)
 
 
-def test_an_entity_says_the_number_that_was_written() -> None:
-    with entity() as (controller, server), socket.socket(type=socket.SOCK_DGRAM) as one:
-        for request_ in ("10 03", "10 40", "27 03"):
-            seed = controller.ask(bytes.fromhex(request_)) or b""
-        controller.ask(b"\x27\x04" + (int.from_bytes(seed[2:], "big") ^ 0x0123456789ABCDEF).to_bytes(8, "big"))
-        controller.ask(b"\x2e\xf1\x90" + b"WDCTEMUL5TED00048")
-        one.settimeout(HANG_S)
-        one.sendto(framed(3, b"WDCTEMUL5TED00048"), ("127.0.0.1", server.place.port))
-        assert one.recv(100)[8:25] == b"WDCTEMUL5TED00048"
-
-
 def test_two_testers_are_answered_each_by_its_own(port: int) -> None:
     with Tester(port) as one, Tester(port, 0x0E01) as other:
         one.unlock()
@@ -100,17 +89,6 @@ def test_periodic_data_begin_after_the_response_that_says_so(monkeypatch: pytest
         assert one.response()[:2] == "00"
 
 
-def test_a_tester_waits_for_its_routine_and_others_for_their_turn() -> None:
-    with entity() as (controller, server), Tester(server.place.port) as one, Tester(server.place.port, 0x0E01) as other:
-        one.unlock()
-        assert one.first("31 01 03 01 04 04") == "7f 31 78"
-        assert other.ask("22 f1 90") == "7f 22 21"
-        assert one.ask("22 f1 90") == "7f 22 21"
-        controller.finish(0x0301)
-        assert one.final().startswith("71 01 03 01")
-        assert other.ask("22 f1 86") == "62 f1 86 01"
-
-
 def test_testers_on_can_and_over_ip_share_a_controller_and_not_their_answers() -> None:
     place = Place(host="127.0.0.1", port=free_port())
     with Wire() as wire, DoipServer(wire.controller, place), Tester(place.port) as one:
@@ -131,15 +109,6 @@ def test_testers_on_can_and_over_ip_share_a_controller_and_not_their_answers() -
 
 def test_hostile_streams_do_not_disturb_a_tester() -> None:
     assert run_on_sockets(count=30, seed=5) == 30
-
-
-def test_a_tester_that_goes_while_its_routine_runs_leaves_nobody_waiting() -> None:
-    with entity() as (_, server), Tester(server.place.port, 0x0E01) as other:
-        with Tester(server.place.port) as one:
-            one.unlock()
-            assert one.first("31 01 03 01 04 04") == "7f 31 78"
-        while other.ask("22 f1 86") != "62 f1 86 01":
-            time.sleep(0.001)
 
 
 class SlowDisk(MemoryFile):
@@ -194,27 +163,6 @@ def test_a_tester_hears_why_before_its_connection_ends(port: int, sent: bytes, k
         assert one.is_closed()
 
 
-def test_one_who_says_nothing_is_let_go() -> None:
-    with entity(initial_inactivity_s=0.05) as (_, server), Tester(server.place.port, is_activated=False) as one:
-        assert one.is_closed()
-
-
-def test_an_address_in_use_is_given_to_nobody_while_its_tester_is_alive(port: int) -> None:
-    with Tester(port, 0x0E10) as one, Tester(port, is_activated=False) as other:
-        answering = threading.Thread(target=lambda: one.ask("3e 00"))
-        other.send(activation(0x0E10))
-        answering.start()  # reads, and answers the alive check on the way
-        kind, told = other.message()
-        answering.join()
-        assert (kind, told[4]) == (6, 0x03)
-
-
-def test_a_tester_whose_line_was_cut_gets_its_address_back(port: int) -> None:
-    with Tester(port, 0x0E11), Tester(port, is_activated=False) as other:
-        other.send(activation(0x0E11))  # nobody answers the alive check on the other line
-        assert other.message()[1][4] == 0x10
-
-
 def is_heard(port: int) -> bool:
     """Return whether a new connection is kept."""
     with socket.create_connection(("127.0.0.1", port), timeout=HANG_S) as one:
@@ -260,20 +208,6 @@ def test_a_place_that_is_taken_is_named(port: int) -> None:
     assert str(caught.value) == f"DoIP cannot listen on 127.0.0.1:{port}: Address already in use"
     with pytest.raises(BusError, match=r"DoIP cannot listen on 192\.0\.2\.1:13400: Cannot assign"):
         DoipServer(controller, Place(host="192.0.2.1", port=13400))
-
-
-EVERYWHERE = "0.0.0.0"  # noqa: S104 - bound for a moment only
-
-
-@pytest.mark.parametrize(
-    ("host", "is_exposed"), [("127.0.0.1", False), ("127.3.2.1", False), ("localhost", False), (EVERYWHERE, True)]
-)
-def test_a_server_knows_whether_others_can_reach_it(host: str, *, is_exposed: bool) -> None:
-    listening = listen(Place(host=host, port=free_port()))
-    assert listening.tcp.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)  # connections inherit it: no 40 ms each
-    for one in (listening.tcp, *listening.udp):
-        one.close()
-    assert listening.is_exposed is is_exposed
 
 
 def test_an_error_of_the_controller_reaches_who_started_it() -> None:

@@ -57,17 +57,6 @@ def say(connection: socket.socket, text: bytes) -> bytes:
     return until(connection)
 
 
-def test_echo_line_ends_and_prompt(server: ElmServer) -> None:
-    with client(server) as one:
-        assert say(one, b"ATI") == b"ATI\rELM327 v1.5\r\r>"
-        assert say(one, b"ATE0") == b"ATE0\rOK\r\r>"
-        assert say(one, b"ATSP6") == b"OK\r\r>"
-        assert say(one, b"0100") == SUPPORTED + b"\r\r>"
-        assert say(one, b"ATL1") == b"OK\r\n\r\n>"
-        assert say(one, b"") == b"OK\r\n\r\n>"
-        assert say(one, b"\n\0ATL0") == b"OK\r\r>"  # those two mean nothing
-
-
 def test_a_line_may_come_in_pieces_and_several_at_once(server: ElmServer) -> None:
     with client(server) as one:
         say(one, b"ATE0")
@@ -87,13 +76,6 @@ def test_a_line_without_end_is_cut_and_answered_once(server: ElmServer) -> None:
         assert say(one, b"A" * MOST_LINE_BYTES) == b"?\r\r>"  # as long as it may be
         assert say(one, b"ATI") == b"ELM327 v1.5\r\r>"
     assert server.counts.overlong_lines == before + 1
-
-
-def test_bytes_that_are_no_text_are_no_command(server: ElmServer) -> None:
-    with client(server) as one:
-        say(one, b"ATE0")
-        assert say(one, bytes(range(0x80, 0x100))) == b"?\r\r>"
-        assert say(one, b"\x7f\x7f") == b"?\r\r>"
 
 
 def test_each_client_has_settings_of_its_own_and_too_many_are_turned_away() -> None:
@@ -184,19 +166,6 @@ def test_a_session_and_its_lock_are_of_the_client_who_entered_it(later: tuple[El
         assert say(other, b"22F186") == b"62 F1 86 03 \r\r>"
 
 
-def test_whoever_stopped_waiting_does_not_hold_up_the_others(later: tuple[ElmServer, Controller]) -> None:
-    server, controller = later
-    with client(server) as one:
-        pending(server, one)
-        one.sendall(b"\r")
-        until(one)
-        assert controller.ask(b"\x22\xf1\x86") == b"\x7f\x22\x21"
-        controller.finish(0x0301)
-        while controller.ask(b"\x22\xf1\x86") == b"\x7f\x22\x21":
-            time.sleep(0.005)
-        assert controller.ask(b"\x22\xf1\x86") == b"\x62\xf1\x86\x01"
-
-
 def test_whoever_speaks_while_it_waits_has_stopped_it(later: tuple[ElmServer, Controller]) -> None:
     with client(later[0]) as one:
         pending(later[0], one)
@@ -211,21 +180,6 @@ def later() -> Iterator[tuple[ElmServer, Controller]]:
         yield serving, asked
 
 
-def test_a_client_may_go_away_in_the_middle(server: ElmServer) -> None:
-    for rudeness in (b"", b"ATM", b"ATMA\r", b"0100\r" * 1000):
-        with client(server) as one:
-            one.sendall(rudeness)
-    with client(server) as one:
-        assert say(one, b"ATI").endswith(b"ELM327 v1.5\r\r>")
-
-
-def test_the_end_of_the_program_hangs_up() -> None:
-    with ElmServer(controller(), ("127.0.0.1", 0)) as server:
-        one = stack_client(server)
-    assert until(one) == b""
-    one.close()
-
-
 def test_silent_clients_make_room_for_others() -> None:
     with ElmServer(controller(), ("127.0.0.1", 0), idle_s=0.2) as server, ExitStack() as stack:
         silent = [stack.enter_context(client(server)) for _ in range(MOST_CLIENTS)]
@@ -236,19 +190,6 @@ def test_silent_clients_make_room_for_others() -> None:
             with client(server) as later, suppress(ConnectionError):
                 answer = say(later, b"ATI")
         assert answer == b"ATI\rELM327 v1.5\r\r>"
-
-
-def test_whoever_others_can_reach_says_so(server: ElmServer) -> None:
-    assert not server.is_exposed
-    with ElmServer(controller(), ("0.0.0.0", 0)) as open_to_all:  # noqa: S104
-        assert open_to_all.is_exposed
-        assert open_to_all.place == f"0.0.0.0:{open_to_all.address[1]}"
-
-
-def stack_client(server: ElmServer) -> socket.socket:
-    connection = socket.create_connection(server.address, timeout=HANG_S)
-    say(connection, b"ATI")
-    return connection
 
 
 @pytest.mark.parametrize(

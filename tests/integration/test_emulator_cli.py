@@ -14,9 +14,8 @@ import can
 import cantools
 import pytest
 
-from canlog import jit
 from dbc.contract import load_contract
-from ecu_emulator import __version__, write_dbc
+from ecu_emulator import write_dbc
 from ecu_emulator.cli import main
 from ecu_emulator.truth import read_truth, truth_path
 from tests.support.patience import HANG_S
@@ -47,14 +46,6 @@ def test_record_writes_log_and_truth(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert re.search(r"[\d.]+ s of driving in [\d.]+ s; truth in ", captured.err)
 
 
-def test_the_same_drive_gives_the_same_files(tmp_path: Path) -> None:
-    first, second = tmp_path / "first.log", tmp_path / "second.log"
-    for path in (first, second):
-        assert main(["record", str(path), *RECORD]) == 0
-    assert first.read_bytes() == second.read_bytes()
-    assert truth_path(first).read_bytes() == truth_path(second).read_bytes()
-
-
 def test_overrides_reach_the_drive(tmp_path: Path) -> None:
     path, truth_file = tmp_path / "drive", tmp_path / "truth.jsonl"
     arguments = ["record", str(path), "--format", "candump", "--truth", str(truth_file), "--scenario", "ideal"]
@@ -66,26 +57,6 @@ def test_overrides_reach_the_drive(tmp_path: Path) -> None:
     assert truth.drive.mu_c == pytest.approx((0.119, 0.119))
     assert path.read_text(encoding="ascii").startswith("(1795165200.500000) vcan0 ")
     assert not truth_path(path).exists()
-
-
-def test_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scenarios"]) == 0
-    names = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    assert names == ["ageing", "case1", "case2", "gs7", "ideal", "lockup", "noise_only"]
-
-
-def test_a_program_that_has_ended_says_no_more_of_compiling() -> None:
-    before = list(jit._listeners)
-    assert main(["scenarios"]) == 0
-    assert main(["record", "drive.unknown"]) != 0
-    assert jit._listeners == before
-
-
-def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(["--version"])
-    assert stopped.value.code == 0
-    assert capsys.readouterr().out == f"ecu-emulator {__version__}\n"
 
 
 @pytest.mark.parametrize(
@@ -163,7 +134,7 @@ def test_a_file_that_cannot_be_written(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGTERM])
 def test_a_live_drive_stops_cleanly_and_accounts_for_every_frame(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], number: signal.Signals
 ) -> None:
@@ -215,8 +186,7 @@ def catches(program: subprocess.Popen[str], number: signal.Signals) -> bool:
     return bool(int(caught.split()[1], 16) >> (number - 1) & 1)
 
 
-@pytest.mark.parametrize("delay_s", [0.0, 0.5])
-def test_a_signal_while_starting_up_is_a_clean_stop(delay_s: float) -> None:
+def test_a_signal_while_starting_up_is_a_clean_stop() -> None:
     program = subprocess.Popen(
         [sys.executable, "-m", "ecu_emulator", "run", "-i", "virtual", "-c", "any", "--start-delay", "30"],
         stderr=subprocess.PIPE,
@@ -227,15 +197,13 @@ def test_a_signal_while_starting_up_is_a_clean_stop(delay_s: float) -> None:
         assert program.poll() is None
         assert time.monotonic() < deadline_s
         time.sleep(0.005)
-    time.sleep(delay_s)
     program.send_signal(signal.SIGTERM)
     _, said = program.communicate(timeout=HANG_S)
     assert program.returncode == 0, said
     assert "stopped early: 0 frames sent" in said
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_recording_that_is_stopped_is_whole(tmp_path: Path, number: signal.Signals) -> None:
+def test_a_recording_that_is_stopped_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "long.log"
     program = subprocess.Popen(
         [sys.executable, "-m", "ecu_emulator", "record", str(path), "--cycles", "1000", "--json"],
@@ -245,9 +213,9 @@ def test_a_recording_that_is_stopped_is_whole(tmp_path: Path, number: signal.Sig
     )
     while not any(part.stat().st_size for part in tmp_path.glob("*.part")) and program.poll() is None:
         time.sleep(0.02)
-    program.send_signal(number)
+    program.send_signal(signal.SIGINT)
     out, said = program.communicate(timeout=HANG_S)
-    assert program.returncode == 128 + number, said
+    assert program.returncode == 128 + signal.SIGINT, said
     result = json.loads(out)
     assert not result["finished"]
     assert result["frames"] == len(path.read_text(encoding="ascii").splitlines()) > 0
@@ -299,3 +267,9 @@ def test_the_database_of_the_car_is_printed_or_written(tmp_path: Path, capsys: p
     assert main(["dbc", "-o", str(path)]) == 2
     assert "--force" in capsys.readouterr().err
     assert main(["dbc", "-o", str(tmp_path), "--force"]) == 4
+
+
+def test_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scenarios"]) == 0
+    names = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert names == ["ageing", "case1", "case2", "gs7", "ideal", "lockup", "noise_only"]

@@ -12,10 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.tester.addresses import CanAddress
-from diag_service.tester.listening import Traffic, check_alone
 from ecu_emulator.diagnostics.memory import TestResult as Result
-from tests.integration.test_tester import SLIPS, another_tester, vehicle
+from tests.integration.test_tester import SLIPS, vehicle
 from tests.plugins.broker import Mosquitto
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
@@ -61,23 +59,6 @@ def test_codes_are_read_stored_told_and_published(tmp_path: Path, broker: Mosqui
     assert said["codes"] == told["codes"]
     with closing(sqlite3.connect(store)) as connection:
         assert [json.loads(text) for (text,) in connection.execute("SELECT json FROM controller")] == [told]
-
-
-def test_another_tester_is_left_in_peace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    is_refused = threading.Event()
-
-    def check(traffic: Traffic, address: CanAddress | None = None) -> None:
-        is_refused.set()
-        check_alone(traffic, address)
-
-    monkeypatch.setattr("diag_service.tester.asking.check_alone", check)
-    words = ("-i", "virtual", "-c", "poll 2", "--store", tmp_path / "car.sqlite")
-    with vehicle("poll 2", parked_controller()) as car, another_tester("poll 2", 0x7E1):
-        with stopping_when(is_refused.is_set):
-            run = ended("run", *words, *POLL)
-        assert set(car.heard) == {0x7E1}
-    assert run.status == 0
-    assert "warning: the trouble codes were not read: another tester is asking on this bus (requests on 7E1)" in run.err
 
 
 @pytest.mark.parametrize(

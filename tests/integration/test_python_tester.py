@@ -15,7 +15,7 @@ import pytest
 import canlog
 import diag_service
 import ecu_emulator
-from diag_service.tester.commands import data_record, found_record, routine_record
+from diag_service.tester.commands import data_record, routine_record
 from diag_service.tester.polling import ControllerReport
 from diag_service.tester.trouble import trouble_record
 from ecu_emulator.diagnostics.controller import Controller
@@ -24,7 +24,6 @@ from tests.integration.test_tester import MASK, SLIPS, Vehicle, another_tester, 
 from tests.support.doip.desk import framed
 from tests.support.in_process import ended, never_a_program
 from tests.support.patience import HANG_S
-from tests.support.starvation import StarvationWatch, undisturbed
 from tests.support.uds.wire import parked_controller
 
 if TYPE_CHECKING:
@@ -149,24 +148,6 @@ def test_a_bus_is_lent(bus: can.BusABC, car: Vehicle) -> None:
     assert message.arbitration_id == 0x0A0
 
 
-def test_a_scan_finds_what_the_command_finds(bus: can.BusABC) -> None:
-    """Both scan again where the machine starved one of them: parts of a message come within a second, or not at all."""
-    words = ("scan", *BUS, "--first", "7E0", "--last", "7E2", "--wait", "0.15")
-
-    def attempt(_: int) -> tuple[Any, list[Any], list[Any], bool]:
-        with StarvationWatch() as watch:
-            scan = diag_service.scan_controllers(
-                bus, first=0x7E0, last=0x7E2, is_active=True, wait_s=0.15, listen_s=0.6, timeout_s=HANG_S
-            )
-            told_of = told(*words)["controllers"]
-        return scan, [found_record(one) for one in scan.controllers], told_of, watch.is_starved
-
-    scan, found, told_of, _ = undisturbed(attempt, lambda one: one[3] and (one[1] != one[2] or len(one[1]) != 1))
-    assert len(found) == 1
-    assert found == told_of
-    assert scan.traffic is not None
-
-
 @contextmanager
 def slow_node(*steps: bytes | float) -> Iterator[int]:
     """Run a node on the port that is returned: it takes a question, sends the steps or waits [s], and hangs up."""
@@ -274,16 +255,6 @@ def test_a_bus_that_was_handed_over_is_polled_by_another_end(bus: can.BusABC) ->
         assert [report.record["controller"] for report in heard.controller_reports] == ["7E1 (answers 7E9)"]
 
 
-async def test_why_a_controller_was_not_asked_is_a_notice() -> None:
-    with can.Bus("nobody here", "virtual") as near, can.Bus("nobody here", "virtual") as far:
-        far.shutdown()
-        async with diag_service.diagnose(near, poll=diag_service.Poll(period_s=1.0, bus=far)) as live:
-            async with asyncio.timeout(HANG_S):
-                while not any("were not read" in notice for notice in live.analysis.notices):  # noqa: ASYNC110 - as above
-                    await asyncio.sleep(0.01)
-    assert any("the trouble codes were not read: the bus cannot be read" in one for one in live.analysis.notices)
-
-
 def test_a_pdx_is_the_one_of_the_program(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     made, own = tmp_path / "made.pdx", tmp_path / "own.pdx"
     assert ecu_emulator.write_pdx(made) == made.stat().st_size
@@ -300,14 +271,6 @@ def test_a_pdx_is_the_one_of_the_program(tmp_path: Path, capsys: pytest.CaptureF
         ecu_emulator.write_pdx(table, table)
     with pytest.raises(ecu_emulator.RecordError, match="cannot write"):
         ecu_emulator.write_pdx(tmp_path / "none" / "a.pdx")
-
-
-def test_what_the_emulator_says_is_kept() -> None:
-    with ecu_emulator.Emulator("ideal", answers=ecu_emulator.Answers(elm327="127.0.0.1:0")) as car:
-        car.wait_until(0.1, HANG_S)
-        assert car.notices[0].startswith("ELM327 adapter at 127.0.0.1:")
-        car.stop()
-    assert any("diagnostics: 0 requests" in line for line in car.notices)
 
 
 def test_tables_of_every_format_are_those_of_the_command(drive_log: Path, tmp_path: Path) -> None:

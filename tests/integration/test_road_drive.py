@@ -13,16 +13,12 @@ from canlog.e2e.profile1 import counter_of
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.drive.recording import Drive, Stretch
-from ecu_emulator.driving.indices import EngineState
-from ecu_emulator.driving.journey import PlannedTrip, trips
-from ecu_emulator.driving.trip import Car, DriveConditions, Trip
+from ecu_emulator.driving.journey import PlannedTrip
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.live.live_drive import SentTruth
-from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind
-from ecu_emulator.scenario.scenario import Ambient, Fluid, FluidCondition, Truth
-from ecu_emulator.scenario.signals import generator
+from ecu_emulator.scenario.scenario import Ambient
 from ecu_emulator.truth import EventTruth, ShiftTruth, TripTruth, TruthWriter, read_truth
 from tests.support.builders import drive_scenario
 from tests.support.road import road_scenario, short_trip
@@ -104,31 +100,6 @@ def test_each_trip_begins_as_controllers_do(frames: EncodedFrames) -> None:
     assert first[1] >> 4 == 15
 
 
-def test_a_car_that_is_not_parked_goes_on_without_a_gap() -> None:
-    planned = iter([short_trip(), short_trip()])
-    frames = merge([stretch.frames for stretch in Drive(road_scenario("ideal"), planned=planned).stretches(10.0)])
-    for name in ("TCU_Shift", "ECM_TorqueSpeed", "BRK_Vehicle"):
-        contract = CONTRACTS[name]
-        own = frames.can_id == contract.can_id
-        np.testing.assert_allclose(np.diff(frames.t_s[own]), contract.cycle_ms / 1000.0, atol=1e-9)
-        assert counter_of(frames.data[own]).tolist() == [count % 15 for count in range(int(own.sum()))]
-    engine = frames.data[frames.can_id == CONTRACTS["ECM_TorqueSpeed"].can_id].view("<u8").ravel()
-    speed_rpm = ((engine >> np.uint64(12)) & np.uint64(0xFFFF)) / 4.0
-    assert np.abs(speed_rpm[20:]).max() < 6000.0
-
-
-def test_the_cutting_changes_nothing(frames: EncodedFrames, stretches: list[Stretch]) -> None:
-    drive = Drive(replace(road_scenario("ideal"), ambient=COLD), planned=two_trips())
-    again = list(drive.stretches(0.777))
-    other = merge([stretch.frames for stretch in again])
-    np.testing.assert_array_equal(other.t_s, frames.t_s)
-    np.testing.assert_array_equal(other.data, frames.data)
-    kinds = [[type(truth) for stretch in some for truth in stretch.truths] for some in (again, stretches)]
-    assert kinds[0] == kinds[1]
-    assert drive.totals.driven_s == pytest.approx(2.0 * TRIP_S, abs=0.01)
-    assert drive.totals.events == sum(kind is EventTruth for kind in kinds[0])
-
-
 def test_a_long_stay_can_be_cut_short_on_a_bench() -> None:
     drive = Drive(road_scenario(), longest_stay_s=5.0, planned=two_trips())
     (trip,) = (
@@ -139,26 +110,6 @@ def test_a_long_stay_can_be_cut_short_on_a_bench() -> None:
     )
     assert trip.t_start_s == pytest.approx(TRIP_S + 5.0, abs=0.01)
     assert trip.parked_s == PARKED_S
-
-
-def test_an_ageing_fluid_ages_from_trip_to_trip() -> None:
-    scenario = replace(road_scenario(), fluid=Fluid(condition=FluidCondition.AGEING, ageing_cycles=2))
-    planned = iter([short_trip(), short_trip(), short_trip()])
-    happened = [truth for stretch in Drive(scenario, planned=planned).stretches(10.0) for truth in stretch.truths]
-    assert [truth.mu_c[0] for truth in happened if isinstance(truth, TripTruth)] == pytest.approx([0.14, 0.1295, 0.119])
-    launches = [truth.mu_c for truth in happened if isinstance(truth, EventTruth) and truth.event == "launch"]
-    assert launches == pytest.approx([0.14, 0.1295, 0.119])
-
-
-@pytest.mark.parametrize(("seed", "until_s"), [(2, 140.0), (3, 200.0)])
-def test_a_stopped_engine_always_starts_again(seed: int, until_s: float) -> None:
-    """In queues the driver calls the engine back at once, whatever the clutch is doing."""
-    (city,) = trips(DriveName.CITY, seed)
-    rows = Trip(Car(), city.trace, DriveConditions(), generator(seed, "driver 1")).advance(until_s)
-    changes = np.flatnonzero(np.diff(rows[:, Col.ENGINE_STATE] == EngineState.CRANKING, prepend=False, append=False))
-    cranked_ms = changes[1::2] - changes[::2]
-    assert len(cranked_ms) >= 3
-    assert cranked_ms.max() < 1000
 
 
 def test_memory_does_not_grow_with_a_drive_without_end() -> None:
@@ -172,19 +123,6 @@ def test_memory_does_not_grow_with_a_drive_without_end() -> None:
     tracemalloc.stop()
     assert len(held_bytes) == 12
     assert max(held_bytes[6:]) < max(held_bytes[2:6]) + 200_000
-
-
-def test_a_heavier_car_does_more_work_in_its_clutch() -> None:
-    energies_j = []
-    for mass_kg in (1500.0, 2200.0):
-        scenario = replace(road_scenario(), truth=Truth(plant={"vehicle.mass_kg": mass_kg}))
-        happened = (
-            truth
-            for stretch in Drive(scenario, planned=iter([short_trip()])).stretches(10.0)
-            for truth in stretch.truths
-        )
-        energies_j.append(sum(truth.slip_energy_j for truth in happened if isinstance(truth, EventTruth)))
-    assert energies_j[1] > 1.2 * energies_j[0]
 
 
 def test_what_was_sent_is_told_in_the_order_in_which_it_became_known(tmp_path: Path) -> None:
@@ -211,3 +149,15 @@ def test_oil_too_cold_is_one_clear_complaint(drive: DriveName, oil_k: float, nam
     scenario = replace(drive_scenario(), drive=drive, ambient=Ambient(oil_temperature_k=oil_k))
     with pytest.raises(ConfigError, match=named):
         next(Drive(scenario).stretches(1.0))
+
+
+def test_the_cutting_changes_nothing(frames: EncodedFrames, stretches: list[Stretch]) -> None:
+    drive = Drive(replace(road_scenario("ideal"), ambient=COLD), planned=two_trips())
+    again = list(drive.stretches(0.777))
+    other = merge([stretch.frames for stretch in again])
+    np.testing.assert_array_equal(other.t_s, frames.t_s)
+    np.testing.assert_array_equal(other.data, frames.data)
+    kinds = [[type(truth) for stretch in some for truth in stretch.truths] for some in (again, stretches)]
+    assert kinds[0] == kinds[1]
+    assert drive.totals.driven_s == pytest.approx(2.0 * TRIP_S, abs=0.01)
+    assert drive.totals.events == sum(kind is EventTruth for kind in kinds[0])

@@ -16,7 +16,6 @@ from ecu_emulator.diagnostics.memory import TestResult as Result
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.state import Reply, ServerState
 from ecu_emulator.diagnostics.table import Addressing, Transport
-from ecu_emulator.errors import ConfigError
 from tests.support.patience import HANG_S
 from tests.support.uds.full_table import full_table
 from tests.support.uds.wire import ALL_ID, RESPONSE_ID, Wire, parked_controller
@@ -29,11 +28,6 @@ VIN = b"\x62\xf1\x90WDCTEMUL3TED00047"
 def wire() -> Iterator[Wire]:
     with Wire() as wire:
         yield wire
-
-
-def test_a_short_request_and_its_response_are_padded(wire: Wire) -> None:
-    wire.put("02 3e 00")
-    assert wire.get() == "02 7e 00 cc cc cc cc cc"
 
 
 def test_padding_may_be_other_or_none() -> None:
@@ -53,13 +47,6 @@ def test_a_long_response_waits_for_flow_control(wire: Wire) -> None:
     wire.put("31 00 00")  # wait
     wire.put("30 00 00")
     assert wire.get() == "22 45 44 30 30 30 34 37"
-
-
-def test_a_client_that_aborts_gets_no_more(wire: Wire) -> None:
-    wire.put("03 22 f1 90")
-    wire.get()
-    wire.put("32 00 00")
-    assert wire.is_quiet()
 
 
 def test_the_pause_between_frames_is_kept(wire: Wire) -> None:
@@ -100,15 +87,6 @@ def test_periodic_data_begin_after_the_response_that_says_so(monkeypatch: pytest
         wire.put("03 2a 02 00")
         assert wire.get() == "01 6a"
         assert wire.get_periodic() == "00 0c af 00 00 00 ff"
-
-
-def test_a_long_request_is_put_together(wire: Wire) -> None:
-    names = "f1 86 " * 5
-    request = bytes.fromhex("22 " + names)
-    wire.put(bytes([0x10, len(request)]) + request[:6])
-    assert wire.get() == "30 08 00 cc cc cc cc cc"
-    wire.put(b"\x21" + request[6:])
-    assert wire.get() == "10 10 62 f1 86 01 f1 86"
 
 
 def test_blocks_of_a_long_request_are_asked_for(wire: Wire) -> None:
@@ -152,12 +130,6 @@ def test_what_is_not_for_this_controller_is_passed_over(wire: Wire, message: can
     assert wire.is_quiet()
 
 
-def test_a_request_from_the_same_machine_is_answered(wire: Wire) -> None:
-    # SocketCAN marks every frame that a process of this machine has sent, as all on a vcan are.
-    wire.link.feed(can.Message(arbitration_id=0x7E1, is_extended_id=False, data=b"\x02\x3e\0", is_rx=False))
-    assert wire.get().startswith("02 7e")
-
-
 def test_a_new_request_ends_the_one_that_was_not_complete(wire: Wire) -> None:
     wire.put("10 14 2e f1 90 00 00 00")
     assert wire.get().startswith("30")
@@ -166,23 +138,6 @@ def test_a_new_request_ends_the_one_that_was_not_complete(wire: Wire) -> None:
     assert wire.get().startswith("02 7e")
     wire.put("21 00 00 00 00 00 00 00")
     assert wire.is_quiet()
-
-
-def test_a_frame_out_of_order_ends_its_message(wire: Wire) -> None:
-    wire.put("10 14 2e f1 90 00 00 00")
-    wire.get()
-    wire.put("22 00 00 00 00 00 00 00")
-    wire.put("21 00 00 00 00 00 00 00")
-    assert wire.is_quiet()
-    assert wire.link.counts.broken_messages >= 1
-
-
-def test_an_odd_frame_between_others_does_no_harm(wire: Wire) -> None:
-    wire.put("10 0b 22 f1 86 f1 86 f1")
-    wire.get()
-    wire.put("f0 01")
-    wire.put("21 86 f1 86 f1 86 cc cc")
-    assert wire.get().startswith("10 10 62 f1 86 01")
 
 
 def test_requests_that_come_while_a_response_goes_out_wait_up_to_a_number(wire: Wire) -> None:
@@ -257,23 +212,6 @@ def test_a_client_is_told_to_wait_for_a_slow_disk(tmp_path: Path) -> None:
         assert wire.get_any().startswith("03 7f 11 78")
         store.may_go_on.set()
         assert wire.get().startswith("02 51 01")  # once 78 was sent, ISO 14229-1 wants the last word too
-
-
-def test_what_only_keeps_the_session_alive_is_not_answered_because_the_disk_is_slow(tmp_path: Path) -> None:
-    with SlowFile(tmp_path / "memory.json") as store, Wire(store=store) as wire:
-        store.may_go_on.clear()
-        store.is_waited_for.clear()
-        monitor = threading.Thread(target=wire.controller.report, args=(0x081107, Result.FAILED))
-        monitor.start()
-        try:
-            assert store.is_waited_for.wait(HANG_S)
-            wire.put("02 3e 80")
-            time.sleep(3.0 * full_table().timing.p2_s)
-        finally:
-            store.may_go_on.set()
-        wire.put("03 22 f1 86")
-        assert wire.get_any().startswith("04 62 f1 86 01")
-        monitor.join()
 
 
 def test_whom_78_has_promised_a_response_gets_one_that_others_would_not(tmp_path: Path) -> None:
@@ -370,12 +308,6 @@ def test_a_bus_that_takes_nothing_does_not_end_the_link() -> None:
         is_down = False
         link.feed(request)
         assert heard.wait(HANG_S)
-
-
-@pytest.mark.parametrize("name", ["padding", "block_size", "separation_time", "own_address"])
-def test_what_the_transport_cannot_be_is_named(name: str) -> None:
-    with pytest.raises(ConfigError, match=rf"^{name} must be 0..0xFF, got 256"):
-        Transport(**{name: 256})
 
 
 def test_what_goes_wrong_in_the_thread_is_raised_where_it_was_started(monkeypatch: pytest.MonkeyPatch) -> None:

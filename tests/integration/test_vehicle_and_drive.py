@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from ecu_emulator.cli import main
-from ecu_emulator.drive.build import build_vehicle
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.scenario.scenario import Scenario
 from ecu_emulator.scenario.scenario_file import parse_scenario
 from ecu_emulator.truth import read_truth, truth_path
 
@@ -53,22 +51,11 @@ def test_the_drive_draws_driver_noise_and_what_happens_on_the_bus() -> None:
     assert not np.array_equal(first.data[:100], later.data[:100])
 
 
-def test_a_scenario_file_may_hold_the_seeds() -> None:
-    scenario = parse_scenario('name = "x"\nseed = 1\nvehicle_seed = 7\n', "x")
-    assert build_vehicle(scenario).drawn == build_vehicle(Scenario(name="y", seed=7)).drawn
-    assert (scenario.seed_of_vehicle, scenario.seed_of_drive) == (7, 1)
-
-
 @pytest.mark.parametrize("key", ["vehicle_seed", "drive_seed"])
 @pytest.mark.parametrize("value", ["-1", "9223372036854775808", '"seven"', "1.5", "true"])
 def test_seeds_in_a_file_are_checked(key: str, value: str) -> None:
     with pytest.raises(ConfigError, match=key):
         parse_scenario(f'name = "x"\n{key} = {value}\n', "x")
-
-
-def test_a_seed_that_is_none_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["record", str(tmp_path / "x.log"), "--vehicle-seed", "-1"]) == 2
-    assert "vehicle_seed must be" in capsys.readouterr().err
 
 
 def test_truth_files_of_before_have_one_seed_for_both(tmp_path: Path) -> None:
@@ -79,11 +66,3 @@ def test_truth_files_of_before_have_one_seed_for_both(tmp_path: Path) -> None:
     path.write_text("\n".join([json.dumps(drive), *lines[1:]]) + "\n", encoding="utf-8")
     truth = read_truth(path).drive
     assert (truth.vehicle_seed, truth.drive_seed) == (4, 4)
-
-
-def test_a_live_run_tells_both_seeds(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    scenario = tmp_path / "none.toml"
-    scenario.write_text('name = "short"\nvehicle_seed = 7\ndrive_seed = 2\n', encoding="utf-8")
-    assert main(["record", str(tmp_path / "x.log"), "--scenario", str(scenario), "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert (result["vehicle_seed"], result["drive_seed"]) == (7, 2)

@@ -21,8 +21,6 @@ FLUIDS: Final = {"new": (1.0, 1.0), "aged": (0.95, 1.05), "worn": (0.85, 1.15)} 
 STEP_S: Final = 1e-3
 SAMPLE_STEPS: Final = 10
 RATIOS: Final = np.array([4.7, 3.13, 2.1, 1.67, 1.29, 1.0, 0.84]) * 3.2  # of gears, engine over wheels
-WHEEL_M: Final = 0.32
-MASS_KG: Final = 1650.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,6 @@
 """What the commands that ask make of a controller that answers wrongly: each service, each way."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -123,10 +123,3 @@ def _is_true(run: Ended, claims: Any, truth: Any, case: tuple[str, str], *, is_v
         return run.status == 3 and claims == rest and run.err.count("\n") == 1
     is_nothing = claims is None or claims == [None]
     return run.status == 3 and is_nothing and "Traceback" not in run.err and run.err.count("\n") == 1
-
-
-def table(folder: Path) -> Iterator[Told]:
-    """Yield what was told, for each service and each way."""
-    for name in QUESTIONS:
-        for way in WAYS:
-            yield told(name, way, folder)

@@ -62,12 +62,6 @@ BEFORE = of_message(FRAMES)
 INSIDE = np.flatnonzero((BEFORE.t_s >= START_S) & (BEFORE.t_s < START_S + DURATION_S))
 
 
-def test_without_faults_nothing_changes() -> None:
-    frames, counts = struck([])
-    assert np.array_equal(frames.data, FRAMES.data)
-    assert counts == ()
-
-
 @pytest.mark.parametrize("kind", ["loss", "silence"])
 def test_lost_frames_do_not_arrive(kind: str) -> None:
     frames, counts = struck([fault(kind)])
@@ -184,13 +178,6 @@ def test_an_overload_fills_the_bus_and_loses_nothing() -> None:
     assert np.array_equal(np.unique(own, axis=0), np.unique(FRAMES.data, axis=0))
 
 
-def test_half_an_overload_leaves_gaps() -> None:
-    _, (full,) = struck([fault("overload", message="")])
-    frames, (half,) = struck([fault("overload", message="", share=0.5)])
-    assert 0.35 < half / full < 0.6
-    assert np.count_nonzero(frames.t_s >= 0.0) == len(FRAMES) + half
-
-
 KINDS = [
     fault("loss", message="", share=0.3),
     fault("restart"),
@@ -227,11 +214,6 @@ def test_an_overload_leaves_the_bus_of_a_parked_car_silent() -> None:
     assert before == pytest.approx(0.5 * 0.099 / FRAME_S, abs=1)
     assert stage.counts[0] - before == pytest.approx(0.5 * 0.399 / FRAME_S, abs=1)
     assert parted.t_s.min() >= 3600.0
-
-
-def test_a_message_that_is_not_on_the_bus_is_named() -> None:
-    with pytest.raises(ConfigError, match="'TCU_Presure' is not on the bus; known: ECM_TorqueSpeed"):
-        BusFaults([fault("loss", message="TCU_Presure")], SEED, CONTRACTS)
 
 
 @pytest.mark.parametrize(

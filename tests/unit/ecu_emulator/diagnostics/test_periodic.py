@@ -29,99 +29,9 @@ def test_data_come_at_the_rate_that_was_asked_for(bench: Bench, mode: str, count
     assert set(bench.sent(1.0)) == {"00 00 00 00 00 00 ff"}
 
 
-def test_several_data_each_have_a_message_and_a_new_rate_replaces_the_old(bench: Bench) -> None:
-    assert bench.ask("2a 03 00 01 01") == "6a"
-    assert bench.ask("2a 01 01") == "6a"
-    numbers = [message[:2] for message in bench.sent(0.98)]
-    assert (numbers.count("00"), numbers.count("01")) == (20, 1)
-
-
-def test_one_is_stopped_or_all(bench: Bench) -> None:
-    bench.ask("2a 03 00 01 02")
-    assert bench.ask("2a 04 00") == "6a"
-    assert {message[:2] for message in bench.sent(0.2)} == {"01", "02"}
-    assert bench.ask("2a 04") == "6a"
-    assert bench.sent(2.0) == []
-    assert bench.ask("2a 04 00") == "6a"  # what does not run is stopped already
-
-
-@pytest.mark.parametrize(
-    ("request_", "response"),
-    [
-        ("2a", "7f 2a 13"),
-        ("2a 01", "7f 2a 13"),
-        ("2a 05 00", "7f 2a 31"),
-        ("2a 83 00", "7f 2a 31"),  # there is no sub-function, so no bit to suppress a response
-        ("2a 03 77", "7f 2a 31"),
-        ("2a 04 77", "7f 2a 31"),
-        ("2a 03 77 00", "6a"),  # what is not there is left out
-        ("2a 03 00 03", "7f 2a 33"),
-    ],
-)
-def test_what_cannot_be_sent_is_refused(bench: Bench, request_: str, response: str) -> None:
-    assert bench.ask(request_) == response
-    assert bool(bench.sent(0.1)) == (response == "6a")
-
-
-def test_the_default_session_sends_nothing() -> None:
-    assert Bench().ask("2a 03 00") == "7f 2a 7f"
-
-
-@pytest.mark.parametrize("ending", ["10 01", "11 03"])
-def test_it_ends_with_the_session(bench: Bench, ending: str) -> None:
-    bench.ask("2a 03 00")
-    assert bench.sent(0.5)
-    bench.ask(ending)
-    assert bench.sent(1.0) == []
-    bench.ask("10 03")
-    assert bench.sent(1.0) == []
-
-
 def test_what_is_sent_does_not_keep_the_session_alive(bench: Bench) -> None:
     bench.ask("2a 03 00")
     assert len(bench.sent(20.0)) == pytest.approx(5 * 20, abs=1)  # S3 is five seconds
-
-
-def test_it_goes_on_in_another_session_but_not_what_was_unlocked(bench: Bench) -> None:
-    bench.unlock()
-    bench.ask("2a 03 00 03")
-    assert {message[:2] for message in bench.sent(0.2)} == {"00", "03"}
-    bench.ask("10 03")
-    assert {message[:2] for message in bench.sent(0.2)} == {"00"}
-
-
-def test_there_is_a_limit_of_how_many_at_once(bench: Bench) -> None:
-    for low in range(0x10, 0x19):
-        assert bench.ask(f"2c 01 f2 {low:02x} 01 02 01 01") == f"6c 01 f2 {low:02x}"
-    assert bench.ask("2a 03 10 11 12 13 14 15 16 17 18") == "7f 2a 31"
-    assert bench.sent(0.1) == []
-    assert bench.ask("2a 03 10 11 12 13 14 15 16 17") == "6a"
-    assert bench.ask("2a 03 18") == "7f 2a 31"
-    assert bench.ask("2a 01 10") == "6a"
-    assert len(bench.sent(0.03)) == 8
-
-
-def test_what_a_client_defined_is_sent_while_it_fits_a_frame(bench: Bench) -> None:
-    assert bench.ask("2c 01 f2 10 01 05 01 02 01 02 01 02") == "6c 01 f2 10"
-    bench.ask("2a 02 10")
-    assert bench.sent(0.1) == [f"10 {ENGINE_85_RAD_S} 00 00"]
-    assert bench.ask("22 f2 10") == f"62 f2 10 {ENGINE_85_RAD_S} 00 00"
-    bench.ask("2c 01 f2 10 01 00 01 04")  # eight bytes by now
-    assert bench.sent(1.0) == []
-    assert bench.ask("2a 02 10") == "7f 2a 31"
-
-
-def test_what_is_forgotten_is_sent_no_more(bench: Bench) -> None:
-    bench.ask("2c 01 f2 10 01 05 01 02")
-    bench.ask("2a 03 10")
-    assert bench.sent(0.1)
-    assert bench.ask("2c 03 f2 10") == "6c 03 f2 10"
-    assert bench.sent(1.0) == []
-
-
-def test_what_the_table_has_cannot_be_defined_anew(bench: Bench) -> None:
-    assert bench.ask("2c 01 f2 00 01 05 01 02") == "7f 2c 31"
-    assert bench.ask("2c 03 f2 00") == "7f 2c 31"
 
 
 def test_what_was_missed_is_not_made_up_for(bench: Bench) -> None:

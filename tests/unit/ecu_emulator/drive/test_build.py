@@ -7,7 +7,7 @@ from clutch_model.calibration import nominal_calibration
 from ecu_emulator.drive.build import ageing_factors, build_vehicle
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.parameters import nominal_parameters
-from ecu_emulator.scenario.scenario import FluidCondition, Scatter, Truth, production_scatter
+from ecu_emulator.scenario.scenario import FluidCondition, Truth, production_scatter
 from ecu_emulator.scenario.signals import NOMINAL_SENSORS
 from tests.support.builders import drive_scenario
 
@@ -20,23 +20,6 @@ def test_without_scatter_the_vehicle_is_the_nominal_one() -> None:
     assert vehicle.parameters == nominal_parameters()
     assert dict(vehicle.sensors) == dict(NOMINAL_SENSORS)
     assert set(vehicle.drawn.values()) == {0.0}
-
-
-def test_a_seed_is_a_vehicle() -> None:
-    assert build_vehicle(drive_scenario("ideal", seed=5)) == build_vehicle(drive_scenario("ideal", seed=5))
-    assert build_vehicle(drive_scenario("ideal", seed=5)).drawn != build_vehicle(drive_scenario("ideal", seed=6)).drawn
-
-
-def test_the_fluid_does_not_change_the_vehicle() -> None:
-    assert build_vehicle(drive_scenario("ideal", fluid="case2")).drawn == build_vehicle(drive_scenario("ideal")).drawn
-
-
-def test_deviations_do_not_disturb_each_other() -> None:
-    only_gain = replace(drive_scenario("ideal"), scatter=Scatter(torque_gain_ratio=0.015))
-    assert (
-        build_vehicle(only_gain).drawn["torque_gain_ratio"]
-        == build_vehicle(drive_scenario("ideal")).drawn["torque_gain_ratio"]
-    )
 
 
 def test_drawn_deviations_have_the_stated_spread() -> None:
@@ -125,13 +108,3 @@ def test_truth_overrides_reach_calibration_and_plant() -> None:
 def test_an_impossible_truth_is_named(truth: Truth, named: str) -> None:
     with pytest.raises(ConfigError, match=named):
         build_vehicle(replace(drive_scenario("noise_only"), truth=truth))
-
-
-def test_the_scatter_of_the_input_shafts_reaches_both() -> None:
-    scenario = replace(drive_scenario("ideal", seed=5), scatter=Scatter(input_shaft_inertia_ratio=0.01))
-    vehicle, nominal = build_vehicle(scenario), nominal_parameters()
-    factor = 1.0 + vehicle.drawn["input_shaft_inertia_ratio"]
-    assert factor != 1.0
-    for shaft, plain in zip(vehicle.parameters.shafts, nominal.shafts, strict=True):
-        assert shaft.clutch_inertia_kg_m2 == pytest.approx(factor * plain.clutch_inertia_kg_m2)
-        assert shaft.gear_inertia_kg_m2 == pytest.approx(factor * plain.gear_inertia_kg_m2)

@@ -11,7 +11,7 @@ from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.faults import Cause, CauseKind
 from ecu_emulator.scenario.scenario import Scenario
-from ecu_emulator.scenario.scenario_file import load_scenario, parse_scenario
+from ecu_emulator.scenario.scenario_file import load_scenario
 
 IDEAL = load_scenario("ideal")
 SOUND = build_vehicle(IDEAL)
@@ -36,22 +36,6 @@ def test_aged_fluid_is_in_both_clutches_and_takes_the_slope() -> None:
     assert aged.calibration.viscosity.a_pa_s < SOUND.calibration.viscosity.a_pa_s
 
 
-@pytest.mark.parametrize(
-    ("kind", "group", "name", "is_more"),
-    [
-        ("glazed-lining", "film", "permeability_m2", False),
-        ("glazed-lining", "friction", "mu_s", False),
-        ("worn-lining", "piston", "fill_stroke_m", True),
-        ("return-spring", "piston", "spring_preload_n", False),
-        ("dragging-clutch", "film", "open_gap_m", False),
-    ],
-)
-def test_some_causes_are_in_one_clutch(kind: str, group: str, name: str, is_more: bool) -> None:
-    faulty = built(f"{kind}:2:2")
-    assert ratio(faulty, 0, group, name) == 1.0
-    assert (ratio(faulty, 1, group, name) > 1.0) is is_more
-
-
 def test_causes_of_one_clutch_are_those_of_a_lock_up_clutch() -> None:
     car = load_scenario("lockup")
     for seed in range(4):  # of which some draw clutch 2
@@ -66,12 +50,6 @@ def test_causes_of_one_clutch_are_those_of_a_lock_up_clutch() -> None:
             assert [cause.clutch for cause in after.causes] == [1]
     with pytest.raises(ConfigError, match="has one clutch"):
         replace(car, causes=(Cause(kind=CauseKind.GLAZED_LINING, clutch=2),))
-
-
-def test_worn_lining_leaves_friction_alone_and_moves_the_touch_point() -> None:
-    first, second = (built("worn-lining:2:1").calibration.clutches, SOUND.calibration.clutches)
-    assert first[0].friction == second[0].friction
-    assert first[0].touch_pressure_pa > second[0].touch_pressure_pa + 5e3
 
 
 def test_hydraulics_and_sensors_err() -> None:
@@ -120,11 +98,6 @@ def test_every_cause_changes_the_car() -> None:
             SOUND.parameters,
             SOUND.sensors,
         )
-
-
-def test_a_scenario_file_has_causes() -> None:
-    text = 'name = "x"\n[[causes]]\nkind = "air"\nstrength = 1.5\ngrows_over_m = 5e6\n'
-    assert parse_scenario(text, "x").causes == (Cause(kind=CauseKind.AIR, strength=1.5, grows_over_m=5e6),)
 
 
 @pytest.mark.parametrize("said", ["rust", "air:much", "air:9", "air:1:2", "worn-lining:1:3", "air:1:0:4", "air,"])

@@ -8,7 +8,6 @@ import pytest
 
 from canlog.e2e import profile1
 from canlog.e2e.message_contract import message_contracts
-from clutch_model.calibration import shipped_calibration
 from clutch_model.units import rad_s_from_rpm
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
@@ -80,12 +79,3 @@ def test_the_truth_has_shudder_and_the_friction_at_each_slip() -> None:
     slip = float(rad_s_from_rpm(40.0)) - law.lock_band_rad_s
     expected = law.mu_c + (law.mu_s - law.mu_c) * np.exp(-slip / law.stribeck_speed_rad_s)
     assert at_slip[40] == pytest.approx(expected)
-
-
-def test_converters_differ_from_car_to_car_and_clutches_without_one_draw_none() -> None:
-    believed = shipped_calibration("lockup").converter
-    cars = [build_vehicle(replace(SCENARIO, vehicle_seed=seed)) for seed in range(40)]
-    stall = [car.calibration.converter.capacities_nm_s2[0] for car in cars if car.calibration.converter is not None]
-    assert believed is not None
-    assert np.std(stall) / believed.capacities_nm_s2[0] == pytest.approx(0.056, rel=0.4)
-    assert not any(name.startswith("converter") for name in build_vehicle(load_scenario("ideal")).drawn)

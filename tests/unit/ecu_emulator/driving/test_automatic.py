@@ -56,18 +56,6 @@ def test_no_energy_appears_or_gets_lost(audited: tuple[Trip, FloatArray]) -> Non
     assert balance.converter_j > balance.clutch_j > 0.0
 
 
-def test_half_the_step_changes_next_to_nothing(audited: tuple[Trip, FloatArray]) -> None:
-    coarse, fine = audited[1], trip(dt_s=1.25e-4).advance(COUNTRY.duration_s)
-    for column, most in ((Col.ENGINE_SPEED, 0.2), (Col.TURBINE_SPEED, 0.2), (Col.VEHICLE_SPEED, 0.01)):
-        assert np.abs(coarse[:, column] - fine[:, column]).max() < most
-
-
-def test_rows_do_not_depend_on_the_blocks_they_are_asked_for_in(audited: tuple[Trip, FloatArray]) -> None:
-    parts = trip()
-    cut = [parts.advance(duration_s) for duration_s in (0.001, 3.3, 7.0, 0.5, 60.0)]
-    assert np.array_equal(audited[1], np.concatenate(cut))
-
-
 def test_the_gears_go_up_and_down_and_the_turbine_turns_with_them(audited: tuple[Trip, FloatArray]) -> None:
     rows, ratios = audited[1], np.array([0.0, 4.696, 3.130, 2.104, 1.667, 1.285, 1.000, 0.839, 0.667]) * 3.15
     gears = rows[:, Col.CURRENT_GEAR].astype(int)
@@ -97,12 +85,6 @@ def test_it_stays_open_in_the_cold() -> None:
     assert rows[:, Col.SUMP_TEMPERATURE].max() < WARM_K - 50.0
     assert not rows[:, Col.LOCKUP_STATE].any()
     assert rows[:, Col.IMPELLER_TORQUE].max() > 50.0
-
-
-def test_a_standing_car_is_held_against_the_converter(audited: tuple[Trip, FloatArray]) -> None:
-    rows = audited[1][300:1000]
-    assert not rows[:, Col.VEHICLE_SPEED].any()
-    assert (rows[:, Col.IMPELLER_TORQUE] > 10.0).all()
 
 
 @pytest.mark.parametrize("fluid", [FluidCondition.IDEAL, FluidCondition.CASE_1])

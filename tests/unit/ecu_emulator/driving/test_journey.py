@@ -1,7 +1,5 @@
 """Trips become one stream of rows; the plant is a stand-in that rolls along and warms up."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -59,33 +57,12 @@ def driven(one: Journey, stretch_s: float) -> list[FloatArray]:
     return stretches
 
 
-@pytest.mark.parametrize("stretch_s", [0.001, 0.25, 0.7, 1.0, 60.0])
-def test_the_cutting_changes_nothing(stretch_s: float) -> None:
-    trips = (trip(1.5), trip(2.1, 30.0), trip(0.4))
-    rows = np.concatenate(driven(journey(*trips), stretch_s))
-    np.testing.assert_array_equal(rows, np.concatenate(driven(journey(*trips), 0.123)))
-    assert len(rows) == 4000
-
-
 def test_clock_and_way_go_on_and_the_car_stands_in_between() -> None:
     rows = np.concatenate(driven(journey(trip(1.5), trip(2.0, 30.0)), 10.0))
     np.testing.assert_array_equal(rows[:1500, Col.T_S], np.arange(1500) / 1000.0)
     np.testing.assert_array_equal(rows[1500:, Col.T_S], np.arange(31_500, 33_500) / 1000.0)
     assert np.diff(rows[:, Col.DISTANCE]).min() >= 0.0
     assert rows[-1, Col.DISTANCE] == pytest.approx(SPEED_M_S * 3.5, abs=0.03)
-
-
-def test_a_stretch_never_holds_two_trips() -> None:
-    one = journey(trip(1.5), trip(2.0), trip(1.0))
-    lengths, numbers, stays = [], [], []
-    while not one.finished:
-        lengths.append(len(one.advance(1.0)))
-        assert one.departure is not None
-        numbers.append(one.departure.number)
-        stays.append(one.is_parked)
-    assert lengths == [1000, 500, 1000, 1000, 1000]
-    assert numbers == [1, 1, 2, 2, 3]
-    assert stays == [False, True, False, True, True]
 
 
 def test_a_long_stay_is_left_out_but_cools_the_car_all_the_same() -> None:
@@ -117,19 +94,3 @@ def test_conditions_are_carried_from_trip_to_trip() -> None:
     )
     assert one.departure is not None
     assert one.departure.warmth.coolant_k == pytest.approx(START.coolant_k + 2.0, abs=3e-3)
-
-
-def test_an_endless_journey_is_driven_as_it_is_asked_for() -> None:
-    def endless() -> Iterator[PlannedTrip]:
-        while True:
-            yield trip(1.0, 5.0)
-
-    one = Journey(endless(), Rolling, START, AIR_K, np.inf)
-    assert [len(one.advance(1.0)) for _ in range(50)] == [1000] * 50
-    assert not one.finished
-
-
-def test_no_trips_no_rows() -> None:
-    one = journey()
-    assert one.finished
-    assert one.advance(1.0).shape == (0, len(Col))

@@ -17,11 +17,6 @@ def trace(**changes: FloatArray) -> SpeedTrace:
     return SpeedTrace(name="made up", **{**columns, **changes})
 
 
-def test_a_trace_knows_its_length_and_its_way() -> None:
-    assert trace().duration_s == 20.0
-    assert trace().distance_m == pytest.approx(150.0)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -37,8 +32,3 @@ def test_a_trace_knows_its_length_and_its_way() -> None:
 def test_what_is_no_trace_is_refused(changes: dict[str, FloatArray], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         trace(**changes)
-
-
-def test_a_single_point_is_no_trace() -> None:
-    with pytest.raises(ConfigError, match="two or more"):
-        trace(t_s=np.zeros(1), speed_m_s=np.zeros(1), grade_ratio=np.zeros(1))

@@ -5,7 +5,6 @@ import pytest
 
 from benchmarks.tolerance import share_within_tolerance
 from canlog.arrays import FloatArray
-from clutch_model.errors import DomainError
 from ecu_emulator.driving.indices import DriveState, EngineState
 from ecu_emulator.driving.trace import SpeedTrace
 from ecu_emulator.driving.trip import Trip
@@ -39,16 +38,6 @@ def test_the_car_keeps_to_its_trace_on_a_grade_heavily_loaded(grade_ratio: float
     assert share(road, driven(road, mass_kg=2000.0)) > 0.98
 
 
-def test_rows_do_not_depend_on_the_blocks_they_are_asked_for_in(audited: tuple[Trip, FloatArray]) -> None:
-    _, whole = audited
-    parts = trip(STOP_AND_GO, whim_ratio=0.5)
-    cut = [parts.advance(duration_s) for duration_s in (0.001, 3.3, 7.0, 0.5, 60.0, 1.0)]
-    assert np.array_equal(whole, np.concatenate(cut))
-    assert parts.finished
-    assert parts.time_s == STOP_AND_GO.duration_s
-    assert len(cut[-1]) == 0
-
-
 def test_no_energy_appears_or_gets_lost(audited: tuple[Trip, FloatArray]) -> None:
     whole, _ = audited
     balance = whole.power_balance
@@ -56,25 +45,6 @@ def test_no_energy_appears_or_gets_lost(audited: tuple[Trip, FloatArray]) -> Non
     assert abs(balance.heat_residual_ratio) < 1.0e-6
     assert balance.clutch_j > 5.0e3
     assert balance.brake_j > 4.0e4
-
-
-def test_a_trip_without_an_account_has_no_balance() -> None:
-    with pytest.raises(DomainError, match="audited"):
-        _ = trip(STOP_AND_GO).power_balance
-
-
-def test_half_the_step_gives_the_same_drive(audited: tuple[Trip, FloatArray]) -> None:
-    finer = trip(STOP_AND_GO, whim_ratio=0.5, dt_s=1.25e-4).advance(16.0)
-    _, whole = audited
-    rows = whole[: len(finer)]
-    assert np.abs(rows[:, Col.VEHICLE_SPEED] - finer[:, Col.VEHICLE_SPEED]).max() < 0.02
-    launching = rows[:, Col.DRIVE_STATE] == DriveState.LAUNCHING
-    assert np.abs(rows[launching, Col.HUB_SPEED] - finer[launching, Col.HUB_SPEED]).max() < 1.0
-
-
-def test_every_number_of_a_row_is_one(town: FloatArray, cold_town: FloatArray) -> None:
-    assert np.isfinite(town).all()
-    assert np.isfinite(cold_town).all()
 
 
 def test_the_held_car_stands_still_to_the_last_digit(town: FloatArray) -> None:
@@ -103,12 +73,6 @@ def test_oil_and_coolant_warm_up_as_the_engine_runs(cold_town: FloatArray) -> No
     assert 5.0 < coolant_k[-1] - COLD_K < 15.0
     assert 1.0 < oil_k[-1] - COLD_K < 8.0
     assert (np.diff(coolant_k) >= 0.0).all()
-
-
-def test_packs_begin_as_warm_as_the_oil() -> None:
-    rows = driven(trace((0, 0), (1, 0)), oil_k=380.0)
-    assert rows[0, Col.CLUTCH1_TEMPERATURE] == 380.0
-    assert rows[0, Col.CLUTCH2_TEMPERATURE] == 380.0
 
 
 def test_a_cold_open_clutch_drags_within_bounds(cold_town: FloatArray) -> None:

@@ -1,7 +1,7 @@
 """Trips, one after the other, and what becomes of a car that is parked in between."""
 
 from functools import cache
-from itertools import islice, pairwise
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -9,7 +9,6 @@ import pytest
 from ecu_emulator.driving.journey import (
     COOLANT_PARKED_TIME_CONSTANT_S,
     DAY_TRIPS,
-    NIGHT_S,
     OIL_PARKED_TIME_CONSTANT_S,
     PARKED_S,
     PlannedTrip,
@@ -48,13 +47,6 @@ def test_an_endless_drive_goes_on_without_being_parked(name: DriveName) -> None:
     assert same(first, endless[0])
 
 
-def test_city_trips_differ_from_each_other_and_from_seed_to_seed() -> None:
-    first, second = islice(trips(DriveName.CITY, 1, rounds=None), 2)
-    (other,) = trips(DriveName.CITY, 2)
-    assert not same(first, second)
-    assert not same(first, other)
-
-
 def test_a_day_has_several_trips_with_the_car_parked_in_between() -> None:
     for seed in range(8):
         assert DAY_TRIPS[0] <= len(day(seed)) <= DAY_TRIPS[1]
@@ -62,18 +54,6 @@ def test_a_day_has_several_trips_with_the_car_parked_in_between() -> None:
         assert all(PARKED_S[0] <= trip.parked_s <= PARKED_S[1] for trip in day(seed)[1:])
     kinds = {trip.trace.name for seed in range(8) for trip in day(seed)}
     assert kinds == {"city", "mixed", "motorway"}
-
-
-def test_the_same_seed_is_the_same_day_and_its_first_trips_those_of_an_endless_drive() -> None:
-    assert all(map(same, day(7), trips(DriveName.DAY, 7, rounds=None)))
-    assert not all(map(same, day(7), day(6)))
-
-
-def test_a_night_lies_between_two_days() -> None:
-    first_day = len(day(3))
-    endless = list(islice(trips(DriveName.DAY, 3, rounds=None), first_day + 3))
-    assert NIGHT_S[0] <= endless[first_day].parked_s <= NIGHT_S[1]
-    assert not any(same(one, other) for one, other in pairwise(endless))
 
 
 def test_a_parked_car_cools_down_to_the_air() -> None:
@@ -86,23 +66,6 @@ def test_a_parked_car_cools_down_to_the_air() -> None:
 
 def test_a_cold_car_warms_up_in_warm_air() -> None:
     assert 253.15 < cooled_k(253.15, 293.15, 3600.0, OIL_PARKED_TIME_CONSTANT_S) < 293.15
-
-
-def test_parking_twice_is_parking_once_for_longer() -> None:
-    once_k = cooled_k(363.15, 283.15, 5000.0, OIL_PARKED_TIME_CONSTANT_S)
-    first_k = cooled_k(363.15, 283.15, 2000.0, OIL_PARKED_TIME_CONSTANT_S)
-    assert cooled_k(first_k, 283.15, 3000.0, OIL_PARKED_TIME_CONSTANT_S) == pytest.approx(once_k)
-
-
-@pytest.mark.parametrize("name", [*CYCLES, DriveName.CITY])
-def test_a_drive_is_driven_as_often_as_asked_for(name: DriveName) -> None:
-    assert len(list(trips(name, 1, rounds=3))) == 3
-
-
-def test_two_days_are_a_day_and_another_one() -> None:
-    days = list(trips(DriveName.DAY, 5, rounds=2))
-    assert sum(trip.parked_s >= NIGHT_S[0] for trip in days) == 1
-    assert all(map(same, day(5), days))
 
 
 def test_the_shift_cycle_is_no_drive_on_the_road() -> None:

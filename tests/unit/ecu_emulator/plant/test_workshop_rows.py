@@ -5,9 +5,8 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
-from ecu_emulator.shift_control import tcu_data
 from ecu_emulator.truth import RevTruth, RevWatcher
-from tests.support.cycles import CYCLE_SHIFTS, FloatArray, powertrain, shifts
+from tests.support.cycles import FloatArray, powertrain
 
 ROUTINE = DriveSettings(open_revs=2, closed_revs=2)
 LONGEST_S = 80.0
@@ -70,21 +69,6 @@ def test_the_pressures_are_those_of_the_part(rows: FloatArray, revs: list[RevTru
             assert not is_stuck.any()
 
 
-def test_with_open_clutches_the_torque_accelerates_engine_and_hub(rows: FloatArray, revs: list[RevTruth]) -> None:
-    for rev in revs[:2]:
-        during = stretch(rows, rev)
-        drag_nm = during[:, [Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE]].sum(axis=1)
-        assert np.array_equal(drag_nm, during[:, [Col.VISCOUS1_TORQUE, Col.VISCOUS2_TORQUE]].sum(axis=1))
-        losses_nm = drag_nm + SIDE.hub_damping_nms_rad * during[:, Col.HUB_SPEED]
-        impulse_nms = integral(during, during[:, Col.ENGINE_TORQUE] - losses_nm)
-        momentum_nms = SIDE.engine_inertia_kg_m2 * during[:, Col.ENGINE_SPEED]
-        momentum_nms = momentum_nms + SIDE.hub_inertia_kg_m2 * during[:, Col.HUB_SPEED]
-        top = momentum_nms.argmax()
-        gained_nms = momentum_nms - momentum_nms[0]
-        assert impulse_nms[top] == pytest.approx(gained_nms[top], rel=1e-3)
-        assert np.abs(impulse_nms - gained_nms).max() < 1e-3 * gained_nms[top]
-
-
 def test_with_closed_clutches_it_accelerates_the_input_shafts_too(rows: FloatArray, revs: list[RevTruth]) -> None:
     for rev in revs[2:]:
         during = stretch(rows, rev)
@@ -105,34 +89,6 @@ def test_the_belief_about_the_input_shafts_is_true_of_the_nominal_plant() -> Non
     dampings = [shaft.clutch_damping_nms_rad + shaft.gear_damping_nms_rad for shaft in shafts]
     assert pytest.approx(inertias) == SIDE.input_shaft_inertias_kg_m2
     assert pytest.approx(dampings) == SIDE.input_shaft_dampings_nms_rad
-
-
-def test_after_the_routine_the_car_starts_and_drives_its_cycle(rows: FloatArray) -> None:
-    assert shifts(rows) == [(0, 1), *CYCLE_SHIFTS]
-    start = rows[rows[:, Col.ROUTINE] > tcu_data.CLOSED_REVS]
-    assert start[0, Col.VEHICLE_SPEED] == 0.0
-    assert 2.0 < start[-1, Col.VEHICLE_SPEED] < 4.0
-    # From the driver's seat: no wheelspin, no stalled engine, no flare.
-    assert start[:, Col.ENGINE_SPEED].min() > 60.0
-    assert start[:, Col.ENGINE_SPEED].max() < 200.0
-    assert np.abs(0.32 * start[:, Col.WHEEL_SPEED] - start[:, Col.VEHICLE_SPEED]).max() < 0.2
-    launch = start[start[:, Col.CURRENT_GEAR] == 0]
-    phases = launch[np.flatnonzero(np.diff(launch[:, Col.SHIFT_PHASE])) + 1, Col.SHIFT_PHASE]
-    assert phases.tolist() == [tcu_data.PREFILL, tcu_data.INERTIA, tcu_data.LOCK_UP]
-
-
-@pytest.mark.parametrize(("open_revs", "closed_revs"), [(1, 0), (0, 1)])
-def test_either_part_can_be_left_out(open_revs: int, closed_revs: int) -> None:
-    rows = powertrain(DriveSettings(open_revs=open_revs, closed_revs=closed_revs)).advance(12.0)
-    assert [rev.are_clutches_closed for rev in RevWatcher().feed(rows)] == [False] * open_revs + [True] * closed_revs
-    assert rows[-1, Col.CURRENT_GEAR] >= 1
-
-
-@pytest.mark.parametrize("oil_k", [313.15, 403.15])
-def test_cold_and_hot_oil_do_not_hold_the_routine_up(oil_k: float) -> None:
-    rows = powertrain(DriveSettings(open_revs=1, closed_revs=1, initial_oil_k=oil_k)).advance(16.0)
-    assert len(RevWatcher().feed(rows)) == 2
-    assert rows[-1, Col.CURRENT_GEAR] >= 1
 
 
 @pytest.mark.usefixtures("rows")

@@ -54,14 +54,6 @@ def test_a_perfect_sensor_reads_the_row_of_the_send_instant() -> None:
     assert reading.values["hub_speed_rad_s"] == pytest.approx(rows[1::10, Col.HUB_SPEED], abs=0.0)
 
 
-def test_a_message_that_is_not_due_is_not_read() -> None:
-    assert read(made_up_rows(5), schedule("pedal_ratio", cycle_ms=100, phase_ms=50)) == []
-
-
-def test_no_rows_no_readings() -> None:
-    assert read(made_up_rows(1)[:0], schedule("pedal_ratio")) == []
-
-
 def test_gain_and_offset() -> None:
     rows = made_up_rows(30)
     sensor = Sensor(gain_ratio=1.1, offset=-4.0)
@@ -173,12 +165,6 @@ def test_a_ripple_within_the_crank_segment_averages_out() -> None:
     assert np.ptp(reading.values["engine_speed_rad_s"][2:]) < 0.05 * 18.0
 
 
-def test_engine_speed_before_the_drive_was_steady() -> None:
-    rows = made_up_rows(2)
-    (reading,) = read(rows, schedule("engine_speed_rad_s"))
-    assert reading.values["engine_speed_rad_s"][0] == pytest.approx(200.0, rel=1e-9)
-
-
 def test_a_nearly_stalled_engine_has_the_mean_over_the_longest_time() -> None:
     crank = CrankSpeed(SEGMENT_RAD)
     speed_rad_s = np.full(1000, 1.0)
@@ -209,11 +195,6 @@ def test_only_measurable_columns_reach_the_readings() -> None:
 def test_every_quantity_has_a_sensor_or_is_a_state() -> None:
     assert set(NOMINAL_SENSORS) | STATES == QUANTITIES
     assert not set(NOMINAL_SENSORS) & STATES
-
-
-def test_an_unknown_quantity_is_refused() -> None:
-    with pytest.raises(ConfigError, match="clutch1_torque_nm"):
-        read(made_up_rows(1), schedule("clutch1_torque_nm"))
 
 
 @pytest.mark.parametrize(

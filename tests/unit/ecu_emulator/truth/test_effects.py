@@ -9,9 +9,8 @@ import pytest
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, ClutchCalibration, nominal_calibration
 from clutch_model.pack import film_law
-from ecu_emulator.bus.bus_faults import FrameLoss
 from ecu_emulator.bus.frames import EncodedFrames, merge
-from ecu_emulator.drive.build import BuiltVehicle, affected_calibration, affected_parameters, build_vehicle
+from ecu_emulator.drive.build import BuiltVehicle, build_vehicle
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.clutch import friction_ratio, grooved
@@ -128,19 +127,6 @@ def test_an_effect_on_the_plant_changes_its_number_only(effect: str, value: floa
     assert vehicle.calibration == NOMINAL
 
 
-def test_an_effect_of_the_bus_leaves_the_vehicle_alone() -> None:
-    plain = build_vehicle(drive_scenario())
-    for effects in (
-        Effects(engine_speed_is_sampled=True),
-        Effects(motoring_torque_ratio=0.9),
-        Effects(least_cycle_ms=20),
-        Effects(frame_loss_ratio=0.05),
-    ):
-        assert affected_calibration(NOMINAL, effects) == NOMINAL
-        assert affected_parameters(PARAMETERS, effects) == PARAMETERS
-        assert build_vehicle(replace(drive_scenario(), effects=effects)) == plain
-
-
 def test_without_effects_nothing_is_switched_on() -> None:
     assert Effects().switched_on() == {}
     assert Effects(viscosity_ratio=1.25, engine_speed_is_sampled=True).switched_on() == {
@@ -164,20 +150,6 @@ def test_a_scenario_file_switches_effects_on() -> None:
         'name = "odd"\n[effects]\nleast_cycle_ms = 20\nengine_speed_is_sampled = true\nviscosity_ratio = 1.25', "text"
     )
     assert scenario.effects == Effects(least_cycle_ms=20, engine_speed_is_sampled=True, viscosity_ratio=1.25)
-
-
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("grooves = 2.0", "effects.grooves is unknown"),
-        ("engine_speed_is_sampled = 1", "effects.engine_speed_is_sampled must be true or false"),
-        ("least_cycle_ms = 12.5", "effects.least_cycle_ms must be a whole number"),
-        ("frame_loss_ratio = 0.7", "effects.frame_loss_ratio must be 0..0.5"),
-    ],
-)
-def test_a_scenario_file_is_checked(line: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        parse_scenario(f'name = "odd"\n[effects]\n{line}', "text")
 
 
 def test_friction_fades_with_the_heat_of_the_pack() -> None:
@@ -228,12 +200,3 @@ def test_lost_frames_are_lost_and_the_others_untouched() -> None:
     plain, lossy = frames_with(DRIVE_S), frames_with(DRIVE_S, frame_loss_ratio=0.05)
     assert keys(lossy) < keys(plain)
     assert len(lossy) / len(plain) == pytest.approx(0.95, abs=0.02)
-
-
-def test_the_loss_does_not_depend_on_the_cut() -> None:
-    assert keys(frames_with(DRIVE_S, frame_loss_ratio=0.05)) == keys(frames_with(0.25, frame_loss_ratio=0.05))
-
-
-def test_without_loss_the_frames_pass_unseen() -> None:
-    frames = frames_with(DRIVE_S)
-    assert FrameLoss(0.0, 1).surviving(frames) is frames

@@ -120,26 +120,6 @@ def test_slip_that_has_not_begun_does_not_come_back(size: int) -> None:
     assert event.is_locked
 
 
-@pytest.mark.parametrize("size", [1, 7, 250, 499, 500, 501, 1600])
-def test_the_cutting_changes_nothing(size: int) -> None:
-    watcher = EventWatcher()
-    chunks = [LAUNCH[start : start + size] for start in range(0, len(LAUNCH), size)]
-    (event,) = (event for chunk in chunks for event in watcher.feed(chunk))
-    whole = only(LAUNCH)
-    assert event.slip_energy_j == pytest.approx(whole.slip_energy_j, rel=1e-12)
-    for name in EventTruth.__slots__:
-        if not name.endswith("energy_j"):
-            assert getattr(event, name) == getattr(whole, name)
-
-
-def test_events_that_follow_each_other_at_once_are_two() -> None:
-    rows = with_event(with_event(quiet_rows(1000), 100, 400, EventKind.CREEP, 1), 400, 700, EventKind.LAUNCH, 2)
-    assert [(event.number, event.event, event.t_start_s, event.t_end_s) for event in EventWatcher().feed(rows)] == [
-        (1, "creep", 0.1, 0.4),
-        (2, "launch", 0.4, 0.7),
-    ]
-
-
 def test_an_event_that_becomes_another_kind_has_its_last_name() -> None:
     rows = with_event(quiet_rows(600), 100, 300, EventKind.CREEP)
     rows[200:300, Col.EVENT_KIND] = EventKind.LAUNCH
@@ -154,13 +134,3 @@ def test_an_event_cut_off_by_the_end_of_a_trip_is_told_once() -> None:
     assert watcher.finish() == []
     (following,) = watcher.feed(LAUNCH)
     assert following.number == 2
-
-
-def test_no_rows_no_events() -> None:
-    assert EventWatcher().feed(quiet_rows(1)[:0]) == []
-    assert EventWatcher().feed(quiet_rows(100)) == []
-
-
-@pytest.mark.parametrize("kind", [kind for kind in EventKind if kind is not EventKind.NONE])
-def test_every_kind_has_a_name(kind: EventKind) -> None:
-    assert only(with_event(quiet_rows(100), 10, 20, kind)).event == kind.name.lower()

@@ -105,14 +105,6 @@ def test_a_shift_whose_target_changes_on_the_way_leads_where_it_ends() -> None:
     assert (shift.from_gear, shift.to_gear, shift.clutch) == (6, 4, 2)
 
 
-def test_no_shift_no_truth() -> None:
-    assert ShiftWatcher().feed(made_up_rows(300)) == []
-
-
-def test_a_start_from_neutral_is_no_shift() -> None:
-    assert ShiftWatcher().feed(with_shift(made_up_rows(600), 100, 400, 0, 1)) == []
-
-
 def test_revs_are_told_apart_and_say_whether_the_clutches_are_closed() -> None:
     rows = with_revs(made_up_rows(1000), [(100, 200, OPEN_REVS), (200, 300, OPEN_REVS), (500, 700, CLOSED_REVS)])
     assert RevWatcher().feed(rows) == [
@@ -217,8 +209,3 @@ def test_a_foreign_file_is_no_truth(tmp_path: Path, content: str) -> None:
     path.write_text(content, encoding="utf-8")
     with pytest.raises(RecordError, match="is not a truth file"):
         read_truth(path)
-
-
-def test_a_missing_truth_is_one_clear_error(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match="cannot read truth"):
-        read_truth(tmp_path / "x.jsonl")

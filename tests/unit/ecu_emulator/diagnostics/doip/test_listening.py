@@ -2,7 +2,6 @@
 
 import pytest
 
-from ecu_emulator.answering.answering_tester import place_text
 from ecu_emulator.diagnostics.doip.listening import parse_place
 from ecu_emulator.diagnostics.table_file import parse_table
 from ecu_emulator.errors import ConfigError
@@ -22,13 +21,6 @@ from tests.support.uds.full_table import full_text
 )
 def test_a_port_alone_means_this_machine(text: str, place: str) -> None:
     assert str(parse_place(text)) == place
-
-
-def test_whoever_can_be_reached_by_others_is_exposed() -> None:
-    assert "warning: anyone who can reach 0.0.0.0:13400 can ask" in place_text(
-        "DoIP on", "0.0.0.0:13400", is_exposed=True
-    )
-    assert place_text("DoIP on", "127.0.0.1:13400", is_exposed=False) == "DoIP on 127.0.0.1:13400"
 
 
 @pytest.mark.parametrize(
@@ -62,8 +54,3 @@ def test_an_entity_that_cannot_be_is_named(line: str, message: str) -> None:
     rest = after[after.index("[timing]") :]
     with pytest.raises(ConfigError, match=message):
         parse_table(f"{before}[doip]\n{line}\n{rest}", "table")
-
-
-def test_a_table_need_not_speak_of_it() -> None:
-    before, _, after = full_text().partition("[doip]")
-    assert parse_table(before + after[after.index("[timing]") :], "table").doip.logical_address == 0x1011

@@ -18,59 +18,6 @@ def desk() -> Desk:
     return desk
 
 
-@pytest.mark.parametrize(
-    ("sent", "told"),
-    [
-        ("02fd 0005 00000007 0e00 00 00000000", "02fd0006000000090e0010111000000000"),
-        ("03fc 0005 00000007 0e00 00 00000000", "03fc0006000000090e0010111000000000"),
-        ("03fc 0005 0000000b 0fff 01 00000000 12345678", "03fc0006000000090fff10111000000000"),
-        ("03fc 0005 00000007 0dff 00 00000000", "03fc0006000000090dff10110000000000"),
-        ("03fc 0005 00000007 0e00 e0 00000000", "03fc0006000000090e0010110600000000"),
-        ("03fc 0005 00000007 0001 e0 00000000", "03fc000600000009000110110000000000"),  # who comes before what
-        ("03fc 0005 00000008 0e00 00 00000000 00", "03fc00000000000104"),
-        ("03fb 0005 00000007 0e00 00 00000000", "03fc00000000000100"),
-        ("04fb 0005 00000007 0e00 00 00000000", "03fc00000000000100"),
-        ("ff00 0005 00000007 0e00 00 00000000", "03fc00000000000100"),
-        ("02fd 0001 00000000", "02fd00000000000101"),  # for datagrams only
-        ("03fc 4001 00000000", "03fc00000000000101"),
-        ("03fc 8001 00010001", "03fc00000000000102"),
-        ("03fc 8001 00000004 0e00 1011", "03fc00000000000104"),
-        ("03fc 8001 00000006 0e00 1011 3e00", "03fc80030000000710110e00023e00"),  # not activated
-        ("03fc 0007 00000000", "03fc0008000000021011"),
-        ("03fc 0008 00000002 0e00", ""),
-        ("03fc 0000 00000001 00", ""),  # a refusal is not refused
-    ],
-)
-def test_a_new_connection_is_told(sent: str, told: str) -> None:
-    desk = Desk()
-    desk.open(1)
-    assert desk.put(1, bytes.fromhex(sent)) == told
-
-
-def test_a_message_may_come_in_any_pieces(desk: Desk) -> None:
-    stream = request("22f190") + request("3e00")
-    told = desk.put(1, *(stream[place : place + 1] for place in range(len(stream))))
-    assert told == "03fc80020000000810110e000022f190" + "03fc80020000000710110e00003e00"
-    assert [ask.payload.hex() for ask in desk.asked] == ["22f190", "3e00"]
-
-
-def test_requests_to_all_are_marked(desk: Desk) -> None:
-    assert desk.put(1, request("3e00", target=0xE400)) == "03fc800200000007e4000e00003e00"
-    assert desk.asked[0].is_functional
-    assert desk.respond(1, b"\x7e\x00") == "03fc80010000000610110e007e00"  # the answer has the controller's own address
-
-
-@pytest.mark.parametrize(
-    ("data", "target", "code"), [("3e00", 0x1012, "03"), ("22" * 4096, 0x1011, "04"), ("3e00", 0xE000, "03")]
-)
-def test_a_request_that_cannot_be_taken_is_refused_and_the_next_one_is_heard(
-    desk: Desk, data: str, target: int, code: str
-) -> None:
-    assert desk.put(1, request(data, target=target))[16:26] == f"{target:04x}0e00{code}"
-    assert desk.put(1, request("3e00"))[16:26] == "10110e0000"
-    assert len(desk.asked) == 1
-
-
 def test_what_is_too_long_is_passed_over_and_the_rest_is_heard(desk: Desk) -> None:
     long = bytes.fromhex("03fc80010fffffff")
     assert desk.put(1, long) == "03fc00000000000102"
@@ -80,18 +27,6 @@ def test_what_is_too_long_is_passed_over_and_the_rest_is_heard(desk: Desk) -> No
         left -= 60_000
     assert desk.step.sockets[1].skip_bytes == left
     assert desk.step.sockets[1].received == b""
-
-
-def test_another_source_than_the_activated_one_ends_the_connection(desk: Desk) -> None:
-    assert desk.put(1, request("3e00", tester=0x0E01) + request("3e00")) == "03fc80030000000710110e01023e00"
-    assert desk.closed == [1]
-    assert not desk.asked
-
-
-def test_an_activation_is_repeated_but_not_for_another(desk: Desk) -> None:
-    assert desk.put(1, activation())[24:26] == ACTIVATED
-    assert desk.put(1, activation(0x0E01))[24:26] == OTHER_SOURCE
-    assert desk.closed == [1]
 
 
 def test_so_many_requests_may_wait(desk: Desk) -> None:

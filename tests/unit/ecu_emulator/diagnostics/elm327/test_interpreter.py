@@ -93,10 +93,6 @@ def test_an_automatic_adapter_searches_once_and_then_names_the_protocol() -> Non
     assert adapter.say("0100")[0] == "SEARCHING..."
 
 
-def test_a_search_finds_a_vehicle_that_has_not_what_is_asked() -> None:
-    assert Adapter().say("0102") == ["SEARCHING...", "NO DATA"]
-
-
 def test_a_search_finds_nobody() -> None:
     adapter = Adapter()
     adapter.bench.state = replace(adapter.bench.state, asleep_until_s=1e9)
@@ -152,10 +148,6 @@ def test_a_long_answer_with_headers_is_its_frames() -> None:
         "7E921" + VIN[3:10].hex().upper(),
         "7E922" + VIN[10:].hex().upper(),
     ]
-
-
-def test_an_odd_digit_says_how_many_answers_are_awaited() -> None:
-    assert Adapter("ATSP6").say("010C1") == ["41 0C 0C AF "]
 
 
 def test_an_empty_line_repeats_the_last() -> None:
@@ -274,7 +266,3 @@ def test_what_comes_later_is_awaited() -> None:
     shown = adapter.take("31 01 03 01")
     assert (shown.lines, shown.awaited) == (("7F 31 78 ",), 0x31)
     assert adapter.lines(b"\x71\x01\x03\x01") == ("71 01 03 01 ",)
-
-
-def test_monitoring_is_begun() -> None:
-    assert Adapter().interpreter.take("AT MA").monitors
