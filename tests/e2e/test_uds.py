@@ -102,23 +102,3 @@ def test_a_sensor_that_fails_in_two_drives_is_a_confirmed_code(tmp_path: Path) -
     assert told[1]["snapshots"] == {"071164": [1, 2]}
     assert json.loads(out)["diagnostics"]["confirmed"] == ["P0711"]
     assert "confirmed trouble codes: P0711\n" in err
-
-
-@pytest.mark.parametrize(
-    ("content", "option", "status", "message"),
-    [
-        ("{", "--diagnostic-memory", 4, "is damaged (not JSON); move it away to begin with an empty memory"),
-        ('name = "x"', "--diagnostics", 2, "access is missing: a table that says who may use what"),
-    ],
-)
-def test_a_file_that_cannot_be_used_ends_the_program_in_one_line(
-    tmp_path: Path, content: str, option: str, status: int, message: str
-) -> None:
-    path = tmp_path / "file"
-    path.write_text(content, encoding="utf-8")
-    words = [sys.executable, "-m", "ecu_emulator", "run", "-i", "virtual", "-c", "uds"]
-    words += ["--diagnostics", f"{option}", str(path)] if option != "--diagnostics" else [option, str(path)]
-    told = subprocess.run(words, check=False, capture_output=True, text=True, timeout=HANG_S)
-    assert (told.returncode, told.stderr.count("\n")) == (status, 1)
-    assert told.stderr.startswith("ecu-emulator: error: ")
-    assert message in told.stderr

@@ -14,15 +14,15 @@ from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.doip.streams import MORE_CONNECTIONS
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.state import Reply, ServerState
+from ecu_emulator.diagnostics.state import ServerState
 from ecu_emulator.errors import BusError
 from tests.support.doip.desk import activation, framed, request
+from tests.support.doip.streams import run_on_sockets
 from tests.support.doip.tester import Tester, entity
 from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 from tests.support.uds.full_table import full_table
 from tests.support.uds.wire import Wire
-from tests.tools.doip_streams import run_on_sockets
 
 EVERYBODY = "127.255.255.255"
 
@@ -71,22 +71,6 @@ def test_periodic_data_go_to_the_tester_who_holds_the_session() -> None:
         assert one.ask("2a 03 00") == "6a"
         assert [one.response()[:2] for _ in range(3)] == ["00"] * 3
         assert other.ask("22 f1 86") == "62 f1 86 01"
-
-
-def test_periodic_data_begin_after_the_response_that_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The controller sends as soon as it is asked; the response comes first, however long its thread waits."""
-    with entity() as (controller, server), Tester(server.place.port) as one:
-        assert one.ask("10 03").startswith("50 03")
-        consider = controller.consider
-
-        def consider_late(request: bytes, *, is_functional: bool, client: int) -> Reply:
-            reply = consider(request, is_functional=is_functional, client=client)
-            time.sleep(0.1)  # a held-up thread: ten ticks
-            return reply
-
-        monkeypatch.setattr(controller, "consider", consider_late)
-        assert one.ask("2a 03 00") == "6a"
-        assert one.response()[:2] == "00"
 
 
 def test_testers_on_can_and_over_ip_share_a_controller_and_not_their_answers() -> None:

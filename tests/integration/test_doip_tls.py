@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-import diag_service
 from ecu_emulator.answering.answers import Answers
 from ecu_emulator.diagnostics.doip.listening import TlsNode, tls_node
 from ecu_emulator.diagnostics.doip.server import DoipServer
@@ -64,21 +63,6 @@ def test_a_node_that_another_authority_knows_is_not_asked(node: DoipServer, fold
     ended(*words, folder / "other.crt").assert_one_line(3, "certificate verify failed")
     ended(*words, folder / "ca.key").assert_one_line(2, "is no certificate")
     ended(*words, folder / "missing").assert_one_line(2, "cannot read authority")
-
-
-def test_python_asks_by_tls_as_well(node: DoipServer, folder: Path) -> None:
-    def asked(authority: str) -> list[str]:
-        place = f"127.0.0.1:{tls_port(node)}"
-        with diag_service.UdsTester(
-            doip=place, doip_authority=folder / authority, ecu=0x1011, is_active=True, timeout_s=HANG_S
-        ) as tester:
-            return [code.code for code in tester.trouble_codes(has_details=False)]
-
-    assert asked("ca.crt") == ["P0811"]
-    with pytest.raises(diag_service.ControllerError, match="certificate verify failed"):
-        asked("other.crt")
-    with pytest.raises(diag_service.ConfigError, match="cannot read authority"):
-        asked("missing")
 
 
 def test_a_tester_that_is_refused_hears_it_by_tls_and_the_entity_ends_the_connection(node: DoipServer) -> None:

@@ -205,28 +205,6 @@ def test_what_cannot_be_is_told(bus: can.BusABC, options: dict[str, Any], text: 
         diag_service.UdsTester(bus, **options)
 
 
-def test_questions_that_cannot_be_are_told(bus: can.BusABC) -> None:
-    tester = diag_service.UdsTester(bus)
-    with pytest.raises(diag_service.ConfigError, match="mask must be 0 to FF"):
-        tester.trouble_codes(0x100)
-    with pytest.raises(diag_service.ConfigError, match="session must be 0 to 7F"):
-        tester.data("F190", session=0x80)
-    with pytest.raises(diag_service.ConfigError, match="takes start, stop, results, got 'go'"):
-        tester.routine("0302", "go")
-    with pytest.raises(diag_service.ConfigError, match="options are for the start"):
-        tester.routine("0302", "stop", options=b"\x01")
-    with pytest.raises(diag_service.ConfigError, match=r"patience_s must be 0\.001 to 3600 s, got 0"):
-        tester.routine("0302", "start", patience_s=0.0)
-    with pytest.raises(diag_service.ConfigError, match="group must be all, obd, a code such as P0811"):
-        tester.clear_trouble_codes("oil")
-    with pytest.raises(diag_service.ConfigError, match="a security level is odd"):
-        tester.routine("0302", "start", unlock=(2, b"\x01"))
-    with pytest.raises(diag_service.ConfigError, match="no identifier from 7E1 to 7E0"):
-        diag_service.scan_controllers(bus, first=0x7E1, last=0x7E0)
-    with pytest.raises(diag_service.ConfigError, match="last must be 0 to FF"):
-        diag_service.scan_controllers(bus, last=0x100, is_extended=True)
-
-
 async def test_codes_are_asked_for_while_the_bus_is_diagnosed(car: Vehicle, tmp_path: Path) -> None:
     store = tmp_path / "car.sqlite"
     async with diag_service.diagnose(

@@ -18,8 +18,8 @@ from ecu_emulator.diagnostics.state import Reply, ServerState
 from ecu_emulator.diagnostics.table import Addressing, Transport
 from tests.support.patience import HANG_S
 from tests.support.uds.full_table import full_table
+from tests.support.uds.streams import run
 from tests.support.uds.wire import ALL_ID, RESPONSE_ID, Wire, parked_controller
-from tests.tools.uds_streams import run
 
 VIN = b"\x62\xf1\x90WDCTEMUL3TED00047"
 
@@ -87,17 +87,6 @@ def test_periodic_data_begin_after_the_response_that_says_so(monkeypatch: pytest
         wire.put("03 2a 02 00")
         assert wire.get() == "01 6a"
         assert wire.get_periodic() == "00 0c af 00 00 00 ff"
-
-
-def test_blocks_of_a_long_request_are_asked_for(wire: Wire) -> None:
-    request = b"\x2e\xf1\x98" + bytes(200)
-    wire.put(bytes([0x10, len(request)]) + request[:6])
-    rest = [request[place : place + 7] for place in range(6, len(request), 7)]
-    for number, piece in enumerate(rest):
-        if number % 8 == 0:
-            assert wire.get().startswith("30 08 00")
-        wire.put(bytes([0x20 | (number + 1) % 16]) + piece)
-    assert wire.get().startswith("03 7f 2e 7f")
 
 
 def test_more_than_4095_bytes_are_refused(wire: Wire) -> None:

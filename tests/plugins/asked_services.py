@@ -32,7 +32,6 @@ ADAPTERS: Final = "diag_service.tester.adapters"  # says dialogues on a bus of t
 SETUP: Final = b"AT"  # of the adapter itself: nothing of that reaches the car
 DIAGNOSTIC_MESSAGE: Final = 0x8001
 TESTERS: Final = range(0x0E00, 0x1000)  # ISO 13400-2: logical addresses of testers
-KEY: Final = "services asked for"
 _NAMES: Final = {GROUP_REQUEST: "J1939"}
 
 
@@ -116,7 +115,6 @@ def sent_by_us(request: pytest.FixtureRequest) -> Iterator[SentByUs]:
         patch.setattr(os, "write", _watched(os.write, sent.note_line, lambda name: name == ADAPTERS))
         patch.setattr(socket.socket, "send", _watched(socket.socket.send, sent.note_over_ip, bool))
         yield sent
-    request.node.user_properties.append((KEY, (dict(sent.services), sent.byte_count)))
     sent.check(may_define=mark.kwargs.get("may_define", False))
 
 
@@ -131,32 +129,3 @@ def _watched(
         return send(to, what, *others, **more)
 
     return watched
-
-
-class Total:
-    """What all tests that asked have sent."""
-
-    def __init__(self) -> None:
-        self.services: Counter[int] = Counter()
-        self.test_count, self.byte_count = 0, 0
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Add what one test sent."""
-        told: Any = dict(report.user_properties).get(KEY) if report.when == "teardown" else None
-        if told is not None:
-            self.test_count += 1
-            self.byte_count += told[1]
-            self.services.update({int(one): count for one, count in told[0].items()})
-
-    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """Tell it."""
-        if self.test_count:
-            told = (
-                f"{self.test_count} tests sent {self.byte_count} bytes, requests by service: {text_of(self.services)}"
-            )
-            terminalreporter.write_line(f"asking for signals: {told}")
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """Add them up."""
-    config.pluginmanager.register(Total(), "clutchdiag-asked-services")

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.doip.desk import activation, framed, request
-from tests.tools.doip_streams import Figures, compare_datagram, compare_stream, run
+from tests.support.doip.streams import Figures, compare_datagram, compare_stream, run
 
 TYPES = st.sampled_from([0, 1, 2, 3, 4, 5, 6, 7, 8, 0x4001, 0x4003, 0x8001, 0x8002, 0x8003]) | st.integers(0, 0xFFFF)
 MESSAGES = st.one_of(

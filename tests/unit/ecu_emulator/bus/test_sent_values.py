@@ -146,24 +146,6 @@ class Sent:
         self.messages.append(message)
 
 
-def test_a_tester_silences_the_controller_and_nobody_else() -> None:
-    bus = Sent()
-    answering = Answering(bus, table="", memory=None, doip=None, is_fd=False)
-    tcu, ecm = frames("TCU_Temperature", sump_temperature_k=350.0)[0], frames("ECM_TorqueSpeed")[0]
-    answering.controller.ask(b"\x10\x03")
-    assert answering.controller.ask(b"\x28\x01\x01") == b"\x7f\x28\x88"  # who knows how fast it is
-    answering.send(frames("BRK_Vehicle", vehicle_speed_m_s=0.0)[0])
-    bus.messages.clear()
-    assert answering.controller.ask(b"\x28\x01\x01") == b"\x68\x01"
-    for message in (tcu, ecm):
-        answering.send(message)
-    assert bus.messages == [ecm]
-    assert answering.controller.ask(b"\x22\x02\x06") == b"\x62\x02\x06\x75"  # 77 degC: it still knows
-    answering.controller.ask(b"\x10\x01")
-    answering.send(tcu)
-    assert bus.messages == [ecm, tcu]
-
-
 def test_a_controller_whose_vehicle_has_not_begun_is_busy_with_what_it_will_know_and_answers_the_rest() -> None:
     answering = Answering(Sent(), table="", memory=None, doip=None, is_fd=False)
 

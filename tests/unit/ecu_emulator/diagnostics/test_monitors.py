@@ -296,9 +296,7 @@ def test_a_fault_of_a_drive_is_found(quantity: str, kind: SensorFaultKind, size:
     assert failed_on_drive("ideal", SensorFault(quantity=quantity, kind=kind, size=size, start_s=5.0))[code] >= 5
 
 
-@pytest.mark.parametrize(
-    ("clutch", "size_pa", "start_s"), [(1, -3e5, 0.0), (2, 2e5, 5.0), (1, -1.2e5, 7.7), (1, 6e5, 3.0)]
-)
+@pytest.mark.parametrize(("clutch", "size_pa", "start_s"), [(1, -3e5, 0.0), (2, 2e5, 5.0), (1, 6e5, 3.0)])
 def test_a_biased_sensor_fails_no_other_code_on_a_drive_whenever_it_begins(
     clutch: int, size_pa: float, start_s: float
 ) -> None:
@@ -340,9 +338,8 @@ def failed_with_converter(
     return failures(sensed(merge([one.frames for one in stretches]), "lockup"), CONVERTER_LIMITS)
 
 
-@pytest.mark.parametrize("fluid", [FluidCondition.IDEAL, FluidCondition.CASE_2])
-def test_a_sound_automatic_fails_nothing_even_where_it_shudders(fluid: FluidCondition) -> None:
-    count = failed_with_converter(fluid=fluid, length_s=260.0)
+def test_a_sound_automatic_fails_nothing_even_where_it_shudders() -> None:
+    count = failed_with_converter(fluid=FluidCondition.CASE_2, length_s=260.0)
     assert set(count) >= {"P0741", "P0742", "P2757", "P2758", "P0841", "P0715", "P0731", "P0735", "P0780", "P0711"}
     assert not {"P0811", "P0746", "P0846", "P2787"} & set(count)
     assert {code: number for code, number in count.items() if number} == {}

@@ -24,11 +24,11 @@ def test_without_scatter_the_vehicle_is_the_nominal_one() -> None:
 
 def test_drawn_deviations_have_the_stated_spread() -> None:
     scatter = production_scatter()
-    drawn = [build_vehicle(drive_scenario("ideal", seed=seed)).drawn for seed in range(200)]
+    drawn = [build_vehicle(drive_scenario("ideal", seed=seed)).drawn for seed in range(80)]
     for name, deviations in {key: np.array([one[key] for one in drawn]) for key in drawn[0]}.items():
         std = getattr(scatter, name.removeprefix("clutch1_").removeprefix("clutch2_"))
-        assert np.std(deviations) == pytest.approx(std, rel=0.2), name
-        assert abs(np.mean(deviations)) <= 4.0 * std / np.sqrt(200), name
+        assert np.std(deviations) == pytest.approx(std, rel=0.35), name
+        assert abs(np.mean(deviations)) <= 4.0 * std / np.sqrt(80), name
 
 
 def test_each_deviation_reaches_its_place() -> None:

@@ -20,28 +20,12 @@ def test_a_cycle_has_ten_shifts(rows: FloatArray) -> None:
     assert shifts(rows) == CYCLE_SHIFTS
 
 
-def test_a_row_is_recorded_every_millisecond(rows: FloatArray) -> None:
-    assert rows.shape[1] == len(Col)
-    assert np.array_equal(rows[:, Col.T_S], np.arange(len(rows)) * 1e-3)
-    assert np.isfinite(rows).all()
-
-
 def test_a_drive_ends_and_stays_ended(driven_cycle: tuple[Powertrain, FloatArray]) -> None:
     assert not powertrain(NOMINAL).finished
     train, rows = driven_cycle
     assert train.finished
     assert train.time_s == len(rows) / 1000.0
     assert train.advance(1.0).shape == (0, len(Col))
-
-
-def test_a_car_that_never_reaches_the_next_shift_ends_its_drive() -> None:
-    train = powertrain(DriveSettings(seed=10, pedal_ratio=0.25, vary_ratio=0.05))
-    last_s = 0.0
-    while not train.finished and last_s < 600.0:
-        train.advance(10.0)
-        last_s = train.time_s
-    assert train.finished
-    assert train.endless_shift.startswith("no shift begins: gear 5 for 300 s")
 
 
 def test_the_same_seed_gives_the_same_drive_to_the_bit() -> None:

@@ -79,10 +79,10 @@ def test_lag_follows_a_step_exponentially() -> None:
 
 
 def test_noise_has_the_stated_standard_deviation_and_is_white() -> None:
-    rows = made_up_rows(200_000)
+    rows = made_up_rows(50_000)
     (reading,) = read(rows, schedule("engine_torque_nm"), sensors={"engine_torque_nm": Sensor(noise_std=3.0)})
     noise = reading.values["engine_torque_nm"] - rows[::10, Col.ENGINE_TORQUE]
-    assert noise.std() == pytest.approx(3.0, rel=0.03)
+    assert noise.std() == pytest.approx(3.0, rel=0.06)
     assert abs(noise.mean()) < 4.0 * 3.0 / np.sqrt(noise.size)
     assert abs(np.mean(noise[1:] * noise[:-1])) / noise.var() < 4.0 / np.sqrt(noise.size)
 
@@ -94,16 +94,6 @@ def test_the_noise_of_a_quantity_does_not_depend_on_other_quantities() -> None:
         rows, schedule("engine_torque_nm"), schedule("input1_speed_rad_s", "hub_speed_rad_s"), sensors=NOMINAL_SENSORS
     )
     assert np.array_equal(alone.values["hub_speed_rad_s"], among.values["hub_speed_rad_s"])
-
-
-def test_quantities_and_seeds_have_noise_of_their_own() -> None:
-    rows = made_up_rows(300)
-    rows[:, Col.INPUT1_SPEED] = rows[:, Col.HUB_SPEED]
-    both = schedule("hub_speed_rad_s", "input1_speed_rad_s")
-    (first,) = read(rows, both, sensors=NOMINAL_SENSORS, seed=1)
-    (second,) = read(rows, both, sensors=NOMINAL_SENSORS, seed=2)
-    assert not np.array_equal(first.values["hub_speed_rad_s"], first.values["input1_speed_rad_s"])
-    assert not np.array_equal(first.values["hub_speed_rad_s"], second.values["hub_speed_rad_s"])
 
 
 def test_nothing_is_available_until_the_sender_has_started() -> None:

@@ -69,30 +69,6 @@ def test_an_upshift_waits_for_speed_dwell_and_gear() -> None:
     assert controller.memory[tcu_data.TARGET_GEAR] == 3
 
 
-def test_preselection_waits_for_an_empty_clutch_and_goes_through_neutral() -> None:
-    controller = Controller()
-    controller.put_gear(0, 1)
-    controller.sense[tcu_data.FILL] = 0.9
-    controller.run()
-    assert controller.commands[tcu_data.WANTED_GEAR] == 1
-    controller.sense[tcu_data.FILL] = 0.5
-    controller.run()
-    assert controller.commands[tcu_data.WANTED_GEAR] == 0
-    controller.put_gear(0, 0)
-    controller.run(29)
-    assert controller.commands[tcu_data.WANTED_GEAR] == 0
-    controller.run()
-    assert controller.commands[tcu_data.WANTED_GEAR] == 3
-
-
-def test_a_coasting_car_preselects_the_lower_gear() -> None:
-    controller = Controller()
-    controller.memory[tcu_data.IS_DRIVING] = 0.0
-    assert tcu.next_gear(controller.memory, CYCLES) == 1
-    controller.memory[tcu_data.CURRENT_GEAR] = 1
-    assert tcu.next_gear(controller.memory, CYCLES) == 0
-
-
 def test_prefill_stops_at_the_touch_point_once_full() -> None:
     controller = Controller()
     controller.enter(tcu_data.PREFILL)
@@ -134,37 +110,3 @@ def test_the_slip_reference_goes_smoothly_to_zero_and_beyond() -> None:
     assert rate == pytest.approx(-1.5 * 80.0 / 0.42)
     assert tcu.slip_reference(0.42 + 0.2, 80.0, 0.42, CONTROL) == pytest.approx((-5.0, -25.0))
     assert tcu.slip_reference(0.42 + 2.0, -80.0, 0.42, CONTROL) == pytest.approx((12.0, 0.0))
-
-
-def test_the_inertia_phase_retards_the_spark_on_upshifts_only() -> None:
-    for target, expected in ((3, 0.55), (1, 1.0)):
-        controller = Controller()
-        controller.commands[tcu_data.SPARK] = 1.0
-        controller.enter(tcu_data.INERTIA, target)
-        controller.memory[tcu_data.START_SLIP] = controller.sense[tcu_data.SLIP] = 60.0
-        controller.run(200)
-        assert controller.commands[tcu_data.SPARK] == pytest.approx(expected, abs=1e-3)
-
-
-def test_a_locked_clutch_ends_the_inertia_phase_and_the_ramp_ends_the_shift() -> None:
-    controller = Controller()
-    controller.enter(tcu_data.INERTIA)
-    controller.memory[tcu_data.START_SLIP] = 60.0
-    controller.sense[tcu_data.IS_LOCKED] = 1.0
-    controller.run(22)
-    assert controller.memory[tcu_data.PHASE] == tcu_data.LOCK_UP
-    assert controller.commands[tcu_data.SPARK] == 1.0
-    controller.run(251)
-    assert controller.memory[tcu_data.PHASE] == tcu_data.HOLD
-    assert controller.memory[tcu_data.CURRENT_GEAR] == 3
-    assert controller.memory[tcu_data.DWELL] < 0.01
-
-
-def test_the_last_cycle_ends_the_drive_some_time_after_first_gear() -> None:
-    controller = Controller(gear=1)
-    controller.memory[tcu_data.IS_DRIVING] = 0.0
-    controller.memory[tcu_data.DWELL] = 1.19
-    controller.run(5)
-    assert controller.memory[tcu_data.IS_FINISHED] == 0.0
-    controller.run(10)
-    assert controller.memory[tcu_data.IS_FINISHED] == 1.0

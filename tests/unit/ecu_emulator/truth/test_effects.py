@@ -1,13 +1,12 @@
 """Effects that the service's model lacks: each changes what it should and nothing else."""
 
-from collections.abc import Callable
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
-from clutch_model.calibration import Calibration, ClutchCalibration, nominal_calibration
+from clutch_model.calibration import nominal_calibration
 from clutch_model.pack import film_law
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.drive.build import BuiltVehicle, build_vehicle
@@ -26,11 +25,6 @@ NOMINAL = nominal_calibration()
 PARAMETERS = nominal_parameters()
 HOT_K = 363.15
 DRIVE_S = 4.0
-
-
-def with_clutches(change: Callable[[ClutchCalibration], ClutchCalibration]) -> Calibration:
-    first, second = (change(clutch) for clutch in NOMINAL.clutches)
-    return replace(NOMINAL, clutches=(first, second))
 
 
 def scenario_with(**effects: float) -> Scenario:
@@ -60,44 +54,28 @@ def keys(frames: EncodedFrames) -> set[tuple[float, int, bytes]]:
 
 
 @pytest.mark.parametrize(
-    ("effect", "value", "expected"),
+    ("effect", "value", "place", "ratio"),
     [
-        (
-            "stribeck_speed_ratio",
-            1.5,
-            with_clutches(lambda one: replace(one, friction=replace(one.friction, stribeck_speed_rad_s=9.0))),
-        ),
-        (
-            "contact_stiffness_ratio",
-            0.5,
-            with_clutches(lambda one: replace(one, film=replace(one.film, contact_stiffness_pa=1.5e6))),
-        ),
-        (
-            "piston_area_ratio",
-            1.01,
-            with_clutches(
-                lambda one: replace(
-                    one, geometry=replace(one.geometry, piston_area_m2=one.geometry.piston_area_m2 * 1.01)
-                )
-            ),
-        ),
-        (
-            "spring_force_n",
-            30.0,
-            with_clutches(
-                lambda one: replace(
-                    one, piston=replace(one.piston, spring_preload_n=one.piston.spring_preload_n + 30.0)
-                )
-            ),
-        ),
-        ("viscosity_ratio", 1.25, replace(NOMINAL, viscosity=replace(NOMINAL.viscosity, a_pa_s=1.55e-4 * 1.25))),
+        ("stribeck_speed_ratio", 1.5, "friction.stribeck_speed_rad_s", 1.5),
+        ("contact_stiffness_ratio", 0.5, "film.contact_stiffness_pa", 0.5),
+        ("piston_area_ratio", 1.01, "geometry.piston_area_m2", 1.01),
     ],
 )
-def test_an_effect_on_the_clutch_changes_its_number_only(effect: str, value: float, expected: Calibration) -> None:
-    vehicle = vehicle_with(**{effect: value})
-    assert vehicle.calibration == expected
+def test_an_effect_on_the_clutch_changes_its_number_only(effect: str, value: float, place: str, ratio: float) -> None:
+    vehicle, (part, name) = vehicle_with(**{effect: value}), place.split(".")
+    for changed, nominal in zip(vehicle.calibration.clutches, NOMINAL.clutches, strict=True):
+        before, after = getattr(nominal, part), getattr(changed, part)
+        assert getattr(after, name) == pytest.approx(ratio * getattr(before, name))
+        assert replace(changed, **{part: replace(after, **{name: getattr(before, name)})}) == nominal
     assert vehicle.parameters == PARAMETERS
-    assert vehicle.sensors == build_vehicle(drive_scenario()).sensors
+
+
+def test_another_spring_or_viscosity_changes_that_only() -> None:
+    for changed, nominal in zip(vehicle_with(spring_force_n=30.0).calibration.clutches, NOMINAL.clutches, strict=True):
+        piston = replace(nominal.piston, spring_preload_n=nominal.piston.spring_preload_n + 30.0)
+        assert changed == replace(nominal, piston=piston)
+    thicker = replace(NOMINAL.viscosity, a_pa_s=NOMINAL.viscosity.a_pa_s * 1.25)
+    assert vehicle_with(viscosity_ratio=1.25).calibration == replace(NOMINAL, viscosity=thicker)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,6 @@
-"""Random and hostile DoIP streams beside a second reading of the standard: ``python -m tests.tools.doip_streams``."""
+"""Random and hostile DoIP streams beside a second reading of the standard."""
 
-import argparse
 import random
-import sys
-import time
 from dataclasses import dataclass, field
 
 from ecu_emulator.diagnostics.doip.messages import datagram_reply
@@ -144,27 +141,3 @@ def run_on_sockets(*, count: int, seed: int) -> int:
                     pass  # the entity has hung up on it
                 answered += tester.ask("22 f1 90").startswith("62 f1 90")
     return answered
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--streams", type=int, default=100_000)
-    parser.add_argument("--sockets", type=int, default=5_000, help="streams that go over real connections")
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    began_s = time.perf_counter()
-    figures = run(count=options.streams, seed=options.seed)
-    print(
-        f"{figures.streams} streams ({figures.closed} closed), {figures.datagrams} datagrams, {figures.answers} "
-        f"answers, {figures.requests} requests taken, {len(figures.disagreements)} disagreements with the book, "
-        f"{time.perf_counter() - began_s:.0f} s"
-    )
-    for text in figures.disagreements[:10]:
-        print(text)
-    answered = run_on_sockets(count=options.sockets, seed=options.seed)
-    print(f"{options.sockets} streams on sockets, a tester answered after {answered} of them")
-    return int(bool(figures.disagreements) or answered != options.sockets)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

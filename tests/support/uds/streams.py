@@ -1,9 +1,6 @@
-"""Hostile ISO-TP streams, after each of which a request must be answered: ``python -m tests.tools.uds_streams``."""
+"""Hostile ISO-TP streams, after each of which a request must be answered."""
 
-import argparse
 import random
-import sys
-import time
 from dataclasses import dataclass
 
 from tests.support.uds.wire import ALL_ID, REQUEST_ID, Wire
@@ -91,22 +88,3 @@ def _repeated(wire: Wire) -> int | None:
                 return repeated
             wire.put("32 00 00")
     return None
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--streams", type=int, default=20_000)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    began_s = time.perf_counter()
-    figures = run(count=options.streams, seed=options.seed)
-    print(
-        f"{figures.streams} streams, {figures.frames} frames, {figures.responses} responses, "
-        f"{figures.dropped} requests dropped in floods, {figures.repeated} questions repeated, "
-        f"{figures.unanswered} requests unanswered after a stream, {time.perf_counter() - began_s:.0f} s"
-    )
-    return int(figures.unanswered > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
