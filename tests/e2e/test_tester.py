@@ -1,4 +1,4 @@
-"""The tester against controllers that share no code with ours, as processes on the same bus: scapy's, gallia's."""
+"""The tester against a controller that shares no code with ours, as a process on the same bus: scapy's."""
 
 import subprocess
 import sys

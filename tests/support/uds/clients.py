@@ -187,29 +187,3 @@ def step(pair: Pair, client: RandomClient) -> None:
         pair.cycle()
     else:
         pair.restart()
-
-
-def codes_step(pair: Pair, client: RandomClient) -> None:
-    """Let one thing happen to trouble codes: results, cycles, clears, restarts, and what is read of them."""
-    random, code = client.random, client.random.choice(client.codes[:3])
-    kind = random.random()
-    if kind < 0.45:
-        pair.sample(code, random.choice((*RESULTS, "passed", "passed")))
-    elif kind < 0.55:
-        pair.cycle()
-    elif kind < 0.65:
-        pair.warm_up()
-    elif kind < 0.68:
-        for _ in range(random.choice((3, 10, 44))):  # many good drives
-            pair.warm_up()
-            pair.sample(code, "passed")
-            pair.cycle()
-    elif kind < 0.70:
-        pair.restart()
-    elif kind < 0.73:
-        pair.ask(b"\x14" + random.choice((0xFFFFFF, code)).to_bytes(3, "big"), bytes(16))
-    elif kind < 0.75:
-        pair.ask(random.choice((b"\x10\x03", b"\x85\x02", b"\x85\x01", b"\x10\x01")), bytes(16))
-    else:
-        report = random.choice((b"\x19\x02\xff", b"\x19\x03", b"\x19\x14", b"\x19\x04", b"\x19\x06"))
-        pair.ask(report + (code.to_bytes(3, "big") + b"\xff" if report[1] in {4, 6} else b""), bytes(16))

@@ -1,6 +1,5 @@
 """Every service of docker-compose.yml says when it is well, what it may use and how much of its log is kept."""
 
-import json
 import os
 import re
 import socket
@@ -104,12 +103,6 @@ def test_a_file_that_grows_old_is_not_well(name: str, age_s: float | None, tmp_p
     assert (done.returncode == 0) == is_well
 
 
-def test_the_services_health_check_asks_where_it_serves() -> None:
-    command = SERVICES["service"]["command"]
-    address = command[command.index("--metrics") + 1]
-    assert f"http://{address}/readyz" in json.dumps(SERVICES["service"]["healthcheck"]["test"])
-
-
 def said_by(name: str, folder: Path, *, replaced: dict[str, str], **environment: str) -> tuple[int, str]:
     """Run the script of a service, with a stand-in for mosquitto that tells its configuration."""
     *shell, script = SERVICES[name]["command"]
@@ -154,12 +147,6 @@ def test_the_broker_has_one_port_everywhere() -> None:
     text = (ROOT / "docker-compose.yml").read_text(encoding="utf-8")
     settings = [line for line in text.splitlines() if not line.startswith("#")]
     assert [line for line in settings if "1883" in line and "${BROKER_PORT:-1883}" not in line] == []
-
-
-def test_the_page_is_asked_where_it_is_served() -> None:
-    command = SERVICES["page"]["command"]
-    address = command[command.index("--listen") + 1]
-    assert f"http://{address}/" in json.dumps(SERVICES["page"]["healthcheck"]["test"])
 
 
 def test_the_image_runs_as_a_number_that_is_not_root() -> None:
