@@ -29,7 +29,7 @@ class TroubleCodes(RuleBasedStateMachine):
     def sample(self, code: int, result: str) -> None:
         self.pair.sample(code, result)
 
-    @rule(code=CODES, is_warm=st.booleans(), count=st.sampled_from([1, 1, 1, 2, 3, 42]))
+    @rule(code=CODES, is_warm=st.booleans(), count=st.sampled_from([1, 1, 1, 2, 3, 44]))
     def good_drives(self, code: int, *, is_warm: bool, count: int) -> None:
         for _ in range(count):
             if is_warm:
