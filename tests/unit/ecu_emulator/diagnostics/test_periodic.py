@@ -56,3 +56,14 @@ def test_rates_that_cannot_be_kept_are_refused(wrong: dict[str, float]) -> None:
     right = {"response_id": 0x5E9, "slow_s": 1.0, "medium_s": 0.2, "fast_s": 0.05, "most": 8}
     with pytest.raises(ConfigError):
         Periodic(**{**right, **wrong})  # type: ignore[arg-type]  # numbers of both kinds
+
+
+def test_there_is_a_limit_of_how_many_at_once(bench: Bench) -> None:
+    for low in range(0x10, 0x19):
+        assert bench.ask(f"2c 01 f2 {low:02x} 01 02 01 01") == f"6c 01 f2 {low:02x}"
+    assert bench.ask("2a 03 10 11 12 13 14 15 16 17 18") == "7f 2a 31"
+    assert bench.sent(0.1) == []
+    assert bench.ask("2a 03 10 11 12 13 14 15 16 17") == "6a"
+    assert bench.ask("2a 03 18") == "7f 2a 31"
+    assert bench.ask("2a 01 10") == "6a"
+    assert len(bench.sent(0.03)) == 8
