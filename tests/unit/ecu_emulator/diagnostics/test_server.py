@@ -210,3 +210,9 @@ def test_a_service_may_need_security() -> None:
     assert [bench.ask(request) for request in ("85 02", "28 03 01")] == ["7f 85 33", "7f 28 33"]
     bench.unlock()
     assert [bench.ask(request) for request in ("85 02", "28 03 01")] == ["c5 02", "68 03"]
+
+
+def test_a_routine_that_the_vehicle_never_ends_is_stopped(bench: Bench) -> None:
+    bench.unlock()
+    bench.ask("31 01 03 01 04 04")
+    assert bench.wait(300.0) == "71 01 03 01 02"
