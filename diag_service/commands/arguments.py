@@ -18,7 +18,7 @@ from clutchdiag_io.command_line import (
     Program,
 )
 from clutchdiag_io.program import attached
-from diag_service.settings.options import BUS, CONFIG, DELIVERY, JSON, MEANING, PAGE, POLL, PROGRAM, VARIABLES
+from diag_service.settings.options import BUS, CONFIG, DELIVERY, JSON, MEANING, POLL, PROGRAM, VARIABLES
 
 DEFAULT_LIMIT_S: Final = 600.0  # an hour of a bus takes half a minute
 _LAKE: Final = click.Argument(
@@ -116,11 +116,10 @@ def _output(text: str, *, required: bool = False) -> Option:
 _RUN: Final = Command(
     "run",
     "diagnose a live bus",
-    *(*BUS, *MEANING, CONFIG, *DELIVERY, *PAGE, *POLL, _JSON_LINES, VERBOSE),
+    *(*BUS, *MEANING, CONFIG, *DELIVERY, *POLL, _JSON_LINES, VERBOSE),
     variables=VARIABLES,
     examples=(
         f"{PROGRAM} run -i socketcan -c can0 --vehicle car1",
-        f"{PROGRAM} run -i socketcan -c can0 --vehicle car1 --page 8080",
         f"{PROGRAM} run -i socketcan -c can0 --vehicle car1 --poll 60 --active",
         f"{PROGRAM} run -i socketcan -c can0 --broker mqtts://car1@fleet.example --store car1.sqlite --metrics 9464",
         f"{PROGRAM} run --config car1.toml --json",
@@ -149,7 +148,7 @@ _MONITOR: Final = Command(
 _CHECK: Final = Command(
     "check",
     "check the settings and print what a run would use, secrets masked",
-    *(*BUS, *MEANING, CONFIG, *DELIVERY, *PAGE, *POLL, _JSON_LINES, VERBOSE),
+    *(*BUS, *MEANING, CONFIG, *DELIVERY, *POLL, _JSON_LINES, VERBOSE),
     variables=VARIABLES,
     examples=(f"{PROGRAM} config check --config car1.toml",),
 )

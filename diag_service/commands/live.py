@@ -4,7 +4,6 @@ import asyncio
 import logging
 import sys
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
@@ -20,9 +19,8 @@ from diag_service.console import PeopleConsole
 from diag_service.mapping.interpretation import asked_database
 from diag_service.service import bus_run
 from diag_service.service.live import close_in_time
-from diag_service.service.onlookers import LiveRun
 from diag_service.service.stopping import Controls, Trigger
-from diag_service.settings.config import BusConfig, ListenAddress, bus_config, default_store, diagnosis_config
+from diag_service.settings.config import BusConfig, bus_config, default_store, diagnosis_config
 from diag_service.settings.options import SETTINGS
 
 LOOK_PERIOD_S: Final = 0.25
@@ -30,20 +28,12 @@ NS_PER_S: Final = 1e9
 Show = Callable[[str], object]
 
 
-def _open_page(address: ListenAddress, run: LiveRun) -> AbstractContextManager[str]:
-    from diag_service.report.live_page import opened_page  # noqa: PLC0415 - templates and pictures, for few runs
-
-    return opened_page(address, run)
-
-
 def run(options: SimpleNamespace, controls: Controls) -> None:
     """Diagnose the bus until it is told to stop."""
     diagnosis = diagnosis_config(options)
     bus = bus_config(options)
     store = options.store or default_store(diagnosis.vehicle)
-    bus_run.run_bus(
-        diagnosis, bus, store, controls, as_json=options.json, is_detailed=options.verbose > 0, open_page=_open_page
-    )
+    bus_run.run_bus(diagnosis, bus, store, controls, as_json=options.json, is_detailed=options.verbose > 0)
 
 
 def monitor(options: SimpleNamespace, controls: Controls) -> None:

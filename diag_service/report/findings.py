@@ -24,7 +24,6 @@ from diag_service.diagnosis.summary import (
 from diag_service.errors import StoppedError
 from diag_service.service.drive import open_drive, stream_of_drive
 from diag_service.service.drive_survey import DriveSurvey
-from diag_service.service.onlookers import Example, own_samples
 from diag_service.service.recorded import STOPPED_TEXT, replay, warn_of_slow_messages
 from diag_service.service.session import Session, versions_for
 from diag_service.service.stopping import Trigger
@@ -35,6 +34,14 @@ from fleet_contract import CLUTCHES
 from fleet_contract.orders import Order, title_of
 
 _SHOWN: Final = (Status.VALID, Status.REJECTED, Status.UNOBSERVED)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Example:
+    """A shift with its signals."""
+
+    event: Event
+    result: ShiftResult
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,7 +96,9 @@ class Album:
         """Look at a shift; of those that are alike the first is kept."""
         kept = self._kept.get(result.estimate.status)
         if kept is None or _worth(result) > _worth(kept.result):
-            self._kept[result.estimate.status] = Example(event=own_samples(event), result=result)
+            # samples of its own: those of the stream are written over
+            columns = {signal: series.copy() for signal, series in event.columns.items()}
+            self._kept[result.estimate.status] = Example(event=replace(event, columns=columns), result=result)
 
     @property
     def examples(self) -> tuple[Example, ...]:

@@ -29,7 +29,7 @@ from diag_service.diagnosis.summary import (
     values_line,
 )
 from diag_service.errors import StoreError
-from diag_service.report.findings import Findings, moment_words
+from diag_service.report.findings import Example, Findings, moment_words
 from diag_service.report.history import outlook_of
 from diag_service.report.pictures import (
     MOST_MOMENTS,
@@ -45,7 +45,6 @@ from diag_service.report.pictures import (
     shift_picture,
     trend_picture,
 )
-from diag_service.service.onlookers import Example
 from diag_service.store import Row
 from fleet_contract import JsonObject
 from fleet_contract.orders import SHOWN_AS, Order, title_of

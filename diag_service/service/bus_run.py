@@ -28,7 +28,6 @@ from diag_service.diagnosis.summary import frames_line, shifts_line
 from diag_service.errors import ConfigError
 from diag_service.service.application import opened_store, outbox_of, reporter_of
 from diag_service.service.live import run_live
-from diag_service.service.onlookers import LastShifts, LiveRun, OpenPage
 from diag_service.service.session import Session
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.service.stopping import Controls
@@ -155,16 +154,13 @@ def run_bus(
     *,
     as_json: bool,
     is_detailed: bool = False,  # text for specialists
-    open_page: OpenPage,
 ) -> None:
-    """Diagnose a live bus until it is told to stop; a page that is wanted is opened meanwhile."""
+    """Diagnose a live bus until it is told to stop."""
     decoder = config.interpretation().decoder()
     with opened_store(config, store_path, keeps_results=True) as store:
         reporter = DetachedReporter(reporter_of(controls.stop, as_json=as_json, is_detailed=is_detailed))
-        shifts = LastShifts()
-        witness = (lambda *_: None) if bus.page is None else shifts.add
-        session = Session(config, decoder, store, None, reporter, witness=witness)
-        asyncio.run(_run_bus(config, bus, store, session, controls, shifts=shifts, open_page=open_page))
+        session = Session(config, decoder, store, None, reporter)
+        asyncio.run(_run_bus(config, bus, store, session, controls))
 
 
 def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> None:
@@ -199,9 +195,6 @@ async def _run_bus(
     session: Session,
     controls: Controls,
     onlooker: Callable[[Snapshot], None] = lambda _: None,
-    *,
-    shifts: LastShifts | None = None,  # that a page shows
-    open_page: OpenPage | None = None,
 ) -> None:
     source, schedule = await open_live(bus, session)
     session.reporter.report(f"{source.description} for {config.vehicle}, results in {store.where}")
@@ -226,16 +219,6 @@ async def _run_bus(
 
             port = stack.enter_context(serving(bus.metrics, board))
             _LOG.log(NOTICE, "metrics on http://%s:%d/metrics", bus.metrics.host, port)
-        if bus.page is not None and shifts is not None and open_page is not None:
-            run = LiveRun(
-                vehicle=config.vehicle,
-                source=source.description,
-                store=store.where,
-                calibration=config.calibration,
-                board=board,
-                shifts=shifts,
-            )
-            _LOG.log(NOTICE, "page on %s", stack.enter_context(open_page(bus.page, run)))
         manager.ready()
         outbox = outbox_of(config, store, session, is_live=True)
         async with AsyncExitStack() as asks:

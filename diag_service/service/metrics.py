@@ -1,10 +1,15 @@
 """A live run for machines: Prometheus metrics and health checks over HTTP, in threads of their own."""
 
+import logging
+import socket
+import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
 from http import HTTPStatus
+from socketserver import ThreadingMixIn
 from typing import Any, Final
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 from wsgiref.types import StartResponse, WSGIEnvironment
 
 from prometheus_client import CollectorRegistry, make_wsgi_app
@@ -16,12 +21,14 @@ from clutchdiag_io.metrics import Told, counter, gauge, histogram
 from diag_service.diagnosis.condition.shift_quality import ENERGY_BOUNDS_J
 from diag_service.diagnosis.records import Condition, ShiftResult, Status
 from diag_service.diagnosis.summary import newest_causes
+from diag_service.errors import ConfigError
 from diag_service.service.session import Stage
 from diag_service.service.snapshot import Board, Snapshot
-from diag_service.service.web import serving_web
 from diag_service.settings.config import ListenAddress
 from fleet_contract import CLUTCHES
 
+CLIENT_TIMEOUT_S: Final = 5.0
+_LOG = logging.getLogger(__name__)
 _CLUTCH_LABELS: Final = ("vehicle", "clutch")
 _COEFFICIENTS: Final = ("mu_c", "mu_s")  # a label: as parts of names "_c" and "_s" would read as units
 _OF_ESTIMATES: Final = (  # name of the metric, part of the verdict, its field with the coefficient for the braces, help
@@ -167,6 +174,28 @@ def _one_of(states: Any, present: Any) -> dict[str, float]:  # noqa: ANN401 - an
     return {state.name.lower(): float(state is present) for state in states}
 
 
+class _Server(ThreadingMixIn, WSGIServer):
+    """A thread per request, so that a client that stalls holds up nobody."""
+
+    daemon_threads = True
+    block_on_close = False
+
+
+class _Server6(_Server):
+    """The same on an IPv6 address."""
+
+    address_family = socket.AF_INET6
+
+
+class _Handler(WSGIRequestHandler):
+    """Requests are no news."""
+
+    timeout = CLIENT_TIMEOUT_S
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002 - the name that the library gave it
+        _LOG.debug(format, *args)
+
+
 @contextmanager
 def serving(address: ListenAddress, board: Board) -> Iterator[int]:
     """Serve ``/metrics``, ``/livez``, ``/readyz`` while entered; yield the port. Raises ConfigError where it cannot."""
@@ -187,5 +216,16 @@ def serving(address: ListenAddress, board: Board) -> Iterator[int]:
         start_response(f"{status.value} {status.phrase}", [("Content-Type", "text/plain; charset=utf-8")])
         return [f"{status.phrase}\n".encode()]
 
-    with serving_web(address, answer, "metrics") as port:
-        yield port
+    kind = _Server6 if ":" in address.host else _Server
+    try:
+        server = make_server(address.host, address.port, answer, kind, _Handler)
+    except OSError as exc:
+        raise ConfigError(f"cannot serve metrics on {address.host}:{address.port}: {exc.strerror or exc}") from exc
+    thread = threading.Thread(target=server.serve_forever, name="metrics", daemon=True)
+    thread.start()
+    try:
+        yield server.server_port
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()

@@ -120,7 +120,6 @@ class Session:
         utc_now: Callable[[], str] = utc_now,  # the clock of a live stream
         max_pending_count: int = MAX_PENDING_COUNT,  # results in memory while the disk is full
         survey: "type[DriveSurvey] | None" = None,
-        witness: Callable[[Event, ShiftResult], None] = lambda *_: None,  # sees signals that nobody stores
     ) -> None:
         self.vehicle, self._versions = config.vehicle, versions_for(config.calibration)
         state, memory = resume(store, self.vehicle, self._versions, config.calibration)
@@ -130,7 +129,6 @@ class Session:
         self._store = store
         self.reporter = reporter
         self._stream = stream
-        self._witness = witness
         self._utc_now = utc_now
         self.statistics = ShiftStatistics()
         self._loads: Mapping[int, Load] = {}
@@ -162,7 +160,6 @@ class Session:
             self._report(known, is_new=False)
             return
         result, state = self._diagnose(event)
-        self._witness(event, result)
         self._pending.append((result, state))
         try:
             self._store_pending()

@@ -99,7 +99,6 @@ class BusConfig:
     duration_s: float | None
     is_filtered: bool = False  # whether the kernel discards what no mapped signal needs
     metrics: ListenAddress | None = None  # where to serve metrics and health checks
-    page: ListenAddress | None = None  # where to show the run to browsers, on this machine
     poll: PollConfig | None = None  # None: trouble codes are not asked for
     asks: bool = False  # whether signals are asked for that the profile says are to be
     adapter: str | None = None  # through which, in place of a bus; what is said there is said on the named one as well
@@ -188,19 +187,10 @@ def bus_config(options: SimpleNamespace) -> BusConfig:
         duration_s=options.duration,
         is_filtered=options.only_mapped,
         metrics=parse_listen_address(options.metrics) if options.metrics else None,
-        page=_page(getattr(options, "page", None)),
         poll=_poll(options),
         asks=getattr(options, "active", False),
         adapter=adapter,
     )
-
-
-def _page(port: int | None) -> ListenAddress | None:
-    if port is None:
-        return None
-    if not 0 <= port <= 0xFFFF:
-        raise ConfigError(f"the page's port must be 0 to 65535, got {port}")
-    return ListenAddress(host=_LOOPBACK, port=port)
 
 
 def _poll(options: SimpleNamespace) -> PollConfig | None:

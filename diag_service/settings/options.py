@@ -123,7 +123,6 @@ BUS: Final = (
     Setting("--duration S", "stop after this many seconds", FLOAT),
     Setting("--metrics [HOST:]PORT", "serve /metrics, /livez and /readyz there (default: nowhere)"),
 )
-PAGE: Final = (Setting("--page PORT", "show the run to browsers on this machine there (default: nowhere)", INT),)
 POLL: Final = (
     Setting(
         "--poll [S]",
@@ -152,7 +151,7 @@ POLL: Final = (
 CONFIG: Final = Setting(
     "--config FILE", "TOML file with settings, see 'config check'", FILE, is_eager=True, callback=_read_elsewhere
 )
-SETTINGS: Final[Mapping[str, Setting]] = {option.name: option for option in (*MEANING, *DELIVERY, *BUS, *PAGE, *POLL)}
+SETTINGS: Final[Mapping[str, Setting]] = {option.name: option for option in (*MEANING, *DELIVERY, *BUS, *POLL)}
 
 
 def read_settings(file: Path) -> dict[str, Any]:

@@ -24,9 +24,7 @@ _PARAMETERS: Final = (
     ),
     Parameter(name="seq", text="position in the stream", kind=ParameterType.COUNT, is_required=True),
 )
-_SIGNALS: Final = (
-    "The fleet keeps no signals of single events; diag-service report shows those of a log, run --page those of a run."
-)
+_SIGNALS: Final = "The fleet keeps no signals of single events; diag-service report shows those of a log."
 _QUANTITIES: Final = (
     ("mu_C, at high slip", "mu_c", "std_mu_c", "{:.4f}"),
     ("mu_S, at no slip", "mu_s", "std_mu_s", "{:.4f}"),

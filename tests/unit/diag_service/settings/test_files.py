@@ -39,7 +39,6 @@ VALUES: dict[str, str | int | float | bool] = {
     "parser_time": 60,
     "duration": 12.5,
     "metrics": "9100",
-    "page": 8080,
     "poll": 30.0,
     "adapter": "elm327:/dev/rfcomm0",
     "active": True,
