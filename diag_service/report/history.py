@@ -140,7 +140,7 @@ def outlook_of(found: Findings, population: Population | None = None) -> str:
     for clutch in sorted({result.estimate.clutch for result in found.results}):
         past, peers = history_of(found.results, found.fills, clutch), None
         if population is not None:
-            vehicle_type = population.name_of(found.calibration.name, found.versions.calibration)
+            vehicle_type = found.calibration.name
             fluid = found.fills[-1].product if found.fills else None
             past, peers = without(past, population.common.get(vehicle_type)), population.of(vehicle_type, fluid)
         outlooks.append(prognose(clutch, past, found.calibration.clutches[clutch - 1].friction, peers=peers))

@@ -35,7 +35,6 @@ from ecu_emulator.shift_control.touch_points import TouchPoint
 
 FORMAT: Final = 1
 MOST_PRESSURE_PA: Final = 1e7  # what a file may say of a touch point
-RETIRED: Final = {0x089700}  # P0897 of earlier programs, which nothing tests any more
 _EMISSIONS: Final = ("warm_ups", "cleared_at_m", "lamp_at_m", "is_driven", "driven_cycles")
 _COUNTERS: Final = ("occurrences", "failed_cycles", "passed_cycles", "aged_cycles")
 
@@ -178,9 +177,7 @@ def _digits(kept: tuple[tuple[int, bytes], ...]) -> list[tuple[int, str]]:
 
 
 def _state(document: Mapping[str, Any], table: DiagnosticTable) -> ServerState:
-    retired = RETIRED - table.troubles.keys()
-    codes = {int(code, 16): entry for code, entry in document["codes"].items()}
-    records = {number: _record(entry) for number, entry in codes.items() if number not in retired}
+    records = {int(code, 16): _record(entry) for code, entry in document["codes"].items()}
     written = {int(number, 16): bytes.fromhex(data) for number, data in document["written"].items()}
     wrong_keys = {int(level): _count(count) for level, count in document["wrong_keys"].items()}
     if unknown := sorted(records.keys() - table.troubles.keys()):
@@ -198,15 +195,15 @@ def _state(document: Mapping[str, Any], table: DiagnosticTable) -> ServerState:
     )
     return ServerState(
         memory=memory,
-        emissions=_emissions(document.get("obd"), table),
+        emissions=_emissions(document["obd"], table),
         written=written,
         wrong_keys=wrong_keys,
-        adaptation=_adaptation(document.get("adaptation")),
+        adaptation=_adaptation(document["adaptation"]),
     )
 
 
 def _adaptation(entry: Mapping[str, Any] | None) -> Adaptation | None:
-    """Return what was adapted; nothing of a file that an earlier program wrote."""
+    """Return what was adapted, if anything was."""
     if entry is None:
         return None
     points = {
@@ -228,10 +225,8 @@ def _pressure_pa(value: object) -> float:
     return float(value)
 
 
-def _emissions(entry: Mapping[str, Any] | None, table: DiagnosticTable) -> Emissions:
-    """Return what was kept for OBD; nothing of a file that an earlier program wrote."""
-    if entry is None:
-        return Emissions()
+def _emissions(entry: Mapping[str, Any], table: DiagnosticTable) -> Emissions:
+    """Return what was kept for OBD."""
     frame = entry["frame"]
     codes = [int(code, 16) for code in (*entry["permanent"], *([] if frame is None else [frame["code"]]))]
     if unknown := sorted(set(codes) - table.troubles.keys()):
@@ -246,9 +241,9 @@ def _emissions(entry: Mapping[str, Any] | None, table: DiagnosticTable) -> Emiss
         warm_ups=_count(entry["warm_ups"]),
         cleared_at_m=_distance_m(entry["cleared_at_m"]),
         lamp_at_m=_distance_m(entry["lamp_at_m"]),
-        is_driven=bool(entry.get("is_driven")),
-        driven_cycles=_count(entry.get("driven_cycles", 0), MOST_CYCLES),
-        ran_cycles={int(code, 16): _count(one, MOST_CYCLES) for code, one in entry.get("ran_cycles", {}).items()},
+        is_driven=bool(entry["is_driven"]),
+        driven_cycles=_count(entry["driven_cycles"], MOST_CYCLES),
+        ran_cycles={int(code, 16): _count(one, MOST_CYCLES) for code, one in entry["ran_cycles"].items()},
     )
 
 

@@ -83,8 +83,8 @@ def outlook_of(
         peers = None
         if kept is not None:
             fluid = fills[-1].product if fills else None
-            name = kept.population.name_of(vehicle_type, calibration)
-            past, peers = without(past, kept.population.common.get(name)), kept.population.of(name, fluid)
+            past = without(past, kept.population.common.get(vehicle_type))
+            peers = kept.population.of(vehicle_type, fluid)
         return prognose(clutch, past, reference, service_distance_m=service_distance_m, peers=peers)
     except BEYOND_NUMBERS:
         return None

@@ -263,11 +263,6 @@ class Population:
     common: Mapping[str, Common] = field(default_factory=dict)  # what clutches of each type share, by its name
     version: int | None = None  # as it is kept; None: it is not
 
-    def name_of(self, vehicle_type: str, calibration_version: str) -> str:
-        """Return by which name a type is known here: those of older programs have the version of its calibration."""
-        known = {one.kind.vehicle_type for one in self.peers} | self.common.keys()
-        return calibration_version if vehicle_type not in known and calibration_version in known else vehicle_type
-
     def of(self, vehicle_type: str, fluid: str | None) -> Peers | None:
         """Return the peers of a clutch: those with the same fluid, or else all of its type; None: too few are known."""
         known = {one.kind: one for one in self.peers}

@@ -94,7 +94,8 @@ def test_every_event_is_a_record_and_the_last_one_has_the_fills() -> None:
 def test_prognoses_begin_with_what_a_fleet_taught() -> None:
     found = findings(40)
     usual = Usual(start=1.0, start_std=0.02, loss_per_m=5.0e-8, loss_log_std=0.1)
-    kind = PeerGroup(vehicle_type=found.versions.calibration, fluid=None)
+    assert found.calibration is not None
+    kind = PeerGroup(vehicle_type=found.calibration.name, fluid=None)
     peers = Peers(kind=kind, life_count=77, channels={ChannelName.MARGIN: usual})
     told = [
         [line.plain for line in history_lines(found, (1,), most_rows=5, population=one) if isinstance(line, Text)]

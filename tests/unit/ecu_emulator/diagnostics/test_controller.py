@@ -134,15 +134,12 @@ def _adapted(path: Path, change: Callable[[dict[str, Any]], object]) -> ServerSt
         return store.load()
 
 
-def test_what_was_adapted_is_kept_and_a_file_of_before_knows_none(tmp_path: Path) -> None:
+def test_what_was_adapted_is_kept(tmp_path: Path) -> None:
     kept = _adapted(tmp_path / "kept", lambda _: None)
-    before = _adapted(tmp_path / "before", lambda document: document.pop("adaptation"))
     assert kept is not None
     assert kept.adaptation is not None
     assert kept.adaptation.pressures_pa((0.0, 0.0)) == (1.4e5, 1.7e5)
     assert kept.adaptation.stds_pa == {"clutch1_touch_std_pa": 900.0}
-    assert before is not None
-    assert before.adaptation is None
 
 
 @pytest.mark.parametrize(
@@ -154,6 +151,7 @@ def test_what_was_adapted_is_kept_and_a_file_of_before_knows_none(tmp_path: Path
         lambda document: document["adaptation"]["touch_points"]["2"].update(std_pa=1e99),
         lambda document: document["adaptation"].update(touch_points=[1, 2]),
         lambda document: document.update(adaptation=[]),
+        lambda document: document.pop("adaptation"),
     ],
 )
 def test_an_adaptation_that_cannot_be_is_not_believed(
@@ -169,19 +167,6 @@ def test_a_file_of_another_controller_is_refused(tmp_path: Path) -> None:
     _saved(path)
     with MemoryFile(path, other) as store, pytest.raises(RecordError, match="trouble code 27874B is not in the table"):
         store.load()
-
-
-def test_a_file_of_before_may_hold_the_code_and_the_friction_of_an_estimate_on_board(tmp_path: Path) -> None:
-    def of_before(document: dict[str, Any]) -> None:
-        document["codes"]["089700"] = document["codes"][f"{HOT:06X}"]
-        document["adaptation"]["awaits_estimate"] = 1
-        document["estimates"] = {"1": {"fluid": "watch", "mu_c": 0.12, "end_ns": 3}}
-
-    kept = _adapted(tmp_path / "memory.json", of_before)
-    assert kept is not None
-    assert kept.memory.records.keys() == full_table().troubles.keys()
-    assert kept.adaptation is not None
-    assert kept.adaptation.is_done
 
 
 def test_the_file_can_be_read_by_people_and_its_owner_only(tmp_path: Path) -> None:
