@@ -58,7 +58,12 @@ _OF_PEOPLE: Final[Mapping[str, tuple[Callable[[float], float], str]]] = MappingP
         "_pa": (bar_from_pa, "bar"),
         "_rise_k": (float, "K"),  # a difference
         "_k": (degc_from_k, "°C"),
+        "_s_rad": (lambda slope_s_rad: slope_s_rad * rad_s_from_rpm(1000.0), "per 1000 rpm"),
+        "_rad_s2": (rpm_from_rad_s, "rpm/s"),
         "_rad_s": (rpm_from_rad_s, "rpm"),
+        "_rad": (lambda angle_rad: angle_rad / math.tau, "turns"),
+        "_m_s3": (float, "m/s³"),
+        "_m_s2": (float, "m/s²"),
         "_m_s": (km_h_from_m_s, "km/h"),
         "_m": (lambda length_m: length_m / 1000.0, "km"),
         "_nm": (float, "Nm"),
@@ -74,3 +79,16 @@ def for_people(name: str, value: float) -> tuple[str, float, str]:
             kept = "_rise" if suffix == "_rise_k" else ""
             return name.removesuffix(suffix) + kept, factor(value), unit
     return name, value, ""
+
+
+def reading_of(table: Mapping[str, object], name: str) -> tuple[str, float, float | None, str] | None:
+    """Return name, value, standard deviation and unit of a number of a record as people read it.
+
+    Its standard deviation is the record's ``std_NAME``; that has no reading of its own.
+    """
+    value, std = table.get(name), table.get(f"std_{name}")
+    is_deviation = name.startswith("std_") and isinstance(table.get(name.removeprefix("std_")), float)
+    if is_deviation or not isinstance(value, float):
+        return None
+    label, shown, unit = for_people(name, value)
+    return label, shown, abs(for_people(name, value + std)[1] - shown) if isinstance(std, float) else None, unit

@@ -1,12 +1,14 @@
 """How people read numbers, with few digits and how far they may be off, and moments, if a clock told them."""
 
 from datetime import UTC, datetime
-from math import floor, isfinite, log10
+from math import floor, isfinite, log10, pi
 from typing import Final
 
 STDS: Final = 2.0  # on either side: about 95 of 100 truths lie within
 PLUS_MINUS: Final = "± two standard deviations"
 SHORT_PLUS_MINUS: Final = "± 2 std"  # heads of narrow columns
+PER_1000_RPM: Final = 1000.0 * pi / 30.0  # rad/s: people read a slope over speed [s/rad] times this
+SLOPE_UNIT: Final = "per 1000 rpm"
 DATED_NS: Final = 10**18  # since 1970: in 2001; earlier times have no date, the clock was not set
 NOT_SET: Final = "clock not set"
 _DIGITS: Final = 4

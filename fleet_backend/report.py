@@ -8,7 +8,7 @@ from typing import Final, TextIO
 
 from rich.console import Console
 
-from clutchdiag_io.people import PLUS_MINUS, STDS, moment_words
+from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, STDS, moment_words
 from fleet_backend.layout import NONE, Sheet, lines_of
 
 Record = Mapping[str, object]
@@ -23,13 +23,13 @@ def write_json(records: Sequence[Record], out: TextIO) -> None:
 def fleet_table(records: Sequence[Record]) -> Sheet:
     """Return the clutches of the fleet, worst first, with intervals of two standard deviations and what is wrong."""
     return _sheet(
-        f"Fleet, worst first: {len(records)} clutches; {PLUS_MINUS}, slope in 1e-3 s/rad",
+        f"Fleet, worst first: {len(records)} clutches; {PLUS_MINUS}, slope {SLOPE_UNIT}",
         records,
         {
             "vehicle": _plain("vehicle"),
             "clutch": lambda record: str(record["element"] or record["clutch"]),
             "condition": _condition,
-            "slope": _interval("slope_s_rad", "slope_high_s_rad", "{:+.2f}", scale=1e3),
+            "slope": _interval("slope_s_rad", "slope_high_s_rad", "{:+.3f}", scale=PER_1000_RPM),
             "P<0": _number("probability_negative_slope", "{:.3f}"),
             "mu_C": _interval("mu_c", "mu_c_high", "{:.3f}"),
             "mu_S": _interval("mu_s", "mu_s_high", "{:.3f}"),
@@ -51,7 +51,7 @@ def trend_table(title: str, records: Sequence[Record]) -> Sheet:
         records,
         {
             "shift": _plain("shift_number"),
-            "km": _number("odometer_m", "{:.1f}", scale=1e-3),
+            "km": _number("odometer_m", "{:.0f}", scale=1e-3),
             "end (UTC)": _moment("end_at"),
             "mu_C": _spread("mu_c", "random_std_mu_c"),
             "mu_S": _spread("mu_s", "random_std_mu_s"),

@@ -11,7 +11,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from canlog.arrays import FloatArray
-from clutchdiag_io.people import moment_words
+from clutchdiag_io.people import digits, moment_words
 
 NONE: Final = "–"
 
@@ -101,10 +101,13 @@ class Advice:
 
 
 def number(value: float | None, form: str = "{:.4f}", *, scale: float = 1.0) -> Cell:
-    """Return a number for people and programs, a dash where there is none; people read it times ``scale``."""
+    """Return a number for people and programs, a dash where there is none; people read it times ``scale``.
+
+    Without a form it has the digits that tell something.
+    """
     if value is None or not np.isfinite(value):
         return NONE
-    text = form.format(value * scale).replace("%", " %")
+    text = form.format(value * scale).replace("%", " %") if form else digits(value * scale)
     return Number(value=float(value), text=text if any(digit in text for digit in "123456789") else text.lstrip("-"))
 
 

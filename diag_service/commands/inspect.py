@@ -22,7 +22,7 @@ from canlog.logs import STANDARD_INPUT, LogReader, read_log
 from canlog.logs.log_counts import assumed_texts, lost_texts
 from canlog.logs.reading import Watch
 from canlog.traffic import MAX_IDS, NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
-from clutchdiag_io.people import digits
+from clutchdiag_io.people import SHORT_PLUS_MINUS, STDS, digits
 from diag_service.batch.drives import LeftOut, left_out_record, sorted_out
 from diag_service.commands.talks import Conversations, conversations_of
 from diag_service.console import PeopleConsole, ReadingLine
@@ -91,9 +91,9 @@ class TableValues:
 SCHEMA = "clutchdiag/inspect/v1"
 MS_PER_S = 1e3
 _COLUMNS = "{:>3} {:<8} {} {:>8} {:>5} {:>8} {:>9} {:>9} {:>5} {:>9}"
-_VALUE_COLUMNS = "{} {:>8} {:>8} {:>8} {:>9} {:>8} {:>9} {:>10} {:>10}"
-_VALUE_HEAD = ("unit", "values", "rate Hz", "jitter ms", "changes", "step", "lowest", "highest")
-_HEAD = ("frames", "bytes", "rate Hz", "period ms", "jitter ms", "gaps", "longest s")
+_VALUE_COLUMNS = "{} {:>8} {:>8} {:>8} {:>9} {:>9} {:>8} {:>9} {:>10} {:>10}"
+_VALUE_HEAD = ("unit", "values", "rate Hz", "period ms", SHORT_PLUS_MINUS, "changes", "step", "lowest", "highest")
+_HEAD = ("frames", "bytes", "rate Hz", "period ms", SHORT_PLUS_MINUS, "gaps", "longest s")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -299,7 +299,7 @@ def _head(inspection: Inspection, bitrate: int) -> list[str]:
     traffic, counts = inspection.traffic, inspection.reader.counts
     duration_s = (traffic.last_ns - traffic.first_ns) / NS_PER_S
     rate = f"{bitrate / 1000:g} kbit/s"
-    what = f"{inspection.reader.format.value}, {traffic.frames} frames, {len(traffic.ids)} ids, {duration_s:.3f} s"
+    what = f"{inspection.reader.format.value}, {traffic.frames} frames, {len(traffic.ids)} ids, {digits(duration_s)} s"
     load = f"{100 * traffic.bus_load_ratio:.1f} %, busiest second {100 * traffic.peak_load_ratio:.1f} %"
     kinds = f"{traffic.fd_frames} CAN FD, {traffic.remote_frames} remote, {traffic.error_frames} error frames"
     kinds += f"; {traffic.sent_frames} sent by the recorder" if traffic.sent_frames else ""
@@ -307,14 +307,17 @@ def _head(inspection: Inspection, bitrate: int) -> list[str]:
     since = f"from {utc_from_bus_ns(traffic.first_ns)}{part}"
     lines = [f"{inspection.reader.name}: {what} {since}", f"bus load at {rate}: {load}; {kinds}"]
     if inspection.values is not None:
-        what = f"signals, {traffic.frames} values of {len(traffic.ids)} columns, {duration_s:.3f} s"
+        what = f"signals, {traffic.frames} values of {len(traffic.ids)} columns, {digits(duration_s)} s"
         lines = [f"{inspection.reader.name}: {what} {since}"]
     lines.append(f"taken for {inspection.reader.format.value}: {inspection.reader.evidence}")
     lines += [*assumed_texts(counts), *lost_texts(counts)]
     if unlisted := traffic.unlisted_frames:
         lines.append(f"{unlisted} frames have identifiers beyond the first {MAX_IDS}, not listed one by one")
     lines.append(f"{traffic.jump_count} jumps of time" if traffic.jump_count else "no jump of time")
-    lines += [f"  at {utc_from_bus_ns(jump.at_ns)} by {jump.by_ns / NS_PER_S:+.6f} s" for jump in traffic.jumps]
+    lines += [
+        f"  at {utc_from_bus_ns(jump.at_ns)} by {'+' if jump.by_ns > 0 else ''}{digits(jump.by_ns / NS_PER_S)} s"
+        for jump in traffic.jumps
+    ]
     return lines
 
 
@@ -328,8 +331,7 @@ def _column_lines(traffic: TrafficReport, values: TableValues) -> Iterator[str]:
             column.name.ljust(width),
             column.unit or "-",
             str(column.count),
-            f"{one.rate_hz:.1f}" if one.rate_hz > 0.0 else "-",
-            f"{one.jitter_s * MS_PER_S:.2f}" if one.rate_hz > 0.0 else "-",
+            *_interval_cells(one),
             str(column.changes),
             digits(column.step),
             digits(column.lowest),
@@ -340,19 +342,23 @@ def _column_lines(traffic: TrafficReport, values: TableValues) -> Iterator[str]:
 def _row(one: IdTraffic, name: str) -> tuple[str, ...]:
     is_extended = bool(one.can_id & EXTENDED_FLAG)
     identifier = f"{one.can_id & 0x1FFF_FFFF:08X}" if is_extended else f"{one.can_id & 0x1FFF_FFFF:03X}"
-    has_rate = one.rate_hz > 0.0
     return (
         str(one.channel),
         identifier,
         name,
         str(one.count),
         str(one.length),
-        f"{one.rate_hz:.1f}" if has_rate else "-",
-        f"{one.period_s * MS_PER_S:.2f}" if has_rate else "-",
-        f"{one.jitter_s * MS_PER_S:.2f}" if has_rate else "-",
+        *_interval_cells(one),
         str(one.gap_count),
-        f"{one.longest_gap_s:.3f}" if one.gap_count else "-",
+        digits(one.longest_gap_s) if one.gap_count else "-",
     )
+
+
+def _interval_cells(one: IdTraffic) -> tuple[str, str, str]:
+    """Return rate, interval and how far intervals scatter, if any is known."""
+    told = (one.rate_hz, one.period_s * MS_PER_S, STDS * one.jitter_s * MS_PER_S)
+    rate, period, spread = map(digits, told) if one.rate_hz > 0.0 else "---"
+    return rate, period, spread
 
 
 def _protection_lines(links: dict[str, LinkErrors]) -> Sequence[str]:

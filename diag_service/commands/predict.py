@@ -11,6 +11,7 @@ import numpy as np
 
 from canlog.logs import read_log
 from canlog.logs.reading import Watch
+from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from clutchdiag_io.people import PLUS_MINUS, plus_minus
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.columns import Signal
@@ -206,7 +207,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         console.print(f"{log}: {one.event.from_gear}-{one.event.to_gear} not used: {one.reason}")
     if found.touch_pa is not None:
         origin = ", as found at standstill" if touch_pa is None else ""
-        console.print(f"touch point: {found.touch_pa / PA_PER_KPA:.1f} kPa{origin}")
+        console.print(f"touch point: {bar_from_pa(found.touch_pa):.3f} bar{origin}")
 
 
 def _record(title: str, shown: Sequence[Shown], touch_pa: float | None) -> dict[str, object]:
@@ -232,7 +233,7 @@ def _record(title: str, shown: Sequence[Shown], touch_pa: float | None) -> dict[
 
 def _lines(title: str, shown: Sequence[Shown]) -> Iterator[str]:
     """Yield the table of one group: engine speed from the old gear to the last sample before the clutch locks."""
-    yield f"{title}: change of engine speed in the slip [rad/s], each predicted from others; {PLUS_MINUS}"
+    yield f"{title}: change of engine speed in the slip [rpm], each predicted from others; {PLUS_MINUS}"
     yield f"{'log':<16} {'gears':>5} {'samples':>7} {'measured':>8} {'predicted':>15} {'error':>6}  in 50 % in 90 %"
     for one in shown:
         said, true = one.predictions[OURS], float(one.phase.change_rad_s[-1])
@@ -241,16 +242,16 @@ def _lines(title: str, shown: Sequence[Shown]) -> Iterator[str]:
         std = scale * (said.freedom / (said.freedom - 2.0)) ** 0.5  # of Student's distribution
         gears, spread = (
             f"{one.phase.from_gear}-{one.phase.to_gear}",
-            plus_minus(mean, std, "{:.0f}"),
+            plus_minus(rpm_from_rad_s(mean), rpm_from_rad_s(std), "{:.0f}"),
         )
         yield (
-            f"{one.log[:16]:<16} {gears:>5} {len(one.phase.t_s):>7} {true:>8.0f} {spread:>15} "
+            f"{one.log[:16]:<16} {gears:>5} {len(one.phase.t_s):>7} {rpm_from_rad_s(true):>8.0f} {spread:>15} "
             f"{100 * (mean / true - 1):>5.0f}%  {inside[0]:>7} {inside[1]:>7}"
         )
-    yield f"{'model':<28} {'median error':>12} {'CRPS rad/s':>10} {'in 50 %':>8} {'in 90 %':>8}   of all samples"
+    yield f"{'model':<28} {'median error':>12} {'CRPS rpm':>10} {'in 50 %':>8} {'in 90 %':>8}   of all samples"
     for name, score in scores(shown).items():
         yield (
-            f"{name:<28} {100 * score['median_error_ratio']:>10.0f} % {score['crps_rad_s']:>10.1f} "
+            f"{name:<28} {100 * score['median_error_ratio']:>10.0f} % {rpm_from_rad_s(score['crps_rad_s']):>10.0f} "
             f"{100 * score['inside_50']:>6.0f} % {100 * score['inside_90']:>6.0f} %   "
             f"{100 * score['samples_inside_50']:.0f} % and {100 * score['samples_inside_90']:.0f} %"
         )

@@ -21,7 +21,7 @@ from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.jit import array_kernel
 from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import NS_PER_S
-from clutchdiag_io.people import PLUS_MINUS, plus_minus
+from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, plus_minus
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.events import Event
 
@@ -397,10 +397,10 @@ class RelativeFriction:
         ratios = ", ".join(
             f"event {number} {plus_minus(ratio.value, ratio.std, '{:.2f}')}" for number, ratio in self.shifts.items()
         )
-        slope, trend = self.slope_s_rad * (PERCENT * SLIP_RAD_S), self.trend * PERCENT
+        slope, trend = self.slope_s_rad * (PERCENT * PER_1000_RPM), self.trend * PERCENT
         return (
             f"clutch {self.clutch}, friction of each power upshift over its others: {ratios}; "
-            f"{plus_minus(slope.value, slope.std, '{:+.1f}')} % over {SLIP_RAD_S:.0f} rad/s of slip; "
+            f"{plus_minus(slope.value, slope.std, '{:+.1f}')} % {SLOPE_UNIT} of slip; "
             f"{plus_minus(trend.value, trend.std, '{:+.1f}')} % from the first to the last ({PLUS_MINUS})"
         )
 

@@ -8,9 +8,9 @@ from typing import Final
 from rich.table import Table
 from rich.text import Text
 
-from clutch_model.units import for_people
+from clutch_model.units import for_people, reading_of
 from clutchdiag_io.pages.content import spread
-from clutchdiag_io.people import PLUS_MINUS, digits, plus_minus
+from clutchdiag_io.people import PLUS_MINUS, STDS, digits, plus_minus
 from diag_service.console import plain_table
 from diag_service.delivery.console import condition_words, order_lines
 from diag_service.diagnosis import records
@@ -154,6 +154,7 @@ def shift_lines(record: JsonObject) -> Iterator[Text]:
     verdict = record.get("verdict")
     if isinstance(verdict, Mapping) and verdict.get("advice"):
         yield Text(str(verdict["advice"]))
+    yield Text(PLUS_MINUS)
     yield from _value_lines(record, "")
 
 
@@ -163,11 +164,13 @@ def _value_lines(table: Mapping[str, object], indent: str) -> Iterator[Text]:
             yield Text(f"{indent}{name}")
             yield from _value_lines(value, f"{indent}  ")
         elif isinstance(value, list):
-            yield Text(f"{indent}{name}  {', '.join(map(str, value)) or _NONE}")
-        elif isinstance(value, float):
-            label, amount, unit = for_people(name, value)
-            yield Text(f"{indent}{label}  {digits(amount)} {unit}".rstrip())
-        else:
+            words = (for_people(one, 0.0)[0] if isinstance(one, str) else str(one) for one in value)
+            yield Text(f"{indent}{name}  {', '.join(words) or _NONE}")
+        elif (reading := reading_of(table, name)) is not None:
+            label, amount, std, unit = reading
+            spread = "" if std is None else f" ± {digits(STDS * std)}"
+            yield Text(f"{indent}{label}  {digits(amount)}{spread} {unit}".rstrip())
+        elif not isinstance(value, float):
             yield Text(f"{indent}{name}  {_NONE if value is None else value}")
 
 

@@ -12,13 +12,13 @@ import numpy as np
 from canlog.files import replacing
 from clutch_model.units import NS_PER_S
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Key, Section, Table, number, spread, templates_of
-from clutchdiag_io.people import PLUS_MINUS, STDS
+from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, STDS
 from clutchdiag_io.program import legible, legible_record
 from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis import records
 from diag_service.diagnosis.condition.shift_course import course_lines, courses, loads
 from diag_service.diagnosis.events import DATED_NS, events_text
-from diag_service.diagnosis.prediction import SLIP_RAD_S, RelativeFriction
+from diag_service.diagnosis.prediction import RelativeFriction
 from diag_service.diagnosis.summary import (
     capability_line,
     frames_line,
@@ -296,7 +296,7 @@ def _numbers_table(verdict: records.ClutchVerdict) -> Table:
 
 def _relative_table(found: RelativeFriction) -> Table:
     numbers = {f"event {number} over the others": one for number, one in found.shifts.items()}
-    numbers[f"change over {SLIP_RAD_S:.0f} rad/s of slip"] = found.slope_s_rad * SLIP_RAD_S
+    numbers[f"change {SLOPE_UNIT} of slip"] = found.slope_s_rad * PER_1000_RPM
     numbers["change from the first to the last"] = found.trend
     return Table(
         caption=f"Clutch {found.clutch}: friction in power upshifts, up to a scale that is not known",
@@ -307,6 +307,10 @@ def _relative_table(found: RelativeFriction) -> Table:
     )
 
 
+def _slope_cells(slope_s_rad: float, std_s_rad: float) -> tuple[Cell, Cell]:
+    return number(slope_s_rad, scale=PER_1000_RPM), number(STDS * std_s_rad, scale=PER_1000_RPM)
+
+
 def _number_rows(verdict: records.ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
     friction, slope = verdict.friction, verdict.slope
     if friction is not None:
@@ -315,7 +319,7 @@ def _number_rows(verdict: records.ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
         if verdict.level_ratio is not None:
             std_ratio = friction.std_mu_c / friction.mu_c * verdict.level_ratio
             yield "mu_C over new", number(verdict.level_ratio, "{:.1%}"), number(STDS * std_ratio, "{:.1%}")
-        yield "slope [s/rad]", number(friction.slope_s_rad, "{:.5f}"), number(STDS * friction.std_slope_s_rad, "{:.5f}")
+        yield f"slope {SLOPE_UNIT}", *_slope_cells(friction.slope_s_rad, friction.std_slope_s_rad)
         yield "probability of a falling slope", number(friction.probability_negative_slope, "{:.1%}"), NONE
     elif slope is not None and verdict.scale_free is not None:
         yield "mu_C up to a scale", number(verdict.scale_free.mu_c), number(STDS * verdict.scale_free.std_mu_c)
@@ -327,11 +331,7 @@ def _number_rows(verdict: records.ClutchVerdict) -> Iterator[tuple[Cell, ...]]:
     if (micro := verdict.micro_slip) is not None:
         rpm = f"{micro.slip_rad_s * 30.0 / np.pi:.0f} rpm"
         yield f"mu at {rpm}", number(micro.mu), number(STDS * micro.std_mu)
-        yield (
-            f"slope at {rpm} [s/rad]",
-            number(micro.slope_s_rad, "{:.5f}"),
-            number(STDS * micro.std_slope_s_rad, "{:.5f}"),
-        )
+        yield f"slope at {rpm}, {SLOPE_UNIT}", *_slope_cells(micro.slope_s_rad, micro.std_slope_s_rad)
         yield "slip that it rests on [min]", number(micro.slip_s / 60.0, "{:.0f}"), NONE
         if (seen := micro.shudder) is not None:
             swung = f"{seen.seen_count} of {seen.window_count} windows"
@@ -404,7 +404,7 @@ def _samples_table(panel: Panel, example: Example, name: str) -> Table:
         since_s = (series.t_ns - event.start_ns) / NS_PER_S
         columns.append(np.interp(t_s, since_s, series.value * panel.factor))
     rows = tuple(
-        (number(moment, "{:.2f}"), *(number(column[row], "{:.1f}") for column in columns))
+        (number(moment, "{:.2f}"), *(number(column[row], "") for column in columns))
         for row, moment in enumerate(t_s.tolist())
     )
     head = ("time [s]", *(one.label for one in curves))

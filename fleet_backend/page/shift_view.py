@@ -1,12 +1,12 @@
 """One event of a vehicle: friction over slip, what its data were worth, and why it was or was not used."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
-from typing import Final
+from typing import Any, Final
 
-from clutch_model.units import degc_from_k, for_people
+from clutch_model.units import degc_from_k, reading_of
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Link, Number, Section, Table, moment, number
-from clutchdiag_io.people import PLUS_MINUS, STDS, digits, moment_words
+from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, STDS, digits, moment_words
 from diag_service.report.pictures import curve_figure
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
@@ -26,9 +26,9 @@ _PARAMETERS: Final = (
 )
 _SIGNALS: Final = "The fleet keeps no signals of single events; diag-service report shows those of a log."
 _QUANTITIES: Final = (
-    ("mu_C, at high slip", "mu_c", "std_mu_c", "{:.4f}"),
-    ("mu_S, at no slip", "mu_s", "std_mu_s", "{:.4f}"),
-    ("slope [s/rad]", "slope_s_rad", "std_slope_s_rad", "{:.5f}"),
+    ("mu_C, at high slip", "mu_c", "std_mu_c", 1.0),
+    ("mu_S, at no slip", "mu_s", "std_mu_s", 1.0),
+    (f"slope {SLOPE_UNIT}", "slope_s_rad", "std_slope_s_rad", PER_1000_RPM),
 )
 
 
@@ -91,9 +91,9 @@ _FRICTION_HEAD: Final = ("quantity", "this event", PLUS_MINUS, "all so far", PLU
 
 def _friction_rows(answer: ShiftAnswer) -> Iterator[tuple[Cell, ...]]:
     own, running = answer.friction or {}, answer.running or {}
-    for name, value, std, form in _QUANTITIES:
+    for name, value, std, scale in _QUANTITIES:
         told = [(some.get(value), some.get(std)) for some in (own, running)]
-        yield name, *(number(one, form) for at, off in told for one in (at, off and STDS * off))
+        yield name, *(number(one, scale=scale) for at, off in told for one in (at, off and STDS * off))
     chances = [wording.probability(some.get("probability_negative_slope")) for some in (own, running)]
     yield "probability of a falling slope", chances[0], NONE, chances[1], NONE
 
@@ -101,15 +101,17 @@ def _friction_rows(answer: ShiftAnswer) -> Iterator[tuple[Cell, ...]]:
 def _shift_sections(answer: ShiftAnswer) -> Iterator[Section]:
     """Yield how well the event went, if that is known."""
     if answer.shift_quality is not None:
-        told = {key: value for key, value in asdict(answer.shift_quality).items() if isinstance(value, int | float)}
-        rows = tuple(_for_people(key, value) for key, value in told.items())
-        table = Table(caption="Score and its parts", head=("part", "value", "unit"), rows=rows)
+        rows = tuple(_quality_rows(asdict(answer.shift_quality)))
+        table = Table(caption="Score and its parts", head=("part", "value", PLUS_MINUS, "unit"), rows=rows)
         yield Section(name="shifting", title="How well it went", tables=(table,))
 
 
-def _for_people(name: str, value: float) -> tuple[Cell, ...]:
-    label, shown, unit = for_people(name, value)
-    return label.replace("_", " "), Number(value=value, text=digits(shown)), unit
+def _quality_rows(told: Mapping[str, Any]) -> Iterator[tuple[Cell, ...]]:
+    for name, value in told.items():
+        if (reading := reading_of(told, name)) is not None:
+            label, shown, std, unit = reading
+            off = NONE if std is None else Number(value=STDS * told[f"std_{name}"], text=digits(STDS * std))
+            yield label.replace("_", " "), Number(value=value, text=digits(shown)), off, unit
 
 
 def _quality_section(answer: ShiftAnswer) -> Section:

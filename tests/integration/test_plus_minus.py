@@ -1,19 +1,25 @@
 """Behind ± stand two standard deviations, wherever people read; each head or legend says so."""
 
 import io
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
+from datetime import UTC, datetime
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 from rich.console import Console, RenderableType
 
+from canlog.traffic import TrafficMeter
 from demo.outcome import live_line, tables
 from diag_service.api.picture import draw
+from diag_service.commands import inspect, predict
 from diag_service.commands.learn import said
 from diag_service.delivery import ConsoleReporter
 from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.prediction import Prediction
 from diag_service.diagnosis.records import shift_record
 from diag_service.mapping.learning import Found, LearnedGear, LearnedVehicle
 from diag_service.mapping.proposal import GearRatio, gears_text
@@ -22,7 +28,9 @@ from diag_service.report.page import html_of, page_of
 from diag_service.service import calibrate_run
 from fleet_backend import report
 from fleet_backend.follow import _finding
-from fleet_backend.page import clutches_view, shift_view
+from fleet_backend.page import changes_view, clutches_view, shift_view
+from fleet_backend.page.records import Change, ChangesAnswer
+from tests.support.batches import frames_at
 from tests.support.builders import friction_estimate, shift_result
 from tests.support.histories import findings
 from tests.unit.demo.outcomes import good_outcome
@@ -30,7 +38,7 @@ from tests.unit.diag_service.delivery.test_reporters import numbers
 
 FRICTION = friction_estimate()
 MU_C, MU_S = (f"{2.0 * std:.4f}" for std in (FRICTION.std_mu_c, FRICTION.std_mu_s))
-SAID = "± two standard deviations"
+SAID, SHORT = "± two standard deviations", "± 2 std"
 RATIO = GearRatio(ratio=3.462, std=0.006, sample_count=99)
 
 
@@ -72,6 +80,28 @@ def fleet() -> str:
     return out.getvalue().replace("±0", "± 0")
 
 
+def table() -> str:
+    row = {name: getattr(FRICTION, name) for name in ("mu_c", "mu_s", "slope_s_rad")}
+    row |= {"mu_c_high": FRICTION.mu_c + 2.0 * FRICTION.std_mu_c, "mu_s_high": FRICTION.mu_s + 2.0 * FRICTION.std_mu_s}
+    row |= {"slope_high_s_rad": FRICTION.slope_s_rad + 2.0 * FRICTION.std_slope_s_rad}
+    words = dict.fromkeys(("condition", "action", "order"), "nothing") | {"vehicle": "car1"}
+    nothing = dict.fromkeys(("element", "clutch", "end_at", "fluid", "odometer_m", "shift_count"))
+    out = io.StringIO()
+    report.show(report.fleet_table([words | nothing | row | {"probability_negative_slope": 0.001}]), out)
+    return out.getvalue()
+
+
+def changes() -> str:
+    own = {"mu_c": FRICTION.mu_c, "std_mu_c": FRICTION.std_mu_c, "mu_c_before": 0.2, "std_mu_c_before": 0.003}
+    one = Change(
+        vehicle="car1", clutch=1, condition_before="good", condition="watch", new_result_count=1, why=("new",), **own
+    )
+    answer = ChangesAnswer(since=datetime(2026, 3, 1, tzinfo=UTC), changes=(one,), clutch_count=1, next=None)
+    ask = cast("Any", SimpleNamespace(text=lambda _: None, with_words=dict, words={}))
+    (found,) = changes_view.show(answer, ask, cast("Any", None)).sections[0].tables
+    return " ".join(str(getattr(cell, "text", cell)) for cell in (*found.head, *found.rows[0]))
+
+
 def page() -> str:
     """Return heads and cells of the pages of a fleet."""
     own = asdict(FRICTION)
@@ -89,7 +119,9 @@ FACES: dict[str, Callable[[], str]] = {
     "report": lambda: html_of(page_of(findings(4), "2026-03-01T12:00:00.000000Z")),
     "fleet-backend follow": follow,
     "fleet-backend trend": fleet,
+    "fleet-backend table": table,
     "fleet page": page,
+    "fleet page, changes": changes,
 }
 
 
@@ -102,8 +134,28 @@ def test_every_face_of_a_result_shows_one_half_width_and_says_which(face: str) -
         assert f"{2.0 * mu_c.std_mu_c:.4f}" in text
         assert f"± {mu_c.std_mu_c:.4f}" not in text
         return
-    assert MU_C in text
+    assert (MU_C[:-1] if face == "fleet-backend table" else MU_C) in text
     assert "0.0012" not in text
+
+
+def test_a_prediction_is_as_wide_as_two_of_its_deviations() -> None:
+    change = Prediction(mean_rad_s=np.array([-100.0]), scale_rad_s=np.array([5.0 / 2.0**0.5]), freedom=4.0)  # std 5
+    phase = SimpleNamespace(t_s=[0.0, 0.1], change_rad_s=np.array([-99.0]), from_gear=1, to_gear=2)
+    shown = cast("Any", SimpleNamespace(log="a.log", phase=phase, predictions=defaultdict(lambda: change)))
+    head, _, line, *_ = predict._lines("power upshifts", [shown])
+    assert SAID in head
+    assert "[rpm]" in head
+    assert "-955 ± 95" in line
+
+
+def test_intervals_of_frames_scatter_by_two_of_their_deviations() -> None:
+    t_ns = np.cumsum(np.tile([9_000_000, 11_000_000], 100))  # 10 ms, standard deviation 1 ms
+    meter = TrafficMeter(500_000)
+    meter.add(frames_at(t_ns, 0x123))
+    (row,) = meter.report().ids
+    cells = dict(zip(("bus", "id", "message", *inspect._HEAD), inspect._row(row, ""), strict=True))
+    assert float(cells["period ms"]) == pytest.approx(10.0, abs=0.02)
+    assert float(cells[SHORT]) == pytest.approx(2.0, abs=0.02)
 
 
 def test_a_line_as_it_comes_shows_the_same() -> None:

@@ -169,7 +169,7 @@ def test_shifts_of_a_table_are_predicted_from_each_other(tmp_path: Path) -> None
     assert ours["crps_rad_s"] < 0.6 * clutch_rate["crps_rad_s"]
     assert json.loads(json.dumps(diag_service.predict(table, profile)))[0] == group
     shown = ended("predict", table, "--profile", profile, "--halves").out
-    assert "power upshifts: change of engine speed in the slip [rad/s]" in shown
+    assert "power upshifts: change of engine speed in the slip [rpm]" in shown
     assert "median error" in shown
 
 
