@@ -12,11 +12,12 @@ import numpy as np
 from canlog.files import replacing
 from clutch_model.units import NS_PER_S
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Key, Section, Table, number, spread, templates_of
-from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, STDS
+from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, STDS, plus_minus
 from clutchdiag_io.program import legible, legible_record
 from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
 from diag_service.diagnosis import records
 from diag_service.diagnosis.condition.shift_course import course_lines, courses, loads
+from diag_service.diagnosis.condition.verdict import likely
 from diag_service.diagnosis.events import DATED_NS, events_text
 from diag_service.diagnosis.prediction import RelativeFriction
 from diag_service.diagnosis.summary import (
@@ -181,10 +182,31 @@ def brief_section(found: Findings) -> Section:
         *zip(("fluid", "filled on", "filled at [km]"), filled, strict=True),
     )
     facts = Table(caption="The vehicle and its fluid; – is not known", head=("what", "value"), rows=rows)
-    drawn = [one.verdict for one in found.latest if one.verdict.friction is not None]
-    worst = min(drawn, key=lambda one: (-one.condition, one.level_ratio or 1.0), default=None)
+    told = [one.verdict for one in found.latest if one.verdict.friction or one.verdict.slope]
+    worst = min(told, key=lambda one: (-one.condition, one.level_ratio or 1.0), default=None)
     figures = () if worst is None else tuple(replace(one, table=facts) for one in _curve_of(found, worst))
-    return Section(name="brief", title="At a glance", tables=() if figures else (facts,), figures=figures)
+    texts = () if worst is None else (_why(worst),)
+    return Section(name="brief", title="At a glance", texts=texts, tables=() if figures else (facts,), figures=figures)
+
+
+def _why(verdict: records.ClutchVerdict) -> str:
+    """Return what the verdict on a clutch rests on, in one sentence for a workshop."""
+    friction, slope, level, share = verdict.friction, verdict.slope, verdict.level_ratio, ""
+    if friction is not None and level is not None:
+        off = level * friction.std_mu_c / friction.mu_c
+        share = f", and at high slip it is {plus_minus(level, off, '{:.0f}', scale=100.0)} % of that of new fluid"
+    elif slope is not None:
+        ratio = plus_minus(slope.mu_s_ratio, slope.std_mu_s_ratio, "{:.0f}", scale=100.0)
+        share = f", and at no slip it is {ratio} % of that at high slip"
+    falling = (
+        friction.probability_negative_slope if friction is not None else slope.probability_negative if slope else 0.5
+    )
+    title, shifts = title_of(verdict.clutch, verdict.element), _shifts_text(verdict.shift_count)
+    return f"{title}: that friction falls with slip is {likely(falling)}{share} ({shifts}; {PLUS_MINUS})."
+
+
+def _shifts_text(count: int) -> str:
+    return f"{count} shift{'' if count == 1 else 's'}"
 
 
 def _km(distance_m: float | None) -> Cell:
@@ -286,9 +308,9 @@ def quality_section(found: Findings) -> Section:
 
 
 def _numbers_table(verdict: records.ClutchVerdict) -> Table:
-    count, title = verdict.shift_count, title_of(verdict.clutch, verdict.element)
+    title = title_of(verdict.clutch, verdict.element)
     return Table(
-        caption=f"{title}: running estimate from {count} {'shift' if count == 1 else 'shifts'}",
+        caption=f"{title}: running estimate from {_shifts_text(verdict.shift_count)}",
         head=("quantity", "value", PLUS_MINUS),
         rows=tuple(_number_rows(verdict)),
     )

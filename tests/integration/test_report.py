@@ -1,10 +1,15 @@
 """Reports as users make them: the same numbers as JSON and store, and pages that a real browser shows to everybody."""
 
+import io
 import json
 import re
+from itertools import product
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
+from playwright.sync_api import Locator, PdfMargins
 
 from tests.support.browsing import chromium, complaints_of, new_page
 from tests.support.histories import fill_store, history
@@ -115,14 +120,66 @@ def test_a_store_is_read_where_nothing_may_be_written(tmp_path: Path) -> None:
     assert before.items() <= {path.name: path.stat().st_mtime_ns for path in tmp_path.iterdir()}.items()
 
 
+PAPER_MARGINS = ("0", "2cm")
+EDGE = slice(-6, -2)  # pixels of a shadow; the last two may be rounded
+
+
+@pytest.mark.parametrize("is_full", [False, True])
+def test_paper_gets_two_pages_unless_all_is_asked_for(drive_log: Path, tmp_path: Path, *, is_full: bool) -> None:
+    fill_store(tmp_path / "car1.sqlite", history(60))
+    counts = []
+    with chromium() as browser:
+        for source in (drive_log, tmp_path / "car1.sqlite"):
+            made = ended("report", source, "-o", tmp_path / "page.html", "--force", *(["--full"] if is_full else []))
+            assert made.status == 0, made.err
+            page = new_page(browser)
+            page.goto((tmp_path / "page.html").as_uri())
+            for form, width in product(("A4", "Letter"), PAPER_MARGINS):
+                margins: PdfMargins = {"top": width, "bottom": width, "left": width, "right": width}
+                counts.append(len(re.findall(rb"/Type */Page\b", page.pdf(format=form, margin=margins))))
+    assert [min(count, 3) for count in counts] == [3 if is_full else 2] * 8
+
+
+def test_the_first_page_says_in_one_sentence_why(log_report: Path) -> None:
+    text = log_report.read_text(encoding="utf-8")
+    first = text[text.index("<section") : text.index("</section>")]
+    (told,) = re.findall("<p>(.*?)</p>", first)
+    assert re.fullmatch(
+        r"Clutch [12]: that friction falls with slip is [^.]*\d+\.\d % likely, and at high slip it is \d+ ± \d+ % "
+        r"of that of new fluid \(\d+ shifts?; ± two standard deviations\)\.",
+        told,
+    )
+
+
+def edges(box: Locator) -> dict[str, bool]:
+    """Return at which edges of a table a shadow says that there is more."""
+    picture = np.asarray(Image.open(io.BytesIO(box.screenshot())).convert("L"))
+    right, bottom = np.median(picture[:, EDGE]), np.median(picture[EDGE])
+    return {"right": bool(right < 225), "bottom": bool(bottom < 225)}
+
+
+def test_a_table_that_is_cut_off_shows_where_it_goes_on(log_report: Path) -> None:
+    sizes = "one => [one.scrollWidth - one.clientWidth > 3, one.scrollHeight - one.clientHeight > 3]"
+    told, shown, at_end = [], [], []
+    with chromium() as browser:
+        page = new_page(browser, 390)
+        page.goto(log_report.as_uri())
+        for box in page.locator(".scroll").all():
+            told.append(tuple(box.evaluate(sizes)))
+            shown.append(tuple(edges(box).values()))
+            box.evaluate("one => one.scrollTo(one.scrollWidth, one.scrollHeight)")
+            at_end.append(tuple(edges(box).values()))
+    assert shown == told
+    assert {one for pair in told for one in pair} == {False, True}
+    assert set(at_end) == {(False, False)}
+
+
 def test_a_real_browser_shows_the_pages_to_everybody(log_report: Path, store_report: Path) -> None:
-    """One start of the browser: light and dark, wide and narrow, and printed."""
+    """One start of the browser: light and dark, wide and narrow."""
     with chromium() as browser:
         complaints = {}
         for path, scheme, width in ((log_report, "light", 1280), (store_report, "dark", 400)):
             page = new_page(browser, width, has_axe=True)
             complaints[f"{path.name}, {scheme}, {width} px"] = complaints_of(page, path.as_uri(), scheme)
-            if scheme == "light":
-                assert page.pdf().startswith(b"%PDF")
             page.close()
     assert complaints == {key: [] for key in complaints}

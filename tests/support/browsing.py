@@ -71,6 +71,13 @@ _CUT = """least => {
   }
   for (const plot of document.querySelectorAll("svg.plot")) {
     const frame = plot.getBoundingClientRect();
+    const axis = plot.querySelector(".axis").getBoundingClientRect();
+    const name = plot.querySelector(".side").getBoundingClientRect();
+    for (const tick of plot.querySelectorAll(".tick")) {
+      const box = tick.getBoundingClientRect();
+      if (box.right > axis.left + 1 || box.left < name.right - 1)
+        said.push(`the number of an axis touches a curve or its name: ${tick.textContent}`);
+    }
     for (const text of plot.querySelectorAll("text")) {
       if (getComputedStyle(text).display === "none") {
         const keys = plot.closest("figure").querySelectorAll(".key");
