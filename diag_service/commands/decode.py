@@ -16,7 +16,7 @@ from canlog.column_files import FORMAT_OF_SUFFIX, STREAMED, SUFFIX_OF_FORMAT, Ta
 from canlog.database.signal_columns import SignalColumn, columns_database
 from canlog.errors import NOTICE, OutputError, SourceError
 from canlog.logs import STANDARD_INPUT, shown_name, table_columns
-from canlog.tables.account import account_record, frame_texts, losses, remarks, values_text
+from canlog.tables.account import DecodeAccount, account_record, frame_texts, losses, remarks, values_text
 from canlog.tables.decoding import Decoded, Plan, TableChoice, TableShape, decode_logs, default_shape
 from canlog.tables.table_folder import message_files, tables_there
 from clutchdiag_io.command_line import STANDARD_STREAM
@@ -68,7 +68,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         _show(options, decoded, PeopleConsole(stderr=is_piped))
     lost = list(losses(decoded.account))
     is_built_in = options.dbc is None and not any(reader.columns for reader in decoded.readers)
-    if is_built_in and (decoded.account.knows_nothing or decoded.account.why_wrong):
+    if is_built_in and _fits_not(decoded.account):
         raise ConfigError(BUILT_IN_FITS_NOT)
     if options.strict and lost:
         more = f"; and {len(lost) - 1} more" if len(lost) > 1 else ""
@@ -211,6 +211,7 @@ class TableDone:
     line: str
     losses: tuple[str, ...] = ()
     error: str = ""
+    fits_not: bool = False  # whether the database is probably that of another bus
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,7 +256,12 @@ def _done(task: TableTask, decoded: Decoded) -> TableDone:
     }
     rows = f"{account.row_count} rows in {task.output}"
     line = f"{task.log}: {reader.format.value}, {account.log.frames} frames: {', '.join(frame_texts(account))}; {rows}"
-    return TableDone(record=record, line=line, losses=tuple(losses(account)))
+    fits_not = not task.columns and _fits_not(account)
+    return TableDone(record=record, line=line, losses=tuple(losses(account)), fits_not=fits_not)
+
+
+def _fits_not(account: DecodeAccount) -> bool:
+    return account.knows_nothing or bool(account.why_wrong)
 
 
 _WRITERS: list[TableWriter] = []  # of this process: one, made when it starts
@@ -288,7 +294,7 @@ def _decode_folders(options: SimpleNamespace, controls: Controls) -> None:
     plans = {task.columns: _planned(choice, task.messages(messages)) for task in tasks}  # complains of what is none
     for task in tasks:
         _check_messages(task.output, plans[task.columns], table_format, is_forced=options.force)
-    console, totals, losing = PeopleConsole(), Counter[str](), list[str]()
+    console, totals, losing, foreign = PeopleConsole(), Counter[str](), list[str](), list[Path]()
     arguments = (messages, choice, table_format)
     for task, future in shared_out(write_own_table, tasks, jobs, controls.stop, begin_tables, arguments):
         try:
@@ -297,6 +303,7 @@ def _decode_folders(options: SimpleNamespace, controls: Controls) -> None:
             done = _not_read(task, DEADLY)
         totals["failed" if done.error else "done"] += 1
         losing += [f"{task.log}: {(done.losses or (done.error,))[0]}"] if done.losses or done.error else []
+        foreign += [task.log] if done.fits_not else []
         _show_done(done, options, console)
     if totals.total() < len(tasks):
         raise StoppedError(f"stopped early: {totals['done']} of {len(tasks)} tables were written")
@@ -304,6 +311,8 @@ def _decode_folders(options: SimpleNamespace, controls: Controls) -> None:
         console.print(f"{totals['done']} tables in {options.output}, {totals['failed']} logs could not be read")
     if totals["failed"] == len(tasks):
         raise SourceError(f"none of {len(tasks)} logs could be read; {losing[0]}")
+    if options.dbc is None and foreign:
+        raise ConfigError(f"{foreign[0]}: {BUILT_IN_FITS_NOT}")
     if options.strict and losing:
         raise IncompleteError(f"not all of {len(losing)} logs is in their tables: {losing[0]}")
 

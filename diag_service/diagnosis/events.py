@@ -68,6 +68,7 @@ class Event:
     end_reason: EndReason
     columns: Columns
     bad_frame_count: int  # rejected or missing frames of mapped messages inside the cut
+    has_whole_seconds: bool = False  # of times, with many frames in each: when in a second they came nobody knows
     e2e: Mapping[str, E2eState] = field(default_factory=dict)  # message -> INVALID if it ever was, else its last state
     came_late: bool = False  # some frames came in bursts: when they were sent is not known exactly
 

@@ -93,6 +93,7 @@ class Reason(StrEnum):
     SATURATED = "saturated"  # signals at the end of their scale
     IMPLAUSIBLE = "implausible"  # sensors contradict each other
     CALIBRATION_OLD = "calibration_old"
+    WHOLE_SECONDS = "times_in_whole_seconds"  # of many samples each: when in a second they were taken nobody knows
     LOW_DATA_QUALITY = "low_trust"  # each flaw alone would pass, together they do not
 
 

@@ -1,7 +1,7 @@
 """Frames become canonical columns: protection check, bit fields, SI units, and a count of everything left out."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -15,8 +15,10 @@ from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from canlog.frames import ERROR_FLAG, MAX_GAP_NS, BusTrouble, FrameBatch, empty_batch, is_error, reports
 from canlog.jit import array_kernel, inlined_kernel
+from canlog.logs.log_counts import LEAST_PER_S, WATCHED_FRAMES
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import BlockLayout, ColumnBatch, Columns, GearRatios, SampleBlock, Samples, Signal
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.asked_signals import Overheard
 from diag_service.mapping.mapped_messages import MessageColumns, SourceTable, map_signals
@@ -221,6 +223,9 @@ class Decoder:
         self.overheard = Overheard(list(self.asked.values())) if self.asked else None
         self.last_ns: int | None = None  # bus time of the last frame
         self._is_interrupted = False
+        self._whole_ns: int | None = None  # since when all times are whole seconds
+        self._whole_count = 0
+        self._has_whole_seconds = False
 
     @property
     def signals(self) -> frozenset[Signal]:
@@ -329,7 +334,24 @@ class Decoder:
             for columns in self._fed(part, is_last=number == len(parts))
         ]
 
+    def marked(self, events: Iterable[Event]) -> list[Event]:
+        """Return events with whether the times of their frames are whole seconds, as coarse as friction is not."""
+        found = list(events)
+        return [replace(event, has_whole_seconds=True) for event in found] if self._has_whole_seconds else found
+
+    def _look_for_seconds(self, t_ns: Int64Array) -> None:
+        if not len(t_ns):
+            return
+        if int(t_ns[-1]) % NS_PER_S or (t_ns % NS_PER_S).any():
+            self._whole_ns, self._whole_count, self._has_whole_seconds = None, 0, False
+            return
+        self._whole_ns = int(t_ns[0]) if self._whole_ns is None else self._whole_ns
+        self._whole_count += len(t_ns)
+        most = WATCHED_FRAMES // LEAST_PER_S + LEAST_PER_S * abs(int(t_ns[-1]) - self._whole_ns) // NS_PER_S
+        self._has_whole_seconds = self._whole_count > most
+
     def _fed(self, batch: FrameBatch, *, is_last: bool = False) -> list[ColumnBatch]:
+        self._look_for_seconds(batch.t_ns)
         batch = batch.plain()
         if self._goes_on(batch):
             self.last_ns = int(batch.t_ns[-1])

@@ -40,6 +40,7 @@ class Survey:
         self._ids: set[int] = set()
         self.frames = 0
         self.is_cut = False
+        self.notes: tuple[str, ...] = ()  # what the reader of the log says of it
 
     @property
     def unknown(self) -> int:
@@ -64,7 +65,7 @@ class Survey:
                             message=table.message.name, signal=name, unit=unit, is_column=self._are_columns
                         )
                         seen.setdefault(name, fresh).add(decoded)
-        self.is_cut = reader.counts.truncated
+        self.is_cut, self.notes = reader.counts.truncated, tuple(reader.counts.notes)
 
     @property
     def why_wrong(self) -> str:
@@ -122,6 +123,7 @@ def proposed_profile(
         f"As it stands it reaches {reach}. {missing_for_next(best.keys(), knows_gears=knows_gears)}",
         "",
         *(["The log is cut off."] if survey.is_cut else []),
+        *(f"The log: {note}." for note in survey.notes),
         f"{survey.frames} frames, {survey.unknown} of them not in the database.",
         *([f"It is {why}."] if (why := survey.why_wrong) else []),
         *proposal.unfit_units(survey.statistics(), best),

@@ -94,6 +94,7 @@ def find_events(
     warn_of_faults(logs, drive.contributions(decoder.named_channel))
     if not shifts:
         raise SourceError("no shift in these logs: nothing to calibrate from")
+    shifts, run_ups = decoder.marked(shifts), decoder.marked(run_ups)
     return CalibrationEvents(shifts=tuple(shifts), run_ups=tuple(run_ups), gaps=gaps_in(logs, was_stopped=False))
 
 

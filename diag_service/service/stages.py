@@ -97,7 +97,8 @@ class Stages:
 
     def segment(self, batch: FrameBatch) -> list[Event]:
         """Return the shifts that these frames complete; quick."""
-        return [event for columns in self.decoder.stream(batch) for event in self._finder.feed(columns)]
+        found = (event for columns in self.decoder.stream(batch) for event in self._finder.feed(columns))
+        return self.decoder.marked(found)
 
     @property
     def is_expecting(self) -> bool:
@@ -113,7 +114,7 @@ class Stages:
         """End the segment: return what is still open; frames that come later begin another one."""
         events = [event for columns in self.decoder.drain() for event in self._finder.feed(columns)]
         self.decoder.interrupt()
-        return events + self._finder.flush()
+        return self.decoder.marked(events + self._finder.flush())
 
     def conclude(self, event: Event) -> Diagnosis:
         """Judge the data of the next shift, estimate, judge its clutch; shifts must come in order. May take a moment.

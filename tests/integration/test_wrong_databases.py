@@ -1,5 +1,7 @@
 """A database of another bus, a silent bus and times that are too coarse are called what they are."""
 
+import json
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -8,6 +10,7 @@ import pytest
 from canlog.database.addressing import why_wrong
 from canlog.logs import read_log
 from canlog.logs.log_counts import WHOLE_SECONDS
+from dbc.contract import DBC_PATH
 from diag_service.diagnosis.records import ShiftStatistics
 from diag_service.diagnosis.summary import FrameCounts, Summary, capability_line
 from tests.support.service import Ended, run_service
@@ -63,6 +66,32 @@ def test_the_database_of_the_emulated_vehicle_is_not_taken_in_silence(car: Simpl
     ended = run_service(car.folder, "decode", car.log, "-o", car.folder / "car.csv")
     assert ended.status == 2
     assert "used without --dbc: name that of this bus with --dbc FILE" in said(ended)
+
+
+def test_in_a_folder_it_is_not_taken_in_silence_either(car: SimpleNamespace, drive_log: Path) -> None:
+    logs = car.folder / "logs"
+    logs.mkdir()
+    (logs / "drive.log").write_bytes(drive_log.read_bytes())
+    assert run_service(car.folder, "decode", logs, "-o", car.folder / "first").status == 0
+    car.log.rename(logs / "car.log")
+    ended = run_service(car.folder, "decode", logs, "-o", car.folder / "second")
+    assert ended.status == 2, said(ended)
+    assert "car.log: the log is not of the emulated vehicle, whose database is used without --dbc" in said(ended)
+    assert run_service(car.folder, "decode", logs, "--dbc", car.dbc, "-o", car.folder / "third").status == 0
+
+
+def test_friction_is_refused_shift_by_shift_where_times_are_whole_seconds(drive_log: Path, tmp_path: Path) -> None:
+    coarse = tmp_path / "coarse.log"
+    coarse.write_text(re.sub(r"^\((\d+)\.\d+\)", r"(\1.000000)", drive_log.read_text("ascii"), flags=re.MULTILINE))
+    analysed = run_service(tmp_path, "analyze", coarse, "--json")
+    assert analysed.status == 0, analysed.err
+    *shifts, summary = map(json.loads, analysed.out.splitlines())
+    assert shifts
+    assert {(one["status"], *one["reasons"]) for one in shifts} == {("rejected", "times_in_whole_seconds")}
+    assert {one["friction"] for one in shifts} == {None}
+    assert summary["shifts"]["by_reason"] == {"times_in_whole_seconds": len(shifts)}
+    assert "[times in whole seconds]" in said(run_service(tmp_path, "analyze", coarse))
+    assert WHOLE_SECONDS in said(run_service(tmp_path, "signals", coarse, "--dbc", DBC_PATH)).replace("# ", "")
 
 
 def test_a_database_that_knows_most_of_a_bus_or_is_there_for_the_most_part_is_not_doubted() -> None:

@@ -268,8 +268,8 @@ def usable_signals(event: Event, calibration: Calibration, limits: QualityLimits
 
 def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Reason:
     """Return the samples of a shift or engine run-up, or why they cannot be used."""
-    if event.end_reason not in {EndReason.COMPLETE, EndReason.ABANDONED}:
-        return Reason.INTERRUPTED
+    if event.has_whole_seconds or event.end_reason not in {EndReason.COMPLETE, EndReason.ABANDONED}:
+        return Reason.WHOLE_SECONDS if event.has_whole_seconds else Reason.INTERRUPTED
     is_whole = event.end_reason is EndReason.COMPLETE  # what another event cut short may be seen in full, or not
     oil = event.columns.get(Signal.SUMP_TEMPERATURE)
     row_s = _row_s(event, limits)
@@ -500,6 +500,8 @@ def gate(event: Event, basis: QualityBasis, limits: QualityLimits = LIMITS, *, t
     against = () if isinstance(samples, Reason) else reasons_against(quality, limits)
     if event.came_late:
         against = named_late(event, against)
+    if event.has_whole_seconds:
+        against = (Reason.WHOLE_SECONDS,)
     return Gate(quality=quality, samples=samples, against=against)
 
 
