@@ -40,10 +40,7 @@ def to_plain(record: object) -> JsonObject:
 def from_plain(table: object, kind: type[RecordT]) -> RecordT:
     """Rebuild a record that `to_plain` made plain; unknown keys are ignored, missing ones take their defaults.
 
-    Raises
-    ------
-    ValueError
-        Saying which value cannot be one of the record.
+    Raises ValueError, which says which value cannot be one of the record.
     """
     return msgspec.convert(table, kind, dec_hook=_list_to_array)
 
