@@ -1,7 +1,7 @@
 """CAN logs, live buses and message databases: bytes or sockets to frames, frames to protected, decoded columns.
 
     log = canlog.read("drive.blf", "car.dbc")
-    frame = log.to_pandas("long")
+    frame = log.to_pandas("wide")
 
 What is named here is imported when it is first used: ``import canlog`` itself takes no time and compiles nothing.
 """

@@ -118,7 +118,6 @@ class TableFormat(StrEnum):
     CSV = "csv"
     JSON_LINES = "jsonl"
     ARROW = "arrow"  # a stream of record batches, not a file that can be sought in
-    MF4 = "mf4"
 
 
 FORMAT_OF_SUFFIX: Final[Mapping[str, TableFormat]] = {
@@ -126,7 +125,6 @@ FORMAT_OF_SUFFIX: Final[Mapping[str, TableFormat]] = {
     ".csv": TableFormat.CSV,
     ".jsonl": TableFormat.JSON_LINES,
     ".arrows": TableFormat.ARROW,
-    ".mf4": TableFormat.MF4,
 }
 SUFFIX_OF_FORMAT: Final[Mapping[TableFormat, str]] = {
     table_format: suffix for suffix, table_format in FORMAT_OF_SUFFIX.items()
@@ -140,13 +138,12 @@ _TEXT: Final = "string"
 
 def check_libraries(table_format: TableFormat, logs: Sequence[Path]) -> None:
     """Raise ExtraMissingError if a library is missing that writes a format, or that logs need, as their names say."""
-    is_mf4 = table_format is TableFormat.MF4
-    needs = [("asammdf" if is_mf4 else "pyarrow", "mf4" if is_mf4 else "parquet")]
-    if PathFinder.find_spec(needs[0][0]) is not None:
+    needs = [("pyarrow", "parquet")]
+    if PathFinder.find_spec("pyarrow") is not None:
         return  # what a log needs in spite of its name, its contents say
-    words = [f"{table_format} needs {needs[0][0]}"]
+    words = [f"{table_format} needs pyarrow"]
     suffixes = {suffix.lower() for log in logs for suffix in log.suffixes}
-    if not is_mf4 and suffixes & {".mf4", ".mdf"}:
+    if suffixes & {".mf4", ".mdf"}:
         needs.append(("asammdf", "mf4"))
         words.append("MF4 logs need asammdf")
     if suffixes & {".zst", ".zstd"}:

@@ -20,8 +20,7 @@ from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_lo
 from canlog.tables.account import DecodeAccount, losses
 from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, groups, message_columns, stretches
 from canlog.tables.frame_groups import FrameGroup, log_paths
-from canlog.tables.layouts import BARE_ID, ShapeName, TableShapeName, Values, ValuesName, WideLayout, column_of
-from canlog.transport import LongMessage, LongMessages
+from canlog.tables.layouts import BARE_ID, TableShapeName, Values, ValuesName, WideLayout, column_of
 
 WARNED_CELLS: Final = 50_000_000  # of a wide table: 0.4 GB
 KINDS = {
@@ -154,14 +153,6 @@ class Log:
             )
         return signals
 
-    def long_messages(self) -> list[LongMessage]:
-        """Return the messages that are longer than a frame: put together, and decoded if the database has them.
-
-        ISO-TP and J1939 transport; what is not whole is not among them.
-        """
-        together = LongMessages([table.message for table in self._plan.codec.tables])
-        return [*together.feed(self.frames), *together.close()]
-
     def to_arrow(
         self, shape: TableShapeName = "messages", values: ValuesName = "numbers", *, is_raw: bool = False
     ) -> Any:  # noqa: ANN401 - untyped
@@ -170,9 +161,9 @@ class Log:
         Parameters
         ----------
         shape
-            ``messages`` for a table of each message that occurs, by its name, with a row per frame; ``long`` for one
-            table with a row per value, ``wide`` for one with a row per frame and a column per signal: most of its
-            cells are empty, and a warning tells if it takes much memory.
+            ``messages`` for a table of each message that occurs, by its name, with a row per frame; ``wide`` for one
+            table with a row per frame and a column per signal: most of its cells are empty, and a warning tells if it
+            takes much memory.
         values
             What stands for a value that the database names: its number, its name, or both in two columns.
         is_raw
@@ -183,11 +174,10 @@ class Log:
         ExtraMissingError
             If pyarrow is not installed.
         """
-        if shape == "messages":
+        if TableShape(shape) is TableShape.MESSAGES:
             return self._message_tables(Values(values), self._plan_of(is_raw=is_raw))
-        reader = self.batches(shape, values, is_raw=is_raw)
-        batches = self._watched(reader) if shape == "wide" else reader
-        return load_pyarrow().Table.from_batches(batches, schema=reader.schema).unify_dictionaries()
+        reader = self.batches(values, is_raw=is_raw)
+        return load_pyarrow().Table.from_batches(self._watched(reader), schema=reader.schema).unify_dictionaries()
 
     def _message_tables(self, values: Values, plan: Plan) -> dict[str, Any]:
         arrow, account = load_pyarrow(), DecodeAccount(codec=plan.codec, names=plan.names)
@@ -211,7 +201,7 @@ class Log:
             if not is_told and row_count * column_count > self._warned_cells:
                 is_told = True
                 size = f"{row_count} rows and {column_count} columns takes {8e-9 * row_count * column_count:.1f} GB"
-                told = f"a table of {size} and is not complete; the shapes messages and long have no empty cells"
+                told = f"a table of {size} and is not complete; the shape messages has no empty cells"
                 warnings.warn(told, stacklevel=4)
             yield batch
 
@@ -239,7 +229,6 @@ class Log:
 
     def batches(
         self,
-        shape: ShapeName = "wide",
         values: ValuesName = "numbers",
         *,
         signals: Sequence[str] | str = (),
@@ -247,10 +236,10 @@ class Log:
         end: str | float | None = None,
         is_raw: bool = False,
     ) -> Any:  # noqa: ANN401 - untyped
-        """Return a ``pyarrow.RecordBatchReader`` of one table of ``to_arrow``, which reads the files as it is read.
+        """Return a ``pyarrow.RecordBatchReader`` of the wide table, which reads the files as it is read.
 
-        It takes no more memory than a batch, however long the log is. For wide rows the files are read twice, for the
-        messages that occur are the columns. ``signals``, ``begin`` and ``end`` are those of ``write_table``.
+        It takes no more memory than a batch, however long the log is. The files are read twice, for the messages that
+        occur are the columns. ``signals``, ``begin`` and ``end`` are those of ``write_table``.
 
         Raises
         ------
@@ -258,10 +247,10 @@ class Log:
             If pyarrow is not installed.
         """
         arrow = load_pyarrow()
-        whole = replace(self._plan_of(is_raw=is_raw), shape=TableShape(shape), values=Values(values))
+        whole = replace(self._plan_of(is_raw=is_raw), values=Values(values))
         plan = whole.part(signals, begin, end)
         account = DecodeAccount(codec=plan.codec, names=plan.names)
-        layout = plan.layout(lambda: plan.span.part(self._streamed(), account.leave_out))
+        layout = plan.layout(plan.span.part(self._streamed(), account.leave_out))
         schema = arrow_schema(layout.kinds, layout.metadata)
         frames = plan.span.part(self._streamed(), account.leave_out)
         found = groups(stretches(frames, account), plan.codec, plan.size(layout))

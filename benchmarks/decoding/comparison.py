@@ -1,7 +1,7 @@
 """``decode`` held against cantools, cell by cell of the Parquet files that it writes."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -91,14 +91,12 @@ def compare_database(path: Path, count: int, seed: int) -> Tally:
 
 def _compare(codec: Codec, slots: Sequence[int], frames: Sequence[SentFrame], folder: str) -> Tally:
     """Compare some messages of a database."""
-    log, wide, long = (Path(folder) / name for name in ("random.log", "wide.parquet", "long.parquet"))
+    log, wide = (Path(folder) / name for name in ("random.log", "wide.parquet"))
     write_candump(log, [codec.tables[slot].message for slot in slots], frames)
     names = table_names(codec.tables)
     wide_plan = Plan(codec=codec, names=names, shape=TableShape.WIDE, values=Values.BOTH)
     account = decode_logs([log], wide_plan, wide, TableFormat.PARQUET).account
-    long_plan = Plan(codec=codec, names=names, shape=TableShape.LONG, values=Values.TEXTS)
-    decode_logs([log], long_plan, long, TableFormat.PARQUET)
-    wide_table, long_cells = _WideFile(wide, len(frames)), dict(_long_cells(long, len(frames)))
+    wide_table = _WideFile(wide, len(frames))
     tally = Tally()
     for place, slot in enumerate(slots):
         table = codec.tables[slot]
@@ -113,7 +111,6 @@ def _compare(codec: Codec, slots: Sequence[int], frames: Sequence[SentFrame], fo
             value_count += int(np.count_nonzero(cells.is_there))
             where = f"{names.messages[slot]}.{name}"
             _judge(tally, where, expected, cells, is_transported, is_refused=name in table.refused)
-            _judge_long(tally, where, expected, long_cells.get((names.messages[slot], name)), cells, rows)
         _check_account(tally, account, slot, value_count, int(np.count_nonzero(is_transported)))
         tally.messages += 1
         tally.signals += len(wanted)
@@ -156,27 +153,6 @@ def _judge(
         )
 
 
-def _judge_long(
-    tally: Tally, where: str, expected: Readings, long: _Cells | None, wide: _Cells, rows: Int64Array
-) -> None:
-    """Count where a long table with texts says anything else than a wide one with both."""
-    if long is None:
-        tally.extra += int(np.count_nonzero(wide.is_there))
-        return
-    number, text = long.number[rows], [long.text[row] for row in rows.tolist()]
-    is_named = np.array([name is not None for name in text], np.bool_)
-    is_there = long.is_there[rows]  # as a number
-    wrong = (is_there == is_named) & wide.is_there
-    wrong |= (is_there | is_named) & ~wide.is_there
-    wrong |= is_there & wide.is_there & _differ(wide.number, number)
-    wrong |= np.array(
-        [mine != its and good for mine, its, good in zip(text, expected.text, wide.is_there, strict=True)]
-    )
-    tally.different += int(np.count_nonzero(wrong))
-    if wrong.any():
-        tally.examples.append(f"{where}: the long table differs from the wide one")
-
-
 def _check_account(tally: Tally, account: DecodeAccount, slot: int, value_count: int, transported_count: int) -> None:
     """Hold the account of one message against what was found in the table."""
     counted = sum(one.values for (owner, _), one in account.signals.items() if owner == slot)
@@ -215,25 +191,6 @@ class _WideFile:
         return _Cells(
             number[row], is_valid[row] & (row >= 0), [texts[one] if one >= 0 else None for one in row.tolist()]
         )
-
-
-def _long_cells(path: Path, frame_count: int) -> Iterator[tuple[tuple[str, str], _Cells]]:
-    """Yield every signal of a long table in all frames."""
-    table = pq.read_table(path)
-    frame = _frame_numbers(table.column("time"))
-    number, is_valid = _numbers(table.column("value"))
-    texts = table.column("text").to_pylist()
-    rows_of: dict[tuple[str, str], list[int]] = {}
-    keys = zip(table.column("message").to_pylist(), table.column("signal").to_pylist(), strict=True)
-    for row, key in enumerate(keys):
-        rows_of.setdefault(key, []).append(row)
-    for key, rows in rows_of.items():
-        at = frame[rows]
-        cells = _Cells(np.zeros(frame_count), np.zeros(frame_count, np.bool_), [None] * frame_count)
-        cells.number[at], cells.is_there[at] = number[rows], is_valid[rows]
-        for row, place in zip(rows, at.tolist(), strict=True):
-            cells.text[place] = texts[row]
-        yield key, cells
 
 
 def _frame_numbers(time: Any) -> Int64Array:  # noqa: ANN401 - of pyarrow

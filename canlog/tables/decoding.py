@@ -1,6 +1,6 @@
 """Logs to tables: one pass from frames to columns and the account of what is not in them, for files and for memory."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from difflib import get_close_matches
@@ -25,7 +25,6 @@ from canlog.logs.streams import never
 from canlog.tables.account import DecodeAccount, losses
 from canlog.tables.frame_groups import FrameGroup, FrameStock, LogSet, LongRows, Origins, Stretch, log_paths
 from canlog.tables.layouts import (
-    LongLayout,
     Place,
     TableNames,
     TableShapeName,
@@ -143,11 +142,9 @@ class GroupSize:
     is_live: bool = False  # somebody waits for the rows: what came together is a group, however few frames that are
 
 
-def stretches(
-    batches: Iterable[FrameBatch], account: DecodeAccount, pairs: Collection[tuple[int, int]] = ()
-) -> Iterator[Stretch]:
+def stretches(batches: Iterable[FrameBatch], account: DecodeAccount) -> Iterator[Stretch]:
     """Yield frames with their messages, and with those messages that several frames are; all enter the account."""
-    together = LongRows(account.codec, pairs)
+    together = LongRows(account.codec)
     account.transfers, account.long_counts = together.counts, together.counts_of
     for stretch in together.stretches(batches):
         account.add(stretch)
@@ -165,7 +162,7 @@ def groups(
     yield from stock.rest()
 
 
-def columns_of(group: FrameGroup, account: DecodeAccount, layout: WideLayout | LongLayout) -> Mapping[str, Any]:
+def columns_of(group: FrameGroup, account: DecodeAccount, layout: WideLayout) -> Mapping[str, Any]:
     """Return the columns of a group, empty if it has no rows; values and rows enter the account."""
     found = account.values_of(group)
     count, columns = layout.columns(group, found) if found else (0, {})
@@ -189,9 +186,7 @@ class TableSink(Protocol):
 class ColumnRows:
     """Rows of columns into any file of columns."""
 
-    def __init__(
-        self, output: BinaryIO, table_format: TableFormat, layout: WideLayout | LongLayout, account: DecodeAccount
-    ) -> None:
+    def __init__(self, output: BinaryIO, table_format: TableFormat, layout: WideLayout, account: DecodeAccount) -> None:
         self._layout = layout
         self._account = account
         self._columns = open_columns(output, table_format, layout.kinds, layout.metadata)
@@ -259,7 +254,6 @@ class MessageRows:
 
 
 MAX_CELLS: Final = 8_000_000  # of a row group: 64 MB of numbers
-CELLS_PER_VALUE: Final = 8  # of the long table
 GROUP_FRAMES: Final = 1_048_576  # of a row group, at most
 GROUP_VALUES: Final = 4_718_592  # likewise
 
@@ -268,7 +262,6 @@ class TableShape(StrEnum):
     """What a row of a table is."""
 
     WIDE = "wide"  # a frame
-    LONG = "long"  # a value
     MESSAGES = "messages"  # a frame; each message has a table of its own
 
 
@@ -285,7 +278,6 @@ class Plan:
     max_values: int = GROUP_VALUES  # likewise
     span: Span = EVERYTHING
     is_measured: bool = False  # whether codes that say "not available" are no values
-    pairs: tuple[tuple[int, int], ...] = ()  # identifiers of requests and answers, as of ``LongRows``
 
     @classmethod
     def of(
@@ -313,33 +305,26 @@ class Plan:
             return replace(self, span=span)
         return replace(self, span=span, codec=self.codec.only(chosen_places(self.names.columns, signals)))
 
-    def layout(
-        self, batches: Callable[[], Iterable[FrameBatch]], origins: Origins | None = None
-    ) -> WideLayout | LongLayout:
-        """Return the columns; for wide rows all frames are looked at, for the messages that occur are the columns."""
-        if self.shape is TableShape.LONG:
-            every = range(len(self.codec.tables))
-            return LongLayout(self.codec.tables, self.names, self.values, every, origins, is_measured=self.is_measured)
+    def layout(self, batches: Iterable[FrameBatch], origins: Origins | None = None) -> WideLayout:
+        """Return the columns: all frames are looked at, for the messages that occur are the columns."""
         seen: set[int] = set()
-        together = LongRows(self.codec, self.pairs)
-        for stretch in together.stretches(batches()):
+        together = LongRows(self.codec)
+        for stretch in together.stretches(batches):
             counts = stretch.match.counts[:-1, list(HAS_VALUES)]
             seen.update(np.flatnonzero(counts.sum(axis=1)).tolist())
         seen.update(together.counts_of)
         slots = sorted(seen)
         return WideLayout(self.codec.tables, self.names, self.values, slots, origins, is_measured=self.is_measured)
 
-    def size(self, layout: WideLayout | LongLayout | None = None, *, is_live: bool = False) -> GroupSize:
+    def size(self, layout: WideLayout | None = None, *, is_live: bool = False) -> GroupSize:
         """Return how much a group of rows holds whose columns are all in memory.
 
         ``layout`` are these columns; None: of one message only.
         """
-        most = self.max_cells
-        if isinstance(layout, WideLayout):
-            frames = max(1, min(self.max_frames, most // len(layout.kinds)))
-            return GroupSize(frames=frames, values=self.max_values, is_live=is_live)
-        values = max(1, most // CELLS_PER_VALUE) if layout else most
-        return GroupSize(frames=self.max_frames, values=values, is_live=is_live)
+        if layout is None:
+            return GroupSize(frames=self.max_frames, values=self.max_cells, is_live=is_live)
+        frames = max(1, min(self.max_frames, self.max_cells // len(layout.kinds)))
+        return GroupSize(frames=frames, values=self.max_values, is_live=is_live)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -376,9 +361,7 @@ def decode_logs(
         If the library that writes the format is not installed.
     """
     check_libraries(table_format, paths)
-    is_read_twice = (
-        table_format is not TableFormat.MF4 and plan.shape is TableShape.WIDE
-    )  # columns depend on all frames
+    is_read_twice = plan.shape is TableShape.WIDE  # columns depend on all frames
     with LogSet(paths, is_stopped, is_read_twice=is_read_twice, watch=watch, columns=columns) as logs:
         return _Writing(logs, plan, table_format, is_stopped).write(output)
 
@@ -411,7 +394,7 @@ class _Writing:
     def _into(self, output: BinaryIO | TableFolder) -> Decoded:
         logs, account = self.logs, DecodeAccount(codec=self.plan.codec, names=self.plan.names)
         sink, size = self._sink(output, account)
-        found = stretches(self._frames(account.leave_out), account, self.plan.pairs)
+        found = stretches(self._frames(account.leave_out), account)
         is_whole = False
         try:
             for group in groups(found, self.plan.codec, size, logs.origins):
@@ -430,11 +413,7 @@ class _Writing:
         plan, origins = self.plan, self.logs.origins
         if isinstance(output, TableFolder):
             return MessageRows(output, self.table_format, account, plan.values, origins), plan.size()
-        if self.table_format is TableFormat.MF4:
-            from canlog.tables.mf4_table import Mf4Table  # noqa: PLC0415 - for this format alone
-
-            return Mf4Table(output, account, origins), plan.size()
-        layout = plan.layout(lambda: self._frames(lambda _: None), origins)  # another pass counts
+        layout = plan.layout(self._frames(lambda _: None), origins)  # another pass counts
         is_live = STANDARD_INPUT in self.logs.paths
         return ColumnRows(output, self.table_format, layout, account), plan.size(layout, is_live=is_live)
 
@@ -449,7 +428,7 @@ def _until(is_stopped: Callable[[], bool], batches: Iterable[FrameBatch]) -> Ite
         yield batch
 
 
-FormatName = Literal["parquet", "csv", "jsonl", "arrow", "mf4"]
+FormatName = Literal["parquet", "csv", "jsonl", "arrow"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -458,19 +437,17 @@ class TableChoice:
 
     Parameters
     ----------
-    table_format : {"parquet", "csv", "jsonl", "arrow", "mf4"}, optional
-        By default what the suffix says: ``.parquet``, ``.csv``, ``.jsonl``, ``.arrows``, ``.mf4``; of a folder Parquet.
+    table_format : {"parquet", "csv", "jsonl", "arrow"}, optional
+        By default what the suffix says: ``.parquet``, ``.csv``, ``.jsonl``, ``.arrows``; of a folder Parquet.
     shape, values
         As of ``Log.to_arrow``; ``messages`` is a folder with a table for each message, and the default where the output
-        is a folder or has no suffix, ``wide`` that of a file. An MF4 file has a group for each message, and numbers.
+        is a folder or has no suffix, ``wide`` that of a file.
     signals
         Only these: ``Message.Signal`` or the signal alone, both with ``*`` for anything; by default all. A text is one.
     begin, end
         Only what lies between: seconds from the first frame, or a time as ISO 8601, in UTC unless it says otherwise.
     columns
         Which column of a text is which, as of ``read``.
-    pairs
-        Identifiers, with flags, of requests and of answers in several frames, besides those of ISO 15765-4.
     """
 
     table_format: FormatName | None = None
@@ -480,39 +457,35 @@ class TableChoice:
     begin: str | float | None = None
     end: str | float | None = None
     columns: str = ""
-    pairs: Collection[tuple[int, int]] = ()
 
     def plan(self, messages: Sequence[Message]) -> Plan:
         """Return what is decoded of the messages of a database; raises as ``Plan.part`` does."""
         whole = Plan.of(messages, TableShape(self.shape or "wide"), Values(self.values))
-        return replace(whole, pairs=tuple(self.pairs)).part(self.signals, self.begin, self.end)
+        return whole.part(self.signals, self.begin, self.end)
 
     def format_of(self, output: Path) -> TableFormat:
-        """Return the format of a file; raises OutputError if there is no such format, or it cannot hold this."""
+        """Return the format of a file; raises OutputError if there is no such format."""
         if self.shape == "messages" and self.table_format is None:
             return TableFormat.PARQUET
         try:
-            chosen = (
+            return (
                 FORMAT_OF_SUFFIX[output.suffix.lower()] if self.table_format is None else TableFormat(self.table_format)
             )
         except (KeyError, ValueError):
             known = f"{', '.join(FORMAT_OF_SUFFIX)}, or as table_format says: {', '.join(TableFormat)}"
             raise OutputError(f"{output}: signals are written as {known}") from None
-        if chosen is TableFormat.MF4 and (self.shape or "wide", self.values) != ("wide", "numbers"):
-            raise OutputError("an MF4 file has a group for each message, and numbers: neither shape nor values applies")
-        return chosen
 
 
 EVERY_SIGNAL: Final = TableChoice()
 
 
-def default_shape(output: Path, table_format: str | None = None, *, is_folder: bool = False) -> TableShapeName:
+def default_shape(output: Path, *, is_folder: bool = False) -> TableShapeName:
     """Return the shape where nobody said it: in a folder each message has a table, and one table is wide.
 
     ``is_folder``: whatever the output is called, since each of several logs gets a folder of its own there.
     """
     is_one_table = str(output) == "-" or (output.suffix != "" and not output.is_dir() and not is_folder)
-    return "wide" if is_one_table or table_format == TableFormat.MF4 else "messages"
+    return "wide" if is_one_table else "messages"
 
 
 def write_table(
@@ -543,7 +516,7 @@ def write_table(
         If there is no such format, or the file cannot be written.
     """
     written = Path(output)
-    choice = replace(choice, shape=choice.shape or default_shape(written, choice.table_format))
+    choice = replace(choice, shape=choice.shape or default_shape(written))
     plan = choice.plan(database_of(database, is_lenient=is_lenient).messages)
     decoded = decode_logs(log_paths(path), plan, written, choice.format_of(written), columns=choice.columns)
     return list(losses(decoded.account))

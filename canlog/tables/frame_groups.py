@@ -1,6 +1,6 @@
 """The frames that tables are made of: of one log or several, messages longer than a frame among them, in groups."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -185,15 +185,12 @@ class Stretch:
 
 
 class LongRows:
-    """Puts the messages of a stream together that the database calls longer than a frame.
+    """Puts the messages of a stream together that the database calls longer than a frame."""
 
-    Where there are none, nothing is done. ``pairs`` are further identifiers, as of `Reassembler`.
-    """
-
-    def __init__(self, codec: Codec, pairs: Collection[tuple[int, int]] = ()) -> None:
+    def __init__(self, codec: Codec) -> None:
         self._codec = codec
         self._lengths = [table.needed_bytes if table.signals else 0 for table in codec.tables]
-        self._reassembler: Final = Reassembler(pairs) if any(self._lengths) else None
+        self._reassembler: Final = Reassembler() if any(self._lengths) else None
         self.counts_of: dict[int, int] = {}  # messages that are whole, by slot
 
     @property

@@ -1,4 +1,4 @@
-"""Decoded frames as the columns of a table: wide, a row per frame, or long, a row per value.
+"""Decoded frames as the columns of a table: a row per frame, a column per signal.
 
 Nothing is null that a frame carries: null are signals of other messages, of other pages of a multiplexer, and what lies
 behind the end of a short frame. Columns are called ``Message.Signal``, with the identifier where that does not tell two
@@ -6,7 +6,7 @@ signals apart.
 """
 
 from collections import Counter
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib import import_module
@@ -126,10 +126,9 @@ class ValueTexts:
 
 
 LOG, TIME, CHANNEL, ID, IS_EXTENDED = "log", "time", "channel", "id", "is_extended"
-MESSAGE, SIGNAL, VALUE, TEXT, UNIT = "message", "signal", "value", "text", "unit"
+MESSAGE, UNIT = "message", "unit"
 FRAME_KINDS: Final = {TIME: TIME_TYPE, CHANNEL: "int64", ID: "int32", IS_EXTENDED: BOOL_TYPE, MESSAGE: NAME_TYPE}
-ShapeName = Literal["wide", "long"]
-TableShapeName = Literal["wide", "long", "messages"]
+TableShapeName = Literal["wide", "messages"]
 ValuesName = Literal["numbers", "texts", "both"]
 Column = Any  # of pyarrow, which is untyped
 
@@ -147,8 +146,8 @@ def frame_kinds(origins: Origins | None) -> dict[str, str]:
     return FRAME_KINDS if origins is None else {LOG: NAME_TYPE, **FRAME_KINDS}
 
 
-class TableLayout:
-    """What both layouts share: the messages of a codec, how they are called, and how values are written."""
+class WideLayout:
+    """A row per frame, and a column per signal of the messages in ``slots``."""
 
     def __init__(
         self,
@@ -190,15 +189,6 @@ class TableLayout:
             ID: column_of((can_id & np.uint32(BARE_ID)).astype(np.int32)),
             IS_EXTENDED: column_of((can_id & np.uint32(EXTENDED_FLAG)) != 0),
         }
-
-    def unit(self, place: Place) -> str:
-        """Return the unit of a signal; empty if the database has none."""
-        slot, name = place
-        return self._tables[slot].definitions[name].unit or ""
-
-
-class WideLayout(TableLayout):
-    """A row per frame, and a column per signal of the messages in ``slots``."""
 
     @property
     def kinds(self) -> dict[str, str]:
@@ -247,69 +237,6 @@ class WideLayout(TableLayout):
             if self._is_measured and decoded.is_good is not None:
                 is_there = decoded.is_good if is_there is None else is_there & decoded.is_good
             cells.put(place, rows, decoded.value, is_there)
-
-
-class LongLayout(TableLayout):
-    """A row per value."""
-
-    @property
-    def kinds(self) -> dict[str, str]:
-        text = {} if self.values is Values.NUMBERS else {TEXT: NAME_TYPE}
-        return {**self.frame_kinds, SIGNAL: NAME_TYPE, VALUE: "float64", **text, UNIT: NAME_TYPE}
-
-    @property
-    def metadata(self) -> dict[str, dict[str, str]]:
-        return {}
-
-    def columns(self, group: FrameGroup, found: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
-        """Return the number of rows and the columns of one row group, in their order."""
-        parts = [part for one in found for part in self._parts(one)]
-        if not parts:
-            return 0, {}
-        rows = np.concatenate([part.rows for part in parts])
-        order = _order(rows, len(group))
-        which = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part.rows) for part in parts])[order]
-        columns = self._frame_columns(group, rows[order])
-        columns[MESSAGE] = _name_column([self.names.messages[part.place[0]] for part in parts], which)
-        columns[SIGNAL] = _name_column([part.place[1] for part in parts], which)
-        value = np.concatenate([part.value for part in parts])[order]
-        is_good = np.concatenate([part.is_good for part in parts])[order]
-        text: dict[str, Column] = {}
-        if self.values is not Values.NUMBERS:
-            arrow = load_pyarrow()
-            texts = arrow.concat_arrays([_name_column(part.names, part.codes) for part in parts])
-            text = {TEXT: texts.take(column_of(order))}
-            if self.values is Values.TEXTS:
-                is_good &= text[TEXT].is_null().to_numpy(zero_copy_only=False)
-        columns[VALUE] = column_of(value, None if is_good.all() else is_good)
-        columns.update(text)
-        columns[UNIT] = _name_column([self.unit(part.place) for part in parts], which)
-        return len(rows), columns
-
-    def _parts(self, one: MessageValues) -> Iterator["_Part"]:
-        for name, decoded in one.signals.items():
-            place = one.slot, name
-            kept = slice(None) if decoded.is_present is None else decoded.is_present
-            rows, value = one.rows[kept], decoded.value[kept]
-            codes, names = np.full(len(rows), NAMELESS, np.int32), tuple[str, ...]()
-            if place in self.texts:
-                codes, names = self.texts[place].codes(one.words)[kept], self.texts[place].names
-            is_good = np.ones(len(rows), np.bool_)
-            if self._is_measured and decoded.is_good is not None:
-                is_good = decoded.is_good[kept]
-            yield _Part(place, rows, value, is_good, codes, names)
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Values of one signal in a batch."""
-
-    place: Place
-    rows: Int64Array  # (n,) of the batch
-    value: FloatArray  # (n,)
-    is_good: BoolArray  # (n,) whether the value is to be shown
-    codes: Int32Array  # (n,) of ``names``
-    names: tuple[str, ...]
 
 
 class _Cells:

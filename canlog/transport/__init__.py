@@ -1,14 +1,10 @@
 """Messages longer than a frame, put together from recorded or live frames: ISO-TP and J1939 transport."""
 
-from canlog.transport.reassembly import Exchange, Exchanges, LongMessage, LongMessages, Reassembler
+from canlog.transport.reassembly import Reassembler
 from canlog.transport.transfers import Fault, Protocol, Transfer, TransferCounts
 
 __all__ = [
-    "Exchange",
-    "Exchanges",
     "Fault",
-    "LongMessage",
-    "LongMessages",
     "Protocol",
     "Reassembler",
     "Transfer",

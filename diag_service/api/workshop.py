@@ -13,7 +13,6 @@ from diag_service.commands.arguments import DEFAULT_BITRATE
 from diag_service.commands.inspect import Inspection, inspect_log
 from diag_service.commands.learn import learned_from, record, write_description
 from diag_service.commands.predict import predict_shifts
-from diag_service.commands.talks import conversations_of
 from diag_service.console import collected_notices
 from diag_service.diagnosis.friction.paper import PaperShift, PooledClutch
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration
@@ -102,8 +101,6 @@ def inspect(
     bitrate: int = DEFAULT_BITRATE,
     is_lenient: bool = False,
     columns: str = "",
-    has_conversations: bool = False,
-    pairs: str = "",
 ) -> Inspection:
     """Return what traffic a log holds, as ``diag-service inspect`` shows it.
 
@@ -111,8 +108,6 @@ def inspect(
     ----------
     bitrate
         That the bus load is told for [bit/s].
-    has_conversations, pairs
-        Whether messages longer than a frame are put together, ``79B:7BB`` for identifiers that ISO 15765 does not have.
     path, dbc, is_lenient, columns
         As of ``analyze``.
 
@@ -123,8 +118,7 @@ def inspect(
     """
     with collected_notices():
         messages = open_database(optional_path(dbc), [Path(path)], is_lenient=is_lenient).messages
-        talks = conversations_of(messages, pairs) if has_conversations or pairs else None
-        return inspect_log(Path(path), messages, bitrate, Trigger(), columns=columns, conversations=talks)
+        return inspect_log(Path(path), messages, bitrate, Trigger(), columns=columns)
 
 
 def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, is_lenient: bool = False, columns: str = "") -> str:

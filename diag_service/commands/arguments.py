@@ -125,25 +125,13 @@ _RUN: Final = Command(
         f"{PROGRAM} run --config car1.toml --json",
     ),
 )
-_PAIRS: Final = Option(
-    "--pairs IDS",
-    "identifiers of further requests and answers, hexadecimal: 79B:7BB,740:760 (default: those of ISO 15765)",
-)
-_CONVERSATIONS_TEXT: Final = (
-    "put messages longer than a frame together (ISO-TP, J1939 transport) and show what testers "
-    "asked and controllers answered"
-)
 _MONITOR: Final = Command(
     "monitor",
     "show a live bus, store nothing",
     *(*BUS, *MEANING, CONFIG),
-    Option("--conversations", f"{_CONVERSATIONS_TEXT}, as they come"),
-    *(_PAIRS, VERBOSE),
+    VERBOSE,
     variables=VARIABLES,
-    examples=(
-        f"{PROGRAM} monitor -i socketcan -c can0 --duration 60",
-        f"{PROGRAM} monitor -i socketcan -c can0 --conversations",
-    ),
+    examples=(f"{PROGRAM} monitor -i socketcan -c can0 --duration 60",),
 )
 _CHECK: Final = Command(
     "check",
@@ -210,13 +198,10 @@ _INSPECT: Final = Command(
         INT,
         default=DEFAULT_BITRATE,
     ),
-    Option("--conversations", _CONVERSATIONS_TEXT),
-    _PAIRS,
     *(JSON, VERBOSE),
     description="Show what traffic a log holds. A database names the messages; the shipped one also checks them.",
     examples=(
         f"{PROGRAM} inspect drive.blf --dbc car.dbc",
-        f"{PROGRAM} inspect workshop.log --conversations",
         f"candump -L -T 5000 can0 | {PROGRAM} inspect -",
     ),
 )
@@ -268,26 +253,25 @@ _TRANSMISSION: Final = Command(
 )
 _DECODE: Final = Command(
     "decode",
-    "write the signals of logs as a table: Parquet, CSV, JSON lines, Arrow or MF4",
+    "write the signals of logs as a table: Parquet, CSV, JSON lines or Arrow",
     _logs("log file; of several the frames are put in order of time; or folder of logs; - is standard input"),
     _output(
-        "folder for a table of each message; or one table: .parquet, .csv, .jsonl, .arrows or .mf4; - is standard "
-        "output",
+        "folder for a table of each message; or one table: .parquet, .csv, .jsonl or .arrows; - is standard output",
         required=True,
     ),
     FORCE,
     Option(
         "--format",
         "whatever the name of the output says (default of standard output: csv; of a folder: parquet)",
-        Choice(["parquet", "csv", "jsonl", "arrow", "mf4"]),
+        Choice(["parquet", "csv", "jsonl", "arrow"]),
     ),
     *(*_DATABASE, _MATCH),
     _COLUMNS,
     Option(
         "--layout",
-        "messages: a table per message, in a folder; wide: a row per frame, a column per signal; long: a row per value "
+        "messages: a table per message, in a folder; wide: a row per frame, a column per signal "
         "(default: messages where the output is a folder, wide where it is one table)",
-        Choice(["messages", "wide", "long"]),
+        Choice(["messages", "wide"]),
     ),
     Option(
         "--values",
@@ -303,7 +287,6 @@ _DECODE: Final = Command(
         "--from TIME", "only what is not before: seconds from the first frame, or a time as 2026-01-01T12:30:00 (UTC)"
     ),
     Option("--to TIME", "only what is before; the log is read no further"),
-    _PAIRS,
     Option("--jobs N", "tables of a folder at a time (default: one per core)", INT),
     Option("--strict", "end with status 5 if anything of the log is not in the file, and say what"),
     *(JSON, VERBOSE),
@@ -311,9 +294,9 @@ _DECODE: Final = Command(
         f"{PROGRAM} decode drive.blf --dbc car.dbc -o drive",
         f"{PROGRAM} decode drive.blf --dbc car.dbc -o drive.parquet",
         f"{PROGRAM} decode drive.blf --dbc car.dbc -o part.csv --signals 'EngineSpeed,Brake.*' --from 60 --to 90",
-        f"{PROGRAM} decode front.blf rear.blf --dbc car.dbc -o both.mf4",
+        f"{PROGRAM} decode front.blf rear.blf --dbc car.dbc -o both.parquet",
         f"{PROGRAM} decode recordings --dbc car.dbc -o tables --jobs 4",
-        f"candump -L can0 | {PROGRAM} decode - --dbc car.dbc -o - --layout long --format jsonl",
+        f"candump -L can0 | {PROGRAM} decode - --dbc car.dbc -o - --format jsonl",
     ),
 )
 _STORE: Final = click.Argument(

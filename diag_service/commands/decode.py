@@ -21,7 +21,6 @@ from canlog.tables.decoding import Decoded, Plan, TableChoice, TableShape, decod
 from canlog.tables.table_folder import message_files, tables_there
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.program import replacement_refusal
-from diag_service.commands.talks import pairs_of
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
@@ -41,7 +40,7 @@ BUILT_IN_FITS_NOT: Final = (
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Decode logs; a file appears when it is complete. Raises StoppedError if that was stopped."""
     has_folders = any(path.is_dir() for path in options.logs if path != STANDARD_INPUT)
-    layout = options.layout or default_shape(options.output, options.format, is_folder=has_folders)
+    layout = options.layout or default_shape(options.output, is_folder=has_folders)
     options = SimpleNamespace(**{**vars(options), "layout": layout})
     is_of_messages = layout == TableShape.MESSAGES
     if has_folders or (options.output.is_dir() and not is_of_messages):
@@ -105,8 +104,6 @@ def _check(options: SimpleNamespace, table_format: TableFormat) -> None:
         from diag_service.service.drive import check_distinct  # noqa: PLC0415 - a drive is a lot to import
 
         check_distinct(options.logs)
-    if table_format is TableFormat.MF4 and (options.layout, options.values) != ("wide", "numbers"):
-        raise ConfigError("an MF4 file has a group per message and numbers: neither --layout nor --values applies")
     if not is_piped and not is_of_messages and (text := replacement_refusal(options.output, is_forced=options.force)):
         raise ConfigError(text)
     check_libraries(table_format, options.logs)
@@ -157,7 +154,7 @@ def _show(options: SimpleNamespace, decoded: Decoded, console: PeopleConsole) ->
 
 
 def _choice_of(options: SimpleNamespace) -> TableChoice:
-    """Return what is asked for; raises ConfigError if pairs are none."""
+    """Return what is asked for."""
     return TableChoice(
         shape=options.layout,
         values=options.values,
@@ -165,7 +162,6 @@ def _choice_of(options: SimpleNamespace) -> TableChoice:
         begin=vars(options)["from"],
         end=options.to,
         columns=options.columns or "",
-        pairs=pairs_of(options.pairs or ""),
     )
 
 

@@ -24,7 +24,6 @@ from canlog.logs.reading import Watch
 from canlog.traffic import MAX_IDS, NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
 from clutchdiag_io.people import SHORT_PLUS_MINUS, STDS, digits
 from diag_service.batch.drives import LeftOut, left_out_record, sorted_out
-from diag_service.commands.talks import Conversations, conversations_of
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.records import dump, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoppedError
@@ -114,7 +113,6 @@ class Inspection:
     names: dict[int, str]  # identifier with flags -> message
     links: dict[str, LinkErrors]  # of protected messages that were seen
     is_whole: bool
-    conversations: Conversations | None = None  # if they were asked for
     values: TableValues | None = None  # of a table of signals
 
     def to_json(self) -> str:
@@ -139,7 +137,6 @@ class Inspection:
             "notes": list(counts.notes),
             **table,
             "protection": {name: asdict(link) for name, link in self.links.items()},
-            **({"conversations": talks.record()} if (talks := self.conversations) is not None else {}),
         }
         return dump(record)
 
@@ -152,11 +149,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     for path, is_found in _files(options, columns, console):
         try:
             with ReadingLine() as line:
-                has_talks = options.conversations or options.pairs
-                talks = conversations_of(messages, options.pairs or "") if has_talks else None
-                if talks is not None and path == STANDARD_INPUT and not options.json:
-                    talks.show_at_once(console.print)
-                inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch, columns, talks)
+                inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch, columns)
         except SourceError as exc:
             if not is_found:
                 raise
@@ -179,7 +172,6 @@ def inspect_log(
     stop: Trigger,
     watch: Watch | None = None,
     columns: str = "",
-    conversations: Conversations | None = None,
 ) -> Inspection:
     """Read a log once and return what it holds.
 
@@ -202,8 +194,6 @@ def inspect_log(
             meter.add(batch, reader.longest_step_ns)
             if values is not None:
                 values.add(batch)
-            if conversations is not None:
-                conversations.add(batch)
             steps_ns = np.diff(batch.t_ns, prepend=batch.t_ns[0] if last_ns is None else last_ns)
             jumps = np.flatnonzero((steps_ns < 0) | (steps_ns > NS_PER_S)).tolist()
             for number, (first, end) in enumerate(pairwise([0, *jumps, len(batch)])):
@@ -215,8 +205,6 @@ def inspect_log(
         is_whole = False
     finally:
         reader.close()
-    if conversations is not None:
-        conversations.close()
     traffic = meter.report()
     counts, missing = monitor.counts, monitor.missing
     return Inspection(
@@ -233,7 +221,6 @@ def inspect_log(
             if row.sum()
         },
         is_whole=is_whole,
-        conversations=conversations,
         values=values,
     )
 
@@ -292,7 +279,6 @@ def _show(inspection: Inspection, bitrate: int, console: PeopleConsole) -> None:
     for one in inspection.traffic.ids:
         console.print(_COLUMNS.format(*_row(one, inspection.names.get(one.can_id, "").ljust(width))))
     console.print_all(_protection_lines(inspection.links))
-    console.print_all(inspection.conversations.lines() if inspection.conversations is not None else ())
 
 
 def _head(inspection: Inspection, bitrate: int) -> list[str]:

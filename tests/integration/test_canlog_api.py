@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 import canlog
-from canlog.tables.layouts import ShapeName, ValuesName
+from canlog.tables.layouts import ValuesName
 
 DATABASE = """VERSION ""
 BU_: A
@@ -91,17 +91,16 @@ def test_signals_are_arrays_in_the_order_of_the_frames(log: canlog.Log) -> None:
     assert (signals["Gear.Target"].t_ns.tolist(), signals["Gear.Target"].value.tolist()) == ([T_NS[3]], [4.0])
 
 
-@pytest.mark.parametrize("shape", ["wide", "long"])
 @pytest.mark.parametrize("values", ["numbers", "texts", "both"])
-def test_tables_in_memory_are_those_of_the_file(drive: Path, shape: ShapeName, values: ValuesName) -> None:
+def test_tables_in_memory_are_those_of_the_file(drive: Path, values: ValuesName) -> None:
     output = drive.with_suffix(".parquet")
     database = canlog.load_database(drive.with_name("car.dbc"))
     log = canlog.read(drive, database)
-    assert canlog.write_parquet(drive, database, output, canlog.TableChoice(shape=shape, values=values)) == log.losses
-    table = log.to_arrow(shape, values, is_raw=True)
+    assert canlog.write_parquet(drive, database, output, canlog.TableChoice(values=values)) == log.losses
+    table = log.to_arrow("wide", values, is_raw=True)
     assert table.to_pylist() == pl.read_parquet(output).to_dicts()
-    assert log.to_polars(shape, values, is_raw=True).to_dicts() == table.to_pylist()
-    frame = log.to_pandas(shape, values, is_raw=True)
+    assert log.to_polars("wide", values, is_raw=True).to_dicts() == table.to_pylist()
+    frame = log.to_pandas("wide", values, is_raw=True)
     pd.testing.assert_frame_equal(frame, pd.read_parquet(output), check_categorical=False)
 
 
@@ -125,8 +124,7 @@ def test_a_database_that_matches_nothing_gives_an_empty_table(log: canlog.Log, d
     assert other.signals() == {}
     assert other.to_pandas() == {}
     assert other.to_pandas("wide").empty
-    assert other.to_polars("long").is_empty()
-    assert other.to_polars("long").columns == log.to_polars("long").columns
+    assert other.to_polars("wide").is_empty()
     assert "0 of 1 identifiers are in this database" in other.losses[0]
 
 
@@ -140,8 +138,8 @@ def test_what_cannot_be_read_is_told(drive: Path) -> None:
         canlog.read(drive, database, is_strict=True)
     with pytest.raises(canlog.OutputError, match="cannot write"):
         canlog.write_parquet(drive, database, drive.with_name("none") / "out.parquet")
-    with pytest.raises(ValueError, match="tall"):
-        canlog.read(drive, database).to_arrow("tall")  # type: ignore[arg-type]  # as a user may type it
+    with pytest.raises(ValueError, match="long"):
+        canlog.read(drive, database).to_arrow("long")  # type: ignore[arg-type]  # as a user may type it
 
 
 def test_a_name_that_is_not_there_is_an_attribute_error() -> None:

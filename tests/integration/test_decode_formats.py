@@ -76,9 +76,8 @@ def same(one: object, other: object) -> bool:
     return both_nan or one == other
 
 
-@pytest.mark.parametrize("layout", ["wide", "long"])
-def test_csv_json_lines_and_arrow_hold_what_parquet_holds(folder: Path, layout: str) -> None:
-    more = ["--layout", layout, "--values", "both"]
+def test_csv_json_lines_and_arrow_hold_what_parquet_holds(folder: Path) -> None:
+    more = ["--values", "both"]
     rows = decoded("drive.log", *more)
     for suffix in ("csv", "jsonl", "arrows"):
         assert main(["decode", "drive.log", "--dbc", "car.dbc", "-o", f"out.{suffix}", *more]) == 0
@@ -174,23 +173,6 @@ def as_moment(text: str) -> datetime:
     return datetime.fromisoformat(text.replace("Z", "+00:00").replace("000+", "+"))
 
 
-def test_mf4_has_a_group_per_message_and_channel(folder: Path) -> None:
-
-    assert main(["decode", "drive.log", "--dbc", "car.dbc", "-o", "out.mf4"]) == 0
-    from asammdf import MDF  # noqa: PLC0415 - the program hides it until it needs it
-
-    with MDF(folder / "out.mf4") as mdf:
-        names = {getattr(group.channel_group, "acq_name", "") for group in mdf.groups}
-        assert names == {"Brake, channel 0", "Engine, channel 0", "Engine, channel 1"}
-        assert mdf.header.start_time.timestamp() == 1_767_225_600
-        speed, lamp = mdf.get("Brake.Speed"), mdf.get("Brake.Lamp")
-        assert (speed.samples.tolist(), speed.timestamps.tolist(), speed.unit) == ([90.0], [1e-6], "km/h")
-        assert (lamp.samples.tolist(), lamp.timestamps.tolist()) == ([1.0], [0.002])
-        loads = {len(mdf.get("Engine.Load", group=group)) for group, _ in mdf.channels_db["Engine.Load"]}
-        states = [mdf.get("Engine.State", group=group).samples.tolist() for group, _ in mdf.channels_db["Engine.State"]]
-    assert (loads, sorted(states)) == ({1, 2}, [[], [1.0, 2.0]])
-
-
 def test_several_logs_are_one_table_in_order_of_time(folder: Path) -> None:
     (folder / "front.log").write_text("".join(f"{line}\n" for line in LINES[::2]), encoding="ascii")
     (folder / "rear.log").write_text("".join(f"{line}\n" for line in LINES[1::2]), encoding="ascii")
@@ -208,11 +190,10 @@ def test_several_logs_are_one_table_in_order_of_time(folder: Path) -> None:
         assert f"{Path(again)} is given twice" in ended("decode", "front.log", again, "-o", "c.csv").err
 
 
-@pytest.mark.parametrize("layout", ["wide", "long"])
 def test_a_pipe_becomes_a_stream(
-    folder: Path, layout: str, monkeypatch: pytest.MonkeyPatch, capfdbinary: pytest.CaptureFixture[bytes]
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capfdbinary: pytest.CaptureFixture[bytes]
 ) -> None:
-    more = ["--dbc", "car.dbc", "--layout", layout]
+    more = ["--dbc", "car.dbc"]
     assert main(["decode", "drive.log", "-o", "out.csv", *more]) == 0
     capfdbinary.readouterr()
     with piped(monkeypatch, [(folder / "drive.log").read_bytes()]):
@@ -222,12 +203,12 @@ def test_a_pipe_becomes_a_stream(
     assert b"rows in standard output" in err
     assert main(["decode", "drive.log", "-o", "-", "--format", "arrow", *more]) == 0
     out, _ = capfdbinary.readouterr()
-    assert pa.ipc.open_stream(out).read_all().num_rows == (5 if layout == "wide" else 9)
+    assert pa.ipc.open_stream(out).read_all().num_rows == 5
 
 
 def test_head_of_a_stream_is_no_error(folder: Path) -> None:
     (folder / "long.log").write_text(f"{LINES[0]}\n" * 20_000, encoding="ascii")
-    told = before_head("diag_service", "decode", "long.log", "--dbc", "car.dbc", "-o", "-", "--layout", "long")
+    told = before_head("diag_service", "decode", "long.log", "--dbc", "car.dbc", "-o", "-")
     assert (told.status, told.out.count(b"\n")) == (0, 1)
     assert b"rror" not in told.err
 
@@ -235,10 +216,9 @@ def test_head_of_a_stream_is_no_error(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "status", "text"),
     [
-        (("-o", "out.xlsx"), 2, "written as .parquet, .csv, .jsonl, .arrows, .mf4, or as --format says"),
+        (("-o", "out.mf4"), 2, "written as .parquet, .csv, .jsonl, .arrows, or as --format says"),
         (("-o", "-", "--format", "parquet"), 2, "parquet does not go to standard output"),
         (("-o", "-", "--json"), 2, "--json cannot be used"),
-        (("-o", "out.mf4", "--layout", "long"), 2, "neither --layout nor --values applies"),
         (("-o", "car.dbc", "--format", "csv"), 2, "car.dbc is there already; --force writes over it"),
         (("-o", "none/out.csv"), 4, "cannot write none/out.csv: No such file"),
     ],
@@ -250,18 +230,15 @@ def test_what_cannot_be_written_is_told(folder: Path, words: tuple[str, ...], st
 
 
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
-@pytest.mark.parametrize("layout", ["wide", "long"])
-def test_a_part_is_what_the_whole_has_there(folder: Path, layout: str, suffix: str) -> None:
-    whole = decoded("drive.log", "--layout", layout)
+def test_a_part_is_what_the_whole_has_there(folder: Path, suffix: str) -> None:
+    whole = decoded("drive.log")
     columns = {"Brake.Speed", "Engine.State"}
 
     def is_asked(row: Row) -> bool:
-        if layout == "long":
-            return f"{row['message']}.{row['signal']}" in columns
         return row["message"] in {"Brake", "Engine"}
 
     stretch = ["--from", "0.001001", "--to", "2026-01-01T00:00:00.004+00:00"]
-    words = ["--layout", layout, "--signals", "Brake.S*,State", *stretch, "--json"]
+    words = ["--signals", "Brake.S*,State", *stretch, "--json"]
     told = ended("decode", "drive.log", *words, "-o", f"part.{suffix}")
     frames = json.loads(told.out)["frames"]
     assert (frames["read"], frames["left_out"]) == (5, 2)
@@ -273,12 +250,12 @@ def test_a_part_is_what_the_whole_has_there(folder: Path, layout: str, suffix: s
         rows = pq.read_table("part.parquet").to_pylist()
         count = len(rows)
         kept = [
-            {name: cell for name, cell in row.items() if layout == "long" or "." not in name or name in columns}
+            {name: cell for name, cell in row.items() if "." not in name or name in columns}
             for row in whole
             if is_asked(row) and whole[0]["time"] < row["time"] < whole[-1]["time"]
         ]
         assert rows == kept
-    assert count == (3 if layout == "wide" else 2)
+    assert count == 3
 
 
 def test_a_part_that_cannot_be_is_told(folder: Path) -> None:
@@ -336,7 +313,6 @@ def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: p
     assert "drive.log.parquet is there already" in ended(*wide).err
     assert "--jobs is for folders" in ended("decode", "drive.log", "-o", "b.csv", "--jobs", "2").err
     assert "standard input does not go with them" in ended("decode", "logs", "-", "-o", "tables").err
-    assert "neither shape nor values applies" in ended(*words, "--format", "mf4", "--layout", "long").err
 
 
 @pytest.mark.parametrize(

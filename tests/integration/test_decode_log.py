@@ -171,18 +171,6 @@ def test_texts_take_the_place_of_the_numbers_that_have_one(tmp_path: Path) -> No
     assert [row["Brake.Speed"] for row in rows] == [-10.0, 40.0, None, 32757.0, -9.5]
 
 
-@pytest.mark.parametrize("values", ["numbers", "texts", "both"])
-def test_long_rows_say_the_same(tmp_path: Path, values: str) -> None:
-    rows = decoded(tmp_path, STATES, STATE_LOG, "--layout", "long", "--values", values)
-    states = [row for row in rows if row["signal"] == "State"]
-    assert [row["value"] for row in states] == ([None] * 4 + [3] if values == "texts" else [0, 1, 2, 7, 3])
-    if values == "numbers":
-        assert "text" not in states[0]
-    else:
-        assert [row["text"] for row in states] == ["kein_Fehler", "Fault", "initializing", "SNA", None]
-    assert len(rows) == 15
-
-
 TWIN_LOG = log_of("100#0100000000000000", "200#0200000000000000", "00000200#0300000000000000", "300#0400000000000000")
 
 
@@ -196,14 +184,6 @@ def test_signals_of_messages_that_share_a_name_are_told_apart(tmp_path: Path) ->
     assert [row["message"] for row in rows] == ["Status@0x100", "Status@0x200", "Status@0x00000200", "Other"]
     assert [(row["id"], row["is_extended"]) for row in rows] == [
         (0x100, False), (0x200, False), (0x200, True), (0x300, False)
-    ]  # fmt: skip
-
-
-def test_long_rows_of_messages_that_share_a_name_are_told_apart(tmp_path: Path) -> None:
-    rows = decoded(tmp_path, TWINS, TWIN_LOG, "--layout", "long")
-    assert [(row["message"], row["value"], row["unit"]) for row in rows] == [
-        ("Status@0x100", 1.0, "rpm"), ("Status@0x200", 102.0, "bar"), ("Status@0x00000200", 203.0, ""),
-        ("Other", 4.0, ""),
     ]  # fmt: skip
 
 
@@ -363,13 +343,12 @@ class _Stopping(Trigger):
         pass
 
 
-@pytest.mark.parametrize("layout", ["wide", "long"])
-def test_what_was_stopped_leaves_nothing(tmp_path: Path, layout: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_was_stopped_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "car.dbc").write_text(STATES, encoding="utf-8")
     (tmp_path / "drive.log").write_text(STATE_LOG, encoding="ascii")
     words = (tmp_path / "drive.log", "--dbc", tmp_path / "car.dbc", "-o", tmp_path / "out.parquet")
     with pytest.raises(StoppedError, match="stopped early: no file was written"):
-        execute(*words, "--layout", layout, stop=_Stopping())
+        execute(*words, stop=_Stopping())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["car.dbc", "drive.log"]
     assert capsys.readouterr().out == ""
 

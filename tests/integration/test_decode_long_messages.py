@@ -1,6 +1,7 @@
 """Messages longer than a frame are rows of every table: the values are those of cantools, what is lost is counted."""
 
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,10 +13,12 @@ from cantools.database.can import Database
 
 import canlog
 from canlog.column_files import TableFormat
+from canlog.database.addressing import NOBODY
+from canlog.decode.codec import Codec
 from canlog.frames import FrameBatch
 from canlog.tables.account import remarks, values_text
-from canlog.tables.decoding import Plan, TableShape, decode_logs
-from canlog.transport import LongMessages
+from canlog.tables.decoding import Plan, decode_logs
+from canlog.transport import Reassembler
 from tests.support.transport_traffic import Sent, batch_of, generator, iso_tp, j1939
 
 COUNT: Final = 40  # messages of each protocol
@@ -66,11 +69,15 @@ def recorded(path: Path) -> FrameBatch:
 
 def expected(batch: FrameBatch) -> tuple[Values, int]:
     """Return what cantools says of the whole messages, and how many are not whole."""
-    together = LongMessages(database().messages)
+    together, codec = Reassembler(), Codec(database().messages, has_long=True)
     found: Values = defaultdict(list)
     for one in [*together.feed(batch), *together.close()]:
-        if one.values is not None:
-            found[one.transfer.last_ns, one.name].append(dict(one.values))
+        if (slot := codec.slot_of(one.can_id)) != NOBODY:
+            message = codec.tables[slot].message
+            decoded = message.decode(one.data, decode_choices=False, allow_truncated=True)
+            assert isinstance(decoded, dict)
+            if decoded:
+                found[one.last_ns, message.name].append({name: float(str(cell)) for name, cell in decoded.items()})
     last = database().get_message_by_name("Long0").decode(bytes(range(60)), decode_choices=False)
     assert isinstance(last, dict)
     found[int(batch.t_ns[-1]), "Long0"].append({name: float(str(value)) for name, value in last.items()})
@@ -85,39 +92,25 @@ def wide_values(rows: list[dict[str, Any]]) -> Values:
     return found
 
 
-def long_values(rows: list[dict[str, Any]]) -> Values:
-    found: Values = defaultdict(list)
-    for row in rows:
-        values = found[row["time"].value, row["message"]]
-        if not values or row["signal"] in values[-1]:
-            values.append({})
-        values[-1][row["signal"]] = row["value"]
-    return found
-
-
 @pytest.mark.parametrize("max_frames", [100, 1_000_000])
 def test_tables_have_what_cantools_decodes(tmp_path: Path, max_frames: int) -> None:
     batch = recorded(tmp_path / "drive.log")
     values, incomplete_count = expected(batch)
     assert len(values) > COUNT
     assert incomplete_count > 5
-    for shape, values_of in ((TableShape.WIDE, wide_values), (TableShape.LONG, long_values)):
-        plan = Plan.of(database().messages, shape)
-        limited = Plan(codec=plan.codec, names=plan.names, shape=shape, max_frames=max_frames)
-        output = tmp_path / f"{shape}.parquet"
-        account = decode_logs([tmp_path / "drive.log"], limited, output, TableFormat.PARQUET).account
-        rows = pq.read_table(output).to_pylist()
-        assert values_of(rows) == values
-        t_ns = np.array([row["time"].value for row in rows])
-        assert (t_ns >= np.maximum.accumulate(t_ns) - LATE_NS).all()
-        assert account.transfers.incomplete_count == incomplete_count
-        assert account.is_balanced
-        log = canlog.read(tmp_path / "drive.log", database())
-        assert (
-            values_of(log.to_arrow("wide" if shape is TableShape.WIDE else "long", is_raw=True).to_pylist()) == values
-        )
-        numbers = [one["Number"] for (_, name), each in values.items() if name == "Long3" for one in each]
-        assert sorted(log.signals()["Long3.Number"].value.tolist()) == sorted(numbers)
+    plan = replace(Plan.of(database().messages), max_frames=max_frames)
+    output = tmp_path / "wide.parquet"
+    account = decode_logs([tmp_path / "drive.log"], plan, output, TableFormat.PARQUET).account
+    rows = pq.read_table(output).to_pylist()
+    assert wide_values(rows) == values
+    t_ns = np.array([row["time"].value for row in rows])
+    assert (t_ns >= np.maximum.accumulate(t_ns) - LATE_NS).all()
+    assert account.transfers.incomplete_count == incomplete_count
+    assert account.is_balanced
+    log = canlog.read(tmp_path / "drive.log", database())
+    assert wide_values(log.to_arrow("wide", is_raw=True).to_pylist()) == values
+    numbers = [one["Number"] for (_, name), each in values.items() if name == "Long3" for one in each]
+    assert sorted(log.signals()["Long3.Number"].value.tolist()) == sorted(numbers)
 
 
 def pieces_alone(folder: Path) -> canlog.Log:

@@ -131,7 +131,6 @@ def test_parquet_and_mf4_say_what_to_install(plain: PlainInstall, tmp_path: Path
             ["signals", mdf],
             ["analyze", mdf],
             ["calibrate", mdf, "-o", "c.toml"],
-            ["decode", log, "-o", "d.mf4"],
         ],
     }
     asked = [(extra, [str(word) for word in words]) for extra, all_words in runs.items() for words in all_words]

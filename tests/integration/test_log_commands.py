@@ -121,23 +121,8 @@ def test_decode_wide_holds_what_cantools_decodes(short_log: Path, tmp_path: Path
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.parquet", "short.log"]
 
 
-def test_decode_long_holds_the_same(short_log: Path, tmp_path: Path) -> None:
-    output = tmp_path / "out.parquet"
-    execute("decode", short_log, "-o", output, "--layout", "long")
-    table = pq.read_table(output).to_pylist()
-    by_name: dict[str, list[float]] = {}
-    for row in table:
-        by_name.setdefault(f"{row['message']}.{row['signal']}", []).append(row["value"])
-    expected: dict[str, list[float]] = {}
-    for (_, name), value in sorted(expected_values(short_log).items()):
-        expected.setdefault(name, []).append(value)
-    assert by_name == expected
-    assert {row["unit"] for row in table if row["signal"] == "EngineSpeed"} == {"rpm"}
-
-
-@pytest.mark.parametrize("layout", ["wide", "long"])
-def test_row_groups_are_small_whatever_the_log(layout: str, short_log: Path, tmp_path: Path) -> None:
-    plan = replace(Plan.of(load_contract().messages, TableShape(layout)), max_frames=150)
+def test_row_groups_are_small_whatever_the_log(short_log: Path, tmp_path: Path) -> None:
+    plan = replace(Plan.of(load_contract().messages, TableShape.WIDE), max_frames=150)
     decode_logs([short_log], plan, tmp_path / "out.parquet", TableFormat.PARQUET)
     file = pq.ParquetFile(tmp_path / "out.parquet")
     assert file.metadata.num_row_groups > 5

@@ -57,12 +57,9 @@ def test_tables_have_nothing_where_there_is_no_value(drive: Path, values: Any) -
     log = opened(drive)
     assert log.to_arrow("wide", values)["Engine.Speed"].to_pylist() == [None, 1000.0, None, None]
     assert log.to_arrow("wide", values, is_raw=True)["Engine.Speed"].to_pylist() == [16383.75, 1000.0, None, None]
-    assert log.to_arrow("long", values)["value"].to_pylist() == [None, 1.0, 1000.0, 9.0, None, 4.0]
-    assert log.to_polars("long", values, is_raw=True)["value"].to_list() == [16383.75, 1.0, 1000.0, 9.0, 102.0, 4.0]
     assert log.to_pandas("messages", values)["Engine"]["Speed"].isna().tolist() == [True, False]
     if values == "both":
         assert log.to_arrow("wide", values)["Engine.Speed.text"].to_pylist()[0] == "NotAvailable"
-        assert log.to_arrow("long", values)["text"].to_pylist()[0] == "NotAvailable"
 
 
 def test_a_table_per_message_is_what_comes_by_itself(drive: Path) -> None:
@@ -80,7 +77,6 @@ def test_a_wide_table_that_takes_much_memory_is_warned_of(drive: Path) -> None:
     with pytest.warns(UserWarning, match="a table of 4 rows and 8 columns takes .* messages"):
         log.to_pandas("wide")
     log.to_pandas()
-    log.to_pandas("long")
 
 
 def test_its_name_reads_nothing(drive: Path) -> None:

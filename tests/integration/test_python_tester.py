@@ -254,7 +254,7 @@ def test_a_pdx_is_the_one_of_the_program(tmp_path: Path, capsys: pytest.CaptureF
 def test_tables_of_every_format_are_those_of_the_command(drive_log: Path, tmp_path: Path) -> None:
     short = tmp_path / "short.log"
     short.write_bytes(b"".join(drive_log.read_bytes().splitlines(keepends=True)[:500]))
-    tables: dict[str, dict[str, Any]] = {".csv": {"shape": "long"}, ".jsonl": {"values": "texts"}, ".arrows": {}}
+    tables: dict[str, dict[str, Any]] = {".csv": {"values": "both"}, ".jsonl": {"values": "texts"}, ".arrows": {}}
     for suffix, words in tables.items():
         made, own = tmp_path / f"made{suffix}", tmp_path / f"own{suffix}"
         assert diag_service.decode(short, made, choice=canlog.TableChoice(**words)) == []
@@ -270,5 +270,3 @@ def test_tables_of_every_format_are_those_of_the_command(drive_log: Path, tmp_pa
     assert len(written) > 1
     with pytest.raises(diag_service.OutputError, match=r"signals are written as \.parquet"):
         diag_service.decode(short, tmp_path / "made.txt")
-    with pytest.raises(diag_service.OutputError, match="neither shape nor values applies"):
-        diag_service.decode(short, tmp_path / "made.mf4", choice=canlog.TableChoice(shape="long"))

@@ -6,7 +6,6 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -141,13 +140,11 @@ def compare(case: Case, folder: Path, formats: Sequence[TableFormat] = tuple(Tab
     sent = list(_sent(case, whole))
     for table_format in formats:
         for shape in TableShape:
-            if table_format is TableFormat.MF4 and shape is not TableShape.WIDE:
-                continue
             plan = Plan(
                 codec=whole.codec,
                 names=whole.names,
                 shape=shape,
-                values=Values.NUMBERS if table_format is TableFormat.MF4 else case.written,
+                values=case.written,
                 max_cells=8 * case.group_rows,
                 max_frames=case.group_rows,
                 max_values=8 * case.group_rows,
@@ -193,31 +190,12 @@ def _judge(
     table_format: TableFormat,
 ) -> None:
     has_nan = table_format is not TableFormat.JSON_LINES
-    wanted: list[tuple[object, ...]]
-    if table_format is TableFormat.MF4:
-        wanted = sorted(
-            (one.known[4], name, one.known[0], _number(number, has_nan=True))
-            for one in sent
-            for name, (number, _) in one.cells.items()
-        )
-        found = sorted(reader(output))
-    elif plan.shape is TableShape.LONG:
-        wanted = [
-            (*one.known, name, *_written(cell, plan.values, has_nan=has_nan), one.units[name])
-            for one in sent
-            for name, cell in one.cells.items()
-        ]
-        found = [
-            (*_known(row), row["signal"], _number(row["value"], has_nan=has_nan), row.get("text"), row["unit"] or "")
-            for row in reader(output)
-        ]
-    else:
-        is_one = plan.shape is TableShape.WIDE
-        wanted = [(*one.known, _cells_of(one, plan, has_nan=has_nan)) for one in sent]
-        rows = reader(output) if is_one else [row for path in sorted(output.iterdir()) for row in reader(path)]
-        found = [(*_known(row), _cells_in(row, plan, has_nan=has_nan, has_message=is_one)) for row in rows]
-        if not is_one:
-            found.sort(key=lambda row: row[0])
+    is_one = plan.shape is TableShape.WIDE
+    wanted = [(*one.known, _cells_of(one, plan, has_nan=has_nan)) for one in sent]
+    rows = reader(output) if is_one else [row for path in sorted(output.iterdir()) for row in reader(path)]
+    found = [(*_known(row), _cells_in(row, plan, has_nan=has_nan, has_message=is_one)) for row in rows]
+    if not is_one:
+        found.sort(key=lambda row: row[0])
     findings.cells += len(wanted)
     if found != wanted:
         places = [place for place, (one, other) in enumerate(zip(found, wanted, strict=False)) if one != other]
@@ -328,62 +306,6 @@ def _lines_by_polars(path: Path) -> list[Row]:
     return _of_texts(pl.read_ndjson(path, infer_schema_length=None).to_dicts())
 
 
-def _mf4_by_channels(path: Path) -> list[Any]:
-    """Return message, signal, time and number of every value, as the library gives a channel."""
-    return [cell for found in _mf4_channels(path, ignore=False) for cell in found]
-
-
-def _mf4_by_marks(path: Path) -> list[Any]:
-    """Return the same from the samples as they are stored and the marks that say which of them are none."""
-    return [cell for found in _mf4_channels(path, ignore=True) for cell in found]
-
-
-def _mf4_channels(path: Path, *, ignore: bool) -> Iterator[list[Any]]:
-    from asammdf import MDF  # noqa: PLC0415 - slow to load
-
-    with MDF(path) as mdf:
-        start_ns = round(mdf.header.start_time.timestamp()) * 10**9
-        groups: Any = mdf.groups
-        for number, group in enumerate(groups):
-            message = group.channel_group.acq_name.rpartition(", channel")[0]
-            for channel in group.channels[1:]:
-                signal = mdf.get(channel.name, group=number, ignore_invalidation_bits=ignore)
-                marks = signal.invalidation_bits if ignore else None
-                is_none = np.zeros(len(signal.samples), np.bool_) if marks is None else np.asarray(marks, np.bool_)
-                kept = ~is_none
-                name = channel.name.rpartition(".")[2]
-                yield [
-                    (message, name, start_ns + round(t_s * 1e9), _number(value, has_nan=True))
-                    for t_s, value in zip(signal.timestamps[kept].tolist(), signal.samples[kept].tolist(), strict=True)
-                ]
-
-
-def _mf4_by_mdfreader(path: Path) -> list[Any]:
-    """Return the same by a library that shares nothing with the one that writes; it is used where it is installed."""
-    from mdfreader import Mdf, MdfInfo  # noqa: PLC0415 - optional
-
-    mdf, cells = Mdf(str(path)), list[Any]()
-    start_ns = MdfInfo(str(path))["HD"]["hd_start_time_ns"]
-    for time_name, names in mdf.masterChannelList.items():
-        times_s = mdf[time_name]["data"].tolist()
-        for name in names:
-            if "invalid_bit" not in mdf[name]:
-                continue
-            (_, _, _), (channel, _, _), (group, _, _) = mdf[name]["id"]
-            byte, bit = divmod(mdf[name]["invalid_bit"], 8)
-            is_none = mdf[mdf[name]["invalid_channel"]]["data"].reshape(len(times_s), -1)[:, byte] >> bit & 1
-            cells += [
-                (group.rpartition(", channel")[0], channel.rpartition(".")[2], start_ns + round(t_s * 1e9), number)
-                for t_s, value, is_left_out in zip(times_s, mdf[name]["data"].tolist(), is_none.tolist(), strict=True)
-                if not is_left_out
-                for number in (_number(value, has_nan=True),)
-            ]
-    return cells
-
-
-MF4_READERS: Final[dict[str, Reader]] = {"asammdf": _mf4_by_channels, "asammdf, marks": _mf4_by_marks}
-if find_spec("mdfreader") is not None:
-    MF4_READERS["mdfreader"] = _mf4_by_mdfreader
 READERS: Final[Mapping[TableFormat, Mapping[str, Reader]]] = MappingProxyType(
     {
         TableFormat.PARQUET: {
@@ -397,6 +319,5 @@ READERS: Final[Mapping[TableFormat, Mapping[str, Reader]]] = MappingProxyType(
             "pyarrow": lambda path: _of_arrow(pa.ipc.open_stream(path).read_all()),
             "polars": lambda path: _of_polars(pl.read_ipc_stream(path)),
         },
-        TableFormat.MF4: MF4_READERS,
     }
 )

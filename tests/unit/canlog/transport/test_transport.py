@@ -1,33 +1,14 @@
-"""What each protocol says of messages that are not whole, and how whole ones are decoded."""
+"""What each protocol says of messages that are not whole."""
 
 import tracemalloc
 
 import numpy as np
 import pytest
-from cantools.database import load_string
-from cantools.database.can import Database
 
 from canlog.frames import EXTENDED_FLAG
-from canlog.transport import Exchanges, Fault, LongMessages, Protocol, Reassembler, Transfer
+from canlog.transport import Fault, Protocol, Reassembler, Transfer
 from tests.support.batches import frames_at
 from tests.support.transport_traffic import MS, Sent, batch_of, generator, j1939
-
-DBC = """VERSION ""
-BU_: A
-BO_ 2566834942 Trouble: 14 A
- SG_ Lamps : 0|16@1+ (1,0) [0|0] "" A
- SG_ Last : 96|16@1+ (0.5,-10) [0|0] "km" A
-
-BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
-BA_DEF_DEF_ "VFrameFormat" "StandardCAN";
-BA_ "VFrameFormat" BO_ 2566834942 3;
-"""
-
-
-def database() -> Database:
-    loaded = load_string(DBC, "dbc")
-    assert isinstance(loaded, Database)
-    return loaded
 
 
 def frames(*lines: tuple[int, int, str]) -> list[Sent]:
@@ -181,18 +162,6 @@ def test_a_frame_of_another_sender_or_channel_does_not_interrupt() -> None:
     assert incomplete == {}
 
 
-def test_long_messages_are_decoded_by_the_database() -> None:
-    trouble = [(0, TP_CM, "200E0002FFCAFE00"), (60, TP_DT, "0103000000000000"), (120, TP_DT, "0200000000006400")]
-    together = LongMessages(database().messages)
-    found = [*together.feed(batch_of(frames(*trouble))), *together.close()]
-    assert {one.name: one.values for one in found} == {
-        "Trouble": {"Lamps": 3, "Last": 40.0},
-    }  # fmt: skip
-    assert together.counts.in_words() == [
-        "j1939 tp: 1 whole messages, 0 incomplete",
-    ]  # fmt: skip
-
-
 def test_many_senders_at_a_time_are_bounded() -> None:
     reassembler = Reassembler()
     lines = [(0, EXTENDED_FLAG | 0x18DA0000 | (k & 0xFF) << 8 | k >> 8, "1FFF620102030405") for k in range(5_000)]
@@ -200,19 +169,6 @@ def test_many_senders_at_a_time_are_bounded() -> None:
     assert reassembler.counts.incomplete[Protocol.ISO_TP, Fault.TOO_MANY] >= 3_900
     reassembler.close()
     assert reassembler.counts.incomplete_count == 5_000
-
-
-def test_answers_belong_to_the_request_before_them() -> None:
-    exchanges, reassembler = Exchanges(), Reassembler()
-    exchanges.feed(reassembler.feed(batch_of(frames(
-        (0, 0x7E0, "0322F19000000000"), (10, 0x7E8, "037F227800000000"), (40, 0x7E8, "037F223100000000"),
-        (100, 0x7DF, "0201000000000000"), (110, 0x7E8, "0641000000000000"), (111, 0x7E9, "0641000000000000"),
-        (200, 0x7E0, "023E800000000000"), (300, 0x7E8, "0662F190AABBCC00"),
-    ))))  # fmt: skip
-    first, second, third = exchanges.found
-    assert (first.pending, [one.data.hex() for one in first.answers], first.latency_ns) == (1, ["7f2231"], 40 * MS)
-    assert [one.can_id for one in second.answers] == [0x7E8, 0x7E9]
-    assert (third.answers, third.latency_ns, exchanges.unasked) == ([], None, 1)
 
 
 def test_j1939_is_put_together_in_one_batch_or_frame_by_frame() -> None:
