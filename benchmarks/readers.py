@@ -2,7 +2,7 @@
 
 2,000,000 frames of ten messages with 64 signals, for us and for every peer; all contenders in turn, several rounds,
 medians. Times are of the processor, one core: this process and its children, so that others on the machine count
-little. The child that reads MF4 for users does its work in this process, without the pipe between the two.
+little.
 
     python -m benchmarks.readers [--frames 2000000] [--rounds 3]
 """
@@ -31,7 +31,6 @@ from canlog.frames import FrameBatch
 from canlog.logs import blf, read_log
 from canlog.logs.blf import CONTAINER_HEADER, OBJECT_HEADER, inflated_by_libdeflate, inflated_by_zlib
 from canlog.logs.log_counts import LogCounts
-from canlog.logs.mf4_frames import mf4_batches
 
 FRAMES: Final = 2_000_000
 ROUNDS: Final = 3
@@ -58,8 +57,7 @@ class Row:
 
 def batches(path: Path) -> Iterator[FrameBatch]:
     """Read a log in this process."""
-    with TemporaryDirectory() as folder:
-        yield from mf4_batches(path, Path(folder), LogCounts()) if path.suffix == ".mf4" else read_log(path)
+    yield from read_log(path)
 
 
 def decoded(path: Path, decoder: Decoder) -> int:

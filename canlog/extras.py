@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
-from importlib.metadata import packages_distributions
 from importlib.util import LazyLoader
 from types import ModuleType
 from typing import Any
@@ -37,11 +36,14 @@ def load_asammdf(what: str) -> Any:  # noqa: ANN401 - an untyped library
     """Return asammdf, as `load_extra` does; a program may have kept itself from loading it before it is needed."""
     if sys.modules.get("asammdf", ...) is None:
         del sys.modules["asammdf"]
+    wait_with("polars")  # which asammdf takes along, and reads no frame with
     return load_extra("asammdf", what, "mf4")
 
 
 def extra_missing(what: str, extra: str) -> ExtraMissingError:
     """Return the error that says what to install: an extra of the checkout that this package came with."""
+    from importlib.metadata import packages_distributions  # noqa: PLC0415 - of no use but here
+
     folder = "./canlog" if packages_distributions().get(_OWN_NAME) == [_OWN_NAME] else "."
     return ExtraMissingError(f"{what}: pip install '{folder}[{extra}]' in the checkout")
 

@@ -12,7 +12,6 @@ from typing import Final
 
 from canlog.errors import DefinitionError, ExtraMissingError, InputLeftError, OutputError, SourceError
 from canlog.files import widen
-from canlog.mf4_server import SERVER, SUFFIXES
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.program import Kinds, complain, is_attached, part, reckon_in_one_thread, standard_output
 from diag_service.commands.arguments import (
@@ -74,12 +73,9 @@ def _statuses() -> Sequence[tuple[Kinds, int]]:
 
 
 def _run(options: SimpleNamespace, controls: Controls) -> None:
-    # python-can loads asammdf where it is installed, and that pandas: 0.3 s, 45 MB. MF4 logs are read in a process of
-    # their own.
+    # python-can loads asammdf where it is installed, and that pandas: 0.3 s, 45 MB. Who reads MF4 loads it then.
     sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # Python's own way to say "not here"
     logs = _logs(options)
-    if any(str(path).lower().endswith(SUFFIXES) for path in logs):  # it loads what it needs while this process does
-        SERVER.start()
     is_piped = STANDARD_STREAM in logs
     if is_piped:
         with suppress(AttributeError, OSError, ValueError):  # none, or none of the system: reading it says so

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from html import unescape
 from typing import BinaryIO, NamedTuple
 
+from canlog.errors import SourceError
+
 HEADER = struct.Struct("<4s4xQQ")  # kind, length with the header, links
 LINK = struct.Struct("<Q")
 GROUP = struct.Struct("<QQHH4xLL")  # of a channel group: record id, cycles, flags, separator, bytes, invalidation bytes
@@ -126,14 +128,17 @@ class Mf4File:
         return text.strip()
 
     def _chain(self, at: int, kind: bytes, most: int = MOST_BLOCKS) -> Iterator[Block]:
-        """Yield blocks that are linked by their first links, so many at most."""
-        for _ in range(most):
-            if not at:
-                return
+        """Yield blocks that are linked by their first links, so many at most; raises SourceError if they are a ring."""
+        passed = set[int]()
+        while at and len(passed) < most:
+            if at in passed:
+                raise SourceError("the MF4 file is damaged: its blocks are linked in a ring")
+            passed.add(at)
             block = self._need(at, kind)
             yield block
             at = block.links[0]
-        raise UnknownStructureError("blocks in a ring")
+        if at:
+            raise UnknownStructureError("more blocks than are looked at")
 
     def _need(self, at: int, kind: bytes | None = None) -> Block:
         found, length, links = HEADER.unpack(self._bytes(at, HEADER.size))

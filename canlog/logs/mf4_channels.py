@@ -56,7 +56,7 @@ def measured_channels(stream: BinaryIO) -> Measured:
 def channel_batches(
     mdf: Untyped, measured: Measured, size_bytes: int, start_ns: int, counts: LogCounts
 ) -> list[Iterator[FrameBatch]]:
-    """Return the values of each group as frames; for the child, with a file that was opened as a stream.
+    """Return the values of each group as frames, of a file that was opened as a stream.
 
     Raises SourceError if they are packed as no measurement is.
     """
