@@ -314,7 +314,6 @@ def read(
     database: Database | Path | str | None = None,
     *,
     is_strict: bool = False,
-    is_lenient: bool = False,
     columns: str = "",
 ) -> Log:
     """Open a log, for its signals as arrays or tables; it is read when it is asked for something.
@@ -331,8 +330,6 @@ def read(
         without one there are frames and no signals.
     is_strict
         Whether the first line or object that is no frame is an error; else it is counted.
-    is_lenient
-        Whether items of a DBC file that cannot be right are left out, with a warning of each.
     columns
         Which column of a text is which, ``time=Time,id=ID,data=D1-D8``; by default its header says.
 
@@ -343,5 +340,5 @@ def read(
     DefinitionError
         If the database cannot be used.
     """
-    known = Database() if database is None else database_of(database, is_lenient=is_lenient)
+    known = Database() if database is None else database_of(database)
     return Log(log_paths(path), known, is_strict=is_strict, columns=columns)

@@ -11,7 +11,7 @@ SERVICE_VARIABLES: Final = frozenset(
     PREFIX + name
     for name in (
         *("ACKNOWLEDGE", "BITRATE", "BROKER", "CA", "CALIBRATION", "CERT", "CHANNEL", "CONFIG", "DBC"),
-        *("DURATION", "FD", "INTERFACE", "KEY", "LENIENT", "METRICS", "ONLY_MAPPED", "PARSER_TIME"),
+        *("DURATION", "FD", "INTERFACE", "KEY", "METRICS", "ONLY_MAPPED"),
         *("PASSWORD_FILE", "PROFILE", "STORE", "STORE_BUDGET", "VEHICLE", "VEHICLE_FILE"),
         *("ACTIVE", "ADAPTER", "DESCRIPTION", "ECU", "POLL", "REPLY"),
     )

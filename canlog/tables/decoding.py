@@ -493,14 +493,12 @@ def write_table(
     database: Database | Path | str,
     output: Path | str,
     choice: TableChoice = EVERY_SIGNAL,
-    *,
-    is_lenient: bool = False,
 ) -> list[str]:
     """Write the signals of logs into a table, in bounded memory; return what is missing there, in words.
 
     Parameters
     ----------
-    path, database, is_lenient
+    path, database
         As of ``read``.
     output
         The table, which appears when it is complete; one that is there is replaced. Of ``messages`` the folder of the
@@ -517,7 +515,7 @@ def write_table(
     """
     written = Path(output)
     choice = replace(choice, shape=choice.shape or default_shape(written))
-    plan = choice.plan(database_of(database, is_lenient=is_lenient).messages)
+    plan = choice.plan(database_of(database).messages)
     decoded = decode_logs(log_paths(path), plan, written, choice.format_of(written), columns=choice.columns)
     return list(losses(decoded.account))
 
@@ -527,9 +525,7 @@ def write_parquet(
     database: Database | Path | str,
     output: Path | str,
     choice: TableChoice = EVERY_SIGNAL,
-    *,
-    is_lenient: bool = False,
 ) -> list[str]:
     """Write the signals of logs into a Parquet file, whatever it is called: what ``write_table`` does."""
     choice = replace(choice, table_format="parquet", shape=choice.shape or "wide")
-    return write_table(path, database, output, choice, is_lenient=is_lenient)
+    return write_table(path, database, output, choice)

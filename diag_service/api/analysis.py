@@ -261,8 +261,6 @@ def analyze(
         The broker that gets the results besides.
     is_strict
         Whether the first fault of a log is an error; else it is counted.
-    is_lenient
-        Whether items of a DBC file that cannot be right are left out, with a notice of each.
     columns
         Which column of a log that is a table is which, ``time=Time,id=ID,data=D1-D8``; by default its header says.
 

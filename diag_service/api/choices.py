@@ -74,7 +74,6 @@ class Meaning(TypedDict, total=False):
     dbc: AnyPath | None
     profile: AnyPath | None
     calibration: Calibration | AnyPath | None
-    is_lenient: bool
 
 
 class LogMeaning(Meaning, total=False):
@@ -92,7 +91,6 @@ def configuration(
     dbc: AnyPath | None = None,
     profile: AnyPath | None = None,
     calibration: Calibration | AnyPath | None = None,
-    is_lenient: bool = False,
     columns: str = "",
 ) -> DiagnosisConfig:
     """Return how frames become results; raises ConfigError or CalibrationError, and TypeError for another keyword."""
@@ -106,7 +104,6 @@ def configuration(
         vehicle_file=None if gears is None or isinstance(named, Calibration) else named,
         dbc=optional_path(dbc),
         profile=optional_path(profile),
-        is_lenient=is_lenient,
         is_strict=is_strict,
         columns=columns,
         broker=None if delivery is None else broker_of(SimpleNamespace(broker=delivery.broker, **files)),

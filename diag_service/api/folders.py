@@ -73,7 +73,7 @@ def analyze_folders(
         Drives at a time; by default one per core.
     has_vehicles
         Whether the folders below those that are named are called after vehicles, whose logs they hold.
-    vehicle, dbc, profile, calibration, is_strict, is_lenient, columns
+    vehicle, dbc, profile, calibration, is_strict, columns
         As of ``analyze``.
 
     Raises

@@ -354,7 +354,7 @@ def diagnose(
         When to stop [s].
     store
         SQLite file for results and running state; without one they are kept in memory.
-    vehicle, dbc, profile, calibration, store_budget_mib, delivery, is_lenient
+    vehicle, dbc, profile, calibration, store_budget_mib, delivery
         As of ``analyze``.
     poll
         Whether the controller is asked for its trouble codes, and how often.

@@ -35,7 +35,7 @@ def write_report(
         The page, ``.html``; one that is there is replaced.
     is_full
         Whether paper gets all sections, not only the first two pages.
-    vehicle, dbc, profile, calibration, is_lenient, columns
+    vehicle, dbc, profile, calibration, columns
         As of ``analyze``; ``vehicle`` also says which one of a store is meant.
 
     Returns

@@ -16,7 +16,7 @@ from diag_service.commands.predict import predict_shifts
 from diag_service.console import collected_notices
 from diag_service.diagnosis.friction.paper import PaperShift, PooledClutch
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration
-from diag_service.mapping.interpretation import open_database
+from diag_service.mapping.databases import open_database
 from diag_service.mapping.survey import proposed_profile
 from diag_service.service.calibrate_run import calibrated, write_calibration
 from diag_service.service.drive import insist
@@ -30,7 +30,6 @@ def read(
     dbc: AnyPath | None = None,
     *,
     is_strict: bool = False,
-    is_lenient: bool = False,
     columns: str = "",
 ) -> Log:
     """Return the frames of logs and their signals as arrays or tables, as ``diag-service decode`` writes them.
@@ -41,7 +40,7 @@ def read(
         One log, or several, whose frames are put in the order of time.
     dbc
         Message database; without one the shipped one.
-    is_strict, is_lenient, columns
+    is_strict, columns
         As of ``analyze``.
 
     Returns
@@ -56,7 +55,7 @@ def read(
         If a log or the database cannot be read.
     """
     with collected_notices():
-        database = open_database(optional_path(dbc), path_list(paths), is_lenient=is_lenient)
+        database = open_database(optional_path(dbc), path_list(paths))
         return canlog.read(path_list(paths), database, is_strict=is_strict, columns=columns)
 
 
@@ -65,8 +64,6 @@ def decode(
     output: AnyPath,
     dbc: AnyPath | None = None,
     choice: canlog.TableChoice = EVERY_SIGNAL,
-    *,
-    is_lenient: bool = False,
 ) -> list[str]:
     """Write the signals of logs as a table of any size, as ``diag-service decode`` does.
 
@@ -76,7 +73,7 @@ def decode(
         The table, which appears when it is complete; one that is there is replaced.
     choice
         What is written, and how: every signal in a row per frame, unless it says otherwise.
-    paths, dbc, is_lenient
+    paths, dbc
         As of ``read``.
 
     Returns
@@ -90,7 +87,7 @@ def decode(
         If a log or the database cannot be read, the table cannot be written, or a library for it is missing.
     """
     with collected_notices():
-        database = open_database(optional_path(dbc), path_list(paths), is_lenient=is_lenient)
+        database = open_database(optional_path(dbc), path_list(paths))
         return canlog.write_table(path_list(paths), database, Path(output), choice)
 
 
@@ -99,7 +96,6 @@ def inspect(
     dbc: AnyPath | None = None,
     *,
     bitrate: int = DEFAULT_BITRATE,
-    is_lenient: bool = False,
     columns: str = "",
 ) -> Inspection:
     """Return what traffic a log holds, as ``diag-service inspect`` shows it.
@@ -108,7 +104,7 @@ def inspect(
     ----------
     bitrate
         That the bus load is told for [bit/s].
-    path, dbc, is_lenient, columns
+    path, dbc, columns
         As of ``analyze``.
 
     Raises
@@ -117,11 +113,11 @@ def inspect(
         If the log or the database cannot be read, or the bit rate is not above zero.
     """
     with collected_notices():
-        messages = open_database(optional_path(dbc), [Path(path)], is_lenient=is_lenient).messages
+        messages = open_database(optional_path(dbc), [Path(path)]).messages
         return inspect_log(Path(path), messages, bitrate, Trigger(), columns=columns)
 
 
-def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, is_lenient: bool = False, columns: str = "") -> str:
+def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, columns: str = "") -> str:
     """Return a profile for a vehicle as TOML text, proposed from a log and its database: ``diag-service signals``.
 
     Raises
@@ -130,7 +126,7 @@ def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, is_lenient: bo
         If the log or the database cannot be read.
     """
     with collected_notices():
-        return proposed_profile(Path(path), optional_path(dbc), is_lenient=is_lenient, columns=columns)
+        return proposed_profile(Path(path), optional_path(dbc), columns=columns)
 
 
 def predict(
@@ -140,7 +136,6 @@ def predict(
     *,
     touch_pa: float | None = None,
     is_by_halves: bool = False,
-    is_lenient: bool = False,
 ) -> list[dict[str, Any]]:
     """Predict shifts of logs from the others, as ``diag-service predict`` does (docs/prediction.md).
 
@@ -148,7 +143,7 @@ def predict(
     ----------
     paths
         Logs of one type of vehicle, frames or tables of signals.
-    profile, dbc, is_lenient
+    profile, dbc
         As of ``analyze``.
     touch_pa
         Touch point of the clutches [Pa]; None: the pressure in gear at standstill.
@@ -168,7 +163,7 @@ def predict(
     """
     with collected_notices():
         logs = path_list(paths)
-        meaning = interpret_logs(logs, optional_path(dbc), optional_path(profile), is_lenient=is_lenient)
+        meaning = interpret_logs(logs, optional_path(dbc), optional_path(profile))
         found = predict_shifts(logs, meaning, touch_pa=touch_pa, is_by_halves=is_by_halves, stop=Trigger())
     return found.records()
 
@@ -180,7 +175,6 @@ def learn(
     *,
     output: AnyPath | None = None,
     calibration: AnyPath | None = None,
-    is_lenient: bool = False,
     columns: str = "",
 ) -> dict[str, Any]:
     """Describe an unknown vehicle from its logs, as ``diag-service learn`` does.
@@ -189,7 +183,7 @@ def learn(
     ----------
     paths
         Logs of one vehicle, frames or tables of signals.
-    profile, dbc, is_lenient, columns
+    profile, dbc, columns
         As of ``analyze``.
     output
         Where the description goes, which ``analyze(calibration=...)`` takes; None: nowhere.
@@ -209,9 +203,7 @@ def learn(
     """
     with collected_notices():
         logs = path_list(paths)
-        meaning = interpret_logs(
-            logs, optional_path(dbc), optional_path(profile), columns=columns, is_lenient=is_lenient
-        )
+        meaning = interpret_logs(logs, optional_path(dbc), optional_path(profile), columns=columns)
         learned = learned_from(logs, meaning, stop=Trigger(), columns=columns)
         if output is not None:
             assumed = nominal_calibration() if calibration is None else read_calibration(Path(calibration))
@@ -231,7 +223,7 @@ def calibrate(
     ----------
     output
         TOML file to write.
-    paths, vehicle, dbc, profile, calibration, is_lenient, columns
+    paths, vehicle, dbc, profile, calibration, columns
         As of ``analyze``; the logs may be of several drives of the one vehicle.
 
     Returns

@@ -88,7 +88,7 @@ DEFAULT_BITRATE: Final = 500_000
 
 
 _JSON_LINES: Final = Option("--json", "JSON lines on standard output, text on standard error")
-_DATABASE: Final = tuple(option for option in MEANING if option.name in {"dbc", "lenient", "parser_time"})
+_DATABASE: Final = tuple(option for option in MEANING if option.name == "dbc")
 _MATCH: Final = Option(
     "--match BY",
     "by what frames of 29 bits are known: what the database says, or group: all by their parameter group, as J1939 and "
@@ -215,7 +215,7 @@ _PREDICT: Final = Command(
     "predict",
     "predict shifts of logs from the others, and show how well it went",
     _logs("logs of one type of vehicle, frames or tables of signals; - is standard input"),
-    *(option for option in MEANING if option.name in {"dbc", "lenient", "parser_time", "profile"}),
+    *(option for option in MEANING if option.name in {"dbc", "profile"}),
     Option("--touch KPA", "touch point of the clutches (default: the pressure in gear at standstill)", FLOAT),
     Option("--halves", "predict the second half from the first (default: each shift from all others)"),
     *(JSON, VERBOSE),
@@ -230,7 +230,7 @@ _LEARN: Final = Command(
     _logs("logs of one vehicle, frames or tables of signals"),
     _output("description to write (TOML), for analyze --vehicle-file", required=True),
     FORCE,
-    *(option for option in MEANING if option.name in {"dbc", "lenient", "parser_time", "profile", "calibration"}),
+    *(option for option in MEANING if option.name in {"dbc", "profile", "calibration"}),
     _COLUMNS,
     *(JSON, VERBOSE),
     description="Each value has its standard deviation and says whether it is from the log or assumed. Nothing is "

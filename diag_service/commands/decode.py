@@ -22,9 +22,8 @@ from canlog.tables.table_folder import message_files, tables_there
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.program import replacement_refusal
 from diag_service.console import PeopleConsole, ReadingLine
-from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
-from diag_service.mapping.interpretation import asked_database
+from diag_service.mapping.databases import asked_database
 from diag_service.service.stopping import Controls
 from fleet_contract import JsonObject
 
@@ -62,7 +61,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     if not decoded.is_whole:
         raise StoppedError(f"stopped early: {'a part was written' if is_piped else 'no file was written'}")
     if options.json:
-        sys.stdout.write(dump(_record(options, decoded)) + "\n")
+        _print_record(_record(options, decoded))
     else:
         _show(options, decoded, PeopleConsole(stderr=is_piped))
     lost = list(losses(decoded.account))
@@ -107,6 +106,12 @@ def _check(options: SimpleNamespace, table_format: TableFormat) -> None:
     if not is_piped and not is_of_messages and (text := replacement_refusal(options.output, is_forced=options.force)):
         raise ConfigError(text)
     check_libraries(table_format, options.logs)
+
+
+def _print_record(record: JsonObject) -> None:
+    from diag_service.diagnosis.records import dump  # noqa: PLC0415 - records of shifts are a lot to import
+
+    sys.stdout.write(dump(record) + "\n")
 
 
 def _place(options: SimpleNamespace) -> str:
@@ -332,7 +337,7 @@ def _tasks(options: SimpleNamespace, suffix: str) -> list[TableTask]:
         for left in found.left_out:
             _LOG.log(NOTICE, "left out: %s: %s", left.path, left.reason)
             if options.json:
-                sys.stdout.write(dump(left_out_record(left)) + "\n")
+                _print_record(left_out_record(left))
         home = path if path.is_dir() else path.parent
         for log in (log for drive in found.drives for log in drive.paths):
             own = log.relative_to(home)
@@ -354,7 +359,7 @@ def _check_outputs(outputs: Sequence[Path], *, are_files: bool, is_forced: bool)
 
 def _show_done(done: TableDone, options: SimpleNamespace, console: PeopleConsole) -> None:
     if options.json:
-        sys.stdout.write(dump({**done.record, "layout": options.layout, "values": options.values}) + "\n")
+        _print_record({**done.record, "layout": options.layout, "values": options.values})
         sys.stdout.flush()
         return
     console.print_all((done.line, *(f"  {loss}" for loss in done.losses)))

@@ -27,7 +27,7 @@ from diag_service.batch.drives import LeftOut, left_out_record, sorted_out
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.records import dump, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoppedError
-from diag_service.mapping.interpretation import asked_database
+from diag_service.mapping.databases import asked_database
 from diag_service.mapping.survey import proposed_profile
 from diag_service.service.stopping import Controls, Trigger
 
@@ -366,8 +366,6 @@ def propose(options: SimpleNamespace, controls: Controls) -> None:
             options.log,
             options.dbc,
             lambda: controls.stop.is_set,
-            is_lenient=options.lenient,
-            parser_time_s=options.parser_time,
             watch=line.watch,
             columns=options.columns or "",
         )

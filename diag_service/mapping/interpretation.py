@@ -1,23 +1,19 @@
 """What frames mean: database and profile, as the user named them or as they fit each other."""
 
 import logging
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Self
 
 from cantools.database.can import Database
 
-from canlog.database.loading import PARSER_TIME_S, bus_of, load_database
+from canlog.database.loading import bus_of
 from canlog.database.signal_columns import columns_database
 from canlog.errors import NOTICE
-from canlog.logs import STANDARD_INPUT, table_columns
-from canlog.logs.streams import never
-from dbc.contract import DBC_PATH, load_contract
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.records import Tier
 from diag_service.errors import ConfigError
+from diag_service.mapping.databases import open_database
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.mapped_messages import fitting
 from diag_service.mapping.profile import (
@@ -29,44 +25,6 @@ from diag_service.mapping.profile import (
     shipped_profiles,
 )
 from diag_service.mapping.tiers import missing_for_next, tier_of
-
-
-def open_database(
-    path: Path | None,
-    logs: Iterable[Path] = (),
-    *,
-    is_lenient: bool = False,
-    is_j1939: bool = False,
-    parser_time_s: int | None = None,
-    is_stopped: Callable[[], bool] = never,
-    columns: str = "",
-) -> Database:
-    """Return the database of a file, as `load_database` does; without one that of logs which are tables of signals.
-
-    If there are none either, the shipped one, which needs no care.
-
-    Raises DefinitionError, and SourceError if one of the logs cannot be read.
-    """
-    tables = () if path is not None else [one for one in logs if one == STANDARD_INPUT or not one.is_dir()]
-    if named := [one for log in tables for one in table_columns(log, is_stopped=is_stopped, columns=columns)]:
-        return columns_database(named)
-    if path is None or path == DBC_PATH:
-        return load_contract()
-    return load_database(path, is_lenient=is_lenient, is_j1939=is_j1939, parser_time_s=parser_time_s or PARSER_TIME_S)
-
-
-def asked_database(options: SimpleNamespace, is_stopped: Callable[[], bool] = never) -> Database:
-    """Return the database that a command line names, read as that says; raises as `open_database`."""
-    return open_database(
-        options.dbc,
-        getattr(options, "logs", ()),
-        is_lenient=options.lenient,
-        is_j1939=getattr(options, "match", "") == "group",
-        parser_time_s=options.parser_time,
-        is_stopped=is_stopped,
-        columns=getattr(options, "columns", "") or "",
-    )
-
 
 MAX_COMPLAINTS = 3  # of a profile that does not fit: enough to see how far off it is
 _LOG = logging.getLogger(__name__)
@@ -90,9 +48,7 @@ class Interpretation:
         return replace(self, profile=replace(self.profile, gears=gears), files=(*self.files, *files))
 
 
-def interpret(
-    dbc: Path | None, profile: Path | Profile | None, *, is_lenient: bool = False, parser_time_s: int | None = None
-) -> Interpretation:
+def interpret(dbc: Path | None, profile: Path | Profile | None) -> Interpretation:
     """Return what the user named, checked; without a profile the shipped one that fits the database is taken and told.
 
     Raises ConfigError if a file cannot be used, or no profile fits.
@@ -100,7 +56,7 @@ def interpret(
     if dbc is None and profile is None:
         return Interpretation(database=open_database(None), profile=load_profile(), files=())
     if profile is None:
-        database = open_database(dbc, is_lenient=is_lenient, parser_time_s=parser_time_s)
+        database = open_database(dbc)
         fit = choose_profile(database)
         _LOG.log(NOTICE, "%s", fit.said)
         return Interpretation(database=database, profile=fit.profile, files=_files(dbc, fit.profile, None))
@@ -108,7 +64,7 @@ def interpret(
     if named.is_of_columns and dbc is None:
         database = columns_database(named.columns)
         return Interpretation(database=database, profile=named, files=_files(None, named, profile))
-    database = open_database(dbc or named.database, is_lenient=is_lenient, parser_time_s=parser_time_s)
+    database = open_database(dbc or named.database)
     if named.asked:
         names = {one.name for one in named.asked.values()}
         asked = columns_database(one for one in named.columns if one.name in names).messages

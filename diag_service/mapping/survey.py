@@ -21,8 +21,8 @@ from dbc.contract import DBC_PATH
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import StoppedError
 from diag_service.mapping import proposal
+from diag_service.mapping.databases import open_database
 from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.interpretation import open_database
 from diag_service.mapping.learning import VehicleSurvey
 from diag_service.mapping.profile import Profile
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
@@ -99,17 +99,13 @@ def proposed_profile(
     dbc: Path | None = None,
     is_stopped: Callable[[], bool] = never,
     *,
-    is_lenient: bool = False,
-    parser_time_s: int | None = None,
     watch: Watch | None = None,
     columns: str = "",
 ) -> str:
     """Return a profile, as the text of a TOML file, whose comments say what signals the log holds."""
     named = () if dbc is not None else table_columns(log, is_stopped=is_stopped, columns=columns)
     are_columns, meant = bool(named), "its columns" if named else (dbc or DBC_PATH).name
-    database = (
-        columns_database(named) if named else open_database(dbc, is_lenient=is_lenient, parser_time_s=parser_time_s)
-    )
+    database = columns_database(named) if named else open_database(dbc)
     survey = Survey(Codec(database.messages, check_codes=True), are_columns=are_columns)
     survey.add(log, is_stopped, watch, columns)
     name, stem = (shown_name(log), "piped") if log == STANDARD_INPUT else (log.name, log.stem)

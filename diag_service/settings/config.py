@@ -39,8 +39,6 @@ class DiagnosisConfig:
     gears: GearRatios | None = None  # of the vehicle file
     broker: BrokerAddress | None = None
     is_strict: bool = False  # of logs: stop at the first fault
-    is_lenient: bool = False  # of the database: leave out what cannot be right
-    parser_time_s: int | None = None  # that the database may take; None: the usual
     columns: str = ""  # of logs that are tables: which is which; empty: their header says
     acknowledge: Acknowledge = Acknowledge.BROKER
     budget_bytes: int | None = None  # of the store; None: no limit
@@ -48,9 +46,7 @@ class DiagnosisConfig:
     def interpretation(self) -> Interpretation:
         """Return what frames mean; raises ConfigError."""
         usual = _LOCKUP if self.dbc is None and self.calibration.converter is not None else None
-        meaning = interpret(
-            self.dbc, self.profile or usual, is_lenient=self.is_lenient, parser_time_s=self.parser_time_s
-        )
+        meaning = interpret(self.dbc, self.profile or usual)
         return meaning.with_gears(self.gears, *([] if self.vehicle_file is None else [self.vehicle_file]))
 
     def __post_init__(self) -> None:
@@ -146,8 +142,6 @@ def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
     config = DiagnosisConfig(
         vehicle=options.vehicle,
         dbc=options.dbc,
-        is_lenient=options.lenient,
-        parser_time_s=options.parser_time,
         profile=options.profile,
         vehicle_file=described_in,
         gears=gears,

@@ -71,15 +71,6 @@ MEANING: Final = (
     Setting("--vehicle ID", "vehicle id (default: the calibration's, or vehicle)"),
     Setting("--dbc FILE[#BUS]", "message database: DBC, KCD, ARXML or SYM (default: the shipped one)", FILE),
     Setting(
-        "--lenient",
-        "leave out items of a DBC file that cannot be right, each with a warning, instead of refusing the file",
-    ),
-    Setting(
-        "--parser-time S",
-        "seconds of processor time that reading the database may take, with 40 MiB of memory for each (default: 8)",
-        INT,
-    ),
-    Setting(
         "--profile P",
         "which DBC signals are which: TOML file or shipped name (default: the shipped one that fits the DBC)",
         FILE,

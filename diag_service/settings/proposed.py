@@ -67,15 +67,13 @@ def interpret_logs(
     *,
     is_stopped: Callable[[], bool] = never,
     columns: str = "",
-    is_lenient: bool = False,
-    parser_time_s: int | None = None,
 ) -> Interpretation:
     """Return what `interpret` does; where the user named neither file, tables of signals are read as is proposed.
 
     Raises what `as_proposed` and `interpret` raise.
     """
     named = profile or _proposed(logs, dbc, profile, is_stopped, columns)
-    return interpret(dbc, named, is_lenient=is_lenient, parser_time_s=parser_time_s)
+    return interpret(dbc, named)
 
 
 def asked_meaning(options: SimpleNamespace, is_stopped: Callable[[], bool]) -> Interpretation:
@@ -86,6 +84,4 @@ def asked_meaning(options: SimpleNamespace, is_stopped: Callable[[], bool]) -> I
         options.profile,
         is_stopped=is_stopped,
         columns=getattr(options, "columns", None) or "",
-        is_lenient=options.lenient,
-        parser_time_s=options.parser_time,
     )

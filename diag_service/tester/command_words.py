@@ -124,7 +124,6 @@ TRY: Final = Command(
     Option("--adapter URL", "ask through elm327://HOST[:PORT], elm327:/dev/NAME or doip://HOST[:PORT]/ADDRESS"),
     Option("--profile FILE", "profile to try, a file or the name of a shipped one (default: all that ask)", FILE),
     Option("--dbc FILE", "database of what is broadcast", FILE),
-    Option("--lenient", "leave out what is wrong in it"),
     Option("--active", "send requests"),
     Option("--dry-run", "show the requests byte by byte and send nothing, whatever else is said"),
     Option("--listen S", "how long to listen before (default: 5)", FLOAT, default=5.0),

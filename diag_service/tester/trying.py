@@ -30,7 +30,8 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.records import Tier
 from diag_service.errors import ConfigError, ControllerError
 from diag_service.mapping.asked_signals import NEGATIVE, data_in, sizes_of
-from diag_service.mapping.interpretation import fit_of, open_database
+from diag_service.mapping.databases import open_database
+from diag_service.mapping.interpretation import fit_of
 from diag_service.mapping.mapped_messages import fitting
 from diag_service.mapping.profile import AskingRules, Profile, find_profile, load_shipped, shipped_profiles, to_si
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
@@ -98,14 +99,14 @@ def try_car(options: SimpleNamespace, controls: Controls) -> None:
             goes_on=lambda: not controls.stop.is_set,
         )
 
-    database = None if options.dbc is None else open_database(options.dbc, is_lenient=options.lenient)
+    database = None if options.dbc is None else open_database(options.dbc)
     profile = _best(profiles, opened, database, traffic, show)
     rules, groups = _rules(options, profile), tuple(profile.groups.values())
     with SignalAsker(profile.asked, rules, lambda: opened(profile), options.bitrate, groups) as asker:
         _measure(asker, options.listen, controls, show)
         if options.record is not None and not controls.stop.is_set:
             _record(asker, bus, options, controls, show)
-    dbc = [] if options.dbc is None else ["--dbc", str(options.dbc), *(["--lenient"] if options.lenient else [])]
+    dbc = [] if options.dbc is None else ["--dbc", str(options.dbc)]
     words = ["--profile", str(options.profile or profile.name), *dbc]
     if options.record is not None:
         words += _judged(options.record, words, controls, show)

@@ -11,7 +11,6 @@ import pyarrow.parquet as pq
 import pytest
 from cantools.database.can import Database
 
-from canlog.errors import DefinitionError
 from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import IncompleteError, StoppedError
 from diag_service.service.stopping import Controls, Trigger
@@ -128,12 +127,6 @@ def test_nothing_is_proposed_where_an_identifier_fits_or_testers_speak(
         (0x98DA10F1, log_of("18DAF110#0700000000000000", "100#01")),
     ):
         assert "--match" not in str(told(tmp_path, capsys, SAILS.format(can_id), log)["losses"])
-
-
-def test_the_time_to_read_a_database_is_an_option(tmp_path: Path) -> None:
-    with pytest.raises(DefinitionError, match="needs at least 1 s to be read, got -1 s"):
-        decoded(tmp_path, SAILS.format(0x89F11255), SAILS_LOG, "--parser-time", "-1")
-    assert decoded(tmp_path, SAILS.format(0x89F11255), SAILS_LOG, "--parser-time", "30")
 
 
 STATE_LOG = log_of("100#00000000", "100#09640000", "100#0AFFFF00", "100#07FEFF00", "100#0B010000")

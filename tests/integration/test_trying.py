@@ -56,17 +56,17 @@ def test_a_car_is_not_taken_for_the_bench(tmp_path: Path) -> None:
     path.write_text(
         'VERSION ""\nBU_: X\nBO_ 160 Motor_12: 8 X\n'
         ' SG_ MO_Drehzahl_01 : 0|16@1+ (0.25,0) [0|16383] "Unit_MinutInver" X\n'
-        ' SG_ MO_Mom : 8|8@1+ (1,0) [0|1] "" X\n',  # overlaps: read leniently, as public databases have to be
+        ' SG_ MO_Mom : 8|8@1+ (1,0) [0|1] "" X\n',  # overlaps, as in public databases
         encoding="utf-8",
     )
     words = ("try", "-i", "virtual", "-c", "try-7", "-b", "250000", "--listen", "0.05", "--active")
     with vehicle("try-7", controller()):
-        run = ended(*words, "--dbc", path, "--lenient")
+        run = ended(*words, "--dbc", path)
     assert run.status == 0, run.err
     assert "run -i virtual -c try-7 -b 250000 --profile vw_dsg" in " ".join(run.out.split())
     log = tmp_path / "one.log"
     log.write_text("(1.000000) can0 0A0#0000000000000000\n", encoding="utf-8")
-    run = ended("analyze", log, "--profile", "vw_dsg", "--dbc", path, "--lenient")
+    run = ended("analyze", log, "--profile", "vw_dsg", "--dbc", path)
     assert "the database has no message Getriebe_11" in run.err
 
 

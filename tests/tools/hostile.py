@@ -120,17 +120,6 @@ def mf4_channel_loop() -> bytes:
     return mf4(dg, cg, cn)
 
 
-def mf4_bomb() -> bytes:
-    """Return a file whose data block says that it inflates to a terabyte."""
-    group, data = 168 + 64, 168 + 64 + 104
-    dg = struct.pack("<4s4xQQ", b"##DG", 64, 4) + struct.pack("<4Q", 0, group, data, 0) + bytes(8)
-    cg = struct.pack("<4s4xQQ", b"##CG", 104, 6) + bytes(48) + struct.pack("<QQHH4xLL", 0, 10**9, 0, 0, 16, 0)
-    packed = deflated(bytes(2**20), 400, 15)
-    dz = struct.pack("<4s4xQQ", b"##DZ", 48 + len(packed), 0)
-    dz += struct.pack("<2sBBLQQ", b"DT", 0, 0, 0, 2**40, len(packed)) + packed
-    return mf4(dg, cg, dz)
-
-
 def sqlite_file(*statements: str) -> bytes:
     with closing(sqlite3.connect(":memory:")) as database:
         for statement in statements:
@@ -141,17 +130,6 @@ def sqlite_file(*statements: str) -> bytes:
 
 def dbc(body: str) -> bytes:
     return (DBC_HEAD + body).encode()
-
-
-def wide_pages() -> bytes:
-    """Return a message with 2,000 signals, each on 65,536 pages."""
-    signals = "".join(f' SG_ s{k} m0 : 8|8@1+ (1,0) [0|0] "" A\n' for k in range(2000))
-    values = "".join(f"SG_MUL_VAL_ 1 s{k} p 0-65535;\n" for k in range(2000))
-    return dbc('BO_ 1 m: 8 A\n SG_ p M : 0|16@1+ (1,0) [0|0] "" A\n' + signals + values)
-
-
-def slow_dbc() -> bytes:
-    return dbc("".join(f'BO_ {2**31 + k} m{k}: 1785 A\n SG_ s : 0|14000@1+ (1,0) [0|0] "" A\n\n' for k in range(3000)))
 
 
 def kcd_bomb() -> bytes:
@@ -231,7 +209,6 @@ HOSTILE: Mapping[str, Callable[[], bytes]] = {
     "lines.asc": lambda: b"base hex  timestamps absolute\n" + b"1.0 1 123 Rx d 9 zz\n" * 1_000_000,
     "loop.mf4": mf4_loop,
     "channels.mf4": mf4_channel_loop,
-    "bomb.mf4": mf4_bomb,
     "measured.mf4": measured_bomb,
     "view.db": lambda: sqlite_file(ENDLESS_VIEW),
     "cell.db": lambda: sqlite_file(
@@ -240,11 +217,7 @@ HOSTILE: Mapping[str, Callable[[], bytes]] = {
     ),
     "signal.dbc": lambda: dbc('BO_ 1 m: 8 A\n SG_ s : 0|4000000000@1+ (1,0) [0|0] "" A\n'),
     "message.dbc": lambda: dbc('BO_ 1 m: 4000000000 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n'),
-    "pages.dbc": wide_pages,
-    "slow.dbc": slow_dbc,
     "words.dbc": lambda: dbc("BO_ 1 m: 8 A\n" + "SG_ " * 2_000_000),
-    "words.lenient": lambda: dbc("BO_ 1 m: 8 A\n" + "SG_ " * 2_000_000),
-    "quotes.lenient": lambda: dbc("BO_ 1 m: 8 A\n" + '"\n BO_ ' * 1_000_000),
     "message.kcd": kcd_bomb,
     "entities.kcd": lambda: ENTITIES,
     "message.sym": lambda: (
@@ -257,13 +230,6 @@ def listen_at(path: Path) -> None:
     """Leave a socket there."""
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(path))
-
-
-def load_leniently(path: Path) -> None:
-    """Load a database with all that can be left out left out."""
-    from canlog.database.loading import load_database  # noqa: PLC0415 - in the process that is watched
-
-    load_database(path, is_lenient=True)
 
 
 HOLE_BYTES = 10 * 2**30
@@ -291,7 +257,6 @@ READERS: Mapping[str, str] = {
     ".dbc": DATABASE,
     ".kcd": DATABASE,
     ".sym": DATABASE,
-    ".lenient": "tests.tools.hostile:load_leniently",
     ".profile": "diag_service.mapping.profile:load_profile",
     ".calibration": "clutch_model.calibration:read_calibration",
     ".config": "diag_service.settings.options:read_settings",
@@ -307,15 +272,12 @@ PLACES: Mapping[str, Callable[[Path], None]] = {
     "socket": listen_at,
 }  # that are no files
 NO_FILES = tuple(
-    f"{place}{suffix}"
-    for place in PLACES
-    for suffix in (*READERS, ".log")
-    if suffix not in {".kcd", ".sym", ".lenient"}
+    f"{place}{suffix}" for place in PLACES for suffix in (*READERS, ".log") if suffix not in {".kcd", ".sym"}
 )
 ALL = (*HOSTILE, *HOLLOW, *(f"middle-{name}" for name in HOLLOW), *NO_FILES)
 SLOW = frozenset(
     {
-        *("slow.dbc", "lines.asc", "words.dbc", "words.lenient", "quotes.lenient"),
+        *("lines.asc", "words.dbc"),
         *(name for name in PACKED if name not in QUICKLY_REFUSED),
     }
 )  # take all the time that they are given, or seconds until they are packed

@@ -35,8 +35,6 @@ VALUES: dict[str, str | int | float | bool] = {
     "bitrate": 500000,
     "fd": True,
     "only_mapped": True,
-    "lenient": True,
-    "parser_time": 60,
     "duration": 12.5,
     "metrics": "9100",
     "poll": 30.0,
@@ -47,7 +45,7 @@ VALUES: dict[str, str | int | float | bool] = {
     "description": "gearbox.toml",
 }
 UNSET = dict.fromkeys(VALUES) | {
-    **dict.fromkeys(("lenient", "fd", "only_mapped", "active"), False),
+    **dict.fromkeys(("fd", "only_mapped", "active"), False),
     "acknowledge": "broker",
 }
 
