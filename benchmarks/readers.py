@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
-from unittest import mock
 
 import can
 from rich.console import Console
@@ -28,9 +27,8 @@ from benchmarks import bars
 from benchmarks.bus64 import Decoder, dbc_text, load_bus, write_log
 from benchmarks.measuring import machine, peak_mib, took_s
 from canlog.frames import FrameBatch
-from canlog.logs import blf, read_log
-from canlog.logs.blf import CONTAINER_HEADER, OBJECT_HEADER, inflated_by_libdeflate, inflated_by_zlib
-from canlog.logs.log_counts import LogCounts
+from canlog.logs import read_log
+from canlog.logs.blf import CONTAINER_HEADER, OBJECT_HEADER
 
 FRAMES: Final = 2_000_000
 ROUNDS: Final = 3
@@ -63,12 +61,6 @@ def batches(path: Path) -> Iterator[FrameBatch]:
 def decoded(path: Path, decoder: Decoder) -> int:
     """Read a log and decode all its signals; return the number of values."""
     return sum(len(values) for batch in batches(path) for values in decoder.decode(batch))
-
-
-def decoded_with_zlib(path: Path, decoder: Decoder) -> int:
-    """Read a BLF log as where libdeflate is not installed, and decode it."""
-    with mock.patch.object(blf, "sound_contents", inflated_by_zlib):
-        return decoded(path, decoder)
 
 
 def read_only(path: Path) -> int:
@@ -124,17 +116,11 @@ def rows(folder: Path, count: int) -> list[Row]:
     of_text = Contender("python-can + cantools", lambda: python_can_and_cantools(text, decode))
     of_blf = Contender("python-can + cantools", lambda: python_can_and_cantools(blf_log, decode))
     bare = Contender("bare inflate (zlib)", lambda: inflate_only(blf_log))
-    with_zlib = Contender("BLF to columns, zlib", lambda: decoded_with_zlib(blf_log, decoder))
-    fastest = Contender("BLF to columns, libdeflate", lambda: decoded(blf_log, decoder))
+    of_asc = Contender("python-can + cantools", lambda: python_can_and_cantools(asc, decode))
     return [
         Row(Contender("candump to columns", lambda: decoded(text, decoder)), of_text, bars.LOGS),
-        Row(with_zlib, of_blf, bars.LOGS),
-        *([Row(fastest, of_blf)] if inflated_by_libdeflate else []),
-        Row(
-            Contender("ASC to columns", lambda: decoded(asc, decoder)),
-            Contender("python-can + cantools", lambda: python_can_and_cantools(asc, decode)),
-            bars.LOGS,
-        ),
+        Row(Contender("BLF to columns", lambda: decoded(blf_log, decoder)), of_blf, bars.LOGS),
+        Row(Contender("ASC to columns", lambda: decoded(asc, decoder)), of_asc, bars.LOGS),
         Row(
             Contender("MF4 to columns", lambda: decoded(mf4, decoder)),
             Contender("asammdf extract + physical", lambda: asammdf_physical(mf4, dbc)),

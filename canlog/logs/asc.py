@@ -109,34 +109,16 @@ def payload(text: UInt8Array, at: int, data: UInt8Array, row: int, count: int, b
 
     Hexadecimal ones of CAN FD have two digits each: the numbers behind them may have one.
     """
-    behind = _paired_bytes(text, at, data, row, count) if base == HEXADECIMAL else NONE
-    if behind == NONE:
-        behind = at
-        for index in range(count):
-            begin = skip_blanks(text, behind)
-            value, behind = whole_number(text, begin, base, BYTE_DIGITS)
-            if not 0 <= value <= MAX_BYTE or (is_fd and base == HEXADECIMAL and behind != begin + 2):
-                return NONE
-            data[row, index] = value
+    behind = at
+    for index in range(count):
+        begin = skip_blanks(text, behind)
+        value, behind = whole_number(text, begin, base, BYTE_DIGITS)
+        if not 0 <= value <= MAX_BYTE or (is_fd and base == HEXADECIMAL and behind != begin + 2):
+            return NONE
+        data[row, index] = value
     for index in range(count, data.shape[1]):
         data[row, index] = 0
     return behind
-
-
-@array_kernel
-def _paired_bytes(text: UInt8Array, at: int, data: UInt8Array, row: int, count: int) -> int:
-    """Read bytes of two digits, as nearly all are, each behind blanks; return the position behind them, or NONE."""
-    for index in range(count):
-        if text[at] != BLANK:
-            return NONE
-        at = skip_blanks(text, at)
-        high = HEX_VALUE[text[at]]
-        low = HEX_VALUE[text[at + 1]] if high >= 0 else NONE
-        if low < 0:
-            return NONE
-        data[row, index] = high * 16 + low
-        at += 2
-    return at if text[at] <= BLANK else NONE
 
 
 @array_kernel

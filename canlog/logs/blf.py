@@ -7,10 +7,10 @@ No size in the file is trusted: every step makes progress or gives up, and what 
 import os
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import astuple, dataclass
 from datetime import UTC, datetime
-from typing import BinaryIO, Final, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -53,7 +53,6 @@ LONGEST_PADDING = 8
 MAX_OBJECT_BYTES = 4 * 1024 * 1024  # a damaged size must not swallow the rest of the file
 MOST_KINDS = 256  # about 140 are defined
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
-FIRST_BYTES = np.array([256**count - 1 for count in range(PAYLOAD_BYTES + 1)], np.uint64)  # as masks
 
 
 @array_kernel
@@ -65,11 +64,6 @@ def parse_objects(raw: UInt8Array, layouts: Int64Array, start_ns: int, rows: Fra
     at, row, objects = report[POSITION], report[ROWS], report[OBJECTS]
     report[IS_TOO_WIDE] = 0
     while True:
-        while _usual_message(raw, at, rows, row, start_ns):
-            at += USUAL_BYTES
-            row += 1
-            objects += 1
-            report[IS_LOST] = 0
         report[OBJECTS] = objects
         at, size = _locate(raw, at, report)
         if size < 0:
@@ -94,36 +88,7 @@ def parse_objects(raw: UInt8Array, layouts: Int64Array, start_ns: int, rows: Fra
 
 WRITTEN, BROKEN, TOO_WIDE = range(3)
 
-# A data frame of CAN as all writers store it: 32 bytes of header, channel, flags, length, identifier and eight bytes.
-USUAL_BYTES, USUAL_CHANNEL, USUAL_FLAGS, USUAL_LENGTH, USUAL_ID, USUAL_DATA = 48, 32, 34, 35, 36, 40
-USUAL_KINDS = (1, 86)
-REMOTE_BIT, SENT_BIT = 0x80, 0x01
-
-
-@inlined_kernel
-def _usual_message(raw: UInt8Array, at: int, rows: FrameRows, row: int, start_ns: int) -> bool:
-    """Write the frame of an object of the usual kind into a row; return whether there is one."""
-    if at + USUAL_BYTES > raw.size:
-        return False
-    kind, time_ns = lower(raw, at + KIND_OFFSET), _time_ns(raw, at, start_ns)
-    is_message = lower(raw, at) == MAGIC_WORD and (kind == USUAL_KINDS[0] or kind == USUAL_KINDS[1])
-    if not is_message or half(raw, at + HEADER_SIZE_OFFSET) != STAMPED_HEADER_BYTES:
-        return False
-    if lower(raw, at + SIZE_OFFSET) != USUAL_BYTES or time_ns < 0:
-        return False
-    identifier, count = lower(raw, at + USUAL_ID), np.int64(raw[np.uint64(at + USUAL_LENGTH)])
-    bare = identifier & ~EXTENDED_FLAG
-    if count > PAYLOAD_BYTES or bare > MAX_EXTENDED_ID or (bare == identifier and bare > MAX_STANDARD_ID):
-        return False
-    said = raw[np.uint64(at + USUAL_FLAGS)]
-    if said & REMOTE_BIT:
-        return False
-    rows.t_ns[row], rows.can_id[row], rows.length[row] = time_ns, identifier, count
-    rows.flags[row], rows.channel[row] = TX_FLAG * (said & SENT_BIT), min(half(raw, at + USUAL_CHANNEL), 255)
-    rows.words[row, 0] = word(raw, at + USUAL_DATA) & FIRST_BYTES[count]
-    for index in range(1, rows.words.shape[1]):
-        rows.words[row, index] = 0
-    return True
+SENT_BIT = 0x01
 
 
 @inlined_kernel
@@ -191,13 +156,8 @@ def _frame(raw: UInt8Array, at: int, size: int, layout: Int64Array, rows: FrameR
     end = raw[body + layout[EXTENSION]] if layout[EXTENSION] >= 0 else 0
     stored = 0 if is_remote else (min(end, size) if end else size) - header - layout[DATA]
     begin, count = body + layout[DATA], max(min(stored, count), 0)
-    for index in range(rows.words.shape[1]):
-        rows.words[row, index] = 0
-    if count <= PAYLOAD_BYTES and begin + PAYLOAD_BYTES <= raw.size:  # nearly all there are
-        rows.words[row, 0] = word(raw, begin) & FIRST_BYTES[count]
-    else:
-        for index in range(count):
-            rows.data[row, index] = raw[begin + index]
+    for index in range(rows.data.shape[1]):
+        rows.data[row, index] = raw[begin + index] if index < count else 0
     return WRITTEN
 
 
@@ -452,10 +412,6 @@ def inflate(body: bytes, *, is_whole: bool) -> Contents:
         stored = bytes(payload[:stated_bytes])
         is_sound = stated_bytes <= len(payload) <= stated_bytes + LONGEST_PADDING
         return Contents(stored, is_sound, CONTAINER_HEADER.size + len(stored))
-    if method == DEFLATED and is_whole and stated_bytes <= MAX_CONTAINER_BYTES:
-        sound = sound_contents(payload, stated_bytes, LONGEST_PADDING)
-        if sound is not None:
-            return Contents(sound, is_sound=True, used_bytes=len(body))
     inflater = zlib.decompressobj()
     try:
         data = inflater.decompress(payload, MAX_CONTAINER_BYTES)
@@ -466,86 +422,3 @@ def inflate(body: bytes, *, is_whole: bool) -> Contents:
         return NOTHING
     foreign_bytes = len(inflater.unused_data)
     return Contents(data, inflater.eof and foreign_bytes <= LONGEST_PADDING, len(body) - foreign_bytes)
-
-
-# libdeflate inflates where it is installed (asammdf brings it along), else zlib without its own checksum, which takes a
-# fifth of the time. Either way the Adler-32 checksum at the end of a container is compared.
-RAW_DEFLATE: Final = -zlib.MAX_WBITS
-CHECKSUM_BYTES: Final = 4
-METHOD_DEFLATE, METHOD_MASK, PRESET_DICTIONARY, ZLIB_BYTES, HEADER_MODULUS = 8, 0x0F, 0x20, 2, 31
-MOST_RATIO: Final = 1032  # of deflate: nothing inflates to more
-MOST_BYTES: Final = 256 * 1024 * 1024  # writers put 128 KiB into a container; larger ones go the slower way
-ADLER_MODULUS: Final = 65_521
-ADLER_BLOCK_BYTES: Final = 4_096  # sums over so many bytes fit into 32 bits
-_BYTE_BITS: Final = 8
-
-Inflate = Callable[[memoryview, int, int], "bytes | bytearray | None"]
-
-
-def inflated_by_zlib(stream: memoryview, stated_bytes: int, longest_padding: int) -> bytes | None:
-    """Return what a zlib stream inflates to, None unless it is sound and followed by no more than padding.
-
-    ``stated_bytes`` is to how much it should inflate; if it is more, the answer is None.
-    """
-    method, flags = bytes(stream[:ZLIB_BYTES]).ljust(ZLIB_BYTES, b"\0")
-    is_zlib = method & METHOD_MASK == METHOD_DEFLATE and not flags & PRESET_DICTIONARY
-    if not is_zlib or (method << _BYTE_BITS | flags) % HEADER_MODULUS:
-        return None
-    # It may inflate to more than is stated, up to MOST_RATIO times its size, before anyone can say no.
-    if not 0 < stated_bytes <= MOST_BYTES or len(stream) * MOST_RATIO > MOST_BYTES:
-        return None
-    try:
-        data = zlib.decompress(stream[ZLIB_BYTES:], RAW_DEFLATE, stated_bytes)
-    except zlib.error:
-        return None
-    is_sound = len(data) <= stated_bytes and ends_with(stream, adler32(np.frombuffer(data, np.uint8)), longest_padding)
-    return data if is_sound else None
-
-
-def ends_with(stream: memoryview, checksum: int, longest_padding: int) -> bool:
-    """Return whether a checksum stands at the end of a stream, before no more than padding.
-
-    The libraries do not say where the stream ended.
-    """
-    return checksum.to_bytes(CHECKSUM_BYTES) in bytes(stream[-CHECKSUM_BYTES - longest_padding :])
-
-
-def _inflater_of_libdeflate() -> Inflate | None:
-    """Return what ``inflated_by_zlib`` does, done by libdeflate; None if it is not installed."""
-    try:
-        import deflate  # noqa: PLC0415 - optional
-    except ImportError:
-        return None
-
-    def inflated_by_libdeflate(stream: memoryview, stated_bytes: int, longest_padding: int) -> bytearray | None:
-        if not 0 < stated_bytes <= min(MOST_BYTES, MOST_RATIO * len(stream)):
-            return None
-        try:
-            data = deflate.zlib_decompress(stream, stated_bytes)
-        except deflate.DeflateError:
-            return None
-        return data if ends_with(stream, deflate.adler32(data), longest_padding) else None
-
-    return inflated_by_libdeflate
-
-
-inflated_by_libdeflate: Final[Inflate | None] = _inflater_of_libdeflate()
-sound_contents: Final[Inflate] = inflated_by_libdeflate or inflated_by_zlib
-
-
-@array_kernel
-def adler32(data: UInt8Array) -> int:
-    """Return the Adler-32 checksum of some bytes (RFC 1950)."""
-    low, high, at = 1, 0, 0
-    while at < data.size:
-        count = min(ADLER_BLOCK_BYTES, data.size - at)
-        total, weighted = np.uint32(0), np.uint32(0)
-        for index in range(count):
-            byte = np.uint32(data[np.uint64(at + index)])
-            total += byte
-            weighted += byte * np.uint32(index)
-        # Byte k of a block is in the higher sum as often as bytes from it on are left: count - k times.
-        high = int((high + count * (low + np.int64(total)) - np.int64(weighted)) % ADLER_MODULUS)
-        low = int((low + np.int64(total)) % ADLER_MODULUS)
-        at += count
-    return int(high << 16 | low)

@@ -8,11 +8,9 @@ import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG, FrameBatch
-from canlog.jit import array_kernel, inlined_kernel
+from canlog.jit import array_kernel
 from canlog.logs.frame_buffer import ChannelNames, FrameRows, NameWords, channel_number
 from canlog.logs.text_kernels import (
-    BLANK,
-    DECIMAL_PAIR,
     FRAME,
     HEX_VALUE,
     IS_LENGTH,
@@ -20,25 +18,19 @@ from canlog.logs.text_kernels import (
     MALFORMED,
     NEW_CHANNEL,
     NEWLINE,
-    NO_DIGITS,
     POSITION,
-    RETURN,
     ROWS,
     SKIPPED,
     STOP,
     TOO_LONG,
     count_line,
     decimal,
-    decimal_digits,
     decimal_parts,
     digits,
     hex_bytes,
-    hex_digits,
-    reversed_bytes,
     skip_blanks,
     skip_line,
     skip_word,
-    word,
 )
 from canlog.logs.text_log import MAX_LINE_BYTES, TextLog
 
@@ -50,29 +42,16 @@ MAX_SECONDS_DIGITS, NS_DIGITS = 10, 9
 NS_PER_S, NS_PER_US = 1_000_000_000, 1_000
 FD_DIGIT_BITS = 0x03  # of the digit behind "##": bit rate switch and error state, as in ``flags``
 
-UNUSUAL = -1  # in place of the position behind a line
-USUAL_TIME_BYTES = 20  # "(1767225600.000000) "
-LONGEST_USUAL_BYTES = 64  # of a line with a name of seven characters and eight bytes, and the word behind it
-
 # Characters of the grammar.
 OPEN, CLOSE, POINT, HASH, UNDERSCORE = ord("("), ord(")"), ord("."), ord("#"), ord("_")
 LETTER_R, LETTER_T, SMALL_R = ord("R"), ord("T"), ord("r")
-LAST_DIGITS = np.uint64(8)  # bits by which the fraction moves up in its word, behind two zeros
-TWO_ZEROS, NOT_TWO = np.uint64(0x3030), np.uint64(0xFFFF_FFFF_FFFF_0000)
 
 
 @array_kernel
 def parse_lines(text: UInt8Array, rows: FrameRows, names: NameWords, known: int, progress: Int64Array) -> None:
     """Parse lines from where the progress says; ``known`` channels have a number."""
-    at, line, row, index = progress[POSITION], progress[LINES], progress[ROWS], 0
+    at, line, row = progress[POSITION], progress[LINES], progress[ROWS]
     while at < len(text):
-        if at + LONGEST_USUAL_BYTES <= len(text) and known > 0:
-            index, behind = _usual_line(text, at, rows, row, names, index, known)
-            if behind >= 0:
-                row += 1
-                line += 1
-                at = behind
-                continue
         outcome, behind = _parse_line(text, at, rows, row, names, known)
         if outcome >= TOO_LONG:
             progress[STOP] = outcome
@@ -82,80 +61,6 @@ def parse_lines(text: UInt8Array, rows: FrameRows, names: NameWords, known: int,
         count_line(progress, outcome, line)
         at = behind
     progress[POSITION], progress[LINES], progress[ROWS] = at, line, row
-
-
-@inlined_kernel
-def _usual_line(
-    text: UInt8Array, at: int, rows: FrameRows, row: int, names: NameWords, index: int, known: int
-) -> tuple[int, int]:
-    """Parse ``(1767225600.000000) vcan0 0A0#11223344`` into a row; return the channel's place and the position behind.
-
-    The position is UNUSUAL if anything stands elsewhere. ``index`` is the channel to try first.
-    """
-    time_ns = _usual_time_ns(text, at)
-    name = word(text, at + USUAL_TIME_BYTES)
-    if (name ^ names.words[index]) & names.masks[index]:
-        index = _place_of_name(name, names, known)
-    if time_ns < 0 or index < 0:
-        return 0, UNUSUAL
-    identifier, behind = _usual_id(text, at + USUAL_TIME_BYTES + names.bytes[index])
-    if behind >= 0:
-        behind = _usual_payload(text, behind, rows, row)
-    rows.t_ns[row], rows.can_id[row], rows.flags[row], rows.channel[row] = time_ns, identifier, 0, names.numbers[index]
-    return index, behind
-
-
-@inlined_kernel
-def _usual_time_ns(text: UInt8Array, at: int) -> int:
-    """Read ``(1767225600.000000)`` and a blank; negative if it is anything else, or more than 64 bits hold."""
-    fraction = word(text, at + 11)
-    pair = DECIMAL_PAIR[text[at + 9], text[at + 10]]
-    seconds = decimal_digits(word(text, at + 1))
-    micros = decimal_digits((fraction << LAST_DIGITS) & NOT_TWO | TWO_ZEROS)
-    if text[at] != OPEN or text[at + 11] != POINT or text[at + 18] != CLOSE or text[at + 19] != BLANK:
-        return UNUSUAL
-    if seconds | pair | micros < 0:
-        return UNUSUAL
-    return int((seconds * 100 + pair) * NS_PER_S + micros * NS_PER_US)
-
-
-@inlined_kernel
-def _place_of_name(name: np.uint64, names: NameWords, known: int) -> int:
-    """Return the place of a channel among those that are known, -1 if it is not among them."""
-    for index in range(known):
-        if (name ^ names.words[index]) & names.masks[index] == 0:
-            return index
-    return -1
-
-
-@inlined_kernel
-def _usual_id(text: UInt8Array, at: int) -> tuple[int, int]:
-    """Read ``0A0#`` or ``18FEF100#``; return the identifier and the position behind it, or UNUSUAL."""
-    if text[at + STANDARD_DIGITS] == HASH:
-        high, middle, low = HEX_VALUE[text[at]], HEX_VALUE[text[at + 1]], HEX_VALUE[text[at + 2]]
-        is_usual = 0 <= high <= HIGHEST_STANDARD_DIGIT and middle | low >= 0
-        return high << 8 | middle << 4 | low, at + STANDARD_DIGITS + 1 if is_usual else UNUSUAL
-    swapped = hex_digits(word(text, at)) if text[at + EXTENDED_DIGITS] == HASH else NO_DIGITS
-    identifier = reversed_bytes(swapped)
-    is_usual = swapped >= 0 and identifier < ERROR_OR_ABOVE
-    return identifier | EXTENDED_FLAG, at + EXTENDED_DIGITS + 1 if is_usual else UNUSUAL
-
-
-@inlined_kernel
-def _usual_payload(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
-    """Read up to eight bytes and the end of the line; return the position behind it, or UNUSUAL."""
-    low, high = hex_digits(word(text, at)), hex_digits(word(text, at + 8))
-    for index in range(1, rows.words.shape[1]):
-        rows.words[row, index] = 0
-    if low | high >= 0:
-        at += 2 * PAYLOAD_BYTES
-        rows.length[row] = PAYLOAD_BYTES
-        rows.words[row, 0] = low | high << 32
-    else:
-        rows.words[row, 0] = 0
-        rows.length[row], at = hex_bytes(text, at, row, rows.data, PAYLOAD_BYTES, POINT)
-    at += text[at] == RETURN
-    return at + 1 if text[at] == NEWLINE else UNUSUAL
 
 
 @array_kernel

@@ -8,22 +8,18 @@ import numpy as np
 from canlog.arrays import Int64Array, UInt8Array, UInt32Array
 from canlog.frames import FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
 from canlog.jit import array_kernel
-from canlog.logs.text_kernels import WORD_BYTES, UInt64Array, skip_word
+from canlog.logs.text_kernels import skip_word
 
 MOST_CHANNELS = 256
 FNV_SEED, FNV_FACTOR = -3750763034362895579, 1099511628211  # of FNV-1a with 64 bits, as signed numbers
-NO_NAME = 0xFFFF_FFFF_FFFF_FFFF  # as a word: eight bytes that no text has
 DIGITS_AT_END = re.compile(rb"\d{1,3}$")
 
 
 class NameWords(NamedTuple):
-    """Names for compiled readers, arrays of shape (256,): as hashes, and short ones as the words a line has them in."""
+    """Names for compiled readers, arrays of shape (256,)."""
 
     numbers: UInt8Array
     hashes: Int64Array
-    words: UInt64Array  # the name and the blank behind it
-    masks: UInt64Array  # of the bytes that these are; a name too long for a word has no byte that a line could match
-    bytes: Int64Array  # how many these are
 
 
 class ChannelNames:
@@ -36,9 +32,6 @@ class ChannelNames:
         self.words = NameWords(
             numbers=np.zeros(MOST_CHANNELS, np.uint8),
             hashes=np.zeros(MOST_CHANNELS, np.int64),
-            words=np.full(MOST_CHANNELS, NO_NAME, np.uint64),
-            masks=np.full(MOST_CHANNELS, NO_NAME, np.uint64),
-            bytes=np.zeros(MOST_CHANNELS, np.int64),
         )
         self._count = 0
 
@@ -54,12 +47,6 @@ class ChannelNames:
         free = (number for number in (wanted, *range(MOST_CHANNELS)) if number < MOST_CHANNELS and number not in taken)
         self.words.hashes[index] = name_hash(np.frombuffer(name, np.uint8), 0, len(name))
         self.words.numbers[index] = next(free, MOST_CHANNELS - 1)
-        self.words.words[index] = self.words.masks[index] = NO_NAME
-        if len(name) < WORD_BYTES:
-            spelled = name + b" "
-            self.words.words[index] = int.from_bytes(spelled, "little")
-            self.words.masks[index] = 256 ** len(spelled) - 1
-            self.words.bytes[index] = len(spelled)
         self._count = index + 1
 
 
@@ -84,27 +71,24 @@ class FrameRows(NamedTuple):
     flags: UInt8Array
     channel: UInt8Array
     data: UInt8Array  # (rows, 8), or (rows, 64) once a longer payload was met
-    words: UInt64Array  # the same memory as words of eight bytes, (rows, 1) or (rows, 8)
 
 
 def new_rows(count: int, width: int) -> FrameRows:
     """Return columns with anything in them."""
-    data = np.empty((count, width), np.uint8)
     return FrameRows(
         t_ns=np.empty(count, np.int64),
         can_id=np.empty(count, np.uint32),
         length=np.empty(count, np.uint8),
         flags=np.empty(count, np.uint8),
         channel=np.empty(count, np.uint8),
-        data=data,
-        words=data.view(np.uint64),
+        data=np.empty((count, width), np.uint8),
     )
 
 
 def rows_of(batch: FrameBatch) -> FrameRows:
     plain = batch.plain()
-    flags, words = np.require(plain.flags, np.uint8, ("C", "W")), plain.data.view(np.uint64)
-    return FrameRows(plain.t_ns, plain.can_id, plain.length, flags, plain.channel, plain.data, words)
+    flags = np.require(plain.flags, np.uint8, ("C", "W"))
+    return FrameRows(plain.t_ns, plain.can_id, plain.length, flags, plain.channel, plain.data)
 
 
 class FrameBuffer:
@@ -126,7 +110,7 @@ class FrameBuffer:
         data = np.empty((len(self.rows.t_ns), FD_PAYLOAD_BYTES), np.uint8)
         data[:used] = 0
         data[:used, : self.rows.data.shape[1]] = self.rows.data[:used]
-        self.rows = self.rows._replace(data=data, words=data.view(np.uint64))
+        self.rows = self.rows._replace(data=data)
 
     def handed_over(self, count: int) -> FrameBatch:
         """Return the first rows as ``batch`` does, without a copy if they are most of the buffer: it gets new ones."""

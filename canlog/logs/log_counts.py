@@ -289,8 +289,8 @@ def look_at_steps(rows: FrameRows, steps: Int64Array, longest_ns: int) -> None:
 
 @array_kernel
 def _is_repeated(rows: FrameRows, row: int) -> bool:
-    for word in range(rows.words.shape[1]):
-        if rows.words[row, word] != rows.words[row - 1, word]:
+    for place in range(rows.data.shape[1]):
+        if rows.data[row, place] != rows.data[row - 1, place]:
             return False
     is_same: bool = rows.can_id[row] == rows.can_id[row - 1] and rows.length[row] == rows.length[row - 1]
     is_same = is_same and rows.flags[row] == rows.flags[row - 1]
