@@ -67,3 +67,16 @@ class TransferCounts:
     def incomplete_count(self) -> int:
         """How many are not whole."""
         return sum(self.incomplete.values())
+
+    def in_words(self) -> list[str]:
+        """Return the counts for people, a line for each protocol that occurred."""
+        lines = []
+        for protocol in Protocol:
+            faults = {fault: count for (one, fault), count in self.incomplete.items() if one is protocol}
+            if not faults and protocol not in self.whole:
+                continue
+            reasons = ", ".join(f"{count} {fault.value.replace('_', ' ')}" for fault, count in sorted(faults.items()))
+            name = protocol.value.replace("_", " ")
+            what = f"{self.whole.get(protocol, 0)} whole messages, {sum(faults.values())} incomplete"
+            lines.append(f"{name}: {what}{f' ({reasons})' if reasons else ''}")
+        return lines

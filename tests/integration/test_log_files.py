@@ -12,7 +12,7 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import join
-from canlog.logs import LogFormat, LogReject, read_log
+from canlog.logs import LogFormat, read_log
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.errors import RecordError
@@ -104,47 +104,6 @@ def test_contents_decide_not_the_name(log_format: LogFormat, tmp_path: Path) -> 
     reader = read_log(path)
     reader.close()
     assert reader.format is log_format
-
-
-@pytest.mark.parametrize("fraction", [0.005, 0.02, 0.3, 0.971])
-def test_a_truncated_file_gives_its_beginning_or_one_clear_error(
-    log_format: LogFormat, fraction: float, tmp_path: Path
-) -> None:
-    path = record(tmp_path / f"drive{SUFFIXES[log_format]}")
-    whole = path.read_bytes()
-    path.write_bytes(whole[: int(fraction * len(whole))])
-    if log_format is LogFormat.MF4:  # what the blocks mean is written at the end
-        with pytest.raises(SourceError, match="damaged"):
-            list(read_log(path))
-        return
-    reader = read_log(path)
-    batch = join(list(reader))
-    assert_same(batch, as_received(FRAMES[: len(batch)]))
-    assert len(batch) > (fraction - 0.15) * len(FRAMES)
-    assert reader.counts.truncated
-    assert reader.counts.rejected == {LogReject.CUT_OFF: 1}
-
-
-@pytest.mark.parametrize("damage", [b"\0", b"\xff", b"A"])
-def test_damage_inside_a_file_is_counted_or_one_clear_error(
-    log_format: LogFormat, damage: bytes, tmp_path: Path
-) -> None:
-    path = record(tmp_path / f"drive{SUFFIXES[log_format]}")
-    contents = bytearray(path.read_bytes())
-    middle = len(contents) // 2
-    contents[middle : middle + 300] = damage * 300
-    path.write_bytes(contents)
-    reader = read_log(path)
-    if log_format is LogFormat.MF4:
-        with pytest.raises(SourceError, match="damaged"):
-            list(reader)
-        return
-    batch = join(list(reader))
-    assert len(FRAMES) - 3_000 < len(batch) < len(FRAMES)
-    assert sum(reader.counts.rejected.values()) >= 1
-    assert reader.counts.first_rejected
-    known = {(int(i), bytes(d)) for i, d in zip(FRAMES.can_id, FRAMES.data, strict=True)}
-    assert {(int(i), bytes(d)) for i, d in zip(batch.can_id, batch.data, strict=True)} <= known
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from canlog.transport import Reassembler, Transfer
 from tests.support.transport_traffic import MAKERS, Sent, batch_of, generator
-from tests.tools.assembled import run
 from tests.tools.lost_frames import LOST_RATIO, Tally
 
 
@@ -44,9 +43,3 @@ def test_with_lost_frames_every_message_is_right_or_counted(name: str, seed: int
     tally = Tally()
     tally.add(traffic, kept, found, reassembler.counts.incomplete_count)
     assert tally.is_good, tally
-
-
-def test_what_others_put_together_is_put_together_and_the_rest_is_counted() -> None:
-    outcomes = run(150, first_seed=3)
-    assert {kind: one.faults for kind, one in outcomes.items() if one.faults} == {}
-    assert sum(one.incomplete for one in outcomes.values()) > 100

@@ -195,7 +195,7 @@ def _judge(
     rows = reader(output) if is_one else [row for path in sorted(output.iterdir()) for row in reader(path)]
     found = [(*_known(row), _cells_in(row, plan, has_nan=has_nan, has_message=is_one)) for row in rows]
     if not is_one:
-        found.sort(key=lambda row: row[0])
+        found.sort(key=lambda row: int(str(row[0])))
     findings.cells += len(wanted)
     if found != wanted:
         places = [place for place, (one, other) in enumerate(zip(found, wanted, strict=False)) if one != other]

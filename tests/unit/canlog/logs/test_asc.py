@@ -4,7 +4,7 @@ from datetime import datetime
 
 import pytest
 
-from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.logs.asc import AscLog, is_asc_header
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_log import reader_of
@@ -61,28 +61,6 @@ def test_what_looks_like_a_frame_and_is_none_is_counted(event: bytes, reason: Lo
     assert len(batch) == 2
     assert counts.rejected == {reason: 1}
     assert counts.first_rejected == f"line 5: {reason}"
-
-
-@pytest.mark.parametrize(
-    ("event", "flags"),
-    [
-        (b"CANFD   2 Rx  123  1 0 9 12 " + b"11 " * 12 + b"0 0 303000 0 0 0 0 0", FD_FLAG | BRS_FLAG),
-        (
-            b"CANFD   2 Tx  123 Name  0 1 9 12 " + b"11 " * 12 + b" 130000  130  1000 0 0 0 0 0",
-            FD_FLAG | ESI_FLAG | TX_FLAG,
-        ),
-        (b"CANFD   2 Rx  123 Name  0 0 9 12 " + b"11 " * 12, FD_FLAG),  # the compiled reader leaves it to the other
-    ],
-)
-def test_can_fd_is_taken(event: bytes, flags: int) -> None:
-    good = b"1.0 1  A0  Rx   d 1 11\n"
-    batch, counts = read(HEADER + good + b"1.5 " + event + b"\n" + good)
-    assert batch.can_id.tolist() == [0xA0, 0x123, 0xA0]
-    assert batch.length.tolist() == [1, 12, 1]
-    assert batch.flags.tolist() == [0, flags, 0]
-    assert batch.channel.tolist() == [1, 2, 1]
-    assert batch.data[1].tobytes() == (b"\x11" * 12).ljust(64, b"\0")
-    assert counts == LogCounts(frames=3, skipped=3)
 
 
 def test_events_of_other_kinds_and_comments_are_skipped() -> None:
@@ -191,17 +169,6 @@ def test_a_trailing_comment_changes_nothing(event: bytes, length: int, comment: 
 def test_a_remote_frame_of_a_fd_line_has_the_length_of_its_code() -> None:
     batch, _ = read(HEADER + b"1.0 CANFD 1 Tx 123 0 0 8 0 0 0 10 0 0 0 0 0\n")
     assert (batch.can_id.tolist(), batch.length.tolist()) == ([0x123 | REMOTE_FLAG], [8])
-
-
-def test_directions() -> None:
-    events = (
-        b"1 123 Rx d 0", b"1 123 Tx d 0", b"1 123 Tx d 0 // c", b"1 123 Tx r", b"1 Tx ErrorFrame", b"1 ErrorFrame",
-        b"CANFD 1 Tx 123 1 0 0 0 0 0 1000 0 0 0 0 0", b"CANFD 1 Tx 123 Name 1 0 0 0",
-        b"CANFD 1 Rx 123 1 0 0 0 0 0 1000 0 0 0 0 0",
-    )  # fmt: skip
-    batch, _ = read(HEADER + b"".join(b"1.0 " + event + b"\n" for event in events))
-    assert batch.width == 8 or batch.flags.any()
-    assert (batch.flags & TX_FLAG != 0).tolist() == [False, True, True, True, True, False, True, True, False]
 
 
 def test_a_date_that_is_not_understood_is_said_once() -> None:

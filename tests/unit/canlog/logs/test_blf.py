@@ -241,28 +241,6 @@ def test_a_file_that_ends_inside_its_header_is_an_error() -> None:
         read(blf([])[:50])
 
 
-@pytest.mark.parametrize("kind", [1, 86])
-@pytest.mark.parametrize("place", range(8))  # channel, flags, length, identifier
-def test_a_usual_object_is_read_as_one_with_a_longer_header(kind: int, place: int) -> None:
-    body = struct.pack("<HBBL8s", 1, 0, 8, 0x123, b"ABCDEFGH")
-    bodies = [body[:place] + bytes([value]) + body[place + 1 :] for value in range(256)]
-    usual, usual_counts = read(blf([container(b"".join(an_object(kind, each, 1_000) for each in bodies))]))
-    other, other_counts = read(blf([container(b"".join(an_object(kind, each, 1_000, version=2) for each in bodies))]))
-    assert usual_counts == other_counts
-    for name in ("t_ns", "can_id", "length", "data", "flags", "channel"):
-        assert np.array_equal(getattr(usual, name), getattr(other, name)), name
-
-
-@pytest.mark.parametrize("unit", [TEN_MICROSECONDS, NANOSECONDS])
-@pytest.mark.parametrize("time", [0, 1_499, 10**15, 10**18, 2**63 - 1, 2**63, 2**64 - 1])
-def test_times_of_usual_and_other_objects_are_alike(unit: int, time: int) -> None:
-    body = struct.pack("<HBBL8s", 1, 0, 8, 0x123, b"ABCDEFGH")
-    usual, usual_counts = read(blf([container(message() + an_object(1, body, time, unit))]))
-    other, other_counts = read(blf([container(message() + an_object(1, body, time, unit, version=2))]))
-    assert usual.t_ns.tolist() == other.t_ns.tolist()
-    assert usual_counts == other_counts
-
-
 @pytest.mark.parametrize("cut", range(1, 49))
 def test_an_object_that_the_next_container_continues_is_whole(cut: int) -> None:
     contents = b"".join(message(1_000 * k, payload=bytes([k])) for k in range(6))

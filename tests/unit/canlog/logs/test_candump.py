@@ -101,16 +101,6 @@ def test_channels_have_the_number_in_their_name_unless_it_is_taken() -> None:
     assert batch.channel.tolist() == [2, 0, 1, 2, 17]
 
 
-@pytest.mark.parametrize("end", range(8, 24))
-def test_a_payload_cut_off_by_the_end_is_never_taken_for_a_shorter_one(end: int) -> None:
-    whole = b"(1.0) can0 123#1122334455667788\n"
-    batch, counts = read(whole + whole[:end])
-    assert len(batch) == 1
-    assert counts.truncated
-    assert counts.rejected == {LogReject.CUT_OFF: 1}
-    assert counts.first_rejected == "line 2: cut_off"
-
-
 def test_a_last_line_without_newline_counts_if_nothing_can_be_missing() -> None:
     batch, counts = read(b"(1.0) can0 123#11\n(2.0) can0 123#1122334455667788")
     assert len(batch) == 2
@@ -140,44 +130,6 @@ def test_recognition() -> None:
     assert len(frames_of(CandumpLog(), b"(1.0) can0 123##0"))
     assert not len(frames_of(CandumpLog(), b"time,id,data\n1.0,123,11\n"))
     assert not len(frames_of(CandumpLog(), b""))
-
-
-USUAL = b"(1767225600.123456) vcan0 0A0#1122334455667788"
-
-
-@pytest.mark.parametrize("place", range(len(USUAL)))
-def test_a_damaged_line_is_read_alike_eight_characters_at_a_time_and_one_by_one(place: int) -> None:
-    # A line at the end of the text is read by character, one far from it by words.
-    far = b"\n" + USUAL * 2 + b"\n"
-    for character in sorted({*range(256)} - {ord("\n")}):
-        line = USUAL[:place] + bytes([character]) + USUAL[place + 1 :] + b"\n"
-        first, first_counts = read(USUAL + b"\n" + line + far)
-        last, last_counts = read(USUAL + b"\n" + far[1:] + line)
-        assert len(first) == len(last)
-        assert first_counts.rejected[LogReject.MALFORMED] == last_counts.rejected[LogReject.MALFORMED]
-        if len(first) == 2:
-            assert first.t_ns[1] == last.t_ns[1]
-            assert first.can_id[1] == last.can_id[1]
-            assert first.data[1].tobytes() == last.data[1].tobytes()
-            assert (first.length[1], first.channel[1]) == (last.length[1], last.channel[1])
-
-
-@pytest.mark.parametrize("name", [b"can0", b"vcan17", b"x234567", b"much-longer-name"])
-@pytest.mark.parametrize("end", [b"\n", b"\r\n", b" R\n"])
-@pytest.mark.parametrize("size", range(9))
-def test_lines_of_every_length_name_and_end(name: bytes, end: bytes, size: int) -> None:
-    lines = [
-        b"(1767225600.%06d) %s %s#%s" % (k, name, identifier, b"5a" * size) + end
-        for k in range(4)
-        for identifier in (b"7FF", b"1FFFFFFF")
-    ]
-    batch, counts = read(b"".join(lines))
-    assert counts == LogCounts(frames=8)
-    assert batch.t_ns.tolist() == [1_767_225_600_000_000_000 + k * 1_000 for k in range(4) for _ in range(2)]
-    assert batch.can_id.tolist() == [0x7FF, 0x1FFF_FFFF | EXTENDED_FLAG] * 4
-    assert (batch.length == size).all()
-    assert batch.data.tobytes() == (b"\x5a" * size).ljust(8, b"\0") * 8
-    assert len(set(batch.channel.tolist())) == 1
 
 
 def test_what_a_wide_row_held_before_is_gone() -> None:
