@@ -49,6 +49,13 @@ class ChannelNames:
         self.words.numbers[index] = next(free, MOST_CHANNELS - 1)
         self._count = index + 1
 
+    def number(self, name: bytes) -> int:
+        """Return the number of a channel, which a new one gets."""
+        text = np.frombuffer(name + b"\n", np.uint8)
+        if channel_number(text, 0, self.words, len(self)) < 0:
+            self.add(name)
+        return max(channel_number(text, 0, self.words, len(self)), 0)
+
 
 @array_kernel
 def name_hash(text: UInt8Array, begin: int, stop: int) -> int:

@@ -3,7 +3,6 @@
 Every text that is parsed ends with a newline, and no step passes over one, so none needs the length of the text.
 """
 
-
 import numpy as np
 import numpy.typing as npt
 
