@@ -217,7 +217,6 @@ HOSTILE: Mapping[str, Callable[[], bytes]] = {
     ),
     "signal.dbc": lambda: dbc('BO_ 1 m: 8 A\n SG_ s : 0|4000000000@1+ (1,0) [0|0] "" A\n'),
     "message.dbc": lambda: dbc('BO_ 1 m: 4000000000 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n'),
-    "words.dbc": lambda: dbc("BO_ 1 m: 8 A\n" + "SG_ " * 2_000_000),
     "message.kcd": kcd_bomb,
     "entities.kcd": lambda: ENTITIES,
     "message.sym": lambda: (
@@ -277,7 +276,7 @@ NO_FILES = tuple(
 ALL = (*HOSTILE, *HOLLOW, *(f"middle-{name}" for name in HOLLOW), *NO_FILES)
 SLOW = frozenset(
     {
-        *("lines.asc", "words.dbc"),
+        "lines.asc",
         *(name for name in PACKED if name not in QUICKLY_REFUSED),
     }
 )  # take all the time that they are given, or seconds until they are packed
